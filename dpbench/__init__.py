@@ -1,0 +1,95 @@
+"""dpbench: which QP solver to trust inside the MPC of a dynamically positioned ship.
+
+The names below are the public interface; each is imported when it is first used, so that
+`import dpbench` costs nothing and a worker loads no library it does not measure.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dpbench.bench.campaign import run_campaign
+    from dpbench.bench.exact import record_sequence
+    from dpbench.bench.inprocess import Run, replay, run_closed_loop
+    from dpbench.bench.store import load_results
+    from dpbench.errors import DpbenchError, InputError
+    from dpbench.mpc.condensed_qp import CondensedQP
+    from dpbench.qp.certify import Optimum, certify
+    from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, Refresh
+    from dpbench.qp.residuals import Residuals, residuals
+    from dpbench.qp.solution import Solution, Status
+    from dpbench.report.write import write_report
+    from dpbench.scenario import Scenario, condense, load_scenario
+    from dpbench.solvers.contract import Workspace
+    from dpbench.solvers.open import open_workspace
+
+_HOMES = {
+    "CondensedQP": "mpc.condensed_qp",
+    "DpbenchError": "errors",
+    "InputError": "errors",
+    "Optimum": "qp.certify",
+    "QPSequence": "qp.program",
+    "QPStep": "qp.program",
+    "QuadraticProgram": "qp.program",
+    "Refresh": "qp.program",
+    "Residuals": "qp.residuals",
+    "Run": "bench.inprocess",
+    "Scenario": "scenario",
+    "Solution": "qp.solution",
+    "Status": "qp.solution",
+    "Workspace": "solvers.contract",
+    "certify": "qp.certify",
+    "condense": "scenario",
+    "load_results": "bench.store",
+    "load_scenario": "scenario",
+    "open_workspace": "solvers.open",
+    "record_sequence": "bench.exact",
+    "replay": "bench.inprocess",
+    "residuals": "qp.residuals",
+    "run_campaign": "bench.campaign",
+    "run_closed_loop": "bench.inprocess",
+    "write_report": "report.write",
+}
+
+__all__ = [
+    "CondensedQP",
+    "DpbenchError",
+    "InputError",
+    "Optimum",
+    "QPSequence",
+    "QPStep",
+    "QuadraticProgram",
+    "Refresh",
+    "Residuals",
+    "Run",
+    "Scenario",
+    "Solution",
+    "Status",
+    "Workspace",
+    "certify",
+    "condense",
+    "load_results",
+    "load_scenario",
+    "open_workspace",
+    "record_sequence",
+    "replay",
+    "residuals",
+    "run_campaign",
+    "run_closed_loop",
+    "write_report",
+]
+
+
+def __getattr__(name: str) -> Any:
+    home = _HOMES.get(name)
+    if home is None:
+        raise AttributeError(f"module 'dpbench' has no attribute {name!r}")
+    value = getattr(import_module(f"dpbench.{home}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

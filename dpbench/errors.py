@@ -1,0 +1,64 @@
+"""The error tree: everything dpbench raises on purpose, so a caller can catch one base class.
+
+A *person's* mistake is an `InputError`: one line that names the place, what was found and what is
+allowed (the command line prints it and exits with 2). A *solver's* failure is never an exception
+that leaves the run: it is a `Status` in a record.
+"""
+
+from __future__ import annotations
+
+
+class DpbenchError(Exception):
+    """Base class of all errors raised by dpbench."""
+
+
+class InputError(DpbenchError, ValueError):
+    """Bad input from a person.
+
+    Parameters
+    ----------
+    where : file, option or argument the mistake is in.
+    key : the key inside it ("" when the whole of it is meant).
+    found : what stands there.
+    allowed : what could stand there.
+    """
+
+    def __init__(self, where: str, key: str, found: object, allowed: str) -> None:
+        self.where, self.key, self.found, self.allowed = where, key, found, allowed
+        place = f"{where}: {key}" if key else where
+        super().__init__(" ".join(f"{place}: found {found}; allowed: {allowed}".split()))
+
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, object, str]]:
+        return type(self), (self.where, self.key, self.found, self.allowed)
+
+
+class ShapeError(InputError):
+    """An array of the wrong shape; names the array, the expected and the found shape."""
+
+    @classmethod
+    def of(cls, where: str, name: str, found: tuple[int, ...], expected: str) -> ShapeError:
+        return cls(where, name, f"shape {found}", expected)
+
+
+class UnknownNameError(InputError):
+    """A vessel, scenario, suite, solver or setting that does not exist."""
+
+
+class SettingsError(InputError):
+    """A solver setting that the solver does not have or does not accept."""
+
+
+class PolicyError(InputError):
+    """A route or policy that a solver cannot run; `allowed` carries the reason."""
+
+
+class SolverUnavailableError(InputError):
+    """A solver whose library is missing or fails to import; `found` carries the reason."""
+
+
+class ResultsError(InputError):
+    """A result folder or file that is missing, damaged or of another schema."""
+
+
+class CertificateError(DpbenchError):
+    """The referee could not certify a problem that by construction has a certificate."""

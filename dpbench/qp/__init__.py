@@ -1,0 +1,1 @@
+"""The language all rooms speak (QP, step, sequence, solution) and the referee."""

@@ -1,0 +1,184 @@
+"""The language all rooms speak: a quadratic program, one step of it, a recorded sequence.
+
+    minimise ½ zᵀP z + qᵀz   subject to   l ≤ A z ≤ u,   lb ≤ z ≤ ub
+
+Arrays are float64 and C-contiguous. Nothing here checks values beyond shape and type: a NaN is
+data that the solvers must face and the referee must find.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Flag, auto
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpbench.errors import ShapeError
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+
+class Refresh(Flag):
+    """What a step changes in the problem a workspace was set up with."""
+
+    VECTORS = auto()
+    MATRICES = auto()
+
+
+def _array(name: str, value: object, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    array = np.ascontiguousarray(value, dtype=np.float64)
+    if array.shape != shape:
+        raise ShapeError.of("QuadraticProgram", name, array.shape, f"shape {shape}")
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class QuadraticProgram:
+    """A convex QP in two-sided form.
+
+    Parameters
+    ----------
+    P : (n, n) symmetric positive semidefinite cost matrix.
+    q : (n,) linear cost.
+    A : (m, n) rows; m may be 0.
+    l, u : (m,) row limits, ±inf allowed.
+    lb, ub : (n,) bounds, ±inf allowed.
+    block : variables (and rows) per move, so that a workspace can shift a warm start by one move
+        without knowing ships; 0 keeps a start as it is.
+
+    Raises
+    ------
+    ShapeError : if the shapes do not fit each other.
+    """
+
+    P: Matrix
+    q: Vector
+    A: Matrix
+    l: Vector  # noqa: E741 - the name of the lower row limit in OSQP's and the paper's notation
+    u: Vector
+    lb: Vector
+    ub: Vector
+    block: int = 0
+
+    def __post_init__(self) -> None:
+        n = np.shape(self.q)[0] if np.ndim(self.q) == 1 else -1
+        if n < 1:
+            raise ShapeError.of("QuadraticProgram", "q", np.shape(self.q), "shape (n,) with n ≥ 1")
+        m = np.shape(self.A)[0] if np.ndim(self.A) == 2 else -1
+        if m < 0:
+            raise ShapeError.of("QuadraticProgram", "A", np.shape(self.A), f"shape (m, {n})")
+        shapes = {"P": (n, n), "q": (n,), "A": (m, n), "l": (m,), "u": (m,), "lb": (n,), "ub": (n,)}
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, _array(name, getattr(self, name), shape))
+        if self.block and (n % self.block or m % self.block):
+            raise ShapeError.of(
+                "QuadraticProgram", "block", (self.block,), f"a divisor of n={n} and m={m}, or 0"
+            )
+
+    @property
+    def n(self) -> int:
+        """Number of variables."""
+        return int(self.q.shape[0])
+
+    @property
+    def m(self) -> int:
+        """Number of rows."""
+        return int(self.A.shape[0])
+
+    def objective(self, z: Vector) -> float:
+        """½ zᵀPz + qᵀz."""
+        return float(0.5 * z @ self.P @ z + self.q @ z)
+
+    def at(self, step: QPStep) -> QuadraticProgram:
+        """The problem after `step`: its vectors, and its matrices where it brings any."""
+        return QuadraticProgram(
+            self.P if step.P is None else step.P,
+            step.q,
+            self.A if step.A is None else step.A,
+            step.l,
+            step.u,
+            self.lb if step.lb is None else step.lb,
+            self.ub if step.ub is None else step.ub,
+            self.block,
+        )
+
+
+@dataclass(slots=True, eq=False)
+class QPStep:
+    """What changes from one step to the next; the vectors live in memory of the step's own.
+
+    `P, A, lb, ub` are None unless they changed.
+    """
+
+    q: Vector
+    l: Vector  # noqa: E741 - see QuadraticProgram.l
+    u: Vector
+    P: Matrix | None = None
+    A: Matrix | None = None
+    lb: Vector | None = None
+    ub: Vector | None = None
+
+    @property
+    def refresh(self) -> Refresh:
+        """`VECTORS`, or `VECTORS | MATRICES` when P, A, lb or ub changed."""
+        if self.P is None and self.A is None and self.lb is None and self.ub is None:
+            return Refresh.VECTORS
+        return Refresh.VECTORS | Refresh.MATRICES
+
+
+@dataclass(frozen=True, eq=False)
+class Units:
+    """Diagonal change of units between a problem as solved and its scaled twin.
+
+    z_own = z * z_scaled and (A z)_own = row * (A z)_scaled; the objective is the same number in
+    both, so multipliers transform by y_scaled = row * y_own and y_box_scaled = z * y_box_own.
+    """
+
+    z: Vector
+    row: Vector
+
+
+@dataclass(frozen=True, eq=False)
+class QPSequence:
+    """QPs recorded along one run: constant matrices in `base`, vectors per step.
+
+    Parameters
+    ----------
+    name : what it was recorded from.
+    base : the problem of step 0 (its q, l, u are those of step 0).
+    q, l, u : (K, n), (K, m), (K, m) vectors of each step.
+    units : how the variables of these QPs relate to the scaled ones; None means scaled.
+    scaled : the same sequence in scaled units, what the referee judges in; None when this is it.
+    meta : where it comes from: scenario, sample time [s], first step, versions.
+    """
+
+    name: str
+    base: QuadraticProgram
+    q: Matrix
+    l: Matrix  # noqa: E741 - see QuadraticProgram.l
+    u: Matrix
+    units: Units | None = None
+    scaled: QPSequence | None = None
+    meta: dict[str, str | float | int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        K = np.shape(self.q)[0]
+        shapes = {"q": (K, self.base.n), "l": (K, self.base.m), "u": (K, self.base.m)}
+        for name, shape in shapes.items():
+            array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
+            if array.shape != shape:
+                raise ShapeError.of("QPSequence", name, array.shape, f"shape {shape}")
+            object.__setattr__(self, name, array)
+
+    def __len__(self) -> int:
+        return int(self.q.shape[0])
+
+    def step(self, k: int) -> QPStep:
+        """Step k; its vectors are views of the sequence, which nobody may write to."""
+        return QPStep(self.q[k], self.l[k], self.u[k])
+
+    def problem(self, k: int) -> QuadraticProgram:
+        """The whole problem of step k."""
+        return self.base.at(self.step(k))

@@ -1,0 +1,60 @@
+"""The paper's stacked one-sided form (eq. 23-25) of a two-sided QP, and the way back.
+
+    M z ≤ γ   with   M = [−A; A; −I; I],   γ = [−l; u; −lb; ub]
+
+For N_p 30, N_c 5 these are the paper's 60 rows: M1 = [−C2; C2], M2 = [−I; I]. The multipliers of
+the two sides of one row combine to y = λ_upper − λ_lower.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.qp.solution import Solution
+
+
+def stack(qp: QuadraticProgram) -> QuadraticProgram:
+    """The same problem with 2m + 2n one-sided rows and no bounds (eq. 25)."""
+    identity = np.eye(qp.n)
+    M = np.vstack([-qp.A, qp.A, -identity, identity])
+    gamma = np.concatenate([-qp.l, qp.u, -qp.lb, qp.ub])
+    free = np.full(qp.n, np.inf)
+    return QuadraticProgram(qp.P, qp.q, M, np.full(len(gamma), -np.inf), gamma, -free, free, 0)
+
+
+def stack_step(step: QPStep, stacked: QuadraticProgram) -> QPStep:
+    """The step of the stacked problem; its γ starts from that of `stacked`, whose box part stays.
+
+    Matrix updates bring P and A of the two-sided form; the stacked M is then rebuilt.
+    """
+    m = step.l.shape[0]
+    gamma = stacked.u.copy()
+    np.negative(step.l, out=gamma[:m])
+    gamma[m : 2 * m] = step.u
+    M = None
+    if step.A is not None:
+        M = stacked.A.copy()
+        np.negative(step.A, out=M[:m])
+        M[m : 2 * m] = step.A
+    n = stacked.n
+    if step.lb is not None:
+        np.negative(step.lb, out=gamma[2 * m : 2 * m + n])
+    if step.ub is not None:
+        gamma[2 * m + n :] = step.ub
+    return QPStep(step.q, stacked.l, gamma, P=step.P, A=M)
+
+
+def unstack(solution: Solution, m: int) -> Solution:
+    """The solution of the two-sided problem with m rows, from that of the stacked one."""
+    n = solution.z.shape[0]
+    lam = solution.y
+    return Solution(
+        solution.status,
+        solution.z,
+        lam[m : 2 * m] - lam[:m],
+        lam[2 * m + n :] - lam[2 * m : 2 * m + n],
+        solution.iterations,
+        solution.reported_ns,
+        solution.detail,
+    )

@@ -1,0 +1,176 @@
+"""Certificates of infeasibility and unboundedness: true ones found, false ones refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dpbench.qp.certify import certify, error_of
+from dpbench.qp.claims import judge_claim
+from dpbench.qp.farkas import (
+    certify_infeasible,
+    certify_unbounded,
+    farkas_valid,
+    unbounded_valid,
+)
+from dpbench.qp.program import QuadraticProgram
+from dpbench.qp.solution import Solution, Status
+
+INF = np.inf
+seeds = st.integers(0, 2**32 - 1)
+
+
+def _infeasible(seed: int, n: int, m: int, boxed: bool) -> tuple[QuadraticProgram, np.ndarray]:
+    """A problem refuted by a known vector y of small integers, by a margin of 1/8.
+
+    Without a box the last row is the combination that makes Aᵀy vanish.
+    """
+    rng = np.random.default_rng(seed)
+    A = rng.integers(-3, 4, (m, n)).astype(float)
+    y = rng.choice([-2.0, -1.0, 1.0, 2.0], m)
+    y[-1] = 1.0
+    if boxed:
+        lb, ub = -np.ones(n), np.ones(n)
+    else:
+        A[-1] = -y[:-1] @ A[:-1]
+        lb, ub = np.full(n, -INF), np.full(n, INF)
+    width = np.where(rng.random(m) < 0.5, INF, 64.0)
+    limit = rng.integers(-16, 17, m) / 8
+    others = float(y[:-1] @ limit[:-1]) + (float(np.abs(y @ A).sum()) if boxed else 0.0)
+    limit[-1] = -others - 0.125
+    u = np.where(y > 0, limit, limit + width)
+    l = np.where(y > 0, limit - width, limit)  # noqa: E741 - as in QuadraticProgram
+    return QuadraticProgram(np.eye(n), rng.normal(size=n), A, l, u, lb, ub), y
+
+
+@settings(max_examples=80, derandomize=True, deadline=None)
+@given(seeds, st.integers(1, 6), st.integers(2, 7), st.booleans())
+def test_infeasible_problems_are_recognised(seed: int, n: int, m: int, boxed: bool) -> None:
+    """A problem without a feasible point is certified as such, by a vector that is valid."""
+    qp, y = _infeasible(seed, n, m, boxed)
+    assert farkas_valid(qp, y, -(y @ qp.A))
+    optimum = certify(qp)
+    assert optimum.kind == "infeasible"
+    assert farkas_valid(qp, optimum.y, optimum.y_box)
+    assert np.isnan(optimum.z).all()
+    assert np.isnan(error_of(np.zeros(n), optimum, 0)).all()
+
+
+@settings(max_examples=80, derandomize=True, deadline=None)
+@given(seeds, st.integers(1, 5), st.integers(1, 6))
+def test_no_vector_refutes_a_feasible_problem(seed: int, n: int, m: int) -> None:
+    """No vector is valid where a feasible point exists, even one that touches every limit."""
+    rng = np.random.default_rng(seed)
+    A = rng.integers(-3, 4, (m, n)).astype(float)
+    z = rng.integers(-8, 9, n) / 8
+    free = np.where(rng.random((4, max(m, n))) < 0.3, INF, 0.0)
+    qp = QuadraticProgram(
+        np.eye(n),
+        rng.normal(size=n),
+        A,
+        A @ z - free[0, :m],
+        A @ z + free[1, :m],
+        z - free[2, :n],
+        z + free[3, :n],
+    )
+    assert certify_infeasible(qp) is None
+    for _ in range(10):
+        y = rng.integers(-3, 4, m).astype(float)
+        assert not farkas_valid(qp, y, -(y @ A))
+        assert not farkas_valid(qp, y + 1e-9 * rng.normal(size=m), -(y @ A))
+
+
+@settings(max_examples=40, derandomize=True, deadline=None)
+@given(seeds)
+def test_false_vectors_are_refused(seed: int) -> None:
+    """Swapped signs, an inconsistent y_box, NaN or a wrong shape is no certificate."""
+    qp, y = _infeasible(seed, 3, 4, boxed=True)
+    y_box = -(y @ qp.A)
+    assert not farkas_valid(qp, -y, -y_box)
+    assert not farkas_valid(qp, y, y_box + 1.0)
+    assert not farkas_valid(qp, 0.0 * y, 0.0 * y_box)
+    assert not farkas_valid(qp, np.full(4, np.nan), y_box)
+    assert not farkas_valid(qp, y, np.full(3, np.nan))
+    assert not farkas_valid(qp, y[:2], y_box)
+
+
+def test_vector_must_balance_to_the_last_bit_on_infinite_bounds() -> None:
+    """Without a box, a vector that balances only to rounding proves nothing."""
+    A = np.array([[0.1, 1.0], [-0.1, -1.0]])
+    free = np.full(2, INF)
+    qp = QuadraticProgram(np.eye(2), [0.0, 0.0], A, [-INF] * 2, [1.0, -2.0], -free, free)
+    assert farkas_valid(qp, np.array([1.0, 1.0]), np.zeros(2))
+    assert not farkas_valid(qp, np.array([1.0, 1.0 + 2.0**-52]), np.zeros(2))
+
+
+def test_infinite_limits_cannot_be_named() -> None:
+    """A part on an infinite limit makes a vector invalid."""
+    A = np.array([[1.0]])
+    qp = QuadraticProgram(np.eye(1), [0.0], A, [3.0], [INF], [-1.0], [1.0])
+    assert farkas_valid(qp, np.array([-1.0]), np.array([1.0]))
+    assert not farkas_valid(qp, np.array([1.0]), np.array([-1.0]))
+
+
+@pytest.mark.parametrize("limit", [0.3, 1.0, 7.7])
+def test_feasible_by_one_point_and_infeasible_by_one_bit(limit: float) -> None:
+    """A row that meets a bound in one point leaves a feasible problem; one bit less does not."""
+    below = np.nextafter(limit, 0.0)
+    qps = [
+        QuadraticProgram(np.eye(1), [1.0], np.eye(1), [limit], [INF], [-10.0], [upper])
+        for upper in (limit, below)
+    ]
+    feasible, empty = (certify(qp) for qp in qps)
+    assert abs(feasible.z[0] - limit) <= feasible.bound <= 1e-12
+    assert empty.kind == "infeasible"
+    assert farkas_valid(qps[1], empty.y, empty.y_box)
+
+
+@pytest.mark.parametrize("row", [True, False])
+def test_crossed_limits(row: bool) -> None:
+    """A row or bound whose lower limit exceeds its upper one is infeasible by itself."""
+    l, u = ([1.0], [0.0]) if row else ([-1.0], [1.0])  # noqa: E741 - as in QuadraticProgram
+    lb, ub = ([-9.0], [9.0]) if row else ([2.0], [1.0])
+    qp = QuadraticProgram(np.eye(1), [0.0], np.eye(1), l, u, lb, ub)
+    optimum = certify(qp)
+    assert optimum.kind == "infeasible"
+    assert farkas_valid(qp, optimum.y, optimum.y_box)
+
+
+def _claim(qp: QuadraticProgram, status: Status) -> bool:
+    return judge_claim(qp, Solution.missing(qp.n, qp.m, status), certify(qp))
+
+
+def test_a_false_infeasible_is_as_wrong_as_a_false_solved() -> None:
+    """A claim of infeasibility is true exactly where there is no feasible point."""
+    empty, y = _infeasible(1, 3, 4, boxed=True)
+    full = QuadraticProgram(
+        empty.P, empty.q, empty.A, empty.l - 99.0, empty.u + 99.0, empty.lb, empty.ub
+    )
+    assert _claim(empty, Status.PRIMAL_INFEASIBLE)
+    assert not _claim(full, Status.PRIMAL_INFEASIBLE)
+    assert not _claim(full, Status.DUAL_INFEASIBLE)
+    assert not _claim(empty, Status.SOLVED)
+    forged = Solution(Status.PRIMAL_INFEASIBLE, np.zeros(3), y, -(y @ empty.A))
+    assert not judge_claim(full, forged, certify(full))
+    assert judge_claim(empty, forged, certify(full))
+
+
+def test_unbounded_problems() -> None:
+    """A falling direction of the recession cone proves unboundedness, and nothing else does."""
+    P, free = np.diag([1.0, 0.0, 0.0]), np.full(3, INF)
+    A = np.array([[0.0, 1.0, -3.0]])
+    q = np.array([0.0, -1.0, 0.0])
+    open_qp = QuadraticProgram(P, q, A, [-1.0], [1.0], -free, free)
+    d = certify_unbounded(open_qp)
+    assert d is not None
+    assert unbounded_valid(open_qp, d)
+    assert unbounded_valid(open_qp, np.array([0.0, 3.0, 1.0]))
+    for wrong in ([0.0, -3.0, -1.0], [1.0, 3.0, 1.0], [0.0, 1.0, 0.0], [0.0, 3.0, np.nan]):
+        assert not unbounded_valid(open_qp, np.array(wrong))
+    assert _claim(open_qp, Status.DUAL_INFEASIBLE)
+    closed = QuadraticProgram(P, q, A, [-1.0], [1.0], -free, np.full(3, 5.0))
+    assert certify_unbounded(closed) is None
+    assert not unbounded_valid(closed, np.array([0.0, 3.0, 1.0]))
+    assert not _claim(closed, Status.DUAL_INFEASIBLE)
