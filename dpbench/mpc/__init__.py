@@ -1,0 +1,1 @@
+"""The model predictive controller: model, condensed QP, law, stability (paper section III)."""

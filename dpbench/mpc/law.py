@@ -1,0 +1,89 @@
+"""The unconstrained law and its relation to the constrained one (paper eq. 26-36).
+
+    ΔU = E⁻¹ Φᵀ Q̄ (D y_d − F x)                                     (eq. 27)
+    Δu(k) = K_y y_d − K_mpc x,   K = [I 0 … 0]                        (eq. 33)
+    x(k+1) = (A − B K_mpc) x(k) + B K_y y_d                           (eq. 34-35)
+    Δu(k) = K_y y_d − K_mpc x − K K0,   K0 = E⁻¹ M_actᵀ λ_act         (eq. 36)
+
+Eq. 36 in the paper lacks the selector K in front of K0, without which the sizes do not fit
+(K0 has N_c·n_u entries, Δu has n_u), and refers to an equation 38 that does not exist.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from dpbench.mpc.condense import CondensedMatrices, ControlProblem, condense_matrices
+from dpbench.mpc.model import StateSpace
+from dpbench.qp.program import Matrix, Vector
+
+
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """K_y (n_u, n_y), K_mpc (n_u, n_x) of eq. 33; K_mpc = [K_x K_y]."""
+
+    K_y: Matrix
+    K_mpc: Matrix
+
+
+def unconstrained_plan(matrices: CondensedMatrices, x: Vector, Y_d: Vector) -> Vector:
+    """ΔU (n,) of eq. 27 in SI units, for the stacked reference Y_d (N_p·n_y,)."""
+    return -scipy.linalg.solve(matrices.E, matrices.F_x @ x + matrices.F_y @ Y_d, assume_a="pos")
+
+
+def gains(problem: ControlProblem, matrices: CondensedMatrices | None = None) -> Gains:
+    """The state feedback of eq. 33."""
+    matrices = condense_matrices(problem) if matrices is None else matrices
+    n_u, n_y = problem.model.n_u, problem.model.n_y
+    held = matrices.F_y.reshape(-1, problem.N_p, n_y).sum(axis=1)
+    both = scipy.linalg.solve(matrices.E, np.hstack([-held, matrices.F_x]), assume_a="pos")
+    return Gains(K_y=both[:n_u, :n_y], K_mpc=both[:n_u, n_y:])
+
+
+def closed_loop(model: StateSpace, law: Gains) -> Matrix:
+    """A − B K_mpc (n_x, n_x) of eq. 34."""
+    return model.A - model.B @ law.K_mpc
+
+
+def closed_loop_eigenvalues(model: StateSpace, law: Gains) -> np.ndarray:
+    """Roots of eq. 35, by falling modulus."""
+    roots = np.linalg.eigvals(closed_loop(model, law))
+    return roots[np.argsort(-np.abs(roots), kind="stable")]
+
+
+def active_set_correction(
+    E: Matrix, M_act: Matrix, lam_act: Vector, n_u: int
+) -> tuple[Vector, Vector]:
+    """K0 = E⁻¹ M_actᵀ λ_act (n,) of eq. 36 and K K0 (n_u,), what it takes off the first move.
+
+    E (n, n), M_act (a, n) the active rows of eq. 25 and λ_act (a,) ≥ 0 their multipliers, all in
+    one system of units.
+    """
+    K0 = scipy.linalg.solve(E, M_act.T @ lam_act, assume_a="pos")
+    return K0, K0[:n_u]
+
+
+def controllable_rank(model: StateSpace, tolerance: float = 1e-9) -> int:
+    """Dimension of the controllable subspace of (A, B): n_x means controllable (paper III.E).
+
+    Built as the span of [B, A B, …] by orthogonalising every new block against the span so far,
+    scaled to unit columns: the plain controllability matrix is hopelessly scaled in SI units
+    (Golub & Van Loan 2013, section 7.4.5, block Krylov subspace).
+    """
+    basis = np.empty((model.n_x, 0))
+    block = model.B
+    while basis.shape[1] < model.n_x:
+        norms = np.linalg.norm(block, axis=0)
+        block = block[:, norms > 0] / norms[norms > 0]
+        for _ in range(2):
+            block = block - basis @ (basis.T @ block)
+        directions, sizes, _ = np.linalg.svd(block, full_matrices=False)
+        fresh = directions[:, sizes > tolerance]
+        if not fresh.shape[1]:
+            break
+        basis = np.hstack([basis, fresh])
+        block = model.A @ fresh
+    return basis.shape[1]

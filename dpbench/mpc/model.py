@@ -1,0 +1,97 @@
+"""The prediction model (paper section III.A, eq. 5-11).
+
+    ẋ_m = A_c x_m + B_c u,   y = C_c x_m,   x_m = [ν; η]          (eq. 7-8, linearised at ψ0)
+    x_m(k+1) = A_m x_m(k) + B_m u(k)                              (eq. 9, exact zero-order hold)
+    x(k+1) = A x(k) + B Δu(k),   y = C x,   x = [Δx_m; y]         (eq. 11, incremental)
+
+Because the model is incremental, a constant disturbance and a constant u drop out of it: the
+paper's u = τ + Rᵀb (eq. 7) differs from τ by a constant at low frequency, and Δu = Δτ.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from dpbench.errors import ShapeError
+from dpbench.qp.program import Matrix
+
+
+def rotation(psi_rad: float) -> Matrix:
+    """R(ψ) (3, 3) from the body to the NED frame (paper eq. 3)."""
+    c, s = np.cos(psi_rad), np.sin(psi_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+@dataclass(frozen=True, eq=False)
+class StateSpace:
+    """x⁺ = A x + B u, y = C x; A (n_x, n_x), B (n_x, n_u), C (n_y, n_x)."""
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+
+    def __post_init__(self) -> None:
+        n_x = self.A.shape[0]
+        expected = {"A": (n_x, n_x), "B": (n_x, self.B.shape[-1]), "C": (self.C.shape[0], n_x)}
+        for name, shape in expected.items():
+            found = getattr(self, name).shape
+            if found != shape:
+                raise ShapeError.of("StateSpace", name, found, f"shape {shape}")
+
+    @property
+    def n_x(self) -> int:
+        """Number of states."""
+        return int(self.A.shape[0])
+
+    @property
+    def n_u(self) -> int:
+        """Number of inputs."""
+        return int(self.B.shape[1])
+
+    @property
+    def n_y(self) -> int:
+        """Number of outputs."""
+        return int(self.C.shape[0])
+
+
+def linearise(M: Matrix, D: Matrix, psi0_rad: float) -> StateSpace:
+    """The continuous model A_c, B_c, C_c at heading ψ0 (paper eq. 5-8); x_m (6,) = [ν; η]."""
+    zero = np.zeros((3, 3))
+    A_c = np.block([[-np.linalg.solve(M, D), zero], [rotation(psi0_rad), zero]])
+    B_c = np.vstack([np.linalg.inv(M), zero])
+    C_c = np.hstack([zero, np.eye(3)])
+    return StateSpace(A_c, B_c, C_c)
+
+
+def discretise(continuous: StateSpace, sample_s: float) -> StateSpace:
+    """Exact zero-order hold (paper eq. 9-10) by one matrix exponential.
+
+    exp([[A_c, B_c], [0, 0]] ΔT) = [[A_m, B_m], [0, I]]
+    (Van Loan 1978, IEEE Trans. Automat. Contr. 23(3)).
+    """
+    n_x, n_u = continuous.n_x, continuous.n_u
+    block = np.zeros((n_x + n_u, n_x + n_u))
+    block[:n_x, :n_x] = continuous.A
+    block[:n_x, n_x:] = continuous.B
+    held = scipy.linalg.expm(block * sample_s)
+    return StateSpace(
+        np.ascontiguousarray(held[:n_x, :n_x]), np.ascontiguousarray(held[:n_x, n_x:]), continuous.C
+    )
+
+
+def augment(discrete: StateSpace) -> StateSpace:
+    """The incremental model A, B, C on x = [Δx_m; y] (paper eq. 11)."""
+    A_m, B_m, C_m = discrete.A, discrete.B, discrete.C
+    n_x, n_y = discrete.n_x, discrete.n_y
+    A = np.block([[A_m, np.zeros((n_x, n_y))], [C_m @ A_m, np.eye(n_y)]])
+    B = np.vstack([B_m, C_m @ B_m])
+    C = np.hstack([np.zeros((n_y, n_x)), np.eye(n_y)])
+    return StateSpace(A, B, C)
+
+
+def prediction_model(M: Matrix, D: Matrix, psi0_rad: float, sample_s: float) -> StateSpace:
+    """Eq. 5-11 in one go: the incremental model of a ship at heading ψ0."""
+    return augment(discretise(linearise(M, D, psi0_rad), sample_s))

@@ -1,0 +1,42 @@
+"""Predicted outputs over the horizon from Markov parameters (paper eq. 13-15).
+
+    Y = F x(k) + Φ ΔU,    F = [C A; …; C A^{N_p}],    Φ_{ij} = h_{i−j},    h_t = C A^t B
+
+One recursion G_t = C A^t (never a matrix power) gives every block of F and of Φ.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.lib.stride_tricks import as_strided
+from numpy.typing import NDArray
+
+from dpbench.mpc.model import StateSpace
+from dpbench.qp.program import Matrix
+
+
+def markov(model: StateSpace, N_p: int) -> tuple[Matrix, NDArray[np.float64]]:
+    """F (N_p·n_y, n_x) of eq. 15 and the Markov parameters h (N_p, n_y, n_u)."""
+    n_y, n_x = model.C.shape
+    G = np.empty((N_p + 1, n_y, n_x))
+    G[0] = model.C
+    A = model.A
+    for t in range(N_p):
+        np.dot(G[t], A, out=G[t + 1])
+    h = (G[:N_p].reshape(N_p * n_y, n_x) @ model.B).reshape(N_p, n_y, model.n_u)
+    return G[1:].reshape(N_p * n_y, n_x), h
+
+
+def toeplitz(h: NDArray[np.float64], N_c: int) -> Matrix:
+    """Φ (N_p·n_y, N_c·n_u) of eq. 15, the block-Toeplitz matrix of h (N_p, n_y, n_u)."""
+    N_p, n_y, n_u = h.shape
+    padded = np.zeros((N_c - 1 + N_p, n_y, n_u))
+    padded[N_c - 1 :] = h
+    s_block, s_row, s_column = padded.strides
+    blocks = as_strided(
+        padded[N_c - 1 :],
+        shape=(N_p, n_y, N_c, n_u),
+        strides=(s_block, s_row, -s_block, s_column),
+        writeable=False,
+    )
+    return blocks.reshape(N_p * n_y, N_c * n_u)

@@ -1,0 +1,245 @@
+"""The plant against closed forms, balances, symmetries and a second integrator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from dpbench.scenario import load_vessel
+from dpbench.ship.environment import Environment
+from dpbench.ship.plant import SUBSTEPS, Plant
+from dpbench.ship.vessel import Vessel
+
+FULL_SCALE = ("supply_fs99", "supply_mss", "supply_tmr", "osv")
+SAMPLE_S = 0.3
+MODEL_SAMPLE_S = 0.3 / np.sqrt(70.0)
+
+CALM = Environment(np.zeros(3), np.zeros(3), np.ones(3), np.zeros(3))
+
+
+def weather(ship: Vessel, period_s: float = 20.0, ramp_s: float = 0.0) -> Environment:
+    """Forces of a third of the ship's limits, so that every vessel is driven alike."""
+    third = ship.tau_max / 3.0
+    return Environment(
+        0.5 * third, third, period_s * np.array([1.0, 1.3, 0.8]), np.array([0.0, 1.0, 2.0]), ramp_s
+    )
+
+
+def simulate(
+    ship: Vessel,
+    state: np.ndarray,
+    tau: np.ndarray,
+    sea: Environment,
+    steps: int,
+    sample_s: float = SAMPLE_S,
+    substeps: int = SUBSTEPS,
+) -> np.ndarray:
+    """States (steps + 1, 6) at the samples."""
+    plant = Plant(ship, state, sample_s, substeps)
+    table = sea.stage_table(steps, sample_s, substeps)
+    states = [plant.state.copy()]
+    for stages in table:
+        plant.advance(tau, stages)
+        states.append(plant.state.copy())
+    return np.array(states)
+
+
+def equations_of_motion(
+    ship: Vessel, tau: np.ndarray, force: Callable[[float], np.ndarray]
+) -> Callable[[float, np.ndarray], np.ndarray]:
+    """Paper eq. 3-4 in matrix form."""
+
+    def derivative(t: float, s: np.ndarray) -> np.ndarray:
+        nu, psi = s[:3], s[5]
+        R = np.array(
+            [[np.cos(psi), -np.sin(psi), 0.0], [np.sin(psi), np.cos(psi), 0.0], [0.0, 0.0, 1.0]]
+        )
+        nu_dot = np.linalg.solve(ship.M, tau + R.T @ force(t) - ship.D @ nu)
+        return np.concatenate([nu_dot, R @ nu])
+
+    return derivative
+
+
+def turning(ship: Vessel) -> np.ndarray:
+    """A start that moves and turns, scaled to the ship's length and limits."""
+    speed = np.abs(np.linalg.solve(ship.D, ship.tau_max)) * np.array([0.05, 0.05, 0.05])
+    return np.concatenate([speed * [1.0, -1.0, 1.0], [1.2, 1.3, 0.7]])
+
+
+def test_constant_surge_force_follows_the_closed_form() -> None:
+    """Under a constant surge force a ship at zero heading follows u = τ/D·(1 − e^{−Dt/M})."""
+    ship = load_vessel("supply_fs99")
+    tau = np.array([300e3, 0.0, 0.0])
+    states = simulate(ship, np.zeros(6), tau, CALM, 200)
+    t = SAMPLE_S * np.arange(201)
+    m, d = ship.M[0, 0], ship.D[0, 0]
+    grown = -np.expm1(-d * t / m)
+    # Truncation is (hd/m)^5, about 1e-18; what remains is the rounding of 2000 sub-steps.
+    np.testing.assert_allclose(states[:, 0], tau[0] / d * grown, rtol=1e-12, atol=1e-14)
+    north = tau[0] / d * (t - m / d * grown)
+    np.testing.assert_allclose(states[:, 3], north, rtol=1e-12, atol=1e-11)
+    np.testing.assert_array_equal(states[:, [1, 2, 4, 5]], 0.0)
+
+
+def test_constant_yaw_moment_follows_the_closed_form() -> None:
+    """With a decoupled yaw axis a constant moment turns the ship by the closed form of one lag."""
+    ship = load_vessel("supply_tmr")
+    inertia = np.diag(np.diag(ship.M))
+    alone = Vessel(
+        "alone", "", "", ship.length_m, inertia, ship.D, ship.tau_min, ship.tau_max, ship.rate_max
+    )
+    states = simulate(alone, np.zeros(6), np.array([0.0, 0.0, 5e6]), CALM, 200)
+    t = SAMPLE_S * np.arange(201)
+    m, d = inertia[2, 2], ship.D[2, 2]
+    grown = -np.expm1(-d * t / m)
+    np.testing.assert_allclose(states[:, 2], 5e6 / d * grown, rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(states[:, 5], 5e6 / d * (t - m / d * grown), rtol=1e-12, atol=1e-11)
+
+
+def test_a_constant_force_is_balanced_by_damping_in_the_end() -> None:
+    """Without heading change the velocities settle where D ν = τ + w, sway-yaw coupling included.
+
+    The moment is chosen so that the settled yaw rate is zero and the ship does not turn.
+    """
+    ship = load_vessel("supply_fs99")
+    nu_end = np.array([0.4, -0.3, 0.0])
+    tau = ship.D @ nu_end
+    # Starting at ν_end the ship must stay: any wrong sign or transpose of D moves it.
+    states = simulate(ship, np.concatenate([nu_end, np.zeros(3)]), tau, CALM, 400)
+    np.testing.assert_allclose(states[:, :3], np.tile(nu_end, (401, 1)), rtol=0, atol=1e-12)
+    t = SAMPLE_S * np.arange(401)
+    np.testing.assert_allclose(states[:, 3:5], np.outer(t, nu_end[:2]), rtol=1e-12, atol=1e-11)
+
+
+@pytest.mark.parametrize("name", FULL_SCALE)
+def test_kinetic_energy_changes_by_work_less_dissipation(name: str) -> None:
+    """½νᵀMν grows by exactly the work of τ and Rᵀb less what damping takes."""
+    ship = load_vessel(name)
+    tau = 0.3 * ship.tau_max
+    sea = weather(ship)
+    fine_s, steps = 0.01, 1000
+    states = simulate(ship, turning(ship), tau, sea, steps, fine_s, 1)
+    t = fine_s * np.arange(steps + 1)
+    nu, psi = states[:, :3], states[:, 5]
+    b = sea.force(t)
+    w = b.copy()
+    w[:, 0] = np.cos(psi) * b[:, 0] + np.sin(psi) * b[:, 1]
+    w[:, 1] = -np.sin(psi) * b[:, 0] + np.cos(psi) * b[:, 1]
+    power = np.einsum("ki,ki->k", nu, tau + w - nu @ ship.D.T)
+    weights = np.ones(steps + 1)
+    weights[1:-1:2], weights[2:-1:2] = 4.0, 2.0
+    work = fine_s / 3.0 * weights @ power
+    energy = 0.5 * np.einsum("ki,ij,kj->k", nu, ship.M, nu)
+    # Simpson and the integrator are both of order h⁴: (0.01 s · 1/s)⁴ = 1e-8 for the fastest mode.
+    assert work == pytest.approx(energy[-1] - energy[0], rel=1e-8)
+
+
+@pytest.mark.parametrize("angle_rad", [0.4, np.pi / 2, -2.0])
+def test_the_plant_has_no_preferred_compass_direction(angle_rad: float) -> None:
+    """Turning start, heading and weather by an angle turns the whole track by that angle."""
+    ship = load_vessel("supply_mss")
+    R = np.array(
+        [
+            [np.cos(angle_rad), -np.sin(angle_rad), 0.0],
+            [np.sin(angle_rad), np.cos(angle_rad), 0.0],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    start, tau = turning(ship), 0.2 * ship.tau_max
+    straight = Plant(ship, start, SAMPLE_S)
+    turned_start = start.copy()
+    turned_start[3:] = R @ start[3:]
+    turned_start[5] += angle_rad
+    turned = Plant(ship, turned_start, SAMPLE_S)
+    for stages in weather(ship).stage_table(100, SAMPLE_S, SUBSTEPS):
+        straight.advance(tau, stages)
+        turned.advance(tau, np.ascontiguousarray(stages @ R.T))
+    # Only rounding differs, grown over 1000 sub-steps.
+    np.testing.assert_allclose(turned.state[:3], straight.state[:3], rtol=0, atol=1e-11)
+    np.testing.assert_allclose(turned.state[3:5], R[:2, :2] @ straight.state[3:5], atol=1e-10)
+    assert turned.state[5] == pytest.approx(straight.state[5] + angle_rad, abs=1e-11)
+
+
+@pytest.mark.parametrize("name", [*FULL_SCALE, "cybership2"])
+def test_the_plant_agrees_with_an_adaptive_integrator(name: str) -> None:
+    """Every vessel under force and weather follows an eighth-order adaptive integrator."""
+    ship = load_vessel(name)
+    scale = 1.0 if name != "cybership2" else 1.0 / np.sqrt(70.0)
+    sample_s, steps = SAMPLE_S * scale, 100
+    sea = weather(ship, 20.0 * scale, 6.0 * scale)
+    tau, start = 0.3 * ship.tau_max, turning(ship)
+    ours = simulate(ship, start, tau, sea, steps, sample_s)
+    derivative = equations_of_motion(ship, tau, sea.force)
+    # The ramp has a kink at 6 s, a sample's end; the reference is restarted there.
+    state = start
+    for begin, end in ((0.0, 6.0 * scale), (6.0 * scale, sample_s * steps)):
+        state = solve_ivp(
+            derivative, (begin, end), state, method="DOP853", rtol=1e-13, atol=1e-14
+        ).y[:, -1]
+    # RK4 at 0.03 s on osv's yaw mode of 1/s leaves (0.03)^4/120 ≈ 7e-9 of a transient.
+    np.testing.assert_allclose(ours[-1], state, rtol=2e-9, atol=1e-9)
+
+
+def test_the_error_falls_with_the_fourth_power_of_the_sub_step() -> None:
+    """Halving the sub-step divides the error by about 16, disturbance and rotation included."""
+    ship = load_vessel("osv")
+    sample_s = 2.4
+    sea = weather(ship, 8.0)
+    tau, start = 0.3 * ship.tau_max, turning(ship)
+    exact = simulate(ship, start, tau, sea, 20, sample_s, 384)
+    size = np.abs(exact).max(axis=0)
+    errors = [
+        np.linalg.norm((simulate(ship, start, tau, sea, 20, sample_s, substeps) - exact) / size)
+        for substeps in (12, 24, 48)
+    ]
+    # h is 0.2, 0.1, 0.05 s at a fastest mode of 1/s: the next term of the expansion adds O(h).
+    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.1)
+    assert errors[1] / errors[2] == pytest.approx(16.0, rel=0.05)
+
+
+@pytest.mark.parametrize("name", FULL_SCALE)
+def test_ten_sub_steps_leave_less_than_a_nanometre_per_sample(name: str) -> None:
+    """At 0.3 s and ten sub-steps one sample is exact to 1e-10 m and 1e-10 rad for every ship."""
+    ship = load_vessel(name)
+    sea, tau, start = weather(ship), 0.3 * ship.tau_max, turning(ship)
+    coarse = simulate(ship, start, tau, sea, 1)[-1]
+    fine = simulate(ship, start, tau, sea, 1, substeps=80)[-1]
+    np.testing.assert_allclose(coarse[3:], fine[3:], rtol=0, atol=1e-10)
+
+
+def test_the_start_state_is_copied() -> None:
+    """A plant never writes into the array it was started with."""
+    ship = load_vessel("supply_fs99")
+    start = np.zeros(6)
+    plant = Plant(ship, start, SAMPLE_S)
+    plant.advance(ship.tau_max, CALM.stage_table(1, SAMPLE_S, SUBSTEPS)[0])
+    np.testing.assert_array_equal(start, 0.0)
+    assert plant.state[0] > 0.0
+
+
+def test_the_heading_is_never_wrapped() -> None:
+    """A ship that keeps turning passes half a turn without a jump."""
+    ship = load_vessel("supply_fs99")
+    states = simulate(
+        ship, np.array([0.0, 0.0, 0.05, 0.0, 0.0, 3.0]), np.array([0.0, 0.0, 18e6]), CALM, 200
+    )
+    assert states[-1, 5] > np.pi
+    assert np.abs(np.diff(states[:, 5])).max() < 0.05
+
+
+def test_the_model_ship_is_the_full_ship_in_froude_scale() -> None:
+    """Limits of the 1:70 model are those of the paper with lengths /70 and times /√70."""
+    model = load_vessel("cybership2")
+    force, moment = 70.0**3, 70.0**4
+    # The published scaled numbers carry 4-5 digits.
+    np.testing.assert_allclose(
+        model.tau_max * [force, force, moment], [1240e3, 417e3, 18e6], rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        model.step_max(MODEL_SAMPLE_S) * [force, force, moment],
+        [32736.0, 11008.0, 475200.0],
+        rtol=1e-12,
+    )
