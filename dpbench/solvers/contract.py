@@ -1,0 +1,60 @@
+"""The workspace contract every solver is driven through.
+
+    setup(qp)      prepare the problem; the only call that may be slow
+    update(step)   hand over what changed
+    solve()        the solver's work, and nothing else
+    read()         copy the answer out, map signs and status
+
+The clock stands between these calls, so each must do its own duty only. A workspace turns the
+library's failures into a `Status`; it raises only for a person's mistake.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import ClassVar, Literal
+
+from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.qp.solution import Solution
+
+Route = Literal["qpsolvers", "native"]
+Policy = Literal["fresh", "reuse", "warm"]
+Settings = str | Mapping[str, object]
+
+
+class Workspace(ABC):
+    """One solver at work on a sequence of QPs of one shape.
+
+    Attributes
+    ----------
+    solver, route, policy : what it is.
+    form : the form the library gets its matrices in: "dense" or "csc".
+    setup_every_step : the harness calls `setup` with the whole problem at every step instead of
+        `update` (policy fresh on route native).
+    """
+
+    setup_every_step: ClassVar[bool] = False
+    form: str = "dense"
+
+    def __init__(self, solver: str, route: Route, policy: Policy) -> None:
+        self.solver, self.route, self.policy = solver, route, policy
+
+    @abstractmethod
+    def setup(self, qp: QuadraticProgram) -> None:
+        """Prepare `qp`, including its vectors: `solve` right after it solves `qp`."""
+
+    @abstractmethod
+    def update(self, step: QPStep) -> None:
+        """Take over what `step` changes; raises ShapeError on arrays of another shape."""
+
+    @abstractmethod
+    def solve(self) -> None:
+        """Solve the current problem; never raises for a failure of the library."""
+
+    @abstractmethod
+    def read(self) -> Solution:
+        """The answer, in memory of its own."""
+
+    def reset(self) -> None:  # noqa: B027 - a workspace without memory has nothing to forget
+        """Forget every earlier answer; called after a step that was not solved."""

@@ -1,0 +1,196 @@
+"""The dual active-set method on which the paper's eq. 30-32 is run to its end.
+
+With P = L Lᵀ, x = Lᵀz, J = L⁻¹Mᵀ and M = [A; I], the QP is the projection of x0 = −L⁻¹q onto
+lower ≤ Jᵀx ≤ upper, and M P⁻¹ Mᵀ = JᵀJ. For an active set W with limits g the paper's formulas are
+
+    λ_W = −(M_W P⁻¹ M_Wᵀ)⁻¹(−g + M_W P⁻¹ q) = (J_WᵀJ_W)⁻¹(J_Wᵀx0 − g)                  (eq. 31)
+    z = −P⁻¹(q + M_Wᵀ λ_W),     that is     x = x0 − J_W λ_W                             (eq. 32)
+
+and eq. 30 asks for the W whose multipliers all have the sign of their limit. Which W to try next is
+what the paper leaves open. Here it is the rule of D. Goldfarb and A. Idnani, "A numerically stable
+dual method for solving strictly convex quadratic programs", Math. Programming 27 (1983) 1-33: start
+from the empty set (eq. 27), bring in the most violated row, and drop the row whose multiplier
+reaches zero first. Every row brought in raises the dual objective strictly, and between two of
+them the set only shrinks, so that no set returns and the method ends, degenerate or not (their
+theorem 3). Ties go to the lowest index.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpbench.qp.program import Matrix, Vector
+
+# A row counts as violated beyond this many roundings of the quantities it is computed from.
+VIOLATED = 1e-13
+# A row is a combination of the active ones when less than this share of its length is left after
+# projection: far above rounding (1e-15), far below any angle that a step could be taken along.
+DEPENDENT = 1e-10
+# A violated dependent row proves infeasibility only when it is violated by more than this share;
+# below, it is an active row written twice with rounding, and is set aside.
+INFEASIBLE = 1e-9
+
+
+class Ending(Enum):
+    """How the method ended."""
+
+    OPTIMAL = "optimal"
+    INFEASIBLE = "infeasible"
+    ITERATION_LIMIT = "iteration limit"
+
+
+@dataclass(eq=False)
+class Outcome:
+    """Where the method ended.
+
+    Parameters
+    ----------
+    ending : how.
+    active : rows of the final active set.
+    side : (p,) +1 where a row was brought in at its upper limit, -1 at its lower one.
+    multipliers : (p,) signed, positive at an upper limit; at `INFEASIBLE` a Farkas ray instead.
+    iterations : rows brought in or dropped.
+    """
+
+    ending: Ending
+    active: NDArray[np.intp]
+    side: Vector
+    multipliers: Vector
+    iterations: int
+
+
+class DualActiveSet:
+    """One run of the method.
+
+    Parameters
+    ----------
+    J : (n, p) columns of unit length, or zero.
+    x0 : (n,) the point to project.
+    lower, upper : (p,) limits, lower ≤ upper; ±inf where there is none.
+    limit : iterations after which to give up.
+    """
+
+    def __init__(self, J: Matrix, x0: Vector, lower: Vector, upper: Vector, limit: int) -> None:
+        self._J, self._lower, self._upper = J, lower, upper
+        self._limit = limit
+        self._free = lower == upper  # an equality, whose multiplier has either sign
+        self._base = x0
+        self._x = x0
+        self._active: list[int] = []
+        self._side = np.zeros(J.shape[1])
+        self._lam = np.zeros(J.shape[1])
+        self._aside = np.zeros(J.shape[1], dtype=bool)
+        self._Q, self._R = np.empty((x0.size, 0)), np.empty((0, 0))
+        self._noise = VIOLATED * float(np.max(np.abs(x0 @ J), initial=0.0))
+        self.iterations = 0
+
+    def run(self) -> Outcome:
+        """Bring in violated rows until there is none left or no step is possible."""
+        while True:
+            j, side = self._most_violated()
+            if j < 0:
+                return self._outcome(Ending.OPTIMAL)
+            ending = self._bring_in(j, side)
+            if ending is not None:
+                return self._outcome(ending)
+
+    def _outcome(self, ending: Ending) -> Outcome:
+        active = np.array(self._active, dtype=np.intp)
+        return Outcome(ending, active, self._side, self._lam, self.iterations)
+
+    def _most_violated(self) -> tuple[int, float]:
+        """The inactive row violated most, and +1 at its upper or −1 at its lower limit."""
+        w = self._x @ self._J
+        over, under = w - self._upper, self._lower - w
+        excess = np.maximum(over, under)
+        excess[self._active] = -np.inf
+        excess[self._aside] = -np.inf
+        if excess.size == 0:
+            return -1, 0.0
+        j = int(np.argmax(excess))
+        side = 1.0 if over[j] >= under[j] else -1.0
+        limit = self._upper[j] if side > 0.0 else self._lower[j]
+        if not excess[j] > self._noise + VIOLATED * abs(limit):
+            return -1, 0.0
+        return j, side
+
+    def _bring_in(self, j: int, side: float) -> Ending | None:
+        """Raise the multiplier of row j until the row is active; rows that block are dropped."""
+        J, lam = self._J, self._lam
+        limit = self._upper[j] if side > 0.0 else self._lower[j]
+        self._side[j] = side
+        while self.iterations < self._limit:
+            self.iterations += 1
+            a = side * J[:, j]
+            r, d = self._project(a)
+            gap = float(a @ self._x) - side * limit
+            blocking, t_dual = self._first_to_block(r)
+            dependent = len(self._active) == a.size or d @ d <= DEPENDENT**2 * (a @ a)
+            t_primal = np.inf if dependent else max(gap, 0.0) / float(d @ d)
+            if dependent and blocking < 0:
+                return self._no_step(j, side, r, gap, limit)
+            t = min(t_primal, t_dual)
+            lam[self._active] -= t * r
+            lam[j] += t * side
+            self._x = self._x - t * d
+            if t_primal <= t_dual:
+                self._active.append(j)
+                self._factor()
+                self._settle()
+                return None
+            lam[self._active.pop(blocking)] = 0.0
+            self._factor()
+        return Ending.ITERATION_LIMIT
+
+    def _factor(self) -> None:
+        self._Q, self._R = np.linalg.qr(self._J[:, self._active])
+
+    def _project(self, a: Vector) -> tuple[Vector, Vector]:
+        """r and d with a = J_W r + d, d orthogonal to J_W; projected twice against rounding."""
+        if not self._active:
+            return np.empty(0), a
+        c = self._Q.T @ a
+        d = a - self._Q @ c
+        again = self._Q.T @ d
+        r = np.asarray(np.linalg.solve(self._R, c + again), dtype=np.float64)
+        return r, d - self._Q @ again
+
+    def _first_to_block(self, r: Vector) -> tuple[int, float]:
+        """Position in W and step length at which a multiplier reaches zero; (−1, inf) if none."""
+        if not self._active:
+            return -1, np.inf
+        lam = self._lam[self._active]
+        inequality = ~self._free[self._active]
+        falling = inequality & (self._side[self._active] * r > 0.0)
+        if not falling.any():
+            return -1, np.inf
+        steps = np.full(lam.size, np.inf)
+        steps[falling] = np.maximum(lam[falling] / r[falling], 0.0)
+        # Of equal steps the lowest row, so that the path does not depend on the order of W.
+        shortest = float(steps.min())
+        ties = np.flatnonzero(steps == shortest)
+        return int(min(ties, key=lambda k: self._active[k])), shortest
+
+    def _settle(self) -> None:
+        """Multipliers and point of the active set anew (eq. 31, 32), free of gathered rounding."""
+        W = self._active
+        g = np.where(self._side[W] > 0.0, self._upper[W], self._lower[W])
+        lam = np.linalg.solve(self._R, self._Q.T @ self._base - np.linalg.solve(self._R.T, g))
+        self._lam[W] = lam
+        self._x = self._base - self._J[:, W] @ lam
+
+    def _no_step(self, j: int, side: float, r: Vector, gap: float, limit: float) -> Ending | None:
+        """Row j depends on rows that cannot give way: a contradiction, or a row written twice."""
+        if gap > INFEASIBLE * (abs(limit) + float(np.max(np.abs(self._x), initial=0.0))):
+            self._lam[:] = 0.0
+            self._lam[self._active] = -r
+            self._lam[j] = side
+            return Ending.INFEASIBLE
+        # What multiplier it has gathered stays a constant part of x.
+        self._aside[j] = True
+        self._base = self._base - self._lam[j] * self._J[:, j]
+        return None

@@ -1,0 +1,46 @@
+"""Keeping other solver libraries out of a process that measures one of them.
+
+`import qpsolvers` imports every solver library it finds, which costs time and memory, starts
+threads and lets one library's OpenMP or BLAS settings act on another's.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from dpbench.errors import DpbenchError
+from dpbench.solvers.table import record
+from dpbench.solvers.through_qpsolvers import ADAPTERS
+
+# Libraries that qpsolvers looks for and that are not in the table.
+OTHERS = (
+    "coptpy",
+    "gurobipy",
+    "hpipm_python",
+    "jax",
+    "mosek",
+    "nppro",
+    "pdhcg",
+    "qpoases",
+    "qpSWIFT",
+)
+# SIP orders its matrices with the AMD of CVXOPT.
+NEEDS = {"sip": ("cvxopt",), "jaxopt": ("jax",), "qpax": ("jax",)}
+
+
+def isolate(solver: str) -> None:
+    """Hide every solver library but that of `solver` from this process, for good.
+
+    Raises
+    ------
+    UnknownNameError : there is no such solver.
+    DpbenchError : qpsolvers was imported before, so it is too late.
+    """
+    own = record(solver).module
+    if "qpsolvers" in sys.modules:
+        raise DpbenchError("isolate comes too late: qpsolvers has been imported in this process")
+    keep = {own, *NEEDS.get(solver, ())}
+    modules = [adapter.record.module for adapter in ADAPTERS.values()]
+    for module in (*modules, *OTHERS):
+        if module not in keep:
+            sys.modules[module] = None  # type: ignore[assignment]  # None is how Python hides one

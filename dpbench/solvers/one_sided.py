@@ -1,0 +1,142 @@
+"""The two-sided problem in the form of qpsolvers, and its multipliers back.
+
+    l ≤ A z ≤ u  becomes  G z ≤ h, A_eq z = b   with  G = [A_up; −A_lo],  h = [u_up; −l_lo]
+
+Rows with l = u are equalities, infinite sides are left out. Multipliers come back as
+y = y_up − y_lo on inequalities and as they are on equalities.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
+
+from dpbench.qp.program import Matrix, QuadraticProgram, Vector
+from dpbench.solvers.record import Box, Form
+
+Indices = NDArray[np.intp]
+
+
+class Sides:
+    """Which limits of a block of rows are equalities, upper sides and lower sides."""
+
+    def __init__(self, low: Vector, high: Vector) -> None:
+        equal = low == high
+        self.size = low.shape[0]
+        self.equal: Indices = np.flatnonzero(equal)
+        self.upper: Indices = np.flatnonzero(~equal & (high != np.inf))
+        self.lower: Indices = np.flatnonzero(~equal & (low != -np.inf))
+        self.full = self.upper.size == self.lower.size == self.size
+        self._pattern = self.pattern(low, high)
+
+    @staticmethod
+    def pattern(low: Vector, high: Vector) -> bytes:
+        """Equal for limits of the same pattern; comparing bytes is the cheapest way to know."""
+        parts: tuple[NDArray[np.bool_], ...] = (low == high, high == np.inf, low == -np.inf)
+        return b"".join(part.tobytes() for part in parts)
+
+    def same(self, low: Vector, high: Vector) -> bool:
+        """Whether these limits have the same equal and infinite entries."""
+        return self.pattern(low, high) == self._pattern
+
+    def fill(self, low: Vector, high: Vector, h: Vector, b: Vector) -> None:
+        """Write the limits into `h` (upper, then lower sides) and `b`."""
+        if self.full:
+            h[: self.size] = high
+            np.negative(low, out=h[self.size :])
+            return
+        count = self.upper.size
+        h[:count] = high[self.upper]
+        np.negative(low[self.lower], out=h[count:])
+        b[:] = high[self.equal]
+
+    def rows(self, M: Matrix) -> tuple[Matrix, Matrix]:
+        """The inequality and the equality rows of this block of rows M."""
+        return np.vstack([M[self.upper], -M[self.lower]]), M[self.equal]
+
+    def multipliers(self, z: Vector, y: Vector) -> Vector:
+        """Two-sided multipliers from those of the inequality rows z and the equality rows y."""
+        if self.full:
+            return z[: self.size] - z[self.size :]
+        count = self.upper.size
+        out = np.zeros(self.size)
+        out[self.upper] = z[:count]
+        out[self.lower] -= z[count:]
+        out[self.equal] = y
+        return out
+
+
+class OneSidedForm:
+    """Constant matrices in a library's form, and the buffers its vectors are filled into.
+
+    Parameters
+    ----------
+    qp : the problem; its matrices are copied.
+    form : "dense" (C-contiguous) or "csc" matrices.
+    box : whether bounds stay bounds or become rows behind those of A.
+    """
+
+    def __init__(self, qp: QuadraticProgram, form: Form, box: Box) -> None:
+        self._m, self._n = qp.m, qp.n
+        self._sides = Sides(qp.l, qp.u)
+        G, A = self._sides.rows(qp.A)
+        self._rows, self._equalities = G.shape[0], A.shape[0]
+        self._box: Sides | None = None
+        bounded = bool(np.isfinite(qp.lb).any() or np.isfinite(qp.ub).any())
+        self.lb = qp.lb.copy() if bounded and box == "native" else None
+        self.ub = qp.ub.copy() if bounded and box == "native" else None
+        if box == "rows":
+            self._box = Sides(qp.lb, qp.ub)
+            G_box, A_box = self._box.rows(np.eye(qp.n))
+            G, A = np.vstack([G, G_box]), np.vstack([A, A_box])
+        h, b = np.empty(G.shape[0]), np.empty(A.shape[0])
+        self._h, self._b = h[: self._rows], b[: self._equalities]
+        if self._box is not None:
+            self._box.fill(qp.lb, qp.ub, h[self._rows :], b[self._equalities :])
+        self.q = np.empty(qp.n)
+        self.P = _as_form(qp.P, form)
+        self.G: Any = _as_form(G, form) if h.size else None
+        self.A: Any = _as_form(A, form) if b.size else None
+        self.h, self.b = h if h.size else None, b if b.size else None
+
+    def fits(self, l: Vector, u: Vector) -> bool:  # noqa: E741 - see QuadraticProgram.l
+        """Whether limits of the rows have the pattern this form was built for."""
+        return self._sides.same(l, u)
+
+    def fill(self, q: Vector, l: Vector, u: Vector) -> None:  # noqa: E741 - as above
+        """Take over the vectors of a step."""
+        self.q[:] = q
+        self._sides.fill(l, u, self._h, self._b)
+
+    def multipliers(self, z: Any, y: Any, z_box: Any) -> tuple[Vector, Vector] | None:
+        """y (m,) and y_box (n,) from the multipliers in a `qpsolvers.Solution`, None if absent."""
+        z = _vector(z, 0 if self.h is None else self.h.size)
+        y = _vector(y, 0 if self.b is None else self.b.size)
+        if z is None or y is None:
+            return None
+        rows = self._sides.multipliers(z[: self._rows], y[: self._equalities])
+        if self._box is not None:
+            return rows, self._box.multipliers(z[self._rows :], y[self._equalities :])
+        bounds = _vector(z_box, 0 if self.lb is None else self._n)
+        if bounds is None:
+            return None
+        return rows, bounds.copy() if bounds.size else np.zeros(self._n)
+
+
+def _as_form(M: Matrix, form: Form) -> Any:
+    if form == "csc":
+        return scipy.sparse.csc_matrix(M)
+    return np.array(M, dtype=np.float64, order="C")
+
+
+def _vector(value: Any, size: int) -> Vector | None:
+    """`value` as a float64 vector, an empty one where none is expected, None if it is unfit."""
+    if size == 0:
+        return np.empty(0)
+    if value is None:
+        return None
+    array = np.asarray(value, dtype=np.float64).reshape(-1)
+    return array if array.size == size else None

@@ -1,0 +1,100 @@
+"""Opening a workspace: the one door through which a solver is asked for by name."""
+
+from __future__ import annotations
+
+import warnings
+
+from dpbench.errors import PolicyError, SolverUnavailableError
+from dpbench.solvers.contract import Policy, Route, Settings, Workspace
+from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.settings import check_names, resolve, rung
+from dpbench.solvers.table import available, record
+from dpbench.solvers.through_qpsolvers import ADAPTERS
+
+POLICIES: dict[str, str] = {
+    "fresh": "set up from nothing at each step",
+    "reuse": "factorisation and memory kept, start reset",
+    "warm": "previous answer kept as start",
+}
+REFUSED_BY_QPSOLVERS = {
+    "reuse": "qpsolvers sets the library up anew at every solve, so nothing can be reused",
+    "warm": "it ignores a start handed over by qpsolvers, so it cannot differ from fresh",
+}
+
+
+def open_workspace(
+    solver: str,
+    *,
+    route: Route | None = None,
+    policy: Policy = "fresh",
+    settings: Settings = "default",
+) -> Workspace:
+    """A workspace of `solver`, not yet set up.
+
+    Parameters
+    ----------
+    solver : a name of the table.
+    route : "qpsolvers" or "native"; None takes the solver's own default.
+    policy : "fresh", "reuse" or "warm", where the route has it.
+    settings : a name of the ladder, or a mapping of the solver's own keys.
+
+    Raises
+    ------
+    UnknownNameError : there is no such solver.
+    PolicyError : the solver has no such route, or the route no such policy; says why.
+    SettingsError : unknown name, or a key or value that the library does not accept.
+    SolverUnavailableError : the library is missing or fails to import; names the remedy.
+    """
+    row = record(solver)
+    route = row.default_route if route is None else route
+    _check_policy(row, route, policy)
+    found = available(solver)
+    if not found.ok:
+        raise SolverUnavailableError("solver", solver, found.reason, f"after {row.remedy}")
+    if row.extra == "own":
+        return _open_own(row, policy, settings)
+    adapter = ADAPTERS[solver]
+    options = resolve(settings, adapter)
+    if adapter.prepare is not None:
+        adapter.prepare()
+    # qpsolvers imports every library it finds, so it is imported only when it is needed, and
+    # without their warnings.
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from dpbench.solvers.qpsolvers_route import QpsolversWorkspace
+
+    return QpsolversWorkspace(adapter, policy, options)
+
+
+def _check_policy(row: SolverRecord, route: Route, policy: Policy) -> None:
+    where = f"solver {row.name}"
+    if route not in row.policies:
+        raise PolicyError(where, "route", repr(route), " | ".join(row.policies))
+    allowed = row.policies[route]
+    if policy in allowed:
+        return
+    if policy not in POLICIES:
+        raise PolicyError(where, "policy", repr(policy), " | ".join(allowed))
+    reason = row.refused.get((route, policy), REFUSED_BY_QPSOLVERS.get(policy, ""))
+    raise PolicyError(where, f"route {route}: policy", repr(policy), f"{_join(allowed)} ({reason})")
+
+
+def _join(allowed: tuple[Policy, ...]) -> str:
+    return " | ".join(f"{policy}: {POLICIES[policy]}" for policy in allowed)
+
+
+def _open_own(row: SolverRecord, policy: Policy, settings: Settings) -> Workspace:
+    if isinstance(settings, str):
+        rung(settings)
+    elif settings:
+        check_names(row.name, settings, ())
+    from dpbench.solvers.paper_active_set import FreshPaperActiveSet, PaperActiveSet
+    from dpbench.solvers.unconstrained import FreshUnconstrained, Unconstrained
+
+    kinds: dict[tuple[str, str], type[Workspace]] = {
+        ("paper_active_set", "fresh"): FreshPaperActiveSet,
+        ("paper_active_set", "reuse"): PaperActiveSet,
+        ("unconstrained_clipped", "fresh"): FreshUnconstrained,
+        ("unconstrained_clipped", "reuse"): Unconstrained,
+    }
+    return kinds[row.name, policy](row.name, "native", policy)

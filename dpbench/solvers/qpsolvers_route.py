@@ -1,0 +1,135 @@
+"""The route through qpsolvers: one workspace that drives every library qpsolvers serves.
+
+`setup` keeps the constant matrices in the library's form, `update` fills the vectors and builds
+the `qpsolvers.Problem`, `solve` is `qpsolvers.solve_problem` and nothing else, `read` maps signs
+and status. qpsolvers sets the library up anew at every solve, so this cannot be split further.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+from qpsolvers import Problem, solve_problem
+
+from dpbench.errors import DpbenchError
+from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
+from dpbench.qp.solution import Solution, Status
+from dpbench.solvers.contract import Policy, Workspace
+from dpbench.solvers.one_sided import OneSidedForm
+from dpbench.solvers.shapes import check_step, owned
+from dpbench.solvers.through_qpsolvers import Adapter
+from dpbench.solvers.through_qpsolvers.adapter import Options
+
+IGNORE_ALL = ("ignore", None, Warning, None, 0)
+
+
+class QpsolversWorkspace(Workspace):
+    """A library behind qpsolvers at work on QPs of one shape.
+
+    Parameters
+    ----------
+    adapter : the library.
+    policy : "fresh", or "warm": the previous answer, shifted by one move, is the start.
+    options : keyword arguments of the library, already validated.
+    """
+
+    def __init__(self, adapter: Adapter, policy: Policy, options: Options) -> None:
+        super().__init__(adapter.record.name, "qpsolvers", policy)
+        self.form = adapter.record.form
+        self._adapter, self._record = adapter, adapter.record
+        self._name = adapter.record.qpsolvers_name or adapter.record.name
+        self._options: dict[str, Any] = {**adapter.fixed, **options}
+        self._base: QuadraticProgram | None = None
+        self._answer: Any = None
+        self._failure, self._unread = "read before solve", False
+        self._start: np.ndarray | None = None
+        self._last: np.ndarray | None = None
+
+    def setup(self, qp: QuadraticProgram) -> None:
+        """Keep `qp` in the library's form; forgets every earlier answer."""
+        self.reset()
+        self._prepare(owned(qp))
+
+    def _prepare(self, qp: QuadraticProgram) -> None:
+        self._base = qp
+        self._form = OneSidedForm(qp, self._record.form, self._record.box)
+        self._fill(qp.q, qp.l, qp.u)
+
+    def _fill(self, q: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
+        form = self._form
+        form.fill(q, low, high)
+        self._problem = Problem(form.P, form.q, form.G, form.h, form.A, form.b, form.lb, form.ub)
+
+    def update(self, step: QPStep) -> None:
+        """Take over the vectors; rebuild when matrices, equalities or infinite sides change."""
+        base = self._base
+        if base is None:
+            raise DpbenchError("update before setup: call setup with the whole problem first")
+        check_step(step, base.n, base.m)
+        if self.policy == "warm":
+            self._start = self._shifted_start(base.block)
+        if step.refresh is Refresh.VECTORS and self._form.fits(step.l, step.u):
+            self._fill(step.q, step.l, step.u)
+        else:
+            self._prepare(owned(base.at(step)))
+
+    def _shifted_start(self, block: int) -> np.ndarray | None:
+        """The previous answer one move later, its last move zero; None without a usable one."""
+        if self._unread:
+            self.read()
+        if self._last is None or block == 0:
+            return self._last
+        start = np.empty_like(self._last)
+        start[:-block] = self._last[block:]
+        start[-block:] = 0.0
+        return start
+
+    def solve(self) -> None:
+        """Solve; whatever the library raises is kept for `read`."""
+        self._answer, self._unread = None, True
+        try:
+            # Where everything is ignored already, as in a worker, a context costs for nothing.
+            if warnings.filters[:1] == [IGNORE_ALL]:
+                self._answer = self._call()
+            else:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")
+                    self._answer = self._call()
+        except (KeyboardInterrupt, SystemExit):
+            raise
+        except BaseException as error:  # a panic of Rust is no Exception
+            self._failure = f"{type(error).__name__}: {error}"
+
+    def _call(self) -> Any:
+        return solve_problem(self._problem, self._name, initvals=self._start, **self._options)
+
+    def read(self) -> Solution:
+        """The answer with its multipliers mapped to the two-sided problem."""
+        if self._base is None:
+            raise DpbenchError("read before setup: call setup with the whole problem first")
+        n, m = self._base.n, self._base.m
+        self._last, self._unread = None, False
+        answer = self._answer
+        if answer is None:
+            return Solution.missing(n, m, Status.ERROR, self._failure)
+        status, iterations, reported_ns, detail = self._adapter.verdict(answer, self._options)
+        if status is Status.SOLVED:
+            detail = ""
+        absent = answer.x is None or np.shape(answer.x) != (n,)
+        if absent or not (answer.found or self._adapter.iterate_when_not_found):
+            solution = Solution.missing(n, m, status, detail)
+            solution.iterations, solution.reported_ns = iterations, reported_ns
+            return solution
+        z = np.array(answer.x, dtype=np.float64)
+        pair = self._form.multipliers(answer.z, answer.y, answer.z_box)
+        y, y_box = (np.full(m, np.nan), np.full(n, np.nan)) if pair is None else pair
+        if self.policy == "warm" and status.usable and np.isfinite(z).all():
+            self._last = z.copy()
+        return Solution(status, z, y, y_box, iterations, reported_ns, detail)
+
+    def reset(self) -> None:
+        """Forget every earlier answer."""
+        self._answer, self._failure, self._unread = None, "read before solve", False
+        self._start = self._last = None

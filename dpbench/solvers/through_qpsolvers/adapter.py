@@ -1,0 +1,76 @@
+"""What one library's adapter consists of, and how its answer becomes a verdict.
+
+An adapter is data and two small functions; the workspace that drives it is common to all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from dpbench.qp.solution import Status
+from dpbench.solvers.record import SolverRecord
+
+Options = Mapping[str, object]
+
+
+class Verdict(NamedTuple):
+    """What the library says about its answer; -1 and "" where it says nothing."""
+
+    status: Status
+    iterations: int = -1
+    reported_ns: int = -1
+    detail: str = ""
+
+
+NO_REASON = Verdict(Status.UNKNOWN, detail="not found; qpsolvers does not pass the reason on")
+
+
+def found_is_all(answer: Any, options: Options) -> Verdict:
+    """The judge of a library of which qpsolvers passes on `found` and nothing else."""
+    return Verdict(Status.SOLVED) if answer.found else NO_REASON
+
+
+@dataclass(frozen=True)
+class Adapter:
+    """One library behind qpsolvers.
+
+    Parameters
+    ----------
+    record : its row in the table.
+    judge : maps a `qpsolvers.Solution` with extras, and the options of the call, to a verdict.
+    option_names : the names of the library's settings, asked of the library itself; the members
+        of a group of settings as "group.name".
+    settings_object : a fresh settings object of the library that takes options as attributes,
+        None where it takes them as keywords.
+    fixed : arguments of every call that are not settings of the algorithm.
+    not_found : the verdict where nothing was found and nothing is said about it.
+    prepare : called once when a workspace is opened, for what is no argument of a call.
+    iterate_when_not_found : whether x means anything then; a vector of zeros does not.
+    """
+
+    record: SolverRecord
+    judge: Callable[[Any, Options], Verdict]
+    option_names: Callable[[], Iterable[str]]
+    settings_object: Callable[[], Any] | None = None
+    fixed: Options = field(default_factory=dict)
+    not_found: Verdict = NO_REASON
+    prepare: Callable[[], None] | None = None
+    iterate_when_not_found: bool = True
+
+    def verdict(self, answer: Any, options: Options) -> Verdict:
+        """Status, iterations and reported time of a `qpsolvers.Solution`.
+
+        Problems without constraints are answered by qpsolvers itself for some libraries; such an
+        answer has no extras.
+        """
+        if answer.extras:
+            return self.judge(answer, options)
+        return Verdict(Status.SOLVED) if answer.found else self.not_found
+
+
+def attributes(settings: Any) -> list[str]:
+    """The names of the settings of an object that keeps them as attributes."""
+    names = (name for name in dir(settings) if not name.startswith("_"))
+    return [n for n in names if n != "verbose" and not callable(getattr(settings, n))]

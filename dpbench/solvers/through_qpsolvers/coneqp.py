@@ -1,0 +1,57 @@
+"""CVXOPT and its fork KVXOPT through qpsolvers: one algorithm, `coneqp`, in two libraries.
+
+`coneqp` knows two statuses, "optimal" and "unknown"; the latter means its iteration limit or a
+breakdown of the factorisation, told apart by the iteration count.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dpbench.qp.solution import Status
+from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict
+
+# The user guide of CVXOPT, section "Algorithm parameters", and the source of `coneqp`; the
+# library keeps no object to ask and ignores what it does not know.
+OPTION_NAMES = (
+    "abstol",
+    "feastol",
+    "kktreg",
+    "maxiters",
+    "refinement",
+    "reltol",
+    "use_correction",
+)
+DEFAULT_MAXITERS = 100
+
+
+def judge(answer: Any, options: Options) -> Verdict:
+    """Status and iterations; `coneqp` reports no time."""
+    name, iterations = str(answer.extras["status"]), int(answer.extras["iterations"])
+    if name == "optimal":
+        status = Status.SOLVED
+    elif iterations >= int(str(options.get("maxiters", DEFAULT_MAXITERS))):
+        status = Status.MAX_ITERATIONS
+    else:
+        status = Status.NUMERICAL_ERROR
+    return Verdict(status, iterations, detail=name)
+
+
+def _record(name: str) -> SolverRecord:
+    return SolverRecord(
+        name=name,
+        distribution=name,
+        module=name,
+        method="primal-dual interior point with Nesterov-Todd scaling (coneqp)",
+        extra="solvers",
+        form="dense",
+        box="rows",
+        policies={"qpsolvers": ("fresh", "warm")},
+        start="primal",
+        detects_infeasibility=False,
+    )
+
+
+CVXOPT = Adapter(_record("cvxopt"), judge, lambda: OPTION_NAMES)
+KVXOPT = Adapter(_record("kvxopt"), judge, lambda: OPTION_NAMES)

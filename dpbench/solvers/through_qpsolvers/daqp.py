@@ -1,0 +1,34 @@
+"""DAQP through qpsolvers, which passes on whether an answer was found and nothing else."""
+
+from __future__ import annotations
+
+import inspect
+from importlib import import_module
+
+from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, found_is_all
+
+RECORD = SolverRecord(
+    name="daqp",
+    distribution="daqp",
+    module="daqp",
+    method="dual active set, LDLᵀ updates of the Gram matrix of the active rows",
+    extra="core",
+    form="dense",
+    box="native",
+    policies={"qpsolvers": ("fresh", "warm")},
+    start="primal",
+    detects_infeasibility=False,
+)
+
+DATA = {"H", "f", "A", "bupper", "blower", "sense", "break_points", "is_avi"}
+STARTS = {"primal_start", "dual_start"}
+
+
+def option_names() -> list[str]:
+    """The keywords of `daqp.solve` that are neither data nor a start."""
+    names = inspect.signature(import_module("daqp").solve).parameters
+    return [name for name in names if name not in DATA | STARTS]
+
+
+ADAPTER = Adapter(RECORD, found_is_all, option_names)

@@ -1,0 +1,62 @@
+"""ECOS through qpsolvers, as a second-order cone program: exit flags, time in seconds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dpbench.qp.solution import Status
+from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict
+
+# Dense, because qpsolvers builds the cone program from dense P and G.
+RECORD = SolverRecord(
+    name="ecos",
+    distribution="ecos",
+    module="ecos",
+    method="primal-dual interior point on the equivalent second-order cone program",
+    extra="solvers",
+    form="dense",
+    box="rows",
+    policies={"qpsolvers": ("fresh",)},
+    needs_strict_convexity=True,
+)
+
+STATUS = {
+    0: Status.SOLVED,
+    1: Status.PRIMAL_INFEASIBLE,
+    2: Status.DUAL_INFEASIBLE,
+    10: Status.INACCURATE,
+    11: Status.PRIMAL_INFEASIBLE,
+    12: Status.DUAL_INFEASIBLE,
+    -1: Status.MAX_ITERATIONS,
+    -2: Status.NUMERICAL_ERROR,
+    -3: Status.NUMERICAL_ERROR,
+    -4: Status.ERROR,
+    -7: Status.ERROR,
+}
+
+# The README of ecos-python; its C function has no signature to ask and refuses other names.
+OPTION_NAMES = (
+    "abstol",
+    "abstol_inacc",
+    "feastol",
+    "feastol_inacc",
+    "max_iters",
+    "nitref",
+    "reltol",
+    "reltol_inacc",
+)
+
+
+def judge(answer: Any, options: Options) -> Verdict:
+    """Exit flag, iterations and the run time with set-up."""
+    info = answer.extras
+    return Verdict(
+        STATUS.get(int(info["exitFlag"]), Status.UNKNOWN),
+        int(info["iter"]),
+        round(info["timing"]["runtime"] * 1e9),
+        str(info["infostring"]),
+    )
+
+
+ADAPTER = Adapter(RECORD, judge, lambda: OPTION_NAMES)

@@ -1,0 +1,56 @@
+"""ProxQP (proxsuite) through qpsolvers: its status enumeration, time in microseconds."""
+
+from __future__ import annotations
+
+import re
+from importlib import import_module
+from typing import Any
+
+from dpbench.qp.solution import Status
+from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict
+
+RECORD = SolverRecord(
+    name="proxqp",
+    distribution="proxsuite",
+    module="proxsuite",
+    method="proximal augmented Lagrangian, semismooth Newton inside",
+    extra="core",
+    form="dense",
+    box="native",
+    policies={"qpsolvers": ("fresh", "warm")},
+    start="primal",
+)
+
+# "Closest feasible" means that the problem has no feasible point and a shifted one was solved.
+STATUS = {
+    "PROXQP_SOLVED": Status.SOLVED,
+    "PROXQP_MAX_ITER_REACHED": Status.MAX_ITERATIONS,
+    "PROXQP_PRIMAL_INFEASIBLE": Status.PRIMAL_INFEASIBLE,
+    "PROXQP_SOLVED_CLOSEST_PRIMAL_FEASIBLE": Status.PRIMAL_INFEASIBLE,
+    "PROXQP_DUAL_INFEASIBLE": Status.DUAL_INFEASIBLE,
+}
+
+DATA = {"H", "g", "A", "b", "C", "l", "u", "l_box", "u_box", "x", "y", "z", "verbose"}
+
+
+def judge(answer: Any, options: Options) -> Verdict:
+    """Status, outer plus inner iterations; it times itself only when `compute_timings` asks."""
+    info = answer.extras["info"]
+    name = info.status.name
+    timed = bool(options.get("compute_timings", False))
+    return Verdict(
+        STATUS.get(name, Status.UNKNOWN),
+        int(info.iter),
+        round(info.run_time * 1e3) if timed else -1,
+        name,
+    )
+
+
+def option_names() -> list[str]:
+    """The keywords of `proxqp.dense.solve`, whose signature stands in its docstring only."""
+    signature = str(import_module("proxsuite").proxqp.dense.solve.__doc__).split("->")[0]
+    return [name for name in re.findall(r"[(,] ?(\w+): ", signature) if name not in DATA]
+
+
+ADAPTER = Adapter(RECORD, judge, option_names)

@@ -1,0 +1,36 @@
+"""qpmad (pyqpmad) through qpsolvers, which drops the status of an answer that was not found."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+from dpbench.qp.solution import Status
+from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict, attributes
+
+RECORD = SolverRecord(
+    name="pyqpmad",
+    distribution="pyqpmad",
+    module="pyqpmad",
+    method="dual active set (Goldfarb-Idnani)",
+    extra="solvers",
+    form="dense",
+    box="rows",
+    policies={"qpsolvers": ("fresh",)},
+    needs_strict_convexity=True,
+    detects_infeasibility=False,
+)
+
+
+def judge(answer: Any, options: Options) -> Verdict:
+    """Only an answer that was found has extras, and they hold the iterations alone."""
+    return Verdict(Status.SOLVED, int(answer.extras["num_iterations"]))
+
+
+def settings_object() -> Any:
+    """qpmad's parameters at their defaults."""
+    return import_module("pyqpmad").SolverParameters()
+
+
+ADAPTER = Adapter(RECORD, judge, lambda: attributes(settings_object()), settings_object)

@@ -1,0 +1,52 @@
+"""QPALM through qpsolvers: status texts of its C library, time in seconds."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+from dpbench.qp.solution import Status
+from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict, attributes
+
+RECORD = SolverRecord(
+    name="qpalm",
+    distribution="qpalm",
+    module="qpalm",
+    method="proximal augmented Lagrangian with an exact line search",
+    extra="solvers",
+    form="csc",
+    box="rows",
+    policies={"qpsolvers": ("fresh",)},
+    refused={
+        ("qpsolvers", "warm"): "qpsolvers sets the start as a setting `x`, which QPALM does not "
+        "have, and drops the error"
+    },
+)
+
+STATUS = {
+    "solved": Status.SOLVED,
+    "dual terminated": Status.INACCURATE,
+    "maximum iterations reached": Status.MAX_ITERATIONS,
+    "primal infeasible": Status.PRIMAL_INFEASIBLE,
+    "dual infeasible": Status.DUAL_INFEASIBLE,
+    "time limit exceeded": Status.TIME_LIMIT,
+    "user cancellation": Status.ERROR,
+    "error": Status.ERROR,
+}
+
+
+def judge(answer: Any, options: Options) -> Verdict:
+    """Status, iterations and the run time with set-up."""
+    info = answer.extras["info"]
+    name = str(info.status)
+    status = STATUS.get(name, Status.UNKNOWN)
+    return Verdict(status, int(info.iter), round(info.run_time * 1e9), name)
+
+
+def settings_object() -> Any:
+    """QPALM's settings at their defaults."""
+    return import_module("qpalm").Settings()
+
+
+ADAPTER = Adapter(RECORD, judge, lambda: attributes(settings_object()), settings_object)

@@ -1,0 +1,51 @@
+"""QTQP through qpsolvers: its status enumeration; it reports no time and no count by default."""
+
+from __future__ import annotations
+
+import inspect
+from importlib import import_module
+from typing import Any
+
+from dpbench.qp.solution import Status
+from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict
+
+RECORD = SolverRecord(
+    name="qtqp",
+    distribution="qtqp",
+    module="qtqp",
+    method="primal-dual interior point, homogeneous embedding, in Python",
+    extra="solvers",
+    form="csc",
+    box="rows",
+    policies={"qpsolvers": ("fresh",)},
+    refused={
+        ("qpsolvers", "warm"): "qpsolvers does not hand a start on, and QTQP would need slacks "
+        "and multipliers as well"
+    },
+)
+
+STATUS = {
+    "solved": Status.SOLVED,
+    "almost_solved": Status.INACCURATE,
+    "infeasible": Status.PRIMAL_INFEASIBLE,
+    "unbounded": Status.DUAL_INFEASIBLE,
+    "hit_max_iter": Status.MAX_ITERATIONS,
+    "failed": Status.NUMERICAL_ERROR,
+}
+
+
+def judge(answer: Any, options: Options) -> Verdict:
+    """Status, and iterations where `collect_stats` asks for a row per iteration."""
+    name = str(answer.extras["status"].value)
+    rows = answer.extras["stats"]
+    return Verdict(STATUS.get(name, Status.UNKNOWN), len(rows) if rows else -1, detail=name)
+
+
+def option_names() -> list[str]:
+    """The keywords of `QTQP.solve` that are no start."""
+    names = inspect.signature(import_module("qtqp").QTQP.solve).parameters
+    return [name for name in names if name not in ("self", "verbose", "warm_start")]
+
+
+ADAPTER = Adapter(RECORD, judge, option_names)

@@ -1,0 +1,37 @@
+"""quadprog through qpsolvers: it either solves, or raises that there is no solution."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dpbench.qp.solution import Status
+from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict
+
+RECORD = SolverRecord(
+    name="quadprog",
+    distribution="quadprog",
+    module="quadprog",
+    method="dual active set (Goldfarb-Idnani)",
+    extra="core",
+    form="dense",
+    box="rows",
+    policies={"qpsolvers": ("fresh",)},
+    needs_strict_convexity=True,
+)
+
+
+def judge(answer: Any, options: Options) -> Verdict:
+    """Only an answer that was found has extras; quadprog counts rows added and rows dropped."""
+    return Verdict(Status.SOLVED, int(answer.extras["iterations"][0]))
+
+
+# The library raises ValueError for arrays of the wrong kind, for a P that is not positive definite
+# and for inconsistent constraints. The first cannot happen here and qpsolvers tells the second
+# apart, so "not found" is the third. Its one keyword, `factorized`, says what P is: no setting.
+ADAPTER = Adapter(
+    RECORD,
+    judge,
+    lambda: (),
+    not_found=Verdict(Status.PRIMAL_INFEASIBLE, detail="constraints are inconsistent"),
+)

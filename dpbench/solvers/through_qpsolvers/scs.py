@@ -1,0 +1,64 @@
+"""SCS through qpsolvers: status values of its C library, time in milliseconds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dpbench.qp.solution import Status
+from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict
+
+RECORD = SolverRecord(
+    name="scs",
+    distribution="scs",
+    module="scs",
+    method="operator splitting on the homogeneous embedding, Anderson acceleration",
+    extra="solvers",
+    form="csc",
+    box="rows",
+    policies={"qpsolvers": ("fresh", "warm")},
+    start="primal",
+)
+
+STATUS = {
+    1: Status.SOLVED,
+    2: Status.INACCURATE,
+    -1: Status.DUAL_INFEASIBLE,
+    -2: Status.PRIMAL_INFEASIBLE,
+    -4: Status.NUMERICAL_ERROR,
+    -5: Status.ERROR,
+    -6: Status.DUAL_INFEASIBLE,
+    -7: Status.PRIMAL_INFEASIBLE,
+}
+
+# The page "Settings" of its manual; its C type has no signature to ask and refuses other names.
+OPTION_NAMES = (
+    "acceleration_interval",
+    "acceleration_lookback",
+    "adaptive_scale",
+    "alpha",
+    "eps_abs",
+    "eps_infeas",
+    "eps_rel",
+    "max_iters",
+    "normalize",
+    "rho_x",
+    "scale",
+    "time_limit_secs",
+)
+
+
+def judge(answer: Any, options: Options) -> Verdict:
+    """Status, iterations and the sum of set-up and solve time."""
+    info = answer.extras
+    status = STATUS.get(int(info["status_val"]), Status.UNKNOWN)
+    # An inaccurate answer names the limit that stopped it in its text.
+    if status is Status.INACCURATE and "time_limit" in info["status"]:
+        status = Status.TIME_LIMIT
+    elif status is Status.INACCURATE and "max_iters" in info["status"]:
+        status = Status.MAX_ITERATIONS
+    milliseconds = info["setup_time"] + info["solve_time"]
+    return Verdict(status, int(info["iter"]), round(milliseconds * 1e6), str(info["status"]))
+
+
+ADAPTER = Adapter(RECORD, judge, lambda: OPTION_NAMES)

@@ -1,0 +1,71 @@
+"""The contrast law: the unconstrained optimum, whatever the constraints say.
+
+    z = −P⁻¹ q                                                                        (eq. 27)
+
+The closed loop clips it to the actuator limits, which is what a controller without a QP does.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+import scipy.linalg
+
+from dpbench.errors import DpbenchError
+from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Vector
+from dpbench.qp.solution import Solution, Status
+from dpbench.solvers.contract import Policy, Route, Workspace
+from dpbench.solvers.shapes import check_step, owned
+
+
+class Unconstrained(Workspace):
+    """Eq. 27 with the Cholesky factor of P kept from step to step."""
+
+    def __init__(self, solver: str, route: Route, policy: Policy) -> None:
+        super().__init__(solver, route, policy)
+        self._base: QuadraticProgram | None = None
+        self._factor: np.ndarray | None = None
+        self._z: Vector | None = None
+
+    def setup(self, qp: QuadraticProgram) -> None:
+        """Factorise P; a P that is not positive definite shows as ERROR when solved."""
+        self._base, self._z = owned(qp), None
+        self._q = self._base.q.copy()
+        try:
+            self._factor = np.linalg.cholesky(self._base.P)
+        except np.linalg.LinAlgError:
+            self._factor = None
+
+    def update(self, step: QPStep) -> None:
+        """Take over q; new matrices are factorised again."""
+        if self._base is None:
+            raise DpbenchError("update before setup: call setup with the whole problem first")
+        check_step(step, self._base.n, self._base.m)
+        if step.refresh is Refresh.VECTORS:
+            self._q[:] = step.q
+            self._z = None
+        else:
+            self.setup(self._base.at(step))
+
+    def solve(self) -> None:
+        """Two triangular solves."""
+        if self._factor is not None:
+            self._z = scipy.linalg.cho_solve((self._factor, True), -self._q, check_finite=False)
+
+    def read(self) -> Solution:
+        """The law claims nothing about the constrained problem: UNKNOWN, zero multipliers."""
+        if self._base is None:
+            raise DpbenchError("read before setup: call setup with the whole problem first")
+        n, m = self._base.n, self._base.m
+        if self._factor is None:
+            return Solution.missing(n, m, Status.ERROR, "P is not positive definite")
+        if self._z is None:
+            return Solution.missing(n, m, Status.ERROR, "read before solve")
+        return Solution(Status.UNKNOWN, self._z.copy(), np.zeros(m), np.zeros(n), iterations=0)
+
+
+class FreshUnconstrained(Unconstrained):
+    """The same, set up from nothing at each step."""
+
+    setup_every_step: ClassVar[bool] = True

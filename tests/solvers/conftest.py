@@ -1,0 +1,118 @@
+"""Problems with a known optimum, and every solver that is installed here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.solvers.contract import Workspace
+from dpbench.solvers.open import open_workspace
+from dpbench.solvers.table import TABLE, available
+
+INF = np.inf
+
+# What settings `high` can be held to, as an error of z and as a KKT residual, for P ≥ 1:
+# an active set is exact but for rounding; a first-order method ends at residuals of 1e-9, which
+# the conditioning of these problems lets grow by some hundred; an interior point ends at a gap of
+# 1e-9, which allows |z − z*| ≤ √(2·gap) = 4.5e-5.
+EXACT, FIRST_ORDER, INTERIOR = 1e-9, 1e-6, 1e-4
+TOLERANCE = {
+    "clarabel": INTERIOR,
+    "cvxopt": INTERIOR,
+    "daqp": EXACT,
+    "ecos": INTERIOR,
+    "highs": EXACT,
+    "jaxopt": FIRST_ORDER,
+    "kvxopt": INTERIOR,
+    "osqp": FIRST_ORDER,
+    "paper_active_set": EXACT,
+    "piqp": INTERIOR,
+    "proxqp": FIRST_ORDER,
+    "pyqpmad": EXACT,
+    "qpalm": FIRST_ORDER,
+    "qpax": INTERIOR,
+    "qtqp": INTERIOR,
+    "quadprog": EXACT,
+    "scs": FIRST_ORDER,
+    "sip": INTERIOR,
+}
+
+
+class Arm(NamedTuple):
+    """One way to run one solver."""
+
+    solver: str
+    route: str
+    policy: str
+
+    @property
+    def tolerance(self) -> float:
+        return TOLERANCE[self.solver]
+
+    def open(self, settings: object = "high") -> Workspace:
+        return open_workspace(self.solver, route=self.route, policy=self.policy, settings=settings)
+
+
+# The contrast law solves another problem and has tests of its own.
+INSTALLED = [n for n in TABLE if n != "unconstrained_clipped" and available(n).ok]
+ARMS = [
+    Arm(name, route, policy)
+    for name in INSTALLED
+    for route, policies in TABLE[name].policies.items()
+    for policy in policies
+]
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run a test that takes an `arm` or an `installed` solver for each there is."""
+    if "arm" in metafunc.fixturenames:
+        metafunc.parametrize("arm", ARMS, ids=["-".join(arm) for arm in ARMS])
+    if "installed" in metafunc.fixturenames:
+        metafunc.parametrize("installed", INSTALLED)
+
+
+class Sequence(NamedTuple):
+    """A problem and the steps that follow it."""
+
+    base: QuadraticProgram
+    steps: list[QPStep]
+
+
+def mpc_like() -> Sequence:
+    """Increments of two inputs over three moves, amplitude limits that drift, P ≥ 1."""
+    rng = np.random.default_rng(7)
+    n, block = 6, 2
+    B = rng.normal(size=(n, n))
+    P = np.eye(n) + B @ B.T / n
+    A = np.kron(np.tril(np.ones((3, 3))), np.eye(2))
+    q = 3.0 * rng.normal(size=n)
+    base = QuadraticProgram(
+        P, q, A, -1.2 * np.ones(n), 1.5 * np.ones(n), -np.ones(n), np.ones(n), block
+    )
+    steps = []
+    for _ in range(12):
+        q = 0.9 * q + rng.normal(size=n)
+        offset = np.tile(rng.uniform(-0.4, 0.4, size=block), n // block)
+        steps.append(QPStep(q.copy(), base.l - offset, base.u - offset))
+    return Sequence(base, steps)
+
+
+@pytest.fixture
+def sequence() -> Sequence:
+    return mpc_like()
+
+
+@pytest.fixture
+def solve_at_once() -> Callable[..., object]:
+    """Set a new workspace up with a problem, solve it and read."""
+
+    def run(workspace: Workspace, qp: QuadraticProgram) -> object:
+        workspace.setup(qp)
+        workspace.solve()
+        return workspace.read()
+
+    return run

@@ -1,0 +1,305 @@
+"""What every solver of the table has to keep, whatever its library does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dpbench.errors import ShapeError
+from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.qp.solution import Status
+from dpbench.solvers.open import open_workspace
+from dpbench.solvers.table import TABLE
+
+INF = np.inf
+TWO = 2.0 * np.eye(2)
+
+
+def problem(P, q, A, l, u, lb, ub):  # noqa: E741 - see QuadraticProgram.l
+    """A problem from nested lists."""
+    rows = np.reshape(np.asarray(A, dtype=float), (-1, len(q)))
+    return QuadraticProgram(P, q, rows, l, u, lb, ub)
+
+
+# name: problem, z, y, y_box; each derived by hand from P z + q + Aᵀy + y_box = 0.
+KNOWN = {
+    # Unconstrained optimum (3, −3) cut to (1, −1); 2z + q = (−4, 4).
+    "row 0 at its upper limit, row 1 at its lower one": (
+        problem(TWO, [-6, 6], np.eye(2), [-9, -1], [1, 9], [-9, -9], [9, 9]),
+        [1, -1],
+        [4, -4],
+        [0, 0],
+    ),
+    # The same with bounds, and without any row.
+    "variable 0 at its upper bound, variable 1 at its lower one": (
+        problem(TWO, [-6, 6], [], [], [], [-9, -1], [1, 9]),
+        [1, -1],
+        [],
+        [4, -4],
+    ),
+    # By symmetry z = (½, ½) on z0 + z1 = 1; P z + q = −5/2 in both.
+    "a coupled cost on one row": (
+        problem([[2, 1], [1, 2]], [-4, -4], [[1, 1]], [-1], [1], [-9, -9], [9, 9]),
+        [0.5, 0.5],
+        [2.5],
+        [0, 0],
+    ),
+    # z0 = ½ at its bound, z0 − z1 = −1 at its lower limit; 2z + q = (−1, −3).
+    "one side of each limit infinite": (
+        problem(TWO, [-2, -6], [[1, 1], [1, -1]], [-INF, -1], [INF, INF], [-INF, -5], [0.5, INF]),
+        [0.5, 1.5],
+        [0, -3],
+        [4, 0],
+    ),
+    # Projection of (1, 3) on z0 + z1 = 1.
+    "an equality row": (
+        problem(TWO, [-2, -6], [[1, 1]], [1], [1], [-9, -9], [9, 9]),
+        [-0.5, 1.5],
+        [3],
+        [0, 0],
+    ),
+    "a fixed variable": (
+        problem(TWO, [-2, -6], [[1, 1]], [-9], [9], [-9, 0.5], [9, 0.5]),
+        [1, 0.5],
+        [0],
+        [0, 5],
+    ),
+    "nothing active": (
+        problem(TWO, [-2, -6], [[1, 1]], [-9], [9], [-9, -9], [9, 9]),
+        [1, 3],
+        [0],
+        [0, 0],
+    ),
+    "nothing limited": (
+        problem(TWO, [-2, -6], [[1, 1]], [-INF], [INF], [-INF, -INF], [INF, INF]),
+        [1, 3],
+        [0],
+        [0, 0],
+    ),
+}
+# On a NaN ProxQP runs to its iteration limit, which takes it half a minute by default.
+PATIENCE = {"proxqp": {"max_iter": 50}}
+INFEASIBLE = problem(TWO, [-2, -6], [[1, 1]], [3], [4], [-1, -1], [1, 1])
+
+
+def kkt_residual(qp, s):
+    """Stationarity, feasibility and complementarity with the signs of the house."""
+    worst = [np.abs(qp.P @ s.z + qp.q + qp.A.T @ s.y + s.y_box).max()]
+    for w, low, high, y in ((qp.A @ s.z, qp.l, qp.u, s.y), (s.z, qp.lb, qp.ub, s.y_box)):
+        worst += [(w - high).max(initial=0.0), (low - w).max(initial=0.0)]
+        worst += [(np.maximum(y, 0.0) * (high - w)).max(), (np.maximum(-y, 0.0) * (w - low)).max()]
+    return max(worst)
+
+
+@pytest.mark.parametrize("name", KNOWN)
+def test_known_optimum(arm, name, solve_at_once):
+    """Every solver finds the optimum and the signed multipliers of a problem solved by hand."""
+    qp, z, y, y_box = KNOWN[name]
+    answer = solve_at_once(arm.open(), qp)
+    assert answer.status is Status.SOLVED
+    np.testing.assert_allclose(answer.z, z, rtol=0, atol=arm.tolerance)
+    np.testing.assert_allclose(answer.y, y, rtol=0, atol=10 * arm.tolerance)
+    np.testing.assert_allclose(answer.y_box, y_box, rtol=0, atol=10 * arm.tolerance)
+
+
+def test_answers_satisfy_the_optimality_conditions(arm, sequence):
+    """Along a sequence every answer fulfils the KKT conditions to the accuracy of its class."""
+    workspace = arm.open()
+    workspace.setup(sequence.base)
+    for step in sequence.steps:
+        workspace.update(step)
+        workspace.solve()
+        qp, answer = sequence.base.at(step), workspace.read()
+        assert answer.status is Status.SOLVED
+        assert kkt_residual(qp, answer) <= 10 * arm.tolerance
+
+
+def test_update_equals_a_new_setup(arm, sequence, solve_at_once):
+    """An updated workspace gives bit for bit what a new one gives; from a start, to tolerance."""
+    workspace = arm.open()
+    workspace.setup(sequence.base)
+    for step in sequence.steps:
+        workspace.update(step)
+        workspace.solve()
+        answer = workspace.read()
+        fresh = solve_at_once(arm.open(), sequence.base.at(step))
+        atol = 2 * arm.tolerance if arm.policy == "warm" else 0.0
+        np.testing.assert_allclose(answer.z, fresh.z, rtol=0, atol=atol)
+
+
+def test_limits_may_become_infinite_equal_and_finite_again(arm, sequence, solve_at_once):
+    """A step may change which limits are infinite or equal."""
+    workspace = arm.open()
+    workspace.setup(sequence.base)
+    first, second, third = sequence.steps[:3]
+    low, high = second.l.copy(), second.u.copy()
+    low[0], high[1], low[2:4], high[2] = -INF, INF, (0.25, -INF), 0.25
+    for step in (first, QPStep(second.q, low, high), third):
+        workspace.update(step)
+        workspace.solve()
+        qp = sequence.base.at(step)
+        exact = solve_at_once(open_workspace("paper_active_set"), qp)
+        np.testing.assert_allclose(workspace.read().z, exact.z, rtol=0, atol=arm.tolerance)
+
+
+def test_matrices_may_change(arm, sequence, solve_at_once):
+    """A step that brings matrices and bounds is solved with them, and so are those after it."""
+    workspace = arm.open()
+    base, step = sequence.base, sequence.steps[0]
+    workspace.setup(base)
+    workspace.update(
+        QPStep(step.q, step.l, step.u, 2.0 * base.P, -base.A, 0.5 * base.lb, 0.25 * base.ub)
+    )
+    later = sequence.steps[1]
+    workspace.update(later)
+    workspace.solve()
+    qp = QuadraticProgram(
+        2.0 * base.P, later.q, -base.A, later.l, later.u, 0.5 * base.lb, 0.25 * base.ub
+    )
+    exact = solve_at_once(open_workspace("paper_active_set"), qp)
+    np.testing.assert_allclose(workspace.read().z, exact.z, rtol=0, atol=arm.tolerance)
+
+
+def test_inputs_stay_as_they_are_and_are_not_kept(arm, sequence, solve_at_once):
+    """No solver writes to the caller's arrays, and none sees what the caller writes later."""
+    base, step = sequence.base, sequence.steps[0]
+    names = ("P", "q", "A", "l", "u", "lb", "ub")
+    before = {name: getattr(base, name).copy() for name in names}
+    vectors = [step.q.copy(), step.l.copy(), step.u.copy()]
+    workspace = arm.open()
+    solve_at_once(workspace, base)
+    workspace.update(step)
+    workspace.solve()
+    expected = workspace.read().z
+    for name in names:
+        np.testing.assert_array_equal(getattr(base, name), before[name])
+    for mine, kept in zip((step.q, step.l, step.u), vectors, strict=True):
+        np.testing.assert_array_equal(mine, kept)
+    again = arm.open()
+    again.setup(base)
+    again.solve()
+    again.read()
+    again.update(step)
+    for array in (*(getattr(base, name) for name in names), step.q, step.l, step.u):
+        array.fill(np.nan)
+    again.solve()
+    np.testing.assert_array_equal(again.read().z, expected)
+
+
+def test_a_rebuild_uses_the_workspaces_own_matrices(arm, sequence, solve_at_once):
+    """What the caller writes after setup is not seen by a step that changes the pattern either."""
+    base, step = sequence.base, sequence.steps[0]
+    low = step.l.copy()
+    low[1] = -INF
+    last = QPStep(step.q, low, step.u)
+    exact = solve_at_once(open_workspace("paper_active_set"), base.at(last))
+    workspace = arm.open()
+    workspace.setup(base)
+    for array in (base.P, base.q, base.A, base.l, base.u, base.lb, base.ub):
+        array.fill(np.nan)
+    workspace.update(last)
+    workspace.solve()
+    np.testing.assert_allclose(workspace.read().z, exact.z, rtol=0, atol=arm.tolerance)
+
+
+def test_an_answer_is_the_callers_own(arm, sequence):
+    """Neither the next solve nor a second read changes an answer, nor does writing to it."""
+    workspace = arm.open()
+    workspace.setup(sequence.base)
+    workspace.solve()
+    first, second = workspace.read(), workspace.read()
+    kept = first.z.copy(), first.y.copy(), first.y_box.copy()
+    for array in (second.z, second.y, second.y_box):
+        array.fill(7.0)
+    workspace.update(sequence.steps[0])
+    workspace.solve()
+    workspace.read()
+    for mine, before in zip((first.z, first.y, first.y_box), kept, strict=True):
+        np.testing.assert_array_equal(mine, before)
+
+
+@pytest.mark.parametrize("name", ["q", "l", "u", "P", "A", "lb", "ub"])
+def test_wrong_shapes_are_refused(arm, sequence, name):
+    """An array of another shape is refused by name instead of being half taken over."""
+    workspace = arm.open()
+    workspace.setup(sequence.base)
+    step = sequence.steps[0]
+    setattr(step, name, np.zeros((5, 5) if name in "PA" else 5))
+    with pytest.raises(ShapeError, match=f"QPStep: {name}"):
+        workspace.update(step)
+
+
+def test_infeasible_problems_are_not_claimed_solved(arm, solve_at_once):
+    """An infeasible problem is reported as such where the table says so, and never as solved."""
+    answer = solve_at_once(arm.open("default"), INFEASIBLE)
+    if TABLE[arm.solver].detects_infeasibility:
+        assert answer.status is Status.PRIMAL_INFEASIBLE
+    else:
+        assert answer.status not in (Status.SOLVED, Status.PRIMAL_INFEASIBLE)
+    if answer.status is Status.UNKNOWN:
+        # Without a reason for the failure there is no iterate either, which a ship could follow.
+        assert np.isnan(answer.z).all()
+
+
+@pytest.mark.parametrize("fault", ["infeasible", "nan in q", "nan in u"])
+def test_recovery(arm, sequence, fault, solve_at_once):
+    """After a step that cannot be solved and a reset, the next one is solved as ever."""
+    settings = PATIENCE.get(arm.solver, "default")
+    workspace = arm.open(settings)
+    workspace.setup(sequence.base)
+    good, after = sequence.steps[:2]
+    q, low, high = good.q.copy(), good.l.copy(), good.u.copy()
+    if fault == "infeasible":
+        low, high = low + 20.0, high + 20.0
+    elif fault == "nan in q":
+        q[0] = np.nan
+    else:
+        high[0] = np.nan
+    workspace.update(QPStep(q, low, high))
+    workspace.solve()
+    workspace.read()
+    workspace.reset()
+    workspace.update(after)
+    workspace.solve()
+    expected = solve_at_once(arm.open(settings), sequence.base.at(after))
+    answer = workspace.read()
+    assert answer.status is Status.SOLVED
+    np.testing.assert_array_equal(answer.z, expected.z)
+
+
+def test_recovery_without_reset(arm, sequence):
+    """Even without a reset an unsolved step does not spoil the next one."""
+    workspace = arm.open()
+    workspace.setup(sequence.base)
+    workspace.solve()
+    workspace.read()
+    bad, after = sequence.steps[:2]
+    workspace.update(QPStep(bad.q, bad.l + 20.0, bad.u + 20.0))
+    workspace.solve()
+    workspace.update(after)
+    workspace.solve()
+    answer = workspace.read()
+    assert answer.status is Status.SOLVED
+    assert kkt_residual(sequence.base.at(after), answer) <= 10 * arm.tolerance
+
+
+def test_a_cost_that_is_not_convex_enough(arm, solve_at_once):
+    """Where the table asks for strict convexity, a semidefinite cost is refused, not mis-solved."""
+    qp = problem([[2, 0], [0, 0]], [-2, -1], [[1, 1]], [-9], [1], [-1, -1], [1, 0.5])
+    answer = solve_at_once(arm.open(), qp)
+    if TABLE[arm.solver].needs_strict_convexity:
+        assert not answer.claimed
+    else:
+        # z = (½, ½) with the row active: 2·½ − 2 + 1 = 0 and −1 + 1 = 0.
+        assert answer.claimed
+        np.testing.assert_allclose(answer.z, [0.5, 0.5], rtol=0, atol=arm.tolerance)
+
+
+def test_read_before_solve_is_no_answer(arm, sequence):
+    """A workspace that has not solved says so."""
+    workspace = arm.open()
+    workspace.setup(sequence.base)
+    answer = workspace.read()
+    assert answer.status is Status.ERROR
+    assert answer.detail == "read before solve"
+    assert np.isnan(answer.z).all()

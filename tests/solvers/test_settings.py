@@ -1,0 +1,140 @@
+"""The ladder of settings and the validation of a solver's own keys."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dpbench.errors import SettingsError
+from dpbench.qp.solution import Status
+from dpbench.solvers.open import open_workspace
+from dpbench.solvers.settings import LADDER, resolve, settings_matter
+from dpbench.solvers.table import TABLE
+from dpbench.solvers.through_qpsolvers import ADAPTERS
+
+# Names that the libraries keep no list of, with a value each may take.
+WRITTEN_DOWN = {
+    "cvxopt": {
+        "abstol": 1e-8,
+        "feastol": 1e-8,
+        "kktreg": 1e-9,
+        "maxiters": 50,
+        "refinement": 1,
+        "reltol": 1e-8,
+        "use_correction": True,
+    },
+    "ecos": {
+        "abstol": 1e-8,
+        "abstol_inacc": 1e-5,
+        "feastol": 1e-8,
+        "feastol_inacc": 1e-5,
+        "max_iters": 50,
+        "nitref": 5,
+        "reltol": 1e-8,
+        "reltol_inacc": 1e-5,
+    },
+    "scs": {
+        "acceleration_interval": 5,
+        "acceleration_lookback": 5,
+        "adaptive_scale": False,
+        "alpha": 1.4,
+        "eps_abs": 1e-6,
+        "eps_infeas": 1e-6,
+        "eps_rel": 1e-6,
+        "max_iters": 5000,
+        "normalize": False,
+        "rho_x": 1e-5,
+        "scale": 0.2,
+        "time_limit_secs": 5.0,
+    },
+}
+WRITTEN_DOWN["kvxopt"] = WRITTEN_DOWN["cvxopt"]
+
+
+def solve(solver, settings, qp):
+    workspace = open_workspace(solver, settings=settings)
+    workspace.setup(qp)
+    workspace.solve()
+    return workspace.read()
+
+
+@pytest.mark.parametrize("name", LADDER)
+def test_every_rung_is_accepted_by_the_library(installed, name, sequence):
+    """Each key of the ladder is a key of the library, which solves with it."""
+    rung = LADDER[name].get(installed, {})
+    if installed in ADAPTERS:
+        assert resolve(dict(rung), ADAPTERS[installed]) == rung
+    assert solve(installed, name, sequence.base).status is Status.SOLVED
+
+
+def test_high_is_more_accurate_than_default(installed, sequence):
+    """Where the settings matter, `high` brings the answer nearer to the optimum."""
+    exact = solve("paper_active_set", "default", sequence.base).z
+    default, high = (
+        np.abs(solve(installed, name, sequence.base).z - exact).max() for name in LADDER
+    )
+    # DAQP visits the same active sets at both and is exact at both: rounding may differ.
+    assert high <= default if settings_matter(installed) else high == default
+
+
+def test_settings_matter_where_the_ladder_has_an_entry():
+    """Solvers without a tolerance are known as such."""
+    without = {name for name in TABLE if not settings_matter(name)}
+    assert without == {"paper_active_set", "pyqpmad", "quadprog", "unconstrained_clipped"}
+
+
+def test_an_unknown_key_is_refused(installed):
+    """A key the library does not have is refused by name, although many libraries drop it."""
+    with pytest.raises(SettingsError, match=f"settings of {installed}: eps_absolut"):
+        open_workspace(installed, settings={"eps_absolut": 1e-6})
+
+
+@pytest.mark.parametrize(
+    ("solver", "key", "near"),
+    [("osqp", "eps_abss", "eps_abs"), ("sip", "termination.max_gap", "termination.max_")],
+)
+def test_the_refusal_names_the_nearest_keys(solver, key, near):
+    """The refusal of a misspelt key names the key that was meant, in groups too."""
+    group, _, name = key.rpartition(".")
+    settings = {group: {name: 1.0}} if group else {name: 1.0}
+    with pytest.raises(SettingsError, match=f"{key}: found an unknown key; allowed: .*{near}"):
+        open_workspace(solver, settings=settings)
+
+
+@pytest.mark.parametrize("key", ["verbose", "initvals", "backend"])
+def test_keys_of_the_route_are_not_settings(installed, key):
+    """What the route decides itself cannot be set."""
+    with pytest.raises(SettingsError, match=key):
+        open_workspace(installed, settings={key: 1})
+
+
+@pytest.mark.parametrize("solver", ["clarabel", "highs", "osqp", "piqp", "pyqpmad", "qpalm"])
+def test_a_value_of_the_wrong_kind_is_refused(solver):
+    """A value that the library's settings object refuses is a person's mistake, not a failure."""
+    key = {"highs": "time_limit", "pyqpmad": "tolerance"}.get(solver, "max_iter")
+    with pytest.raises(SettingsError, match=f"{key}: found 'many'"):
+        open_workspace(solver, settings={key: "many"})
+
+
+def test_an_unknown_name_is_refused(installed):
+    """A name that is not in the ladder is refused with those that are."""
+    with pytest.raises(SettingsError, match=r"'hihg'; allowed: default \| high"):
+        open_workspace(installed, settings="hihg")
+
+
+@pytest.mark.parametrize("solver", WRITTEN_DOWN)
+def test_names_written_down_are_the_librarys(solver, sequence):
+    """Each name that had to be written down is taken by the library, one at a time."""
+    values = WRITTEN_DOWN[solver]
+    assert sorted(values) == sorted(ADAPTERS[solver].option_names())
+    for key, value in values.items():
+        answer = solve(solver, {key: value}, sequence.base)
+        assert answer.status is Status.SOLVED, f"{key}: {answer.detail}"
+
+
+def test_a_setting_reaches_the_library(sequence):
+    """A library's own key changes what it does, in a group as well."""
+    loose = solve("sip", {"termination": {"max_absolute_residual": 1e-2}}, sequence.base)
+    assert loose.iterations < solve("sip", "default", sequence.base).iterations
+    loose = solve("osqp", {"check_termination": 1}, sequence.base)
+    assert loose.iterations < solve("osqp", "default", sequence.base).iterations

@@ -1,0 +1,164 @@
+"""The table of solvers, who is available, and how a workspace is opened."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import dpbench
+from dpbench.errors import DpbenchError, PolicyError, SolverUnavailableError, UnknownNameError
+from dpbench.solvers.isolation import isolate
+from dpbench.solvers.open import open_workspace
+from dpbench.solvers.table import TABLE, available, record, solver_names
+
+SERVED = [
+    "clarabel",
+    "cvxopt",
+    "daqp",
+    "ecos",
+    "highs",
+    "jaxopt",
+    "kvxopt",
+    "osqp",
+    "piqp",
+    "proxqp",
+    "pyqpmad",
+    "qpalm",
+    "qpax",
+    "qtqp",
+    "quadprog",
+    "scs",
+    "sip",
+]
+
+
+def test_every_promised_solver_is_in_the_table():
+    """The table holds all open-source solvers qpsolvers serves from wheels, and the two own."""
+    assert list(solver_names()) == sorted([*SERVED, "paper_active_set", "unconstrained_clipped"])
+
+
+def test_names_are_those_of_qpsolvers(installed):
+    """Every installed library is known to qpsolvers under the name the table gives."""
+    import qpsolvers
+
+    row = record(installed)
+    if row.extra != "own":
+        assert (row.qpsolvers_name or row.name) in qpsolvers.available_solvers
+
+
+def test_an_available_solver_has_the_version_of_its_distribution(installed):
+    """The version is the one the package index knows."""
+    row, found = record(installed), available(installed)
+    if row.extra != "own":
+        assert found.version == importlib.metadata.version(row.distribution)
+
+
+def test_a_missing_distribution_is_listed_with_reason_and_remedy(monkeypatch):
+    """A solver that is not installed is listed with the command that installs it."""
+
+    def missing(name):
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(importlib.metadata, "version", missing)
+    assert "pip install dpbench[jax]" in available("qpax").reason
+    assert "pip install dpbench[solvers]" in available("scs").reason
+    assert available("daqp").reason.endswith("pip install dpbench")
+    with pytest.raises(SolverUnavailableError, match=r"qpax is not installed.*dpbench\[jax\]"):
+        open_workspace("qpax")
+
+
+@pytest.mark.parametrize("raised", ["ImportError", "RuntimeError", "BaseException"])
+def test_a_library_that_fails_to_import_is_listed_with_its_words(monkeypatch, tmp_path, raised):
+    """Whatever a library raises while it is imported becomes the reason it is unavailable."""
+    (tmp_path / "daqp.py").write_text(f"raise {raised}('no such  instruction')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "daqp", raising=False)
+    found = available("daqp")
+    assert not found.ok
+    assert found.reason == f"importing daqp failed: {raised}: no such instruction"
+
+
+def test_unknown_names_are_refused():
+    """An unknown solver is refused with the list of those there are."""
+    with pytest.raises(UnknownNameError, match=r"quadprgo.*quadprog"):
+        open_workspace("quadprgo")
+
+
+@pytest.mark.parametrize(
+    ("solver", "route", "policy", "words"),
+    [
+        ("daqp", None, "reuse", "nothing can be reused"),
+        ("clarabel", None, "warm", "ignores a start"),
+        ("qpalm", None, "warm", "setting `x`"),
+        ("paper_active_set", None, "warm", "starts from the empty set"),
+        ("daqp", None, "hot", "allowed: fresh"),
+        ("daqp", "native", "fresh", "allowed: qpsolvers"),
+        ("paper_active_set", "qpsolvers", "fresh", "allowed: native"),
+    ],
+)
+def test_routes_and_policies_that_do_not_exist_are_refused(solver, route, policy, words):
+    """A policy that could not differ, or a route that is not there, is refused with the reason."""
+    with pytest.raises(PolicyError, match=words):
+        open_workspace(solver, route=route, policy=policy)
+
+
+def test_the_default_route_is_the_solvers_own():
+    """Without a route, libraries go through qpsolvers and the own solvers run natively."""
+    assert open_workspace("daqp").route == "qpsolvers"
+    assert open_workspace("paper_active_set").route == "native"
+
+
+def test_the_form_is_recorded(installed):
+    """A workspace tells the form of its matrices as the table does."""
+    assert open_workspace(installed).form == TABLE[installed].form
+
+
+def test_own_solvers_set_up_anew_only_when_fresh():
+    """The harness sets a native workspace up at every step under `fresh`, and never else."""
+    for name in ("paper_active_set", "unconstrained_clipped"):
+        assert open_workspace(name, policy="fresh").setup_every_step
+        assert not open_workspace(name, policy="reuse").setup_every_step
+    assert not open_workspace("daqp").setup_every_step
+
+
+def test_isolation_comes_before_qpsolvers():
+    """Isolating after qpsolvers was imported is refused."""
+    open_workspace("daqp")
+    with pytest.raises(DpbenchError, match="too late"):
+        isolate("daqp")
+
+
+@pytest.mark.parametrize("solver", ["daqp", "sip", "clarabel"])
+def test_an_isolated_process_loads_one_library(solver):
+    """After isolation a fresh process solves with its solver and has loaded no other one."""
+    program = f"""
+import sys
+from dpbench.solvers.isolation import isolate
+from dpbench.solvers.open import open_workspace
+import numpy as np
+from dpbench.qp.program import QuadraticProgram
+isolate({solver!r})
+workspace = open_workspace({solver!r})
+I = np.eye(2)
+workspace.setup(QuadraticProgram(I, [-3.0, 0.0], I, [-1, -1], [1, 1], [-2, -2], [2, 2]))
+workspace.solve()
+assert abs(workspace.read().z - [1.0, 0.0]).max() < 1e-3
+from dpbench.solvers.table import TABLE
+modules = [row.module for row in TABLE.values() if row.module]
+print(*sorted(m for m in modules if sys.modules.get(m) is not None))
+"""
+    root = Path(dpbench.__file__).parents[1]
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, "PYTHONPATH": str(root)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    expected = {TABLE[solver].module} | ({"cvxopt"} if solver == "sip" else set())
+    assert set(done.stdout.split()) == expected
