@@ -1,0 +1,1 @@
+"""The harness: closed loop, replay, clock, records, isolated workers, campaigns, the machine."""

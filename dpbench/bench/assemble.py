@@ -1,0 +1,212 @@
+"""Turn a judged cell into its rows of `steps.parquet` and its row of `runs.parquet`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from dpbench.bench.cell import Cell
+from dpbench.bench.grade import CERTIFICATES, GRADES, Columns, Graded
+from dpbench.bench.rawlog import TIMES
+from dpbench.bench.replay import SPOILT_FACTOR
+from dpbench.bench.schema import SCHEMA_VERSION, as_steps
+from dpbench.bench.supervise import Outcome
+from dpbench.qp.solution import Status
+
+_STATUS_NAMES = np.array([status.name for status in Status])
+
+
+def step_rows(run_id: str, cell: Cell, graded: Graded) -> pd.DataFrame:
+    """The rows of `steps.parquet` of one cell."""
+    columns = graded.columns
+    rows: dict[str, Any] = {
+        "run_id": run_id,
+        "repeat": columns["repeat"],
+        "k": columns["k"],
+        "t_s": columns["t_s"],
+        "status": _STATUS_NAMES[columns["status"].astype(int)],
+        "claimed": columns["status"] == Status.SOLVED,
+        "certificate": np.array(CERTIFICATES)[columns["certificate"].astype(int)],
+    }
+    frame = pd.DataFrame(rows)
+    times = columns["times"]
+    for i, phase in enumerate(TIMES):
+        frame[f"{phase}_ns"] = _nullable(times[:, i])
+    inside = times[:, 1:5]
+    frame["total_ns"] = _nullable(np.where(inside > 0, inside, 0).sum(axis=1))
+    frame["iterations"] = _nullable(columns["iterations"])
+    frame["reported_ns"] = _nullable(columns["reported_ns"])
+    for i, grade in enumerate(GRADES):
+        values = columns["grades"][:, i]
+        frame[grade] = values == 1.0 if grade.startswith("true") else values
+    frame["n_active"] = np.nan_to_num(frame["n_active"]).astype(np.int32)
+    if cell.mode == "replay":
+        frame["warmup"] = frame["repeat"] == 0
+        frame["spoilt"] = np.isin(columns["repeat"], spoilt_rounds(columns))
+        frame["unconverged"] = frame["status"].isin(["INACCURATE", "MAX_ITERATIONS"])
+        frame["fallback"] = _unusable(columns, frame)
+        return as_steps(frame)
+    frame["late"] = frame["total_ns"] > cell.scenario["scenario"]["sample_s"] * 1e9
+    return as_steps(pd.concat([frame, _ship_columns(columns)], axis=1))
+
+
+def _unusable(columns: Columns, frame: pd.DataFrame) -> pd.Series[bool]:
+    """Replayed steps in which a closed loop would have needed its fallback."""
+    no_use = [status.name for status in Status if not status.usable]
+    unusable: pd.Series[bool] = frame["status"].isin(no_use) | np.isinf(frame["error_plan"])
+    return unusable
+
+
+def spoilt_rounds(columns: Columns) -> NDArray[np.int32]:
+    """Round numbers in which the reference kernel was slowed by more than `SPOILT_FACTOR`."""
+    probes = columns["probe_ns"].astype(np.float64)
+    seen = np.where(probes > 0, probes, np.nan)
+    if not np.isfinite(seen).any():
+        return np.empty(0, dtype=np.int32)
+    worst = np.nanmax(np.where(np.isnan(seen), -np.inf, seen), axis=1)
+    rounds: NDArray[np.int32] = np.unique(columns["repeat"]).astype(np.int32)
+    slowed: NDArray[np.int32] = rounds[worst > SPOILT_FACTOR * np.nanmin(seen)]
+    return slowed
+
+
+def _nullable(values: NDArray[Any]) -> pd.arrays.IntegerArray:
+    numbers = values.astype(np.int64)
+    return pd.arrays.IntegerArray(np.where(numbers < 0, 0, numbers), numbers < 0)
+
+
+def _ship_columns(columns: Columns) -> pd.DataFrame:
+    state, tau = columns["state"][:-1], columns["tau"].astype(np.float64)
+    change = np.diff(tau, axis=0, prepend=np.zeros((1, 3)))
+    ship: dict[str, Any] = {name: columns[name] for name in ("fallback", "unconverged", "clipped")}
+    names = ("u_mps", "v_mps", "r_radps", "n_m", "e_m", "psi_rad")
+    ship |= {name: state[:, i] for i, name in enumerate(names)}
+    for i, axis in enumerate(("x_N", "y_N", "n_Nm")):
+        ship[f"tau_{axis}"] = tau[:, i]
+        ship[f"dtau_{axis}"] = change[:, i]
+        ship[f"cmd_{axis}"] = columns["command"][:, i]
+    return pd.DataFrame(ship)
+
+
+def run_row(
+    run_id: str,
+    cell: Cell,
+    outcome: Outcome,
+    solver_version: str,
+    machine_id: str,
+    graded: Graded | None,
+    steps: pd.DataFrame | None,
+) -> dict[str, Any]:
+    """The row of `runs.parquet` of one cell; a cell without steps has its identity only."""
+    row: dict[str, Any] = {
+        "run_id": run_id,
+        "mode": cell.mode,
+        "scenario": cell.scenario_name,
+        "sequence": cell.sequence,
+        "solver": cell.solver,
+        "solver_version": solver_version,
+        "route": cell.route,
+        "policy": cell.policy,
+        "settings": cell.settings,
+        "formulation": cell.formulation,
+        "form": outcome.form,
+        "units": cell.units,
+        "seed": cell.seed,
+        "outcome": outcome.outcome,
+        "outcome_detail": outcome.detail,
+        "machine_id": machine_id,
+        "schema": SCHEMA_VERSION,
+        "cell": cell.to_json(),
+        "steps_planned": cell.steps,
+        "steps_done": 0,
+    }
+    if graded is None or steps is None or steps.empty:
+        return row
+    counting = steps[~steps["warmup"] & ~steps["spoilt"]]
+    if counting.empty:
+        counting = steps
+    row["steps_done"] = int(counting.groupby("repeat")["k"].count().max())
+    row |= graded.metrics | _accuracy(counting) | _timing(cell, graded, counting)
+    if cell.mode == "closed_loop":
+        row |= _failures(steps)
+    return row
+
+
+def _accuracy(steps: pd.DataFrame) -> dict[str, Any]:
+    claimed, true = steps["claimed"], steps["true"]
+    moves = steps["error_move"].dropna()
+    iterations = steps["iterations"].dropna().astype(float)
+    certified = np.isfinite(steps["optimum_bound"])
+    return {
+        "claimed_share": claimed.mean(),
+        "true_share": true.mean(),
+        "true_1e4_share": steps["true_1e4"].mean(),
+        "true_1e6_share": steps["true_1e6"].mean(),
+        "claimed_not_true": int((claimed & ~true).sum()),
+        "true_not_claimed": int((true & ~claimed).sum()),
+        "error_move_p50": moves.quantile(0.5, interpolation="higher") if len(moves) else np.nan,
+        "error_move_max": moves.max(),
+        "error_plan_max": steps["error_plan"].max(),
+        "primal_max": steps["primal"].max(),
+        "dual_max": steps["dual"].max(),
+        "optimum_bound_max": steps["optimum_bound"].where(certified).max(),
+        "uncertified": int((~certified).sum()),
+        "failed_steps": int((steps["fallback"] | steps["unconverged"]).sum()),
+        "iterations_p50": iterations.median() if len(iterations) else np.nan,
+        "iterations_max": iterations.max() if len(iterations) else np.nan,
+    }
+
+
+def _timing(cell: Cell, graded: Graded, counting: pd.DataFrame) -> dict[str, Any]:
+    once = int(graded.columns["setup_once_ns"][0])
+    raw = counting["total_ns"].to_numpy(dtype=np.float64)
+    timing: dict[str, Any] = {
+        "setup_once_ns": once if once > 0 else np.nan,
+        "raw_p50_ns": _percentile(raw, 50),
+        "raw_p99_ns": _percentile(raw, 99),
+        "raw_p999_ns": _percentile(raw, 99.9),
+        "raw_max_ns": raw.max(),
+        "raw_samples": len(raw),
+    }
+    if cell.mode == "closed_loop":
+        for phase in ("emit", "overhead"):
+            timing[f"{phase}_p50_ns"] = float(counting[f"{phase}_ns"].median())
+        return timing
+    per_step = pd.Series(raw).groupby(counting["k"].to_numpy())
+    best = per_step.min().to_numpy()
+    rounds = np.unique(graded.columns["repeat"])
+    return timing | {
+        "rounds": int(counting["repeat"].nunique()),
+        "spoilt_rounds": int(np.isin(rounds, spoilt_rounds(graded.columns)).sum()),
+        "algo_p50_ns": _percentile(best, 50),
+        "algo_p95_ns": _percentile(best, 95),
+        "algo_p99_ns": _percentile(best, 99),
+        "algo_max_ns": best.max(),
+        "algo_median_p50_ns": _percentile(per_step.median().to_numpy(), 50),
+    }
+
+
+def _percentile(values: NDArray[np.float64], percent: float) -> float:
+    """The percentile, or NaN with fewer than ten samples beyond it (method.md section 2)."""
+    if len(values) * (100 - percent) / 100 < 10 - 1e-9:
+        return np.nan
+    return float(np.percentile(values, percent))
+
+
+def _failures(steps: pd.DataFrame) -> dict[str, Any]:
+    failed = steps["fallback"].to_numpy(dtype=bool)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], failed.astype(int), [0]])))
+    starts, ends = edges[::2], edges[1::2]
+    true_at = np.flatnonzero(steps["true"].to_numpy(dtype=bool))
+    after = np.searchsorted(true_at, starts)
+    recovered = after < len(true_at)
+    waits = true_at[after[recovered]] - starts[recovered]
+    return {
+        "fallbacks": int(failed.sum()),
+        "fallback_longest": int((ends - starts).max()) if len(starts) else 0,
+        "recover_steps_max": int(waits.max()) if len(waits) and recovered.all() else pd.NA,
+        "unconverged": int(steps["unconverged"].sum()),
+        "clipped": int(steps["clipped"].sum()),
+    }

@@ -1,0 +1,173 @@
+"""Run a suite: plan it, run what is not finished yet, write the tables.
+
+A cell that was finished before with the same key is not run again, so an interrupted campaign
+loses at most the cells in flight.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from dpbench.bench.assemble import run_row, step_rows
+from dpbench.bench.machine import describe_machine
+from dpbench.bench.plan import Planned, plan
+from dpbench.bench.running import (
+    HARNESS_VERSION,
+    Bench,
+    CellStore,
+    Job,
+    Progress,
+    Silent,
+    scenario_key,
+    work_of,
+)
+from dpbench.bench.schema import as_steps
+from dpbench.bench.store import Results, write_results
+from dpbench.bench.suite import SuiteFile, load_suite
+from dpbench.bench.supervise import Outcome, template_context
+from dpbench.errors import InputError
+from dpbench.solvers.table import available
+
+
+class Campaign:
+    """One run of a suite into a folder; see `run_campaign`."""
+
+    def __init__(
+        self, name: str, suite: SuiteFile, planned: list[Planned], out: Path, jobs: int, fresh: bool
+    ) -> None:
+        self.machine = describe_machine()
+        self._name, self._suite, self._out, self._jobs = name, suite, out, jobs
+        self._store = CellStore(out / "cells")
+        self.work = [self._job(p) for p in planned]
+        self._fresh = fresh
+        self._cores = sorted(os.sched_getaffinity(0))
+
+    def _job(self, planned: Planned) -> Job:
+        found = available(planned.cell.solver).version
+        run_id = planned.cell.run_id(found, self.machine["id"], HARNESS_VERSION)
+        return Job(planned, run_id, found)
+
+    def run(self, progress: Progress) -> Path:
+        """Run what is not finished yet and write the tables."""
+        started, began = datetime.now(UTC), time.monotonic()
+        todo = []
+        for job in self.work:
+            if job.planned.refused:
+                job.outcome = Outcome("refused", job.planned.refused)
+            elif not self._fresh:
+                job.outcome = self._store.finished(job)
+            if job.outcome is None:
+                todo.append(job)
+        progress.start(sum(work_of(job.cell) for job in todo))
+        shared = Path("/dev/shm")
+        with tempfile.TemporaryDirectory(
+            prefix="dpbench-", dir=shared if os.access(shared, os.W_OK) else None
+        ) as folder:
+            bench = Bench(template_context(), Path(folder), self._store, self._cores, progress)
+            exact = self._exact_loops(bench, todo)
+            runnable = [job for job in todo if job.outcome is None]
+            loops = [job for job in runnable if job.cell.mode == "closed_loop"]
+            bench.closed_loops(loops, exact, self._jobs)
+            for group in _groups([j for j in runnable if j.cell.mode == "replay"]):
+                bench.replays(group, exact[scenario_key(group[0].cell)])
+        self._write(started, time.monotonic() - began)
+        return self._out
+
+    def _exact_loops(self, bench: Bench, todo: list[Job]) -> dict[str, Path]:
+        """Exactly solved loops of all scenarios in play, by scenario key."""
+        paths: dict[str, Path] = {}
+        by_key = {scenario_key(job.cell): job.cell for job in todo}
+        for key, cell in by_key.items():
+            path = self._store.folder / f"exact-{key}.npz"
+            if self._fresh or not path.exists():
+                outcome = bench.exact_loop(cell, path)
+                if outcome.outcome != "finished":
+                    detail = f"the exactly solved loop failed: {outcome.detail}"
+                    for job in todo:
+                        if scenario_key(job.cell) == key:
+                            job.outcome = Outcome("invalid", detail)
+            paths[key] = path
+        return paths
+
+    def _write(self, started: datetime, wall_s: float) -> None:
+        rows, frames = [], []
+        for job in self.work:
+            graded = None if job.planned.refused else self._store.graded(job)
+            outcome = job.outcome or Outcome("invalid", "not run")
+            for settings in (job.cell.settings, *job.planned.alias_settings):
+                cell = job.cell.with_settings(settings)
+                run_id = cell.run_id(job.solver_version, self.machine["id"], HARNESS_VERSION)
+                steps = step_rows(run_id, cell, graded) if graded else None
+                if steps is not None:
+                    frames.append(steps)
+                rows.append(
+                    run_row(
+                        run_id, cell, outcome, job.solver_version, self.machine["id"], graded, steps
+                    )
+                )
+        suite: dict[str, Any] = {
+            "name": self._name,
+            **self._suite.model_dump(),
+            "harness_version": HARNESS_VERSION,
+            "started_utc": started.isoformat(timespec="seconds"),
+            "wall_s": round(wall_s, 1),
+        }
+        steps = pd.concat(frames, ignore_index=True) if frames else as_steps(pd.DataFrame())
+        write_results(self._out, Results(pd.DataFrame(rows), steps, self.machine, suite))
+
+
+def _groups(jobs: list[Job]) -> list[list[Job]]:
+    """Replay jobs that see the same QPs, interleaved with each other."""
+    groups: dict[str, list[Job]] = {}
+    for job in jobs:
+        groups.setdefault(job.cell.problem_key, []).append(job)
+    return list(groups.values())
+
+
+def run_campaign(
+    suite: str | Path,
+    out: str | Path | None = None,
+    *,
+    solvers: Sequence[str] | None = None,
+    scenarios: Sequence[str] | None = None,
+    jobs: int | None = None,
+    fresh: bool = False,
+    progress: Progress | None = None,
+) -> Path:
+    """Run a suite and write `runs.parquet`, `steps.parquet`, `machine.json`, `suite.json`.
+
+    Parameters
+    ----------
+    suite : a name under `problems/suites/` or a TOML path.
+    out : result folder; `results/<suite>` by default.
+    solvers, scenarios : only these.
+    jobs : closed-loop cells at a time; all cores by default. Replays always run alone.
+    fresh : run every cell again, also those finished before.
+    progress : told how far the campaign is.
+
+    Returns
+    -------
+    The result folder.
+
+    Raises
+    ------
+    InputError : for a bad suite, scenario, solver or job count, before anything runs.
+    """
+    name, document = load_suite(suite)
+    planned = plan(document, solvers=solvers, scenarios=scenarios)
+    cores = len(os.sched_getaffinity(0))
+    if jobs is not None and not 1 <= jobs <= cores:
+        raise InputError("--jobs", "", jobs, f"a number from 1 to {cores}, the cores available")
+    folder = Path(out) if out is not None else Path("results") / name
+    if folder.exists() and not folder.is_dir():
+        raise InputError("--out", "", f"{folder}, a file", "a folder, new or existing")
+    campaign = Campaign(name, document, planned, folder, jobs or cores, fresh)
+    return campaign.run(progress or Silent())

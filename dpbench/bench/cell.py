@@ -1,0 +1,91 @@
+"""A cell: one arm of the benchmark as a JSON description that runs it again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+from dpbench.bench.schema import SCHEMA_VERSION
+from dpbench.solvers.contract import Policy, Route
+
+Formulation = Literal["condensed_box", "condensed_stacked", "none"]
+Fallback = Literal["shifted_plan", "hold", "clip"]
+FORMULATIONS: tuple[Formulation, ...] = ("condensed_box", "condensed_stacked", "none")
+FALLBACKS: tuple[Fallback, ...] = ("shifted_plan", "hold", "clip")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """scenario × solver × route × policy × settings × formulation × units, in one mode.
+
+    Parameters
+    ----------
+    mode : "closed_loop" or "replay".
+    scenario : the documents of the scenario (`Scenario.files`).
+    steps : steps to run from `first` on; the whole run in closed loop starts at 0.
+    first : first step of a replayed sequence.
+    rounds, warmup_steps : replay only: counting rounds, and steps of the round before them.
+    limit_s : the cell's own run time after which it stops.
+    fallback : what acts when there is no usable answer.
+    seed : of the order of arms within a round.
+    """
+
+    mode: Literal["closed_loop", "replay"]
+    scenario: dict[str, Any]
+    solver: str
+    route: Route
+    policy: Policy
+    settings: str
+    steps: int
+    formulation: Formulation = "condensed_box"
+    units: Literal["scaled", "si"] = "scaled"
+    first: int = 0
+    rounds: int = 0
+    warmup_steps: int = 0
+    limit_s: float = 5.0
+    fallback: Fallback = "shifted_plan"
+    seed: int = 0
+
+    @property
+    def scenario_name(self) -> str:
+        """Name of the scenario."""
+        return str(self.scenario["name"])
+
+    @property
+    def sequence(self) -> str:
+        """Name of the replayed sequence; empty in closed loop."""
+        if self.mode == "closed_loop":
+            return ""
+        whole = self.first == 0
+        last = self.first + self.steps
+        return self.scenario_name if whole else f"{self.scenario_name}[{self.first}:{last}]"
+
+    @property
+    def problem_key(self) -> str:
+        """Cells with the same problem key see the same QPs (replay) or the same ship."""
+        problem = (self.mode, self.scenario, self.units, self.first, self.steps)
+        return _digest(problem)
+
+    def to_json(self) -> str:
+        """The description as JSON."""
+        return json.dumps(asdict(self), sort_keys=True, ensure_ascii=False)
+
+    @classmethod
+    def from_json(cls, text: str) -> Cell:
+        """The cell that `to_json` described."""
+        return cls(**json.loads(text))
+
+    def with_settings(self, name: str) -> Cell:
+        """The same cell under another name of its settings."""
+        return replace(self, settings=name)
+
+    def run_id(self, solver_version: str, machine_id: str, harness_version: str) -> str:
+        """Hash of the cell and of everything a result of it depends on (method.md section 5)."""
+        return _digest([asdict(self), solver_version, machine_id, harness_version, SCHEMA_VERSION])
+
+
+def _digest(value: object) -> str:
+    text = json.dumps(value, sort_keys=True, ensure_ascii=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

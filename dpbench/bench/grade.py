@@ -1,0 +1,251 @@
+"""Judge the raw log of a cell: the referee's columns, after the clock has stopped.
+
+Every step is judged against the certified optimum of the *same* QP in scaled units, rebuilt from
+the recorded θ; the residuals are given in the solver's own units too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpbench.bench.cell import Cell
+from dpbench.bench.exact import ExactLoop, sequence_of
+from dpbench.bench.loop import nearest_reference
+from dpbench.bench.metrics import control_metrics
+from dpbench.bench.rawlog import RawLog
+from dpbench.mpc.condensed_qp import CondensedQP
+from dpbench.qp.certify import Optimum, Referee, error_of
+from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, Units
+from dpbench.qp.residuals import Residuals, best_multipliers, is_true, residuals
+from dpbench.qp.solution import Solution, Status
+from dpbench.scenario import Scenario, condense, scenario_of
+
+Columns = dict[str, NDArray[Any]]
+"""Arrays of several types over the recorded rows of a cell."""
+GRADES = (
+    "primal",
+    "dual",
+    "complementarity",
+    "gap",
+    "primal_own",
+    "dual_own",
+    "error_move",
+    "error_plan",
+    "optimum_bound",
+    "n_active",
+    "true",
+    "true_1e4",
+    "true_1e6",
+)
+CERTIFICATES = ("linear", "gap", "rational", "infeasible", "none")
+ACTIVE_MULTIPLIER = 1e-9
+"""Scaled multipliers above it count as active limits in `n_active`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Graded:
+    """Columns of a judged cell: arrays over its recorded rows, and the metrics of the run."""
+
+    columns: Columns
+    metrics: dict[str, float]
+
+    def save(self, path: Path) -> None:
+        """Write to `path` (.npz), whole or not at all."""
+        part = path.with_suffix(".part.npz")
+        names = np.array(list(self.metrics), dtype=str)
+        values = np.array(list(self.metrics.values()), dtype=np.float64)
+        arrays: Columns = {f"c_{name}": column for name, column in self.columns.items()}
+        np.savez(part, allow_pickle=False, metric_names=names, metric_values=values, **arrays)
+        part.replace(path)
+
+    @classmethod
+    def load(cls, path: Path) -> Graded:
+        """Read what `save` wrote."""
+        with np.load(path, allow_pickle=False) as data:
+            columns = {name[2:]: data[name] for name in data.files if name.startswith("c_")}
+            metrics = dict(
+                zip(data["metric_names"].tolist(), data["metric_values"].tolist(), strict=True)
+            )
+        return cls(columns, metrics)
+
+
+class StepJudge:
+    """Judges answers to the QPs of one base problem.
+
+    Parameters
+    ----------
+    scaled, own : the base problem in scaled units and in those the solver was given.
+    units : how the two relate.
+    """
+
+    def __init__(self, scaled: QuadraticProgram, own: QuadraticProgram, units: Units) -> None:
+        self._scaled, self._own, self._units = scaled, own, units
+        self._same = own is scaled
+        self._referee = Referee(scaled.P, scaled.A, scaled.lb, scaled.ub)
+
+    def certify(self, step: QPStep) -> Optimum:
+        """The certified optimum of a step in scaled units."""
+        return self._referee.certify(step.q, step.l, step.u)
+
+    def judge(
+        self, scaled: QPStep, own: QPStep, answer: Solution, optimum: Optimum
+    ) -> tuple[float, ...]:
+        """The numbers of `GRADES` for one answer in the solver's own units."""
+        own_qp = self._own.at(own)
+        found = _with_multipliers(own_qp, answer)
+        in_own = residuals(own_qp, found)
+        if self._same:
+            qp, mapped, in_scaled = own_qp, found, in_own
+        else:
+            qp = self._scaled.at(scaled)
+            units = self._units
+            mapped = Solution(
+                found.status, found.z / units.z, found.y * units.row, found.y_box * units.z
+            )
+            in_scaled = residuals(qp, mapped)
+        move, plan = error_of(mapped.z, optimum, qp.block)
+        return (*_numbers(in_scaled, in_own), move, plan, *_truth(qp, in_scaled, plan, optimum))
+
+
+def _with_multipliers(qp: QuadraticProgram, answer: Solution) -> Solution:
+    """The answer with the best multipliers the referee finds, where the solver gave none."""
+    if np.isnan(answer.y).any() and np.isfinite(answer.z).all():
+        y, y_box = best_multipliers(qp, answer.z, 1e-6)
+        return Solution(answer.status, answer.z, y, y_box)
+    return answer
+
+
+def _numbers(scaled: Residuals, own: Residuals) -> tuple[float, ...]:
+    return (
+        scaled.primal,
+        scaled.dual,
+        scaled.complementarity,
+        scaled.gap,
+        own.primal,
+        own.dual,
+    )
+
+
+def _truth(
+    qp: QuadraticProgram, found: Residuals, plan: float, optimum: Optimum
+) -> tuple[float, ...]:
+    active = np.count_nonzero(np.abs(optimum.y) > ACTIVE_MULTIPLIER)
+    active += np.count_nonzero(np.abs(optimum.y_box) > ACTIVE_MULTIPLIER)
+    levels = (is_true(qp, found, plan, tol) for tol in (1e-3, 1e-4, 1e-6))
+    return (optimum.bound, float(active), *(float(level) for level in levels))
+
+
+def grade_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Graded:
+    """The judged columns and metrics of a cell's raw log."""
+    scenario = scenario_of(cell.scenario)
+    if cell.mode == "replay":
+        sequence = sequence_of(
+            scenario, exact, units=cell.units, first=cell.first, count=cell.steps
+        )
+        return grade_sequence(log, sequence, scenario.sample_s)
+    return _grade_closed_loop(cell, log, scenario.first(cell.steps), exact)
+
+
+def _answer(log: RawLog, r: int, k: int) -> Solution:
+    return Solution(Status(int(log.status[r, k])), log.z[r, k], log.y[r, k], log.y_box[r, k])
+
+
+def _grade_closed_loop(cell: Cell, log: RawLog, scenario: Scenario, exact: ExactLoop) -> Graded:
+    scaled = condense(scenario)
+    own = scaled if cell.units == "scaled" else condense(scenario, units=cell.units)
+    done = int(log.done[0])
+    grades = np.full((done, len(GRADES)), np.nan)
+    certificates = np.zeros(done, dtype=np.int8)
+    if done:
+        first = _emit(scaled, log.theta[0]), _emit(own, log.theta[0])
+        base = scaled.problem(first[0])
+        own_base = base if own is scaled else own.problem(first[1])
+        judge = StepJudge(base, own_base, own.scale)
+        for k in range(done):
+            step = _emit(scaled, log.theta[k])
+            step_own = step if own is scaled else _emit(own, log.theta[k])
+            optimum = judge.certify(step)
+            grades[k] = judge.judge(step, step_own, _answer(log, 0, k), optimum)
+            certificates[k] = CERTIFICATES.index(optimum.kind)
+    columns = _common_columns(log, [0], [done], grades, certificates)
+    columns |= {
+        "t_s": np.arange(done) * scenario.sample_s,
+        "fallback": log.flags[:done, 0].astype(bool),
+        "unconverged": log.flags[:done, 1].astype(bool),
+        "clipped": log.flags[:done, 2].astype(bool),
+        "state": log.state[: done + 1].copy(),
+        "tau": log.tau[:done].copy(),
+        "command": log.command[:done].copy(),
+    }
+    metrics: dict[str, float] = {}
+    if done:
+        reference = nearest_reference(scenario)
+        metrics = control_metrics(
+            scenario, log.state[: done + 1], log.tau[:done], reference, (exact.state, exact.tau)
+        )
+    return Graded(columns, metrics)
+
+
+def _emit(builder: CondensedQP, theta: NDArray[np.float64]) -> QPStep:
+    model = builder.control.model
+    n_x, n_y = model.n_x, model.n_y
+    return builder.emit(theta[:n_x], theta[n_x : n_x + n_y], theta[n_x + n_y : -1])
+
+
+def grade_sequence(log: RawLog, own: QPSequence, sample_s: float) -> Graded:
+    """The judged columns of a replay of the sequence `own`."""
+    scaled: QPSequence = own if own.scaled is None else own.scaled
+    ones = np.ones(own.base.n)
+    units = Units(ones, ones) if own.units is None else own.units
+    judge = StepJudge(scaled.base, own.base, units)
+    rounds = [r for r in range(len(log.done)) if log.done[r] > 0]
+    counts = [int(log.done[r]) for r in rounds]
+    grades = np.full((sum(counts), len(GRADES)), np.nan)
+    certificates = np.zeros(sum(counts), dtype=np.int8)
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(int)
+    for k in range(max(counts, default=0)):
+        optimum = judge.certify(scaled.step(k))
+        seen: dict[bytes, tuple[float, ...]] = {}
+        for r, start, count in zip(rounds, starts, counts, strict=True):
+            if k >= count:
+                continue
+            # Most solvers repeat themselves bit for bit; an identical answer has its judgement.
+            identity = log.z[r, k].tobytes() + log.y[r, k].tobytes() + log.y_box[r, k].tobytes()
+            if identity not in seen:
+                answer = _answer(log, r, k)
+                seen[identity] = judge.judge(scaled.step(k), own.step(k), answer, optimum)
+            grades[start + k] = seen[identity]
+            certificates[start + k] = CERTIFICATES.index(optimum.kind)
+    columns = _common_columns(log, rounds, counts, grades, certificates)
+    columns["t_s"] = (columns["k"] + int(own.meta.get("first", 0))) * sample_s
+    columns["probe_ns"] = log.probe_ns[rounds].copy()
+    return Graded(columns, {})
+
+
+def _common_columns(
+    log: RawLog,
+    rounds: list[int],
+    counts: list[int],
+    grades: NDArray[np.float64],
+    certificates: NDArray[np.int8],
+) -> Columns:
+    def rows(array: NDArray[Any]) -> NDArray[Any]:
+        parts = [array[r, :count] for r, count in zip(rounds, counts, strict=True)]
+        return np.concatenate(parts) if parts else array[0, :0].copy()
+
+    return {
+        "repeat": np.repeat(np.array(rounds, dtype=np.int32), counts),
+        "k": np.concatenate([np.arange(c, dtype=np.int32) for c in counts or [0]]),
+        "times": rows(log.times),
+        "status": rows(log.status),
+        "iterations": rows(log.iterations),
+        "reported_ns": rows(log.reported_ns),
+        "setup_once_ns": log.setup_once_ns.copy(),
+        "certificate": certificates,
+        "grades": grades,
+    }

@@ -1,0 +1,129 @@
+"""Run one solver in this process: the library's door for a notebook or a test.
+
+A campaign runs cells in processes of their own; here nothing protects the caller from a solver
+that crashes, and no core is pinned. The judgement is the same.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import pandas as pd
+
+from dpbench.bench.assemble import run_row, step_rows
+from dpbench.bench.cell import FALLBACKS, FORMULATIONS, Cell, Fallback, Formulation
+from dpbench.bench.exact import base_problem, solve_exactly
+from dpbench.bench.grade import Graded, grade_log, grade_sequence
+from dpbench.bench.loop import SolverPort, closed_loop
+from dpbench.bench.rawlog import RawLog, loop_layout, replay_layout
+from dpbench.bench.replay import ReplayArm
+from dpbench.bench.schema import as_runs, as_steps
+from dpbench.bench.supervise import Outcome
+from dpbench.errors import InputError
+from dpbench.mpc.condense import UnitSystem
+from dpbench.qp.program import QPSequence
+from dpbench.scenario import Scenario, condense
+from dpbench.solvers.contract import Workspace
+
+_NO_LIMIT = 2**62
+_clock = time.perf_counter_ns
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A judged run: `steps` with the columns of steps.parquet, `summary` with those of runs."""
+
+    steps: pd.DataFrame
+    summary: pd.Series[Any]
+
+
+def run_closed_loop(
+    scenario: Scenario,
+    workspace: Workspace,
+    *,
+    units: UnitSystem = "scaled",
+    formulation: Formulation = "condensed_box",
+    fallback: Fallback = "shifted_plan",
+) -> Run:
+    """Let `workspace` steer the ship through `scenario`, and judge every answer.
+
+    Raises
+    ------
+    InputError : for an unknown formulation or fallback.
+    """
+    _check("formulation", formulation, FORMULATIONS)
+    _check("fallback", fallback, FALLBACKS)
+    builder = condense(scenario, units=units)
+    log = RawLog.in_memory(loop_layout(scenario.steps, builder.n, builder.m, builder.Z.shape[1]))
+    port = SolverPort(workspace, formulation, base_problem(builder), _clock)
+    closed_loop(scenario, builder, port, log, fallback=fallback, limit_ns=_NO_LIMIT, clock=_clock)
+    cell = Cell(
+        mode="closed_loop",
+        scenario=scenario.files,
+        solver=workspace.solver,
+        route=workspace.route,
+        policy=workspace.policy,
+        settings="",
+        steps=scenario.steps,
+        formulation=formulation,
+        units=units,
+        fallback=fallback,
+    )
+    return _run(cell, workspace, grade_log(cell, log, solve_exactly(scenario)))
+
+
+def replay(
+    sequence: QPSequence,
+    workspace: Workspace,
+    *,
+    repeats: int = 5,
+    warmup_steps: int = 50,
+    formulation: Formulation = "condensed_box",
+) -> Run:
+    """Replay `sequence` through `workspace`: a warm-up, then `repeats` rounds, all judged."""
+    _check("formulation", formulation, FORMULATIONS)
+    if repeats < 1:
+        raise InputError("replay", "repeats", repeats, "1 or more")
+    base = sequence.base
+    steps = len(sequence)
+    log = RawLog.in_memory(replay_layout(repeats + 1, steps, base.n, base.m))
+    port = SolverPort(workspace, formulation, base, _clock)
+    arm = ReplayArm(
+        sequence,
+        port,
+        log,
+        warmup_steps=min(warmup_steps, steps),
+        limit_ns=_NO_LIMIT,
+        clock=_clock,
+    )
+    for r in range(repeats + 1):
+        arm.round(r)
+    cell = Cell(
+        mode="replay",
+        scenario={"name": sequence.name},
+        solver=workspace.solver,
+        route=workspace.route,
+        policy=workspace.policy,
+        settings="",
+        steps=steps,
+        formulation=formulation,
+        units="scaled" if sequence.units is None else "si",
+        rounds=repeats,
+        warmup_steps=min(warmup_steps, steps),
+    )
+    sample_s = float(sequence.meta.get("sample_s", float("nan")))
+    return _run(cell, workspace, grade_sequence(log, sequence, sample_s))
+
+
+def _check(key: str, found: str, allowed: tuple[str, ...]) -> None:
+    if found not in allowed:
+        raise InputError("run", key, repr(found), f"one of {', '.join(allowed)}")
+
+
+def _run(cell: Cell, workspace: Workspace, graded: Graded) -> Run:
+    steps = step_rows("in-process", cell, graded)
+    outcome = Outcome("finished", "", workspace.form)
+    row = run_row("in-process", cell, outcome, "", "", graded, steps)
+    return Run(as_steps(steps), as_runs(pd.DataFrame([row])).iloc[0])

@@ -1,0 +1,119 @@
+"""Replay one sequence through many solvers, interleaved round by round.
+
+All workers stay alive; exactly one runs while the others block on their pipes, so machine drift
+hits all arms alike. Within a round the order of arms is drawn anew from the seed.
+"""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from multiprocessing.context import ForkServerContext
+from pathlib import Path
+
+from dpbench.bench.cell import Cell
+from dpbench.bench.rawlog import RawLog
+from dpbench.bench.replay import SPOILT_FACTOR
+from dpbench.bench.supervise import GRACE_S, START_ALLOWANCE_S, Child, Outcome
+from dpbench.bench.worker import run_replay_cell
+
+SPOILT_RETRIES = 1
+"""How often a round in which the reference kernel was slowed is run again."""
+
+
+class _Arm:
+    """One worker and the state of its service."""
+
+    def __init__(self, run_id: str, cell: Cell, child: Child, orders: Connection) -> None:
+        self.run_id, self.cell, self.child, self.orders = run_id, cell, child, orders
+        self.serving = True
+        self.spent_s = 0.0
+
+    def wait(self, limit_s: float) -> object:
+        """The worker's next word; None when it died, hung (and was killed) or refused."""
+        try:
+            if self.orders.poll(limit_s):
+                return self.orders.recv()
+        except (EOFError, OSError):
+            return None
+        self.child.kill(f"one call ran beyond the limit of {self.cell.limit_s:g} s and was killed")
+        return None
+
+
+class ReplayGroup:
+    """The arms that replay one sequence.
+
+    Parameters
+    ----------
+    cells : (run_id, cell) of each arm; all see the same QPs.
+    exact : the exactly solved loop the sequence is made from.
+    core : where the one running worker is pinned.
+    """
+
+    def __init__(
+        self,
+        context: ForkServerContext,
+        folder: Path,
+        exact: Path,
+        core: int,
+        cells: list[tuple[str, Cell]],
+    ) -> None:
+        self._context, self._folder, self._exact, self._core = context, folder, exact, core
+        self._cells = cells
+        self.outcomes: dict[str, Outcome] = {}
+
+    def run(self) -> Iterator[int]:
+        """Run all rounds; yields the number of each finished round, 0 for the warm-up."""
+        arms = [self._open(run_id, cell) for run_id, cell in self._cells]
+        try:
+            rounds = max(cell.rounds for _, cell in self._cells)
+            order = random.Random(self._cells[0][1].seed)
+            for r in range(rounds + 1):
+                for arm in order.sample(arms, len(arms)):
+                    if arm.serving and r <= arm.cell.rounds:
+                        self._serve(arm, r)
+                yield r
+        finally:
+            for arm in arms:
+                self._close(arm)
+
+    def _open(self, run_id: str, cell: Cell) -> _Arm:
+        ours, theirs = self._context.Pipe()
+        args = (cell.to_json(), self._folder, run_id, self._core, self._exact, theirs)
+        child = Child(
+            self._context, run_replay_cell, args, self._folder, run_id, limit_s=cell.limit_s
+        )
+        theirs.close()
+        arm = _Arm(run_id, cell, child, ours)
+        arm.serving = arm.wait(START_ALLOWANCE_S) is True
+        return arm
+
+    def _serve(self, arm: _Arm, r: int) -> None:
+        for attempt in range(SPOILT_RETRIES + 1):
+            arm.orders.send(r)
+            started = time.monotonic()
+            done = arm.wait(arm.cell.limit_s + GRACE_S)
+            arm.spent_s += time.monotonic() - started
+            if done is not True:
+                arm.serving = False
+                return
+            if r == 0 or attempt == SPOILT_RETRIES or not self._spoilt(arm, r):
+                return
+
+    def _spoilt(self, arm: _Arm, r: int) -> bool:
+        """Whether the reference kernel around round r was slow against the arm's other rounds."""
+        probes = RawLog.open(self._folder / f"{arm.run_id}.raw").probe_ns
+        seen = probes[probes > 0]
+        return bool(probes[r].max() > SPOILT_FACTOR * seen.min())
+
+    def _close(self, arm: _Arm) -> None:
+        with suppress(OSError):
+            arm.orders.send(None)
+        arm.child.process.join(GRACE_S)
+        if arm.child.process.is_alive():
+            arm.child.kill("did not end when asked to")
+        arm.orders.close()
+        self.outcomes[arm.run_id] = arm.child.outcome()

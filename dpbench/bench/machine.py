@@ -1,0 +1,99 @@
+"""Describe the machine a result comes from, as far as its kernel shows it."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import os
+import platform
+import time
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+LIBRARIES = ("dpbench", "numpy", "scipy", "numba", "pandas", "qpsolvers")
+THREAD_VARIABLES = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "BLIS_NUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+    "RAYON_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+)
+"""Set to 1 in a worker's environment before NumPy loads, so that no library starts threads."""
+
+
+def pin_threads() -> None:
+    """Ask every numerical library that starts after this for one thread."""
+    for variable in THREAD_VARIABLES:
+        os.environ[variable] = "1"
+
+
+def clock_read_ns(samples: int = 20_000) -> tuple[float, int]:
+    """Median cost of reading the clock and the smallest difference it shows [ns]."""
+    clock = time.perf_counter_ns
+    reads = [clock() for _ in range(samples)]
+    steps = sorted(b - a for a, b in pairwise(reads))
+    return float(steps[len(steps) // 2]), next((s for s in steps if s > 0), 0)
+
+
+def describe_machine() -> dict[str, Any]:
+    """What `machine.json` holds; `id` hashes what makes timings comparable.
+
+    The id covers CPU model, cores, memory, kernel release, Python and the libraries every arm
+    uses; a solver's own version is part of each cell's key instead.
+    """
+    read_cost, resolution = clock_read_ns()
+    lasting: dict[str, Any] = {
+        "cpu_model": _cpu_model(),
+        "cores": os.cpu_count(),
+        "memory_GiB": round(psutil.virtual_memory().total / 2**30),
+        "kernel": f"{platform.system()} {platform.release()}",
+        "python": f"{platform.python_implementation()} {platform.python_version()}",
+        "versions": {name: _version(name) for name in LIBRARIES},
+    }
+    digest = hashlib.sha256(json.dumps(lasting, sort_keys=True).encode()).hexdigest()
+    return {
+        "id": digest[:12],
+        **lasting,
+        "governor": _first_line("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor"),
+        "frequency_MHz": _frequency(),
+        "blas_threads": 1,
+        "affinity": sorted(os.sched_getaffinity(0)),
+        "clock_read_ns": read_cost,
+        "timer_resolution_ns": resolution,
+        "load_average": [round(value, 2) for value in os.getloadavg()],
+    }
+
+
+def _version(distribution: str) -> str:
+    try:
+        return importlib.metadata.version(distribution)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"
+
+
+def _first_line(path: str) -> str:
+    try:
+        return Path(path).read_text(encoding="ascii").strip()
+    except OSError:
+        return "not visible"
+
+
+def _cpu_model() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def _frequency() -> float | str:
+    frequency = psutil.cpu_freq()
+    return round(frequency.current) if frequency and frequency.current else "not visible"

@@ -1,0 +1,112 @@
+"""The raw log of a cell: named arrays in one memory-mapped file, so that a crash keeps its steps.
+
+The worker only assigns into the arrays; whoever outlives it (a crash, a hang, a kill) opens the
+same file and finds every step that was completed.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_ALIGN = 64
+TIMES = ("emit", "setup", "update", "solve", "read", "overhead")
+"""Order of the phases in `RawLog.times`; −1 where a phase did not take place."""
+
+
+def loop_layout(steps: int, n: int, m: int, n_theta: int) -> dict[str, tuple[str, tuple[int, ...]]]:
+    """Arrays of a closed-loop log of `steps` steps."""
+    return _answers(1, steps, n, m) | {
+        "theta": ("f8", (steps, n_theta)),
+        "state": ("f8", (steps + 1, 6)),
+        "tau": ("f8", (steps, 3)),
+        "command": ("f8", (steps, 3)),
+        "flags": ("u1", (steps, 3)),
+    }
+
+
+def replay_layout(
+    rounds: int, steps: int, n: int, m: int
+) -> dict[str, tuple[str, tuple[int, ...]]]:
+    """Arrays of a replay log: round 0 is the warm-up."""
+    return _answers(rounds, steps, n, m) | {"probe_ns": ("f8", (rounds, 2))}
+
+
+def _answers(rounds: int, steps: int, n: int, m: int) -> dict[str, tuple[str, tuple[int, ...]]]:
+    return {
+        "done": ("i8", (rounds,)),
+        "started": ("i8", (1,)),
+        "setup_once_ns": ("i8", (1,)),
+        "times": ("i8", (rounds, steps, len(TIMES))),
+        "status": ("i8", (rounds, steps)),
+        "iterations": ("i8", (rounds, steps)),
+        "reported_ns": ("i8", (rounds, steps)),
+        "z": ("f8", (rounds, steps, n)),
+        "y": ("f8", (rounds, steps, m)),
+        "y_box": ("f8", (rounds, steps, n)),
+    }
+
+
+class RawLog:
+    """Named arrays over one buffer; attribute access by name, e.g. `log.times[r, k]`.
+
+    `done[r]` counts the completed steps of round r and is written last, so whatever it covers is
+    whole. `flags` (steps, 3) holds fallback, unconverged, clipped.
+    """
+
+    done: NDArray[np.int64]
+    started: NDArray[np.int64]
+    setup_once_ns: NDArray[np.int64]
+    times: NDArray[np.int64]
+    status: NDArray[np.int64]
+    iterations: NDArray[np.int64]
+    reported_ns: NDArray[np.int64]
+    z: NDArray[np.float64]
+    y: NDArray[np.float64]
+    y_box: NDArray[np.float64]
+    theta: NDArray[np.float64]
+    state: NDArray[np.float64]
+    tau: NDArray[np.float64]
+    command: NDArray[np.float64]
+    flags: NDArray[np.uint8]
+    probe_ns: NDArray[np.float64]
+
+    def __init__(self, layout: dict[str, tuple[str, tuple[int, ...]]], buffer: Any) -> None:
+        offset = 0
+        for name, (dtype, shape) in layout.items():
+            count = int(np.prod(shape))
+            setattr(self, name, np.frombuffer(buffer, dtype, count, offset).reshape(shape))
+            offset += -(-count * np.dtype(dtype).itemsize // _ALIGN) * _ALIGN
+
+    @classmethod
+    def in_memory(cls, layout: dict[str, tuple[str, tuple[int, ...]]]) -> RawLog:
+        """A log for a run in this process."""
+        return cls(layout, bytearray(_size(layout)))
+
+    @classmethod
+    def create(cls, path: Path, layout: dict[str, tuple[str, tuple[int, ...]]]) -> RawLog:
+        """A new log file at `path`, with its layout beside it; all pages touched beforehand."""
+        path.with_suffix(".layout").write_text(json.dumps(layout), encoding="ascii")
+        path.write_bytes(bytes(_size(layout)))
+        return cls.open(path)
+
+    @classmethod
+    def open(cls, path: Path) -> RawLog:
+        """The log at `path`, writable and shared with whoever else has it open."""
+        layout = json.loads(path.with_suffix(".layout").read_text(encoding="ascii"))
+        return cls(layout, np.memmap(path, np.uint8, "r+"))
+
+
+def _size(layout: dict[str, tuple[str, tuple[int, ...]]]) -> int:
+    sizes = [int(np.prod(shape)) * np.dtype(dtype).itemsize for dtype, shape in layout.values()]
+    return sum(-(-size // _ALIGN) * _ALIGN for size in sizes)
+
+
+def discard(path: Path) -> None:
+    """Remove a log that has been graded."""
+    path.unlink(missing_ok=True)
+    path.with_suffix(".layout").unlink(missing_ok=True)

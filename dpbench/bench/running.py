@@ -1,0 +1,224 @@
+"""Run cells in processes of their own, have them judged, and keep what is finished.
+
+Closed-loop cells run side by side on the cores; replays run one worker at a time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from multiprocessing.context import ForkServerContext
+from pathlib import Path
+from typing import Protocol
+
+from dpbench.bench.cell import Cell
+from dpbench.bench.grade import Graded
+from dpbench.bench.interleave import ReplayGroup
+from dpbench.bench.plan import Planned
+from dpbench.bench.rawlog import discard
+from dpbench.bench.store import write_json
+from dpbench.bench.supervise import Child, Outcome
+from dpbench.bench.worker import grade_cell, run_closed_loop_cell, run_exact_loop
+
+HARNESS_VERSION = version("dpbench")
+POLL_S = 0.02
+GRADING_LIMIT_S = 600.0
+
+
+class Progress(Protocol):
+    """Who is told how far a campaign is; `work` is in steps."""
+
+    def start(self, work: int) -> None:
+        """So much is to be done."""
+
+    def advance(self, work: int, what: str) -> None:
+        """So much is done now, the last of it on `what`."""
+
+
+class Silent:
+    """A progress that shows nothing."""
+
+    def start(self, work: int) -> None:
+        """Show nothing."""
+
+    def advance(self, work: int, what: str) -> None:
+        """Show nothing."""
+
+
+@dataclass(eq=False)
+class Job:
+    """A planned cell on its way through the campaign."""
+
+    planned: Planned
+    run_id: str
+    solver_version: str
+    outcome: Outcome | None = None
+
+    @property
+    def cell(self) -> Cell:
+        """Its cell."""
+        return self.planned.cell
+
+
+class CellStore:
+    """Finished cells on disk: `<run_id>.json` (the outcome) and `<run_id>.npz` (the columns)."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def graded_path(self, job: Job) -> Path:
+        """Where the judged columns of a cell go."""
+        return self.folder / f"{job.run_id}.npz"
+
+    def finished(self, job: Job) -> Outcome | None:
+        """The outcome of a cell that was finished earlier, None if there is none."""
+        path = self.folder / f"{job.run_id}.json"
+        if not path.exists():
+            return None
+        try:
+            return Outcome(**json.loads(path.read_text(encoding="utf-8")))
+        except (ValueError, TypeError):
+            return None
+
+    def finish(self, job: Job, outcome: Outcome) -> None:
+        """Keep a cell's outcome; its columns were written before."""
+        job.outcome = outcome
+        write_json(self.folder / f"{job.run_id}.json", outcome.__dict__)
+
+    def graded(self, job: Job) -> Graded | None:
+        """The judged columns of a cell, None if it left no steps."""
+        path = self.graded_path(job)
+        return Graded.load(path) if path.exists() else None
+
+
+def work_of(cell: Cell) -> int:
+    """Steps a cell will take, for the progress bar."""
+    return cell.steps * max(1, cell.rounds)
+
+
+def scenario_key(cell: Cell) -> str:
+    """Cells with the same key share one exactly solved loop."""
+    text = json.dumps([cell.scenario, HARNESS_VERSION], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+class Bench:
+    """Runs cells in processes of their own and has them judged."""
+
+    def __init__(
+        self,
+        context: ForkServerContext,
+        folder: Path,
+        store: CellStore,
+        cores: list[int],
+        progress: Progress,
+    ) -> None:
+        self._context, self._folder, self._store = context, folder, store
+        self._cores, self._progress = cores, progress
+
+    def exact_loop(self, cell: Cell, path: Path) -> Outcome:
+        """Solve a scenario exactly into `path`."""
+        name = f"exact-{path.stem}"
+        args = (cell.to_json(), self._folder, name, self._cores[-1])
+        child = Child(
+            self._context, run_exact_loop, args, self._folder, name, limit_s=GRADING_LIMIT_S
+        )
+        outcome = child.outcome()
+        if outcome.outcome == "finished":
+            (path.with_suffix(".part")).write_bytes((self._folder / f"{name}.npz").read_bytes())
+            path.with_suffix(".part").replace(path)
+        return outcome
+
+    def closed_loops(self, jobs: Sequence[Job], exact: dict[str, Path], slots: int) -> None:
+        """Run closed-loop cells on up to `slots` cores, each judged right after it ran."""
+        waiting = list(reversed(jobs))
+        free = [self._cores[i % len(self._cores)] for i in range(slots)]
+        running: list[tuple[Job, Child, int]] = []
+        while waiting or running:
+            while waiting and free:
+                job, core = waiting.pop(), free.pop()
+                running.append((job, self._start(job, core), core))
+            time.sleep(POLL_S)
+            for entry in list(running):
+                job, child, core = entry
+                if child.process.is_alive() and not child.overdue():
+                    continue
+                running.remove(entry)
+                if job.outcome is None:
+                    job.outcome = child.outcome()
+                    if child.raw_path.exists():
+                        grader = self._grade(job, exact[scenario_key(job.cell)], core)
+                        running.append((job, grader, core))
+                        continue
+                self._finish(job)
+                free.append(core)
+
+    def _start(self, job: Job, core: int) -> Child:
+        args = (job.cell.to_json(), self._folder, job.run_id, core)
+        limit_s = job.cell.limit_s
+        return Child(
+            self._context, run_closed_loop_cell, args, self._folder, job.run_id, limit_s=limit_s
+        )
+
+    def _grade(self, job: Job, exact: Path, core: int) -> Child:
+        args = (
+            job.cell.to_json(),
+            self._folder,
+            job.run_id,
+            core,
+            exact,
+            self._store.graded_path(job),
+        )
+        return Child(
+            self._context,
+            grade_cell,
+            args,
+            self._folder,
+            job.run_id,
+            limit_s=GRADING_LIMIT_S,
+            verdict="graded.json",
+        )
+
+    def _finish(self, job: Job) -> None:
+        """Keep the outcome of a cell and drop its raw log."""
+        assert job.outcome is not None, "a cell is finished after its process ended"
+        outcome = job.outcome
+        verdict = self._folder / f"{job.run_id}.graded.json"
+        raw = self._folder / f"{job.run_id}.raw"
+        if raw.exists() and not verdict.exists():
+            outcome = replace(
+                outcome, outcome="invalid", detail=f"the referee failed on it; {outcome.detail}"
+            )
+        self._store.finish(job, outcome)
+        discard(raw)
+        self._progress.advance(work_of(job.cell), f"{job.cell.solver} {job.cell.scenario_name}")
+
+    def replays(self, jobs: Sequence[Job], exact: Path) -> None:
+        """Replay one sequence through all its arms, interleaved, then judge them all."""
+        group = ReplayGroup(
+            self._context, self._folder, exact, self._cores[-1], [(j.run_id, j.cell) for j in jobs]
+        )
+        rounds = max(job.cell.rounds for job in jobs)
+        for r in group.run():
+            share = sum(work_of(job.cell) for job in jobs) // (rounds + 1)
+            self._progress.advance(share, f"replay {jobs[0].cell.sequence}, round {r}")
+        for job in jobs:
+            job.outcome = group.outcomes[job.run_id]
+        self._judge_all([j for j in jobs if (self._folder / f"{j.run_id}.raw").exists()], exact)
+        for job in jobs:
+            self._store.finish(job, job.outcome or Outcome("invalid", "not run"))
+            discard(self._folder / f"{job.run_id}.raw")
+
+    def _judge_all(self, jobs: Sequence[Job], exact: Path) -> None:
+        for start in range(0, len(jobs), len(self._cores)):
+            batch = jobs[start : start + len(self._cores)]
+            graders = [self._grade(j, exact, c) for j, c in zip(batch, self._cores, strict=False)]
+            for job, grader in zip(batch, graders, strict=True):
+                outcome = grader.outcome()
+                if outcome.outcome != "finished":
+                    job.outcome = Outcome("invalid", f"the referee failed on it: {outcome.detail}")

@@ -1,0 +1,199 @@
+"""The record schema: every column of `runs.parquet` and `steps.parquet`, its type and meaning.
+
+Times are integer nanoseconds, everything else SI; a missing number is NaN (or null in a nullable
+integer), never a made-up one.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+
+SCHEMA_VERSION = 1
+
+DType = Literal["str", "bool", "int32", "int64", "Int64", "float64"]
+Columns = dict[str, tuple[DType, str]]
+"""Type and meaning by name."""
+
+AXES = ("n", "e", "psi")
+FORCES = ("surge", "sway", "yaw")
+
+STEP_COLUMNS: Columns = {
+    "run_id": ("str", "cell the row belongs to"),
+    "repeat": ("int32", "replay round, 0 in closed loop"),
+    "warmup": ("bool", "a round recorded before the ones that count"),
+    "spoilt": ("bool", "a round in which the reference kernel was slowed"),
+    "k": ("int32", "step"),
+    "t_s": ("float64", "time of the step"),
+    "emit_ns": ("Int64", "θ → q, l, u; null in replay"),
+    "setup_ns": ("Int64", "null where no set-up is part of the step"),
+    "update_ns": ("Int64", "null where every step is set up from nothing"),
+    "solve_ns": ("Int64", "the solver's call"),
+    "read_ns": ("Int64", "copy out, signs, status"),
+    "total_ns": ("Int64", "setup + update + solve + read"),
+    "overhead_ns": ("Int64", "whole closed-loop step less total_ns; null in replay"),
+    "reported_ns": ("Int64", "the solver's own figure"),
+    "status": ("str", "what the solver claims"),
+    "claimed": ("bool", "the claim is SOLVED"),
+    "true": ("bool", "the referee finds the answer true at 1e-3"),
+    "true_1e4": ("bool", "the same at 1e-4"),
+    "true_1e6": ("bool", "the same at 1e-6"),
+    "iterations": ("Int64", "the solver's own count"),
+    "primal": ("float64", "largest violation, scaled units"),
+    "dual": ("float64", "stationarity residual, scaled units"),
+    "complementarity": ("float64", "complementarity residual, scaled units"),
+    "gap": ("float64", "duality gap, scaled units"),
+    "primal_own": ("float64", "largest violation in the units the solver was given"),
+    "dual_own": ("float64", "stationarity residual in the units the solver was given"),
+    "error_move": ("float64", "distance of the first move to the optimum, in rate-limit steps"),
+    "error_plan": ("float64", "the same over all moves"),
+    "optimum_bound": ("float64", "certified error bound of the optimum itself"),
+    "certificate": ("str", "kind of certificate"),
+    "n_active": ("int32", "active limits at the optimum"),
+    "fallback": ("bool", "no usable answer: the fallback acted"),
+    "unconverged": ("bool", "an inaccurate or unfinished iterate was applied"),
+    "clipped": ("bool", "the answer violated a limit and was clipped"),
+    "late": ("bool", "the answer came after the deadline"),
+    "n_m": ("float64", "north position at the start of the step"),
+    "e_m": ("float64", "east position"),
+    "psi_rad": ("float64", "heading, unwrapped"),
+    "u_mps": ("float64", "surge velocity"),
+    "v_mps": ("float64", "sway velocity"),
+    "r_radps": ("float64", "yaw rate"),
+    "tau_x_N": ("float64", "force applied over the step"),
+    "tau_y_N": ("float64", "force applied over the step"),
+    "tau_n_Nm": ("float64", "moment applied over the step"),
+    "dtau_x_N": ("float64", "its change against the step before"),
+    "dtau_y_N": ("float64", "its change against the step before"),
+    "dtau_n_Nm": ("float64", "its change against the step before"),
+    "cmd_x_N": ("float64", "force commanded before clipping"),
+    "cmd_y_N": ("float64", "force commanded before clipping"),
+    "cmd_n_Nm": ("float64", "moment commanded before clipping"),
+}
+
+IDENTITY_COLUMNS: Columns = {
+    "run_id": ("str", "hash of the cell, its problem, the solver version and the machine"),
+    "mode": ("str", "closed_loop | replay"),
+    "scenario": ("str", "scenario"),
+    "sequence": ("str", "recorded sequence; empty in closed loop"),
+    "solver": ("str", "solver"),
+    "solver_version": ("str", "version of its distribution"),
+    "route": ("str", "qpsolvers | native"),
+    "policy": ("str", "fresh | reuse | warm"),
+    "settings": ("str", "name of the settings"),
+    "formulation": ("str", "condensed_box | condensed_stacked | none"),
+    "form": ("str", "dense | csc: what the library was given"),
+    "units": ("str", "scaled | si"),
+    "seed": ("int64", "seed of the order of replay rounds"),
+    "outcome": ("str", "finished | crashed | timed_out | refused | invalid"),
+    "outcome_detail": ("str", "cause in the library's or the harness's words"),
+    "machine_id": ("str", "hash of the machine description"),
+    "schema": ("int64", "version of this schema"),
+    "cell": ("str", "JSON that runs the cell again"),
+    "steps_planned": ("int64", "steps asked for"),
+    "steps_done": ("int64", "steps recorded (in replay: of the counting rounds' fullest)"),
+}
+
+ACCURACY_COLUMNS: Columns = {
+    "claimed_share": ("float64", "share of steps claimed solved"),
+    "true_share": ("float64", "share of steps the referee finds true at 1e-3"),
+    "true_1e4_share": ("float64", "at 1e-4"),
+    "true_1e6_share": ("float64", "at 1e-6"),
+    "claimed_not_true": ("Int64", "steps claimed solved that are not"),
+    "true_not_claimed": ("Int64", "steps true though not claimed"),
+    "error_move_p50": ("float64", "median error of the first move"),
+    "error_move_max": ("float64", "largest error of the first move, inf without an answer"),
+    "error_plan_max": ("float64", "largest error of the plan"),
+    "primal_max": ("float64", "largest violation"),
+    "dual_max": ("float64", "largest stationarity residual"),
+    "optimum_bound_max": ("float64", "largest certified bound of the optima"),
+    "uncertified": ("Int64", "steps without a certified optimum"),
+    "failed_steps": ("Int64", "steps with a fallback or an unfinished iterate"),
+    "iterations_p50": ("float64", "median iterations"),
+    "iterations_max": ("float64", "most iterations"),
+}
+
+TIMING_COLUMNS: Columns = {
+    "setup_once_ns": ("float64", "one set-up before the first step"),
+    "rounds": ("Int64", "replay rounds that count"),
+    "spoilt_rounds": ("Int64", "rounds marked as spoilt and run again"),
+    "algo_p50_ns": ("float64", "over steps, of the minimum over rounds: the algorithmic time"),
+    "algo_p95_ns": ("float64", "the same, 95 %"),
+    "algo_p99_ns": ("float64", "the same, 99 %; NaN below 1000 steps"),
+    "algo_max_ns": ("float64", "the same, largest"),
+    "algo_median_p50_ns": ("float64", "as algo_p50_ns with the median over rounds"),
+    "raw_p50_ns": ("float64", "all samples pooled: the jitter"),
+    "raw_p99_ns": ("float64", "the same, 99 %; NaN below 1000 samples"),
+    "raw_p999_ns": ("float64", "the same, 99.9 %; NaN below 10 000 samples"),
+    "raw_max_ns": ("float64", "the same, largest"),
+    "raw_samples": ("Int64", "how many samples are pooled"),
+    "emit_p50_ns": ("float64", "median of emit_ns"),
+    "overhead_p50_ns": ("float64", "median of overhead_ns"),
+}
+
+CONTROL_COLUMNS: Columns = {
+    "fallbacks": ("Int64", "steps in which the fallback acted"),
+    "fallback_longest": ("Int64", "longest run of such steps"),
+    "recover_steps_max": (
+        "Int64",
+        "most steps from a failure to the next true answer; null if none or never",
+    ),
+    "unconverged": ("Int64", "steps with an unfinished iterate"),
+    "clipped": ("Int64", "steps whose answer violated a limit and was clipped"),
+    "limit_violations": ("Int64", "applied forces outside a limit; must be 0"),
+    "r_rms_m": ("float64", "radial error, root mean square"),
+    "r_95_m": ("float64", "radial error, 95 %"),
+    "r_max_m": ("float64", "radial error, largest"),
+    "r_tail_max_m": ("float64", "largest radial error in the second half of the run"),
+    "heading_rms_deg": ("float64", "heading error, root mean square"),
+    "heading_max_deg": ("float64", "heading error, largest"),
+    **{f"iae_{a}": ("float64", "integral of the absolute error [m·s, rad·s]") for a in AXES},
+    **{f"ise_{a}": ("float64", "integral of the squared error") for a in AXES},
+    **{f"itae_{a}": ("float64", "integral of time times absolute error") for a in AXES},
+    "settle_s": ("float64", "time after which 1 m and 1° hold for 30 s; inf if never"),
+    "settle_0p1m_s": ("float64", "time after which 0.1 m holds to the end; inf if never"),
+    **{f"overshoot_{a}": ("float64", "furthest excursion beyond the reference") for a in AXES},
+    "share_1m": ("float64", "share of time inside the paper's 1 m circle"),
+    "share_green": ("float64", "share of time within 3 m and 3° (IMCA M 220 example)"),
+    "share_yellow": ("float64", "share of time between green and red"),
+    "share_red": ("float64", "share of time beyond 5 m or 5°"),
+    "pose_error": ("float64", "VRX: mean of d + 0.75^d·|Δψ| [m, rad]"),
+    "effort_s": ("float64", "∫ Σ(τ/τ_max)² dt"),
+    "total_variation": ("float64", "Σ |Δτ|/τ_max: wear"),
+    "work_J": ("float64", "∫ |τᵀν| dt"),
+    **{f"at_rate_{f}": ("float64", "share of steps at a rate limit") for f in FORCES},
+    **{f"at_amplitude_{f}": ("float64", "share of steps at an amplitude limit") for f in FORCES},
+    "closed_loop_cost": ("float64", "½ Σ (y−y_d)ᵀQ(y−y_d) + ½ Σ ΔuᵀRΔu over the run"),
+    "dev_position_max_m": ("float64", "largest deviation from the exactly solved loop"),
+    "dev_position_rms_m": ("float64", "its root mean square"),
+    "dev_heading_max_deg": ("float64", "largest deviation of heading"),
+    "dev_heading_rms_deg": ("float64", "its root mean square"),
+    "dev_force_max_N": ("float64", "largest deviation of the surge or sway force"),
+    "dev_force_rms_N": ("float64", "its root mean square"),
+}
+
+RUN_COLUMNS = IDENTITY_COLUMNS | ACCURACY_COLUMNS | TIMING_COLUMNS | CONTROL_COLUMNS
+
+
+def _conform(frame: pd.DataFrame, columns: Columns) -> pd.DataFrame:
+    missing_of = {"str": "", "bool": False, "int32": 0, "int64": 0}
+    out = {}
+    for name, (dtype, _) in columns.items():
+        if name in frame:
+            out[name] = frame[name].astype(dtype)
+        else:
+            filler = missing_of.get(dtype, pd.NA if dtype == "Int64" else np.nan)
+            out[name] = pd.Series(filler, index=frame.index, dtype=dtype)
+    return pd.DataFrame(out)
+
+
+def as_steps(frame: pd.DataFrame) -> pd.DataFrame:
+    """`frame` with exactly the columns and types of `steps.parquet`; absent ones are missing."""
+    return _conform(frame, STEP_COLUMNS)
+
+
+def as_runs(frame: pd.DataFrame) -> pd.DataFrame:
+    """`frame` with exactly the columns and types of `runs.parquet`; absent ones are missing."""
+    return _conform(frame, RUN_COLUMNS)

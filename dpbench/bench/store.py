@@ -1,0 +1,99 @@
+"""The result folder: parquet tables, machine and suite descriptions, and the cells behind them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+
+from dpbench.bench.schema import RUN_COLUMNS, SCHEMA_VERSION, STEP_COLUMNS, as_runs, as_steps
+from dpbench.errors import ResultsError
+
+TABLES = {"runs": RUN_COLUMNS, "steps": STEP_COLUMNS}
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """A result folder in memory; columns as in `schema.py`."""
+
+    runs: pd.DataFrame
+    steps: pd.DataFrame
+    machine: dict[str, Any]
+    suite: dict[str, Any]
+
+
+def write_results(out: Path, results: Results) -> None:
+    """Write the four files of a result folder, each whole or not at all."""
+    out.mkdir(parents=True, exist_ok=True)
+    for name, frame in (("runs", as_runs(results.runs)), ("steps", as_steps(results.steps))):
+        part = out / f"{name}.parquet.part"
+        frame.to_parquet(part, index=False, compression="zstd")
+        part.replace(out / f"{name}.parquet")
+    for name, document in (("machine", results.machine), ("suite", results.suite)):
+        write_json(out / f"{name}.json", document)
+
+
+def write_json(path: Path, document: dict[str, Any]) -> None:
+    """Write `document` to `path`, whole or not at all."""
+    part = path.with_suffix(".part")
+    part.write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    part.replace(path)
+
+
+def load_results(out: str | Path) -> Results:
+    """Read a result folder.
+
+    Raises
+    ------
+    ResultsError : naming the file, when one is missing, damaged or of another schema.
+    """
+    folder = Path(out)
+    if not folder.is_dir():
+        raise ResultsError(str(folder), "", "no such folder", "a folder written by `dpbench run`")
+    results = Results(
+        runs=_read_table(folder, "runs"),
+        steps=_read_table(folder, "steps"),
+        machine=_read_json(folder / "machine.json"),
+        suite=_read_json(folder / "suite.json"),
+    )
+    versions = set(results.runs["schema"].unique().tolist())
+    if versions - {SCHEMA_VERSION}:
+        found = f"schema {sorted(versions)}"
+        raise ResultsError(
+            str(folder / "runs.parquet"), "schema", found, f"schema {SCHEMA_VERSION}"
+        )
+    return results
+
+
+def _read_table(folder: Path, name: str) -> pd.DataFrame:
+    path = folder / f"{name}.parquet"
+    if not path.is_file():
+        raise ResultsError(str(path), "", "no such file", "a table written by `dpbench run`")
+    try:
+        frame = pd.read_parquet(path)
+    except (OSError, ValueError, pa.ArrowException) as error:
+        raise ResultsError(
+            str(path), "", f"a damaged file ({str(error)[:120]})", "a parquet table; run again"
+        ) from error
+    missing = sorted(set(TABLES[name]) - set(frame.columns))
+    if missing:
+        raise ResultsError(
+            str(path), ", ".join(missing), "no such columns", "the columns of schema.py"
+        )
+    return frame
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ResultsError(str(path), "", error.strerror or "unreadable", "a JSON file") from error
+    except ValueError as error:
+        raise ResultsError(str(path), "", f"no JSON ({error})", "a JSON document") from error
+    if not isinstance(document, dict):
+        raise ResultsError(str(path), "", type(document).__name__, "a JSON object")
+    return document

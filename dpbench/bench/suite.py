@@ -1,0 +1,70 @@
+"""Suites: which cells a campaign runs, and the demand its report judges them by."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from dpbench.problem_files import FileModel, problem_path, read_model
+
+Count = Annotated[int, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0)]
+UnitName = Literal["scaled", "si"]
+PolicyName = Literal["fresh", "reuse", "warm"]
+SettingsName = Literal["default", "low", "mid", "high"]
+FormulationName = Literal["condensed_box", "condensed_stacked"]
+
+
+class DemandTable(FileModel):
+    """What a controller demands of a solver."""
+
+    error_move: Positive = 1e-2
+    failed_steps: Count = 0
+    p99_ms: Positive = 3.0
+    deadline_ms: Positive = 300.0
+
+
+class ClosedLoopTable(FileModel):
+    """Every solver steers the ship itself."""
+
+    scenarios: list[str]
+    units: list[UnitName] = ["scaled"]
+    settings: list[SettingsName] = ["default"]
+    policies: list[PolicyName] = ["fresh"]
+    formulation: FormulationName = "condensed_box"
+    fallback: Literal["shifted_plan", "hold", "clip"] = "shifted_plan"
+    steps: Count = 0
+
+
+class ReplayTable(FileModel):
+    """Identical QPs, recorded along the exactly solved loop, through every solver."""
+
+    scenario: str
+    first: Count = 0
+    steps: Count = 0
+    units: list[UnitName] = ["scaled"]
+    settings: list[SettingsName] = ["default"]
+    policies: list[PolicyName] = ["fresh"]
+    formulation: FormulationName = "condensed_box"
+
+
+class SuiteFile(FileModel):
+    """`problems/suites/*.toml`; 0 steps means all steps."""
+
+    title: str
+    solvers: list[str] = ["all"]
+    contrast: bool = True
+    cell_limit_s: Positive = 5.0
+    rounds: Annotated[int, Field(ge=1)] = 5
+    warmup_steps: Count = 50
+    demand: DemandTable = DemandTable()
+    closed_loop: list[ClosedLoopTable] = []
+    replay: list[ReplayTable] = []
+
+
+def load_suite(name_or_path: str | Path) -> tuple[str, SuiteFile]:
+    """A suite by name or TOML path, with its name; InputError in one line if it is bad."""
+    path = problem_path("suites", name_or_path)
+    return path.stem, read_model(path, SuiteFile)

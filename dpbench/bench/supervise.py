@@ -1,0 +1,129 @@
+"""Start a cell's process, watch its limit, and turn whatever becomes of it into an outcome."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import multiprocessing.forkserver
+import os
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.context import ForkServerContext, ForkServerProcess
+from pathlib import Path
+from typing import Any
+
+from dpbench.bench.machine import THREAD_VARIABLES, pin_threads
+from dpbench.bench.rawlog import RawLog
+
+START_ALLOWANCE_S = 60.0
+"""For importing a library; after it a cell that has not started its loop is killed."""
+GRACE_S = 3.0
+"""Beyond a cell's own limit, for one call that does not return."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a process: `outcome` as in `runs.parquet`, its cause, the solver's form."""
+
+    outcome: str
+    detail: str
+    form: str = ""
+
+
+def template_context() -> ForkServerContext:
+    """The context whose processes are forked from the template (`template.py`), threads pinned."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["dpbench.bench.template"])
+    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+    pin_threads()
+    try:
+        multiprocessing.forkserver.ensure_running()
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+    return context
+
+
+class Child:
+    """One process with a working folder.
+
+    Parameters
+    ----------
+    target, args : called in the process as target(*args); it writes `verdict` before it ends.
+    folder, name : where its raw log, noise and verdict appear.
+    limit_s : own run time allowed once its log says it started; None for none.
+    """
+
+    def __init__(
+        self,
+        context: ForkServerContext,
+        target: Callable[..., None],
+        args: tuple[Any, ...],
+        folder: Path,
+        name: str,
+        *,
+        limit_s: float | None,
+        verdict: str = "json",
+    ) -> None:
+        self.folder, self.name = folder, name
+        self._verdict = folder / f"{name}.{verdict}"
+        self._limit_s = limit_s
+        self._born = time.monotonic()
+        self._running_since: float | None = None
+        self._killed_for = ""
+        self.process: ForkServerProcess = context.Process(target=target, args=args, daemon=True)
+        self.process.start()
+
+    @property
+    def raw_path(self) -> Path:
+        """Its raw log; there is none before it started."""
+        return self.folder / f"{self.name}.raw"
+
+    def overdue(self) -> bool:
+        """Kill the process when a limit has passed; true if it did."""
+        now = time.monotonic()
+        if self._running_since is None and self._has_started():
+            self._running_since = now
+        if self._running_since is None:
+            if now - self._born > START_ALLOWANCE_S:
+                return self.kill(f"did not start within {START_ALLOWANCE_S:g} s")
+        elif self._limit_s is not None and now - self._running_since > self._limit_s + GRACE_S:
+            return self.kill(f"one call ran beyond the limit of {self._limit_s:g} s and was killed")
+        return False
+
+    def kill(self, reason: str) -> bool:
+        """Kill the process for a stated reason."""
+        self._killed_for = reason
+        self.process.kill()
+        self.process.join()
+        return True
+
+    def _has_started(self) -> bool:
+        path = self.raw_path
+        if not path.exists() or not path.with_suffix(".layout").exists():
+            return False
+        return path.stat().st_size > 0 and bool(RawLog.open(path).started[0])
+
+    def outcome(self) -> Outcome:
+        """What became of it, once it ended."""
+        self.process.join()
+        if self._killed_for:
+            return Outcome("timed_out", self._killed_for)
+        code = self.process.exitcode
+        if self._verdict.exists():
+            return Outcome(**json.loads(self._verdict.read_text(encoding="utf-8")))
+        if code is not None and code < 0:
+            return Outcome("crashed", f"killed by {signal.Signals(-code).name}")
+        return Outcome("crashed", f"exit code {code}: {self._last_words()}")
+
+    def _last_words(self) -> str:
+        noise = self.folder / f"{self.name}.noise"
+        if not noise.exists():
+            return "no output"
+        lines = noise.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return lines[-1][:300] if lines else "no output"

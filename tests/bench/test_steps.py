@@ -1,0 +1,86 @@
+"""One step of every installed solver on a recorded sequence, and one step of the closed loop."""
+
+from __future__ import annotations
+
+import time
+import warnings
+
+import pytest
+from pytest_benchmark.fixture import BenchmarkFixture
+
+from dpbench import open_workspace
+from dpbench.bench.exact import ExactLoop, ExactWorkspace, base_problem, sequence_of
+from dpbench.bench.loop import SolverPort, closed_loop
+from dpbench.bench.plan import CONTRAST
+from dpbench.bench.rawlog import RawLog, loop_layout
+from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.qp.solution import Solution, Status
+from dpbench.scenario import Scenario, condense
+from dpbench.solvers.contract import Workspace
+from dpbench.solvers.table import available, solver_names
+
+INSTALLED = [name for name in solver_names() if available(name).ok and name != CONTRAST]
+
+
+@pytest.mark.benchmark(group="update + solve + read, mean over 120 steps of `paper`", min_rounds=3)
+@pytest.mark.parametrize("solver", INSTALLED)
+def test_step(
+    benchmark: BenchmarkFixture, scenario: Scenario, exact: ExactLoop, solver: str
+) -> None:
+    """A whole pass over the sequence; divide by 120 for a step."""
+    sequence = sequence_of(scenario, exact)
+    workspace = open_workspace(solver)
+    workspace.setup(sequence.base)
+    steps = [sequence.step(k) for k in range(len(sequence))]
+
+    def replay() -> None:
+        for step in steps:
+            workspace.update(step)
+            workspace.solve()
+            workspace.read()
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        benchmark(replay)
+
+
+class _Stored(Workspace):
+    """Answers zero at once: what remains is the harness."""
+
+    def __init__(self) -> None:
+        super().__init__("stored", "native", "reuse")
+        self._answer = Solution.missing(1, 1, Status.ERROR)
+
+    def setup(self, qp: QuadraticProgram) -> None:
+        zero = 0.0 * qp.q
+        self._answer = Solution(Status.SOLVED, zero, 0.0 * qp.l, zero, 0)
+
+    def update(self, step: QPStep) -> None:
+        pass
+
+    def solve(self) -> None:
+        pass
+
+    def read(self) -> Solution:
+        return self._answer
+
+
+@pytest.mark.benchmark(group="closed loop, 120 steps")
+@pytest.mark.parametrize("kind", ["harness alone", "certified optimum"])
+def test_closed_loop(benchmark: BenchmarkFixture, scenario: Scenario, kind: str) -> None:
+    """Plant, emit, records and bookkeeping of 120 steps; divide by 120 for a step."""
+    builder = condense(scenario)
+    log = RawLog.in_memory(loop_layout(scenario.steps, builder.n, builder.m, builder.Z.shape[1]))
+    workspace = _Stored() if kind == "harness alone" else ExactWorkspace()
+    port = SolverPort(workspace, "condensed_box", base_problem(builder), time.perf_counter_ns)
+    benchmark(
+        lambda: closed_loop(
+            scenario,
+            builder,
+            port,
+            log,
+            fallback="hold",
+            limit_ns=2**62,
+            clock=time.perf_counter_ns,
+        )
+    )
