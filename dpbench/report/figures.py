@@ -1,0 +1,214 @@
+"""Figures of the benchmark: step times, error against time, units, deviation of the loops."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.colors import LinearSegmentedColormap, LogNorm
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter
+
+from dpbench.report.demand import Demand
+from dpbench.report.formats import as_float, error_text, share_text, significant
+from dpbench.report.labels import label_points
+from dpbench.report.style import (
+    FAMILY_COLOURS,
+    GREY,
+    INK,
+    PALE,
+    colour_of,
+    family_of,
+    log_time,
+    log_x,
+    log_y,
+    new_figure,
+    one_axes,
+    power_label,
+)
+from dpbench.report.tables_accuracy import UnitsMatrix, name_of
+from dpbench.report.tables_timing import Arm
+from dpbench.report.view import Row, is_contrast
+
+EXACT = 1e-15
+"""Errors below it are drawn at it: the optimum itself is not known better."""
+
+
+def step_times(arms: Sequence[Arm], demand: Demand) -> Figure:
+    """Distribution of step times per arm: algorithmic in colour, raw samples in grey."""
+    figure, ax = one_axes(8.2, 1.4 + 0.3 * len(arms))
+    for i, (row, times) in enumerate(arms):
+        colour = colour_of(str(row["solver"]))
+        raw, algo = times.raw_ns / 1e3, times.algo_ns / 1e3
+        low, middle, high = np.percentile(algo, (5, 50, 95))
+        ax.plot([raw.min(), raw.max()], [i, i], color=PALE, lw=5, solid_capstyle="butt", zorder=1)
+        ax.plot([low, high], [i, i], color=colour, lw=5, solid_capstyle="butt", alpha=0.75)
+        ax.plot([algo.min(), algo.max()], [i, i], color=colour, lw=1)
+        ax.plot(middle, i, "o", color="white", mec=colour, ms=5, zorder=4)
+    ax.axvline(demand.p99_ms * 1e3, color=INK, ls="--", lw=0.9)
+    log_time(ax)
+    ax.set_yticks(range(len(arms)), [_arm_name(row) for row, _ in arms])
+    ax.set_ylim(len(arms) - 0.4, -0.6)
+    ax.grid(axis="y", visible=False)
+    ax.set_xlabel("step time [µs]")
+    marks = [
+        Line2D([], [], marker="o", color=GREY, mfc="white", lw=5, label="algorithmic p5-p50-p95"),
+        Line2D([], [], color=GREY, lw=1, label="algorithmic min-max"),
+        Line2D([], [], color=PALE, lw=5, label="raw samples min-max"),
+        Line2D([], [], color=INK, ls="--", lw=0.9, label=f"demand, {demand.p99_ms:g} ms"),
+    ]
+    _legend(figure, [*marks, *_family_patches([str(row["solver"]) for row, _ in arms])])
+    return figure
+
+
+def _arm_name(row: Row) -> str:
+    extra = [
+        str(row[c])
+        for c, usual in (("settings", "default"), ("policy", "fresh"))
+        if row[c] != usual
+    ]
+    return f"{row['solver']} ({', '.join(extra)})" if extra else str(row["solver"])
+
+
+def _family_patches(solvers: Sequence[str]) -> list[Patch]:
+    present = {family_of(solver) for solver in solvers}
+    return [Patch(color=c, label=name) for name, c in FAMILY_COLOURS.items() if name in present]
+
+
+def _legend(figure: Figure, handles: Sequence[Line2D | Patch]) -> None:
+    figure.legend(handles=list(handles), loc="outside lower center", ncols=4)
+
+
+def error_against_time(arms: Sequence[Arm], demand: Demand) -> Figure:
+    """Largest error of the first move against the p95 step time; settings joined per solver."""
+    figure, ax = one_axes(8.2, 6.0)
+    points: dict[str, list[tuple[str, float, float]]] = {}
+    for row, times in arms:
+        error = as_float(row["error_move_max"])
+        if row["policy"] == "fresh" and math.isfinite(error):
+            spot = (float(np.percentile(times.algo_ns, 95)) / 1e3, max(error, EXACT))
+            points.setdefault(str(row["solver"]), []).append((str(row["settings"]), *spot))
+    for solver, found in points.items():
+        found.sort()
+        colour = colour_of(solver)
+        ax.plot([x for _, x, _ in found], [y for _, _, y in found], color=colour, lw=0.9, alpha=0.6)
+        for settings, x, y in found:
+            filled = colour if settings == "default" else "white"
+            ax.plot(x, y, "o", color=colour, mfc=filled, ms=6)
+    ax.axhline(demand.error_move, color=INK, ls="--", lw=0.9)
+    log_time(ax)
+    log_y(ax)
+    ax.margins(0.14, 0.08)
+    ax.set_xlabel("p95 of the algorithmic step time [µs]")
+    ax.set_ylabel("largest error of the first move [rate-limit steps]")
+    shown = [
+        Line2D([], [], marker="o", ls="", color=GREY, label="settings default"),
+        Line2D([], [], marker="o", ls="", color=GREY, mfc="white", label="other settings"),
+        Line2D([], [], color=INK, ls="--", lw=0.9, label=f"demand, {demand.error_move:g}"),
+    ]
+    _legend(figure, [*shown, *_family_patches(list(points))])
+    figure.draw_without_rendering()
+    firsts = {solver: found[0] for solver, found in points.items()}
+    label_points(
+        ax,
+        [(x, y) for _, x, y in firsts.values()],
+        list(firsts),
+        [colour_of(solver) for solver in firsts],
+    )
+    return figure
+
+
+def unanswered(arms: Sequence[Arm]) -> list[str]:
+    """Arms without a finite largest error, which have no place in `error_against_time`."""
+    return [
+        _arm_name(row)
+        for row, _ in arms
+        if row["policy"] == "fresh" and not math.isfinite(as_float(row["error_move_max"]))
+    ]
+
+
+def units_heat_map(matrix: UnitsMatrix) -> Figure:
+    """Largest error of the first move per solver and arm, with the share of true answers."""
+    columns, solvers = matrix.columns, matrix.solvers
+    figure, ax = one_axes(2.0 + 0.95 * len(columns), 1.8 + 0.3 * len(solvers))
+    error = np.full((len(solvers), len(columns)), np.nan)
+    for i, solver in enumerate(solvers):
+        for j, column in enumerate(columns):
+            cell = matrix.cells.get((solver, column))
+            if cell is None or cell.steps == 0:
+                ax.text(j, i, "not run", ha="center", va="center", fontsize=7, color=GREY)
+                continue
+            found = 10.0 if math.isinf(cell.error_move) else cell.error_move
+            error[i, j] = np.clip(found, 1e-12, 10.0)
+            dark = error[i, j] > 3e-2
+            ax.text(
+                j,
+                i,
+                f"{error_text(cell.error_move)}\n{share_text(cell.true_share)}",
+                ha="center",
+                va="center",
+                fontsize=6.5,
+                linespacing=0.95,
+                color="white" if dark else INK,
+            )
+    ramp = LinearSegmentedColormap.from_list(
+        "error", ["#F3F7FA", "#BBD5E8", "#FDD49E", "#EF6548", "#7F0000"]
+    )
+    image = ax.imshow(error, aspect="auto", cmap=ramp, norm=LogNorm(1e-12, 10.0))
+    ax.set_xticks(range(len(columns)), [f"{s}\n{u}\n{a}" for s, u, a in columns])
+    ax.set_yticks(range(len(solvers)), solvers)
+    ax.xaxis.tick_top()
+    ax.tick_params(length=0)
+    ax.grid(visible=False)
+    ax.spines[:].set_visible(False)
+    bar = figure.colorbar(image, ax=ax, shrink=0.8, pad=0.02, format=FuncFormatter(power_label))
+    bar.set_label("largest error of the first move [rate-limit steps]")
+    bar.outline.set_visible(False)
+    return figure
+
+
+def deviations(loops: Mapping[str, Sequence[Row]]) -> Figure:
+    """Largest deviation of position from the exactly solved loop, per solver and scenario."""
+    names = list(dict.fromkeys(name_of(row) for rows in loops.values() for row in rows))
+    worst = {
+        name: max(
+            as_float(row["dev_position_max_m"])
+            for rows in loops.values()
+            for row in rows
+            if name_of(row) == name
+        )
+        for name in names
+    }
+    contrast = {name_of(r) for rows in loops.values() for r in rows if is_contrast(r)}
+    names.sort(key=lambda name: (name in contrast, worst[name]))
+    figure = new_figure(8.2, 1.3 + 0.24 * len(names))
+    axes = figure.subplots(1, len(loops), sharey=True, sharex=True, squeeze=False)[0]
+    for ax, (scenario, rows) in zip(axes, loops.items(), strict=True):
+        for row in rows:
+            y = names.index(name_of(row))
+            value = max(as_float(row["dev_position_max_m"]), EXACT)
+            colour = GREY if is_contrast(row) else colour_of(str(row["solver"]))
+            ax.barh(y, value, left=0, height=0.62, color=colour, alpha=0.85)
+            cut = as_float(row["steps_done"]) < as_float(row["steps_planned"])
+            if cut:
+                ax.text(
+                    value,
+                    y,
+                    f" {significant(as_float(row['steps_done']))} steps",
+                    va="center",
+                    fontsize=6.5,
+                )
+        ax.set_title(scenario)
+        log_x(ax)
+        ax.set_xlim(EXACT / 3, 100)
+        ax.set_xlabel("deviation [m]")
+        ax.grid(axis="y", visible=False)
+    axes[0].set_yticks(
+        range(len(names)), [f"{n} (contrast)" if n in contrast else n for n in names]
+    )
+    axes[0].set_ylim(len(names) - 0.4, -0.6)
+    _legend(figure, _family_patches([n for n in names if n not in contrast]))
+    return figure

@@ -1,0 +1,103 @@
+"""Write numbers the way the report prints them: significant digits, units, no made-up values."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+MISSING = "–"
+"""Stands where there is no number."""
+NO_ANSWER = "no answer"
+"""Stands for an infinite error: a step without any answer."""
+
+
+def time_text(nanoseconds: float) -> str:
+    """A duration in the unit that suits it, three significant digits."""
+    if not math.isfinite(nanoseconds):
+        return MISSING
+    for factor, unit in ((1e3, "ns"), (1e6, "µs"), (1e9, "ms")):
+        if abs(nanoseconds) < 0.9995 * factor:
+            return f"{significant(nanoseconds / (factor / 1e3))} {unit}"
+    return f"{significant(nanoseconds / 1e9)} s"
+
+
+def micro_text(nanoseconds: float) -> str:
+    """A duration in µs without the unit, three significant digits, for a column of a table."""
+    return significant(nanoseconds / 1e3) if math.isfinite(nanoseconds) else MISSING
+
+
+def significant(value: float, digits: int = 3) -> str:
+    """`value` with so many significant digits and no exponent within 1e-4..1e7."""
+    if not math.isfinite(value):
+        return MISSING
+    if value == 0.0:
+        return "0"
+    rounded = float(f"{value:.{digits - 1}e}")
+    exponent = math.floor(math.log10(abs(rounded)))
+    if not -4 <= exponent < 7:
+        return f"{value:.{digits - 1}e}"
+    decimals = max(0, digits - 1 - exponent)
+    text = f"{rounded:.{decimals}f}"
+    return text if abs(rounded) < 1e5 else f"{rounded:,.0f}".replace(",", "\u202f")
+
+
+def error_text(value: float) -> str:
+    """An error: two significant digits, `no answer` when infinite."""
+    if math.isnan(value):
+        return MISSING
+    if math.isinf(value):
+        return NO_ANSWER
+    if value == 0.0:
+        return "0"
+    return f"{value:.1e}" if not 1e-2 <= abs(value) < 1e3 else significant(value, 2)
+
+
+def share_text(share: float) -> str:
+    """A share in percent; 100 % and 0 % are printed only when they are exact."""
+    if not math.isfinite(share):
+        return MISSING
+    percent = 100.0 * share
+    if percent in (0.0, 100.0):
+        return f"{percent:.0f} %"
+    return f"{min(max(percent, 0.1), 99.9):.1f} %"
+
+
+def count_text(value: object) -> str:
+    """A count with thin spaces between thousands; a missing one is a dash."""
+    number = as_float(value)
+    return f"{number:,.0f}".replace(",", "\u202f") if math.isfinite(number) else MISSING
+
+
+def plural(count: float, word: str) -> str:
+    """`1 step`, `2 steps`."""
+    return f"{count_text(count)} {word}" if count == 1 else f"{count_text(count)} {word}s"
+
+
+def seconds_text(value: float) -> str:
+    """A settling time; an infinite one never settled."""
+    if math.isnan(value):
+        return MISSING
+    return "never" if math.isinf(value) else f"{value:.1f}"
+
+
+def interval_text(low: float, high: float, scale: float = 1.0) -> str:
+    """An interval in brackets."""
+    if not (math.isfinite(low) and math.isfinite(high)):
+        return MISSING
+    return f"[{significant(low / scale)}, {significant(high / scale)}]"
+
+
+def and_list(words: list[str]) -> str:
+    """`a`, `a and b`, `a, b and c`."""
+    if len(words) < 2:
+        return "".join(words)
+    return f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def as_float(value: object) -> float:
+    """A number out of a table; a missing one (None, pd.NA, NaN) is NaN."""
+    try:
+        return float(value)  # type: ignore[arg-type] # any cell of a table; what fails is missing
+    except (TypeError, ValueError):
+        return float(np.nan)

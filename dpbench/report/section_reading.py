@@ -1,0 +1,60 @@
+"""The last section: definitions, and the traps of reading a solver benchmark."""
+
+from __future__ import annotations
+
+from dpbench.report.blocks import Bullets, Paragraph, Section
+from dpbench.report.statistics import BLOCK_STEPS, RESAMPLES
+
+DEFINITIONS = (
+    "**error_move** is the largest distance, over the three axes, of the first move to the "
+    "certified optimum of the *same* QP, as a fraction of the step the rate limit allows; "
+    "**error_plan** is the same over all moves. A step without an answer has an infinite error.",
+    "**claimed**: the solver says solved. **true**: in scaled units primal ≤ 1e-3, dual ≤ "
+    "1e-3·(1 + ‖q‖∞) and error_plan ≤ 1e-2. A solver never grades itself.",
+    "**certified bound**: how far the referee's own optimum may be from the true one, at most.",
+    "**failed step**: there was no usable answer and the fallback acted, or an iterate was "
+    "applied that the solver itself calls unfinished.",
+    "**algorithmic time**: per step the minimum over the replay rounds, of set-up + update + "
+    "solve + read. Its percentiles run over steps and tell hard steps from easy ones.",
+    "**raw time**: all samples of all rounds, pooled. Its tail is the machine's jitter as much "
+    "as the solver's.",
+    "**route**: `native` calls the solver's own library; `qpsolvers` goes through that wrapper, "
+    "whose conversions are part of the solve and cannot be split further. Arms on different "
+    "routes differ by the wrapper too.",
+    "**policy**: `fresh` sets up from nothing in every step; `reuse` keeps factorisation and "
+    "memory; `warm` keeps the previous answer as well.",
+    "**settings**: `default` is what the library ships; `high` asks for tight tolerances. Where "
+    "settings have no effect, one run is shown under both names.",
+    "**slow-down**: the deadline over the largest algorithmic step time; a computer slower by "
+    "more than that would miss a step.",
+)
+TRAPS = (
+    "An interval here covers which steps were drawn, not another day on the same machine; a "
+    "ratio near 1 between two solvers may turn on another machine.",
+    "A percentile is printed only with ten samples beyond it: p99 takes 1000 steps, p99.9 takes "
+    "10 000 samples.",
+    "A table of closed loops compares controllers, not solvers on equal problems: each solver "
+    "sees the QPs of its own ship.",
+    "A small residual is no small error: on a flat cost a wrong answer passes every residual "
+    "test, which is why the error is measured against the optimum itself.",
+    "A cell that was stopped early is judged on the steps it did, which are not the same steps "
+    "as its neighbours'.",
+)
+
+
+def reading_section() -> Section:
+    """How to read this report."""
+    return Section(
+        "reading",
+        "How to read this report",
+        [
+            Bullets(DEFINITIONS),
+            Paragraph(
+                f"Bootstrap intervals draw blocks of {BLOCK_STEPS} consecutive steps, as "
+                f"neighbouring steps resemble each other ({RESAMPLES} resamples for "
+                f"percentiles, {4 * RESAMPLES} for paired ratios; fixed seed)."
+            ),
+            Paragraph("Traps:"),
+            Bullets(TRAPS),
+        ],
+    )

@@ -1,0 +1,140 @@
+"""The sections on the ship: figures of the paper, control tables, what is reproduced."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from matplotlib.figure import Figure
+
+from dpbench.report.blocks import (
+    Block,
+    Bullets,
+    Paragraph,
+    Picture,
+    Section,
+    Tabular,
+    missing,
+)
+from dpbench.report.demand import Demand
+from dpbench.report.figures import deviations
+from dpbench.report.figures_paper import (
+    Law,
+    forces,
+    increments,
+    laws_of,
+    precision,
+    trajectory,
+)
+from dpbench.report.formats import and_list, plural
+from dpbench.report.reproduced import (
+    DESIGN_LIMITS,
+    MISPRINTS,
+    Claim,
+    choices,
+    claims,
+)
+from dpbench.report.sections_time import timing_pictures
+from dpbench.report.table import Cell, Mark, Table, row_of
+from dpbench.report.tables_control import control_tables
+from dpbench.report.view import View, has_steps
+from dpbench.scenario import Scenario
+
+Draw = Callable[[Sequence[Law], Scenario], Figure]
+
+FIGURES: dict[str, tuple[tuple[str, str, Draw], ...]] = {
+    "paper": (
+        ("fig4", "Figure 4 of the paper: trajectory", trajectory),
+        ("fig5", "Figure 5 of the paper: precision", precision),
+        ("fig6", "Figure 6 of the paper: control forces", forces),
+        ("fig7", "Figure 7 of the paper: increments of the control forces", increments),
+    ),
+    "paper_tight": (
+        ("tight_fig4", "Figure 4 with R × 0.7", trajectory),
+        ("tight_fig5", "Figure 5 with R × 0.7", precision),
+    ),
+}
+
+
+def figures_section(view: View, demand: Demand) -> Section:
+    """The figures of the paper, the step times, the deviations."""
+    section = Section("figures", "Figures")
+    for name, figures in FIGURES.items():
+        section.add(*_paper_pictures(view, name, figures))
+    section.add(*timing_pictures(view, demand))
+    loops = {s: [r for r in view.full_loops(s) if has_steps(r)] for s in view.scenarios}
+    loops = {scenario: rows for scenario, rows in loops.items() if rows}
+    if loops:
+        section.add(
+            Picture(
+                "deviation",
+                "Deviation of each closed loop from the exactly solved one",
+                "Full length, scaled units, settings default. A number of steps beside a bar "
+                "marks a run that was stopped early.",
+                deviations(loops),
+            )
+        )
+    return section
+
+
+def _paper_pictures(view: View, name: str, figures: Sequence[tuple[str, str, Draw]]) -> list[Block]:
+    scenario, laws = view.scenario(name), laws_of(view, name)
+    if scenario is None or not laws:
+        return [missing(f"no complete closed loop of `{name}`, so its figures are not drawn.")]
+    steps = max(len(law.steps) for law in laws)
+    shown = and_list([law.label for law in laws])
+    caption = f"Scenario `{name}`, {plural(steps, 'step')} of {scenario.sample_s:g} s: {shown}."
+    return [Picture(key, title, caption, draw(laws, scenario)) for key, title, draw in figures]
+
+
+def control_section(view: View) -> Section:
+    """What every solver's own closed loop did to the ship."""
+    section = Section("control", "Control")
+    tables = [table for name in view.scenarios for table in control_tables(view, name)]
+    section.add(*(Tabular(table) for table in tables))
+    if not tables:
+        section.add(missing("no full-length closed loop left a step."))
+    return section
+
+
+def reproduced_section(view: View) -> Section:
+    """What of the paper is reproduced and what is not."""
+    section = Section("paper", "The paper, reproduced")
+    found = claims(view)
+    done = sum(claim.state == "reproduced" for claim in found)
+    failed = sum(claim.state == "not reproduced" for claim in found)
+    section.add(
+        Paragraph(
+            f"Of {plural(len(found), 'claim')} {done} are reproduced, {failed} are not, "
+            f"{len(found) - done - failed} were not measured. Constrained means the complete "
+            "closed loop that follows the exactly solved one most closely."
+        ),
+        Tabular(_claims_table(found)),
+    )
+    chosen = choices(view)
+    if chosen:
+        section.add(
+            Paragraph("The paper leaves open what `paper` had to choose:"),
+            Bullets(tuple(f"**{what}**: {choice}." for what, choice in chosen)),
+        )
+    section.add(
+        Paragraph(DESIGN_LIMITS),
+        Paragraph("Misprints to mind when reading it:"),
+        Bullets(MISPRINTS),
+    )
+    return section
+
+
+def _claims_table(found: Sequence[Claim]) -> Table:
+    marks: dict[str, Mark] = {
+        "reproduced": "good",
+        "not reproduced": "bad",
+        "not measured": "quiet",
+    }
+    return Table(
+        title="Claims of the paper",
+        note="Section IV and Figures 4-7 of Xia, Liu, Pang & Xue, against the closed loops of "
+        "this report. The paper prints no numbers for these claims.",
+        heads=("claim", "", "what the rows say"),
+        rows=tuple(row_of(c.claim, Cell(c.state, marks[c.state]), c.found) for c in found),
+        text_columns=3,
+    )

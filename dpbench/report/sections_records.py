@@ -1,0 +1,136 @@
+"""The sections on what was run, on accuracy and on units."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dpbench.report.blocks import Block, Bullets, Paragraph, Picture, Section, Tabular, missing
+from dpbench.report.demand import Demand
+from dpbench.report.figures import units_heat_map
+from dpbench.report.formats import and_list, as_float, count_text, plural, significant
+from dpbench.report.tables_accuracy import accuracy_table, units_matrix, units_table
+from dpbench.report.tables_runs import experiments_table, population_table, unfinished_table
+from dpbench.report.view import View
+
+
+def runs_section(view: View) -> Section:
+    """What was run, on what machine, and what did not finish."""
+    section = Section("runs", "What was run")
+    if not view.runs:
+        section.add(missing("the results hold no cell."))
+        return section
+    ended = sum(row["outcome"] == "finished" for row in view.runs)
+    section.add(
+        Paragraph(
+            f"{plural(len(view.runs), 'cell')} with {plural(len(view.solvers), 'solver')} in "
+            f"{and_list([f'`{s}`' for s in view.scenarios])}; {count_text(ended)} finished. "
+            f"{_effort(view)}"
+        ),
+        Bullets(tuple(machine_lines(view.machine))),
+        Tabular(population_table(view)),
+        Tabular(experiments_table(view)),
+    )
+    unfinished = unfinished_table(view)
+    if unfinished is None:
+        section.add(Paragraph("Every cell finished."))
+    else:
+        section.add(Tabular(unfinished))
+    return section
+
+
+def _effort(view: View) -> str:
+    suite = view.suite
+    words = []
+    if "rounds" in suite:
+        words.append(f"each replay has {plural(as_float(suite['rounds']), 'round')}")
+    if "warmup_steps" in suite:
+        words.append(f"a warm-up of {plural(as_float(suite['warmup_steps']), 'step')}")
+    if "cell_limit_s" in suite:
+        words.append(f"a cell stops after {significant(as_float(suite['cell_limit_s']))} s")
+    spoilt = [as_float(row["spoilt_rounds"]) for row in view.select(mode="replay")]
+    count = sum(value for value in spoilt if value > 0)
+    words.append(f"{plural(count, 'round')} marked as spoilt by a slow machine")
+    text = "; ".join(words)
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def machine_lines(machine: dict[str, Any]) -> list[str]:
+    """The machine in sentences, with the verdict on what it hides."""
+
+    def of(key: str) -> str:
+        return str(machine.get(key, "not recorded"))
+
+    lines = [
+        f"Processor {of('cpu_model')}, {of('cores')} cores, {of('memory_GiB')} GiB memory; "
+        f"{of('kernel')}, {of('python')}; one thread for every numerical library "
+        f"({of('blas_threads')}).",
+        f"Reading the clock costs {of('clock_read_ns')} ns; its resolution is "
+        f"{of('timer_resolution_ns')} ns.",
+    ]
+    if machine.get("governor", "not visible") == "not visible":
+        lines.append(
+            "The frequency governor is not visible (as in most virtual machines), so frequency "
+            "changes cannot be ruled out; the minimum over rounds and the reference kernel "
+            "between rounds guard against them."
+        )
+    else:
+        lines.append(f"Frequency governor: {of('governor')}.")
+    versions = machine.get("versions", {})
+    if versions:
+        lines.append(
+            "Versions: " + ", ".join(f"{k} {v}" for k, v in sorted(versions.items())) + "."
+        )
+    return lines
+
+
+def accuracy_section(view: View, demand: Demand) -> Section:
+    """How right the answers are in the full-length closed loops."""
+    section = Section("accuracy", "Accuracy")
+    section.add(
+        Paragraph(
+            "*Claimed* is what the solver says, *true* what the referee finds: feasible and "
+            "stationary to 1e-3 and the whole plan within 1e-2 of a rate-limit step of the "
+            "certified optimum. The two are counted apart."
+        )
+    )
+    tables = [accuracy_table(view, name, demand) for name in view.scenarios]
+    found: list[Block] = [Tabular(table) for table in tables if table is not None]
+    section.add(*(found or [missing("no full-length closed loop left a step.")]))
+    return section
+
+
+def units_section(view: View) -> Section:
+    """What raw SI units do to each solver."""
+    section = Section("units", "Units and settings")
+    matrix = units_matrix(view)
+    if matrix is None:
+        section.add(missing("no closed loop was run in SI units."))
+        return section
+    raw = [c for c in matrix.columns if c[1:] == ("si", "default")]
+    right = [
+        solver
+        for solver in matrix.solvers
+        if raw
+        and all(
+            (cell := matrix.cells.get((solver, c))) is not None and cell.true_share == 1.0
+            for c in raw
+        )
+    ]
+    section.add(
+        Paragraph(
+            f"In raw SI units (N, N·m) with default settings "
+            f"{plural(len(right), 'solver')} of {len(matrix.solvers)} still "
+            f"{'gives' if len(right) == 1 else 'give'} a true answer on every step"
+            f"{': ' + and_list(sorted(right)) if right else ''}. The same problem scaled by the "
+            "limits is the default everywhere else in this report."
+        ),
+        Picture(
+            "units",
+            "Largest error of the first move by units and settings",
+            "First number: largest error_move of the steps reached; second: share of steps with "
+            "a true answer. Errors below 1e-12 and above 10 share the end colours.",
+            units_heat_map(matrix),
+        ),
+        Tabular(units_table(matrix)),
+    )
+    return section

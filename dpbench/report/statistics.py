@@ -1,0 +1,107 @@
+"""Statistics of step times: percentiles that refuse thin data, bootstrap intervals, paired ratios.
+
+Steps follow each other in time and so do their active sets; resamples are therefore drawn in
+blocks of consecutive steps (circular block bootstrap: Politis & Romano 1992), not step by step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+BEYOND = 10
+"""So many samples have to lie beyond a percentile before it is printed."""
+BLOCK_STEPS = 20
+"""Length of a bootstrap block: 6 s of the ship, longer than the control horizon of 1.5 or 3 s."""
+RESAMPLES = 500
+CONFIDENCE = 0.95
+SEED = 20_240_917
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate with its bootstrap interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def spans(self, number: float) -> bool:
+        """Whether the interval holds `number`; an undefined one holds every number."""
+        return not (self.low > number or self.high < number)
+
+
+UNKNOWN = Interval(np.nan, np.nan, np.nan)
+
+
+def supports(samples: int, percent: float) -> bool:
+    """Whether `samples` are enough for a percentile: at least `BEYOND` lie beyond it."""
+    return samples * (100.0 - percent) / 100.0 >= BEYOND - 1e-9
+
+
+def percentile(values: Floats, percent: float) -> float:
+    """The percentile, or NaN when the samples do not support it."""
+    if not supports(len(values), percent):
+        return float(np.nan)
+    return float(np.percentile(values, percent))
+
+
+def percentile_interval(
+    values: Floats,
+    percent: float,
+    *,
+    block: int = BLOCK_STEPS,
+    resamples: int = RESAMPLES,
+    confidence: float = CONFIDENCE,
+    seed: int = SEED,
+) -> Interval:
+    """A percentile over steps with its interval, unknown when the steps do not support it."""
+    if not supports(len(values), percent):
+        return UNKNOWN
+    draws = _block_indices(len(values), block, resamples, seed)
+    found = np.percentile(values[draws], percent, axis=1)
+    low, high = np.quantile(found, _tails(confidence))
+    return Interval(float(np.percentile(values, percent)), float(low), float(high))
+
+
+def paired_ratio(
+    slower: Floats,
+    faster: Floats,
+    *,
+    comparisons: int = 1,
+    block: int = BLOCK_STEPS,
+    resamples: int = 4 * RESAMPLES,
+    confidence: float = CONFIDENCE,
+    seed: int = SEED,
+) -> Interval:
+    """Geometric mean over steps of slower/faster, with its interval.
+
+    Parameters
+    ----------
+    slower, faster : (K,) times of the same steps.
+    comparisons : how many such intervals are to hold together (Bonferroni).
+    """
+    if len(slower) == 0:
+        return UNKNOWN
+    logs = np.log(slower / faster)
+    draws = _block_indices(len(logs), block, resamples, seed)
+    tails = _tails(1.0 - (1.0 - confidence) / comparisons)
+    low, high = np.quantile(logs[draws].mean(axis=1), tails)
+    return Interval(float(np.exp(logs.mean())), float(np.exp(low)), float(np.exp(high)))
+
+
+def _tails(confidence: float) -> tuple[float, float]:
+    return (1.0 - confidence) / 2.0, (1.0 + confidence) / 2.0
+
+
+def _block_indices(count: int, block: int, resamples: int, seed: int) -> NDArray[np.intp]:
+    """(resamples, count) indices in circular blocks of consecutive steps."""
+    block = max(1, min(block, count))
+    blocks = -(-count // block)
+    starts = np.random.default_rng(seed).integers(0, count, size=(resamples, blocks, 1))
+    drawn = (starts + np.arange(block)) % count
+    return drawn.reshape(resamples, blocks * block)[:, :count]

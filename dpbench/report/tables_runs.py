@@ -1,0 +1,149 @@
+"""Tables of what was run: the population, and the cells that did not finish with the reasons."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+from dpbench.report.formats import MISSING, count_text, plural
+from dpbench.report.table import Cell, Mark, Table, row_of
+from dpbench.report.view import Row, View
+
+TINTS: dict[str, Mark] = {
+    "finished": "",
+    "timed_out": "bad",
+    "crashed": "bad",
+    "refused": "warn",
+    "invalid": "bad",
+}
+OUTCOMES = tuple(TINTS)
+
+
+def population_table(view: View) -> Table:
+    """One row per solver: version, route, and how its cells ended."""
+    rows = []
+    for solver in dict.fromkeys(str(row["solver"]) for row in view.runs):
+        mine = view.select(solver=solver)
+        ended = Counter(str(row["outcome"]) for row in mine)
+        steps = sum(len(view.steps(row)) for row in mine)
+        rows.append(
+            row_of(
+                solver,
+                str(mine[0]["solver_version"]) or MISSING,
+                ", ".join(sorted({str(row["route"]) for row in mine})),
+                _forms(mine),
+                count_text(len(mine)),
+                *(
+                    Cell(count_text(ended[name]), TINTS[name] if ended[name] else "")
+                    for name in OUTCOMES
+                ),
+                count_text(steps),
+            )
+        )
+    return Table(
+        title="Solvers",
+        note=f"{plural(len(view.runs), 'cell')}; a cell is one solver in one arm of an experiment. "
+        "Form: what the library was given. Recorded steps include warm-up rounds.",
+        heads=(
+            "solver",
+            "version",
+            "route",
+            "form",
+            "cells",
+            "finished",
+            "timed out",
+            "crashed",
+            "refused",
+            "invalid",
+            "recorded steps",
+        ),
+        rows=tuple(rows),
+        text_columns=4,
+    )
+
+
+def _forms(rows: Sequence[Row]) -> str:
+    return ", ".join(sorted({str(row["form"]) for row in rows if row["form"]})) or MISSING
+
+
+def experiments_table(view: View) -> Table:
+    """One row per experiment: mode, problem, units, settings, policy, and its counts."""
+    groups: dict[tuple[str, ...], list[Row]] = {}
+    names = ("mode", "scenario", "sequence", "units", "settings", "policy", "formulation")
+    for row in view.runs:
+        groups.setdefault(tuple(str(row[name]) for name in names), []).append(row)
+    rows = []
+    for key, mine in groups.items():
+        mode, scenario, sequence, units, settings, policy, formulation = key
+        rows.append(
+            row_of(
+                mode.replace("_", " "),
+                f"`{sequence or scenario}`",
+                units,
+                settings,
+                policy,
+                formulation.replace("_", " "),
+                count_text(max(row["steps_planned"] for row in mine)),
+                count_text(len(mine)),
+                count_text(sum(row["outcome"] == "finished" for row in mine)),
+            )
+        )
+    return Table(
+        title="Experiments",
+        note="Closed loop: every solver steers its own ship. Replay: identical QPs, recorded along "
+        "the exactly solved loop, through every solver.",
+        heads=(
+            "mode",
+            "problem",
+            "units",
+            "settings",
+            "policy",
+            "formulation",
+            "steps",
+            "cells",
+            "finished",
+        ),
+        rows=tuple(rows),
+        text_columns=6,
+        folded=True,
+    )
+
+
+def unfinished_table(view: View) -> Table | None:
+    """Every cell that did not finish, equal reasons together; None when all finished."""
+    groups: dict[tuple[str, str, str], list[Row]] = {}
+    for row in view.runs:
+        if row["outcome"] != "finished":
+            reason = str(row["outcome_detail"]) or "no reason was recorded"
+            groups.setdefault((str(row["solver"]), str(row["outcome"]), reason), []).append(row)
+    if not groups:
+        return None
+    rows = [
+        row_of(
+            solver,
+            Cell(outcome.replace("_", " "), TINTS[outcome]),
+            count_text(len(mine)),
+            _where(mine),
+            reason,
+        )
+        for (solver, outcome, reason), mine in sorted(groups.items())
+    ]
+    return Table(
+        title="Cells that did not finish",
+        note=f"{plural(sum(map(len, groups.values())), 'cell')} of {len(view.runs)}; the reasons "
+        "are the library's or the harness's own words.",
+        heads=("solver", "outcome", "cells", "where", "reason"),
+        rows=tuple(rows),
+        text_columns=5,
+        folded=True,
+    )
+
+
+def _where(rows: Sequence[Row]) -> str:
+    if len(rows) > 4:
+        modes = Counter(str(row["mode"]).replace("_", " ") for row in rows)
+        return ", ".join(f"{count} × {mode}" for mode, count in modes.items())
+    return "; ".join(
+        f"{row['sequence'] or row['scenario']} ({row['units']}, {row['settings']}, {row['policy']})"
+        for row in rows
+    )

@@ -1,0 +1,238 @@
+"""Tables of step times, from replays alone: closed-loop times never enter a ranking."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from dpbench.report.demand import Demand
+from dpbench.report.formats import (
+    MISSING,
+    as_float,
+    count_text,
+    interval_text,
+    micro_text,
+    plural,
+    significant,
+)
+from dpbench.report.ranking import paired
+from dpbench.report.statistics import paired_ratio, percentile, percentile_interval, supports
+from dpbench.report.table import Cell, Table, row_of
+from dpbench.report.tables_accuracy import settings_without_effect
+from dpbench.report.view import Row, StepTimes, View
+
+Arm = tuple[Row, StepTimes]
+
+
+def timed_arms(view: View, sequence: str) -> list[Arm]:
+    """Replayed arms of a sequence with their step times, fastest median first."""
+    arms = [(row, view.times(row)) for row in view.replays(sequence)]
+    timed = [(row, times) for row, times in arms if times is not None]
+    return sorted(timed, key=lambda arm: float(np.median(arm[1].algo_ns)))
+
+
+def is_right(row: Row, demand: Demand) -> bool:
+    """Whether the arm's answers meet the demand on every replayed step."""
+    return (
+        row["outcome"] == "finished"
+        and as_float(row["error_move_max"]) <= demand.error_move
+        and as_float(row["failed_steps"]) <= demand.failed_steps
+    )
+
+
+def timing_table(view: View, sequence: str, demand: Demand) -> Table | None:
+    """The algorithmic step times of one sequence; None when nothing was replayed."""
+    arms = timed_arms(view, sequence)
+    if not arms:
+        return None
+    right = [arm for arm in arms if is_right(arm[0], demand)]
+    best = (right or arms)[0]
+    return Table(
+        title=f"Step times in the replay of `{sequence}`",
+        note=(
+            f"{_population(view, arms)} Algorithmic time: per step the minimum over the rounds "
+            f"(set-up + update + solve + read). Intervals: 95 %, block bootstrap over steps. "
+            f"Against best: geometric mean of paired ratios to {_label(best[0])}, the fastest "
+            f"median among the arms whose answers meet the demand, its interval holding for "
+            f"all {plural(len(arms) - 1, 'comparison')} together. {_refused_percentile(arms)}"
+        ),
+        heads=(
+            "solver",
+            "settings",
+            "policy",
+            "route",
+            "answers meet the demand",
+            "p50 [µs]",
+            "p50 95 %",
+            "p95 [µs]",
+            "p99 [µs]",
+            "p99 95 %",
+            "max [µs]",
+            "against best",
+            "interval",
+            "steps",
+        ),
+        rows=tuple(_timing_row(arm, best, len(arms) - 1, demand) for arm in arms),
+        text_columns=5,
+    )
+
+
+def jitter_table(view: View, sequence: str) -> Table | None:
+    """Raw samples, phases and iterations of one sequence; None when nothing was replayed."""
+    arms = timed_arms(view, sequence)
+    if not arms:
+        return None
+    return Table(
+        title=f"Raw samples and phases in the replay of `{sequence}`",
+        note=(
+            f"{_population(view, arms)} Raw: all samples pooled, the machine's jitter included. "
+            "Phases: median over all samples; on route qpsolvers the solve holds the wrapper "
+            "and cannot be split further. Set-up: part of every step under policy fresh on "
+            "route native, else done once before the first step. A percentile without ten "
+            "samples beyond it is not printed."
+        ),
+        heads=(
+            "solver",
+            "settings",
+            "policy",
+            "raw p50 [µs]",
+            "raw p99 [µs]",
+            "raw p99.9 [µs]",
+            "raw max [µs]",
+            "set-up [µs]",
+            "update [µs]",
+            "solve [µs]",
+            "read [µs]",
+            "iterations p50",
+            "iterations max",
+            "samples",
+        ),
+        rows=tuple(_jitter_row(arm) for arm in arms),
+        text_columns=3,
+        folded=True,
+    )
+
+
+def gain_table(view: View, sequence: str) -> Table | None:
+    """What keeping the workspace or the last answer gains; None without such arms."""
+    arms = timed_arms(view, sequence)
+    fresh = {(r["solver"], r["settings"]): t for r, t in arms if r["policy"] == "fresh"}
+    rows = []
+    for row, times in arms:
+        before = fresh.get((row["solver"], row["settings"]))
+        if row["policy"] != "fresh" and before is not None:
+            rows.append(_gain_row(row, times, before))
+    if not rows:
+        return None
+    return Table(
+        title=f"What a kept workspace gains in the replay of `{sequence}`",
+        note=(
+            "Fresh time over this policy's time, geometric mean of paired ratios per step, above "
+            "1 is a gain; 95 % interval, block bootstrap over steps. Where the interval holds 1 "
+            f"the policy measurably makes no difference. {plural(len(rows), 'arm')}."
+        ),
+        heads=("solver", "settings", "policy", "", "fresh / policy", "interval", "steps"),
+        rows=tuple(rows),
+        text_columns=4,
+        folded=True,
+    )
+
+
+def _gain_row(row: Row, times: StepTimes, fresh: StepTimes) -> tuple[Cell, ...]:
+    slow, fast = paired(fresh, times)
+    found = paired_ratio(slow, fast)
+    if found.spans(1.0):
+        verdict = Cell("no difference", "quiet")
+    else:
+        verdict = Cell("gain", "good") if found.value > 1.0 else Cell("loss", "bad")
+    return row_of(
+        str(row["solver"]),
+        str(row["settings"]),
+        str(row["policy"]),
+        verdict,
+        significant(found.value),
+        interval_text(found.low, found.high),
+        count_text(len(slow)),
+    )
+
+
+def _population(view: View, arms: Sequence[Arm]) -> str:
+    most = max(len(times.algo_ns) for _, times in arms)
+    rounds = max(times.rounds for _, times in arms)
+    same = settings_without_effect([row for row, _ in arms])
+    shown = (
+        f" Settings have no effect on {', '.join(same)}: one run under both names." if same else ""
+    )
+    cpu = view.machine.get("cpu_model", "an unnamed CPU")
+    return (
+        f"Replay of identical QPs in scaled units, {plural(most, 'step')} × "
+        f"{plural(rounds, 'round')}, {plural(len(arms), 'arm')}, {cpu}.{shown}"
+    )
+
+
+def _refused_percentile(arms: Sequence[Arm]) -> str:
+    most = max(len(times.algo_ns) for _, times in arms)
+    if supports(most, 99):
+        return ""
+    return f"{plural(most, 'step')} do not support a p99 (it takes 1000), so none is printed."
+
+
+def _label(row: Row) -> str:
+    return f"{row['solver']} ({row['settings']}, {row['policy']})"
+
+
+def _timing_row(arm: Arm, best: Arm, comparisons: int, demand: Demand) -> tuple[Cell, ...]:
+    row, times = arm
+    algo = times.algo_ns
+    middle = percentile_interval(algo, 50)
+    far = percentile_interval(algo, 99)
+    right = is_right(row, demand)
+    if arm is best:
+        ratio = row_of("1", "best")
+    else:
+        slow, fast = paired(times, best[1])
+        found = paired_ratio(slow, fast, comparisons=max(1, comparisons))
+        ratio = row_of(significant(found.value), interval_text(found.low, found.high))
+    early = as_float(row["steps_planned"]) > len(algo)
+    return row_of(
+        str(row["solver"]),
+        str(row["settings"]),
+        str(row["policy"]),
+        str(row["route"]),
+        Cell("yes" if right else "no", "good" if right else "bad"),
+        micro_text(middle.value),
+        interval_text(middle.low, middle.high, 1e3),
+        micro_text(percentile(algo, 95)),
+        Cell(micro_text(far.value), "bad" if far.value > demand.p99_ns else ""),
+        interval_text(far.low, far.high, 1e3),
+        micro_text(float(algo.max())),
+        *ratio,
+        Cell(count_text(len(algo)), "bad" if early else ""),
+    )
+
+
+def _jitter_row(arm: Arm) -> tuple[Cell, ...]:
+    row, times = arm
+    raw = times.raw_ns
+    phases = dict(times.phase_ns)
+    if math.isnan(phases["setup"]):
+        once = as_float(row["setup_once_ns"])
+        setup = f"once {micro_text(once)}" if math.isfinite(once) else MISSING
+    else:
+        setup = micro_text(phases["setup"])
+    return row_of(
+        str(row["solver"]),
+        str(row["settings"]),
+        str(row["policy"]),
+        micro_text(percentile(raw, 50)),
+        micro_text(percentile(raw, 99)),
+        micro_text(percentile(raw, 99.9)),
+        micro_text(float(raw.max())),
+        setup,
+        *(micro_text(phases[phase]) for phase in ("update", "solve", "read")),
+        significant(times.iterations[0]),
+        count_text(times.iterations[1]),
+        count_text(len(raw)),
+    )

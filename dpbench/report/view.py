@@ -1,0 +1,187 @@
+"""Look into the records: which runs belong to which question, and the step times of a replay."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from dpbench.bench.store import Results
+from dpbench.report.formats import as_float
+from dpbench.report.statistics import Floats
+from dpbench.scenario import Scenario, scenario_of
+
+Row = Mapping[str, Any]
+"""One row of `runs.parquet`."""
+
+PHASES = ("setup", "update", "solve", "read")
+
+
+@dataclass(frozen=True, eq=False)
+class StepTimes:
+    """Step times of one replayed arm.
+
+    Parameters
+    ----------
+    k : (K,) steps; algo_ns : (K,) minimum over the counting rounds, the algorithmic time.
+    raw_ns : (N,) all samples of the counting rounds.
+    phase_ns : median of each phase over the samples, NaN where it is no part of a step.
+    iterations : median and largest count, NaN where the solver gives none.
+    rounds : how many rounds count.
+    """
+
+    k: NDArray[np.int64]
+    algo_ns: Floats
+    raw_ns: Floats
+    phase_ns: dict[str, float]
+    iterations: tuple[float, float]
+    rounds: int
+
+
+class View:
+    """The records of one result folder, asked by question."""
+
+    def __init__(self, results: Results) -> None:
+        self.machine, self.suite = results.machine, results.suite
+        self.runs: list[Row] = [
+            {str(name): value for name, value in row.items()}
+            for row in results.runs.to_dict("records")
+        ]
+        self._steps = results.steps
+        self._times: dict[str, StepTimes | None] = {}
+
+    @cached_property
+    def _rows_of(self) -> dict[str, tuple[int, int]]:
+        """First and last row of each run in the step table, which is ordered by run."""
+        ids = self._steps["run_id"].to_numpy()
+        if len(ids) == 0:
+            return {}
+        edges = np.flatnonzero(ids[1:] != ids[:-1]) + 1
+        starts, ends = [0, *edges.tolist()], [*edges.tolist(), len(ids)]
+        return {str(ids[a]): (a, b) for a, b in zip(starts, ends, strict=True)}
+
+    def steps(self, row: Row) -> pd.DataFrame:
+        """The step rows of a run; empty when it left none."""
+        first, last = self._rows_of.get(str(row["run_id"]), (0, 0))
+        return self._steps.iloc[first:last]
+
+    def select(self, **wanted: object) -> list[Row]:
+        """Runs whose columns have the wanted values, or one of a tuple of values."""
+        return [
+            row
+            for row in self.runs
+            if all(
+                row[name] in value if isinstance(value, tuple) else row[name] == value
+                for name, value in wanted.items()
+            )
+        ]
+
+    @cached_property
+    def solvers(self) -> list[str]:
+        """The solvers that are ranked, in the order of the suite: all but the contrast law."""
+        return list(dict.fromkeys(str(r["solver"]) for r in self.runs if not is_contrast(r)))
+
+    @cached_property
+    def scenarios(self) -> list[str]:
+        """Scenarios in the order of the suite."""
+        return list(dict.fromkeys(str(row["scenario"]) for row in self.runs))
+
+    def full_steps(self, scenario: str) -> int:
+        """Steps of the longest closed loop of a scenario that the suite asks for; 0 if none."""
+        asked = [r["steps_planned"] for r in self.select(mode="closed_loop", scenario=scenario)]
+        return int(max(asked, default=0))
+
+    def full_loops(self, scenario: str, settings: str = "default") -> list[Row]:
+        """Full-length closed loops of a scenario in scaled units, the contrast law included."""
+        loops = self.select(
+            mode="closed_loop", scenario=scenario, settings=settings, units="scaled"
+        )
+        full = self.full_steps(scenario)
+        return [row for row in loops if row["steps_planned"] == full]
+
+    def longest_loops(self, solver: str, settings: str) -> list[Row]:
+        """The longest fresh closed loop in scaled units per scenario."""
+        best: dict[str, Row] = {}
+        for row in self.select(
+            mode="closed_loop", solver=solver, settings=settings, units="scaled", policy="fresh"
+        ):
+            name = str(row["scenario"])
+            if name not in best or row["steps_planned"] > best[name]["steps_planned"]:
+                best[name] = row
+        return list(best.values())
+
+    @cached_property
+    def sequences(self) -> list[str]:
+        """Replayed sequences in the order of the suite."""
+        return list(dict.fromkeys(str(r["sequence"]) for r in self.select(mode="replay")))
+
+    def replays(self, sequence: str, **wanted: object) -> list[Row]:
+        """Replays of a sequence in scaled units."""
+        return self.select(mode="replay", sequence=sequence, units="scaled", **wanted)
+
+    def times(self, row: Row) -> StepTimes | None:
+        """Step times of a replay; None when no counting round left a step."""
+        run_id = str(row["run_id"])
+        if run_id not in self._times:
+            self._times[run_id] = _step_times(self.steps(row))
+        return self._times[run_id]
+
+    def scenario(self, name: str) -> Scenario | None:
+        """The scenario a run was made from; None when no row carries it."""
+        for row in self.select(scenario=name):
+            files = json.loads(row["cell"]).get("scenario") if row["cell"] else None
+            if files and "scenario" in files:
+                return scenario_of(files)
+        return None
+
+
+def is_contrast(row: Row) -> bool:
+    """Whether the row is the contrast law, which solves no QP and is never ranked."""
+    return bool(row["formulation"] == "none")
+
+
+def has_steps(row: Row) -> bool:
+    """Whether the run left rows."""
+    return as_float(row["steps_done"]) > 0
+
+
+def values(rows: Sequence[Row], column: str) -> Floats:
+    """A column of some runs as floats, missing ones NaN."""
+    return np.array([as_float(row[column]) for row in rows], dtype=np.float64)
+
+
+def _step_times(steps: pd.DataFrame) -> StepTimes | None:
+    counting = steps[~steps["warmup"]]
+    calm = counting[~counting["spoilt"]]
+    counting = calm if len(calm) else counting
+    if counting.empty:
+        return None
+    k = counting["k"].to_numpy(dtype=np.int64)
+    raw = counting["total_ns"].to_numpy(dtype=np.float64, na_value=np.nan)
+    best = np.full(int(k.max()) + 1, np.inf)
+    np.minimum.at(best, k, raw)
+    done = np.flatnonzero(np.isfinite(best))
+    iterations = counting["iterations"].to_numpy(dtype=np.float64, na_value=np.nan)
+    counted = iterations[np.isfinite(iterations)]
+    return StepTimes(
+        k=done,
+        algo_ns=best[done],
+        raw_ns=raw,
+        phase_ns={phase: _median(counting[f"{phase}_ns"]) for phase in PHASES},
+        iterations=(float(np.median(counted)), float(counted.max()))
+        if len(counted)
+        else (float(np.nan), float(np.nan)),
+        rounds=int(counting["repeat"].nunique()),
+    )
+
+
+def _median(column: pd.Series[Any]) -> float:
+    numbers = column.to_numpy(dtype=np.float64, na_value=np.nan)
+    numbers = numbers[np.isfinite(numbers)]
+    return float(np.median(numbers)) if len(numbers) else float(np.nan)

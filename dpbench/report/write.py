@@ -1,0 +1,93 @@
+"""Write the report of a result folder: `report.md`, `report.html` and `figures/`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from dpbench.bench.store import Results, load_results
+from dpbench.report.blocks import Page
+from dpbench.report.demand import Demand
+from dpbench.report.formats import as_float, time_text
+from dpbench.report.render import render_html, render_markdown
+from dpbench.report.section_reading import reading_section
+from dpbench.report.section_verdict import verdict_lines as _lines
+from dpbench.report.section_verdict import verdict_section
+from dpbench.report.sections_control import (
+    control_section,
+    figures_section,
+    reproduced_section,
+)
+from dpbench.report.sections_records import accuracy_section, runs_section, units_section
+from dpbench.report.sections_time import timing_section
+from dpbench.report.style import save, styled
+from dpbench.report.view import View
+
+
+def write_report(out: str | Path) -> Path:
+    """Write the report of the result folder `out` into it.
+
+    Returns
+    -------
+    Path of `report.html`.
+
+    Raises
+    ------
+    ResultsError : when the folder holds no readable results.
+    """
+    folder = Path(out)
+    results = load_results(folder)
+    figures = folder / "figures"
+    figures.mkdir(exist_ok=True)
+    with styled():
+        page = build_page(results)
+        for stale in figures.glob("*.svg"):
+            stale.unlink()
+        for picture in page.pictures:
+            save(picture.figure, folder / picture.file)
+    drawn = {p.name: (folder / p.file).read_bytes() for p in page.pictures}
+    (folder / "report.md").write_text(render_markdown(page), encoding="utf-8")
+    html = folder / "report.html"
+    html.write_text(render_html(page, drawn), encoding="utf-8")
+    return html
+
+
+def verdict_lines(out: str | Path) -> list[str]:
+    """The verdict on a result folder in a few plain lines."""
+    results = load_results(out)
+    return _lines(View(results), Demand.of(results.suite))
+
+
+def build_page(results: Results) -> Page:
+    """The whole page, figures drawn but not written."""
+    view, demand = View(results), Demand.of(results.suite)
+    suite = results.suite
+    return Page(
+        title=f"dpbench: {suite.get('name', 'results')}",
+        subtitle=str(suite.get("title", "")),
+        facts=_facts(results),
+        sections=[
+            verdict_section(view, demand),
+            runs_section(view),
+            accuracy_section(view, demand),
+            units_section(view),
+            timing_section(view, demand),
+            figures_section(view, demand),
+            control_section(view),
+            reproduced_section(view),
+            reading_section(),
+        ],
+    )
+
+
+def _facts(results: Results) -> list[tuple[str, str]]:
+    suite, machine = results.suite, results.machine
+    wall = as_float(suite.get("wall_s"))
+    facts = [
+        ("started", str(suite.get("started_utc", ""))),
+        ("took", time_text(wall * 1e9) if wall == wall else ""),
+        ("harness", str(suite.get("harness_version", ""))),
+        ("machine", str(machine.get("id", ""))),
+        ("processor", str(machine.get("cpu_model", ""))),
+        ("cells", str(len(results.runs))),
+    ]
+    return [(name, value) for name, value in facts if value]
