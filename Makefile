@@ -1,0 +1,56 @@
+# dpbench: make targets. Every target makes its own environment first; nothing but Python 3.11
+# (or later) with venv is needed on the machine.
+
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+STAMP  := $(VENV)/.dpbench-installed
+OUT    ?= results/standard
+
+# One thread for every numerical library: two cores are two benchmark slots, not one fast one.
+export OMP_NUM_THREADS := 1
+export OPENBLAS_NUM_THREADS := 1
+export MKL_NUM_THREADS := 1
+
+.DEFAULT_GOAL := help
+.PHONY: setup bench full test lint bench-ci report clean help
+
+setup: $(STAMP) ## make .venv with all solvers and the development tools
+
+$(STAMP): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[solvers,peers,dev]'
+	touch $(STAMP)
+
+bench: setup ## run the standard suite (about five minutes) and write its report
+	$(BIN)/dpbench run standard --out $(OUT)
+
+full: setup ## run everything at full length with twenty replays (hours)
+	$(BIN)/dpbench run full
+
+test: setup ## run the tests
+	$(BIN)/python -m pytest
+
+lint: setup ## ruff, mypy --strict, import floors
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench-ci: setup ## pytest-benchmark of the parts; writes results/bench-ci.json
+	mkdir -p results
+	$(BIN)/python -m pytest tests/bench --override-ini addopts='--import-mode=importlib' \
+	    --benchmark-json=results/bench-ci.json --benchmark-columns=min,median,max,rounds
+
+report: setup ## write the report of the last standard run again
+	$(BIN)/dpbench report $(OUT)
+
+clean: ## remove the environment, caches and results (the reference result stays)
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis \
+	    .benchmarks .import_linter_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+	find results -mindepth 1 -maxdepth 1 ! -name reference -exec rm -rf {} + 2>/dev/null || true
+
+help: ## show this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)

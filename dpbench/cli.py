@@ -1,0 +1,156 @@
+"""The command line: parse arguments, call one public function, choose the exit code.
+
+Exit 0: done (a solver's failure is data). 2: bad input, said in one line. The only module that
+prints.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Any, NoReturn
+
+from dpbench.errors import DpbenchError, InputError
+
+
+class _Parser(argparse.ArgumentParser):
+    """An argument parser whose complaints are one line, like every other complaint."""
+
+    def error(self, message: str) -> NoReturn:
+        print(f"dpbench: {message} (see dpbench --help)", file=sys.stderr)
+        raise SystemExit(2)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="dpbench", description="Benchmark QP solvers inside a ship's DP MPC.")
+    commands = parser.add_subparsers(dest="command", required=True, parser_class=_Parser)
+    run = commands.add_parser("run", help="run a suite and write its report")
+    run.add_argument("suite", help="a suite by name, or a TOML file")
+    run.add_argument("--out", help="result folder (default: results/<suite>)")
+    run.add_argument("--solver", action="append", metavar="S", help="only this solver; repeatable")
+    run.add_argument("--scenario", action="append", metavar="N", help="only this scenario")
+    run.add_argument("--jobs", type=int, metavar="J", help="closed-loop cells at a time")
+    run.add_argument("--fresh", action="store_true", help="run finished cells again too")
+    run.set_defaults(call=_run)
+    report = commands.add_parser("report", help="write the report of a result folder again")
+    report.add_argument("dir", help="a folder written by `dpbench run`")
+    report.set_defaults(call=_report)
+    listing = commands.add_parser("list", help="what there is")
+    listing.add_argument("what", choices=("vessels", "scenarios", "suites", "solvers"))
+    listing.set_defaults(call=_list)
+    check = commands.add_parser("check", help="check a vessel, scenario or suite file")
+    check.add_argument("file", help="a TOML file")
+    check.set_defaults(call=_check)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    arguments = _parser().parse_args(argv)
+    try:
+        return int(arguments.call(arguments))
+    except InputError as error:
+        print(f"dpbench: {error}", file=sys.stderr)
+        return 2
+    except DpbenchError as error:
+        print(f"dpbench: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("dpbench: interrupted; finished cells are kept, run again to go on", file=sys.stderr)
+        return 130
+
+
+class _Bar:
+    """A progress bar with the time left, fed by the campaign."""
+
+    def __init__(self) -> None:
+        from rich.progress import (
+            BarColumn,
+            Progress,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
+
+        self._progress = Progress(
+            TextColumn("{task.description:<44}"),
+            BarColumn(),
+            TextColumn("{task.percentage:3.0f} %"),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+        )
+        self._task = self._progress.add_task("starting", total=None)
+
+    def __enter__(self) -> _Bar:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._progress.stop()
+
+    def start(self, work: int) -> None:
+        """So much is to be done."""
+        self._progress.update(self._task, total=work)
+
+    def advance(self, work: int, what: str) -> None:
+        """So much is done now, the last of it on `what`."""
+        self._progress.update(self._task, advance=work, description=what[:44])
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from dpbench.bench.campaign import run_campaign
+    from dpbench.report.write import write_report
+
+    with _Bar() as bar:
+        out = run_campaign(
+            arguments.suite,
+            arguments.out,
+            solvers=arguments.solver,
+            scenarios=arguments.scenario,
+            jobs=arguments.jobs,
+            fresh=arguments.fresh,
+            progress=bar,
+        )
+        bar.advance(0, "writing the report")
+        page = write_report(out)
+    _say_verdict(out, page)
+    return 0
+
+
+def _report(arguments: argparse.Namespace) -> int:
+    from dpbench.report.write import write_report
+
+    _say_verdict(arguments.dir, write_report(arguments.dir))
+    return 0
+
+
+def _say_verdict(out: Any, page: Any) -> None:
+    from dpbench.report.write import verdict_lines
+
+    for line in verdict_lines(out):
+        print(line)
+    print(f"report: {page}")
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    from rich.console import Console
+
+    from dpbench.listing import listing
+
+    Console().print(listing(arguments.what))
+    return 0
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    from dpbench.listing import check_file
+
+    print(check_file(arguments.file))
+    return 0

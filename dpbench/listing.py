@@ -1,0 +1,105 @@
+"""What `dpbench list` and `dpbench check` say: tables of what there is, a line about a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from rich.table import Table
+
+from dpbench.bench.plan import plan
+from dpbench.bench.suite import load_suite
+from dpbench.errors import InputError
+from dpbench.problem_files import problem_names, problem_path, read_toml
+from dpbench.scenario import load_scenario, load_vessel
+from dpbench.ship.vessel import Vessel
+from dpbench.solvers.table import available, record, solver_names
+
+
+def listing(what: str) -> Table:
+    """A table of the vessels, scenarios, suites or solvers there are."""
+    return {"vessels": _vessels, "scenarios": _scenarios, "suites": _suites, "solvers": _solvers}[
+        what
+    ]()
+
+
+def _table(*columns: str) -> Table:
+    table = Table(show_edge=False, pad_edge=False)
+    for column in columns:
+        table.add_column(column, overflow="fold")
+    return table
+
+
+def time_constants_s(vessel: Vessel) -> np.ndarray:
+    """Time constants of surge, sway and yaw [s]: −1 over the eigenvalues of −M⁻¹D, slowest last."""
+    return np.sort(1.0 / np.linalg.eigvals(np.linalg.solve(vessel.M, vessel.D)).real)
+
+
+def _vessels() -> Table:
+    table = _table("name", "ship", "time constants [s]", "max acceleration [mm/s², mm/s², mrad/s²]")
+    for name in problem_names("vessels"):
+        vessel = load_vessel(name)
+        times = ", ".join(f"{t:.3g}" for t in time_constants_s(vessel))
+        reach = 1e3 * vessel.tau_max / np.diag(vessel.M)
+        table.add_row(name, vessel.title, times, ", ".join(f"{a:.3g}" for a in reach))
+    return table
+
+
+def _scenarios() -> Table:
+    table = _table("name", "vessel", "tuning", "steps", "what it shows")
+    for name in problem_names("scenarios"):
+        scenario = load_scenario(name)
+        tuning = f"{scenario.tuning} {scenario.N_p}/{scenario.N_c}"
+        table.add_row(name, scenario.vessel.id, tuning, str(scenario.steps), scenario.shows)
+    return table
+
+
+def _suites() -> Table:
+    table = _table("name", "cells", "title")
+    for name in problem_names("suites"):
+        _, suite = load_suite(name)
+        table.add_row(name, str(len(plan(suite))), suite.title)
+    return table
+
+
+def _solvers() -> Table:
+    table = _table("name", "version", "method", "form", "policies", "installed")
+    for name in solver_names():
+        row, found = record(name), available(name)
+        policies = "; ".join(f"{route}: {', '.join(p)}" for route, p in row.policies.items())
+        table.add_row(
+            name,
+            found.version or "–",
+            row.method,
+            row.form,
+            policies,
+            "yes" if found.ok else found.reason,
+        )
+    return table
+
+
+def check_file(path: str) -> str:
+    """Check a TOML file as what it is, by its tables; one line of what it describes.
+
+    Raises
+    ------
+    InputError : naming file, key, what was found and what is allowed.
+    """
+    file = problem_path("scenarios", path if path.endswith(".toml") else f"{path}.toml")
+    document = read_toml(Path(file))
+    if "limits" in document:
+        vessel = load_vessel(file)
+        return f"{file}: a vessel, {vessel.title}"
+    if "controller" in document or "environment" in document:
+        scenario = load_scenario(file)
+        return f"{file}: a scenario of {scenario.steps} steps with vessel {scenario.vessel.id}"
+    if "closed_loop" in document or "replay" in document:
+        _, suite = load_suite(file)
+        return f"{file}: a suite of {len(plan(suite))} cells"
+    raise InputError(
+        str(file),
+        "",
+        f"tables {', '.join(document) or '(none)'}",
+        "[limits] (a vessel), [controller] and [environment] (a scenario), "
+        "or [[closed_loop]] and [[replay]] (a suite)",
+    )
