@@ -139,7 +139,8 @@ def units_heat_map(matrix: UnitsMatrix) -> Figure:
         for j, column in enumerate(columns):
             cell = matrix.cells.get((solver, column))
             if cell is None or cell.steps == 0:
-                ax.text(j, i, "not run", ha="center", va="center", fontsize=7, color=GREY)
+                label = "not run" if cell is None else "no step done"
+                ax.text(j, i, label, ha="center", va="center", fontsize=7, color=GREY)
                 continue
             found = 10.0 if math.isinf(cell.error_move) else cell.error_move
             error[i, j] = np.clip(found, 1e-12, 10.0)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import ClassVar, Literal
+from typing import Literal
 
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution
@@ -34,7 +34,7 @@ class Workspace(ABC):
         `update` (policy fresh on route native).
     """
 
-    setup_every_step: ClassVar[bool] = False
+    setup_every_step: bool = False
     form: str = "dense"
 
     def __init__(self, solver: str, route: Route, policy: Policy) -> None:

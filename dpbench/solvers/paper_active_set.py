@@ -8,8 +8,6 @@ finds the set; this module prepares the constants, refines the answer on that se
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
@@ -161,4 +159,4 @@ class PaperActiveSet(Workspace):
 class FreshPaperActiveSet(PaperActiveSet):
     """The same, set up from nothing at each step."""
 
-    setup_every_step: ClassVar[bool] = True
+    setup_every_step = True

@@ -7,8 +7,6 @@ The closed loop clips it to the actuator limits, which is what a controller with
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 import scipy.linalg
 
@@ -68,4 +66,4 @@ class Unconstrained(Workspace):
 class FreshUnconstrained(Unconstrained):
     """The same, set up from nothing at each step."""
 
-    setup_every_step: ClassVar[bool] = True
+    setup_every_step = True

@@ -38,16 +38,17 @@ def test_warm_is_offered_where_a_start_matters_and_only_there(solver, sequence):
     """A start changes something if and only if the table offers the policy `warm`."""
     adapter = ADAPTERS[solver]
     row = adapter.record
+    name = row.qpsolvers_name or row.name
     form = OneSidedForm(sequence.base, row.form, row.box)
     form.fill(sequence.base.q, sequence.base.l, sequence.base.u)
     qp = Problem(form.P, form.q, form.G, form.h, form.A, form.b, form.lb, form.ub)
     rng = np.random.default_rng(3)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        without = np.array(solve_problem(qp, solver, **adapter.fixed).x)
+        without = np.array(solve_problem(qp, name, **adapter.fixed).x)
         starts = [without, *rng.uniform(-1, 1, size=(5, without.size))]
         same = [
-            np.array_equal(solve_problem(qp, solver, initvals=x, **adapter.fixed).x, without)
+            np.array_equal(solve_problem(qp, name, initvals=x, **adapter.fixed).x, without)
             for x in starts
         ]
     assert all(same) == ("warm" not in row.policies["qpsolvers"])

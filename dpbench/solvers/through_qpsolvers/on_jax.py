@@ -78,6 +78,7 @@ JAXOPT = Adapter(
         form="dense",
         box="rows",
         policies={"qpsolvers": ("fresh",)},
+        detects_infeasibility=False,
         qpsolvers_name="jaxopt_osqp",
     ),
     judge_jaxopt,
