@@ -80,7 +80,7 @@ def available(name: str) -> Availability:
     """
     row = record(name)
     if row.extra == "own":
-        return Availability(True)
+        return Availability(True, metadata.version("dpbench"))
     try:
         version = metadata.version(row.distribution)
     except metadata.PackageNotFoundError:
