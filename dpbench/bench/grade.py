@@ -20,6 +20,7 @@ from dpbench.bench.metrics import control_metrics
 from dpbench.bench.rawlog import RawLog
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.qp.certify import Optimum, Referee, error_of
+from dpbench.qp.claims import judge_claim
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, Units
 from dpbench.qp.residuals import Residuals, best_multipliers, is_true, residuals
 from dpbench.qp.solution import Solution, Status
@@ -42,6 +43,7 @@ GRADES = (
     "true_1e4",
     "true_1e6",
 )
+_NO_ANSWER_CLAIMS = (Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE)
 CERTIFICATES = ("linear", "gap", "rational", "infeasible", "none")
 ACTIVE_MULTIPLIER = 1e-9
 """Scaled multipliers above it count as active limits in `n_active`."""
@@ -109,7 +111,11 @@ class StepJudge:
             )
             in_scaled = residuals(qp, mapped)
         move, plan = error_of(mapped.z, optimum, qp.block)
-        return (*_numbers(in_scaled, in_own), move, plan, *_truth(qp, in_scaled, plan, optimum))
+        if answer.status in _NO_ANSWER_CLAIMS:
+            levels: tuple[bool, ...] = (judge_claim(qp, mapped, optimum),) * 3
+        else:
+            levels = _truth(qp, in_scaled, plan)
+        return (*_numbers(in_scaled, in_own), move, plan, *_facts(optimum), *map(float, levels))
 
 
 def _with_multipliers(qp: QuadraticProgram, answer: Solution) -> Solution:
@@ -131,13 +137,14 @@ def _numbers(scaled: Residuals, own: Residuals) -> tuple[float, ...]:
     )
 
 
-def _truth(
-    qp: QuadraticProgram, found: Residuals, plan: float, optimum: Optimum
-) -> tuple[float, ...]:
+def _facts(optimum: Optimum) -> tuple[float, float]:
     active = np.count_nonzero(np.abs(optimum.y) > ACTIVE_MULTIPLIER)
     active += np.count_nonzero(np.abs(optimum.y_box) > ACTIVE_MULTIPLIER)
-    levels = (is_true(qp, found, plan, tol) for tol in (1e-3, 1e-4, 1e-6))
-    return (optimum.bound, float(active), *(float(level) for level in levels))
+    return optimum.bound, float(active)
+
+
+def _truth(qp: QuadraticProgram, found: Residuals, plan: float) -> tuple[bool, ...]:
+    return tuple(is_true(qp, found, plan, tol) for tol in (1e-3, 1e-4, 1e-6))
 
 
 def grade_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Graded:

@@ -109,12 +109,14 @@ class CondensedQP:
         step.q += self._du * (self.matrices.F_y @ change.reshape(-1))
 
     def _reachable(self, step: QPStep, u_prev: Vector, u_min: Vector, u_max: Vector) -> None:
-        i = np.arange(1, self.control.N_c + 1)[:, np.newaxis]
-        ramp = i * self.control.du_max
-        high = np.maximum(u_max, u_prev - ramp) - u_prev
-        low = np.minimum(u_min, u_prev + ramp) - u_prev
-        step.l[:] = low.reshape(-1) / self._du
-        step.u[:] = high.reshape(-1) / self._du
+        # In rate-limit steps the reachable bounds −i and i are exact, so a row that is forced to
+        # its bound meets it to the last bit and no rounding makes the step infeasible.
+        du = self.control.du_max
+        i = np.arange(1.0, self.control.N_c + 1)[:, np.newaxis]
+        high = np.maximum((u_max - u_prev) / du, -i)
+        low = np.minimum((u_min - u_prev) / du, i)
+        step.l[:] = low.reshape(-1) * self.scale.row
+        step.u[:] = high.reshape(-1) * self.scale.row
 
     def problem(self, step: QPStep) -> QuadraticProgram:
         """The whole problem of one step."""
