@@ -57,8 +57,8 @@ def _scenarios() -> Table:
 def _suites() -> Table:
     table = _table("name", "cells", "title")
     for name in problem_names("suites"):
-        _, suite = load_suite(name)
-        table.add_row(name, str(len(plan(suite))), suite.title)
+        path, suite = load_suite(name)
+        table.add_row(name, str(len(plan(suite, beside=path.parent))), suite.title)
     return table
 
 
@@ -94,8 +94,8 @@ def check_file(path: str) -> str:
         scenario = load_scenario(file)
         return f"{file}: a scenario of {scenario.steps} steps with vessel {scenario.vessel.id}"
     if "closed_loop" in document or "replay" in document:
-        _, suite = load_suite(file)
-        return f"{file}: a suite of {len(plan(suite))} cells"
+        suite_path, suite = load_suite(file)
+        return f"{file}: a suite of {len(plan(suite, beside=suite_path.parent))} cells"
     raise InputError(
         str(file),
         "",

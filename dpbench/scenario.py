@@ -71,14 +71,16 @@ class Scenario:
         return replace(self, steps=min(steps, self.steps))
 
 
-def load_scenario(name_or_path: str | Path) -> Scenario:
+def load_scenario(name_or_path: str | Path, *, beside: Path | None = None) -> Scenario:
     """A scenario by name (a file under `problems/scenarios/`) or TOML path.
+
+    A relative path is looked for in the folder `beside` first, then in the working folder.
 
     Raises
     ------
     InputError : one line naming file, key, what was found and what is allowed.
     """
-    path = problem_path("scenarios", name_or_path)
+    path = problem_path("scenarios", name_or_path, beside)
     scenario = read_model(path, ScenarioFile)
     try:
         vessel_path = problem_path("vessels", scenario.vessel, beside=path.parent)

@@ -161,8 +161,9 @@ def run_campaign(
     ------
     InputError : for a bad suite, scenario, solver or job count, before anything runs.
     """
-    name, document = load_suite(suite)
-    planned = plan(document, solvers=solvers, scenarios=scenarios)
+    path, document = load_suite(suite)
+    name = path.stem
+    planned = plan(document, solvers=solvers, scenarios=scenarios, beside=path.parent)
     cores = len(os.sched_getaffinity(0))
     if jobs is not None and not 1 <= jobs <= cores:
         raise InputError("--jobs", "", jobs, f"a number from 1 to {cores}, the cores available")

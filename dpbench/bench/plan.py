@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from dpbench.bench.cell import Cell
 from dpbench.bench.suite import ClosedLoopTable, ReplayTable, SuiteFile, UnitName
@@ -67,8 +68,11 @@ def plan(
     *,
     solvers: Sequence[str] | None = None,
     scenarios: Sequence[str] | None = None,
+    beside: Path | None = None,
 ) -> list[Planned]:
     """All cells of a suite in the order they run: closed loops first, then replays.
+
+    Paths of scenarios are relative to the folder `beside`, that of the suite.
 
     Raises
     ------
@@ -81,7 +85,7 @@ def plan(
         if name not in known:
             allowed = ", ".join(dict.fromkeys(known))
             raise InputError("--scenario", "", repr(name), f"a scenario of the suite: {allowed}")
-    loaded = {name: load_scenario(name) for name in dict.fromkeys(known)}
+    loaded = {name: load_scenario(name, beside=beside) for name in dict.fromkeys(known)}
     wanted = set(scenarios) if scenarios else set(known)
     cells: list[Planned] = []
     for closed in suite.closed_loop:

@@ -64,7 +64,7 @@ class SuiteFile(FileModel):
     replay: list[ReplayTable] = []
 
 
-def load_suite(name_or_path: str | Path) -> tuple[str, SuiteFile]:
-    """A suite by name or TOML path, with its name; InputError in one line if it is bad."""
+def load_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
+    """A suite by name or TOML path, with its file; InputError in one line if it is bad."""
     path = problem_path("suites", name_or_path)
-    return path.stem, read_model(path, SuiteFile)
+    return path, read_model(path, SuiteFile)

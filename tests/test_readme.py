@@ -1,0 +1,59 @@
+"""The README does what it says."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dpbench import load_results, run_campaign
+from dpbench.cli import main
+
+README = Path(__file__).parents[1] / "README.md"
+
+
+def blocks(language: str, containing: str) -> list[str]:
+    """The fenced blocks of a language that contain a text."""
+    found = re.findall(rf"```{language}\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+    return [block for block in found if containing in block]
+
+
+def test_own_ship_scenario_and_suite_run_as_printed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The three TOML files of the README, saved under the names it gives, make a campaign."""
+    monkeypatch.chdir(tmp_path)
+    files = {"my_ship.toml": "[limits]", "my_scenario.toml": "[controller]"}
+    files["my_suite.toml"] = "[[closed_loop]]"
+    for name, mark in files.items():
+        (block,) = blocks("toml", mark)
+        Path(name).write_text(block, encoding="utf-8")
+        assert main(["check", name]) == 0
+    out = run_campaign("my_suite.toml", "out")
+    runs = load_results(out).runs
+    done = runs[runs["outcome"] == "finished"]
+    assert set(done["solver"]) == {"daqp", "osqp", "unconstrained_clipped"}
+    exact = done[(done["solver"] == "daqp") & (done["mode"] == "closed_loop")]
+    assert (exact["error_move_max"] < 1e-9).all()
+
+
+def test_the_example_of_a_workspace_runs_as_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    """The README's own solver runs, claims everything and is found wanting."""
+    (block,) = blocks("python", "class Projected")
+    names: dict[str, object] = {}
+    exec(compile(block, "README.md", "exec"), names)
+    summary = names["run"].summary  # type: ignore[attr-defined] # defined by the README's text
+    assert summary["claimed_share"] == 1.0
+    assert summary["true_share"] < 1.0
+    assert np.isfinite(summary["error_move_max"])
+    assert "claimed_share" in capsys.readouterr().out
+
+
+def test_every_file_the_readme_links_to_exists() -> None:
+    """No link of the README leads nowhere."""
+    targets = re.findall(r"\]\((?!https?:)([^)#]+)\)", README.read_text(encoding="utf-8"))
+    assert targets
+    missing = [target for target in targets if not (README.parent / target).exists()]
+    assert not missing

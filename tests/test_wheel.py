@@ -1,0 +1,39 @@
+"""An installed wheel is complete: names resolve without the source tree."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_names_resolve_from_a_wheel_in_an_empty_folder(tmp_path: Path) -> None:
+    """The wheel carries problems and report templates; the command line works from it."""
+    build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation"]
+    subprocess.run([*build, "--wheel-dir", str(tmp_path), str(ROOT)], check=True)
+    (wheel,) = tmp_path.glob("dpbench-*.whl")
+    site, empty = tmp_path / "site", tmp_path / "empty"
+    empty.mkdir()
+    zipfile.ZipFile(wheel).extractall(site)
+    script = (
+        "import dpbench, dpbench.report.write as w; from dpbench.cli import main;"
+        "print(dpbench.__file__, dpbench.load_scenario('rough').steps);"
+        "raise SystemExit(main(['list', 'scenarios']))"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(site)}
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=empty,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert str(site) in done.stdout.splitlines()[0]
+    assert "2000" in done.stdout.splitlines()[0]
+    assert "paper_tight" in done.stdout
+    assert any((site / "dpbench" / "report" / "templates").iterdir())
