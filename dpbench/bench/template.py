@@ -13,6 +13,9 @@ import numpy as np
 from dpbench.bench import worker
 from dpbench.bench.loop import limit_move
 from dpbench.bench.replay import probe_ns
+from dpbench.mpc.condense import ControlProblem
+from dpbench.mpc.condensed_qp import CondensedQP
+from dpbench.mpc.model import prediction_model
 from dpbench.ship.plant import SUBSTEPS, Plant
 from dpbench.ship.vessel import Vessel
 
@@ -24,6 +27,8 @@ def _prime() -> None:
     ship = Vessel("", "", "", 1.0, np.eye(3), np.eye(3), -three, three, three)
     Plant(ship, np.zeros(6), 0.1).advance(three, np.zeros((2 * SUBSTEPS + 1, 3)))
     limit_move(three, three, three, -three, three, np.empty(3))
+    model = prediction_model(ship.M, ship.D, 0.0, 0.1)
+    CondensedQP(ControlProblem(model, 3, 2, np.eye(3), np.eye(3), -three, three, three))
     probe_ns(time.perf_counter_ns)
 
 

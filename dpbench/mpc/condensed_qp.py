@@ -44,16 +44,15 @@ class CondensedQP:
         self.matrices: CondensedMatrices = condense_matrices(problem)
         n_u, N_c = problem.model.n_u, problem.N_c
         self.n = self.m = N_c * n_u
-        du = np.tile(problem.du_max, N_c)
-        own = np.ones(self.n) if units == "scaled" else du
+        du, one = np.concatenate([problem.du_max] * N_c), np.ones(self.n)
+        own = one if units == "scaled" else du
+        self._du: Vector = du if units == "scaled" else one
         self.scale = Units(own, own)
-        factor = du if units == "scaled" else np.ones(self.n)
-        self._du = du / own
-        self.P: Matrix = self.matrices.E * np.outer(factor, factor)
+        self.P: Matrix = self.matrices.E * (self._du[:, np.newaxis] * self._du)
         self.A: Matrix = summed_moves(N_c, n_u)
         self.ub: Vector = own.copy()
         self.lb: Vector = -own
-        self.Z: Matrix = affine_map(problem, self.matrices, units).Z
+        self.Z: Matrix = affine_map(problem, self.matrices, units)
         self._prepare_emit()
 
     def _prepare_emit(self) -> None:

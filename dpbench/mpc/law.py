@@ -38,8 +38,9 @@ def gains(problem: ControlProblem, matrices: CondensedMatrices | None = None) ->
     """The state feedback of eq. 33."""
     matrices = condense_matrices(problem) if matrices is None else matrices
     n_u, n_y = problem.model.n_u, problem.model.n_y
-    held = matrices.F_y.reshape(-1, problem.N_p, n_y).sum(axis=1)
-    both = scipy.linalg.solve(matrices.E, np.hstack([-held, matrices.F_x]), assume_a="pos")
+    both = scipy.linalg.solve(
+        matrices.E, np.hstack([-matrices.F_held, matrices.F_x]), assume_a="pos"
+    )
     return Gains(K_y=both[:n_u, :n_y], K_mpc=both[:n_u, n_y:])
 
 

@@ -34,6 +34,9 @@ class StateSpace:
     C: Matrix
 
     def __post_init__(self) -> None:
+        for name in ("A", "B", "C"):
+            array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
+            object.__setattr__(self, name, array)
         n_x = self.A.shape[0]
         expected = {"A": (n_x, n_x), "B": (n_x, self.B.shape[-1]), "C": (self.C.shape[0], n_x)}
         for name, shape in expected.items():

@@ -11,20 +11,17 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
+from dpbench.mpc.kernels import markov_blocks
 from dpbench.mpc.model import StateSpace
 from dpbench.qp.program import Matrix
 
 
 def markov(model: StateSpace, N_p: int) -> tuple[Matrix, NDArray[np.float64]]:
     """F (N_p·n_y, n_x) of eq. 15 and the Markov parameters h (N_p, n_y, n_u)."""
-    n_y, n_x = model.C.shape
-    G = np.empty((N_p + 1, n_y, n_x))
-    G[0] = model.C
-    A = model.A
-    for t in range(N_p):
-        np.dot(G[t], A, out=G[t + 1])
-    h = (G[:N_p].reshape(N_p * n_y, n_x) @ model.B).reshape(N_p, n_y, model.n_u)
-    return G[1:].reshape(N_p * n_y, n_x), h
+    F = np.empty((N_p * model.n_y, model.n_x))
+    h = np.empty((N_p, model.n_y, model.n_u))
+    markov_blocks(model.A, model.B, model.C, F, h)
+    return F, h
 
 
 def toeplitz(h: NDArray[np.float64], N_c: int) -> Matrix:

@@ -51,6 +51,7 @@ def test_qpmpc_builds(benchmark: BenchmarkFixture, problem: ControlProblem) -> N
             stage_input_cost_weight=1e-10,
             initial_state=np.zeros(n_x + n_u),
             goal_state=np.zeros(n_x + n_u),
+            target_states=np.zeros(problem.N_p * (n_x + n_u)),
         )
         return qpmpc.MPCQP(mpc)
 

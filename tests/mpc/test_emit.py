@@ -9,6 +9,7 @@ import pytest
 
 from dpbench.mpc.condense import summed_moves
 from dpbench.mpc.condensed_qp import CondensedQP
+from dpbench.qp.certify import certify
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status
 
@@ -157,7 +158,8 @@ def test_the_hard_problem_after_a_lost_thruster_has_no_feasible_point(
     )
     with pytest.raises(ValueError, match="inconsistent"):
         by_quadprog(builder.problem(hard))
-    z, _, _ = by_quadprog(builder.problem(step))
+    # Rows that are forced to their bounds leave no interior, where Goldfarb-Idnani may give up.
+    z = certify(builder.problem(step)).z
     np.testing.assert_allclose(step.u.reshape(10, 3)[:, 1], -np.arange(1.0, 11.0), rtol=1e-12)
     np.testing.assert_allclose(builder.moves(z)[:, 1], -problem.du_max[1], rtol=1e-9)
 
