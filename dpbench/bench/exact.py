@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dpbench.bench.loop import SolverPort, closed_loop
+from dpbench.bench.loop import Voyage, closed_loop
+from dpbench.bench.port import SolverPort
 from dpbench.bench.rawlog import RawLog, loop_layout
 from dpbench.errors import CertificateError, ResultsError
 from dpbench.mpc.condense import UnitSystem
@@ -91,15 +92,7 @@ def solve_exactly(scenario: Scenario) -> ExactLoop:
     port = SolverPort(
         ExactWorkspace(), "condensed_box", base_problem(builder), time.perf_counter_ns
     )
-    closed_loop(
-        scenario,
-        builder,
-        port,
-        log,
-        fallback="hold",
-        limit_ns=2**62,
-        clock=time.perf_counter_ns,
-    )
+    closed_loop(Voyage(scenario, builder, port, log, "hold", 2**62, time.perf_counter_ns))
     if log.flags[:, 0].any():
         k = int(np.flatnonzero(log.flags[:, 0])[0])
         raise CertificateError(f"{scenario.name}: step {k} has no certified optimum")

@@ -16,7 +16,8 @@ from dpbench.bench.assemble import run_row, step_rows
 from dpbench.bench.cell import FALLBACKS, FORMULATIONS, Cell, Fallback, Formulation
 from dpbench.bench.exact import base_problem, solve_exactly
 from dpbench.bench.grade import Graded, grade_log, grade_sequence
-from dpbench.bench.loop import SolverPort, closed_loop
+from dpbench.bench.loop import Voyage, closed_loop
+from dpbench.bench.port import SolverPort
 from dpbench.bench.rawlog import RawLog, loop_layout, replay_layout
 from dpbench.bench.replay import ReplayArm
 from dpbench.bench.schema import as_runs, as_steps
@@ -58,7 +59,7 @@ def run_closed_loop(
     builder = condense(scenario, units=units)
     log = RawLog.in_memory(loop_layout(scenario.steps, builder.n, builder.m, builder.Z.shape[1]))
     port = SolverPort(workspace, formulation, base_problem(builder), _clock)
-    closed_loop(scenario, builder, port, log, fallback=fallback, limit_ns=_NO_LIMIT, clock=_clock)
+    closed_loop(Voyage(scenario, builder, port, log, fallback, _NO_LIMIT, _clock))
     cell = Cell(
         mode="closed_loop",
         scenario=scenario.files,

@@ -89,9 +89,14 @@ class RawLog:
 
     @classmethod
     def create(cls, path: Path, layout: dict[str, tuple[str, tuple[int, ...]]]) -> RawLog:
-        """A new log file at `path`, with its layout beside it; all pages touched beforehand."""
+        """A new log file at `path`, with its layout beside it; all pages touched beforehand.
+
+        It appears at `path` whole or not at all: the supervisor may look at any moment.
+        """
         path.with_suffix(".layout").write_text(json.dumps(layout), encoding="ascii")
-        path.write_bytes(bytes(_size(layout)))
+        blank = path.with_suffix(".blank")
+        blank.write_bytes(bytes(_size(layout)))
+        blank.replace(path)
         return cls.open(path)
 
     @classmethod

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from dpbench.bench.loop import Clock, SolverPort, record_answer
+from dpbench.bench.port import Clock, SolverPort, record_answer
 from dpbench.bench.rawlog import RawLog
 from dpbench.qp.program import QPSequence
 
@@ -91,7 +91,7 @@ class ReplayArm:
             record_answer(log, r, k, solution)
             if not solution.status.usable:
                 port.reset()
-            times[k] = (-1, port.setup_ns, port.update_ns, port.solve_ns, port.read_ns, -1)
+            times[k] = (-1, *port.phases_ns, -1)
             log.done[r] = k + 1
             if self._spent_ns + clock() - began > self._limit_ns:
                 self._spent_ns += clock() - began

@@ -104,10 +104,7 @@ class Child:
         return True
 
     def _has_started(self) -> bool:
-        path = self.raw_path
-        if not path.exists() or not path.with_suffix(".layout").exists():
-            return False
-        return path.stat().st_size > 0 and bool(RawLog.open(path).started[0])
+        return self.raw_path.exists() and bool(RawLog.open(self.raw_path).started[0])
 
     def outcome(self) -> Outcome:
         """What became of it, once it ended."""

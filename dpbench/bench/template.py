@@ -11,7 +11,7 @@ import time
 import numpy as np
 
 from dpbench.bench import worker
-from dpbench.bench.loop import limit_move
+from dpbench.bench.actuation import limit_move
 from dpbench.bench.replay import probe_ns
 from dpbench.mpc.condense import ControlProblem
 from dpbench.mpc.condensed_qp import CondensedQP

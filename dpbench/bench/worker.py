@@ -18,11 +18,13 @@ from typing import Any
 from dpbench.bench.cell import Cell
 from dpbench.bench.exact import ExactLoop, base_problem, sequence_of, solve_exactly
 from dpbench.bench.grade import grade_log
-from dpbench.bench.loop import SolverPort, closed_loop
+from dpbench.bench.loop import Voyage, closed_loop
+from dpbench.bench.port import SolverPort
 from dpbench.bench.rawlog import RawLog, loop_layout, replay_layout
 from dpbench.bench.replay import ReplayArm
 from dpbench.errors import CertificateError, InputError
 from dpbench.scenario import condense, scenario_of
+from dpbench.solvers.contract import Workspace
 from dpbench.solvers.isolation import isolate
 from dpbench.solvers.open import open_workspace
 
@@ -53,6 +55,19 @@ def _verdict(outcome: str, detail: str, form: str = "") -> dict[str, Any]:
     return {"outcome": outcome, "detail": detail, "form": form}
 
 
+def _open(cell: Cell, folder: Path, name: str, core: int) -> Workspace | None:
+    """Settle the process and open the cell's solver in it; None leaves a verdict `refused`."""
+    _settle(core, folder / f"{name}.noise")
+    try:
+        isolate(cell.solver)
+        return open_workspace(
+            cell.solver, route=cell.route, policy=cell.policy, settings=cell.settings
+        )
+    except InputError as error:
+        _write(folder / f"{name}.json", _verdict("refused", str(error)))
+        return None
+
+
 def _worst_detail(port: SolverPort) -> str:
     """The most frequent words of the library about its failures, with their count."""
     if not port.details:
@@ -64,30 +79,17 @@ def _worst_detail(port: SolverPort) -> str:
 def run_closed_loop_cell(text: str, folder: Path, name: str, core: int) -> None:
     """Run a closed-loop cell; raw log and verdict appear in `folder` under `name`."""
     cell = Cell.from_json(text)
-    _settle(core, folder / f"{name}.noise")
     verdict_path = folder / f"{name}.json"
-    try:
-        isolate(cell.solver)
-        workspace = open_workspace(
-            cell.solver, route=cell.route, policy=cell.policy, settings=cell.settings
-        )
-    except InputError as error:
-        _write(verdict_path, _verdict("refused", str(error)))
+    workspace = _open(cell, folder, name, core)
+    if workspace is None:
         return
     scenario = scenario_of(cell.scenario).first(cell.steps)
     builder = condense(scenario, units=cell.units)
     layout = loop_layout(scenario.steps, builder.n, builder.m, builder.Z.shape[1])
     log = RawLog.create(folder / f"{name}.raw", layout)
     port = SolverPort(workspace, cell.formulation, base_problem(builder), clock)
-    complete = closed_loop(
-        scenario,
-        builder,
-        port,
-        log,
-        fallback=cell.fallback,
-        limit_ns=round(cell.limit_s * 1e9),
-        clock=clock,
-    )
+    limit_ns = round(cell.limit_s * 1e9)
+    complete = closed_loop(Voyage(scenario, builder, port, log, cell.fallback, limit_ns, clock))
     detail = _worst_detail(port)
     if not complete:
         stop = f"stopped after {cell.limit_s:g} s with {int(log.done[0])} steps"
@@ -103,15 +105,9 @@ def run_replay_cell(
     None ends the service. The QPs are made from the exactly solved loop at `exact_path`.
     """
     cell = Cell.from_json(text)
-    _settle(core, folder / f"{name}.noise")
     verdict_path = folder / f"{name}.json"
-    try:
-        isolate(cell.solver)
-        workspace = open_workspace(
-            cell.solver, route=cell.route, policy=cell.policy, settings=cell.settings
-        )
-    except InputError as error:
-        _write(verdict_path, _verdict("refused", str(error)))
+    workspace = _open(cell, folder, name, core)
+    if workspace is None:
         orders.send(None)
         return
     scenario = scenario_of(cell.scenario)

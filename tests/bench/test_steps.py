@@ -10,8 +10,9 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from dpbench import open_workspace
 from dpbench.bench.exact import ExactLoop, ExactWorkspace, base_problem, sequence_of
-from dpbench.bench.loop import SolverPort, closed_loop
+from dpbench.bench.loop import Voyage, closed_loop
 from dpbench.bench.plan import CONTRAST
+from dpbench.bench.port import SolverPort
 from dpbench.bench.rawlog import RawLog, loop_layout
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
@@ -73,14 +74,5 @@ def test_closed_loop(benchmark: BenchmarkFixture, scenario: Scenario, kind: str)
     log = RawLog.in_memory(loop_layout(scenario.steps, builder.n, builder.m, builder.Z.shape[1]))
     workspace = _Stored() if kind == "harness alone" else ExactWorkspace()
     port = SolverPort(workspace, "condensed_box", base_problem(builder), time.perf_counter_ns)
-    benchmark(
-        lambda: closed_loop(
-            scenario,
-            builder,
-            port,
-            log,
-            fallback="hold",
-            limit_ns=2**62,
-            clock=time.perf_counter_ns,
-        )
-    )
+    voyage = Voyage(scenario, builder, port, log, "hold", 2**62, time.perf_counter_ns)
+    benchmark(closed_loop, voyage)

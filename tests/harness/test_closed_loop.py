@@ -11,9 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpbench import load_scenario
+from dpbench.bench.actuation import FallbackLaw, limit_move
 from dpbench.bench.cell import Fallback
 from dpbench.bench.exact import base_problem
-from dpbench.bench.loop import FallbackLaw, SolverPort, closed_loop, limit_move
+from dpbench.bench.loop import Voyage, closed_loop
+from dpbench.bench.port import SolverPort
 from dpbench.bench.rawlog import RawLog, loop_layout
 from dpbench.mpc.law import gains
 from dpbench.qp.program import QPStep, QuadraticProgram
@@ -56,15 +58,8 @@ def run(
     log = RawLog.in_memory(loop_layout(scenario.steps, builder.n, builder.m, builder.Z.shape[1]))
     workspace = Scripted(answer)
     port = SolverPort(workspace, "condensed_box", base_problem(builder), time.perf_counter_ns)
-    complete = closed_loop(
-        scenario,
-        builder,
-        port,
-        log,
-        fallback=fallback,
-        limit_ns=limit_ns,
-        clock=time.perf_counter_ns,
-    )
+    voyage = Voyage(scenario, builder, port, log, fallback, limit_ns, time.perf_counter_ns)
+    complete = closed_loop(voyage)
     return log, workspace, complete
 
 

@@ -1,0 +1,102 @@
+"""The harness's side of a solver: its phases between two clock reads, its failures as data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from dpbench.bench.cell import Formulation
+from dpbench.bench.rawlog import RawLog
+from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.qp.solution import Solution, Status
+from dpbench.qp.stacked import stack, stack_step, unstack
+from dpbench.solvers.contract import Workspace
+
+Clock = Callable[[], int]
+
+
+class SolverPort:
+    """The harness's side of a workspace: formulation, phases and failures of one solver.
+
+    After `answer`, `phases_ns` holds set-up, update, solve and read of that step; −1 where a phase
+    did not take place.
+    """
+
+    def __init__(
+        self, workspace: Workspace, formulation: Formulation, base: QuadraticProgram, clock: Clock
+    ) -> None:
+        self._workspace, self._clock = workspace, clock
+        self._base = base
+        self._m = base.m
+        self._stacked = stack(base) if formulation == "condensed_stacked" else None
+        self.phases_ns = (-1, -1, -1, -1)
+        self.details: dict[str, int] = {}
+
+    def prepare(self) -> int:
+        """Set up before the first step; the time it took [ns], −1 when steps do it themselves."""
+        if self._workspace.setup_every_step:
+            return -1
+        started = self._clock()
+        self._workspace.setup(self._stacked or self._base)
+        return self._clock() - started
+
+    def formulate(self, step: QPStep) -> QPStep:
+        """The step in the formulation the solver gets; part of emitting it.
+
+        New matrices become those of the base problem, so that a later step without any is solved
+        with the same ones.
+        """
+        formulated = step if self._stacked is None else stack_step(step, self._stacked)
+        if not (step.P is None and step.A is None and step.lb is None and step.ub is None):
+            self._base = self._base.at(step)
+            if self._stacked is not None:
+                self._stacked = self._stacked.at(formulated)
+        return formulated
+
+    def answer(self, step: QPStep) -> Solution:
+        """Solve one step and map the answer to the two-sided form; never raises for a solver."""
+        workspace, clock = self._workspace, self._clock
+        t1 = t2 = t3 = t0 = -1
+        setup_every_step = workspace.setup_every_step
+        qp = (self._stacked or self._base).at(step) if setup_every_step else self._base
+        try:
+            t0 = clock()
+            if setup_every_step:
+                workspace.setup(qp)
+            else:
+                workspace.update(step)
+            t1 = clock()
+            workspace.solve()
+            t2 = clock()
+            solution = workspace.read()
+            t3 = clock()
+        # An adapter that raises is a failed solve of that solver, which is data of the run.
+        except Exception as error:
+            now = clock()
+            t1, t2, t3 = (now if t < 0 else t for t in (t1, t2, t3))
+            qp = self._stacked or self._base
+            detail = f"{type(error).__name__}: {error}"
+            solution = Solution.missing(qp.n, qp.m, Status.ERROR, detail)
+        prepared = t1 - t0
+        handed_over = (prepared, -1) if setup_every_step else (-1, prepared)
+        self.phases_ns = (*handed_over, t2 - t1, t3 - t2)
+        if solution.detail:
+            self.details[solution.detail] = self.details.get(solution.detail, 0) + 1
+        return solution if self._stacked is None else unstack(solution, self._m)
+
+    def reset(self) -> None:
+        """Make the workspace forget an answer that was not usable."""
+        try:
+            self._workspace.reset()
+        except Exception as error:
+            detail = f"reset: {type(error).__name__}: {error}"
+            self.details[detail] = self.details.get(detail, 0) + 1
+
+
+def record_answer(log: RawLog, r: int, k: int, solution: Solution) -> None:
+    """Copy an answer into row (r, k) of the log."""
+    log.status[r, k] = solution.status
+    log.iterations[r, k] = solution.iterations
+    log.reported_ns[r, k] = solution.reported_ns
+    log.z[r, k] = solution.z
+    log.y[r, k] = solution.y
+    log.y_box[r, k] = solution.y_box
