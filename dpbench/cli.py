@@ -85,7 +85,6 @@ class _Bar:
         self._task = self._progress.add_task("starting", total=None)
 
     def __enter__(self) -> _Bar:
-        self._progress.start()
         return self
 
     def __exit__(
@@ -94,10 +93,12 @@ class _Bar:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._progress.stop()
+        if self._progress.live.is_started:
+            self._progress.stop()
 
     def start(self, work: int) -> None:
-        """So much is to be done."""
+        """So much is to be done; until now the input could still be refused, without a bar."""
+        self._progress.start()
         self._progress.update(self._task, total=work)
 
     def advance(self, work: int, what: str) -> None:
@@ -145,7 +146,9 @@ def _list(arguments: argparse.Namespace) -> int:
 
     from dpbench.listing import listing
 
-    Console().print(listing(arguments.what))
+    # Into a file or a pipe the table takes the room it needs instead of 80 columns.
+    console = Console() if sys.stdout.isatty() else Console(width=200)
+    console.print(listing(arguments.what))
     return 0
 
 

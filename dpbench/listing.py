@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from rich.markup import escape
 from rich.table import Table
 
 from dpbench.bench.plan import plan
 from dpbench.bench.suite import load_suite
 from dpbench.errors import InputError
-from dpbench.problem_files import problem_names, problem_path, read_toml
+from dpbench.problem_files import problem_names, read_toml
 from dpbench.scenario import load_scenario, load_vessel
 from dpbench.ship.vessel import Vessel
 from dpbench.solvers.table import available, record, solver_names
@@ -25,8 +26,8 @@ def listing(what: str) -> Table:
 
 def _table(*columns: str) -> Table:
     table = Table(show_edge=False, pad_edge=False)
-    for column in columns:
-        table.add_column(column, overflow="fold")
+    for i, column in enumerate(columns):
+        table.add_column(column, no_wrap=i == 0)
     return table
 
 
@@ -73,7 +74,7 @@ def _solvers() -> Table:
             row.method,
             row.form,
             policies,
-            "yes" if found.ok else found.reason,
+            "yes" if found.ok else escape(found.reason),
         )
     return table
 
@@ -85,8 +86,11 @@ def check_file(path: str) -> str:
     ------
     InputError : naming file, key, what was found and what is allowed.
     """
-    file = problem_path("scenarios", path if path.endswith(".toml") else f"{path}.toml")
-    document = read_toml(Path(file))
+    file = Path(path)
+    if not file.is_file():
+        found = "a folder" if file.is_dir() else "no such file"
+        raise InputError(path, "", found, "a vessel, scenario or suite file in TOML")
+    document = read_toml(file)
     if "limits" in document:
         vessel = load_vessel(file)
         return f"{file}: a vessel, {vessel.title}"
