@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from multiprocessing.context import ForkServerContext
@@ -105,6 +107,17 @@ def scenario_key(cell: Cell) -> str:
     """Cells with the same key share one exactly solved loop."""
     text = json.dumps([cell.scenario, HARNESS_VERSION], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+@contextmanager
+def _away_from(core: int) -> Iterator[None]:
+    """Keep this process, whose progress bar redraws itself, off the core that is measured."""
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, before - {core} or before)
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
 
 
 class Bench:
@@ -204,9 +217,10 @@ class Bench:
             self._context, self._folder, exact, self._cores[-1], [(j.run_id, j.cell) for j in jobs]
         )
         rounds = max(job.cell.rounds for job in jobs)
-        for r in group.run():
-            share = sum(work_of(job.cell) for job in jobs) // (rounds + 1)
-            self._progress.advance(share, f"replay {jobs[0].cell.sequence}, round {r}")
+        share = sum(work_of(job.cell) for job in jobs) // (rounds + 1)
+        with _away_from(self._cores[-1]):
+            for r in group.run():
+                self._progress.advance(share, f"replay {jobs[0].cell.sequence}, round {r}")
         for job in jobs:
             job.outcome = group.outcomes[job.run_id]
         self._judge_all([j for j in jobs if (self._folder / f"{j.run_id}.raw").exists()], exact)
