@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 from dpbench.bench.cell import Cell
 from dpbench.bench.suite import ClosedLoopTable, ReplayTable, SuiteFile, UnitName
 from dpbench.errors import InputError, UnknownNameError
 from dpbench.scenario import Scenario, load_scenario
-from dpbench.solvers.contract import Policy
+from dpbench.solvers.contract import Policy, Route
 from dpbench.solvers.open import REFUSED_BY_QPSOLVERS
+from dpbench.solvers.settings import rung
 from dpbench.solvers.table import (
     TABLE,
     UNCONSTRAINED_CLIPPED,
@@ -24,8 +27,16 @@ from dpbench.solvers.table import (
 CONTRAST = UNCONSTRAINED_CLIPPED.name
 
 
-Arm = tuple[str, UnitName, str, Policy, tuple[str, ...]]
-"""solver, units, settings, policy, and further names of the same settings."""
+@dataclass(frozen=True)
+class Arm:
+    """One way of running one solver; `alias` are further names of the same settings."""
+
+    solver: str
+    route: Route
+    policy: Policy
+    units: UnitName
+    settings: str
+    alias: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -95,58 +106,74 @@ def plan(
     for replay in suite.replay:
         if replay.scenario in wanted:
             cells += _replay_cells(suite, replay, loaded[replay.scenario], chosen)
-    return cells
+    # Two tables may ask for the same cell, e.g. by its route's name and as the default one.
+    return list({planned.cell.to_json(): planned for planned in cells}.values())
 
 
 def _arms(solvers: Sequence[str], table: ClosedLoopTable | ReplayTable) -> list[Arm]:
-    """The arms of one table of a suite."""
+    """The arms of one table of a suite; a solver is left out of a route it does not have."""
+    for name in table.settings:
+        rung(name)
     arms: list[Arm] = []
-    for units in table.units:
-        for policy in table.policies:
-            for solver in solvers:
-                if settings_matter(solver):
-                    arms += [(solver, units, name, policy, ()) for name in table.settings]
-                else:
-                    first, *others = table.settings
-                    arms.append((solver, units, first, policy, tuple(others)))
+    for units, policy, wanted, solver in product(
+        table.units, table.policies, table.routes, solvers
+    ):
+        row = record(solver)
+        route: Route = row.default_route if wanted == "default" else wanted
+        if route not in row.policies:
+            continue
+        if settings_matter(solver):
+            arms += [Arm(solver, route, policy, units, name) for name in table.settings]
+        else:
+            first, *others = table.settings
+            arms.append(Arm(solver, route, policy, units, first, tuple(others)))
     return arms
 
 
-def _refusal(solver: str, policy: Policy) -> str:
-    found, row = available(solver), record(solver)
+def _refusal(arm: Arm) -> str:
+    found, row = available(arm.solver), record(arm.solver)
     if not found.ok:
         return found.reason
-    if policy in row.policies[row.default_route]:
+    if arm.policy in row.policies[arm.route]:
         return ""
-    reason = row.refused.get((row.default_route, policy), "")
-    return f"policy {policy}: {reason or REFUSED_BY_QPSOLVERS.get(policy, 'not offered')}"
+    reason = row.refused.get((arm.route, arm.policy), "")
+    return f"policy {arm.policy}: {reason or REFUSED_BY_QPSOLVERS.get(arm.policy, 'not offered')}"
+
+
+def _cell(arm: Arm, suite: SuiteFile, table: ClosedLoopTable | ReplayTable, **more: Any) -> Planned:
+    contrast = arm.solver == CONTRAST
+    cell = Cell(
+        solver=arm.solver,
+        route=arm.route,
+        policy=arm.policy,
+        settings=arm.settings,
+        formulation="none" if contrast else table.formulation,
+        units=arm.units,
+        limit_s=suite.cell_limit_s,
+        **more,
+    )
+    return Planned(cell, _refusal(arm), arm.alias)
 
 
 def _closed_loop_cells(
     suite: SuiteFile, table: ClosedLoopTable, scenario: Scenario, solvers: Sequence[str]
 ) -> list[Planned]:
-    cells = []
     steps = min(table.steps or scenario.steps, scenario.steps)
-    for solver, units, settings, policy, alias in _arms(solvers, table):
-        contrast = solver == CONTRAST
-        # The contrast law does not look at units or settings: it runs where the default arms do.
-        if contrast and (units, settings, policy) != ("scaled", "default", "fresh"):
-            continue
-        cell = Cell(
+    # The contrast law does not look at units or settings: it runs where the default arms do.
+    plain = ("scaled", "default", "fresh")
+    return [
+        _cell(
+            arm,
+            suite,
+            table,
             mode="closed_loop",
             scenario=scenario.files,
-            solver=solver,
-            route=record(solver).default_route,
-            policy=policy,
-            settings=settings,
             steps=steps,
-            formulation="none" if contrast else table.formulation,
-            units=units,
-            limit_s=suite.cell_limit_s,
             fallback=table.fallback,
         )
-        cells.append(Planned(cell, _refusal(solver, policy), alias))
-    return cells
+        for arm in _arms(solvers, table)
+        if arm.solver != CONTRAST or (arm.units, arm.settings, arm.policy) == plain
+    ]
 
 
 def _replay_cells(
@@ -156,25 +183,19 @@ def _replay_cells(
         raise InputError(
             f"suite: replay of {scenario.name}", "first", table.first, f"below {scenario.steps}"
         )
-    cells = []
     steps = min(table.steps or scenario.steps, scenario.steps - table.first)
-    for solver, units, settings, policy, alias in _arms(solvers, table):
-        if solver == CONTRAST:
-            continue
-        cell = Cell(
+    return [
+        _cell(
+            arm,
+            suite,
+            table,
             mode="replay",
             scenario=scenario.files,
-            solver=solver,
-            route=record(solver).default_route,
-            policy=policy,
-            settings=settings,
             steps=steps,
-            formulation=table.formulation,
-            units=units,
             first=table.first,
             rounds=suite.rounds,
             warmup_steps=min(suite.warmup_steps, steps),
-            limit_s=suite.cell_limit_s,
         )
-        cells.append(Planned(cell, _refusal(solver, policy), alias))
-    return cells
+        for arm in _arms(solvers, table)
+        if arm.solver != CONTRAST
+    ]

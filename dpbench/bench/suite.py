@@ -13,7 +13,7 @@ Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
 UnitName = Literal["scaled", "si"]
 PolicyName = Literal["fresh", "reuse", "warm"]
-SettingsName = Literal["default", "low", "mid", "high"]
+RouteName = Literal["default", "qpsolvers", "native"]
 FormulationName = Literal["condensed_box", "condensed_stacked"]
 
 
@@ -27,11 +27,12 @@ class DemandTable(FileModel):
 
 
 class ClosedLoopTable(FileModel):
-    """Every solver steers the ship itself."""
+    """Every solver steers the ship itself; route "default" is each solver's own."""
 
     scenarios: list[str]
     units: list[UnitName] = ["scaled"]
-    settings: list[SettingsName] = ["default"]
+    settings: list[str] = ["default"]
+    routes: list[RouteName] = ["default"]
     policies: list[PolicyName] = ["fresh"]
     formulation: FormulationName = "condensed_box"
     fallback: Literal["shifted_plan", "hold", "clip"] = "shifted_plan"
@@ -45,7 +46,8 @@ class ReplayTable(FileModel):
     first: Count = 0
     steps: Count = 0
     units: list[UnitName] = ["scaled"]
-    settings: list[SettingsName] = ["default"]
+    settings: list[str] = ["default"]
+    routes: list[RouteName] = ["default"]
     policies: list[PolicyName] = ["fresh"]
     formulation: FormulationName = "condensed_box"
 
