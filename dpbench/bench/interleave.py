@@ -20,6 +20,7 @@ from dpbench.bench.replay import SPOILT_FACTOR
 from dpbench.bench.supervise import GRACE_S, START_ALLOWANCE_S, Child, Outcome
 from dpbench.bench.worker import run_replay_cell
 
+STARTED_TOGETHER = 4
 SPOILT_RETRIES = 1
 """How often a round in which the reference kernel was slowed is run again."""
 
@@ -67,8 +68,14 @@ class ReplayGroup:
 
     def run(self) -> Iterator[int]:
         """Run all rounds; yields the number of each finished round, 0 for the warm-up."""
-        arms = [self._open(run_id, cell) for run_id, cell in self._cells]
+        arms: list[_Arm] = []
         try:
+            # Importing a library takes a second, so a few workers start side by side.
+            for i in range(0, len(self._cells), STARTED_TOGETHER):
+                batch = [self._start(*entry) for entry in self._cells[i : i + STARTED_TOGETHER]]
+                arms += batch
+                for arm in batch:
+                    arm.serving = arm.wait(START_ALLOWANCE_S) is True
             rounds = max(cell.rounds for _, cell in self._cells)
             order = random.Random(self._cells[0][1].seed)
             for r in range(rounds + 1):
@@ -80,16 +87,14 @@ class ReplayGroup:
             for arm in arms:
                 self._close(arm)
 
-    def _open(self, run_id: str, cell: Cell) -> _Arm:
+    def _start(self, run_id: str, cell: Cell) -> _Arm:
         ours, theirs = self._context.Pipe()
         args = (cell.to_json(), self._folder, run_id, self._core, self._exact, theirs)
         child = Child(
             self._context, run_replay_cell, args, self._folder, run_id, limit_s=cell.limit_s
         )
         theirs.close()
-        arm = _Arm(run_id, cell, child, ours)
-        arm.serving = arm.wait(START_ALLOWANCE_S) is True
-        return arm
+        return _Arm(run_id, cell, child, ours)
 
     def _serve(self, arm: _Arm, r: int) -> None:
         for attempt in range(SPOILT_RETRIES + 1):

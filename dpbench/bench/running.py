@@ -9,7 +9,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -147,29 +147,48 @@ class Bench:
             path.with_suffix(".part").replace(path)
         return outcome
 
-    def closed_loops(self, jobs: Sequence[Job], exact: dict[str, Path], slots: int) -> None:
-        """Run closed-loop cells on up to `slots` cores, each judged right after it ran."""
+    def _in_slots(
+        self,
+        jobs: Sequence[Job],
+        slots: int,
+        start: Callable[[Job, int], Child],
+        ended: Callable[[Job, Child, int], Child | None],
+    ) -> None:
+        """Run a process per job, up to `slots` at a time, each on the core of its slot.
+
+        `ended` may return another process that goes on with the job on the same core.
+        """
         waiting = list(reversed(jobs))
         free = [self._cores[i % len(self._cores)] for i in range(slots)]
         running: list[tuple[Job, Child, int]] = []
         while waiting or running:
             while waiting and free:
                 job, core = waiting.pop(), free.pop()
-                running.append((job, self._start(job, core), core))
+                running.append((job, start(job, core), core))
             time.sleep(POLL_S)
             for entry in list(running):
                 job, child, core = entry
                 if child.process.is_alive() and not child.overdue():
                     continue
                 running.remove(entry)
-                if job.outcome is None:
-                    job.outcome = child.outcome()
-                    if child.raw_path.exists():
-                        grader = self._grade(job, exact[scenario_key(job.cell)], core)
-                        running.append((job, grader, core))
-                        continue
-                self._finish(job)
-                free.append(core)
+                following = ended(job, child, core)
+                if following is None:
+                    free.append(core)
+                else:
+                    running.append((job, following, core))
+
+    def closed_loops(self, jobs: Sequence[Job], exact: dict[str, Path], slots: int) -> None:
+        """Run closed-loop cells on up to `slots` cores, each judged right after it ran."""
+
+        def ended(job: Job, child: Child, core: int) -> Child | None:
+            if job.outcome is None:
+                job.outcome = child.outcome()
+                if child.raw_path.exists():
+                    return self._grade(job, exact[scenario_key(job.cell)], core)
+            self._finish(job)
+            return None
+
+        self._in_slots(jobs, slots, self._start, ended)
 
     def _start(self, job: Job, core: int) -> Child:
         args = (job.cell.to_json(), self._folder, job.run_id, core)
@@ -229,10 +248,11 @@ class Bench:
             discard(self._folder / f"{job.run_id}.raw")
 
     def _judge_all(self, jobs: Sequence[Job], exact: Path) -> None:
-        for start in range(0, len(jobs), len(self._cores)):
-            batch = jobs[start : start + len(self._cores)]
-            graders = [self._grade(j, exact, c) for j, c in zip(batch, self._cores, strict=False)]
-            for job, grader in zip(batch, graders, strict=True):
-                outcome = grader.outcome()
-                if outcome.outcome != "finished":
-                    job.outcome = Outcome("invalid", f"the referee failed on it: {outcome.detail}")
+        def ended(job: Job, grader: Child, core: int) -> None:
+            outcome = grader.outcome()
+            if outcome.outcome != "finished":
+                job.outcome = Outcome("invalid", f"the referee failed on it: {outcome.detail}")
+
+        self._in_slots(
+            jobs, len(self._cores), lambda job, core: self._grade(job, exact, core), ended
+        )

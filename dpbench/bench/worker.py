@@ -31,17 +31,20 @@ from dpbench.solvers.open import open_workspace
 clock = time.perf_counter_ns
 
 
-def _settle(core: int, noise: Path | None) -> None:
-    """Pin this process to `core`, quieten it and stop the garbage collector."""
-    os.sched_setaffinity(0, {core})
-    if noise is not None:
-        sink = os.open(noise, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-        os.dup2(sink, 1)
-        os.dup2(sink, 2)
+def _settle(noise: Path) -> None:
+    """Send what libraries print to a file, ignore warnings and stop the garbage collector."""
+    sink = os.open(noise, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    os.dup2(sink, 1)
+    os.dup2(sink, 2)
     warnings.simplefilter("ignore")
     gc.collect()
     gc.freeze()
     gc.disable()
+
+
+def _pin(core: int) -> None:
+    """Stay on one core from now on."""
+    os.sched_setaffinity(0, {core})
 
 
 def _write(path: Path, verdict: dict[str, Any]) -> None:
@@ -55,9 +58,9 @@ def _verdict(outcome: str, detail: str, form: str = "") -> dict[str, Any]:
     return {"outcome": outcome, "detail": detail, "form": form}
 
 
-def _open(cell: Cell, folder: Path, name: str, core: int) -> Workspace | None:
+def _open(cell: Cell, folder: Path, name: str) -> Workspace | None:
     """Settle the process and open the cell's solver in it; None leaves a verdict `refused`."""
-    _settle(core, folder / f"{name}.noise")
+    _settle(folder / f"{name}.noise")
     try:
         isolate(cell.solver)
         return open_workspace(
@@ -80,7 +83,8 @@ def run_closed_loop_cell(text: str, folder: Path, name: str, core: int) -> None:
     """Run a closed-loop cell; raw log and verdict appear in `folder` under `name`."""
     cell = Cell.from_json(text)
     verdict_path = folder / f"{name}.json"
-    workspace = _open(cell, folder, name, core)
+    _pin(core)
+    workspace = _open(cell, folder, name)
     if workspace is None:
         return
     scenario = scenario_of(cell.scenario).first(cell.steps)
@@ -106,7 +110,7 @@ def run_replay_cell(
     """
     cell = Cell.from_json(text)
     verdict_path = folder / f"{name}.json"
-    workspace = _open(cell, folder, name, core)
+    workspace = _open(cell, folder, name)
     if workspace is None:
         orders.send(None)
         return
@@ -124,6 +128,8 @@ def run_replay_cell(
         limit_ns=round(cell.limit_s * 1e9),
         clock=clock,
     )
+    # Pinned only now, so that several workers can import their libraries side by side.
+    _pin(core)
     orders.send(True)
     complete = True
     while (r := orders.recv()) is not None:
@@ -138,7 +144,8 @@ def run_replay_cell(
 
 def run_exact_loop(text: str, folder: Path, name: str, core: int) -> None:
     """Solve the scenario of a cell exactly; `name`.npz and a verdict appear in `folder`."""
-    _settle(core, folder / f"{name}.noise")
+    _pin(core)
+    _settle(folder / f"{name}.noise")
     try:
         exact = solve_exactly(scenario_of(Cell.from_json(text).scenario))
     except CertificateError as error:
@@ -155,7 +162,8 @@ def grade_cell(
 
     Runs in a process of its own, in which the solver under test was never loaded.
     """
-    _settle(core, folder / f"{name}.noise")
+    _pin(core)
+    _settle(folder / f"{name}.noise")
     log = RawLog.open(folder / f"{name}.raw")
     grade_log(Cell.from_json(text), log, ExactLoop.load(exact_path)).save(graded)
     _write(folder / f"{name}.graded.json", _verdict("finished", ""))
