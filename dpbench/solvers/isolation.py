@@ -9,8 +9,7 @@ from __future__ import annotations
 import sys
 
 from dpbench.errors import DpbenchError
-from dpbench.solvers.table import record
-from dpbench.solvers.through_qpsolvers import ADAPTERS
+from dpbench.solvers.table import TABLE, record
 
 # Libraries that qpsolvers looks for and that are not in the table.
 OTHERS = (
@@ -36,11 +35,13 @@ def isolate(solver: str) -> None:
     UnknownNameError : there is no such solver.
     DpbenchError : qpsolvers was imported before, so it is too late.
     """
-    own = record(solver).module
+    row = record(solver)
     if "qpsolvers" in sys.modules:
         raise DpbenchError("isolate comes too late: qpsolvers has been imported in this process")
-    keep = {own, *NEEDS.get(solver, ())}
-    modules = [adapter.record.module for adapter in ADAPTERS.values()]
-    for module in (*modules, *OTHERS):
+    keep = {row.module, *NEEDS.get(solver, ())}
+    modules = {entry.module for entry in TABLE.values() if entry.module}
+    # What a solver outside the table needs is not known.
+    others = () if row.extra == "qpsolvers" else OTHERS
+    for module in (*modules, *others):
         if module not in keep:
             sys.modules[module] = None  # type: ignore[assignment]  # None is how Python hides one

@@ -57,6 +57,13 @@ class Sides:
         """The inequality and the equality rows of this block of rows M."""
         return np.vstack([M[self.upper], -M[self.lower]]), M[self.equal]
 
+    def split(self, y: Vector, z: Vector, y_equal: Vector) -> None:
+        """The inverse: two-sided multipliers y as those of inequality and of equality rows."""
+        count = self.upper.size
+        np.maximum(y[self.upper], 0.0, out=z[:count])
+        np.maximum(-y[self.lower], 0.0, out=z[count:])
+        y_equal[:] = y[self.equal]
+
     def multipliers(self, z: Vector, y: Vector) -> Vector:
         """Two-sided multipliers from those of the inequality rows z and the equality rows y."""
         if self.full:
@@ -92,7 +99,9 @@ class OneSidedForm:
             self._box = Sides(qp.lb, qp.ub)
             G_box, A_box = self._box.rows(np.eye(qp.n))
             G, A = np.vstack([G, G_box]), np.vstack([A, A_box])
-        h, b = np.empty(G.shape[0]), np.empty(A.shape[0])
+        # One array [b; h] for a library that stacks equalities on inequalities.
+        self.bh = np.empty(A.shape[0] + G.shape[0])
+        b, h = self.bh[: A.shape[0]], self.bh[A.shape[0] :]
         self._h, self._b = h[: self._rows], b[: self._equalities]
         if self._box is not None:
             self._box.fill(qp.lb, qp.ub, h[self._rows :], b[self._equalities :])
@@ -111,15 +120,29 @@ class OneSidedForm:
         self.q[:] = q
         self._sides.fill(l, u, self._h, self._b)
 
+    def two_sided(self, z: Vector, y: Vector) -> tuple[Vector, Vector]:
+        """y (m,) and y_box (n,) from the multipliers of G and of A; for box "rows"."""
+        assert self._box is not None, "bounds have to be rows"
+        rows = self._sides.multipliers(z[: self._rows], y[: self._equalities])
+        return rows, self._box.multipliers(z[self._rows :], y[self._equalities :])
+
+    def split(self, y: Vector, y_box: Vector, dual: Vector) -> None:
+        """Write two-sided multipliers into `dual`, ordered as `bh`; for box "rows"."""
+        count = self.bh.size - (0 if self.h is None else self.h.size)
+        equal, z = dual[:count], dual[count:]
+        self._sides.split(y, z[: self._rows], equal[: self._equalities])
+        if self._box is not None:
+            self._box.split(y_box, z[self._rows :], equal[self._equalities :])
+
     def multipliers(self, z: Any, y: Any, z_box: Any) -> tuple[Vector, Vector] | None:
         """y (m,) and y_box (n,) from the multipliers in a `qpsolvers.Solution`, None if absent."""
         z = _vector(z, 0 if self.h is None else self.h.size)
         y = _vector(y, 0 if self.b is None else self.b.size)
         if z is None or y is None:
             return None
-        rows = self._sides.multipliers(z[: self._rows], y[: self._equalities])
         if self._box is not None:
-            return rows, self._box.multipliers(z[self._rows :], y[self._equalities :])
+            return self.two_sided(z, y)
+        rows = self._sides.multipliers(z[: self._rows], y[: self._equalities])
         bounds = _vector(z_box, 0 if self.lb is None else self._n)
         if bounds is None:
             return None

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import warnings
 
-from dpbench.errors import PolicyError, SolverUnavailableError
+from dpbench.errors import InputError, PolicyError, SolverUnavailableError
 from dpbench.solvers.contract import Policy, Route, Settings, Workspace
+from dpbench.solvers.native import NATIVE
+from dpbench.solvers.plugins import find_plugin
 from dpbench.solvers.record import SolverRecord
 from dpbench.solvers.settings import check_names, resolve, rung
 from dpbench.solvers.table import available, record
 from dpbench.solvers.through_qpsolvers import ADAPTERS
+from dpbench.solvers.through_qpsolvers.generic import generic_adapter
 
 POLICIES: dict[str, str] = {
     "fresh": "set up from nothing at each step",
@@ -33,7 +36,7 @@ def open_workspace(
 
     Parameters
     ----------
-    solver : a name of the table.
+    solver : a name of the table, of a plug-in, or one that qpsolvers serves.
     route : "qpsolvers" or "native"; None takes the solver's own default.
     policy : "fresh", "reuse" or "warm", where the route has it.
     settings : a name of the ladder, or a mapping of the solver's own keys.
@@ -53,7 +56,12 @@ def open_workspace(
         raise SolverUnavailableError("solver", solver, found.reason, f"after {row.remedy}")
     if row.extra == "own":
         return _open_own(row, policy, settings)
-    adapter = ADAPTERS[solver]
+    if row.extra == "plugin":
+        return _open_plugin(row, policy, settings)
+    if route == "native":
+        native = NATIVE[solver]
+        return native.workspace(row, policy, resolve(settings, native))
+    adapter = ADAPTERS[solver] if solver in ADAPTERS else generic_adapter(solver)
     options = resolve(settings, adapter)
     if adapter.prepare is not None:
         adapter.prepare()
@@ -83,17 +91,30 @@ def _join(allowed: tuple[Policy, ...]) -> str:
     return " | ".join(f"{policy}: {POLICIES[policy]}" for policy in allowed)
 
 
+def _open_plugin(row: SolverRecord, policy: Policy, settings: Settings) -> Workspace:
+    plugin = find_plugin(row.name)
+    assert plugin is not None, "its record came from there"
+    options = rung(settings, row.name) if isinstance(settings, str) else dict(settings)
+    workspace = plugin.open(policy, options)
+    if not isinstance(workspace, Workspace):
+        raise InputError(f"solver {row.name}", "open", repr(workspace), "a Workspace")
+    # A plug-in's author need not know how the harness tells a fresh workspace.
+    workspace.setup_every_step = policy == "fresh"
+    return workspace
+
+
 def _open_own(row: SolverRecord, policy: Policy, settings: Settings) -> Workspace:
     if isinstance(settings, str):
-        rung(settings)
+        rung(settings, row.name)
     elif settings:
         check_names(row.name, settings, ())
-    from dpbench.solvers.paper_active_set import FreshPaperActiveSet, PaperActiveSet
+    from dpbench.solvers.paper_active_set import PaperActiveSet
     from dpbench.solvers.unconstrained import FreshUnconstrained, Unconstrained
 
     kinds: dict[tuple[str, str], type[Workspace]] = {
-        ("paper_active_set", "fresh"): FreshPaperActiveSet,
+        ("paper_active_set", "fresh"): PaperActiveSet,
         ("paper_active_set", "reuse"): PaperActiveSet,
+        ("paper_active_set", "warm"): PaperActiveSet,
         ("unconstrained_clipped", "fresh"): FreshUnconstrained,
         ("unconstrained_clipped", "reuse"): Unconstrained,
     }

@@ -1,17 +1,54 @@
-"""The record of one solver: what it is, in which form it gets its matrices, what it can do."""
+"""The record of one solver: what it is, in which form it gets its matrices, what it can do.
+
+What a library can do depends on the way it is reached, so each route has a record of its own; the
+conformance tests are generated from them and the report prints them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from dpbench.solvers.contract import Policy, Route
+from dpbench.solvers.project import NOT_STATED, Project
 
 Form = Literal["dense", "csc"]
 Box = Literal["native", "rows"]
-Start = Literal["none", "primal", "active set"]
-Extra = Literal["core", "solvers", "jax", "own"]
+Start = Literal["none", "primal", "primal and dual", "active set"]
+Updates = Literal["nothing", "vectors", "vectors and matrices"]
+Extra = Literal["core", "solvers", "jax", "casadi", "own", "plugin", "qpsolvers"]
+
+# Faults several libraries share. A NaN compares false with everything.
+NAN_ANSWER = {"solved despite a nan in q": "a NaN in q passes its tests of convergence"}
+NAN_IGNORED = {"solved despite a nan in u": "a NaN limit is never violated, so it limits nothing"}
+
+
+@dataclass(frozen=True)
+class RouteRecord:
+    """What a solver can do on one route.
+
+    Parameters
+    ----------
+    policies : those it runs; `refused` says why a missing one is missing.
+    updates : what the library takes over without being set up anew.
+    start : what a warm start is made of.
+    two_sided : whether l ≤ A z ≤ u reaches the library as such.
+    gives_multipliers : whether y and y_box come back.
+    detects_infeasibility : whether an infeasible problem is reported as such, and not only as
+        "no answer".
+    faults : known faulty behaviour, by the name of the conformance test that shows it; the test
+        fails when the fault disappears.
+    """
+
+    policies: tuple[Policy, ...]
+    updates: Updates = "vectors"
+    start: Start = "none"
+    two_sided: bool = False
+    gives_multipliers: bool = True
+    detects_infeasibility: bool = True
+    refused: Mapping[Policy, str] = field(default_factory=dict)
+    faults: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -23,17 +60,18 @@ class SolverRecord:
     name : its name in dpbench; `qpsolvers_name` where qpsolvers calls it otherwise.
     distribution, module : what `pip` installs and what Python imports; "" for dpbench's own.
     method : the algorithm, in a line.
-    extra : which part of dpbench's dependencies brings it; "own" needs nothing.
+    extra : which part of dpbench's dependencies brings it; "own" needs nothing, "plugin" and
+        "qpsolvers" are none of dpbench's business.
     form : the form its matrices are kept in, its own fastest.
-    box : whether bounds reach it as bounds, or as rows prepared once because qpsolvers would
-        otherwise append an identity matrix at every solve.
-    policies : the policies of each route.
+    box : on route qpsolvers, whether bounds reach it as bounds, or as rows prepared once because
+        qpsolvers would otherwise append an identity matrix at every solve.
+    policies : the policies of each route; the first route is the default.
     refused : why a policy of a route is not there, where there is more to say than that.
-    start : what a warm start is made of.
+    start, gives_multipliers, detects_infeasibility : as in `RouteRecord`, of the default route.
     needs_strict_convexity : whether P has to be positive definite.
-    gives_multipliers : whether y and y_box come back.
-    detects_infeasibility : whether an infeasible problem is reported as such, and not only as
-        "no answer".
+    native : what it can do on route native, where qpsolvers is its default route.
+    updates, two_sided, faults : as in `RouteRecord`, of the default route.
+    project : what its own documentation says to a controller's author.
     """
 
     name: str
@@ -50,6 +88,11 @@ class SolverRecord:
     detects_infeasibility: bool = True
     qpsolvers_name: str = ""
     refused: Mapping[tuple[Route, Policy], str] = field(default_factory=dict)
+    native: RouteRecord | None = None
+    updates: Updates = "nothing"
+    two_sided: bool = False
+    faults: Mapping[str, str] = field(default_factory=dict)
+    project: Project = NOT_STATED
 
     @property
     def default_route(self) -> Route:
@@ -59,5 +102,30 @@ class SolverRecord:
     @property
     def remedy(self) -> str:
         """The command that installs it."""
+        if self.extra in ("plugin", "qpsolvers"):
+            return f"pip install {self.distribution}" if self.distribution else "install it"
         extra = "" if self.extra in ("core", "own") else f"[{self.extra}]"
         return f"pip install dpbench{extra}"
+
+    def on(self, route: Route) -> RouteRecord:
+        """What it can do on a route it has; KeyError on one it does not have."""
+        if route == "native" and self.native is not None:
+            return self.native
+        return RouteRecord(
+            policies=self.policies[route],
+            updates=self.updates,
+            start=self.start,
+            two_sided=self.two_sided,
+            gives_multipliers=self.gives_multipliers,
+            detects_infeasibility=self.detects_infeasibility,
+            refused={p: why for (r, p), why in self.refused.items() if r == route},
+            faults=self.faults,
+        )
+
+    def with_native(self, native: RouteRecord) -> SolverRecord:
+        """The same solver, reached through its own interface as well."""
+        refused: dict[tuple[Route, Policy], str] = dict(self.refused)
+        refused.update({("native", policy): why for policy, why in native.refused.items()})
+        policies: dict[Route, tuple[Policy, ...]] = dict(self.policies)
+        policies["native"] = native.policies
+        return replace(self, policies=policies, refused=refused, native=native)

@@ -1,73 +1,127 @@
 """The ladder of settings: one place that says what each name means for each solver.
 
-`default` is the library's own choice; `high` asks for 1e-9 absolute, relative criteria off (or at
-1e-9 where the library needs them positive), criteria on the duality gap on, and iteration limits
-high enough to get there. A solver without an entry has no tolerance to set.
+`default` is the library's own choice; `low`, `mid` and `high` ask for 1e-3, 1e-6 and 1e-9 absolute,
+relative criteria off (or at the same number where the library needs them positive), criteria on
+the duality gap on, and iteration limits high enough to get there. A solver without an entry has no
+tolerance to set. The names mean the same on both routes.
 
-OSQP's polishing stays off in `high`: it is a second algorithm, and its failures are silent.
+OSQP's polishing is a second algorithm whose failures are silent, so it has names of its own:
+`default_polished` and `high_polished`.
 """
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Protocol
 
 from dpbench.errors import SettingsError
 from dpbench.solvers.contract import Settings
-from dpbench.solvers.through_qpsolvers import Adapter
+from dpbench.solvers.plugins import find_plugin
+from dpbench.solvers.record import SolverRecord
 from dpbench.solvers.through_qpsolvers.adapter import Options
 
-HIGH = 1e-9
+DEFAULT, LOW, MID, HIGH = "default", "low", "mid", "high"
+TOLERANCES = {LOW: 1e-3, MID: 1e-6, HIGH: 1e-9}
 
-_CONEQP = {"abstol": HIGH, "reltol": HIGH, "feastol": HIGH, "maxiters": 200}
-LADDER: Mapping[str, Mapping[str, Options]] = {
-    "default": {},
-    "high": {
-        "clarabel": {"tol_gap_abs": HIGH, "tol_gap_rel": HIGH, "tol_feas": HIGH, "max_iter": 500},
-        "cvxopt": _CONEQP,
+
+def _coneqp(tolerance: float) -> Options:
+    return {"abstol": tolerance, "reltol": tolerance, "feastol": tolerance, "maxiters": 200}
+
+
+def _piqp(tolerance: float) -> Options:
+    return {**_proxqp(tolerance), "max_iter": 1000}
+
+
+def _proxqp(tolerance: float) -> Options:
+    return {
+        "eps_abs": tolerance,
+        "eps_rel": 0.0,
+        "check_duality_gap": True,
+        "eps_duality_gap_abs": tolerance,
+        "eps_duality_gap_rel": 0.0,
+    }
+
+
+def _rung(tolerance: float) -> dict[str, Options]:
+    """What a tolerance means for each solver."""
+    first_order: Options = {"eps_abs": tolerance, "eps_rel": 0.0}
+    return {
+        "clarabel": {
+            "tol_gap_abs": tolerance,
+            "tol_gap_rel": tolerance,
+            "tol_feas": tolerance,
+            "max_iter": 500,
+        },
+        "cvxopt": _coneqp(tolerance),
         # dual_tol stays at DAQP's own 1e-12, which is tighter.
-        "daqp": {"primal_tol": HIGH},
-        "ecos": {"abstol": HIGH, "reltol": HIGH, "feastol": HIGH, "max_iters": 500},
+        "daqp": {"primal_tol": tolerance},
+        "ecos": {"abstol": tolerance, "reltol": tolerance, "feastol": tolerance, "max_iters": 500},
         "highs": {
-            "primal_feasibility_tolerance": HIGH,
-            "dual_feasibility_tolerance": HIGH,
+            "primal_feasibility_tolerance": tolerance,
+            "dual_feasibility_tolerance": tolerance,
             "qp_regularization_value": 0.0,
         },
-        "jaxopt": {"tol": HIGH, "maxiter": 100_000},
-        "kvxopt": _CONEQP,
-        "osqp": {"eps_abs": HIGH, "eps_rel": 0.0, "max_iter": 200_000},
-        "piqp": {
-            "eps_abs": HIGH,
-            "eps_rel": 0.0,
-            "check_duality_gap": True,
-            "eps_duality_gap_abs": HIGH,
-            "eps_duality_gap_rel": 0.0,
-            "max_iter": 1000,
-        },
-        "proxqp": {
-            "eps_abs": HIGH,
-            "eps_rel": 0.0,
-            "check_duality_gap": True,
-            "eps_duality_gap_abs": HIGH,
-            "eps_duality_gap_rel": 0.0,
-        },
-        "qpalm": {"eps_abs": HIGH, "eps_rel": 0.0, "max_iter": 100_000},
+        "jaxopt": {"tol": tolerance, "maxiter": 100_000},
+        "kvxopt": _coneqp(tolerance),
+        "osqp": {**first_order, "max_iter": 200_000},
+        "piqp": _piqp(tolerance),
+        "piqp_sparse": _piqp(tolerance),
+        "proxqp": _proxqp(tolerance),
+        "proxqp_sparse": _proxqp(tolerance),
+        "qoco": {"abstol": tolerance, "reltol": tolerance, "max_iters": 500},
+        "qpalm": {**first_order, "max_iter": 100_000},
         # qpax 0.1.4 stalls short of 1e-7 in its own measure: exact answers that it does not claim.
-        "qpax": {"solver_tol": HIGH, "max_iter": 100},
-        "qtqp": {"tol_feas": HIGH, "tol_gap_abs": HIGH, "tol_gap_rel": HIGH, "max_iter": 500},
-        "scs": {"eps_abs": HIGH, "eps_rel": 0.0, "max_iters": 1_000_000},
-        "sip": {"eps_abs": HIGH, "eps_rel": 0.0},
-    },
+        "qpax": {"solver_tol": tolerance, "max_iter": 100},
+        "qtqp": {
+            "tol_feas": tolerance,
+            "tol_gap_abs": tolerance,
+            "tol_gap_rel": tolerance,
+            "max_iter": 500,
+        },
+        "scs": {**first_order, "max_iters": 1_000_000},
+        "sip": first_order,
+    }
+
+
+# OSQP 1.x adapts ρ every so many iterations by default, as others did by the clock: said aloud.
+FAIR: Mapping[str, Options] = {"osqp": {"adaptive_rho": 1, "adaptive_rho_interval": 50}}
+
+
+def _fair(rung: Mapping[str, Options]) -> dict[str, Options]:
+    return {**rung, **{name: {**keys, **rung.get(name, {})} for name, keys in FAIR.items()}}
+
+
+LADDER: Mapping[str, Mapping[str, Options]] = {
+    DEFAULT: _fair({}),
+    **{name: _fair(_rung(tolerance)) for name, tolerance in TOLERANCES.items()},
 }
+_POLISH: Options = {"polishing": True}
+VARIANTS: Mapping[str, Mapping[str, Options]] = {
+    "osqp": {f"{name}_polished": {**LADDER[name]["osqp"], **_POLISH} for name in (DEFAULT, HIGH)},
+}
+"""Further names that one solver has beside the ladder."""
+
+
+class Configurable(Protocol):
+    """What is asked of an adapter about its settings."""
+
+    @property
+    def record(self) -> SolverRecord: ...
+
+    @property
+    def option_names(self) -> Callable[[], Iterable[str]] | None: ...
+
+    @property
+    def settings_object(self) -> Callable[[], Any] | None: ...
 
 
 def settings_matter(solver: str) -> bool:
     """Whether the names of the ladder differ for this solver."""
-    return any(rung.get(solver) for rung in LADDER.values())
+    return any(rung(name, solver) != rung(DEFAULT, solver) for name in LADDER)
 
 
-def resolve(settings: Settings, adapter: Adapter) -> Options:
+def resolve(settings: Settings, adapter: Configurable) -> Options:
     """The keyword arguments that `settings` means for a library.
 
     Raises
@@ -77,18 +131,46 @@ def resolve(settings: Settings, adapter: Adapter) -> Options:
     """
     name = adapter.record.name
     if isinstance(settings, str):
-        return dict(rung(settings).get(name, {}))
-    check_names(name, settings, adapter.option_names())
+        return dict(rung(settings, name))
+    if adapter.option_names is not None:
+        check_names(name, settings, adapter.option_names())
     if adapter.settings_object is not None:
         _check_values(name, settings, adapter.settings_object())
-    return dict(settings)
+    return {**FAIR.get(name, {}), **settings}
 
 
-def rung(name: str) -> Mapping[str, Options]:
-    """The rung of the ladder of that name; SettingsError if there is none."""
-    if name not in LADDER:
-        raise SettingsError("settings", "", repr(name), " | ".join(LADDER))
-    return LADDER[name]
+def setting_names(solver: str) -> tuple[str, ...]:
+    """The names of settings of a solver: the ladder and its variants."""
+    return *LADDER, *VARIANTS.get(solver, {})
+
+
+def rung(name: str, solver: str) -> Options:
+    """What the setting of that name means for a solver; SettingsError if there is none."""
+    if name in LADDER:
+        if solver in LADDER[name]:
+            return LADDER[name][solver]
+        plugin = find_plugin(solver)
+        return {} if plugin is None else plugin.ladder.get(name, {})
+    variants = VARIANTS.get(solver, {})
+    if name not in variants:
+        allowed = " | ".join(setting_names(solver))
+        raise SettingsError(f"settings of {solver}", "", repr(name), allowed)
+    return variants[name]
+
+
+def describe_ladder(solver: str) -> str:
+    """One line per name of its settings: what it sets, "the library's defaults" for nothing."""
+    lines = []
+    for name in setting_names(solver):
+        keys = ", ".join(f"{key}={value!r}" for key, value in rung(name, solver).items())
+        lines.append(f"{name}: {keys or _nothing(name, solver)}")
+    return "\n".join(lines)
+
+
+def _nothing(name: str, solver: str) -> str:
+    if settings_matter(solver) or name == DEFAULT:
+        return "the library's defaults"
+    return "as default: it has no tolerance to set"
 
 
 def check_names(solver: str, settings: Mapping[str, object], allowed: Iterable[str]) -> None:

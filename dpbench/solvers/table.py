@@ -6,11 +6,15 @@ import importlib
 import warnings
 from dataclasses import dataclass
 from importlib import metadata
+from pathlib import Path
 
 from dpbench.errors import UnknownNameError
+from dpbench.solvers.native import NATIVE
+from dpbench.solvers.plugins import entry_point_names, find_plugin, load_file, loaded_names
 from dpbench.solvers.record import SolverRecord
 from dpbench.solvers.settings import settings_matter
 from dpbench.solvers.through_qpsolvers import ADAPTERS
+from dpbench.solvers.through_qpsolvers.generic import generic_adapter, is_served
 
 PAPER_ACTIVE_SET = SolverRecord(
     name="paper_active_set",
@@ -20,10 +24,9 @@ PAPER_ACTIVE_SET = SolverRecord(
     extra="own",
     form="dense",
     box="native",
-    policies={"native": ("fresh", "reuse")},
-    start="none",
+    policies={"native": ("fresh", "reuse", "warm")},
+    start="active set",
     needs_strict_convexity=True,
-    refused={("native", "warm"): "it starts from the empty set, the unconstrained optimum"},
 )
 UNCONSTRAINED_CLIPPED = SolverRecord(
     name="unconstrained_clipped",
@@ -44,6 +47,7 @@ TABLE: dict[str, SolverRecord] = dict(
     sorted(
         {
             **{name: adapter.record for name, adapter in ADAPTERS.items()},
+            **{name: adapter.record for name, adapter in NATIVE.items()},
             "paper_active_set": PAPER_ACTIVE_SET,
             "unconstrained_clipped": UNCONSTRAINED_CLIPPED,
         }.items()
@@ -61,15 +65,36 @@ class Availability:
 
 
 def solver_names() -> tuple[str, ...]:
-    """Every solver of the table, installed or not, in alphabetical order."""
-    return tuple(TABLE)
+    """Every solver of the table, installed or not, and every plug-in, in alphabetical order."""
+    return tuple(sorted({*TABLE, *loaded_names(), *entry_point_names()}))
 
 
 def record(name: str) -> SolverRecord:
-    """The row of a solver; UnknownNameError if there is none."""
-    if name not in TABLE:
-        raise UnknownNameError("solver", "", repr(name), ", ".join(TABLE))
-    return TABLE[name]
+    """The row of a solver: of the table, of a plug-in, or of one that only qpsolvers knows.
+
+    Raises
+    ------
+    UnknownNameError : there is no such solver.
+    InputError : it is a plug-in that fails to load.
+    """
+    if name in TABLE:
+        return TABLE[name]
+    plugin = find_plugin(name)
+    if plugin is not None:
+        return plugin.record
+    if is_served(name):
+        return generic_adapter(name).record
+    raise UnknownNameError("solver", "", repr(name), ", ".join(solver_names()))
+
+
+def load_solver_module(path: str | Path) -> SolverRecord:
+    """Load a plug-in from a Python file, so that its name is one of a solver in this process.
+
+    Raises
+    ------
+    InputError : the file is missing, fails when run, is no plug-in, or takes a name of the table.
+    """
+    return load_file(path, TABLE)
 
 
 def available(name: str) -> Availability:
@@ -81,6 +106,11 @@ def available(name: str) -> Availability:
     row = record(name)
     if row.extra == "own":
         return Availability(True, metadata.version("dpbench"))
+    if row.extra == "qpsolvers":
+        return _through_qpsolvers(name)
+    plugin = None if name in TABLE else find_plugin(name)
+    if plugin is not None:
+        return Availability(True, plugin.version)
     try:
         version = metadata.version(row.distribution)
     except metadata.PackageNotFoundError:
@@ -98,4 +128,25 @@ def available(name: str) -> Availability:
     return Availability(True, version)
 
 
-__all__ = ["TABLE", "Availability", "available", "record", "settings_matter", "solver_names"]
+def _through_qpsolvers(name: str) -> Availability:
+    """Whether qpsolvers found the library of a solver that is not in the table."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        served = importlib.import_module("qpsolvers").available_solvers
+    if name not in served:
+        return Availability(False, "", f"qpsolvers does not find it: pip install qpsolvers[{name}]")
+    try:
+        return Availability(True, metadata.version(name))
+    except metadata.PackageNotFoundError:
+        return Availability(True, f"qpsolvers {metadata.version('qpsolvers')}")
+
+
+__all__ = [
+    "TABLE",
+    "Availability",
+    "available",
+    "load_solver_module",
+    "record",
+    "settings_matter",
+    "solver_names",
+]

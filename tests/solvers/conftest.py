@@ -11,6 +11,8 @@ import pytest
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.open import open_workspace
+from dpbench.solvers.record import RouteRecord
+from dpbench.solvers.settings import rung
 from dpbench.solvers.table import TABLE, available
 
 INF = np.inf
@@ -31,8 +33,11 @@ TOLERANCE = {
     "osqp": FIRST_ORDER,
     "paper_active_set": EXACT,
     "piqp": INTERIOR,
+    "piqp_sparse": INTERIOR,
     "proxqp": FIRST_ORDER,
+    "proxqp_sparse": FIRST_ORDER,
     "pyqpmad": EXACT,
+    "qoco": INTERIOR,
     "qpalm": FIRST_ORDER,
     "qpax": 2e-3,  # √(2·gap) for the gap of 1e-6 it can reach
     "qtqp": INTERIOR,
@@ -42,6 +47,22 @@ TOLERANCE = {
 }
 # qpax stalls between 1e-6 and 1e-7 in its own measure.
 TIGHTEST = {"qpax": {"solver_tol": 1e-6}}
+
+LIMIT_KEY = {
+    "cvxopt": "maxiters",
+    "daqp": "iter_limit",
+    "ecos": "max_iters",
+    "highs": "qp_iteration_limit",
+    "kvxopt": "maxiters",
+    "qoco": "max_iters",
+    "scs": "max_iters",
+    "sip": "max_iterations",
+}
+"""The key of the iteration limit where it is not `max_iter`."""
+# HiGHS has a limit, but counts the same for every problem of a size.
+UNLIMITED = {"highs", "paper_active_set", "pyqpmad", "quadprog", "qpax"}
+# Where qpsolvers passes no status or no count on.
+SILENT = {(name, "qpsolvers") for name in ("clarabel", "daqp", "qtqp")}
 
 
 class Arm(NamedTuple):
@@ -55,10 +76,25 @@ class Arm(NamedTuple):
     def tolerance(self) -> float:
         return TOLERANCE[self.solver]
 
-    def open(self, settings: object = None) -> Workspace:
+    @property
+    def limit_key(self) -> str:
+        return LIMIT_KEY.get(self.solver, "max_iter")
+
+    @property
+    def record(self) -> RouteRecord:
+        return TABLE[self.solver].on(self.route)
+
+    @property
+    def exact_again(self) -> bool:
+        """Whether nothing of an earlier solve is left that could change a later one's rounding."""
+        return self.policy == "fresh" or (self.route == "qpsolvers" and self.policy != "warm")
+
+    def open(self, settings: object = None, **further: object) -> Workspace:
         """A workspace at settings `high`, or the tightest that the library can claim to reach."""
         if settings is None:
             settings = TIGHTEST.get(self.solver, "high")
+        if further:
+            settings = {**rung(str(settings), self.solver), **further}
         return open_workspace(self.solver, route=self.route, policy=self.policy, settings=settings)
 
 
@@ -74,8 +110,10 @@ ARMS = [
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run a test that takes an `arm` or an `installed` solver for each there is."""
-    if "arm" in metafunc.fixturenames:
-        metafunc.parametrize("arm", ARMS, ids=["-".join(arm) for arm in ARMS])
+    limited = [a for a in ARMS if a.solver not in UNLIMITED and (a.solver, a.route) not in SILENT]
+    for name, arms in (("arm", ARMS), ("limited_arm", limited)):
+        if name in metafunc.fixturenames:
+            metafunc.parametrize(name, arms, ids=["-".join(arm) for arm in arms])
     if "installed" in metafunc.fixturenames:
         metafunc.parametrize("installed", INSTALLED)
 

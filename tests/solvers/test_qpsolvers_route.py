@@ -141,6 +141,9 @@ TIMED = {
     "proxqp": {"compute_timings": True},
     "qpalm": {},
     "scs": {},
+    "piqp_sparse": {"compute_timings": True},
+    "proxqp_sparse": {"compute_timings": True},
+    "qoco": {},
 }
 
 

@@ -6,9 +6,18 @@ import numpy as np
 import pytest
 
 from dpbench.errors import SettingsError
+from dpbench.qp.certify import certify
 from dpbench.qp.solution import Status
+from dpbench.solvers.native import NATIVE
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.settings import LADDER, resolve, settings_matter
+from dpbench.solvers.settings import (
+    LADDER,
+    VARIANTS,
+    describe_ladder,
+    resolve,
+    setting_names,
+    settings_matter,
+)
 from dpbench.solvers.table import TABLE
 from dpbench.solvers.through_qpsolvers import ADAPTERS
 
@@ -62,19 +71,21 @@ def solve(solver, settings, qp):
 
 @pytest.mark.parametrize("name", LADDER)
 def test_every_rung_is_accepted_by_the_library(installed, name, sequence):
-    """Each key of the ladder is a key of the library, which solves with it."""
+    """Each key of the ladder is a key of the library, on each route, and it solves with it."""
     rung = LADDER[name].get(installed, {})
-    if installed in ADAPTERS:
-        assert resolve(dict(rung), ADAPTERS[installed]) == rung
+    for adapters in (ADAPTERS, NATIVE):
+        if installed in adapters:
+            assert resolve(dict(rung), adapters[installed]) == rung
     expected = UNREACHED.get((installed, name), Status.SOLVED)
     assert solve(installed, name, sequence.base).status is expected
 
 
 def test_high_is_more_accurate_than_default(installed, sequence):
     """Where the settings matter, `high` brings the answer nearer to the optimum."""
-    exact = solve("paper_active_set", "default", sequence.base).z
+    exact = certify(sequence.base).z
     default, high = (
-        np.abs(solve(installed, name, sequence.base).z - exact).max() for name in LADDER
+        np.abs(solve(installed, name, sequence.base).z - exact).max()
+        for name in ("default", "high")
     )
     # DAQP visits the same active sets at both and is exact at both: rounding may differ.
     assert high <= default if settings_matter(installed) else high == default
@@ -83,7 +94,42 @@ def test_high_is_more_accurate_than_default(installed, sequence):
 def test_settings_matter_where_the_ladder_has_an_entry():
     """Solvers without a tolerance are known as such."""
     without = {name for name in TABLE if not settings_matter(name)}
-    assert without == {"paper_active_set", "pyqpmad", "quadprog", "unconstrained_clipped"}
+    own = {name for name in TABLE if TABLE[name].extra == "own"}
+    assert without == {"pyqpmad", "quadprog", *own}
+
+
+@pytest.mark.parametrize("route", ["qpsolvers", "native"])
+@pytest.mark.parametrize("name", VARIANTS["osqp"])
+def test_polishing_is_a_setting_of_its_own(route, name, sequence):
+    """OSQP's polished settings are accurate to rounding where `default` ends at its tolerance."""
+    exact = certify(sequence.base).z
+    errors = []
+    for settings in (name, "default"):
+        workspace = open_workspace("osqp", route=route, settings=settings)
+        workspace.setup(sequence.base)
+        workspace.solve()
+        errors.append(np.abs(workspace.read().z - exact).max())
+    # A polished answer solves the KKT system of its active set to rounding, here some 1e-15.
+    assert errors[0] <= 1e-13
+    assert errors[1] > 1e-6
+
+
+def test_the_ladder_is_described_in_words(installed):
+    """Each name of a solver's settings has a line with the keys and values that it sets."""
+    lines = describe_ladder(installed).splitlines()
+    assert [line.split(":")[0] for line in lines] == list(setting_names(installed))
+    if settings_matter(installed):
+        assert "1e-09" in lines[3]
+    else:
+        assert "no tolerance to set" in lines[3]
+
+
+def test_osqp_adapts_its_penalty_by_iterations_on_every_rung():
+    """No name of OSQP's settings leaves the interval of adaptation to a clock."""
+    for name in setting_names("osqp"):
+        assert "adaptive_rho_interval=50" in describe_ladder("osqp").splitlines()[0]
+        assert resolve(name, ADAPTERS["osqp"])["adaptive_rho_interval"] == 50
+    assert resolve({"eps_abs": 1e-5}, NATIVE["osqp"])["adaptive_rho_interval"] == 50
 
 
 def test_an_unknown_key_is_refused(installed):
@@ -121,7 +167,7 @@ def test_a_value_of_the_wrong_kind_is_refused(solver):
 
 def test_an_unknown_name_is_refused(installed):
     """A name that is not in the ladder is refused with those that are."""
-    with pytest.raises(SettingsError, match=r"'hihg'; allowed: default \| high"):
+    with pytest.raises(SettingsError, match=r"'hihg'; allowed: default \| low \| mid \| high"):
         open_workspace(installed, settings="hihg")
 
 

@@ -16,6 +16,7 @@ from dpbench.solvers.isolation import isolate
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import TABLE, available, record, solver_names
 
+NATIVE_ONLY = ["hpipm", "piqp_sparse", "proxqp_sparse", "qoco", "qpoases"]
 SERVED = [
     "clarabel",
     "cvxopt",
@@ -38,8 +39,10 @@ SERVED = [
 
 
 def test_every_promised_solver_is_in_the_table():
-    """The table holds all open-source solvers qpsolvers serves from wheels, and the two own."""
-    assert list(solver_names()) == sorted([*SERVED, "paper_active_set", "unconstrained_clipped"])
+    """The table holds all that qpsolvers serves from wheels, the native ones and the own ones."""
+    own = [name for name, row in TABLE.items() if row.extra == "own"]
+    assert {"paper_active_set", "unconstrained_clipped"} <= set(own)
+    assert list(solver_names()) == sorted([*SERVED, *NATIVE_ONLY, *own])
 
 
 def test_names_are_those_of_qpsolvers(installed):
@@ -47,7 +50,7 @@ def test_names_are_those_of_qpsolvers(installed):
     import qpsolvers
 
     row = record(installed)
-    if row.extra != "own":
+    if "qpsolvers" in row.policies:
         assert (row.qpsolvers_name or row.name) in qpsolvers.available_solvers
 
 
@@ -95,9 +98,13 @@ def test_unknown_names_are_refused():
         ("daqp", None, "reuse", "nothing can be reused"),
         ("clarabel", None, "warm", "ignores a start"),
         ("qpalm", None, "warm", "setting `x`"),
-        ("paper_active_set", None, "warm", "starts from the empty set"),
         ("daqp", None, "hot", "allowed: fresh"),
-        ("daqp", "native", "fresh", "allowed: qpsolvers"),
+        ("pyqpmad", "native", "fresh", "allowed: qpsolvers"),
+        ("qoco", "qpsolvers", "fresh", "allowed: native"),
+        ("clarabel", "native", "warm", "no interface for a start"),
+        ("piqp", "native", "warm", "no interface for a start"),
+        ("quadprog", "native", "warm", "unconstrained optimum"),
+        ("highs", "native", "warm", "to the last bit"),
         ("paper_active_set", "qpsolvers", "fresh", "allowed: native"),
     ],
 )
@@ -110,6 +117,7 @@ def test_routes_and_policies_that_do_not_exist_are_refused(solver, route, policy
 def test_the_default_route_is_the_solvers_own():
     """Without a route, libraries go through qpsolvers and the own solvers run natively."""
     assert open_workspace("daqp").route == "qpsolvers"
+    assert open_workspace("piqp_sparse").route == "native"
     assert open_workspace("paper_active_set").route == "native"
 
 
@@ -118,12 +126,18 @@ def test_the_form_is_recorded(installed):
     assert open_workspace(installed).form == TABLE[installed].form
 
 
-def test_own_solvers_set_up_anew_only_when_fresh():
+def test_native_workspaces_set_up_anew_only_when_fresh(arm):
     """The harness sets a native workspace up at every step under `fresh`, and never else."""
-    for name in ("paper_active_set", "unconstrained_clipped"):
-        assert open_workspace(name, policy="fresh").setup_every_step
-        assert not open_workspace(name, policy="reuse").setup_every_step
-    assert not open_workspace("daqp").setup_every_step
+    assert arm.open().setup_every_step == (arm.route == "native" and arm.policy == "fresh")
+
+
+def test_a_record_tells_the_routes_apart():
+    """What a library can do depends on the way it is reached, and so does its record."""
+    row = TABLE["daqp"]
+    assert not row.on("qpsolvers").detects_infeasibility
+    assert row.on("native").detects_infeasibility
+    assert row.on("qpsolvers").start == "primal"
+    assert row.on("native").start == "active set"
 
 
 def test_isolation_comes_before_qpsolvers():

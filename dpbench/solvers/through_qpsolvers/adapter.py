@@ -41,7 +41,7 @@ class Adapter:
     record : its row in the table.
     judge : maps a `qpsolvers.Solution` with extras, and the options of the call, to a verdict.
     option_names : the names of the library's settings, asked of the library itself; the members
-        of a group of settings as "group.name".
+        of a group of settings as "group.name"; None where they are not known and not checked.
     settings_object : a fresh settings object of the library that takes options as attributes,
         None where it takes them as keywords.
     fixed : arguments of every call that are not settings of the algorithm.
@@ -52,7 +52,7 @@ class Adapter:
 
     record: SolverRecord
     judge: Callable[[Any, Options], Verdict]
-    option_names: Callable[[], Iterable[str]]
+    option_names: Callable[[], Iterable[str]] | None
     settings_object: Callable[[], Any] | None = None
     fixed: Options = field(default_factory=dict)
     not_found: Verdict = NO_REASON

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.record import NAN_ANSWER, NAN_IGNORED, SolverRecord
 from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict
 
 # The user guide of CVXOPT, section "Algorithm parameters", and the source of `coneqp`; the
@@ -50,6 +50,7 @@ def _record(name: str) -> SolverRecord:
         policies={"qpsolvers": ("fresh", "warm")},
         start="primal",
         detects_infeasibility=False,
+        faults={**NAN_ANSWER, **NAN_IGNORED},
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from importlib import import_module
 
-from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.record import NAN_ANSWER, NAN_IGNORED, SolverRecord
 from dpbench.solvers.through_qpsolvers.adapter import Adapter, found_is_all
 
 RECORD = SolverRecord(
@@ -19,6 +19,7 @@ RECORD = SolverRecord(
     policies={"qpsolvers": ("fresh", "warm")},
     start="primal",
     detects_infeasibility=False,
+    faults={**NAN_ANSWER, **NAN_IGNORED},
 )
 
 DATA = {"H", "f", "A", "bupper", "blower", "sense", "break_points", "is_avi"}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.record import NAN_IGNORED, SolverRecord
 from dpbench.solvers.through_qpsolvers.adapter import Adapter, attributes, found_is_all
 
 RECORD = SolverRecord(
@@ -18,6 +18,7 @@ RECORD = SolverRecord(
     box="native",
     policies={"qpsolvers": ("fresh",)},
     detects_infeasibility=False,
+    faults=NAN_IGNORED,
 )
 
 

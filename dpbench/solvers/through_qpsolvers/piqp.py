@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.record import NAN_IGNORED, SolverRecord
 from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict, attributes
 
 RECORD = SolverRecord(
@@ -19,6 +19,7 @@ RECORD = SolverRecord(
     box="native",
     policies={"qpsolvers": ("fresh",)},
     detects_infeasibility=False,
+    faults=NAN_IGNORED,
 )
 
 STATUS = {

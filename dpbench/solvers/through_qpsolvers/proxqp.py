@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.record import NAN_IGNORED, SolverRecord
 from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict
 
 RECORD = SolverRecord(
@@ -20,6 +20,7 @@ RECORD = SolverRecord(
     box="native",
     policies={"qpsolvers": ("fresh", "warm")},
     start="primal",
+    faults=NAN_IGNORED,
 )
 
 # "Closest feasible" means that the problem has no feasible point and a shifted one was solved.

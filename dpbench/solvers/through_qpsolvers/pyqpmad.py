@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.record import NAN_ANSWER, NAN_IGNORED, SolverRecord
 from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict, attributes
 
 RECORD = SolverRecord(
@@ -20,6 +20,7 @@ RECORD = SolverRecord(
     policies={"qpsolvers": ("fresh",)},
     needs_strict_convexity=True,
     detects_infeasibility=False,
+    faults={**NAN_ANSWER, **NAN_IGNORED},
 )
 
 

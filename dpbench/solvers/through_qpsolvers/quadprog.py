@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.record import NAN_ANSWER, NAN_IGNORED, SolverRecord
 from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict
 
 RECORD = SolverRecord(
@@ -18,6 +18,7 @@ RECORD = SolverRecord(
     box="rows",
     policies={"qpsolvers": ("fresh",)},
     needs_strict_convexity=True,
+    faults={**NAN_ANSWER, **NAN_IGNORED},
 )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from dpbench.qp.solution import Status
@@ -48,15 +49,21 @@ OPTION_NAMES = (
 )
 
 
-def judge(answer: Any, options: Options) -> Verdict:
-    """Status, iterations and the sum of set-up and solve time."""
-    info = answer.extras
+def status_of(info: Mapping[str, Any]) -> Status:
+    """The status in SCS's information about a solve."""
     status = STATUS.get(int(info["status_val"]), Status.UNKNOWN)
     # An inaccurate answer names the limit that stopped it in its text.
     if status is Status.INACCURATE and "time_limit" in info["status"]:
         status = Status.TIME_LIMIT
     elif status is Status.INACCURATE and "max_iters" in info["status"]:
         status = Status.MAX_ITERATIONS
+    return status
+
+
+def judge(answer: Any, options: Options) -> Verdict:
+    """Status, iterations and the sum of set-up and solve time."""
+    info = answer.extras
+    status = status_of(info)
     milliseconds = info["setup_time"] + info["solve_time"]
     return Verdict(status, int(info["iter"]), round(milliseconds * 1e6), str(info["status"]))
 

@@ -1,0 +1,55 @@
+"""The array S on which the compiled active-set method works, and how its functions are compiled.
+
+S is one array so that a step is one call with one argument, which is what a call costs most for.
+Its first rows hold vectors; the rows of K, [P Aᵀ], H, Jᵀ, A and L follow, in this order: see
+`active_set_constants.py` for their contents.
+"""
+
+from __future__ import annotations
+
+import marshal
+import zlib
+from collections.abc import Callable
+from types import FunctionType
+from typing import TypeVar
+
+from numba import njit
+
+# Rows of vectors. X, E, R and STEP are scratch.
+HEAD, Q, LOW, HIGH, UNIT, V0, V, LAM, SIDE, ACTIVE, INVERSE, R, STEP, X, E, Z, BEFORE = range(17)
+VECTORS = 17
+# Slots of row HEAD.
+N, N_PAD, M, COUNT, ASIDE, ITERATIONS, LIMIT, KEEP, STALE, BLOCK, STAMP = range(11)
+MASK = 0xFFFFFF
+"""An integer is taken with it so that the compiler knows that an index is not negative."""
+
+# What a compiled solve answers when it is not the number of iterations.
+NOT_FINITE, CROSSED, INFEASIBLE, UNDECIDED = -1, -2, -3, -4
+
+F = TypeVar("F", bound=Callable[..., object])
+
+# Sums may be reordered, so that they vectorise; NaN and infinities keep their meaning.
+REORDER = {"reassoc", "contract", "nsz"}
+_compiled: list[FunctionType] = []
+
+
+def compiled(function: F) -> F:
+    """A function that other compiled functions call."""
+    assert isinstance(function, FunctionType)
+    _compiled.append(function)
+    result: F = njit(fastmath=REORDER, error_model="numpy")(function)
+    return result
+
+
+def stamp() -> int:
+    """A number that changes with any compiled function and with the constants it names.
+
+    Numba's cache looks at the file of the function it holds, not at what that function calls; a
+    stamp in its closure makes it look at both.
+    """
+    parts = []
+    for function in _compiled:
+        code, known = function.__code__, function.__globals__
+        numbers = [known[n] for n in code.co_names if isinstance(known.get(n), (int, float))]
+        parts.append((code, numbers))
+    return zlib.crc32(marshal.dumps(parts))

@@ -1,0 +1,71 @@
+"""A plain function as a solver: the shortest way to a plug-in.
+
+It is set up from nothing at each step, so `fresh` is all it can be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Concatenate
+
+from dpbench.errors import DpbenchError
+from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.qp.solution import Solution, Status
+from dpbench.solvers.contract import Policy, Workspace
+from dpbench.solvers.shapes import check_step, owned
+from dpbench.solvers.through_qpsolvers.adapter import Options
+
+Solve = Callable[Concatenate[QuadraticProgram, ...], Solution]
+
+
+class FunctionWorkspace(Workspace):
+    """A workspace around `solve(qp, **options) -> Solution`; what it raises is an ERROR."""
+
+    def __init__(self, name: str, policy: Policy, solve: Solve, options: Options) -> None:
+        super().__init__(name, "native", policy)
+        self.setup_every_step = True
+        self._function, self._options = solve, dict(options)
+        self._qp: QuadraticProgram | None = None
+        self._solution: Solution | None = None
+
+    def setup(self, qp: QuadraticProgram) -> None:
+        """Copy the problem."""
+        self._qp, self._solution = owned(qp), None
+
+    def update(self, step: QPStep) -> None:
+        """Copy the problem with what `step` changes."""
+        if self._qp is None:
+            raise DpbenchError("update before setup: call setup with the whole problem first")
+        check_step(step, self._qp.n, self._qp.m)
+        self.setup(self._qp.at(step))
+
+    def solve(self) -> None:
+        """Call the function."""
+        assert self._qp is not None, "setup comes first"
+        try:
+            self._solution = self._function(self._qp, **self._options)
+        except Exception as error:
+            self._solution = self._missing(f"{type(error).__name__}: {error}")
+
+    def read(self) -> Solution:
+        """The function's answer, copied."""
+        found = self._solution
+        if found is None:
+            return self._missing("read before solve")
+        z, y, y_box = found.z.copy(), found.y.copy(), found.y_box.copy()
+        return Solution(
+            found.status, z, y, y_box, found.iterations, found.reported_ns, found.detail
+        )
+
+    def _missing(self, detail: str) -> Solution:
+        assert self._qp is not None, "setup comes first"
+        return Solution.missing(self._qp.n, self._qp.m, Status.ERROR, detail)
+
+
+def opener(name: str, solve: Solve) -> Callable[[Policy, Options], Workspace]:
+    """The `open` of a plug-in that is a function."""
+
+    def open_function(policy: Policy, options: Options) -> Workspace:
+        return FunctionWorkspace(name, policy, solve, options)
+
+    return open_function

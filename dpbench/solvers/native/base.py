@@ -1,0 +1,241 @@
+"""What every native workspace has in common: its data, its life cycle and its failures.
+
+    setup     copies the problem and makes a new library object from the copies
+    update    fresh: the same; else the vectors go to the library
+    solve     the library's own call
+    read      one `Solution`, copied out of the library's memory
+
+A library that raised, or left an answer nobody can use, is made anew before the next step.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from math import isfinite
+
+import numpy as np
+
+from dpbench.errors import DpbenchError
+from dpbench.qp.program import Matrix, QPStep, QuadraticProgram, Vector
+from dpbench.qp.solution import Solution, Status
+from dpbench.solvers.contract import Policy, Workspace
+from dpbench.solvers.record import Form
+from dpbench.solvers.shapes import check_step
+from dpbench.solvers.through_qpsolvers.adapter import Options
+
+NOT_SET_UP = "{} before setup: call setup with the whole problem first"
+NOT_SOLVED = "read before solve"
+
+
+class NativeWorkspace(Workspace):
+    """A library at work through its own interface.
+
+    A subclass gives `_convert` (the matrices `_P, _A, _lb, _ub` in the library's form, once, as
+    route qpsolvers does), `_build` (a new library object from these and `_q, _l, _u`),
+    `_hand_over` (the vectors of a step), `_call` (the solve) and `_answer` (the `Solution`);
+    whatever these raise becomes the status ERROR with the library's words.
+
+    Parameters
+    ----------
+    solver : its name in the table; form : the form of its matrices.
+    policy : "fresh", "reuse" or "warm", already checked against the table.
+    options : the library's own settings, already validated.
+    """
+
+    def __init__(self, solver: str, form: Form, policy: Policy, options: Options) -> None:
+        super().__init__(solver, "native", policy)
+        self.form = form
+        self.setup_every_step = policy == "fresh"
+        self._warm = policy == "warm"
+        self._options = dict(options)
+        self._n, self._m, self._block = -1, -1, 0
+        self._converted = self._used = False
+        self._done = self._unread = self._spoilt = False
+        self._failure = ""
+
+    def _convert(self) -> None:
+        """Bring the matrices into the library's form; they are new."""
+
+    @abstractmethod
+    def _build(self) -> None:
+        """Make a new library object of the workspace's own data."""
+
+    @abstractmethod
+    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Give the library the vectors of a step; nothing else has changed."""
+
+    @abstractmethod
+    def _call(self) -> None:
+        """Let the library solve."""
+
+    @abstractmethod
+    def _answer(self) -> Solution:
+        """The library's last answer in memory of its own."""
+
+    def setup(self, qp: QuadraticProgram) -> None:
+        """Copy the problem and make a new library object; forgets every earlier answer."""
+        self._forget()
+        self._q, self._l, self._u = qp.q.copy(), qp.l.copy(), qp.u.copy()
+        if not (self._converted and self._block == qp.block and self._same_matrices(qp)):
+            self._n, self._m, self._block = qp.n, qp.m, qp.block
+            self._P, self._A = qp.P.copy(), qp.A.copy()
+            self._lb, self._ub = qp.lb.copy(), qp.ub.copy()
+            self._converted = False
+        self._rebuild()
+
+    def _same_matrices(self, qp: QuadraticProgram) -> bool:
+        return (
+            _same(self._P, qp.P)
+            and _same(self._A, qp.A)
+            and _same(self._lb, qp.lb)
+            and _same(self._ub, qp.ub)
+        )
+
+    def update(self, step: QPStep) -> None:
+        """Hand over the vectors; new matrices are kept and the library object made anew."""
+        n, m = self._n, self._m
+        if n < 0:
+            raise DpbenchError(NOT_SET_UP.format("update"))
+        q, low, high = step.q, step.l, step.u
+        matrices = not (step.P is None and step.A is None and step.lb is None and step.ub is None)
+        if matrices or q.shape != (n,) or low.shape != (m,) or high.shape != (m,):
+            check_step(step, n, m)
+        if self._unread:
+            self.read()
+        self._done = False
+        if matrices:
+            self._keep(step)
+        if matrices or self._spoilt or self.setup_every_step:
+            self._q[:], self._l[:], self._u[:] = q, low, high
+            self._rebuild()
+            return
+        try:
+            self._hand_over(q, low, high)
+        except (KeyboardInterrupt, SystemExit):
+            raise
+        except BaseException as error:  # a panic of Rust is no Exception
+            self._fail(error)
+
+    def _keep(self, step: QPStep) -> None:
+        for name in ("P", "A", "lb", "ub"):
+            value = getattr(step, name)
+            if value is not None:
+                setattr(self, f"_{name}", np.array(value, dtype=np.float64, order="C"))
+        self._converted = False
+
+    def _rebuild(self) -> None:
+        self._spoilt = self._used = False
+        self._failure = ""
+        try:
+            if not self._converted:
+                self._convert()
+                self._converted = True
+            self._build()
+        except (KeyboardInterrupt, SystemExit):
+            raise
+        except BaseException as error:  # a panic of Rust is no Exception
+            self._fail(error)
+
+    def _fail(self, error: BaseException) -> None:
+        self._failure, self._spoilt = f"{type(error).__name__}: {error}", True
+
+    def solve(self) -> None:
+        """Solve; whatever the library raises is kept for `read`."""
+        if self._failure:
+            return
+        self._done = self._unread = self._used = True
+        try:
+            self._call()
+        except (KeyboardInterrupt, SystemExit):
+            raise
+        except BaseException as error:  # a panic of Rust is no Exception
+            self._fail(error)
+
+    def read(self) -> Solution:
+        """The answer; one that nobody can use makes the next update start from nothing."""
+        if self._n < 0:
+            raise DpbenchError(NOT_SET_UP.format("read"))
+        if self._failure:
+            self._unread = False
+            return self._missing(Status.ERROR, self._failure)
+        if not self._done:
+            return self._missing(Status.ERROR, NOT_SOLVED)
+        solution = self._answer()
+        if self._unread:
+            self._unread = False
+            # The square of z tells whether there is a NaN or an infinity in it.
+            z = solution.z
+            self._spoilt = not (solution.status.usable and isfinite(z.dot(z)))
+            if self._warm and not self._spoilt:
+                self._remember(solution)
+        return solution
+
+    def _remember(self, solution: Solution) -> None:
+        """Keep what the next start is made of; nothing where the library keeps it itself."""
+
+    def _missing(
+        self, status: Status, detail: str = "", iterations: int = -1, reported_ns: int = -1
+    ) -> Solution:
+        solution = Solution.missing(self._n, self._m, status, detail)
+        solution.iterations, solution.reported_ns = iterations, reported_ns
+        return solution
+
+    def reset(self) -> None:
+        """Make the library object anew, unless it has not been used since it was made."""
+        stale = self._used or self._spoilt
+        self._forget()
+        if stale and not self.setup_every_step:
+            self._rebuild()
+
+    def _forget(self) -> None:
+        self._done = self._unread = self._spoilt = False
+        self._failure = ""
+
+
+class Start:
+    """The previous answer, one move later, as the start of the next solve.
+
+    The moves and the multipliers of their rows shift by a block of variables and rows; those of
+    the last move, of which the previous plan knows nothing, are zero. Block 0 keeps all.
+    """
+
+    def __init__(self, n: int, m: int, block: int) -> None:
+        self._block = block
+        self.z = np.zeros(n)
+        self.dual = np.zeros(m + n)
+        self.y, self.y_box = self.dual[:m], self.dual[m:]
+        self._kept = [(array, array.copy()) for array in (self.z, self.y, self.y_box)]
+        self.known = False
+
+    def remember(self, solution: Solution) -> None:
+        """Keep a copy of an answer."""
+        found = (solution.z, solution.y, solution.y_box)
+        for (_, kept), value in zip(self._kept, found, strict=True):
+            kept[:] = value
+        self.known = True
+
+    def advance(self) -> bool:
+        """Fill `z`, `y`, `y_box` with the kept answer one move later; false if there is none."""
+        if self.known:
+            for target, kept in self._kept:
+                shift_into(target, kept, self._block)
+        return self.known
+
+
+def shift_into(target: Vector, kept: Vector, block: int) -> None:
+    """target = kept, one block earlier; the last block is zero."""
+    if block == 0:
+        target[:] = kept
+    elif target.size:
+        target[:-block] = kept[block:]
+        target[-block:] = 0.0
+
+
+def _same(mine: Matrix, given: Matrix) -> bool:
+    """Whether two arrays hold the same bytes, which is the cheapest way to know."""
+    return mine.shape == given.shape and mine.tobytes() == given.tobytes()
+
+
+def stacked(A: Matrix, n: int) -> Matrix:
+    """[A; I]: bounds as rows, for a library that has rows only."""
+    return np.vstack([A, np.eye(n)])

@@ -1,0 +1,79 @@
+"""Clarabel through its own interface: one-sided, vectors updated, no start."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+import scipy.sparse
+
+from dpbench.qp.solution import Solution, Status
+from dpbench.solvers.contract import Policy
+from dpbench.solvers.native.adapter import NativeAdapter
+from dpbench.solvers.native.one_sided import OneSidedWorkspace
+from dpbench.solvers.record import RouteRecord, SolverRecord
+from dpbench.solvers.through_qpsolvers import clarabel as wrapped
+from dpbench.solvers.through_qpsolvers.adapter import Options
+
+NATIVE = RouteRecord(
+    policies=("fresh", "reuse"),
+    refused={"warm": "Clarabel has no interface for a start"},
+)
+
+STATUS = wrapped.STATUS
+
+
+class ClarabelWorkspace(OneSidedWorkspace):
+    """Clarabel on [A; G] z + s = [b; h] with a zero cone and a nonnegative cone."""
+
+    def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
+        super().__init__(record.name, "csc", policy, options)
+        self._library = import_module("clarabel")
+        self._found: Any = None
+
+    def _arrange(self) -> None:
+        rows, equalities, inequalities = self._rows()
+        self._P_upper = scipy.sparse.triu(self._P, format="csc")
+        self._matrix = scipy.sparse.csc_matrix(rows)
+        zero, nonnegative = self._library.ZeroConeT, self._library.NonnegativeConeT
+        sizes = ((zero, equalities), (nonnegative, inequalities))
+        self._cones = [cone(size) for cone, size in sizes if size]
+        self._equalities = equalities
+
+    def _create(self) -> None:
+        settings = wrapped.settings_object()
+        # Presolve would drop rows, and with them the right to update.
+        settings.verbose, settings.presolve_enable = False, False
+        for name, value in self._options.items():
+            setattr(settings, name, value)
+        form = self._form
+        self._solver = self._library.DefaultSolver(
+            self._P_upper, form.q, self._matrix, form.bh, self._cones, settings
+        )
+
+    def _send(self) -> None:
+        self._solver.update(q=self._form.q, b=self._form.bh)
+
+    def _call(self) -> None:
+        self._found = self._solver.solve()
+
+    def _answer(self) -> Solution:
+        found, form = self._found, self._form
+        detail = str(found.status)
+        status = STATUS.get(detail, Status.UNKNOWN)
+        iterations, reported_ns = int(found.iterations), round(found.solve_time * 1e9)
+        if not status.usable:
+            return self._missing(status, detail, iterations, reported_ns)
+        dual, count = np.array(found.z), self._equalities
+        y, y_box = form.two_sided(dual[count:], dual[:count])
+        detail = "" if status is Status.SOLVED else detail
+        return Solution(status, np.array(found.x), y, y_box, iterations, reported_ns, detail)
+
+
+ADAPTER = NativeAdapter(
+    wrapped.RECORD.with_native(NATIVE),
+    ClarabelWorkspace,
+    wrapped.ADAPTER.option_names,
+    wrapped.settings_object,
+)

@@ -1,0 +1,158 @@
+"""ProxQP (proxsuite) through its own interface, dense or sparse.
+
+A start handed to `solve(x, y, z)` has no effect in proxsuite 0.8 (the iterates are those of no
+guess at all), and the dense solver with bounds refuses it; its memory of the previous result does
+have one, so `warm` shifts that in place under COLD_START_WITH_PREVIOUS_RESULT, which keeps the
+iterate and resets the penalties. WARM_START_WITH_PREVIOUS_RESULT, which keeps both, leaves steps
+unsolved. After a step it could not solve proxsuite calls every later one infeasible, so anything
+but SOLVED makes the next update start from nothing.
+
+Two-sided rows cost it the sight of infeasibility: it runs to its iteration limit where the same
+rows in one-sided form, as route qpsolvers hands them over, are found infeasible at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+import scipy.sparse
+
+from dpbench.qp.program import Vector
+from dpbench.qp.solution import Solution, Status
+from dpbench.solvers.contract import Policy
+from dpbench.solvers.native.adapter import NativeAdapter
+from dpbench.solvers.native.base import NativeWorkspace, shift_into, stacked
+from dpbench.solvers.record import NAN_IGNORED, RouteRecord, SolverRecord
+from dpbench.solvers.through_qpsolvers import proxqp as wrapped
+from dpbench.solvers.through_qpsolvers.adapter import Options, attributes
+
+NATIVE = RouteRecord(
+    policies=("fresh", "reuse", "warm"),
+    start="primal and dual",
+    two_sided=True,
+    detects_infeasibility=False,
+    faults=NAN_IGNORED,
+)
+SPARSE = replace(
+    wrapped.RECORD,
+    name="proxqp_sparse",
+    form="csc",
+    policies={"native": NATIVE.policies},
+    start=NATIVE.start,
+    detects_infeasibility=NATIVE.detects_infeasibility,
+    updates=NATIVE.updates,
+    two_sided=NATIVE.two_sided,
+    faults=NATIVE.faults,
+)
+
+STATUS = wrapped.STATUS
+
+
+class ProxqpWorkspace(NativeWorkspace):
+    """ProxQP with rows l ≤ C x ≤ u; bounds are bounds in its dense and rows in its sparse form."""
+
+    def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
+        super().__init__(record.name, record.form, policy, options)
+        self._library = import_module("proxsuite").proxqp
+
+    def _convert(self) -> None:
+        n, m = self._n, self._m
+        self._sparse = self.form == "csc"
+        rows = m + n if self._sparse else m
+        self._low, self._high = np.empty(rows), np.empty(rows)
+        if self._sparse:
+            self._H = scipy.sparse.csc_matrix(self._P)
+            self._C = scipy.sparse.csc_matrix(stacked(self._A, n))
+            self._low[m:], self._high[m:] = self._lb, self._ub
+
+    def _build(self) -> None:
+        n, m, library = self._n, self._m, self._library
+        self._low[:m], self._high[:m] = self._l, self._u
+        if self._sparse:
+            self._solver = library.sparse.QP(n, 0, m + n)
+        else:
+            self._solver = library.dense.QP(n, 0, m, True)
+        self._apply(self._solver.settings)
+        if self._sparse:
+            self._solver.init(self._H, self._q, None, None, self._C, self._low, self._high)
+        else:
+            self._solver.init(
+                self._P,
+                self._q,
+                None,
+                None,
+                self._A,
+                self._low,
+                self._high,
+                self._lb,
+                self._ub,
+            )
+        self._shiftable = self._stuck = False
+
+    def _apply(self, settings: Any) -> None:
+        for name, value in self._options.items():
+            setattr(settings, name, value)
+
+    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
+        if self._stuck:
+            self._q[:], self._l[:], self._u[:] = q, low, high
+            self._build()
+            return
+        m, solver = self._m, self._solver
+        self._low[:m], self._high[:m] = low, high
+        if self._sparse:
+            solver.update(g=q, l=self._low, u=self._high)
+        else:
+            # Without them the bounds of the previous update would be lost.
+            solver.update(g=q, l=self._low, u=self._high, l_box=self._lb, u_box=self._ub)
+        if self._shiftable:
+            guess = self._library.InitialGuess
+            solver.settings.initial_guess = guess.COLD_START_WITH_PREVIOUS_RESULT
+            self._shift()
+
+    def _shift(self) -> None:
+        block, m, results = self._block, self._m, self._solver.results
+        if block:
+            x, z = results.x, results.z
+            for part in (x, z[:m], z[m:]):
+                shift_into(part, part.copy(), block)
+
+    def _call(self) -> None:
+        self._solver.solve()
+
+    def _answer(self) -> Solution:
+        results, m = self._solver.results, self._m
+        info = results.info
+        name = info.status.name
+        status = STATUS.get(name, Status.UNKNOWN)
+        self._stuck = status is not Status.SOLVED
+        timed = bool(self._options.get("compute_timings", False))
+        reported_ns = round(info.solve_time * 1e3) if timed else -1
+        if not status.usable:
+            return self._missing(status, name, int(info.iter), reported_ns)
+        # Both are views of the library's memory.
+        z, y = results.x.copy(), results.z.copy()
+        detail = "" if status is Status.SOLVED else name
+        return Solution(status, z, y[:m], y[m:], int(info.iter), reported_ns, detail)
+
+    def _remember(self, solution: Solution) -> None:
+        self._shiftable = True
+
+
+def settings_object() -> Any:
+    """ProxQP's settings at their defaults."""
+    return import_module("proxsuite").proxqp.dense.QP(1, 0, 0).settings
+
+
+def option_names() -> list[str]:
+    """Its settings but the initial guess, which the policy decides."""
+    return [name for name in attributes(settings_object()) if name != "initial_guess"]
+
+
+ADAPTER = NativeAdapter(
+    wrapped.RECORD.with_native(NATIVE), ProxqpWorkspace, option_names, settings_object
+)
+SPARSE_ADAPTER = NativeAdapter(SPARSE, ProxqpWorkspace, option_names, settings_object)

@@ -1,0 +1,88 @@
+"""QPALM through its own interface: two-sided, vectors updated, start given or cold."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+import numpy as np
+import scipy.sparse
+
+from dpbench.qp.program import Vector
+from dpbench.qp.solution import Solution, Status
+from dpbench.solvers.contract import Policy
+from dpbench.solvers.native.adapter import NativeAdapter
+from dpbench.solvers.native.base import NativeWorkspace, Start, stacked
+from dpbench.solvers.record import RouteRecord, SolverRecord
+from dpbench.solvers.through_qpsolvers import qpalm as wrapped
+from dpbench.solvers.through_qpsolvers.adapter import Options
+
+NATIVE = RouteRecord(
+    policies=("fresh", "reuse", "warm"),
+    start="primal and dual",
+    two_sided=True,
+    faults={"solved despite limits that cross": "its update does not look for them, its setup does"},
+)
+
+STATUS = wrapped.STATUS
+
+
+class QpalmWorkspace(NativeWorkspace):
+    """QPALM on rows [A; I]; without a start given for it, a solve begins at zero."""
+
+    def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
+        super().__init__(record.name, "csc", policy, options)
+        self._library = import_module("qpalm")
+
+    def _convert(self) -> None:
+        n, m = self._n, self._m
+        self._data = self._library.Data(n, m + n)
+        self._data.Q = scipy.sparse.csc_matrix(self._P)
+        self._data.A = scipy.sparse.csc_matrix(stacked(self._A, n))
+        self._low, self._high = np.empty(m + n), np.empty(m + n)
+        self._low[m:], self._high[m:] = self._lb, self._ub
+
+    def _build(self) -> None:
+        n, m, data = self._n, self._m, self._data
+        self._low[:m], self._high[:m] = self._l, self._u
+        data.q, data.bmin, data.bmax = self._q, self._low, self._high
+        settings = wrapped.settings_object()
+        settings.verbose = False
+        for name, value in self._options.items():
+            setattr(settings, name, value)
+        self._solver = self._library.Solver(data, settings)
+        self._start = Start(n, m, self._block)
+
+    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
+        m, solver = self._m, self._solver
+        self._low[:m], self._high[:m] = low, high
+        solver.update_q(q)
+        solver.update_bounds(self._low, self._high)
+        if self._warm and self._start.advance():
+            solver.warm_start(self._start.z, self._start.dual)
+
+    def _call(self) -> None:
+        self._solver.solve(asynchronous=False)
+
+    def _answer(self) -> Solution:
+        info, m = self._solver.info, self._m
+        name = str(info.status)
+        status = STATUS.get(name, Status.UNKNOWN)
+        iterations, reported_ns = int(info.iter), round(info.solve_time * 1e9)
+        if not status.usable:
+            return self._missing(status, name, iterations, reported_ns)
+        # Both are views of the library's memory.
+        found = self._solver.solution
+        z, y = found.x.copy(), found.y.copy()
+        detail = "" if status is Status.SOLVED else name
+        return Solution(status, z, y[:m], y[m:], iterations, reported_ns, detail)
+
+    def _remember(self, solution: Solution) -> None:
+        self._start.remember(solution)
+
+
+ADAPTER = NativeAdapter(
+    wrapped.RECORD.with_native(NATIVE),
+    QpalmWorkspace,
+    wrapped.ADAPTER.option_names,
+    wrapped.settings_object,
+)

@@ -1,0 +1,161 @@
+"""Solvers of third parties: by an entry point, or by a Python file.
+
+A plug-in is a module (or any object) with
+
+    RECORD                   its row in the table; `solver_record` fills in what is usual
+    open(policy, options)    a Workspace, not yet set up; `options` maps its own keys to values
+    LADDER                   optional: the options that "low", "mid" and "high" mean
+
+An installed distribution names it by an entry point of the group `dpbench.solvers`, whose name is
+that of the solver; a file is loaded by `table.load_solver_module`. RECORD names the module of its
+library, so that it can be measured alone in a process; to import qpsolvers is up to `open`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import sys
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib import metadata
+from inspect import getsource
+from pathlib import Path
+from typing import Any
+
+from dpbench.errors import InputError
+from dpbench.solvers.contract import Policy, Workspace
+from dpbench.solvers.record import Form, SolverRecord
+from dpbench.solvers.through_qpsolvers.adapter import Options
+
+GROUP = "dpbench.solvers"
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """A solver of a third party; `version` is that of its distribution, or a digest of its file."""
+
+    record: SolverRecord
+    open: Callable[[Policy, Options], Workspace]
+    ladder: Mapping[str, Options]
+    version: str
+    origin: str
+
+
+_LOADED: dict[str, Plugin] = {}
+
+
+def solver_record(
+    name: str,
+    *,
+    method: str,
+    policies: tuple[Policy, ...] = ("fresh",),
+    form: Form = "dense",
+    distribution: str = "",
+    module: str = "",
+    **capabilities: Any,
+) -> SolverRecord:
+    """The record of a plug-in; `capabilities` are further fields of `SolverRecord`."""
+    return SolverRecord(
+        name=name,
+        distribution=distribution,
+        module=module,
+        method=method,
+        extra="plugin",
+        form=form,
+        box="native",
+        policies={"native": policies},
+        **capabilities,
+    )
+
+
+def load_file(path: str | Path, taken: Collection[str]) -> SolverRecord:
+    """Load the plug-in in a Python file and return its record; `taken` are names it must not have.
+
+    Loading the same file again replaces what was loaded from it.
+
+    Raises
+    ------
+    InputError : the file is missing, fails when run, or is no plug-in; says which and why.
+    """
+    where = f"solver module {path}"
+    file = Path(path).resolve()
+    if not file.is_file():
+        raise InputError(where, "", "no such file", "a Python file with RECORD and open")
+    digest = hashlib.sha256(str(file).encode()).hexdigest()[:12]
+    spec = importlib.util.spec_from_file_location(f"dpbench_plugin_{digest}", file)
+    if spec is None or spec.loader is None:
+        raise InputError(where, "", "no Python file", "a file that ends in .py")
+    module = importlib.util.module_from_spec(spec)
+    # Dataclasses and pickling look a class up in its module.
+    sys.modules[spec.name] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise InputError(
+            where, "", f"{type(error).__name__}: {error}", "a file that runs"
+        ) from error
+    version = hashlib.sha256(getsource(module).encode()).hexdigest()[:12]
+    return _register(where, module, version, str(file), taken).record
+
+
+def entry_point_names() -> tuple[str, ...]:
+    """The solvers that installed distributions bring, not yet loaded."""
+    return tuple(sorted(_entry_points()))
+
+
+@cache
+def _entry_points() -> dict[str, metadata.EntryPoint]:
+    """By name; what is installed does not change while a process runs."""
+    return {point.name: point for point in metadata.entry_points(group=GROUP)}
+
+
+def find_plugin(name: str) -> Plugin | None:
+    """The plug-in of that name, loading its entry point if need be; None if there is none.
+
+    Raises
+    ------
+    InputError : its entry point fails to load, or is no plug-in.
+    """
+    if name in _LOADED:
+        return _LOADED[name]
+    point = _entry_points().get(name)
+    if point is None:
+        return None
+    where = f"entry point {point.name} = {point.value}"
+    try:
+        found = point.load()
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise InputError(where, "", reason, "an object that loads") from error
+    version = point.dist.version if point.dist is not None else ""
+    plugin = _register(where, found, version, point.value)
+    if plugin.record.name != name:
+        raise InputError(where, "RECORD.name", repr(plugin.record.name), repr(name))
+    return plugin
+
+
+def loaded_names() -> tuple[str, ...]:
+    """The plug-ins loaded in this process."""
+    return tuple(sorted(_LOADED))
+
+
+def _register(
+    where: str, found: Any, version: str, origin: str, taken: Collection[str] = ()
+) -> Plugin:
+    record, opener = getattr(found, "RECORD", None), getattr(found, "open", None)
+    if not isinstance(record, SolverRecord):
+        raise InputError(where, "RECORD", repr(record), "a SolverRecord, see solver_record")
+    if not callable(opener):
+        raise InputError(where, "open", repr(opener), "a function of (policy, options)")
+    other = _LOADED.get(record.name)
+    if record.name in taken or (other is not None and other.origin != origin):
+        owner = "dpbench's own table" if other is None else other.origin
+        raise InputError(where, "RECORD.name", repr(record.name), f"a name not in {owner}")
+    if set(record.policies) != {"native"}:
+        raise InputError(where, "RECORD.policies", sorted(record.policies), "route native alone")
+    ladder = dict(getattr(found, "LADDER", {}))
+    plugin = Plugin(replace(record, extra="plugin"), opener, ladder, version, origin)
+    _LOADED[record.name] = plugin
+    return plugin

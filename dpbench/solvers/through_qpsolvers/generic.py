@@ -1,0 +1,41 @@
+"""A solver that qpsolvers serves and dpbench has no record of: it runs with what is sure of all.
+
+Its matrices stay dense and its bounds bounds, as qpsolvers takes them; whether an answer was found
+is all that is known of it.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib.machinery import PathFinder
+from importlib.util import find_spec
+
+from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, found_is_all
+
+
+def is_served(name: str) -> bool:
+    """Whether qpsolvers has a solver of that name, installed or not, without importing it."""
+    loaded = sys.modules.get("qpsolvers")
+    if loaded is not None and name in loaded.available_solvers:
+        return True
+    spec = find_spec("qpsolvers") if loaded is None else loaded.__spec__
+    places = [f"{place}/solvers" for place in (spec and spec.submodule_search_locations) or ()]
+    return name.isidentifier() and PathFinder.find_spec(f"{name}_", places) is not None
+
+
+def generic_adapter(name: str) -> Adapter:
+    """The adapter of a solver of which only the name is known; it checks no settings."""
+    record = SolverRecord(
+        name=name,
+        distribution=name,
+        module="qpsolvers",
+        method="not in the table; as qpsolvers drives it",
+        extra="qpsolvers",
+        form="dense",
+        box="native",
+        policies={"qpsolvers": ("fresh",)},
+        detects_infeasibility=False,
+        refused={("qpsolvers", "warm"): "whether it takes a start is not known"},
+    )
+    return Adapter(record, found_is_all, None)

@@ -1,0 +1,158 @@
+"""Native workspaces: what a start is, what is kept, what is said about a library's failures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dpbench.errors import DpbenchError
+from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.qp.solution import Solution, Status
+from dpbench.solvers.native import NATIVE
+from dpbench.solvers.native.base import Start
+from dpbench.solvers.open import open_workspace
+from dpbench.solvers.table import TABLE, available
+
+HERE = [name for name in NATIVE if available(name).ok]
+WARM = [name for name in HERE if "warm" in TABLE[name].on("native").policies]
+
+
+def opened(solver, policy="reuse", settings="default"):
+    return open_workspace(solver, route="native", policy=policy, settings=settings)
+
+
+def answers(workspace, base, steps):
+    """The answers of a workspace along steps."""
+    workspace.setup(base)
+    found = []
+    for step in steps:
+        workspace.update(step)
+        workspace.solve()
+        found.append(workspace.read())
+    return found
+
+
+@pytest.mark.parametrize("solver", WARM)
+def test_a_warm_start_makes_a_difference(solver, sequence):
+    """Where the table offers `warm`, a step solved twice takes fewer iterations when repeated."""
+    base = QuadraticProgram(
+        *(getattr(sequence.base, name) for name in ("P", "q", "A", "l", "u", "lb", "ub"))
+    )
+    steps = [step for step in sequence.steps[:3] for _ in range(2)]
+    counts = {
+        policy: sum(a.iterations for a in answers(opened(solver, policy, "high"), base, steps))
+        for policy in ("reuse", "warm")
+    }
+    assert counts["warm"] < counts["reuse"]
+
+
+def test_a_start_is_the_previous_answer_one_move_later():
+    """Moves and multipliers shift by a block, the last is zero; block 0 keeps all."""
+    z, y, y_box = np.arange(1.0, 7.0), np.arange(10.0, 14.0), np.arange(20.0, 26.0)
+    for block, expected in (
+        (2, ([3, 4, 5, 6, 0, 0], [12, 13, 0, 0], [22, 23, 24, 25, 0, 0])),
+        (0, (z, y, y_box)),
+    ):
+        start = Start(6, 4, block)
+        assert not start.advance()
+        start.remember(Solution(Status.SOLVED, z, y, y_box))
+        assert start.advance()
+        for found, wanted in zip((start.z, start.y, start.y_box), expected, strict=True):
+            np.testing.assert_array_equal(found, wanted)
+        np.testing.assert_array_equal(start.dual, np.concatenate([start.y, start.y_box]))
+
+
+@pytest.mark.parametrize("solver", WARM)
+def test_reset_forgets_the_start(solver, sequence):
+    """After a reset a warm workspace gives bit for bit what it gives after its setup."""
+    workspace = opened(solver, "warm")
+    first = answers(workspace, sequence.base, sequence.steps[:1])[0]
+    workspace.reset()
+    workspace.update(sequence.steps[0])
+    workspace.solve()
+    again = workspace.read()
+    np.testing.assert_array_equal(again.z, first.z)
+    assert again.iterations == first.iterations
+
+
+@pytest.mark.parametrize("solver", HERE)
+def test_limits_that_cross_are_never_solved(solver, sequence):
+    """Limits that cross have no answer, at setup or later, but for the faults in the table."""
+    blind = "solved despite limits that cross" in TABLE[solver].on("native").faults
+    base, step = sequence.base, sequence.steps[0]
+    low = step.l.copy()
+    low[0] = step.u[0] + 1.0
+    crossed = QPStep(step.q, low, step.u)
+    limit = {"max_iter": 50, "max_iter_in": 50} if solver.startswith("proxqp") else "default"
+    workspace = opened(solver, settings=limit)
+    for qp in (base, base.at(crossed)):
+        found = answers(workspace, qp, [crossed, step])
+        assert found[0].claimed == (blind and qp is base)
+        assert found[1].claimed
+
+
+class Panic(BaseException):
+    """As raised by Rust libraries, which do not derive theirs from Exception."""
+
+
+@pytest.mark.parametrize("method", ["_build", "_hand_over", "_call"])
+@pytest.mark.parametrize("error", [ValueError("y"), Panic("z")])
+def test_what_a_library_raises_is_an_answer(monkeypatch, sequence, method, error):
+    """Whatever a library raises, and whenever, becomes the status ERROR with its words."""
+    workspace = opened("osqp")
+    workspace.setup(sequence.base)
+
+    def fail(*arguments):
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr(workspace, method, fail)
+        if method == "_build":
+            workspace.setup(sequence.base)
+        else:
+            workspace.update(sequence.steps[0])
+        workspace.solve()
+        answer = workspace.read()
+        assert answer.status is Status.ERROR
+        assert answer.detail == f"{type(error).__name__}: {error}"
+        assert np.isnan(answer.z).all()
+    workspace.update(sequence.steps[1])
+    workspace.solve()
+    assert workspace.read().claimed
+
+
+@pytest.mark.parametrize("method", ["_build", "_hand_over", "_call"])
+def test_an_interrupt_is_no_answer(monkeypatch, sequence, method):
+    """A person's interrupt passes through."""
+    workspace = opened("osqp")
+    workspace.setup(sequence.base)
+
+    def interrupt(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(workspace, method, interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        for _ in answers(workspace, sequence.base, sequence.steps[:1]):
+            pass
+
+
+@pytest.mark.parametrize("solver", HERE)
+def test_use_before_setup_is_a_persons_mistake(solver, sequence):
+    """Update and read before setup raise, with the remedy."""
+    workspace = opened(solver)
+    with pytest.raises(DpbenchError, match="call setup"):
+        workspace.update(sequence.steps[0])
+    with pytest.raises(DpbenchError, match="call setup"):
+        workspace.read()
+
+
+@pytest.mark.parametrize("solver", HERE)
+def test_a_workspace_may_be_set_up_for_another_size(solver, sequence):
+    """Setting up again, for a problem of another size, starts from nothing."""
+    workspace = opened(solver, settings="high")
+    answers(workspace, sequence.base, sequence.steps[:2])
+    eye = np.eye(2)
+    workspace.setup(QuadraticProgram(eye, [-3, 0], eye, [-1, -1], [1, 1], [-2, -2], [2, 2]))
+    workspace.solve()
+    # An interior point ends at a gap of 1e-9, which allows 4.5e-5 for P = I.
+    np.testing.assert_allclose(workspace.read().z, [1.0, 0.0], rtol=0, atol=1e-4)

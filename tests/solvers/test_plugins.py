@@ -1,0 +1,196 @@
+"""Solvers of third parties: from a file, from an entry point, and through qpsolvers by name."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+import pytest
+import qpsolvers
+
+import dpbench
+from dpbench.errors import InputError, PolicyError, SettingsError, UnknownNameError
+from dpbench.qp.certify import certify
+from dpbench.qp.solution import Status
+from dpbench.solvers import plugins
+from dpbench.solvers.open import open_workspace
+from dpbench.solvers.settings import describe_ladder, settings_matter
+from dpbench.solvers.table import available, load_solver_module, record, solver_names
+
+EXAMPLE = Path(__file__).with_name("example_plugin.py")
+
+
+@pytest.fixture(autouse=True)
+def nothing_loaded(monkeypatch):
+    """Each test starts without plug-ins and leaves none behind."""
+    monkeypatch.setattr(plugins, "_LOADED", {})
+    plugins._entry_points.cache_clear()
+    yield
+    plugins._entry_points.cache_clear()
+
+
+def test_the_example_is_short():
+    """The example of a plug-in fits into thirty lines."""
+    assert len(EXAMPLE.read_text().splitlines()) <= 30
+
+
+def test_a_file_adds_a_solver(sequence):
+    """The example file is a solver: listed, available, opened by name and right."""
+    row = load_solver_module(EXAMPLE)
+    assert row.name == "admm"
+    assert row.extra == "plugin"
+    assert "admm" in solver_names()
+    assert record("admm") is row
+    assert available("admm").ok
+    workspace = open_workspace("admm", settings="high")
+    assert workspace.route == "native"
+    assert workspace.setup_every_step
+    workspace.setup(sequence.base)
+    for step in sequence.steps:
+        workspace.update(step)
+        workspace.solve()
+        answer = workspace.read()
+        assert answer.status is Status.SOLVED
+        # Residuals of 1e-9 grow by the conditioning of the problem, some hundred.
+        exact = certify(sequence.base.at(step)).z
+        np.testing.assert_allclose(answer.z, exact, rtol=0, atol=1e-6)
+
+
+def test_a_files_version_is_its_content(tmp_path):
+    """Another content is another version, so that results of the two are never mixed."""
+    copy = tmp_path / "mine.py"
+    copy.write_text(EXAMPLE.read_text())
+    load_solver_module(copy)
+    before = available("admm").version
+    load_solver_module(copy)
+    assert available("admm").version == before
+    copy.write_text(EXAMPLE.read_text() + "# changed\n")
+    load_solver_module(copy)
+    assert available("admm").version != before
+
+
+def test_the_ladder_of_a_plugin_reaches_it(sequence):
+    """The names of settings mean what the plug-in says, and its own keys pass through."""
+    load_solver_module(EXAMPLE)
+    assert settings_matter("admm")
+    assert "high: tolerance=1e-09" in describe_ladder("admm")
+    counts = []
+    for settings in ("low", "high", {"tolerance": 1e-1}):
+        workspace = open_workspace("admm", settings=settings)
+        workspace.setup(sequence.base)
+        workspace.solve()
+        counts.append(workspace.read().iterations)
+    assert counts[2] < counts[0] < counts[1]
+    with pytest.raises(SettingsError, match="hihg"):
+        open_workspace("admm", settings="hihg")
+    with pytest.raises(PolicyError, match="warm"):
+        open_workspace("admm", policy="warm")
+
+
+def test_what_a_plugin_raises_is_an_answer(sequence):
+    """An option that the function does not have becomes the status ERROR with Python's words."""
+    load_solver_module(EXAMPLE)
+    workspace = open_workspace("admm", settings={"tolerances": 1.0})
+    workspace.setup(sequence.base)
+    assert workspace.read().detail == "read before solve"
+    workspace.solve()
+    answer = workspace.read()
+    assert answer.status is Status.ERROR
+    assert "tolerances" in answer.detail
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (None, "no such file"),
+        ("1/0", "ZeroDivisionError"),
+        ("x = 1", "RECORD: found None"),
+        ("from example import RECORD", "ModuleNotFoundError"),
+        (EXAMPLE.read_text().replace("open = ", "shut = "), "open: found None"),
+        (EXAMPLE.read_text().replace('"admm", method', '"daqp", method'), "RECORD.name.*'daqp'"),
+    ],
+)
+def test_what_is_no_plugin_is_refused(tmp_path, text, words):
+    """A file that is missing, fails, lacks a part or takes a name of the table is refused."""
+    file = tmp_path / "mine.py"
+    if text is not None:
+        file.write_text(text)
+    with pytest.raises(InputError, match=words):
+        load_solver_module(file)
+
+
+def test_two_files_cannot_have_one_name(tmp_path):
+    """A second file with the name of the first is refused."""
+    load_solver_module(EXAMPLE)
+    copy = tmp_path / "other.py"
+    copy.write_text(EXAMPLE.read_text())
+    with pytest.raises(InputError, match="example_plugin"):
+        load_solver_module(copy)
+
+
+def test_an_entry_point_adds_a_solver(monkeypatch, tmp_path):
+    """A distribution that names an entry point adds a solver under its name and version."""
+    (tmp_path / "their_solver.py").write_text(EXAMPLE.read_text())
+    folder = tmp_path / "their_solver-2.5.dist-info"
+    folder.mkdir()
+    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: their-solver\nVersion: 2.5\n")
+    (folder / "entry_points.txt").write_text(
+        "[dpbench.solvers]\nadmm = their_solver\nbroken = their_solver:nothing\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    assert {"admm", "broken"} <= set(solver_names())
+    assert available("admm").version == "2.5"
+    assert open_workspace("admm").solver == "admm"
+    with pytest.raises(InputError, match=r"entry point broken.*nothing"):
+        open_workspace("broken")
+    monkeypatch.delitem(sys.modules, "their_solver")
+
+
+def test_a_plugin_runs_in_an_isolated_process():
+    """In a process of its own a plug-in is loaded, isolated from the libraries, and solves."""
+    program = f"""
+import sys
+from dpbench.solvers.isolation import isolate
+from dpbench.solvers.open import open_workspace
+from dpbench.solvers.table import TABLE, load_solver_module
+load_solver_module({str(EXAMPLE)!r})
+isolate("admm")
+import numpy as np
+from dpbench.qp.program import QuadraticProgram
+workspace = open_workspace("admm")
+I = np.eye(2)
+workspace.setup(QuadraticProgram(I, [-3.0, 0.0], I, [-1, -1], [1, 1], [-2, -2], [2, 2]))
+workspace.solve()
+assert abs(workspace.read().z - [1.0, 0.0]).max() < 1e-3
+assert not [m for row in TABLE.values() if (m := row.module) and sys.modules.get(m)]
+"""
+    root = Path(dpbench.__file__).parents[1]
+    environment = {**os.environ, "PYTHONPATH": str(root)}
+    subprocess.run([sys.executable, "-c", program], env=environment, check=True)
+
+
+def test_a_solver_that_only_qpsolvers_knows_works_by_its_name(monkeypatch, sequence):
+    """A name registered with qpsolvers runs without any record of it in dpbench."""
+    inner = qpsolvers.solvers.solve_function["quadprog"]
+    monkeypatch.setitem(qpsolvers.solvers.solve_function, "brandnew", inner)
+    monkeypatch.setattr(qpsolvers, "available_solvers", [*qpsolvers.available_solvers, "brandnew"])
+    assert record("brandnew").policies == {"qpsolvers": ("fresh",)}
+    assert available("brandnew").version == f"qpsolvers {metadata.version('qpsolvers')}"
+    workspace = open_workspace("brandnew")
+    workspace.setup(sequence.base)
+    workspace.solve()
+    answer = workspace.read()
+    assert answer.status is Status.SOLVED
+    np.testing.assert_allclose(answer.z, certify(sequence.base).z, rtol=0, atol=1e-9)
+
+
+def test_a_solver_that_qpsolvers_serves_but_does_not_find_says_so():
+    """A name that qpsolvers has an interface for is known, and why it cannot run is said."""
+    assert not available("gurobi").ok
+    assert "pip install qpsolvers[gurobi]" in available("gurobi").reason
+    with pytest.raises(UnknownNameError):
+        record("gurobii")
