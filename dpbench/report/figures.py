@@ -29,7 +29,7 @@ from dpbench.report.style import (
     one_axes,
     power_label,
 )
-from dpbench.report.tables_accuracy import UnitsMatrix, name_of
+from dpbench.report.tables_accuracy import UnitsMatrix, arm_name, name_of
 from dpbench.report.tables_timing import Arm
 from dpbench.report.view import Row, is_contrast
 
@@ -50,7 +50,7 @@ def step_times(arms: Sequence[Arm], demand: Demand) -> Figure:
         ax.plot(middle, i, "o", color="white", mec=colour, ms=5, zorder=4)
     ax.axvline(demand.p99_ms * 1e3, color=INK, ls="--", lw=0.9)
     log_time(ax)
-    ax.set_yticks(range(len(arms)), [_arm_name(row) for row, _ in arms])
+    ax.set_yticks(range(len(arms)), [arm_name(row) for row, _ in arms])
     ax.set_ylim(len(arms) - 0.4, -0.6)
     ax.grid(axis="y", visible=False)
     ax.set_xlabel("step time [µs]")
@@ -64,17 +64,8 @@ def step_times(arms: Sequence[Arm], demand: Demand) -> Figure:
     return figure
 
 
-def _arm_name(row: Row) -> str:
-    extra = [
-        str(row[c])
-        for c, usual in (("settings", "default"), ("policy", "fresh"))
-        if row[c] != usual
-    ]
-    return f"{row['solver']} ({', '.join(extra)})" if extra else str(row["solver"])
-
-
 def _family_patches(solvers: Sequence[str]) -> list[Patch]:
-    present = {family_of(solver) for solver in solvers}
+    present = {family_of(solver.partition(" (")[0]) for solver in solvers}
     return [Patch(color=c, label=name) for name, c in FAMILY_COLOURS.items() if name in present]
 
 
@@ -88,7 +79,7 @@ def error_against_time(arms: Sequence[Arm], demand: Demand) -> Figure:
     points: dict[str, list[tuple[str, float, float]]] = {}
     for row, times in arms:
         error = as_float(row["error_move_max"])
-        if row["policy"] == "fresh" and math.isfinite(error):
+        if math.isfinite(error):
             spot = (float(np.percentile(times.algo_ns, 95)) / 1e3, max(error, EXACT))
             points.setdefault(str(row["solver"]), []).append((str(row["settings"]), *spot))
     for solver, found in points.items():
@@ -123,11 +114,7 @@ def error_against_time(arms: Sequence[Arm], demand: Demand) -> Figure:
 
 def unanswered(arms: Sequence[Arm]) -> list[str]:
     """Arms without a finite largest error, which have no place in `error_against_time`."""
-    return [
-        _arm_name(row)
-        for row, _ in arms
-        if row["policy"] == "fresh" and not math.isfinite(as_float(row["error_move_max"]))
-    ]
+    return [arm_name(row) for row, _ in arms if not math.isfinite(as_float(row["error_move_max"]))]
 
 
 def units_heat_map(matrix: UnitsMatrix) -> Figure:

@@ -5,17 +5,46 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dpbench.report.statistics import UNKNOWN, Floats, Interval, paired_ratio
-from dpbench.report.verdict import Verdict
-from dpbench.report.view import Row, StepTimes, View
+from dpbench.report.view import StepTimes, View
+
+
+class Contender(Protocol):
+    """An arm with the figures it is ranked by: a verdict on a solver, or any other replayed arm."""
+
+    @property
+    def label(self) -> str: ...
+
+    @property
+    def solver(self) -> str: ...
+
+    @property
+    def route(self) -> str: ...
+
+    @property
+    def policy(self) -> str: ...
+
+    @property
+    def settings(self) -> str: ...
+
+    @property
+    def p99_ns(self) -> float: ...
+
+    @property
+    def algo_max_ns(self) -> float: ...
+
+
+AnyContender = TypeVar("AnyContender", bound=Contender)
 
 
 @dataclass(frozen=True)
 class Duel:
-    """Two solvers on the same steps: how many times as long `second` takes as `first`.
+    """Two arms on the same steps: how many times as long `second` takes as `first`.
 
     `leaders` names the faster one by each yardstick; where they differ the order is unstable.
     """
@@ -37,28 +66,34 @@ class Duel:
         return len(set(self.leaders.values())) > 1 or self.ratio.high < 1.0
 
 
-def fastest_first(verdicts: Sequence[Verdict]) -> list[Verdict]:
-    """Verdicts by p99, those without one by their largest step time, those without time last."""
-    return sorted(verdicts, key=lambda v: (_known(v.p99_ns), _known(v.algo_max_ns), v.solver))
+def fastest_first(contenders: Sequence[AnyContender]) -> list[AnyContender]:
+    """By p99, those without one by their largest step time, those without time last."""
+    return sorted(contenders, key=lambda c: (_known(c.p99_ns), _known(c.algo_max_ns), c.solver))
 
 
 def _known(value: float) -> float:
     return value if math.isfinite(value) else math.inf
 
 
+def common_steps(first: StepTimes, second: StepTimes) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Where in each of two arms the steps stand that both have done."""
+    _, mine, theirs = np.intersect1d(first.k, second.k, return_indices=True)
+    return mine, theirs
+
+
 def paired(slower: StepTimes, faster: StepTimes) -> tuple[Floats, Floats]:
     """Algorithmic times of the steps that both arms have done."""
-    _, mine, theirs = np.intersect1d(slower.k, faster.k, return_indices=True)
+    mine, theirs = common_steps(slower, faster)
     return slower.algo_ns[mine], faster.algo_ns[theirs]
 
 
-def duel(view: View, first: Verdict, second: Verdict) -> Duel:
-    """Compare two solvers on the steps of all sequences, policy fresh."""
+def duel(view: View, first: Contender, second: Contender) -> Duel:
+    """Compare two arms on the steps of all sequences."""
     slow: list[Floats] = []
     fast: list[Floats] = []
     leaders: dict[str, str] = {}
     for sequence in view.sequences:
-        both = [_fresh(view, sequence, verdict) for verdict in (first, second)]
+        both = [_times(view, sequence, arm) for arm in (first, second)]
         if both[0] is None or both[1] is None:
             continue
         a, b = paired(both[1], both[0])
@@ -67,17 +102,17 @@ def duel(view: View, first: Verdict, second: Verdict) -> Duel:
         slow.append(a)
         fast.append(b)
         leaders[f"median on `{sequence}`"] = (
-            first.solver if np.median(b) <= np.median(a) else second.solver
+            first.label if np.median(b) <= np.median(a) else second.label
         )
     if not slow:
-        return Duel(first.solver, second.solver, UNKNOWN, 0, {})
+        return Duel(first.label, second.label, UNKNOWN, 0, {})
     mine, theirs = np.concatenate(slow), np.concatenate(fast)
-    leaders["p99"] = first.solver
-    return Duel(first.solver, second.solver, paired_ratio(mine, theirs), len(mine), leaders)
+    leaders["p99" if math.isfinite(first.p99_ns) else "largest step"] = first.label
+    return Duel(first.label, second.label, paired_ratio(mine, theirs), len(mine), leaders)
 
 
-def _fresh(view: View, sequence: str, verdict: Verdict) -> StepTimes | None:
-    rows: list[Row] = view.replays(
-        sequence, solver=verdict.solver, settings=verdict.settings, policy="fresh"
+def _times(view: View, sequence: str, arm: Contender) -> StepTimes | None:
+    rows = view.replays(
+        sequence, solver=arm.solver, settings=arm.settings, route=arm.route, policy=arm.policy
     )
     return view.times(rows[0]) if rows else None

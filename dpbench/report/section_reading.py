@@ -22,9 +22,14 @@ DEFINITIONS = (
     "whose conversions are part of the solve and cannot be split further. Arms on different "
     "routes differ by the wrapper too.",
     "**policy**: `fresh` sets up from nothing in every step; `reuse` keeps factorisation and "
-    "memory; `warm` keeps the previous answer as well.",
-    "**settings**: `default` is what the library ships; `high` asks for tight tolerances. Where "
-    "settings have no effect, one run is shown under both names.",
+    "memory; `warm` keeps the previous answer as well, shifted by one move where the solver takes "
+    "a start. A policy that a solver cannot run is a refused cell with its reason.",
+    "**default route**: `qpsolvers` where a solver was run on it, else the first route it was run "
+    "on. The verdict is on the default route, policy fresh; every other way is judged on replays, "
+    "and on closed loops where some were run that way.",
+    "**settings**: `default` is what the library ships; `low`, `mid` and `high` ask for tolerances "
+    "of 1e-3, 1e-6 and 1e-9; `polished` adds the solver's own polishing of the answer. Where "
+    "settings have no effect, one run is shown under all names.",
     "**slow-down**: the deadline over the largest algorithmic step time; a computer slower by "
     "more than that would miss a step.",
 )

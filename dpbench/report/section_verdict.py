@@ -7,6 +7,14 @@ from collections.abc import Mapping, Sequence
 
 from dpbench.report.blocks import Bullets, Card, Cards, Paragraph, Section, Tabular, missing
 from dpbench.report.demand import Demand, demand_text
+from dpbench.report.fastest import Candidate, candidates
+from dpbench.report.fastest_text import (
+    fastest_arm,
+    fastest_table,
+    fastest_usual,
+    fastest_way,
+    first_ways,
+)
 from dpbench.report.formats import (
     MISSING,
     count_text,
@@ -15,10 +23,10 @@ from dpbench.report.formats import (
     significant,
     time_text,
 )
-from dpbench.report.ranking import fastest_first
+from dpbench.report.ranking import Contender, fastest_first
 from dpbench.report.table import Cell, Mark, Table, row_of
 from dpbench.report.verdict import Verdict, judge_all
-from dpbench.report.verdict_text import contrast, elsewhere, fastest, sentence, summary
+from dpbench.report.verdict_text import contrast, elsewhere, sentence, summary
 from dpbench.report.view import View
 
 Verdicts = Mapping[str, Sequence[Verdict]]
@@ -32,7 +40,11 @@ def verdict_lines(view: View, demand: Demand) -> list[str]:
     if not verdicts:
         return summary(verdicts)
     first = next(iter(verdicts))
-    lines = [*summary(verdicts), *fastest(view, verdicts[first], demand)]
+    lines = [
+        *summary(verdicts),
+        *fastest_usual(view, verdicts[first], demand),
+        *fastest_arm(view, candidates(view, demand)),
+    ]
     return [line.replace("**", "").replace("`", "") for line in lines]
 
 
@@ -45,13 +57,22 @@ def verdict_section(view: View, demand: Demand) -> Section:
         return section
     first = next(iter(verdicts))
     ordered = _ordered(verdicts[first])
+    found = candidates(view, demand)
+    ways = fastest_table(found, verdicts[first])
     section.add(
         Paragraph(" ".join(summary(verdicts)), lead=True),
-        Cards(_cards(verdicts, demand)),
+        Paragraph(" ".join(fastest_arm(view, found)), lead=True),
+        Cards(_cards(verdicts, found, demand)),
         Paragraph(demand_text(demand)),
-        *(Paragraph(line) for line in fastest(view, verdicts[first], demand)),
+        *(Paragraph(line) for line in fastest_usual(view, verdicts[first], demand)),
         Tabular(verdict_table(verdicts, demand)),
-        Bullets(tuple(sentence(v, demand) + elsewhere(verdicts, v) for v in ordered)),
+        *([Tabular(ways)] if ways is not None else []),
+        Bullets(
+            tuple(
+                sentence(v, demand) + elsewhere(verdicts, v) + fastest_way(found, v.solver)
+                for v in ordered
+            )
+        ),
         Paragraph(contrast(view)),
     )
     return section
@@ -61,7 +82,7 @@ def _ordered(verdicts: Sequence[Verdict]) -> list[Verdict]:
     return sorted(fastest_first(verdicts), key=lambda v: ORDER.index(v.outcome))
 
 
-def _cards(verdicts: Verdicts, demand: Demand) -> tuple[Card, ...]:
+def _cards(verdicts: Verdicts, found: Sequence[Candidate], demand: Demand) -> tuple[Card, ...]:
     first = next(iter(verdicts))
     default = verdicts[first]
     good = fastest_first([v for v in default if v.outcome == "meets"])
@@ -81,20 +102,30 @@ def _cards(verdicts: Verdicts, demand: Demand) -> tuple[Card, ...]:
         others = ", ".join(sorted(rescued)) or "none"
         mark: Mark = "warn" if rescued else ""
         cards.append(Card("only with other settings", str(len(rescued)), others, mark))
-    if good:
-        best = good[0]
-        figure = best.p99_ns if math.isfinite(best.p99_ns) else best.algo_max_ns
-        name = "p99" if math.isfinite(best.p99_ns) else "largest step"
-        cards += [
-            Card("fastest of those", best.solver, f"{name} {time_text(figure)}", "good"),
-            Card(
-                "slow-down it stands",
-                f"× {significant(best.slowdown(demand), 2)}",
-                f"before its largest step, {time_text(best.algo_max_ns)}, takes "
-                f"{demand.deadline_ms:g} ms",
-            ),
-        ]
-    return tuple(cards)
+    for arm in first_ways(found)[:1]:
+        words = (
+            f"{arm.route} {arm.policy}, {arm.settings}: {_figure(arm)}, judged on {arm.judged_on}"
+        )
+        cards.append(Card("fastest way of all", arm.solver, words, "good"))
+    return (*cards, *_usual_cards(good, demand))
+
+
+def _usual_cards(good: Sequence[Verdict], demand: Demand) -> tuple[Card, ...]:
+    """The fastest solver on its default route, policy fresh, and how slow a computer may be."""
+    if not good:
+        return ()
+    best = good[0]
+    stands = f"before its largest step, {time_text(best.algo_max_ns)}, takes {demand.deadline_ms:g}"
+    return (
+        Card("fastest, default route", best.solver, f"{best.route} fresh: {_figure(best)}", "good"),
+        Card("slow-down it stands", f"× {significant(best.slowdown(demand), 2)}", f"{stands} ms"),
+    )
+
+
+def _figure(arm: Contender) -> str:
+    if math.isfinite(arm.p99_ns):
+        return f"p99 {time_text(arm.p99_ns)}"
+    return f"largest step {time_text(arm.algo_max_ns)}"
 
 
 def verdict_table(verdicts: Verdicts, demand: Demand) -> Table:
@@ -121,10 +152,10 @@ def verdict_table(verdicts: Verdicts, demand: Demand) -> Table:
     return Table(
         title="Verdict per solver",
         note=(
-            f"Scaled units, policy fresh; figures of settings {first}. Accuracy: every step of "
-            "the longest closed loop per scenario and of the replays. Time: algorithmic, from "
-            "replays alone; p99 is the worst over the sequences that support one. Slow-down: "
-            f"{demand.deadline_ms:g} ms over the largest algorithmic step time. "
+            f"Scaled units, default route, policy fresh; figures of settings {first}. Accuracy: "
+            "every step of the longest closed loop per scenario and of the replays. Time: "
+            "algorithmic, from replays alone; p99 is the worst over the sequences that support "
+            f"one. Slow-down: {demand.deadline_ms:g} ms over the largest algorithmic step time. "
             f"{plural(len(rows), 'solver')}."
         ),
         heads=(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular, missing
 from dpbench.report.demand import Demand
 from dpbench.report.figures import error_against_time, step_times, unanswered
 from dpbench.report.formats import and_list, plural
-from dpbench.report.tables_timing import gain_table, jitter_table, timed_arms, timing_table
+from dpbench.report.tables_timing import Arm, jitter_table, timed_arms, timing_tables
 from dpbench.report.view import View
 
 
@@ -21,13 +23,10 @@ def timing_section(view: View, demand: Demand) -> Section:
     )
     found = False
     for sequence in view.sequences:
-        ranked, raw = timing_table(view, sequence, demand), jitter_table(view, sequence)
-        if ranked is not None and raw is not None:
+        ranked, raw = timing_tables(view, sequence, demand), jitter_table(view, sequence)
+        if raw is not None:
             found = True
-            section.add(Tabular(ranked), Tabular(raw))
-        gain = gain_table(view, sequence)
-        if gain is not None:
-            section.add(Tabular(gain))
+            section.add(*(Tabular(table) for table in ranked), Tabular(raw))
     if not found:
         section.add(missing("no replay left a step, so no time is given."))
     return section
@@ -40,29 +39,63 @@ def timing_pictures(view: View, demand: Demand) -> list[Block]:
         arms = timed_arms(view, sequence)
         if not arms:
             continue
-        shown = [arm for arm in arms if arm[0]["settings"] == "default"] or arms
+        usual = [arm for arm in arms if arm[0]["settings"] == "default"] or arms
+        shown = _two_of_each(usual)
         steps = plural(max(len(times.algo_ns) for _, times in shown), "step")
         blocks.append(
             Picture(
                 f"step_times_{i + 1}",
                 f"Step times in the replay of {sequence}",
-                f"{plural(len(shown), 'arm')}, {steps}, settings default; sorted by median.",
+                f"{plural(len(shown), 'arm')} of {len(usual)}, {steps}, settings default; of each "
+                "solver the default route with policy fresh and its fastest way; sorted by median.",
                 step_times(shown, demand),
             )
         )
-        silent = unanswered(arms)
-        without = (
-            f" Not drawn, as they leave steps without an answer: {and_list(silent)}."
-            if silent
-            else ""
-        )
-        blocks.append(
-            Picture(
-                f"error_time_{i + 1}",
-                f"Error against time in the replay of {sequence}",
-                "Policy fresh; a line joins the settings of one solver. Errors below 1e-15 are "
-                f"drawn there. {plural(len(arms), 'arm')}, {steps}.{without}",
-                error_against_time(arms, demand),
-            )
-        )
+        fresh = [arm for arm in arms if arm[0]["policy"] == "fresh" and arm[0]["default_route"]]
+        native = _fastest_native(arms)
+        if fresh:
+            blocks.append(_error_picture(f"error_time_{i + 1}", sequence, fresh, demand))
+        if any(row["policy"] != "fresh" for row, _ in native):
+            name = f"error_time_native_{i + 1}"
+            blocks.append(_error_picture(name, sequence, native, demand, native=True))
     return blocks
+
+
+def _two_of_each(arms: Sequence[Arm]) -> list[Arm]:
+    """Of each solver its default arm and its fastest one; `arms` come fastest first."""
+    fastest: dict[str, Arm] = {}
+    for arm in arms:
+        fastest.setdefault(str(arm[0]["solver"]), arm)
+    return [
+        arm
+        for arm in arms
+        if (arm[0]["default_route"] and arm[0]["policy"] == "fresh")
+        or fastest[str(arm[0]["solver"])] is arm
+    ]
+
+
+def _fastest_native(arms: Sequence[Arm]) -> list[Arm]:
+    """The fastest policy on route native of each solver and settings; `arms` fastest first."""
+    fastest: dict[tuple[str, str], Arm] = {}
+    for arm in arms:
+        if arm[0]["route"] == "native":
+            fastest.setdefault((str(arm[0]["solver"]), str(arm[0]["settings"])), arm)
+    return list(fastest.values())
+
+
+def _error_picture(
+    name: str, sequence: str, arms: Sequence[Arm], demand: Demand, *, native: bool = False
+) -> Picture:
+    how = "route native, fastest policy" if native else "default route, policy fresh"
+    steps = plural(max(len(times.algo_ns) for _, times in arms), "step")
+    silent = unanswered(arms)
+    without = (
+        f" Not drawn, as they leave steps without an answer: {and_list(silent)}." if silent else ""
+    )
+    return Picture(
+        name,
+        f"Error against time in the replay of {sequence}, {how}",
+        "A line joins the settings of one solver. Errors below 1e-15 are drawn there. "
+        f"{plural(len(arms), 'arm')}, {steps}.{without}",
+        error_against_time(arms, demand),
+    )

@@ -7,6 +7,7 @@ blocks of consecutive steps (circular block bootstrap: Politis & Romano 1992), n
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +63,7 @@ def percentile_interval(
     """A percentile over steps with its interval, unknown when the steps do not support it."""
     if not supports(len(values), percent):
         return UNKNOWN
-    draws = _block_indices(len(values), block, resamples, seed)
+    draws = block_indices(len(values), block, resamples, seed)
     found = np.percentile(values[draws], percent, axis=1)
     low, high = np.quantile(found, _tails(confidence))
     return Interval(float(np.percentile(values, percent)), float(low), float(high))
@@ -88,9 +89,8 @@ def paired_ratio(
     if len(slower) == 0:
         return UNKNOWN
     logs = np.log(slower / faster)
-    draws = _block_indices(len(logs), block, resamples, seed)
     tails = _tails(1.0 - (1.0 - confidence) / comparisons)
-    low, high = np.quantile(logs[draws].mean(axis=1), tails)
+    low, high = np.quantile(resampled_means(logs, block, resamples, seed), tails)
     return Interval(float(np.exp(logs.mean())), float(np.exp(low)), float(np.exp(high)))
 
 
@@ -98,10 +98,28 @@ def _tails(confidence: float) -> tuple[float, float]:
     return (1.0 - confidence) / 2.0, (1.0 + confidence) / 2.0
 
 
-def _block_indices(count: int, block: int, resamples: int, seed: int) -> NDArray[np.intp]:
+def _block_starts(count: int, block: int, resamples: int, seed: int) -> NDArray[np.intp]:
+    """(resamples, blocks) first steps of as many blocks as cover `count` steps."""
+    blocks = -(-count // block)
+    return np.random.default_rng(seed).integers(0, count, size=(resamples, blocks))
+
+
+@lru_cache(maxsize=4)
+def block_indices(count: int, block: int, resamples: int, seed: int) -> NDArray[np.intp]:
     """(resamples, count) indices in circular blocks of consecutive steps."""
     block = max(1, min(block, count))
-    blocks = -(-count // block)
-    starts = np.random.default_rng(seed).integers(0, count, size=(resamples, blocks, 1))
-    drawn = (starts + np.arange(block)) % count
-    return drawn.reshape(resamples, blocks * block)[:, :count]
+    starts = _block_starts(count, block, resamples, seed)
+    drawn = (starts[:, :, None] + np.arange(block)) % count
+    return drawn.reshape(resamples, -1)[:, :count]
+
+
+def resampled_means(values: Floats, block: int, resamples: int, seed: int) -> Floats:
+    """(resamples,) means over the steps of `block_indices`, block by block from running sums."""
+    count = len(values)
+    block = max(1, min(block, count))
+    starts = _block_starts(count, block, resamples, seed)
+    lengths = np.full(starts.shape[1], block)
+    lengths[-1] = count - block * (len(lengths) - 1)
+    running = np.concatenate(([0.0], np.cumsum(np.concatenate((values, values[:block])))))
+    means: Floats = (running[starts + lengths] - running[starts]).sum(axis=1) / count
+    return means

@@ -37,12 +37,21 @@ FAMILIES = {
         "hpipm",
         "kvxopt",
         "piqp",
+        "piqp_sparse",
         "qoco",
         "qpax",
         "qtqp",
         "sip",
     ),
-    "first order, augmented Lagrangian": ("osqp", "proxqp", "qpalm", "scs", "jaxopt_osqp"),
+    "first order, augmented Lagrangian": (
+        "hildreth",
+        "jaxopt",
+        "osqp",
+        "proxqp",
+        "proxqp_sparse",
+        "qpalm",
+        "scs",
+    ),
 }
 FAMILY_COLOURS = {
     "active set": BLUE,

@@ -25,9 +25,18 @@ ARMS = (("scaled", "default"), ("scaled", "high"), ("si", "default"), ("si", "hi
 
 
 def name_of(row: Row) -> str:
-    """The solver, with its policy where that is not `fresh`."""
-    policy = row["policy"]
-    return str(row["solver"]) if policy == "fresh" else f"{row['solver']} ({policy})"
+    """The solver, with its route where that is not its default, its policy where not `fresh`."""
+    extra = [] if row["default_route"] else [str(row["route"])]
+    extra += [] if row["policy"] == "fresh" else [str(row["policy"])]
+    return f"{row['solver']} ({', '.join(extra)})" if extra else str(row["solver"])
+
+
+def arm_name(row: Row) -> str:
+    """As `name_of`, with the settings where they are not `default`."""
+    name, settings = name_of(row), str(row["settings"])
+    if settings == "default":
+        return name
+    return f"{name[:-1]}, {settings})" if name.endswith(")") else f"{name} ({settings})"
 
 
 def by_error(row: Row) -> tuple[bool, float, str]:
@@ -119,7 +128,7 @@ def units_matrix(view: View) -> UnitsMatrix | None:
     """All solvers in both unit systems; None when the suite ran only one system."""
     loops = [
         row
-        for row in view.select(mode="closed_loop", policy="fresh")
+        for row in view.select(mode="closed_loop", policy="fresh", default_route=True)
         if not is_contrast(row) and row["outcome"] != "refused"
     ]
     si = [row for row in loops if row["units"] == "si"]
@@ -168,10 +177,10 @@ def units_table(matrix: UnitsMatrix) -> Table:
     return Table(
         title="Who still answers right in raw units",
         note=(
-            f"Closed loop, policy fresh; {counts}. Each cell: share of steps with a true answer "
-            "(a step that was never reached counts as not true), then the largest error_move "
-            "of the steps that were reached. Sorted by the number of arms that are right on "
-            "every step."
+            f"Closed loop, default route, policy fresh; {counts}. Each cell: share of steps with "
+            "a true answer (a step that was never reached counts as not true), then the largest "
+            "error_move of the steps that were reached. Sorted by the number of arms that are "
+            "right on every step."
         ),
         heads=("solver", *(f"{s}: {u}, {a}" for s, u, a in matrix.columns)),
         rows=tuple(rows),
@@ -194,7 +203,7 @@ def settings_without_effect(rows: Sequence[Row]) -> list[str]:
     for row in rows:
         if has_steps(row):
             figures = (row["raw_max_ns"], row["raw_p50_ns"], row["steps_done"])
-            key = f"{row['solver']}|{row['policy']}|{row['sequence']}"
+            key = f"{row['solver']}|{row['route']}|{row['policy']}|{row['sequence']}"
             from_levels.setdefault(key, {})[str(row["settings"])] = figures
     same = {
         key.split("|")[0]

@@ -69,18 +69,19 @@ def _forms(rows: Sequence[Row]) -> str:
 def experiments_table(view: View) -> Table:
     """One row per experiment: mode, problem, units, settings, policy, and its counts."""
     groups: dict[tuple[str, ...], list[Row]] = {}
-    names = ("mode", "scenario", "sequence", "units", "settings", "policy", "formulation")
+    names = ("mode", "scenario", "sequence", "units", "settings", "route", "policy", "formulation")
     for row in view.runs:
         groups.setdefault(tuple(str(row[name]) for name in names), []).append(row)
     rows = []
     for key, mine in groups.items():
-        mode, scenario, sequence, units, settings, policy, formulation = key
+        mode, scenario, sequence, units, settings, route, policy, formulation = key
         rows.append(
             row_of(
                 mode.replace("_", " "),
                 f"`{sequence or scenario}`",
                 units,
                 settings,
+                route,
                 policy,
                 formulation.replace("_", " "),
                 count_text(max(row["steps_planned"] for row in mine)),
@@ -97,6 +98,7 @@ def experiments_table(view: View) -> Table:
             "problem",
             "units",
             "settings",
+            "route",
             "policy",
             "formulation",
             "steps",
@@ -104,7 +106,7 @@ def experiments_table(view: View) -> Table:
             "finished",
         ),
         rows=tuple(rows),
-        text_columns=6,
+        text_columns=7,
         folded=True,
     )
 
@@ -144,6 +146,7 @@ def _where(rows: Sequence[Row]) -> str:
         modes = Counter(str(row["mode"]).replace("_", " ") for row in rows)
         return ", ".join(f"{count} × {mode}" for mode, count in modes.items())
     return "; ".join(
-        f"{row['sequence'] or row['scenario']} ({row['units']}, {row['settings']}, {row['policy']})"
+        f"{row['sequence'] or row['scenario']} "
+        f"({row['units']}, {row['settings']}, {row['route']}, {row['policy']})"
         for row in rows
     )

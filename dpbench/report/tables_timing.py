@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -46,13 +47,23 @@ def is_right(row: Row, demand: Demand) -> bool:
     )
 
 
-def timing_table(view: View, sequence: str, demand: Demand) -> Table | None:
-    """The algorithmic step times of one sequence; None when nothing was replayed."""
+def timing_tables(view: View, sequence: str, demand: Demand) -> list[Table]:
+    """The algorithmic step times of one sequence: settings `default`, then folded the others."""
     arms = timed_arms(view, sequence)
-    if not arms:
-        return None
-    right = [arm for arm in arms if is_right(arm[0], demand)]
-    best = (right or arms)[0]
+    usual = [arm for arm in arms if arm[0]["settings"] == "default"]
+    if not arms or len(usual) in (0, len(arms)):
+        return [_timing_table(view, sequence, arms, arms, demand)] if arms else []
+    others = [arm for arm in arms if arm[0]["settings"] != "default"]
+    first = _timing_table(view, sequence, arms, usual, demand)
+    rest = _timing_table(view, sequence, arms, others, demand)
+    return [first, replace(rest, title=f"{rest.title}, other settings", folded=True)]
+
+
+def _timing_table(
+    view: View, sequence: str, arms: Sequence[Arm], shown: Sequence[Arm], demand: Demand
+) -> Table:
+    """Some arms of a sequence beside the best of all its arms."""
+    best = next((arm for arm in arms if is_right(arm[0], demand)), arms[0])
     return Table(
         title=f"Step times in the replay of `{sequence}`",
         note=(
@@ -60,7 +71,8 @@ def timing_table(view: View, sequence: str, demand: Demand) -> Table | None:
             f"(set-up + update + solve + read). Intervals: 95 %, block bootstrap over steps. "
             f"Against best: geometric mean of paired ratios to {_label(best[0])}, the fastest "
             f"median among the arms whose answers meet the demand, its interval holding for "
-            f"all {plural(len(arms) - 1, 'comparison')} together. {_refused_percentile(arms)}"
+            f"all {plural(len(arms) - 1, 'comparison')} together. {plural(len(shown), 'arm')} "
+            f"shown here. {_refused_percentile(arms)}"
         ),
         heads=(
             "solver",
@@ -78,7 +90,7 @@ def timing_table(view: View, sequence: str, demand: Demand) -> Table | None:
             "interval",
             "steps",
         ),
-        rows=tuple(_timing_row(arm, best, len(arms) - 1, demand) for arm in arms),
+        rows=tuple(_timing_row(arm, best, len(arms) - 1, demand) for arm in shown),
         text_columns=5,
     )
 
@@ -101,6 +113,7 @@ def jitter_table(view: View, sequence: str) -> Table | None:
             "solver",
             "settings",
             "policy",
+            "route",
             "raw p50 [µs]",
             "raw p99 [µs]",
             "raw p99.9 [µs]",
@@ -114,51 +127,8 @@ def jitter_table(view: View, sequence: str) -> Table | None:
             "samples",
         ),
         rows=tuple(_jitter_row(arm) for arm in arms),
-        text_columns=3,
-        folded=True,
-    )
-
-
-def gain_table(view: View, sequence: str) -> Table | None:
-    """What keeping the workspace or the last answer gains; None without such arms."""
-    arms = timed_arms(view, sequence)
-    fresh = {(r["solver"], r["settings"]): t for r, t in arms if r["policy"] == "fresh"}
-    rows = []
-    for row, times in arms:
-        before = fresh.get((row["solver"], row["settings"]))
-        if row["policy"] != "fresh" and before is not None:
-            rows.append(_gain_row(row, times, before))
-    if not rows:
-        return None
-    return Table(
-        title=f"What a kept workspace gains in the replay of `{sequence}`",
-        note=(
-            "Fresh time over this policy's time, geometric mean of paired ratios per step, above "
-            "1 is a gain; 95 % interval, block bootstrap over steps. Where the interval holds 1 "
-            f"the policy measurably makes no difference. {plural(len(rows), 'arm')}."
-        ),
-        heads=("solver", "settings", "policy", "", "fresh / policy", "interval", "steps"),
-        rows=tuple(rows),
         text_columns=4,
         folded=True,
-    )
-
-
-def _gain_row(row: Row, times: StepTimes, fresh: StepTimes) -> tuple[Cell, ...]:
-    slow, fast = paired(fresh, times)
-    found = paired_ratio(slow, fast)
-    if found.spans(1.0):
-        verdict = Cell("no difference", "quiet")
-    else:
-        verdict = Cell("gain", "good") if found.value > 1.0 else Cell("loss", "bad")
-    return row_of(
-        str(row["solver"]),
-        str(row["settings"]),
-        str(row["policy"]),
-        verdict,
-        significant(found.value),
-        interval_text(found.low, found.high),
-        count_text(len(slow)),
     )
 
 
@@ -167,7 +137,7 @@ def _population(view: View, arms: Sequence[Arm]) -> str:
     rounds = max(times.rounds for _, times in arms)
     same = settings_without_effect([row for row, _ in arms])
     shown = (
-        f" Settings have no effect on {', '.join(same)}: one run under both names." if same else ""
+        f" Settings have no effect on {', '.join(same)}: one run under all names." if same else ""
     )
     cpu = view.machine.get("cpu_model", "an unnamed CPU")
     return (
@@ -184,7 +154,7 @@ def _refused_percentile(arms: Sequence[Arm]) -> str:
 
 
 def _label(row: Row) -> str:
-    return f"{row['solver']} ({row['settings']}, {row['policy']})"
+    return f"{row['solver']} ({row['route']} {row['policy']}, {row['settings']})"
 
 
 def _timing_row(arm: Arm, best: Arm, comparisons: int, demand: Demand) -> tuple[Cell, ...]:
@@ -230,6 +200,7 @@ def _jitter_row(arm: Arm) -> tuple[Cell, ...]:
         str(row["solver"]),
         str(row["settings"]),
         str(row["policy"]),
+        str(row["route"]),
         micro_text(percentile(raw, 50)),
         micro_text(percentile(raw, 99)),
         micro_text(percentile(raw, 99.9)),
@@ -237,6 +208,6 @@ def _jitter_row(arm: Arm) -> tuple[Cell, ...]:
         setup,
         *(micro_text(phases[phase]) for phase in ("update", "solve", "read")),
         significant(times.iterations[0]),
-        count_text(times.iterations[1]),
+        count_text(times.iterations[2]),
         count_text(len(raw)),
     )

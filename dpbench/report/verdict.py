@@ -1,4 +1,4 @@
-"""Judge every solver by the suite's demand, from rows alone.
+"""Judge every solver by the suite's demand on its default route, policy fresh, from rows alone.
 
 A solver *meets* the demand when every judged step of its closed loops and replays has
 error_move within the demand, no more steps fail than it allows, and the p99 of its algorithmic
@@ -48,6 +48,16 @@ class Verdict:
     algo_max_ns: float = math.nan
     route: str = ""
 
+    @property
+    def policy(self) -> str:
+        """The policy it is judged under."""
+        return "fresh"
+
+    @property
+    def label(self) -> str:
+        """What it is called beside others that are judged alike."""
+        return self.solver
+
     def slowdown(self, demand: Demand) -> float:
         """How much slower a computer may be before the slowest step misses the deadline."""
         return demand.deadline_ns / self.algo_max_ns
@@ -55,9 +65,14 @@ class Verdict:
 
 def judge(view: View, solver: str, settings: str, demand: Demand) -> Verdict:
     """The verdict on one solver at one settings level."""
-    loops = view.longest_loops(solver, settings)
+    loops = view.longest_loops(solver, settings, policy="fresh", default_route=True)
     replays = view.select(
-        mode="replay", solver=solver, settings=settings, units="scaled", policy="fresh"
+        mode="replay",
+        solver=solver,
+        settings=settings,
+        units="scaled",
+        policy="fresh",
+        default_route=True,
     )
     rows = [*loops, *replays]
     if not rows:
@@ -95,11 +110,12 @@ def judge_all(view: View, demand: Demand) -> dict[str, list[Verdict]]:
     levels = [str(row["settings"]) for row in view.runs if row["units"] == "scaled"]
     return {
         settings: [judge(view, solver, settings, demand) for solver in view.solvers]
-        for settings in sorted(set(levels), key=_level)
+        for settings in sorted(set(levels), key=settings_level)
     }
 
 
-def _level(settings: str) -> tuple[int, str]:
+def settings_level(settings: str) -> tuple[int, str]:
+    """Sort key of a settings level."""
     order = ("default", "low", "mid", "high")
     return (order.index(settings) if settings in order else len(order), settings)
 

@@ -12,12 +12,11 @@ from dpbench.report.formats import (
     and_list,
     as_float,
     error_text,
-    interval_text,
     plural,
     significant,
     time_text,
 )
-from dpbench.report.ranking import Duel, duel, fastest_first
+from dpbench.report.ranking import fastest_first
 from dpbench.report.verdict import Outcome, Verdict
 from dpbench.report.view import View, has_steps, is_contrast
 
@@ -80,55 +79,6 @@ def _solvers(verdicts: Sequence[Verdict]) -> set[str]:
 
 def _names(verdicts: Sequence[Verdict]) -> str:
     return and_list([v.solver for v in verdicts])
-
-
-def fastest(view: View, verdicts: Sequence[Verdict], demand: Demand) -> list[str]:
-    """The fastest solver that meets the demand, its margin, and whether the second is apart."""
-    good = fastest_first([v for v in verdicts if v.outcome == "meets"])
-    if not good:
-        return ["No solver meets the demand, so no fastest one is named."]
-    best = good[0]
-    if not math.isfinite(best.p99_ns):
-        figure, of = best.algo_max_ns, "largest algorithmic step time"
-    else:
-        figure, of = best.p99_ns, f"p99 of the algorithmic step time on `{best.p99_of}`"
-    lines = [
-        f"The fastest that meets it is **{best.solver}** (route {best.route}): {of} "
-        f"{time_text(figure)}, {significant(demand.p99_ns / figure)} times under the demand; "
-        f"largest step {time_text(best.algo_max_ns)}, so a computer "
-        f"{significant(best.slowdown(demand))} times slower would still make the "
-        f"{demand.deadline_ms / 1e3:g} s deadline."
-    ]
-    if len(good) > 1:
-        lines.append(duel_text(duel(view, best, good[1])))
-        if good[1].route != best.route:
-            lines.append(
-                f"The two run on different routes ({best.solver}: {best.route}, "
-                f"{good[1].solver}: {good[1].route}); the cost of the wrapper is part of the "
-                "qpsolvers times."
-            )
-    return lines
-
-
-def duel_text(found: Duel) -> str:
-    """How the top two compare, with caution where they cannot be told apart."""
-    if found.steps == 0:
-        return f"{found.second} is second; no step was replayed by both, so they are not compared."
-    ratio = significant(found.ratio.value)
-    span = interval_text(found.ratio.low, found.ratio.high)
-    pair = (
-        f"{found.second} takes {ratio} times as long as {found.first} per step "
-        f"(geometric mean of the paired ratios of {plural(found.steps, 'step')}, "
-        f"95 % interval {span})"
-    )
-    if found.tied:
-        return f"Caution: {pair}; the interval holds 1, so the two cannot be told apart."
-    if found.unstable:
-        by = {name: f"{found.leaders[name]} by {name}" for name in found.leaders}
-        return (
-            f"Caution: {pair}; the order depends on the yardstick: {and_list(list(by.values()))}."
-        )
-    return f"Second: {pair}."
 
 
 def sentence(verdict: Verdict, demand: Demand) -> str:

@@ -18,7 +18,7 @@ from dpbench.report.statistics import Floats
 from dpbench.scenario import Scenario, scenario_of
 
 Row = Mapping[str, Any]
-"""One row of `runs.parquet`."""
+"""One row of `runs.parquet`, with `default_route` added: whether it runs on its solver's own."""
 
 PHASES = ("setup", "update", "solve", "read")
 
@@ -31,16 +31,18 @@ class StepTimes:
     ----------
     k : (K,) steps; algo_ns : (K,) minimum over the counting rounds, the algorithmic time.
     raw_ns : (N,) all samples of the counting rounds.
+    true : (K,) whether the referee found the answer true in every counting round.
     phase_ns : median of each phase over the samples, NaN where it is no part of a step.
-    iterations : median and largest count, NaN where the solver gives none.
+    iterations : median, mean and largest count, NaN where the solver gives none.
     rounds : how many rounds count.
     """
 
     k: NDArray[np.int64]
     algo_ns: Floats
     raw_ns: Floats
+    true: NDArray[np.bool_]
     phase_ns: dict[str, float]
-    iterations: tuple[float, float]
+    iterations: tuple[float, float, float]
     rounds: int
 
 
@@ -49,9 +51,13 @@ class View:
 
     def __init__(self, results: Results) -> None:
         self.machine, self.suite = results.machine, results.suite
-        self.runs: list[Row] = [
+        rows = [
             {str(name): value for name, value in row.items()}
             for row in results.runs.to_dict("records")
+        ]
+        usual = _default_routes(rows)
+        self.runs: list[Row] = [
+            row | {"default_route": row["route"] == usual[row["solver"]]} for row in rows
         ]
         self._steps = results.steps
         self._times: dict[str, StepTimes | None] = {}
@@ -105,11 +111,11 @@ class View:
         full = self.full_steps(scenario)
         return [row for row in loops if row["steps_planned"] == full]
 
-    def longest_loops(self, solver: str, settings: str) -> list[Row]:
-        """The longest fresh closed loop in scaled units per scenario."""
+    def longest_loops(self, solver: str, settings: str, **arm: object) -> list[Row]:
+        """The longest closed loop of an arm in scaled units per scenario."""
         best: dict[str, Row] = {}
         for row in self.select(
-            mode="closed_loop", solver=solver, settings=settings, units="scaled", policy="fresh"
+            mode="closed_loop", solver=solver, settings=settings, units="scaled", **arm
         ):
             name = str(row["scenario"])
             if name not in best or row["steps_planned"] > best[name]["steps_planned"]:
@@ -141,6 +147,16 @@ class View:
         return None
 
 
+def _default_routes(rows: Sequence[Row]) -> dict[str, str]:
+    """The route each solver is judged on: qpsolvers where it ran so, else its first one."""
+    usual: dict[str, str] = {}
+    for row in rows:
+        solver, route = str(row["solver"]), str(row["route"])
+        if solver not in usual or route == "qpsolvers":
+            usual[solver] = route
+    return usual
+
+
 def is_contrast(row: Row) -> bool:
     """Whether the row is the contrast law, which solves no QP and is never ranked."""
     return bool(row["formulation"] == "none")
@@ -167,16 +183,19 @@ def _step_times(steps: pd.DataFrame) -> StepTimes | None:
     best = np.full(int(k.max()) + 1, np.inf)
     np.minimum.at(best, k, raw)
     done = np.flatnonzero(np.isfinite(best))
+    true = np.ones(len(best), dtype=np.bool_)
+    np.logical_and.at(true, k, counting["true"].to_numpy(dtype=np.bool_))
     iterations = counting["iterations"].to_numpy(dtype=np.float64, na_value=np.nan)
     counted = iterations[np.isfinite(iterations)]
     return StepTimes(
         k=done,
         algo_ns=best[done],
         raw_ns=raw,
+        true=true[done],
         phase_ns={phase: _median(counting[f"{phase}_ns"]) for phase in PHASES},
-        iterations=(float(np.median(counted)), float(counted.max()))
+        iterations=(float(np.median(counted)), float(counted.mean()), float(counted.max()))
         if len(counted)
-        else (float(np.nan), float(np.nan)),
+        else (float(np.nan), float(np.nan), float(np.nan)),
         rounds=int(counting["repeat"].nunique()),
     )
 

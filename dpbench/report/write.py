@@ -10,6 +10,8 @@ from dpbench.report.demand import Demand
 from dpbench.report.formats import as_float, time_text
 from dpbench.report.render import render_html, render_markdown
 from dpbench.report.section_reading import reading_section
+from dpbench.report.section_solvers import solvers_section
+from dpbench.report.section_use import use_section
 from dpbench.report.section_verdict import verdict_lines as _lines
 from dpbench.report.section_verdict import verdict_section
 from dpbench.report.sections_control import (
@@ -71,9 +73,11 @@ def build_page(results: Results) -> Page:
             accuracy_section(view, demand),
             units_section(view),
             timing_section(view, demand),
+            use_section(view, demand),
             figures_section(view, demand),
             control_section(view),
             reproduced_section(view),
+            solvers_section(view),
             reading_section(),
         ],
     )

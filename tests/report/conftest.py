@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -187,9 +188,17 @@ class Records:
         error: float = 1e-9,
         failed: int = 0,
         stopped: bool = False,
+        wrong: Sequence[int] = (),
+        slow: Mapping[int, float] | None = None,
+        setup: bool = False,
+        iterations: int = 5,
         **columns: Any,
     ) -> None:
-        """A replay with lognormal step times of a given median and spread."""
+        """A replay with lognormal step times of a given median and spread.
+
+        Steps of `wrong` have an answer that is not true, those of `slow` take so many times as
+        long, and with `setup` each step holds a set-up.
+        """
         figures: dict[str, Any] = {
             "sequence": sequence,
             "steps_planned": steps,
@@ -209,30 +218,35 @@ class Records:
         if stopped:
             row["outcome"] = "timed_out"
         algo = 1e3 * median_us * np.exp(spread * self._rng.standard_normal(steps))
+        for k, factor in (slow or {}).items():
+            algo[k] *= factor
+        true = np.full(steps, error <= 1e-2)
+        true[list(wrong)] = False
         frames = []
         for r in range(rounds + 1):
             # Round 1 is the fastest on every step, so that the minimum is known.
             slower = 1.0 if r == 1 else 1.0 + self._rng.uniform(0.01, 0.3, steps)
-            frames.append(self._replay_round(row["run_id"], r, algo * slower))
+            frame = self._replay_round(row["run_id"], r, algo * slower)
+            frame["true"], frame["iterations"] = true, iterations + frame["k"] % 4
+            if setup:
+                frame["setup_ns"], frame["update_ns"] = frame["update_ns"], pd.NA
+            frames.append(as_steps(frame))
         self._steps.append(pd.concat(frames, ignore_index=True))
 
     def _replay_round(self, run_id: str, r: int, total: np.ndarray) -> pd.DataFrame:
         k = np.arange(len(total))
-        return as_steps(
-            pd.DataFrame(
-                {
-                    "run_id": run_id,
-                    "repeat": r,
-                    "warmup": r == 0,
-                    "k": k,
-                    "t_s": 0.3 * k,
-                    "total_ns": np.round(total).astype(np.int64),
-                    "update_ns": np.round(0.2 * total).astype(np.int64),
-                    "solve_ns": np.round(0.7 * total).astype(np.int64),
-                    "read_ns": np.round(0.1 * total).astype(np.int64),
-                    "iterations": 5 + k % 4,
-                }
-            )
+        return pd.DataFrame(
+            {
+                "run_id": run_id,
+                "repeat": r,
+                "warmup": r == 0,
+                "k": k,
+                "t_s": 0.3 * k,
+                "total_ns": np.round(total).astype(np.int64),
+                "update_ns": np.round(0.2 * total).astype(np.int64),
+                "solve_ns": np.round(0.7 * total).astype(np.int64),
+                "read_ns": np.round(0.1 * total).astype(np.int64),
+            }
         )
 
     def results(self) -> Results:
@@ -324,6 +338,7 @@ def standard(records: Records, scale: float = 0.12) -> Records:
                     error=error * worse * tight,
                     units=units,
                     settings=settings,
+                    route="native" if solver == "paper_active_set" else "qpsolvers",
                 )
     for sequence, steps in (("paper", 1000), ("rough[900:1400]", 500)):
         for policy in ("fresh", "warm"):
@@ -345,6 +360,32 @@ def standard(records: Records, scale: float = 0.12) -> Records:
                         policy=policy,
                         route="native" if solver == "paper_active_set" else "qpsolvers",
                     )
+        _native(records, sequence, steps)
     reason = "qpax is not installed: install the extra jax"
     records.refused("qpax", reason, steps_planned=round(1000 * scale))
     return records
+
+
+def _native(records: Records, sequence: str, steps: int) -> None:
+    """Native ways: one solver that gains at each step, one whose warm start breaks and costs."""
+    gaining = {"fresh": 12.0, "reuse": 6.0, "warm": 5.0}
+    for policy, median in gaining.items():
+        records.replay(
+            "daqp", sequence, steps=steps, median_us=median, route="native", policy=policy
+        )
+    breaking = {"fresh": 600.0, "reuse": 300.0, "warm": 400.0}
+    for policy, median in breaking.items():
+        records.replay(
+            "highs",
+            sequence,
+            steps=steps,
+            median_us=median,
+            route="native",
+            policy=policy,
+            setup=policy == "fresh",
+            wrong=(3, 5) if policy == "warm" else (),
+        )
+    asked = {"route": "native", "policy": "warm", "sequence": sequence}
+    records.refused("piqp", "policy warm: PIQP has no interface for a start", "replay", **asked)
+    records.replay("piqp", sequence, steps=steps, median_us=60.0, route="native", policy="reuse")
+    records.replay("qoco", sequence, steps=steps, median_us=70.0, route="native", policy="reuse")

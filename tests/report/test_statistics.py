@@ -6,9 +6,11 @@ import pytest
 from dpbench.report.statistics import (
     UNKNOWN,
     Interval,
+    block_indices,
     paired_ratio,
     percentile,
     percentile_interval,
+    resampled_means,
     supports,
 )
 
@@ -86,3 +88,16 @@ def test_an_unknown_interval_decides_nothing() -> None:
     assert UNKNOWN.spans(1.0)
     assert not Interval(2.0, 1.5, 2.5).spans(1.0)
     assert paired_ratio(np.empty(0), np.empty(0)) is UNKNOWN
+
+
+@pytest.mark.parametrize("count", [1, 7, 20, 50, 1000])
+def test_means_from_running_sums_are_those_of_the_drawn_steps(count: int) -> None:
+    """The interval of a ratio draws the same blocks of steps as that of a percentile.
+
+    A running sum of a thousand terms of order one is exact to 1e-12.
+    """
+    values = np.random.default_rng(3).standard_normal(count)
+    drawn = values[block_indices(count, 20, 40, 5)]
+    np.testing.assert_allclose(
+        resampled_means(values, 20, 40, 5), drawn.mean(axis=1), rtol=0, atol=1e-12
+    )

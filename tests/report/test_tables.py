@@ -10,7 +10,7 @@ from dpbench.report.table import Table, markdown, row_of
 from dpbench.report.tables_accuracy import accuracy_table, units_matrix, units_table
 from dpbench.report.tables_control import control_tables
 from dpbench.report.tables_runs import population_table, unfinished_table
-from dpbench.report.tables_timing import gain_table, jitter_table, timing_table
+from dpbench.report.tables_timing import jitter_table, timing_tables
 
 DEMAND = Demand()
 
@@ -87,8 +87,7 @@ def test_a_step_never_reached_is_not_true(records: Any) -> None:
 def test_timing_refuses_a_p99_of_few_steps(records: Any) -> None:
     """Five hundred steps have a p95 and no p99, and the note says so."""
     records.replay("daqp", steps=500, median_us=20.0)
-    table = timing_table(records.view(), "paper", DEMAND)
-    assert table is not None
+    (table,) = timing_tables(records.view(), "paper", DEMAND)
     assert _column(table, "p99 [µs]") == ["–"]
     assert _column(table, "p95 [µs]") != ["–"]
     assert "do not support a p99" in table.note
@@ -98,8 +97,7 @@ def test_the_best_arm_is_one_with_right_answers(records: Any) -> None:
     """A fast solver with wrong answers is not what the others are measured against."""
     records.replay("wrong", median_us=5.0, error=0.5)
     records.replay("right", median_us=20.0)
-    table = timing_table(records.view(), "paper", DEMAND)
-    assert table is not None
+    (table,) = timing_tables(records.view(), "paper", DEMAND)
     assert _column(table, "interval")[1] == "best"
     assert float(_column(table, "against best")[0]) == pytest.approx(0.25, abs=0.02)
 
@@ -120,23 +118,9 @@ def test_settings_without_effect_are_named(records: Any) -> None:
     for settings in ("default", "high"):
         records.replay("quadprog", settings=settings, raw_p50_ns=1.0, raw_max_ns=2.0)
         records.replay("osqp", settings=settings)
-    table = timing_table(records.view(), "paper", DEMAND)
-    assert table is not None
+    table, others = timing_tables(records.view(), "paper", DEMAND)
+    assert others.folded
     assert "Settings have no effect on quadprog:" in table.note
-
-
-def test_gain_of_a_warm_start(records: Any) -> None:
-    """A warm start that halves the time is a gain of two, one that does nothing is flagged.
-
-    The geometric mean of 1000 paired ratios of spread 0.07 is within 1 % of 2 (4 sigma).
-    """
-    for solver, warm_us in (("helped", 10.0), ("untouched", 20.0)):
-        records.replay(solver, median_us=20.0, spread=0.05)
-        records.replay(solver, median_us=warm_us, spread=0.05, policy="warm")
-    table = gain_table(records.view(), "paper")
-    assert table is not None
-    assert _column(table, "") == ["gain", "no difference"]
-    assert float(_column(table, "fresh / policy")[0]) == pytest.approx(2.0, rel=0.01)
 
 
 def test_control_is_sorted_by_deviation_and_counts_steps(records: Any) -> None:

@@ -6,10 +6,11 @@ from typing import Any
 import pytest
 
 from dpbench.report.demand import Demand, demand_text
+from dpbench.report.fastest_text import duel_text
 from dpbench.report.ranking import duel, fastest_first
 from dpbench.report.section_verdict import verdict_lines, verdict_table
 from dpbench.report.verdict import judge, judge_all
-from dpbench.report.verdict_text import contrast, duel_text, elsewhere, sentence, summary
+from dpbench.report.verdict_text import contrast, elsewhere, sentence, summary
 
 DEMAND = Demand()
 

@@ -1,0 +1,172 @@
+"""Say in plain sentences who is fastest, and whether the second can be told apart."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from dpbench.report.demand import Demand
+from dpbench.report.fastest import ALIKE, Candidate, fastest_of
+from dpbench.report.formats import (
+    and_list,
+    interval_text,
+    plural,
+    significant,
+    time_text,
+)
+from dpbench.report.ranking import Duel, duel, fastest_first
+from dpbench.report.table import Table, row_of
+from dpbench.report.verdict import Verdict
+from dpbench.report.view import View
+
+
+def fastest_usual(view: View, verdicts: Sequence[Verdict], demand: Demand) -> list[str]:
+    """The fastest solver on its default route, policy fresh, its margin, and the second."""
+    good = fastest_first([v for v in verdicts if v.outcome == "meets"])
+    if not good:
+        return ["No solver meets the demand, so no fastest one is named."]
+    best = good[0]
+    if not math.isfinite(best.p99_ns):
+        figure, of = best.algo_max_ns, "largest algorithmic step time"
+    else:
+        figure, of = best.p99_ns, f"p99 of the algorithmic step time on `{best.p99_of}`"
+    lines = [
+        f"The fastest that meets it on its default route, policy fresh, is **{best.solver}** "
+        f"(route {best.route}): {of} "
+        f"{time_text(figure)}, {significant(demand.p99_ns / figure)} times under the demand; "
+        f"largest step {time_text(best.algo_max_ns)}, so a computer "
+        f"{significant(best.slowdown(demand))} times slower would still make the "
+        f"{demand.deadline_ms / 1e3:g} s deadline."
+    ]
+    if len(good) > 1:
+        lines.append(duel_text(duel(view, best, good[1])))
+        if good[1].route != best.route:
+            lines.append(
+                f"The two run on different routes ({best.solver}: {best.route}, "
+                f"{good[1].solver}: {good[1].route}); the cost of the wrapper is part of the "
+                "qpsolvers times."
+            )
+    return lines
+
+
+def fastest_arm(view: View, found: Sequence[Candidate]) -> list[str]:
+    """The fastest way of all to run a solver, and the fastest way of another solver beside it."""
+    if not found:
+        return ["No replayed arm gives answers that meet the demand on every step."]
+    best, *others = first_ways(found)
+    loops = (
+        f" and in {plural(best.loops, 'closed loop')}"
+        if best.loops
+        else "; no closed loop was run this way"
+    )
+    lines = [
+        f"Fastest of all ways to run a solver: **{best.solver}**, route {best.route}, policy "
+        f"{best.policy}, settings `{best.settings}`, with {figures(best)}. Its answers meet the "
+        f"demand on all {plural(best.steps, 'replayed step')}{loops}."
+    ]
+    if others:
+        lines.append(duel_text(duel(view, best, others[0])))
+    return lines
+
+
+def first_ways(found: Sequence[Candidate]) -> list[Candidate]:
+    """The fastest way of each solver, the fastest solver first."""
+    ways = [fastest_of(found, solver) for solver in dict.fromkeys(c.solver for c in found)]
+    return [way for way in ways if way is not None]
+
+
+def figures(candidate: Candidate) -> str:
+    """p50, p99 and largest step of a way to run a solver."""
+    p99 = (
+        f"p99 {time_text(candidate.p99_ns)}"
+        if math.isfinite(candidate.p99_ns)
+        else "too few steps for a p99"
+    )
+    return (
+        f"p50 {time_text(candidate.p50_ns)} and {p99} on `{candidate.where}`, largest step "
+        f"{time_text(candidate.algo_max_ns)}"
+    )
+
+
+def fastest_way(found: Sequence[Candidate], solver: str) -> str:
+    """The fastest way to run one solver, as a sentence to follow its verdict; empty if none."""
+    best = fastest_of(found, solver)
+    if best is None:
+        return ""
+    return (
+        f" Fastest way to run it: route {best.route}, policy {best.policy}, settings "
+        f"`{best.settings}`, {figures(best)} (judged on {best.judged_on})."
+    )
+
+
+def duel_text(found: Duel) -> str:
+    """How the top two compare, with caution where they cannot be told apart."""
+    if found.steps == 0:
+        return f"{found.second} is second; no step was replayed by both, so they are not compared."
+    ratio = significant(found.ratio.value)
+    span = interval_text(found.ratio.low, found.ratio.high)
+    pair = (
+        f"{found.second} takes {ratio} times as long as {found.first} per step "
+        f"(geometric mean of the paired ratios of {plural(found.steps, 'step')}, "
+        f"95 % interval {span})"
+    )
+    if found.tied:
+        return f"Caution: {pair}; the interval holds 1, so the two cannot be told apart."
+    if found.unstable:
+        by = {name: f"{found.leaders[name]} by {name}" for name in found.leaders}
+        return (
+            f"Caution: {pair}; the order depends on the yardstick: {and_list(list(by.values()))}."
+        )
+    return f"Second: {pair}."
+
+
+def fastest_table(found: Sequence[Candidate], verdicts: Sequence[Verdict]) -> Table | None:
+    """The fastest way to run each solver beside the usual one; None without any."""
+    usual = {v.solver: v for v in verdicts}
+    best = [way for way in first_ways(found) if way.solver in usual]
+    if not best:
+        return None
+    without = [s for s, v in usual.items() if v.outcome != "not run" and not fastest_of(found, s)]
+    none = (
+        f" No such way: {and_list(without)} (a replayed answer misses the demand, or an arm did "
+        "not finish)."
+        if without
+        else ""
+    )
+    return Table(
+        title="Fastest way to run each solver",
+        note=(
+            f"Among {plural(len(found), 'arm')} replayed on {plural(best[0].sequences, 'sequence')}"
+            " in scaled units whose answers meet the demand on every step; ordered by p99. p50 "
+            "and p99 are those of the sequence with the worst p99, the largest step that of all. "
+            "An arm without a closed loop of its own is judged on replays alone; where settings "
+            f"make less than {100 * ALIKE:g} % of difference the more usual ones are named. Last "
+            f"column: the same solver on its default route, policy fresh.{none}"
+        ),
+        heads=(
+            "solver",
+            "route",
+            "policy",
+            "settings",
+            "answers judged",
+            "p50",
+            "p99",
+            "largest step",
+            "p99, default route fresh",
+        ),
+        rows=tuple(
+            row_of(
+                c.solver,
+                c.route,
+                c.policy,
+                c.settings,
+                c.judged_on,
+                time_text(c.p50_ns),
+                time_text(c.p99_ns),
+                time_text(c.algo_max_ns),
+                time_text(usual[c.solver].p99_ns),
+            )
+            for c in best
+        ),
+        text_columns=5,
+    )
