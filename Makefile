@@ -13,7 +13,7 @@ export OPENBLAS_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: setup bench full test lint bench-ci report clean help
+.PHONY: setup bench full test lint bench-ci report clean clean-results help
 
 setup: $(STAMP) ## make .venv with all solvers and the development tools
 
@@ -46,11 +46,13 @@ bench-ci: setup ## pytest-benchmark of the parts; writes results/bench-ci.json
 report: setup ## write the report of the last standard run again
 	$(BIN)/dpbench report $(OUT)
 
-clean: ## remove the environment, caches and results (the reference result stays)
+clean: ## remove the environment and all caches; results stay
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis \
 	    .benchmarks .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
-	find results -mindepth 1 -maxdepth 1 ! -name reference -exec rm -rf {} + 2>/dev/null || true
+
+clean-results: ## remove all results but the reference one
+	find results -mindepth 1 -maxdepth 1 ! -name reference -exec rm -rf {} +
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from importlib.metadata import version
 from types import TracebackType
 from typing import Any, NoReturn
 
@@ -25,6 +26,7 @@ class _Parser(argparse.ArgumentParser):
 
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="dpbench", description="Benchmark QP solvers inside a ship's DP MPC.")
+    parser.add_argument("--version", action="version", version=f"dpbench {version('dpbench')}")
     commands = parser.add_subparsers(dest="command", required=True, parser_class=_Parser)
     run = commands.add_parser("run", help="run a suite and write its report")
     run.add_argument("suite", help="a suite by name, or a TOML file")
@@ -32,6 +34,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--solver", action="append", metavar="S", help="only this solver; repeatable")
     run.add_argument("--scenario", action="append", metavar="N", help="only this scenario")
     run.add_argument("--jobs", type=int, metavar="J", help="closed-loop cells at a time")
+    run.add_argument("--solver-module", metavar="FILE.py", help="a plug-in that brings a solver")
     run.add_argument("--fresh", action="store_true", help="run finished cells again too")
     run.set_defaults(call=_run)
     report = commands.add_parser("report", help="write the report of a result folder again")
@@ -57,6 +60,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     except DpbenchError as error:
         print(f"dpbench: {error}", file=sys.stderr)
         return 1
+    except OSError as error:
+        # The last net under all that is read and written: a full disk, a folder in a file's place.
+        name = f"{error.filename}: " if error.filename else ""
+        print(
+            f"dpbench: {name}found {error.strerror or error}; allowed: a file or folder that "
+            "can be read and written",
+            file=sys.stderr,
+        )
+        return 2
     except KeyboardInterrupt:
         print("dpbench: interrupted; finished cells are kept, run again to go on", file=sys.stderr)
         return 130
@@ -118,6 +130,7 @@ def _run(arguments: argparse.Namespace) -> int:
             scenarios=arguments.scenario,
             jobs=arguments.jobs,
             fresh=arguments.fresh,
+            solver_module=arguments.solver_module,
             progress=bar,
         )
         bar.advance(0, "writing the report")

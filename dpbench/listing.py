@@ -11,9 +11,10 @@ from rich.table import Table
 from dpbench.bench.plan import plan
 from dpbench.bench.suite import load_suite
 from dpbench.errors import InputError
-from dpbench.problem_files import problem_names, read_toml
+from dpbench.problem_files import KINDS, problem_names, problem_path, read_toml
 from dpbench.scenario import load_scenario, load_vessel
 from dpbench.ship.vessel import Vessel
+from dpbench.solvers.settings import describe_ladder
 from dpbench.solvers.table import available, record, solver_names
 
 
@@ -64,7 +65,7 @@ def _suites() -> Table:
 
 
 def _solvers() -> Table:
-    table = _table("name", "version", "method", "form", "policies", "installed")
+    table = _table("name", "version", "method", "form", "policies", "installed", "settings")
     for name in solver_names():
         row, found = record(name), available(name)
         policies = "; ".join(f"{route}: {', '.join(p)}" for route, p in row.policies.items())
@@ -75,6 +76,7 @@ def _solvers() -> Table:
             row.form,
             policies,
             "yes" if found.ok else escape(found.reason),
+            escape(describe_ladder(name)),
         )
     return table
 
@@ -87,6 +89,9 @@ def check_file(path: str) -> str:
     InputError : naming file, key, what was found and what is allowed.
     """
     file = Path(path)
+    for kind in KINDS:
+        if path in problem_names(kind):
+            file = problem_path(kind, path)
     if not file.is_file():
         found = "a folder" if file.is_dir() else "no such file"
         raise InputError(path, "", found, "a vessel, scenario or suite file in TOML")

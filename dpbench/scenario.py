@@ -67,7 +67,9 @@ class Scenario:
         )
 
     def first(self, steps: int) -> Scenario:
-        """The same run cut to its first `steps` samples."""
+        """The same run cut to its first `steps` samples; InputError below 1."""
+        if steps < 1:
+            raise InputError(f"scenario {self.name}", "steps", steps, "1 or more")
         return replace(self, steps=min(steps, self.steps))
 
 

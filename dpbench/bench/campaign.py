@@ -30,11 +30,11 @@ from dpbench.bench.running import (
     work_of,
 )
 from dpbench.bench.schema import as_steps
-from dpbench.bench.store import Results, write_results
+from dpbench.bench.store import Results, claimed, write_results
 from dpbench.bench.suite import SuiteFile, load_suite
 from dpbench.bench.supervise import Outcome, template_context
 from dpbench.errors import InputError
-from dpbench.solvers.table import available
+from dpbench.solvers.table import available, load_solver_module
 
 
 class Campaign:
@@ -140,6 +140,7 @@ def run_campaign(
     scenarios: Sequence[str] | None = None,
     jobs: int | None = None,
     fresh: bool = False,
+    solver_module: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Path:
     """Run a suite and write `runs.parquet`, `steps.parquet`, `machine.json`, `suite.json`.
@@ -147,10 +148,12 @@ def run_campaign(
     Parameters
     ----------
     suite : a name under `problems/suites/` or a TOML path.
-    out : result folder; `results/<suite>` by default.
+    out : result folder; by default `results/<suite>`, or `results/<suite>-part` with `solvers` or
+        `scenarios`, so that a part never replaces the whole.
     solvers, scenarios : only these.
     jobs : closed-loop cells at a time; all cores by default. Replays always run alone.
     fresh : run every cell again, also those finished before.
+    solver_module : a Python file with a plug-in, whose solver then has a name like any other.
     progress : told how far the campaign is.
 
     Returns
@@ -161,14 +164,16 @@ def run_campaign(
     ------
     InputError : for a bad suite, scenario, solver or job count, before anything runs.
     """
+    if solver_module is not None:
+        load_solver_module(solver_module)
     path, document = load_suite(suite)
     name = path.stem
     planned = plan(document, solvers=solvers, scenarios=scenarios, beside=path.parent)
     cores = len(os.sched_getaffinity(0))
     if jobs is not None and not 1 <= jobs <= cores:
         raise InputError("--jobs", "", jobs, f"a number from 1 to {cores}, the cores available")
-    folder = Path(out) if out is not None else Path("results") / name
-    if folder.exists() and not folder.is_dir():
-        raise InputError("--out", "", f"{folder}, a file", "a folder, new or existing")
-    campaign = Campaign(name, document, planned, folder, jobs or cores, fresh)
-    return campaign.run(progress or Silent())
+    part = "-part" if solvers or scenarios else ""
+    folder = Path(out) if out is not None else Path("results") / f"{name}{part}"
+    with claimed(folder, name):
+        campaign = Campaign(name, document, planned, folder, jobs or cores, fresh)
+        return campaign.run(progress or Silent())

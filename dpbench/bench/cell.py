@@ -30,6 +30,7 @@ class Cell:
     limit_s : the cell's own run time after which it stops.
     fallback : what acts when there is no usable answer.
     seed : of the order of arms within a round.
+    solver_module : file of the plug-in that brings the solver; "" for none.
     """
 
     mode: Literal["closed_loop", "replay"]
@@ -47,6 +48,7 @@ class Cell:
     limit_s: float = 5.0
     fallback: Fallback = "shifted_plan"
     seed: int = 0
+    solver_module: str = ""
 
     @property
     def scenario_name(self) -> str:

@@ -56,6 +56,7 @@ def run_closed_loop(
     """
     _check("formulation", formulation, FORMULATIONS)
     _check("fallback", fallback, FALLBACKS)
+    _check_workspace(workspace)
     builder = condense(scenario, units=units)
     log = RawLog.in_memory(loop_layout(scenario.steps, builder.n, builder.m, builder.Z.shape[1]))
     port = SolverPort(workspace, formulation, base_problem(builder), _clock)
@@ -85,6 +86,7 @@ def replay(
 ) -> Run:
     """Replay `sequence` through `workspace`: a warm-up, then `repeats` rounds, all judged."""
     _check("formulation", formulation, FORMULATIONS)
+    _check_workspace(workspace)
     if repeats < 1:
         raise InputError("replay", "repeats", repeats, "1 or more")
     base = sequence.base
@@ -121,6 +123,11 @@ def replay(
 def _check(key: str, found: str, allowed: tuple[str, ...]) -> None:
     if found not in allowed:
         raise InputError("run", key, repr(found), f"one of {', '.join(allowed)}")
+
+
+def _check_workspace(found: object) -> None:
+    if not isinstance(found, Workspace):
+        raise InputError("run", "workspace", repr(found), "a Workspace; see open_workspace")
 
 
 def _run(cell: Cell, workspace: Workspace, graded: Graded) -> Run:

@@ -10,11 +10,12 @@ from typing import Any
 
 from dpbench.bench.cell import Cell
 from dpbench.bench.suite import ClosedLoopTable, ReplayTable, SuiteFile, UnitName
-from dpbench.errors import InputError, UnknownNameError
+from dpbench.errors import InputError, SettingsError
 from dpbench.scenario import Scenario, load_scenario
 from dpbench.solvers.contract import Policy, Route
 from dpbench.solvers.open import REFUSED_BY_QPSOLVERS
-from dpbench.solvers.settings import rung
+from dpbench.solvers.plugins import find_plugin
+from dpbench.solvers.settings import setting_names
 from dpbench.solvers.table import (
     TABLE,
     UNCONSTRAINED_CLIPPED,
@@ -54,24 +55,29 @@ class Planned:
 def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
     """The solvers of a suite, or those of `only`; UnknownNameError for an unknown one.
 
-    "all" means every solver of the table except those of the extra `jax` that are not installed:
+    "all" means every solver of the table except those of an optional extra that is not installed:
     they are left out by default (`dpbench list solvers` says so), and asked for by name.
     """
     names = list(only) if only else suite.solvers
     chosen: list[str] = []
     for name in names:
         if name == "all":
-            chosen += [s for s in solver_names() if TABLE[s].extra != "jax" or available(s).ok]
-            chosen.remove(CONTRAST)
-        elif name in TABLE:
-            chosen.append(name)
+            chosen += [s for s in solver_names() if s != CONTRAST and _by_default(s)]
         else:
-            raise UnknownNameError(
-                "solver", "", repr(name), f"one of {', '.join(solver_names())}, or all"
-            )
+            chosen.append(record(name).name)
     if not only and suite.contrast:
         chosen.append(CONTRAST)
     return list(dict.fromkeys(chosen))
+
+
+def _by_default(solver: str) -> bool:
+    return record(solver).extra not in ("jax", "casadi") or available(solver).ok
+
+
+def _module_of(solver: str) -> str:
+    """The file of a plug-in that a worker has to load; "" for every other solver."""
+    plugin = None if solver in TABLE else find_plugin(solver)
+    return plugin.origin if plugin is not None and Path(plugin.origin).is_file() else ""
 
 
 def plan(
@@ -97,6 +103,11 @@ def plan(
             allowed = ", ".join(dict.fromkeys(known))
             raise InputError("--scenario", "", repr(name), f"a scenario of the suite: {allowed}")
     loaded = {name: load_scenario(name, beside=beside) for name in dict.fromkeys(known)}
+    stems = [scenario.name for scenario in loaded.values()]
+    for stem in stems:
+        if stems.count(stem) > 1:
+            allowed = "files of different names, which tell their results apart"
+            raise InputError("suite", "scenarios", f"two scenarios called {stem!r}", allowed)
     wanted = set(scenarios) if scenarios else set(known)
     cells: list[Planned] = []
     for closed in suite.closed_loop:
@@ -112,8 +123,10 @@ def plan(
 
 def _arms(solvers: Sequence[str], table: ClosedLoopTable | ReplayTable) -> list[Arm]:
     """The arms of one table of a suite; a solver is left out of a route it does not have."""
+    known = [name for solver in solvers for name in setting_names(solver)]
     for name in table.settings:
-        rung(name)
+        if name not in known:
+            raise SettingsError("settings", "", repr(name), " | ".join(dict.fromkeys(known)))
     arms: list[Arm] = []
     for units, policy, wanted, solver in product(
         table.units, table.policies, table.routes, solvers
@@ -122,11 +135,11 @@ def _arms(solvers: Sequence[str], table: ClosedLoopTable | ReplayTable) -> list[
         route: Route = row.default_route if wanted == "default" else wanted
         if route not in row.policies:
             continue
+        names = [name for name in table.settings if name in setting_names(solver)]
         if settings_matter(solver):
-            arms += [Arm(solver, route, policy, units, name) for name in table.settings]
-        else:
-            first, *others = table.settings
-            arms.append(Arm(solver, route, policy, units, first, tuple(others)))
+            arms += [Arm(solver, route, policy, units, name) for name in names]
+        elif names:
+            arms.append(Arm(solver, route, policy, units, names[0], tuple(names[1:])))
     return arms
 
 
@@ -150,6 +163,7 @@ def _cell(arm: Arm, suite: SuiteFile, table: ClosedLoopTable | ReplayTable, **mo
         formulation="none" if contrast else table.formulation,
         units=arm.units,
         limit_s=suite.cell_limit_s,
+        solver_module=_module_of(arm.solver),
         **more,
     )
     return Planned(cell, _refusal(arm), arm.alias)

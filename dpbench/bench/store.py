@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +14,7 @@ import pandas as pd
 import pyarrow as pa
 
 from dpbench.bench.schema import RUN_COLUMNS, SCHEMA_VERSION, STEP_COLUMNS, as_runs, as_steps
-from dpbench.errors import ResultsError
+from dpbench.errors import InputError, ResultsError
 
 TABLES = {"runs": RUN_COLUMNS, "steps": STEP_COLUMNS}
 
@@ -26,6 +29,41 @@ class Results:
     suite: dict[str, Any]
 
 
+@contextmanager
+def claimed(folder: Path, suite: str) -> Iterator[None]:
+    """Hold a result folder for one campaign of `suite`, making it if need be.
+
+    Raises
+    ------
+    InputError : when it cannot be written, holds other things or the results of another suite, or
+        another campaign is running in it. Nothing is changed then.
+    """
+    where = "--out"
+    if str(folder) in ("", "."):
+        raise InputError(where, "", "the current folder", "a folder of its own")
+    previous = folder / "suite.json"
+    if previous.is_file():
+        found = _read_json(previous).get("name")
+        if found != suite:
+            allowed = "another folder, or remove this one"
+            raise InputError(where, "", f"{folder} with results of suite {found!r}", allowed)
+    elif folder.is_dir() and any(folder.iterdir()) and not (folder / "cells").is_dir():
+        raise InputError(where, "", f"{folder} with other files", "a new or an empty folder")
+    try:
+        (folder / "cells").mkdir(parents=True, exist_ok=True)
+        lock = (folder / "cells" / ".lock").open("w")
+    except OSError as error:
+        found = f"{folder}: {error.strerror}"
+        raise InputError(where, "", found, "a folder that can be written") from error
+    with lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            allowed = "to wait for it, or another folder"
+            raise InputError(where, "", f"{folder} in use by a campaign", allowed) from error
+        yield
+
+
 def write_results(out: Path, results: Results) -> None:
     """Write the four files of a result folder, each whole or not at all."""
     out.mkdir(parents=True, exist_ok=True)
@@ -33,8 +71,9 @@ def write_results(out: Path, results: Results) -> None:
         part = out / f"{name}.parquet.part"
         frame.to_parquet(part, index=False, compression="zstd")
         part.replace(out / f"{name}.parquet")
-    for name, document in (("machine", results.machine), ("suite", results.suite)):
-        write_json(out / f"{name}.json", document)
+    rows = {"run_rows": len(results.runs), "step_rows": len(results.steps)}
+    write_json(out / "machine.json", results.machine)
+    write_json(out / "suite.json", results.suite | rows)
 
 
 def write_json(path: Path, document: dict[str, Any]) -> None:
@@ -60,6 +99,13 @@ def load_results(out: str | Path) -> Results:
         machine=_read_json(folder / "machine.json"),
         suite=_read_json(folder / "suite.json"),
     )
+    for name, frame in (("run_rows", results.runs), ("step_rows", results.steps)):
+        promised = results.suite.get(name)
+        if promised != len(frame):
+            found = f"{promised} where the table has {len(frame)} rows"
+            raise ResultsError(str(folder / "suite.json"), name, found, "the same; run again")
+    if "id" not in results.machine:
+        raise ResultsError(str(folder / "machine.json"), "id", "nothing", "a machine description")
     versions = set(results.runs["schema"].unique().tolist())
     if versions - {SCHEMA_VERSION}:
         found = f"schema {sorted(versions)}"
@@ -81,10 +127,13 @@ def _read_table(folder: Path, name: str) -> pd.DataFrame:
         ) from error
     missing = sorted(set(TABLES[name]) - set(frame.columns))
     if missing:
-        raise ResultsError(
-            str(path), ", ".join(missing), "no such columns", "the columns of schema.py"
-        )
-    return frame
+        named = ", ".join(missing[:3]) + (", …" if len(missing) > 3 else "")
+        raise ResultsError(str(path), named, "no such columns", "the columns of schema.py")
+    try:
+        return as_runs(frame) if name == "runs" else as_steps(frame)
+    except (ValueError, TypeError) as error:
+        found = f"a column of another type ({str(error)[:80]})"
+        raise ResultsError(str(path), "", found, "the types of schema.py") from error
 
 
 def _read_json(path: Path) -> dict[str, Any]:

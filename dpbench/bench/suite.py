@@ -56,7 +56,7 @@ class SuiteFile(FileModel):
     """`problems/suites/*.toml`; 0 steps means all steps."""
 
     title: str
-    solvers: list[str] = ["all"]
+    solvers: Annotated[list[str], Field(min_length=1)] = ["all"]
     contrast: bool = True
     cell_limit_s: Positive = 5.0
     rounds: Annotated[int, Field(ge=1)] = 5

@@ -27,6 +27,7 @@ from dpbench.scenario import condense, scenario_of
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.isolation import isolate
 from dpbench.solvers.open import open_workspace
+from dpbench.solvers.table import load_solver_module
 
 clock = time.perf_counter_ns
 
@@ -62,6 +63,8 @@ def _open(cell: Cell, folder: Path, name: str) -> Workspace | None:
     """Settle the process and open the cell's solver in it; None leaves a verdict `refused`."""
     _settle(folder / f"{name}.noise")
     try:
+        if cell.solver_module:
+            load_solver_module(cell.solver_module)
         isolate(cell.solver)
         return open_workspace(
             cell.solver, route=cell.route, policy=cell.policy, settings=cell.settings

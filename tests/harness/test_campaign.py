@@ -6,13 +6,15 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.bench.cell import Cell
 from dpbench.bench.schema import RUN_COLUMNS, STEP_COLUMNS
-from dpbench.bench.store import Results
+from dpbench.bench.store import Results, claimed
 from dpbench.errors import InputError, ResultsError, UnknownNameError
+from dpbench.problem_files import problem_path
 
 SUITE = """
 title = "A suite for one test"
@@ -167,3 +169,71 @@ def test_damaged_results_are_said_in_one_line(folder: Path, tmp_path: Path) -> N
     (tmp_path / "machine.json").write_text("{", encoding="utf-8")
     with pytest.raises(ResultsError, match=r"machine\.json: found no JSON"):
         load_results(tmp_path)
+
+
+def test_a_part_of_a_suite_never_replaces_the_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a choice of solvers and no --out the results go to a folder of their own."""
+    monkeypatch.chdir(tmp_path)
+    assert run_campaign("smoke", solvers=["quadprog"]) == Path("results/smoke-part")
+
+
+def test_a_folder_with_other_things_is_left_alone(folder: Path, tmp_path: Path) -> None:
+    """Results of another suite, other files, a file in the way and no folder at all are refused."""
+    with pytest.raises(InputError, match="results of suite 'tiny'"):
+        run_campaign("smoke", folder)
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "report.html").write_text("my own", encoding="utf-8")
+    with pytest.raises(InputError, match="other files"):
+        run_campaign("smoke", mine)
+    assert (mine / "report.html").read_text(encoding="utf-8") == "my own"
+    with pytest.raises(InputError, match="can be written"):
+        run_campaign("smoke", mine / "report.html" / "below")
+    with pytest.raises(InputError, match="current folder"):
+        run_campaign("smoke", "")
+
+
+def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
+    """Two campaigns never write into one folder at the same time."""
+    with claimed(tmp_path / "out", "smoke"), pytest.raises(InputError, match="in use"):
+        run_campaign("smoke", tmp_path / "out")
+
+
+def test_tables_that_do_not_belong_together_are_refused(folder: Path, tmp_path: Path) -> None:
+    """Rows missing from a table and columns of another type are damage, not a smaller result."""
+    for name in ("runs.parquet", "steps.parquet", "machine.json", "suite.json"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    steps = pd.read_parquet(folder / "steps.parquet")
+    steps.head(len(steps) // 2).to_parquet(tmp_path / "steps.parquet")
+    with pytest.raises(ResultsError, match="step_rows"):
+        load_results(tmp_path)
+    steps.assign(total_ns="slow").to_parquet(tmp_path / "steps.parquet")
+    with pytest.raises(ResultsError, match="column of another type"):
+        load_results(tmp_path)
+
+
+def test_scenarios_of_one_name_are_refused(tmp_path: Path) -> None:
+    """Two files called paper.toml could not be told apart in a report."""
+    text = problem_path("scenarios", "paper").read_text(encoding="utf-8")
+    for part in ("a", "b"):
+        (tmp_path / part).mkdir()
+        (tmp_path / part / "paper.toml").write_text(text, encoding="utf-8")
+    suite = 'title = "x"\n[[closed_loop]]\nscenarios = ["a/paper.toml", "b/paper.toml"]\n'
+    (tmp_path / "twins.toml").write_text(suite, encoding="utf-8")
+    with pytest.raises(InputError, match="two scenarios called 'paper'"):
+        run_campaign(tmp_path / "twins.toml", tmp_path / "out")
+
+
+def test_a_plug_in_runs_in_a_process_of_its_own(tmp_path: Path) -> None:
+    """A solver from a file has a name like any other, also inside its worker."""
+    module = Path(__file__).parents[1] / "solvers" / "example_plugin.py"
+    suite = 'title = "x"\n[[closed_loop]]\nscenarios = ["calm"]\nsettings = ["high"]\nsteps = 20\n'
+    (tmp_path / "one.toml").write_text(suite, encoding="utf-8")
+    out = run_campaign(
+        tmp_path / "one.toml", tmp_path / "out", solvers=["admm"], solver_module=module
+    )
+    (row,) = load_results(out).runs.to_dict("records")
+    assert (row["solver"], row["outcome"], row["steps_done"]) == ("admm", "finished", 20)
+    assert row["true_share"] == 1.0
