@@ -39,16 +39,21 @@ def test_own_ship_scenario_and_suite_run_as_printed(
     assert (exact["error_move_max"] < 1e-9).all()
 
 
-def test_the_example_of_a_workspace_runs_as_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    """The README's own solver runs, claims everything and is found wanting."""
-    (block,) = blocks("python", "class Projected")
-    names: dict[str, object] = {}
-    exec(compile(block, "README.md", "exec"), names)
-    summary = names["run"].summary  # type: ignore[attr-defined] # defined by the README's text
-    assert summary["claimed_share"] == 1.0
-    assert summary["true_share"] < 1.0
-    assert np.isfinite(summary["error_move_max"])
-    assert "claimed_share" in capsys.readouterr().out
+def test_the_example_of_a_plug_in_runs_as_printed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The README's own solver, at most 30 lines, saved under its name, steers the ship."""
+    monkeypatch.chdir(tmp_path)
+    (block,) = blocks("python", "RECORD = ")
+    assert len(block.splitlines()) <= 30
+    Path("admm.py").write_text(block, encoding="utf-8")
+    arguments = ["run", "smoke", "--solver", "admm", "--solver-module", "admm.py"]
+    assert main(arguments) == 0
+    runs = load_results("results/smoke-part").runs
+    loop = runs[(runs["mode"] == "closed_loop") & (runs["units"] == "scaled")].iloc[0]
+    assert (loop["solver"], loop["outcome"]) == ("admm", "finished")
+    assert loop["claimed_share"] == 1.0
+    assert np.isfinite(loop["error_move_max"])
 
 
 def test_every_file_the_readme_links_to_exists() -> None:
