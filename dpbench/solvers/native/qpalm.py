@@ -20,7 +20,9 @@ NATIVE = RouteRecord(
     policies=("fresh", "reuse", "warm"),
     start="primal and dual",
     two_sided=True,
-    faults={"solved despite limits that cross": "its update does not look for them, its setup does"},
+    faults={
+        "solved despite limits that cross": "its update does not look for them, its setup does"
+    },
 )
 
 STATUS = wrapped.STATUS
