@@ -2,7 +2,14 @@
 
 from dpbench.solvers.contract import Policy, Route, Settings, Workspace
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import Availability, available, record, solver_names
+from dpbench.solvers.settings import describe_ladder
+from dpbench.solvers.table import (
+    Availability,
+    available,
+    load_solver_module,
+    record,
+    solver_names,
+)
 
 __all__ = [
     "Availability",
@@ -11,6 +18,8 @@ __all__ = [
     "Settings",
     "Workspace",
     "available",
+    "describe_ladder",
+    "load_solver_module",
     "open_workspace",
     "record",
     "solver_names",

@@ -68,12 +68,13 @@ def backward(S: Matrix, L: int, w: int, b: int) -> None:
 
 @compiled
 def limit_of(S: Matrix, i: int) -> float:
-    return S[HIGH, i] if S[SIDE, i] > 0.0 else S[LOW, i]
+    g: float = S[HIGH, i] if S[SIDE, i] > 0.0 else S[LOW, i]
+    return g
 
 
 @compiled
 def is_wrong(S: Matrix, i: int) -> bool:
-    return S[LAM, i] * S[SIDE, i] < 0.0 and S[LOW, i] < S[HIGH, i]
+    return bool(S[LAM, i] * S[SIDE, i] < 0.0 and S[LOW, i] < S[HIGH, i])
 
 
 @compiled

@@ -53,10 +53,10 @@ from dpbench.solvers.active_set_layout import (
     compiled,
     stamp,
 )
-from dpbench.solvers.active_set_moves import bring_in, forget, shift
+from dpbench.solvers.active_set_moves import bring_in, forget, shift, take_up
 from dpbench.solvers.active_set_refine import evaluate, refine, settle_signs
 
-PASSES = 20
+PASSES = 21
 """Rounds of refinement after which it has not settled."""
 NEAR = 8.0
 """How much longer v₀ may be than v before v, their difference, is computed anew."""
@@ -124,15 +124,18 @@ def solve(S: Matrix) -> int:
             j = most_violated(S, width, coarse)
         correction = refine(S, K, P, H, A, L)
         dropped = settle_signs(S, L, max(coarse, sqrt(max(correction, 0.0))))
-        fine = VIOLATED * length(S, V, width)
+        size = length(S, V, width)
+        fine = VIOLATED * size
         settled = dropped == 0 and correction <= fine * fine
-        if settled and coarse <= NEAR * fine:
+        if settled and coarse <= NEAR * fine and S[HEAD, ASIDE] == 0.0:
             return int(S[HEAD, ITERATIONS])
         evaluate(S, P, H, width)
         if dropped > 0:
             repair(S, L)
             values(S, H, width)
         j = most_violated(S, width, max(fine, sqrt(max(correction, 0.0))))
+        if j < 0 and S[HEAD, ASIDE] > 0.0:
+            j = take_up(S, H, size)
         # No longer falling: the correction is the rounding of this problem.
         if j < 0 and (settled or (dropped == 0 and correction > 0.25 * before)):
             return int(S[HEAD, ITERATIONS])

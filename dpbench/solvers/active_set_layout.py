@@ -11,7 +11,7 @@ import marshal
 import zlib
 from collections.abc import Callable
 from types import FunctionType
-from typing import TypeVar
+from typing import TypeVar, cast
 
 from numba import njit
 
@@ -37,8 +37,7 @@ def compiled(function: F) -> F:
     """A function that other compiled functions call."""
     assert isinstance(function, FunctionType)
     _compiled.append(function)
-    result: F = njit(fastmath=REORDER, error_model="numpy")(function)
-    return result
+    return cast(F, njit(fastmath=REORDER, error_model="numpy")(function))
 
 
 def stamp() -> int:

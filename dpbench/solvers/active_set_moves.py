@@ -48,6 +48,9 @@ from the rows themselves, because the factor has lost six digits of it."""
 DEPENDENT, UNCLEAR = 1e-10, 1e-7
 """Below the first share of its length a row is a combination of the active ones; between the two
 it cannot be told."""
+NO_PART = 1e-11
+"""A row whose share in a combination is less has none: without a row to bring in, nothing but a
+multiplier's way to zero ends a step, and on a share that is rounding that way has no end."""
 CONTRADICTION = 1e-9
 """A violated dependent row proves infeasibility only if violated by more than this share."""
 
@@ -92,8 +95,8 @@ def direction(S: Matrix, L: int, H: int, J: int, j: int, n: int, w: int) -> floa
         d -= S[STEP, k] * S[STEP, k]
     backward(S, L, w, R)
     if w > 0 and d < CLOSE * S[H + j, j]:
-        d = distance(S, L, J, j, n, w)
-    return d
+        return distance(S, L, J, j, n, w)
+    return float(d)
 
 
 @compiled
@@ -123,7 +126,7 @@ def bring_in(S: Matrix, L: int, H: int, J: int, j: int, size: float) -> int:
     n = int(S[HEAD, N]) & MASK
     side = 1.0 if S[V, j] > S[HIGH, j] else -1.0
     g = S[HIGH, j] if side > 0.0 else S[LOW, j]
-    gap, lam = side * (S[V, j] - g), 0.0
+    gap, lam = side * (S[V, j] - g), S[LAM, j]
     while S[HEAD, ITERATIONS] < S[HEAD, LIMIT]:
         S[HEAD, ITERATIONS] += 1
         w = int(S[HEAD, COUNT]) & MASK
@@ -134,7 +137,8 @@ def bring_in(S: Matrix, L: int, H: int, J: int, j: int, size: float) -> int:
         blocking, t_dual = -1, inf
         for k in range(w):
             i, a = int(S[ACTIVE, k]) & MASK, side * S[R, k]
-            if a * S[SIDE, i] > 0.0 and S[LOW, i] < S[HIGH, i]:
+            nothing = dependent and abs(a) * S[UNIT, j] < NO_PART * S[UNIT, i]
+            if a * S[SIDE, i] > 0.0 and S[LOW, i] < S[HIGH, i] and not nothing:
                 t = max(S[LAM, i] / a, 0.0)
                 if t < t_dual:
                     blocking, t_dual = k, t
@@ -157,6 +161,25 @@ def bring_in(S: Matrix, L: int, H: int, J: int, j: int, size: float) -> int:
             gap -= t * d
         drop(S, L, blocking, w)
     return UNDECIDED
+
+
+@compiled
+def take_up(S: Matrix, H: int, size: float) -> int:
+    """The row put aside that is violated most, if by more than rounding, as any other row again."""
+    most, found = 1.0, -1
+    for i in range(S.shape[1]):
+        if S[SIDE, i] == 2.0:
+            over, under = S[V, i] - S[HIGH, i], S[LOW, i] - S[V, i]
+            e, g = (over, S[HIGH, i]) if over >= under else (under, S[LOW, i])
+            share = e * S[UNIT, i] / (CONTRADICTION * (abs(g) * S[UNIT, i] + size))
+            if share > most:
+                most, found = share, i
+    if found >= 0:
+        S[SIDE, found] = 0.0
+        S[HEAD, ASIDE] -= 1
+        for i in range(S.shape[1]):
+            S[V0, i] += S[LAM, found] * S[H + found, i]
+    return found
 
 
 @compiled

@@ -36,7 +36,7 @@ from dpbench.solvers.active_set_layout import (
 def _dot(S: Matrix, A: int, i: int, n: int) -> float:
     """Row i of C times Z."""
     if i < n:
-        return S[Z, i]
+        return float(S[Z, i])
     s, r = 0.0, A + i - n
     for c in range(n):
         s += S[Z, c] * S[r, c]

@@ -25,14 +25,13 @@ STATUS = {
     Ending.ITERATION_LIMIT: Status.MAX_ITERATIONS,
 }
 # A guard against rounding only: the method ends by itself, usually within n + m iterations.
-ITERATIONS_PER_ROW = 100
+ITERATIONS_PER_ROW = 10
 
 
 def solve_carefully(qp: QuadraticProgram) -> Solution:
     """The answer to `qp`, whose P is positive definite and whose data are finite or limits."""
-    problem = _prepared(qp)
     try:
-        return problem.answer()
+        return _prepared(qp).answer()
     except np.linalg.LinAlgError as error:
         return Solution.missing(qp.n, qp.m, Status.NUMERICAL_ERROR, str(error))
 
@@ -51,7 +50,7 @@ class _Problem:
 
     def answer(self) -> Solution:
         n, m = self.qp.n, self.qp.m
-        x0 = -np.linalg.solve(self.L, self.qp.q)
+        x0 = -np.linalg.solve(self.L, self.qp.q).astype(np.float64)
         lower, upper = self.lower * self.scale, self.upper * self.scale
         outcome = DualActiveSet(self.J, x0, lower, upper, ITERATIONS_PER_ROW * (n + m)).run()
         lam = outcome.multipliers * self.scale
@@ -94,11 +93,12 @@ class _Problem:
 
 
 def _prepared(qp: QuadraticProgram) -> _Problem:
-    L = np.linalg.cholesky(qp.P)
+    L = np.linalg.cholesky(0.5 * (qp.P + qp.P.T)).astype(np.float64)
     M = np.vstack([qp.A, np.eye(qp.n)])
     J = scipy.linalg.solve_triangular(L, M.T, lower=True)
     length = np.linalg.norm(J, axis=0)
     # Rows of unit length in the norm of P⁻¹ make the method independent of units.
-    scale = np.where(length > 0.0, 1.0 / np.where(length > 0.0, length, 1.0), 1.0)
+    scale = np.ones(length.size)
+    np.divide(1.0, length, out=scale, where=length > 0.0)
     lower, upper = np.concatenate([qp.l, qp.lb]), np.concatenate([qp.u, qp.ub])
     return _Problem(qp, L, M, J * scale, scale, lower, upper)

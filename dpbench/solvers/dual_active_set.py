@@ -30,6 +30,9 @@ VIOLATED = 1e-13
 # A row is a combination of the active ones when less than this share of its length is left after
 # projection: far above rounding (1e-15), far below any angle that a step could be taken along.
 DEPENDENT = 1e-10
+# A row whose share in such a combination is less has none: its multiplier would be driven to zero
+# along rounding, which has no end.
+NO_PART = 1e-11
 # A violated dependent row proves infeasibility only when it is violated by more than this share;
 # below, it is an active row written twice with rounding, and is set aside.
 INFEASIBLE = 1e-9
@@ -128,8 +131,8 @@ class DualActiveSet:
             a = side * J[:, j]
             r, d = self._project(a)
             gap = float(a @ self._x) - side * limit
-            blocking, t_dual = self._first_to_block(r)
             dependent = len(self._active) == a.size or d @ d <= DEPENDENT**2 * (a @ a)
+            blocking, t_dual = self._first_to_block(r, NO_PART if dependent else 0.0)
             t_primal = np.inf if dependent else max(gap, 0.0) / float(d @ d)
             if dependent and blocking < 0:
                 return self._no_step(j, side, r, gap, limit)
@@ -159,13 +162,16 @@ class DualActiveSet:
         r = np.asarray(np.linalg.solve(self._R, c + again), dtype=np.float64)
         return r, d - self._Q @ again
 
-    def _first_to_block(self, r: Vector) -> tuple[int, float]:
-        """Position in W and step length at which a multiplier reaches zero; (−1, inf) if none."""
+    def _first_to_block(self, r: Vector, least: float) -> tuple[int, float]:
+        """Position in W and step length at which a multiplier reaches zero; (−1, inf) if none.
+
+        Shares r of at most `least` are none.
+        """
         if not self._active:
             return -1, np.inf
         lam = self._lam[self._active]
         inequality = ~self._free[self._active]
-        falling = inequality & (self._side[self._active] * r > 0.0)
+        falling = inequality & (self._side[self._active] * r > least)
         if not falling.any():
             return -1, np.inf
         steps = np.full(lam.size, np.inf)

@@ -14,6 +14,7 @@ from dpbench.solvers.table import available, record
 from dpbench.solvers.through_qpsolvers import ADAPTERS
 from dpbench.solvers.through_qpsolvers.generic import generic_adapter
 
+HILDRETH_KEYS = ("max_iter", "eps_change", "eps_row")
 POLICIES: dict[str, str] = {
     "fresh": "set up from nothing at each step",
     "reuse": "factorisation and memory kept, start reset",
@@ -105,17 +106,20 @@ def _open_plugin(row: SolverRecord, policy: Policy, settings: Settings) -> Works
 
 def _open_own(row: SolverRecord, policy: Policy, settings: Settings) -> Workspace:
     if isinstance(settings, str):
-        rung(settings, row.name)
-    elif settings:
-        check_names(row.name, settings, ())
-    from dpbench.solvers.paper_active_set import PaperActiveSet
+        options = rung(settings, row.name)
+    else:
+        check_names(row.name, settings, HILDRETH_KEYS if row.name == "hildreth" else ())
+        options = dict(settings)
+    # What is compiled is loaded, or compiled at the first time, only when it is asked for.
+    if row.name == "paper_active_set":
+        from dpbench.solvers.paper_active_set import PaperActiveSet
+
+        return PaperActiveSet(row.name, "native", policy)
+    if row.name == "hildreth":
+        from dpbench.solvers.hildreth import Hildreth, HildrethSettings
+
+        return Hildreth(row.name, "native", policy, HildrethSettings.of(options))
     from dpbench.solvers.unconstrained import FreshUnconstrained, Unconstrained
 
-    kinds: dict[tuple[str, str], type[Workspace]] = {
-        ("paper_active_set", "fresh"): PaperActiveSet,
-        ("paper_active_set", "reuse"): PaperActiveSet,
-        ("paper_active_set", "warm"): PaperActiveSet,
-        ("unconstrained_clipped", "fresh"): FreshUnconstrained,
-        ("unconstrained_clipped", "reuse"): Unconstrained,
-    }
-    return kinds[row.name, policy](row.name, "native", policy)
+    kind = FreshUnconstrained if policy == "fresh" else Unconstrained
+    return kind(row.name, "native", policy)

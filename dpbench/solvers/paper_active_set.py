@@ -1,29 +1,23 @@
 """The paper's own method (eq. 30-32) as a solver: the active set by its multipliers.
 
 The paper's E, F, M, γ are P, q, the signed rows of [I; A] and their limits. A step is one compiled
-call of `active_set_layout.py` on constants of `active_set_constants.py`; this module hands over,
-reads, and gives what rounding keeps that call from deciding to `careful_active_set.py`.
+call of `active_set_kernel.py`; what rounding keeps that call from deciding is left to
+`careful_active_set.py`.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from dpbench.errors import DpbenchError
-from dpbench.qp.farkas import farkas_valid
-from dpbench.qp.program import Matrix, QPStep, QuadraticProgram, Refresh, Vector
+from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers import active_set_layout as layout
-from dpbench.solvers.active_set_constants import empty, fill, results, vectors
-from dpbench.solvers.active_set_kernel import solve_step, take_over
+from dpbench.solvers.active_set_kernel import solve_step
 from dpbench.solvers.careful_active_set import solve_carefully
-from dpbench.solvers.contract import Policy, Route, Workspace
-from dpbench.solvers.shapes import check_step, owned
+from dpbench.solvers.compiled_workspace import CompiledWorkspace
+from dpbench.solvers.proof import cleaned, contradicts
 
-SOLVED = Status.SOLVED
-NOT_SOLVED_YET = -100
-# Entries of a ray below this share of its largest are rounding.
-RAY_ROUNDING = 1e-13
+INFEASIBLE = Status.PRIMAL_INFEASIBLE
 
 
 def prime() -> None:
@@ -34,52 +28,8 @@ def prime() -> None:
     workspace.solve()
 
 
-class PaperActiveSet(Workspace):
+class PaperActiveSet(CompiledWorkspace):
     """The paper's method with its constant matrices, and under `warm` its set, kept."""
-
-    def __init__(self, solver: str, route: Route, policy: Policy) -> None:
-        super().__init__(solver, route, policy)
-        self.setup_every_step = policy == "fresh"
-        self._base: QuadraticProgram | None = None
-        self._S: Matrix | None = None
-        self._refusal = ""
-        self._ending = NOT_SOLVED_YET
-
-    def setup(self, qp: QuadraticProgram) -> None:
-        """The constants of `qp`; a P that is not positive definite shows as ERROR when solved."""
-        self._prepare(owned(qp))
-
-    def _prepare(self, qp: QuadraticProgram) -> None:
-        before, n, m = self._base, qp.n, qp.m
-        self._base, self._ending = qp, NOT_SOLVED_YET
-        if self._S is None or before is None or (before.n, before.m) != (n, m):
-            self._S = empty(n, m)
-            self._z, self._y, self._y_box = results(self._S, n, m)
-        self._refusal = fill(self._S, qp, keep=self.policy == "warm")
-
-    def update(self, step: QPStep) -> None:
-        """Take over the vectors; new matrices are factorised again."""
-        self._ending = NOT_SOLVED_YET
-        if step.P is None and step.A is None and step.lb is None and step.ub is None:
-            try:
-                if take_over(self._S, step.q, step.l, step.u):
-                    return
-            except TypeError:  # arrays of another kind, or no setup yet
-                pass
-        self._update_slowly(step)
-
-    def _update_slowly(self, step: QPStep) -> None:
-        """Arrays of another layout or type, new matrices, or a mistake."""
-        base = self._base
-        if base is None or self._S is None:
-            raise DpbenchError("update before setup: call setup with the whole problem first")
-        check_step(step, base.n, base.m)
-        if step.refresh is Refresh.VECTORS:
-            mine = vectors(self._S, base.n, base.m)
-            for own, array in zip(mine, (step.q, step.l, step.u), strict=True):
-                own[:] = array
-        else:
-            self._prepare(owned(base.at(step)))
 
     def solve(self) -> None:
         """One compiled call; `read` sees to endings other than an optimum."""
@@ -90,75 +40,26 @@ class PaperActiveSet(Workspace):
             self._decide()
         return None
 
-    def _cannot(self) -> None:
-        if self._base is None:
-            raise DpbenchError("solve before setup: call setup with the whole problem first")
-        self._unusual = self._missing(Status.ERROR, self._refusal)
-        self._ending = layout.UNDECIDED
-
     def _decide(self) -> None:
         """Check the proof of a contradiction, and leave what is not clear to the careful method."""
         qp = self._problem()
         if self._ending == layout.INFEASIBLE:
-            y, y_box = _cleaned(qp, self._y, self._y_box)
-            if farkas_valid(qp, y, y_box):
-                detail = "y and y_box are a Farkas ray"
-                z = np.full(qp.n, np.nan)
-                self._unusual = Solution(Status.PRIMAL_INFEASIBLE, z, y, y_box, detail=detail)
-                return
-        self._unusual = solve_carefully(qp)
+            z = np.full(qp.n, np.nan)
+            self._unusual = _proven(qp, Solution(INFEASIBLE, z, self._y, self._y_box))
+        if self._ending == layout.UNDECIDED or self._unusual.status is not INFEASIBLE:
+            self._unusual = _proven(qp, solve_carefully(qp))
         self._ending = layout.UNDECIDED
 
-    def read(self) -> Solution:
-        """The answer; every call gives it in new memory."""
-        ending = self._ending
-        if ending >= 0:
-            return Solution(SOLVED, self._z.copy(), self._y.copy(), self._y_box.copy(), ending)
-        if ending == NOT_SOLVED_YET:
-            return self._missing(Status.ERROR, "read before solve")
-        if ending == layout.NOT_FINITE:
-            return self._missing(Status.ERROR, "q is not finite")
-        if ending == layout.CROSSED:
-            return self._crossed()
-        found = self._unusual
-        z, y, y_box = found.z.copy(), found.y.copy(), found.y_box.copy()
-        return Solution(found.status, z, y, y_box, found.iterations, detail=found.detail)
 
-    def _crossed(self) -> Solution:
-        """Limits that contradict each other on their own, or are no numbers."""
-        qp = self._problem()
-        low, high = np.concatenate([qp.l, qp.lb]), np.concatenate([qp.u, qp.ub])
-        if np.isnan(low).any() or np.isnan(high).any():
-            return self._missing(Status.ERROR, "a limit is NaN")
-        row = np.flatnonzero((low > high) | (low == np.inf) | (high == -np.inf))[0]
-        answer = self._missing(Status.PRIMAL_INFEASIBLE, f"the limits of row {row} of [A; I] cross")
-        proof = np.zeros(low.size)
-        proof[row] = 1.0
-        answer.y, answer.y_box = proof[: qp.m], proof[qp.m :]
+def _proven(qp: QuadraticProgram, answer: Solution) -> Solution:
+    """The answer; a claim of infeasibility less the entries of its ray that are rounding.
+
+    A claim that its ray does not bear out is withdrawn.
+    """
+    if answer.status is not INFEASIBLE:
         return answer
-
-    def _problem(self) -> QuadraticProgram:
-        """The current problem, in memory of its own."""
-        base = self._base
-        assert base is not None and self._S is not None
-        q, low, high = (array.copy() for array in vectors(self._S, base.n, base.m))
-        return QuadraticProgram(base.P, q, base.A, low, high, base.lb, base.ub, base.block)
-
-    def _missing(self, status: Status, detail: str) -> Solution:
-        if self._base is None:
-            raise DpbenchError("read before setup: call setup with the whole problem first")
-        return Solution.missing(self._base.n, self._base.m, status, detail)
-
-    def reset(self) -> None:
-        """The next solve starts from the empty set."""
-        if self._S is not None:
-            self._S[layout.HEAD, layout.STALE] = 1.0
-
-
-def _cleaned(qp: QuadraticProgram, y: Vector, y_box: Vector) -> tuple[Vector, Vector]:
-    """A ray without the entries that are rounding."""
-    size = max(np.abs(y).max(initial=0.0), np.abs(y_box).max(initial=0.0))
-    y, y_box = y.copy(), y_box.copy()
-    y[np.abs(y) <= RAY_ROUNDING * size] = 0.0
-    y_box[np.abs(y_box) <= RAY_ROUNDING * size] = 0.0
-    return y, y_box
+    y, y_box = cleaned(answer.y, answer.y_box)
+    if contradicts(qp, y, y_box):
+        return Solution(INFEASIBLE, answer.z, y, y_box, detail="y and y_box are a Farkas ray")
+    detail = "the limits contradict each other by no more than rounding"
+    return Solution.missing(qp.n, qp.m, Status.NUMERICAL_ERROR, detail)

@@ -15,7 +15,7 @@ from dpbench.solvers.project import NOT_STATED, Project
 
 Form = Literal["dense", "csc"]
 Box = Literal["native", "rows"]
-Start = Literal["none", "primal", "primal and dual", "active set"]
+Start = Literal["none", "primal", "dual", "primal and dual", "active set"]
 Updates = Literal["nothing", "vectors", "vectors and matrices"]
 Extra = Literal["core", "solvers", "jax", "casadi", "own", "plugin", "qpsolvers"]
 

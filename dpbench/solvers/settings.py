@@ -57,10 +57,19 @@ def _rung(tolerance: float) -> dict[str, Options]:
         # dual_tol stays at DAQP's own 1e-12, which is tighter.
         "daqp": {"primal_tol": tolerance},
         "ecos": {"abstol": tolerance, "reltol": tolerance, "feastol": tolerance, "max_iters": 500},
+        # Sweeps are cheap, and there are problems that take tens of thousands.
+        "hildreth": {"eps_row": tolerance, "max_iter": 1_000_000},
         "highs": {
             "primal_feasibility_tolerance": tolerance,
             "dual_feasibility_tolerance": tolerance,
             "qp_regularization_value": 0.0,
+        },
+        "hpipm": {
+            "tol_stat": tolerance,
+            "tol_eq": tolerance,
+            "tol_ineq": tolerance,
+            "tol_comp": tolerance,
+            "iter_max": 200,
         },
         "jaxopt": {"tol": tolerance, "maxiter": 100_000},
         "kvxopt": _coneqp(tolerance),

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import importlib
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 
 from dpbench.errors import UnknownNameError
 from dpbench.solvers.native import NATIVE
 from dpbench.solvers.plugins import entry_point_names, find_plugin, load_file, loaded_names
+from dpbench.solvers.project import NOT_STATED
+from dpbench.solvers.projects import PROJECTS
 from dpbench.solvers.record import SolverRecord
 from dpbench.solvers.settings import settings_matter
 from dpbench.solvers.through_qpsolvers import ADAPTERS
@@ -27,6 +29,22 @@ PAPER_ACTIVE_SET = SolverRecord(
     policies={"native": ("fresh", "reuse", "warm")},
     start="active set",
     needs_strict_convexity=True,
+    updates="vectors",
+    two_sided=True,
+)
+HILDRETH = SolverRecord(
+    name="hildreth",
+    distribution="",
+    module="",
+    method="dual coordinate ascent (Hildreth 1957), stopped as in Wang's textbook (2009)",
+    extra="own",
+    form="dense",
+    box="native",
+    policies={"native": ("fresh", "reuse", "warm")},
+    start="dual",
+    needs_strict_convexity=True,
+    updates="vectors",
+    two_sided=True,
 )
 UNCONSTRAINED_CLIPPED = SolverRecord(
     name="unconstrained_clipped",
@@ -43,16 +61,15 @@ UNCONSTRAINED_CLIPPED = SolverRecord(
     detects_infeasibility=False,
     refused={("native", "warm"): "a direct solve has no start"},
 )
-TABLE: dict[str, SolverRecord] = dict(
-    sorted(
-        {
-            **{name: adapter.record for name, adapter in ADAPTERS.items()},
-            **{name: adapter.record for name, adapter in NATIVE.items()},
-            "paper_active_set": PAPER_ACTIVE_SET,
-            "unconstrained_clipped": UNCONSTRAINED_CLIPPED,
-        }.items()
-    )
-)
+_RECORDS: dict[str, SolverRecord] = {
+    **{name: adapter.record for name, adapter in ADAPTERS.items()},
+    **{name: adapter.record for name, adapter in NATIVE.items()},
+    **{row.name: row for row in (HILDRETH, PAPER_ACTIVE_SET, UNCONSTRAINED_CLIPPED)},
+}
+TABLE: dict[str, SolverRecord] = {
+    name: replace(_RECORDS[name], project=PROJECTS.get(name, NOT_STATED))
+    for name in sorted(_RECORDS)
+}
 
 
 @dataclass(frozen=True)

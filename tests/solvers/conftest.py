@@ -28,6 +28,8 @@ TOLERANCE = {
     "daqp": EXACT,
     "ecos": INTERIOR,
     "highs": EXACT,
+    "hildreth": FIRST_ORDER,
+    "hpipm": INTERIOR,
     "jaxopt": FIRST_ORDER,
     "kvxopt": INTERIOR,
     "osqp": FIRST_ORDER,
@@ -39,6 +41,7 @@ TOLERANCE = {
     "pyqpmad": EXACT,
     "qoco": INTERIOR,
     "qpalm": FIRST_ORDER,
+    "qpoases": EXACT,
     "qpax": 2e-3,  # √(2·gap) for the gap of 1e-6 it can reach
     "qtqp": INTERIOR,
     "quadprog": EXACT,
@@ -52,15 +55,15 @@ LIMIT_KEY = {
     "cvxopt": "maxiters",
     "daqp": "iter_limit",
     "ecos": "max_iters",
-    "highs": "qp_iteration_limit",
+    "hpipm": "iter_max",
     "kvxopt": "maxiters",
     "qoco": "max_iters",
     "scs": "max_iters",
     "sip": "max_iterations",
 }
 """The key of the iteration limit where it is not `max_iter`."""
-# HiGHS has a limit, but counts the same for every problem of a size.
-UNLIMITED = {"highs", "paper_active_set", "pyqpmad", "quadprog", "qpax"}
+# HiGHS and qpOASES have a limit, but count the same for the two problems of the test.
+UNLIMITED = {"highs", "qpoases", "paper_active_set", "pyqpmad", "quadprog", "qpax"}
 # Where qpsolvers passes no status or no count on.
 SILENT = {(name, "qpsolvers") for name in ("clarabel", "daqp", "qtqp")}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import itertools
 
 import numpy as np
 import psutil
@@ -15,7 +16,7 @@ from dpbench.qp.solution import Status
 from dpbench.solvers.table import TABLE
 
 INF = np.inf
-CYCLES = 200
+CYCLES = 70
 PAGES = 64 * 4096  # what an allocator may take at once
 TWO = 2.0 * np.eye(2)
 
@@ -297,6 +298,8 @@ def test_recovery(arm, sequence, fault, reset, solve_at_once):
         np.testing.assert_array_equal(answer.z, expected.z)
 
 
+# Multipliers may come back infinite.
+@pytest.mark.filterwarnings("ignore:invalid value encountered")
 @pytest.mark.parametrize("fault", ["nan in q", "nan in u"])
 def test_a_nan_is_not_claimed_solved(arm, sequence, fault):
     """Nobody claims to have solved a problem with a NaN in it, but for the faults in the table."""
@@ -380,10 +383,14 @@ def test_workspaces_do_not_leak(arm):
             workspace.read()
 
     cycles(20)
-    before = resident_bytes()
-    cycles(CYCLES)
-    # Whoever forgets P and A alone loses ten times this much.
-    assert resident_bytes() - before <= 0.1 * CYCLES * (P.nbytes + A.nbytes) + PAGES
+    used = [resident_bytes()]
+    for _ in range(3):
+        cycles(CYCLES)
+        used.append(resident_bytes())
+    # A leak grows in each window, an allocator's pool in some. Whoever forgets P and A alone loses
+    # some four times this much.
+    growth = min(after - before for before, after in itertools.pairwise(used))
+    assert growth <= 0.1 * CYCLES * (P.nbytes + A.nbytes) + PAGES
 
 
 def test_a_cost_that_is_not_convex_enough(arm, solve_at_once):

@@ -8,6 +8,7 @@ import quadprog
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dpbench.qp.farkas import farkas_valid
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.solution import Status
 from dpbench.solvers.open import open_workspace
@@ -140,6 +141,7 @@ def test_crossed_limits_are_infeasible():
     answer = solve(qp)
     assert answer.status is Status.PRIMAL_INFEASIBLE
     assert answer.detail == "the limits of row 1 of [A; I] cross"
+    assert farkas_valid(qp, answer.y, answer.y_box)
 
 
 def klee_minty(n):

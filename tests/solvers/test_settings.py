@@ -94,8 +94,13 @@ def test_high_is_more_accurate_than_default(installed, sequence):
 def test_settings_matter_where_the_ladder_has_an_entry():
     """Solvers without a tolerance are known as such."""
     without = {name for name in TABLE if not settings_matter(name)}
-    own = {name for name in TABLE if TABLE[name].extra == "own"}
-    assert without == {"pyqpmad", "quadprog", *own}
+    assert without == {
+        "paper_active_set",
+        "pyqpmad",
+        "qpoases",
+        "quadprog",
+        "unconstrained_clipped",
+    }
 
 
 @pytest.mark.parametrize("route", ["qpsolvers", "native"])

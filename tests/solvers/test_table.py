@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.metadata
 import os
 import subprocess
@@ -129,6 +130,16 @@ def test_the_form_is_recorded(installed):
 def test_native_workspaces_set_up_anew_only_when_fresh(arm):
     """The harness sets a native workspace up at every step under `fresh`, and never else."""
     assert arm.open().setup_every_step == (arm.route == "native" and arm.policy == "fresh")
+
+
+def test_no_fact_without_a_source():
+    """What is said of a project names its source; every one has a licence and a language."""
+    for row in TABLE.values():
+        facts = dataclasses.asdict(row.project)
+        for fact in facts.values():
+            assert (fact["value"] == "not stated") == (fact["source"] == "")
+        assert facts["licence"]["source"], row.name
+        assert facts["language"]["source"], row.name
 
 
 def test_a_record_tells_the_routes_apart():

@@ -1,0 +1,122 @@
+"""qpOASES through casadi's buffer interface: two-sided, hot start from the working set it keeps.
+
+Memory that casadi takes back is handed out again as it was left, so nothing but a new function
+object starts from nothing; building one takes some milliseconds. The working set belongs to the
+homotopy from the previous problem to the next and is not shifted.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from contextlib import redirect_stdout
+from importlib import import_module
+
+import numpy as np
+
+from dpbench.qp.program import Vector
+from dpbench.qp.solution import Solution, Status
+from dpbench.solvers.contract import Policy
+from dpbench.solvers.native.adapter import NativeAdapter
+from dpbench.solvers.native.base import NativeWorkspace
+from dpbench.solvers.record import NAN_ANSWER, SolverRecord
+from dpbench.solvers.through_qpsolvers.adapter import Options
+
+RECORD = SolverRecord(
+    name="qpoases",
+    distribution="casadi",
+    module="casadi",
+    method="parametric (online) active set",
+    extra="casadi",
+    form="dense",
+    box="native",
+    policies={"native": ("fresh", "warm")},
+    refused={
+        ("native", "reuse"): "casadi keeps its working set from solve to solve and cannot reset "
+        "it without making everything anew, which is fresh"
+    },
+    start="active set",
+    updates="vectors",
+    two_sided=True,
+    faults=NAN_ANSWER,
+)
+
+# casadi's unified return status.
+STATUS = {
+    0: Status.SOLVED,
+    1: Status.UNKNOWN,
+    2: Status.MAX_ITERATIONS,  # "limited": working set recalculations or time
+    3: Status.NUMERICAL_ERROR,  # NaN
+    4: Status.PRIMAL_INFEASIBLE,
+    5: Status.ERROR,  # exception
+}
+FIXED = {"printLevel": "none", "error_on_fail": False}
+
+
+class QpoasesWorkspace(NativeWorkspace):
+    """qpOASES looking at buffers of ours; a solve after the first is a hot start."""
+
+    def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
+        super().__init__(record.name, "dense", policy, options)
+        self._library = import_module("casadi")
+
+    def _convert(self) -> None:
+        n, m = self._n, self._m
+        self._inputs = {
+            "h": np.asfortranarray(self._P).ravel("K"),
+            "a": np.asfortranarray(self._A).ravel("K"),
+            "g": np.empty(n),
+            "lba": np.empty(m),
+            "uba": np.empty(m),
+            "lbx": self._lb,
+            "ubx": self._ub,
+        }
+        self._outputs = {
+            "x": np.empty(n),
+            "cost": np.empty(1),
+            "lam_a": np.empty(m),
+            "lam_x": np.empty(n),
+        }
+
+    def _build(self) -> None:
+        dense, n, m = self._library.Sparsity.dense, self._n, self._m
+        shapes = {"h": dense(n, n), "a": dense(m, n)}
+        options = {**FIXED, **self._options}
+        with redirect_stdout(io.StringIO()):
+            self._function = self._library.conic("S", "qpoases", shapes, options)
+            self._buffer, self._trigger = self._function.buffer()
+        for i, name in enumerate(self._function.name_in()):
+            if self._inputs.get(name, np.empty(0)).size:
+                self._buffer.set_arg(i, self._inputs[name].data)
+        for i, name in enumerate(self._function.name_out()):
+            if self._outputs[name].size:
+                self._buffer.set_res(i, self._outputs[name].data)
+        self._hand_over(self._q, self._l, self._u)
+
+    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
+        inputs = self._inputs
+        inputs["g"][:], inputs["lba"][:], inputs["uba"][:] = q, low, high
+
+    def _call(self) -> None:
+        self._trigger()
+
+    def _answer(self) -> Solution:
+        flag = int(self._buffer.ret())
+        iterations = int(self._buffer.stats()["iter_count"])
+        status = STATUS.get(flag, Status.UNKNOWN)
+        # Where it says no more than that it failed, its x may be that of an earlier problem.
+        if status is Status.UNKNOWN or not status.usable:
+            return self._missing(status, f"return status {flag}", iterations)
+        found = self._outputs
+        z, y, y_box = found["x"].copy(), found["lam_a"].copy(), found["lam_x"].copy()
+        detail = "" if status is Status.SOLVED else f"return status {flag}"
+        return Solution(status, z, y, y_box, iterations, detail=detail)
+
+
+def option_names() -> list[str]:
+    """qpOASES's options as casadi documents them."""
+    text = import_module("casadi").doc_conic("qpoases")
+    return [name for name in re.findall(r"^\| (\w+) +\| OT_", text, re.M) if name != "printLevel"]
+
+
+ADAPTER = NativeAdapter(RECORD, QpoasesWorkspace, option_names)
