@@ -10,6 +10,7 @@ import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.cli import main
+from dpbench.solvers import plugins
 
 README = Path(__file__).parents[1] / "README.md"
 
@@ -44,6 +45,8 @@ def test_the_example_of_a_plug_in_runs_as_printed(
 ) -> None:
     """The README's own solver, at most 30 lines, saved under its name, steers the ship."""
     monkeypatch.chdir(tmp_path)
+    # Another test may have loaded the same name from another file.
+    monkeypatch.setattr(plugins, "_LOADED", {})
     (block,) = blocks("python", "RECORD = ")
     assert len(block.splitlines()) <= 30
     Path("admm.py").write_text(block, encoding="utf-8")

@@ -15,6 +15,7 @@ from dpbench.bench.schema import RUN_COLUMNS, STEP_COLUMNS
 from dpbench.bench.store import Results, claimed
 from dpbench.errors import InputError, ResultsError, UnknownNameError
 from dpbench.problem_files import problem_path
+from dpbench.solvers import plugins
 
 SUITE = """
 title = "A suite for one test"
@@ -226,8 +227,11 @@ def test_scenarios_of_one_name_are_refused(tmp_path: Path) -> None:
         run_campaign(tmp_path / "twins.toml", tmp_path / "out")
 
 
-def test_a_plug_in_runs_in_a_process_of_its_own(tmp_path: Path) -> None:
+def test_a_plug_in_runs_in_a_process_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A solver from a file has a name like any other, also inside its worker."""
+    monkeypatch.setattr(plugins, "_LOADED", {})
     module = Path(__file__).parents[1] / "solvers" / "example_plugin.py"
     suite = 'title = "x"\n[[closed_loop]]\nscenarios = ["calm"]\nsettings = ["high"]\nsteps = 20\n'
     (tmp_path / "one.toml").write_text(suite, encoding="utf-8")
