@@ -56,9 +56,12 @@ from dpbench.solvers.active_set_layout import (
 from dpbench.solvers.active_set_moves import bring_in, forget, shift, take_up
 from dpbench.solvers.active_set_refine import evaluate, refine, settle_signs
 
-PASSES = 21
+PASSES = 20
 """Rounds of refinement after which it has not settled."""
-NEAR = 8.0
+SETTLED = 1e-12
+"""A correction of no more than this share leaves nothing to correct: each is a small part of the
+one before."""
+NEAR = 10.0
 """How much longer v₀ may be than v before v, their difference, is computed anew."""
 
 
@@ -115,6 +118,8 @@ def solve(S: Matrix) -> int:
         return int(size)
     coarse, before = VIOLATED * size, inf
     j = start(S, L, H, width, coarse)
+    # Whether rows contradict each other is decided on refined values only.
+    size = inf
     for _ in range(PASSES):
         while j >= 0:
             ending = bring_in(S, L, H, J, j, size)
@@ -126,7 +131,7 @@ def solve(S: Matrix) -> int:
         dropped = settle_signs(S, L, max(coarse, sqrt(max(correction, 0.0))))
         size = length(S, V, width)
         fine = VIOLATED * size
-        settled = dropped == 0 and correction <= fine * fine
+        settled = dropped == 0 and correction <= SETTLED * SETTLED * size * size
         if settled and coarse <= NEAR * fine and S[HEAD, ASIDE] == 0.0:
             return int(S[HEAD, ITERATIONS])
         evaluate(S, P, H, width)

@@ -122,7 +122,11 @@ def put_aside(S: Matrix, H: int, j: int, lam: float) -> int:
 
 @compiled
 def bring_in(S: Matrix, L: int, H: int, J: int, j: int, size: float) -> int:
-    """Raise the multiplier of row j until the row is active; rows that block are dropped."""
+    """Raise the multiplier of row j until the row is active; rows that block are dropped.
+
+    A dependent row that nothing blocks is a contradiction, or the active rows written twice; with
+    an infinite `size` it is always the latter.
+    """
     n = int(S[HEAD, N]) & MASK
     side = 1.0 if S[V, j] > S[HIGH, j] else -1.0
     g = S[HIGH, j] if side > 0.0 else S[LOW, j]
