@@ -11,32 +11,33 @@ from dpbench.report.formats import (
     and_list,
     interval_text,
     plural,
+    rounded_down,
     significant,
     time_text,
 )
-from dpbench.report.ranking import Duel, duel, fastest_first
+from dpbench.report.ranking import Contender, Duel, duel, fastest_first
 from dpbench.report.table import Table, row_of
 from dpbench.report.verdict import Verdict
-from dpbench.report.view import View
+from dpbench.report.verdict_text import slack_text
+from dpbench.report.view import View, has_steps
 
 
 def fastest_usual(view: View, verdicts: Sequence[Verdict], demand: Demand) -> list[str]:
     """The fastest solver on its default route, policy fresh, its margin, and the second."""
     good = fastest_first([v for v in verdicts if v.outcome == "meets"])
     if not good:
-        return ["No solver meets the demand, so no fastest one is named."]
+        return [_nobody(verdicts)]
     best = good[0]
     if not math.isfinite(best.p99_ns):
         figure, of = best.algo_max_ns, "largest algorithmic step time"
     else:
         figure, of = best.p99_ns, f"p99 of the algorithmic step time on `{best.p99_of}`"
     lines = [
-        f"The fastest that meets it on its default route, policy fresh, is **{best.solver}** "
+        f"The fastest by {yardstick(best)} that meets it on its default route, policy fresh, "
+        f"is **{best.solver}** "
         f"(route {best.route}): {of} "
-        f"{time_text(figure)}, {significant(demand.p99_ns / figure)} times under the demand; "
-        f"largest step {time_text(best.algo_max_ns)}, so a computer "
-        f"{significant(best.slowdown(demand))} times slower would still make the "
-        f"{demand.deadline_ms / 1e3:g} s deadline."
+        f"{time_text(figure)}, {rounded_down(demand.p99_ns / figure)} times under the demand; "
+        f"largest step {time_text(best.algo_max_ns)}; {slack_text(best, demand)}."
     ]
     if len(good) > 1:
         lines.append(duel_text(duel(view, best, good[1])))
@@ -49,8 +50,25 @@ def fastest_usual(view: View, verdicts: Sequence[Verdict], demand: Demand) -> li
     return lines
 
 
+def yardstick(arm: Contender) -> str:
+    """What an arm is ranked by: its p99, or its largest step where there is no p99."""
+    return "p99" if math.isfinite(arm.p99_ns) else "largest step"
+
+
+def _nobody(verdicts: Sequence[Verdict]) -> str:
+    """Why no fastest solver is named."""
+    outcomes = {verdict.outcome for verdict in verdicts}
+    if "open" in outcomes:
+        return "No fastest solver is named while it is open whether one meets the demand."
+    if "misses" in outcomes:
+        return "No solver meets the demand, so no fastest one is named."
+    return "No solver ran, so no fastest one is named."
+
+
 def fastest_arm(view: View, found: Sequence[Candidate]) -> list[str]:
     """The fastest way of all to run a solver, and the fastest way of another solver beside it."""
+    if not any(has_steps(row) for row in view.select(mode="replay", units="scaled")):
+        return ["No way to run a solver is timed, as no replay left a step."]
     if not found:
         return ["No replayed arm gives answers that meet the demand on every step."]
     best, *others = first_ways(found)
@@ -60,9 +78,10 @@ def fastest_arm(view: View, found: Sequence[Candidate]) -> list[str]:
         else "; no closed loop was run this way"
     )
     lines = [
-        f"Fastest of all ways to run a solver: **{best.solver}**, route {best.route}, policy "
-        f"{best.policy}, settings `{best.settings}`, with {figures(best)}. Its answers meet the "
-        f"demand on all {plural(best.steps, 'replayed step')}{loops}."
+        f"Fastest by {yardstick(best)} of all ways to run a solver: **{best.solver}**, "
+        f"route {best.route}, policy {best.policy}, settings `{best.settings}`, "
+        f"with {figures(best)}. Its answers meet the demand on all "
+        f"{plural(best.steps, 'replayed step')}{loops}."
     ]
     if others:
         lines.append(duel_text(duel(view, best, others[0])))
@@ -94,8 +113,8 @@ def fastest_way(found: Sequence[Candidate], solver: str) -> str:
     if best is None:
         return ""
     return (
-        f" Fastest way to run it: route {best.route}, policy {best.policy}, settings "
-        f"`{best.settings}`, {figures(best)} (judged on {best.judged_on})."
+        f" Fastest way to run it by {yardstick(best)}: route {best.route}, policy {best.policy}, "
+        f"settings `{best.settings}`, {figures(best)} (judged on {best.judged_on})."
     )
 
 
@@ -134,10 +153,11 @@ def fastest_table(found: Sequence[Candidate], verdicts: Sequence[Verdict]) -> Ta
         else ""
     )
     return Table(
-        title="Fastest way to run each solver",
+        title=f"Fastest way to run each solver, by {yardstick(best[0])}",
         note=(
             f"Among {plural(len(found), 'arm')} replayed on {plural(best[0].sequences, 'sequence')}"
-            " in scaled units whose answers meet the demand on every step; ordered by p99. p50 "
+            " in scaled units whose answers meet the demand on every step; "
+            f"ordered by {yardstick(best[0])}. p50 "
             "and p99 are those of the sequence with the worst p99, the largest step that of all. "
             "An arm without a closed loop of its own is judged on replays alone; where settings "
             f"make less than {100 * ALIKE:g} % of difference the more usual ones are named. Last "

@@ -9,11 +9,11 @@ import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
+from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FuncFormatter
 
 from dpbench.report.demand import Demand
-from dpbench.report.formats import as_float, error_text, share_text, significant
+from dpbench.report.formats import as_float, count_text, error_text, plural, share_text
 from dpbench.report.labels import label_points
 from dpbench.report.style import (
     FAMILY_COLOURS,
@@ -29,7 +29,7 @@ from dpbench.report.style import (
     one_axes,
     power_label,
 )
-from dpbench.report.tables_accuracy import UnitsMatrix, arm_name, name_of
+from dpbench.report.tables_accuracy import UnitsCell, UnitsMatrix, arm_name, name_of
 from dpbench.report.tables_timing import Arm
 from dpbench.report.view import Row, is_contrast
 
@@ -77,11 +77,16 @@ def error_against_time(arms: Sequence[Arm], demand: Demand) -> Figure:
     """Largest error of the first move against the p95 step time; settings joined per solver."""
     figure, ax = one_axes(8.2, 6.0)
     points: dict[str, list[tuple[str, float, float]]] = {}
+    failed: dict[str, int] = {}
     for row, times in arms:
         error = as_float(row["error_move_max"])
         if math.isfinite(error):
             spot = (float(np.percentile(times.algo_ns, 95)) / 1e3, max(error, EXACT))
             points.setdefault(str(row["solver"]), []).append((str(row["settings"]), *spot))
+            if as_float(row["failed_steps"]) > 0:
+                solver = str(row["solver"])
+                failed[solver] = max(failed.get(solver, 0), int(row["failed_steps"]))
+                ax.plot(*spot, "x", color=INK, ms=9, mew=1.3, zorder=5)
     for solver, found in points.items():
         found.sort()
         colour = colour_of(solver)
@@ -99,6 +104,7 @@ def error_against_time(arms: Sequence[Arm], demand: Demand) -> Figure:
         Line2D([], [], marker="o", ls="", color=GREY, label="settings default"),
         Line2D([], [], marker="o", ls="", color=GREY, mfc="white", label="other settings"),
         Line2D([], [], color=INK, ls="--", lw=0.9, label=f"demand, {demand.error_move:g}"),
+        *([Line2D([], [], marker="x", ls="", color=INK, label="steps failed")] if failed else []),
     ]
     _legend(figure, [*shown, *_family_patches(list(points))])
     figure.draw_without_rendering()
@@ -106,7 +112,7 @@ def error_against_time(arms: Sequence[Arm], demand: Demand) -> Figure:
     label_points(
         ax,
         [(x, y) for _, x, y in firsts.values()],
-        list(firsts),
+        [f"{s}, {count_text(failed[s])} failed" if s in failed else s for s in firsts],
         [colour_of(solver) for solver in firsts],
     )
     return figure
@@ -120,7 +126,9 @@ def unanswered(arms: Sequence[Arm]) -> list[str]:
 def units_heat_map(matrix: UnitsMatrix) -> Figure:
     """Largest error of the first move per solver and arm, with the share of true answers."""
     columns, solvers = matrix.columns, matrix.solvers
-    figure, ax = one_axes(2.0 + 0.95 * len(columns), 1.8 + 0.3 * len(solvers))
+    # Below this height the label of the colour bar is longer than the bar's axis.
+    height = max(4.6, 1.8 + 0.3 * len(solvers))
+    figure, ax = one_axes(2.0 + 0.95 * len(columns), height)
     error = np.full((len(solvers), len(columns)), np.nan)
     for i, solver in enumerate(solvers):
         for j, column in enumerate(columns):
@@ -128,6 +136,12 @@ def units_heat_map(matrix: UnitsMatrix) -> Figure:
             if cell is None or cell.steps == 0:
                 label = "not run" if cell is None else "no step done"
                 ax.text(j, i, label, ha="center", va="center", fontsize=7, color=GREY)
+                continue
+            if cell.steps < cell.asked:
+                ax.add_patch(
+                    Rectangle((j - 0.5, i - 0.5), 1, 1, fc=PALE, ec="white", hatch="///", lw=0)
+                )
+                ax.text(j, i, _cut(cell), ha="center", va="center", fontsize=6.5, color=INK)
                 continue
             found = 10.0 if math.isinf(cell.error_move) else cell.error_move
             error[i, j] = np.clip(found, 1e-12, 10.0)
@@ -158,6 +172,11 @@ def units_heat_map(matrix: UnitsMatrix) -> Figure:
     return figure
 
 
+def _cut(cell: UnitsCell) -> str:
+    """What stands on a cell that did not reach its steps."""
+    return f"{error_text(cell.error_move)}\n{count_text(cell.steps)} of {count_text(cell.asked)}"
+
+
 def deviations(loops: Mapping[str, Sequence[Row]]) -> Figure:
     """Largest deviation of position from the exactly solved loop, per solver and scenario."""
     names = list(dict.fromkeys(name_of(row) for rows in loops.values() for row in rows))
@@ -185,7 +204,7 @@ def deviations(loops: Mapping[str, Sequence[Row]]) -> Figure:
                 ax.text(
                     value,
                     y,
-                    f" {significant(as_float(row['steps_done']))} steps",
+                    f" {plural(as_float(row['steps_done']), 'step')}",
                     va="center",
                     fontsize=6.5,
                 )

@@ -48,6 +48,13 @@ def laws_of(view: View, scenario: str) -> list[Law]:
 def trajectory(laws: Sequence[Law], scenario: Scenario) -> Figure:
     """Figure 4: the ship's path in the north-east plane with the 1 m precision circle."""
     figure, ax = one_axes(5.6, 5.2)
+    draw_path(ax, laws, scenario)
+    legend_below(figure, ax, columns=2)
+    return figure
+
+
+def draw_path(ax: Axes, laws: Sequence[Law], scenario: Scenario) -> None:
+    """The paths with start, set-point and precision circle."""
     north, east = scenario.reference[:2]
     circle = Circle((east, north), CIRCLE_M, fill=False, color=LIMIT, lw=1, ls=":")
     ax.add_patch(circle)
@@ -59,8 +66,6 @@ def trajectory(laws: Sequence[Law], scenario: Scenario) -> Figure:
     ax.set_aspect("equal", adjustable="datalim")
     ax.set_xlabel("east [m]")
     ax.set_ylabel("north [m]")
-    _legend_below(figure, ax, columns=2)
-    return figure
 
 
 def precision(laws: Sequence[Law], scenario: Scenario) -> Figure:
@@ -69,18 +74,22 @@ def precision(laws: Sequence[Law], scenario: Scenario) -> Figure:
     axes = figure.subplots(4, 1, sharex=True)
     goal = scenario.reference
     for law in laws:
-        n = law.steps["n_m"].to_numpy() - goal[0]
-        e = law.steps["e_m"].to_numpy() - goal[1]
-        psi = np.degrees(law.steps["psi_rad"].to_numpy() - goal[2])
-        # A zero has no place on a log axis; a micrometre is below anything of interest.
-        radius = np.maximum(np.hypot(n, e), 1e-6)
-        for ax, values in zip(axes, (n, e, psi, radius), strict=True):
-            _line(ax, law, values)
+        for ax, values in zip(axes, errors(law, goal), strict=True):
+            draw_line(ax, law, values)
     for ax, label in zip(axes, ("north [m]", "east [m]", "heading [°]", "radial [m]"), strict=True):
         ax.set_ylabel(label)
     log_y(axes[3])
     axes[3].axhline(CIRCLE_M, color=LIMIT, ls=":", lw=1)
-    return _finish(figure, axes, scenario)
+    return _finish(figure, axes, laws, scenario)
+
+
+def errors(law: Law, goal: np.ndarray) -> tuple[np.ndarray, ...]:
+    """North, east [m], heading [°] and radial error [m] of a law."""
+    n = law.steps["n_m"].to_numpy() - goal[0]
+    e = law.steps["e_m"].to_numpy() - goal[1]
+    psi = np.degrees(law.steps["psi_rad"].to_numpy() - goal[2])
+    # A zero has no place on a log axis; a micrometre is below anything of interest.
+    return n, e, psi, np.maximum(np.hypot(n, e), 1e-6)
 
 
 def forces(laws: Sequence[Law], scenario: Scenario) -> Figure:
@@ -89,11 +98,11 @@ def forces(laws: Sequence[Law], scenario: Scenario) -> Figure:
     axes = figure.subplots(3, 1, sharex=True)
     for i, (ax, (name, key, unit, scale, shown)) in enumerate(zip(axes, AXES, strict=True)):
         for law in laws:
-            _line(ax, law, law.steps[f"tau_{key}_{unit}"].to_numpy() / scale)
+            draw_line(ax, law, law.steps[f"tau_{key}_{unit}"].to_numpy() / scale)
         low, high = scenario.vessel.tau_min[i] / scale, scenario.vessel.tau_max[i] / scale
-        _limits(ax, low, high)
+        draw_limits(ax, low, high)
         ax.set_ylabel(f"{name} [{shown}]")
-    return _finish(figure, axes, scenario)
+    return _finish(figure, axes, laws, scenario)
 
 
 def increments(laws: Sequence[Law], scenario: Scenario) -> Figure:
@@ -102,14 +111,20 @@ def increments(laws: Sequence[Law], scenario: Scenario) -> Figure:
     axes = figure.subplots(3, 1, sharex=True)
     for i, (ax, (name, key, unit, scale, shown)) in enumerate(zip(axes, AXES, strict=True)):
         for law in laws:
-            _line(ax, law, law.steps[f"dtau_{key}_{unit}"].to_numpy() / scale)
+            draw_line(ax, law, law.steps[f"dtau_{key}_{unit}"].to_numpy() / scale)
         limit = scenario.du_max[i] / scale
-        _limits(ax, -limit, limit)
+        draw_limits(ax, -limit, limit)
         ax.set_ylabel(f"Δ{name} [{shown}]")
-    return _finish(figure, axes, scenario)
+    return _finish(figure, axes, laws, scenario)
 
 
-def _line(ax: Axes, law: Law, values: np.ndarray) -> None:
+def simulated_s(laws: Sequence[Law], scenario: Scenario) -> float:
+    """How long the longest of the runs lasted [s]."""
+    return max(len(law.steps) for law in laws) * scenario.sample_s
+
+
+def draw_line(ax: Axes, law: Law, values: np.ndarray) -> None:
+    """One quantity of a law against time, held over each sample."""
     ax.step(
         law.steps["t_s"],
         values,
@@ -121,7 +136,7 @@ def _line(ax: Axes, law: Law, values: np.ndarray) -> None:
     )
 
 
-def _limits(ax: Axes, low: float, high: float) -> None:
+def draw_limits(ax: Axes, low: float, high: float) -> None:
     """Limits as dashed lines, when the data come near enough for them to matter."""
     bottom, top = ax.get_ylim()
     reach = max(abs(bottom), abs(top))
@@ -139,14 +154,17 @@ def _limits(ax: Axes, low: float, high: float) -> None:
         )
 
 
-def _finish(figure: Figure, axes: Sequence[Axes], scenario: Scenario) -> Figure:
+def _finish(
+    figure: Figure, axes: Sequence[Axes], laws: Sequence[Law], scenario: Scenario
+) -> Figure:
     axes[-1].set_xlabel("time [s]")
-    axes[-1].set_xlim(0, scenario.steps * scenario.sample_s)
+    axes[-1].set_xlim(0, simulated_s(laws, scenario))
     figure.align_ylabels(list(axes))
-    _legend_below(figure, axes[0], columns=3)
+    legend_below(figure, axes[0], columns=3)
     return figure
 
 
-def _legend_below(figure: Figure, ax: Axes, columns: int) -> None:
+def legend_below(figure: Figure, ax: Axes, columns: int) -> None:
+    """The legend of some axes below the whole figure."""
     handles, labels = ax.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=columns)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from decimal import ROUND_DOWN, Decimal
 
 import numpy as np
 
@@ -40,6 +41,15 @@ def significant(value: float, digits: int = 3) -> str:
     decimals = max(0, digits - 1 - exponent)
     text = f"{rounded:.{decimals}f}"
     return text if abs(rounded) < 1e5 else f"{rounded:,.0f}".replace(",", "\u202f")
+
+
+def rounded_down(value: float, digits: int = 3) -> str:
+    """As `significant`, but never more than `value`: what still holds when it is believed."""
+    if not (math.isfinite(value) and value > 0.0):
+        return significant(value, digits)
+    exact = Decimal(value)
+    unit = Decimal(1).scaleb(exact.adjusted() - digits + 1)
+    return significant(float(exact.quantize(unit, rounding=ROUND_DOWN)), digits)
 
 
 def error_text(value: float) -> str:

@@ -30,8 +30,8 @@ DEFINITIONS = (
     "**settings**: `default` is what the library ships; `low`, `mid` and `high` ask for tolerances "
     "of 1e-3, 1e-6 and 1e-9; `polished` adds the solver's own polishing of the answer. Where "
     "settings have no effect, one run is shown under all names.",
-    "**slow-down**: the deadline over the largest algorithmic step time; a computer slower by "
-    "more than that would miss a step.",
+    "**slow-down**: the deadline over the largest algorithmic step time, rounded down; a "
+    "computer that many times slower would still make the deadline on every step.",
 )
 TRAPS = (
     "An interval here covers which steps were drawn, not another day on the same machine; a "

@@ -59,9 +59,9 @@ def _ladder(i: int, sequence: str, native: Sequence[Ways], demand: Demand) -> li
     picture = Picture(
         f"step_down_{i + 1}",
         f"From wrapper to warm start in the replay of {sequence}",
-        f"{plural(len(usual), 'solver')}, {plural(arms, 'arm')}, settings default, fastest first; "
-        "each stair steps down from qpsolvers fresh to native warm. Hollow: an answer misses the "
-        "demand.",
+        f"{plural(len(usual), 'solver')}, {plural(arms, 'arm')}, settings default, "
+        "fastest by median first; each stair steps down from qpsolvers fresh to native warm. "
+        "Hollow: an answer misses the demand.",
         step_down(usual, right),
     )
     lines = [beside_wrapped(sequence, usual)]

@@ -14,13 +14,14 @@ from dpbench.report.fastest_text import (
     fastest_usual,
     fastest_way,
     first_ways,
+    yardstick,
 )
 from dpbench.report.formats import (
     MISSING,
     count_text,
     error_text,
     plural,
-    significant,
+    rounded_down,
     time_text,
 )
 from dpbench.report.ranking import Contender, fastest_first
@@ -90,14 +91,7 @@ def _cards(verdicts: Verdicts, found: Sequence[Candidate], demand: Demand) -> tu
     rescued = {
         v.solver for level in list(verdicts)[1:] for v in verdicts[level] if v.outcome == "meets"
     } - {v.solver for v in good}
-    cards = [
-        Card(
-            f"meet the demand, settings {first}",
-            f"{len(good)} of {len(run)}",
-            "solvers that ran",
-            "good" if good else "bad",
-        )
-    ]
+    cards = [_count_card(run, good, first)]
     if len(verdicts) > 1:
         others = ", ".join(sorted(rescued)) or "none"
         mark: Mark = "warn" if rescued else ""
@@ -106,8 +100,16 @@ def _cards(verdicts: Verdicts, found: Sequence[Candidate], demand: Demand) -> tu
         words = (
             f"{arm.route} {arm.policy}, {arm.settings}: {_figure(arm)}, judged on {arm.judged_on}"
         )
-        cards.append(Card("fastest way of all", arm.solver, words, "good"))
+        cards.append(Card(f"fastest way of all, by {yardstick(arm)}", arm.solver, words, "good"))
     return (*cards, *_usual_cards(good, demand))
+
+
+def _count_card(run: Sequence[Verdict], good: Sequence[Verdict], level: str) -> Card:
+    title = f"meet the demand, settings {level}"
+    unsure = sum(v.outcome == "open" for v in run)
+    if unsure and not good:
+        return Card(title, "open", f"{unsure} of {len(run)} that ran cannot be judged", "warn")
+    return Card(title, f"{len(good)} of {len(run)}", "solvers that ran", "good" if good else "bad")
 
 
 def _usual_cards(good: Sequence[Verdict], demand: Demand) -> tuple[Card, ...]:
@@ -117,8 +119,13 @@ def _usual_cards(good: Sequence[Verdict], demand: Demand) -> tuple[Card, ...]:
     best = good[0]
     stands = f"before its largest step, {time_text(best.algo_max_ns)}, takes {demand.deadline_ms:g}"
     return (
-        Card("fastest, default route", best.solver, f"{best.route} fresh: {_figure(best)}", "good"),
-        Card("slow-down it stands", f"× {significant(best.slowdown(demand), 2)}", f"{stands} ms"),
+        Card(
+            f"fastest by {yardstick(best)}, default route",
+            best.solver,
+            f"{best.route} fresh: {_figure(best)}",
+            "good",
+        ),
+        Card("slow-down it stands", _slowdown(best, demand), f"{stands} ms"),
     )
 
 
@@ -155,8 +162,8 @@ def verdict_table(verdicts: Verdicts, demand: Demand) -> Table:
             f"Scaled units, default route, policy fresh; figures of settings {first}. Accuracy: "
             "every step of the longest closed loop per scenario and of the replays. Time: "
             "algorithmic, from replays alone; p99 is the worst over the sequences that support "
-            f"one. Slow-down: {demand.deadline_ms:g} ms over the largest algorithmic step time. "
-            f"{plural(len(rows), 'solver')}."
+            f"one. Slow-down: {demand.deadline_ms:g} ms over the largest algorithmic step time, "
+            f"rounded down. {plural(len(rows), 'solver')}."
         ),
         heads=(
             "solver",
@@ -177,4 +184,4 @@ def verdict_table(verdicts: Verdicts, demand: Demand) -> Table:
 def _slowdown(verdict: Verdict, demand: Demand) -> str:
     if not math.isfinite(verdict.algo_max_ns):
         return MISSING
-    return f"× {significant(verdict.slowdown(demand))}"
+    return f"× {rounded_down(verdict.slowdown(demand))}"

@@ -25,7 +25,9 @@ from dpbench.report.figures_paper import (
     precision,
     trajectory,
 )
-from dpbench.report.formats import and_list, plural
+from dpbench.report.figures_ship import ship
+from dpbench.report.formats import and_list, count_text, plural
+from dpbench.report.namesake import OF_PAPER, is_of_paper
 from dpbench.report.reproduced import (
     DESIGN_LIMITS,
     MISPRINTS,
@@ -59,7 +61,9 @@ def figures_section(view: View, demand: Demand) -> Section:
     """The figures of the paper, the step times, the deviations."""
     section = Section("figures", "Figures")
     for name, figures in FIGURES.items():
-        section.add(*_paper_pictures(view, name, figures))
+        if is_of_paper(view, name):
+            section.add(*_paper_pictures(view, name, figures))
+    section.add(*_ship_pictures(view))
     section.add(*timing_pictures(view, demand))
     loops = {s: [r for r in view.full_loops(s) if has_steps(r)] for s in view.scenarios}
     loops = {scenario: rows for scenario, rows in loops.items() if rows}
@@ -80,10 +84,37 @@ def _paper_pictures(view: View, name: str, figures: Sequence[tuple[str, str, Dra
     scenario, laws = view.scenario(name), laws_of(view, name)
     if scenario is None or not laws:
         return [missing(f"no complete closed loop of `{name}`, so its figures are not drawn.")]
-    steps = max(len(law.steps) for law in laws)
-    shown = and_list([law.label for law in laws])
-    caption = f"Scenario `{name}`, {plural(steps, 'step')} of {scenario.sample_s:g} s: {shown}."
+    caption = _caption(laws, scenario)
     return [Picture(key, title, caption, draw(laws, scenario)) for key, title, draw in figures]
+
+
+def _ship_pictures(view: View) -> list[Block]:
+    """One figure for each scenario that is not the paper's and has a whole closed loop."""
+    blocks: list[Block] = []
+    for i, name in enumerate(view.scenarios):
+        scenario = view.scenario(name)
+        laws = [law for law in laws_of(view, name) if len(law.steps) >= view.whole_steps(name)]
+        if scenario is None or not laws or is_of_paper(view, name):
+            continue
+        blocks.append(
+            Picture(
+                f"ship_{i + 1}",
+                f"The ship in {name}",
+                f"{_caption(laws, scenario)} Dashed: limits.",
+                ship(laws, scenario),
+            )
+        )
+    return blocks
+
+
+def _caption(laws: Sequence[Law], scenario: Scenario) -> str:
+    steps = max(len(law.steps) for law in laws)
+    of = f" (of {count_text(scenario.steps)})" if steps < scenario.steps else ""
+    shown = and_list([law.label for law in laws])
+    return (
+        f"Scenario `{scenario.name}`, {plural(steps, 'step')}{of} of {scenario.sample_s:g} s: "
+        f"{shown}."
+    )
 
 
 def control_section(view: View) -> Section:
@@ -99,6 +130,9 @@ def control_section(view: View) -> Section:
 def reproduced_section(view: View) -> Section:
     """What of the paper is reproduced and what is not."""
     section = Section("paper", "The paper, reproduced")
+    if not any(is_of_paper(view, name) for name in OF_PAPER):
+        section.add(Paragraph("No scenario of the paper was in this suite."))
+        return section
     found = claims(view)
     done = sum(claim.state == "reproduced" for claim in found)
     failed = sum(claim.state == "not reproduced" for claim in found)
@@ -106,7 +140,8 @@ def reproduced_section(view: View) -> Section:
         Paragraph(
             f"Of {plural(len(found), 'claim')} {done} are reproduced, {failed} are not, "
             f"{len(found) - done - failed} were not measured. Constrained means the complete "
-            "closed loop that follows the exactly solved one most closely."
+            "closed loop that follows the exactly solved one most closely; a claim takes one over "
+            "the whole scenario."
         ),
         Tabular(_claims_table(found)),
     )
@@ -116,8 +151,9 @@ def reproduced_section(view: View) -> Section:
             Paragraph("The paper leaves open what `paper` had to choose:"),
             Bullets(tuple(f"**{what}**: {choice}." for what, choice in chosen)),
         )
+    if is_of_paper(view, "paper") and any(has_steps(row) for row in view.full_loops("paper")):
+        section.add(Paragraph(DESIGN_LIMITS))
     section.add(
-        Paragraph(DESIGN_LIMITS),
         Paragraph("Misprints to mind when reading it:"),
         Bullets(MISPRINTS),
     )

@@ -67,6 +67,7 @@ def machine_lines(machine: dict[str, Any]) -> list[str]:
         f"Reading the clock costs {of('clock_read_ns')} ns; its resolution is "
         f"{of('timer_resolution_ns')} ns.",
     ]
+    lines += _load_line(machine)
     if machine.get("governor", "not visible") == "not visible":
         lines.append(
             "The frequency governor is not visible (as in most virtual machines), so frequency "
@@ -81,6 +82,20 @@ def machine_lines(machine: dict[str, Any]) -> list[str]:
             "Versions: " + ", ".join(f"{k} {v}" for k, v in sorted(versions.items())) + "."
         )
     return lines
+
+
+def _load_line(machine: dict[str, Any]) -> list[str]:
+    """How busy the machine was at the start, with a warning when others took much of it."""
+    loads = [as_float(load) for load in machine.get("load_average") or []]
+    if not loads:
+        return []
+    text = f"Load average at the start {', '.join(f'{load:.2f}' for load in loads)}."
+    if loads[0] > as_float(machine.get("cores")) / 2.0:
+        text += (
+            " **Warning**: more than half of the cores were busy with other work when the run "
+            "began, so its times may be too long."
+        )
+    return [text]
 
 
 def accuracy_section(view: View, demand: Demand) -> Section:
@@ -128,7 +143,8 @@ def units_section(view: View) -> Section:
             "units",
             "Largest error of the first move by units and settings",
             "First number: largest error_move of the steps reached; second: share of steps with "
-            "a true answer. Errors below 1e-12 and above 10 share the end colours.",
+            "a true answer. Errors below 1e-12 and above 10 share the end colours. Hatched: "
+            "stopped early; the second number is then the steps it reached.",
             units_heat_map(matrix),
         ),
         Tabular(units_table(matrix)),

@@ -47,7 +47,7 @@ def timing_pictures(view: View, demand: Demand) -> list[Block]:
                 f"step_times_{i + 1}",
                 f"Step times in the replay of {sequence}",
                 f"{plural(len(shown), 'arm')} of {len(usual)}, {steps}, settings default; of each "
-                "solver the default route with policy fresh and its fastest way; sorted by median.",
+                "solver the default route with policy fresh and the fastest by median.",
                 step_times(shown, demand),
             )
         )
@@ -86,7 +86,7 @@ def _fastest_native(arms: Sequence[Arm]) -> list[Arm]:
 def _error_picture(
     name: str, sequence: str, arms: Sequence[Arm], demand: Demand, *, native: bool = False
 ) -> Picture:
-    how = "route native, fastest policy" if native else "default route, policy fresh"
+    how = "route native, fastest policy by median" if native else "default route, policy fresh"
     steps = plural(max(len(times.algo_ns) for _, times in arms), "step")
     silent = unanswered(arms)
     without = (
@@ -95,7 +95,8 @@ def _error_picture(
     return Picture(
         name,
         f"Error against time in the replay of {sequence}, {how}",
-        "A line joins the settings of one solver. Errors below 1e-15 are drawn there. "
+        "A line joins the settings of one solver; failed: the most steps of one arm. "
+        "Errors below 1e-15 are drawn there. "
         f"{plural(len(arms), 'arm')}, {steps}.{without}",
         error_against_time(arms, demand),
     )

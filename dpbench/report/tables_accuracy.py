@@ -179,8 +179,9 @@ def units_table(matrix: UnitsMatrix) -> Table:
         note=(
             f"Closed loop, default route, policy fresh; {counts}. Each cell: share of steps with "
             "a true answer (a step that was never reached counts as not true), then the largest "
-            "error_move of the steps that were reached. Sorted by the number of arms that are "
-            "right on every step."
+            "error_move of the steps that were reached to one digit (∞: a step without an answer), "
+            "and in brackets how many were reached where not all. Sorted by the number of "
+            "arms that are right on every step."
         ),
         heads=("solver", *(f"{s}: {u}, {a}" for s, u, a in matrix.columns)),
         rows=tuple(rows),
@@ -190,11 +191,19 @@ def units_table(matrix: UnitsMatrix) -> Table:
 def _units_text(cell: UnitsCell | None) -> Cell:
     if cell is None or cell.steps == 0:
         return Cell(MISSING, "quiet")
-    early = f" ({count_text(cell.steps)} steps)" if cell.steps < cell.asked else ""
-    text = f"{share_text(cell.true_share)} · {error_text(cell.error_move)}{early}"
+    early = f" ({count_text(cell.steps)})" if cell.steps < cell.asked else ""
+    text = f"{share_text(cell.true_share)}, {_short_error(cell.error_move)}{early}"
     if cell.true_share == 1.0:
         return Cell(text, "good")
     return Cell(text, "warn" if cell.true_share >= 0.99 else "bad")
+
+
+def _short_error(value: float) -> str:
+    """An error to one digit, so that all arms fit beside each other on a page."""
+    if not math.isfinite(value) or value == 0.0:
+        return "∞" if math.isinf(value) else error_text(value)
+    digits, exponent = f"{value:.0e}".split("e")
+    return f"{digits}e{int(exponent)}" if not 1e-2 <= value < 1e3 else f"{value:.1g}"
 
 
 def settings_without_effect(rows: Sequence[Row]) -> list[str]:

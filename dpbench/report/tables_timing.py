@@ -63,14 +63,16 @@ def _timing_table(
     view: View, sequence: str, arms: Sequence[Arm], shown: Sequence[Arm], demand: Demand
 ) -> Table:
     """Some arms of a sequence beside the best of all its arms."""
-    best = next((arm for arm in arms if is_right(arm[0], demand)), arms[0])
+    right = [arm for arm in arms if is_right(arm[0], demand)]
+    best = (right or arms)[0]
+    among = "arms whose answers meet the demand" if right else "arms, none of which meets it"
     return Table(
         title=f"Step times in the replay of `{sequence}`",
         note=(
             f"{_population(view, arms)} Algorithmic time: per step the minimum over the rounds "
             f"(set-up + update + solve + read). Intervals: 95 %, block bootstrap over steps. "
-            f"Against best: geometric mean of paired ratios to {_label(best[0])}, the fastest "
-            f"median among the arms whose answers meet the demand, its interval holding for "
+            f"Against {best[0]['solver']}: geometric mean of paired ratios to {_label(best[0])}, "
+            f"the fastest by median among the {among}, its interval holding for "
             f"all {plural(len(arms) - 1, 'comparison')} together. {plural(len(shown), 'arm')} "
             f"shown here. {_refused_percentile(arms)}"
         ),
@@ -86,7 +88,7 @@ def _timing_table(
             "p99 [µs]",
             "p99 95 %",
             "max [µs]",
-            "against best",
+            f"against {best[0]['solver']} (fastest median)",
             "interval",
             "steps",
         ),
@@ -164,7 +166,7 @@ def _timing_row(arm: Arm, best: Arm, comparisons: int, demand: Demand) -> tuple[
     far = percentile_interval(algo, 99)
     right = is_right(row, demand)
     if arm is best:
-        ratio = row_of("1", "best")
+        ratio = row_of("1", "itself")
     else:
         slow, fast = paired(times, best[1])
         found = paired_ratio(slow, fast, comparisons=max(1, comparisons))

@@ -54,12 +54,13 @@ def ladder_table(ways: Sequence[Ways], sequence: str, *, others: bool = False) -
     return Table(
         title=f"From wrapper to warm start in the replay of `{sequence}`, {kind}",
         note=(
-            f"{plural(len(shown), 'row')}, fastest first; p50 of the algorithmic step time in µs. "
-            "Wrapper: qpsolvers fresh less native fresh, and their ratio. Reuse: native fresh over "
-            "native reuse. Warm: native reuse (where there is none, native fresh) over native "
-            "warm. Ratios are geometric means over paired steps, above 1 is a gain, with "
-            f"intervals that hold for all {plural(count, 'ratio')} together at 95 %; grey where "
-            f"the interval holds 1. {SLOWER}; wrong: the referee finds the warm answer not true "
+            f"{plural(len(shown), 'row')}, fastest by median first; p50 of the algorithmic "
+            "step time in µs. Wrapper: qpsolvers fresh less native fresh, and their ratio. "
+            "Reuse: native fresh over native reuse. Warm: native reuse (where there is none, "
+            "native fresh) over native warm. Ratios are geometric means over paired "
+            f"steps, above 1 is a gain, with intervals that hold for all "
+            f"{plural(count, 'ratio')} together at 95 %; grey where the interval "
+            f"holds 1. {SLOWER}; wrong: the referee finds the warm answer not true "
             "and the neighbour's true."
         ),
         heads=(

@@ -21,6 +21,8 @@ from dpbench.report.statistics import percentile, supports
 from dpbench.report.view import Row, View
 
 Outcome = Literal["meets", "misses", "open", "not run"]
+NO_REPLAY = "no replay was run, so its time is not judged"
+"""The doubt about a solver that has closed loops alone."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ def judge(view: View, solver: str, settings: str, demand: Demand) -> Verdict:
     if not loops:
         doubts.append("no closed loop was run")
     if not replays:
-        doubts.append("no replay was run, so its time is not judged")
+        doubts.append(NO_REPLAY)
     outcome: Outcome = "misses" if causes else "open" if doubts else "meets"
     worst = np.array([as_float(row["error_move_max"]) for row in rows])
     known = worst[~np.isnan(worst)]

@@ -61,6 +61,7 @@ class View:
         ]
         self._steps = results.steps
         self._times: dict[str, StepTimes | None] = {}
+        self._scenarios: dict[str, Scenario | None] = {}
 
     @cached_property
     def _rows_of(self) -> dict[str, tuple[int, int]]:
@@ -103,6 +104,15 @@ class View:
         asked = [r["steps_planned"] for r in self.select(mode="closed_loop", scenario=scenario)]
         return int(max(asked, default=0))
 
+    def whole_steps(self, scenario: str) -> int:
+        """Steps of the whole scenario; those the suite asks for where no row carries it."""
+        found = self.scenario(scenario)
+        return self.full_steps(scenario) if found is None else found.steps
+
+    def is_whole(self, row: Row) -> bool:
+        """Whether a closed loop ran over the whole scenario, and not over its beginning only."""
+        return as_float(row["steps_done"]) >= self.whole_steps(str(row["scenario"]))
+
     def full_loops(self, scenario: str, settings: str = "default") -> list[Row]:
         """Full-length closed loops of a scenario in scaled units, the contrast law included."""
         loops = self.select(
@@ -140,6 +150,11 @@ class View:
 
     def scenario(self, name: str) -> Scenario | None:
         """The scenario a run was made from; None when no row carries it."""
+        if name not in self._scenarios:
+            self._scenarios[name] = self._read_scenario(name)
+        return self._scenarios[name]
+
+    def _read_scenario(self, name: str) -> Scenario | None:
         for row in self.select(scenario=name):
             files = json.loads(row["cell"]).get("scenario") if row["cell"] else None
             if files and "scenario" in files:

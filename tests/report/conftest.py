@@ -279,7 +279,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return standard(Records()).write(tmp_path_factory.mktemp("results") / "standard")
 
 
-def standard(records: Records, scale: float = 0.12) -> Records:
+def standard(records: Records, scale: float = 1.0) -> Records:
     """Fill `records` like the standard suite: good, inexact, failing, slow and absent solvers."""
     arms = {
         "daqp": (1e-13, 18.0),

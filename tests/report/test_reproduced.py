@@ -1,11 +1,22 @@
 """What the report says of the paper follows the rows."""
 
+import json
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
+from dpbench.bench.store import Results
+from dpbench.report.blocks import Paragraph
+from dpbench.report.render import render_markdown
 from dpbench.report.reproduced import choices, claims
+from dpbench.report.sections_control import reproduced_section
+from dpbench.report.view import View
+from dpbench.report.write import build_page
+
+WHOLE = 1000
+"""Steps of the paper's case: 300 s in samples of 0.3 s."""
 
 
 def _states(records: Any) -> dict[str, str]:
@@ -13,8 +24,8 @@ def _states(records: Any) -> dict[str, str]:
 
 
 def _pair(records: Any, scenario: str = "paper", **law: Any) -> None:
-    records.loop("daqp", scenario)
-    contrast = {"settle_0p1m_s": 64.0, "overshoot_e": 1.13, "heading_max_deg": 0.3}
+    records.loop("daqp", scenario, steps=WHOLE)
+    contrast = {"steps": WHOLE, "settle_0p1m_s": 64.0, "overshoot_e": 1.13, "heading_max_deg": 0.3}
     records.loop("unconstrained_clipped", scenario, formulation="none", **(contrast | law))
 
 
@@ -57,7 +68,7 @@ def test_claims_on_one_law_follow_its_row(
     records: Any, columns: dict[str, Any], claim: str
 ) -> None:
     """A claim on the constrained law stands and falls with its row."""
-    records.loop("daqp", **columns)
+    records.loop("daqp", steps=WHOLE, **columns)
     assert _states(records)[claim] == "not reproduced"
 
 
@@ -70,9 +81,9 @@ def test_without_the_paper_nothing_is_claimed(records: Any) -> None:
 
 def test_a_run_cut_short_represents_nobody(records: Any) -> None:
     """The constrained law is shown by a complete run that follows the exact loop closest."""
-    records.loop("cut", error=1e-15, done=20, outcome="timed_out")
-    records.loop("inexact", error=0.3, tail_m=2.0)
-    records.loop("exact", error=1e-12)
+    records.loop("cut", steps=WHOLE, error=1e-15, done=20, outcome="timed_out")
+    records.loop("inexact", steps=WHOLE, error=0.3, tail_m=2.0)
+    records.loop("exact", steps=WHOLE, error=1e-12)
     assert _states(records)["The ship is held within the 1 m precision circle (Fig. 4)"] == (
         "reproduced"
     )
@@ -84,3 +95,67 @@ def test_choices_are_those_of_the_rows(records: Any) -> None:
     found = dict(choices(records.view()))
     assert found["Q"].startswith("diag(1, 1, 100)")
     assert found["disturbance, amplitude"].startswith("100, 80, 3000")
+
+
+def test_a_claim_takes_the_whole_scenario(records: Any) -> None:
+    """A complete run over the first 60 of 1000 steps measures no claim, and its length is told."""
+    records.loop("daqp", steps=60)
+    records.loop("unconstrained_clipped", steps=60, formulation="none", error=1.0)
+    found = [claim for claim in claims(records.view()) if "paper_tight" not in claim.claim]
+    assert {claim.state for claim in found} == {"not measured"}
+    assert {claim.found for claim in found} == {"60 of 1\u202f000 steps"}
+
+
+def _called_paper(records: Any, change: Callable[[dict[str, Any]], None]) -> Results:
+    """Whole runs of a scenario called `paper` whose documents have been changed."""
+    _pair(records)
+    found = records.results()
+    files = json.loads(json.dumps(records.scenario("paper").files))
+    change(files)
+    runs = found.runs.assign(cell=json.dumps({"scenario": files}))
+    return Results(runs, found.steps, found.machine, found.suite)
+
+
+def _text(results: Results) -> str:
+    return render_markdown(build_page(results))
+
+
+@pytest.mark.parametrize("part", ["sea", "ship"])
+def test_a_namesake_is_not_the_paper(records: Any, part: str) -> None:
+    """A scenario called `paper` with another sea or ship is judged as any other scenario."""
+
+    def change(files: dict[str, Any]) -> None:
+        if part == "sea":
+            files["scenario"]["environment"]["amplitude_kN"][0] += 1.0
+        else:
+            files["vessel"]["length_m"] += 1.0
+
+    results = _called_paper(records, change)
+    view = View(results)
+    assert {claim.state for claim in claims(view)} == {"not measured"}
+    assert choices(view) == []
+    (only,) = reproduced_section(view).blocks
+    assert only == Paragraph("No scenario of the paper was in this suite.")
+    text = _text(results)
+    assert "1.65 m" not in text and "of the paper: trajectory" not in text
+    assert "### The ship in paper" in text
+
+
+def test_reworded_prose_is_still_the_paper(records: Any) -> None:
+    """Another title makes no other scenario: it is the paper's by what is computed."""
+
+    def change(files: dict[str, Any]) -> None:
+        files["scenario"]["title"] = "Another title"
+
+    text = _text(_called_paper(records, change))
+    assert "### Figure 4 of the paper: trajectory" in text
+    assert "With the vessel `supply_fs99` the design holds" in text
+
+
+def test_an_own_scenario_gets_its_figure_when_it_ran_whole(records: Any) -> None:
+    """A scenario beside the paper's is drawn in one figure, unless only its beginning was run."""
+    records.loop("daqp", "calm", steps=WHOLE)
+    records.loop("daqp", "rough", steps=60)
+    text = _text(records.results())
+    assert "### The ship in calm" in text
+    assert "### The ship in rough" not in text

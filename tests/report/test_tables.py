@@ -98,8 +98,10 @@ def test_the_best_arm_is_one_with_right_answers(records: Any) -> None:
     records.replay("wrong", median_us=5.0, error=0.5)
     records.replay("right", median_us=20.0)
     (table,) = timing_tables(records.view(), "paper", DEMAND)
-    assert _column(table, "interval")[1] == "best"
-    assert float(_column(table, "against best")[0]) == pytest.approx(0.25, abs=0.02)
+    assert _column(table, "interval")[1] == "itself"
+    assert float(_column(table, "against right (fastest median)")[0]) == pytest.approx(
+        0.25, abs=0.02
+    )
 
 
 def test_raw_tails_need_their_samples(records: Any) -> None:

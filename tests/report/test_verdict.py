@@ -1,16 +1,20 @@
 """The verdict against hand-made rows."""
 
 import math
+import re
 from typing import Any
 
 import pytest
 
+from dpbench.report.blocks import Cards
 from dpbench.report.demand import Demand, demand_text
 from dpbench.report.fastest_text import duel_text
 from dpbench.report.ranking import duel, fastest_first
-from dpbench.report.section_verdict import verdict_lines, verdict_table
+from dpbench.report.render import render_markdown
+from dpbench.report.section_verdict import verdict_lines, verdict_section, verdict_table
 from dpbench.report.verdict import judge, judge_all
 from dpbench.report.verdict_text import contrast, elsewhere, sentence, summary
+from dpbench.report.write import build_page
 
 DEMAND = Demand()
 
@@ -220,7 +224,7 @@ def test_an_order_that_turns_with_the_yardstick_is_called_unstable(records: Any)
 def test_the_contrast_law_is_never_ranked(records: Any) -> None:
     """The clipped unconstrained law is no solver: it has a line of its own and no verdict."""
     records.loop("daqp")
-    records.loop("unconstrained_clipped", formulation="none", tail_m=9.0, error=1.0)
+    records.loop("unconstrained_clipped", steps=1000, formulation="none", tail_m=9.0, error=1.0)
     verdicts = judge_all(records.view(), DEMAND)
     assert [v.solver for v in verdicts["default"]] == ["daqp"]
     assert "9.0 m in `paper`" in contrast(records.view())
@@ -242,3 +246,60 @@ def test_terminal_lines_carry_no_markup(records: Any) -> None:
     text = "\n".join(verdict_lines(records.view(), DEMAND))
     assert "daqp" in text
     assert not {"*", "`"} & set(text)
+
+
+def test_the_contrast_is_judged_on_whole_runs_only(records: Any) -> None:
+    """Of a contrast law that ran a part of the scenario the steps are told, and no steady error."""
+    records.loop("unconstrained_clipped", steps=60, formulation="none", tail_m=9.0, error=1.0)
+    text = contrast(records.view())
+    assert "second half" not in text
+    assert "60 of 1\u202f000 steps in `paper`" in text
+
+
+def test_one_slowdown_in_every_place(records: Any) -> None:
+    """Sentences, table and card tell one slow-down, rounded down, that still makes the deadline.
+
+    Largest steps of 210.2 and 300.7 µs are 1427.2 and 997.7 times shorter than 300 ms; rounding
+    to the nearest would make 1430 and 998, which miss it.
+    """
+    for solver, largest_us in (("daqp", 210.2), ("piqp", 300.7)):
+        records.loop(solver)
+        records.replay(solver, median_us=largest_us, spread=0.0)
+    text = render_markdown(build_page(records.results()))
+    told = set(re.findall(r"a computer ([0-9.]+) times slower would still make the 0.3 s", text))
+    listed = set(re.findall(r"× ([0-9.]+)", text)) & told
+    assert told == listed == {"1420", "997"}
+    assert re.search(r"slow-down it stands: \*\*× 1420\*\*", text)
+    assert "would miss" not in text
+
+
+def test_without_replays_nothing_is_denied(records: Any) -> None:
+    """Where no replay was run, it is open whether a solver meets the demand, and said to be so."""
+    for solver in ("daqp", "quadprog"):
+        records.loop(solver)
+    text = "\n".join(verdict_lines(records.view(), DEMAND))
+    assert text.startswith("Nothing can be judged on time: no replay was run.")
+    assert "No solver meets" not in text and "0 of 2" not in text
+    cards = verdict_section(records.view(), DEMAND).blocks[2]
+    assert isinstance(cards, Cards)
+    assert (cards.cards[0].value, cards.cards[0].mark) == ("open", "warn")
+
+
+def test_open_outcomes_are_not_counted_as_misses(records: Any) -> None:
+    """One miss and one open outcome leave it open whether a solver meets the demand."""
+    records.loop("daqp", outcome="timed_out", done=10)
+    records.replay("daqp")
+    records.loop("osqp", error=0.4)
+    records.replay("osqp")
+    text = "\n".join(verdict_lines(records.view(), DEMAND))
+    assert "is open: 1 of 2 solvers that ran cannot be judged" in text
+    assert "No solver meets" not in text
+
+
+def test_a_miss_by_all_is_a_miss(records: Any) -> None:
+    """When every solver that ran misses the demand, it is said that none meets it."""
+    records.loop("osqp", error=0.4)
+    records.replay("osqp")
+    text = "\n".join(verdict_lines(records.view(), DEMAND))
+    assert text.startswith("0 of 1 solver that ran meet the demand")
+    assert "No solver meets the demand" in text
