@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -117,8 +117,20 @@ def plan(
     for replay in suite.replay:
         if replay.scenario in wanted:
             cells += _replay_cells(suite, replay, loaded[replay.scenario], chosen)
-    # Two tables may ask for the same cell, e.g. by its route's name and as the default one.
-    return list({planned.cell.to_json(): planned for planned in cells}.values())
+    return _merged(cells)
+
+
+def _merged(cells: Sequence[Planned]) -> list[Planned]:
+    """Each cell once, with all names of its settings.
+
+    Two tables may ask for the same cell, e.g. by its route's name and as the default one.
+    """
+    once: dict[str, Planned] = {}
+    for planned in cells:
+        known = once.setdefault(planned.cell.to_json(), planned)
+        names = dict.fromkeys((*known.alias_settings, *planned.alias_settings))
+        once[planned.cell.to_json()] = replace(known, alias_settings=tuple(names))
+    return list(once.values())
 
 
 def _arms(solvers: Sequence[str], table: ClosedLoopTable | ReplayTable) -> list[Arm]:

@@ -1,0 +1,25 @@
+"""A suite becomes cells: each once, under all the names it was asked for."""
+
+from __future__ import annotations
+
+from dpbench.bench.plan import plan
+from dpbench.bench.suite import ReplayTable, SuiteFile, load_suite
+
+
+def test_a_cell_asked_for_twice_keeps_all_names_of_its_settings() -> None:
+    """The same arm by its route's name and as the default one is one cell with both aliases."""
+    tables = [
+        ReplayTable(scenario="paper", steps=20, settings=["default", "high"]),
+        ReplayTable(scenario="paper", steps=20, routes=["native"]),
+    ]
+    suite = SuiteFile(title="x", solvers=["paper_active_set"], contrast=False, replay=tables)
+    (planned,) = plan(suite)
+    assert planned.cell.settings == "default"
+    assert planned.alias_settings == ("high",)
+
+
+def test_the_standard_suite_has_no_cell_twice() -> None:
+    """Every cell of the suite that `make bench` runs is planned once."""
+    _, suite = load_suite("standard")
+    cells = [planned.cell.to_json() for planned in plan(suite)]
+    assert len(cells) == len(set(cells))
