@@ -384,7 +384,7 @@ def test_workspaces_do_not_leak(arm):
 
     cycles(20)
     used = [resident_bytes()]
-    for _ in range(3):
+    for _ in range(5):
         cycles(CYCLES)
         used.append(resident_bytes())
     # A leak grows in each window, an allocator's pool in some. Whoever forgets P and A alone loses
