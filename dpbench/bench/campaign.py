@@ -58,22 +58,22 @@ class Campaign:
     def run(self, progress: Progress) -> Path:
         """Run what is not finished yet and write the tables."""
         started, began = datetime.now(UTC), time.monotonic()
-        todo = []
+        pending = []
         for job in self.work:
             if job.planned.refused:
                 job.outcome = Outcome("refused", job.planned.refused)
             elif not self._fresh:
                 job.outcome = self._store.finished(job)
             if job.outcome is None:
-                todo.append(job)
-        progress.start(sum(work_of(job.cell) for job in todo))
+                pending.append(job)
+        progress.start(sum(work_of(job.cell) for job in pending))
         shared = Path("/dev/shm")
         with tempfile.TemporaryDirectory(
             prefix="dpbench-", dir=shared if os.access(shared, os.W_OK) else None
         ) as folder:
             bench = Bench(template_context(), Path(folder), self._store, self._cores, progress)
-            exact = self._exact_loops(bench, todo)
-            runnable = [job for job in todo if job.outcome is None]
+            exact = self._exact_loops(bench, pending)
+            runnable = [job for job in pending if job.outcome is None]
             loops = [job for job in runnable if job.cell.mode == "closed_loop"]
             bench.closed_loops(loops, exact, self._jobs)
             for group in _groups([j for j in runnable if j.cell.mode == "replay"]):
@@ -81,17 +81,17 @@ class Campaign:
         self._write(started, time.monotonic() - began)
         return self._out
 
-    def _exact_loops(self, bench: Bench, todo: list[Job]) -> dict[str, Path]:
+    def _exact_loops(self, bench: Bench, pending: list[Job]) -> dict[str, Path]:
         """Exactly solved loops of all scenarios in play, by scenario key."""
         paths: dict[str, Path] = {}
-        by_key = {scenario_key(job.cell): job.cell for job in todo}
+        by_key = {scenario_key(job.cell): job.cell for job in pending}
         for key, cell in by_key.items():
             path = self._store.folder / f"exact-{key}.npz"
             if self._fresh or not path.exists():
                 outcome = bench.exact_loop(cell, path)
                 if outcome.outcome != "finished":
                     detail = f"the exactly solved loop failed: {outcome.detail}"
-                    for job in todo:
+                    for job in pending:
                         if scenario_key(job.cell) == key:
                             job.outcome = Outcome("invalid", detail)
             paths[key] = path

@@ -92,7 +92,7 @@ def load_file(path: str | Path, taken: Collection[str]) -> SolverRecord:
     sys.modules[spec.name] = module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except Exception as error:  # a stranger's code may raise anything; it becomes an InputError
         raise InputError(
             where, "", f"{type(error).__name__}: {error}", "a file that runs"
         ) from error
@@ -126,7 +126,7 @@ def find_plugin(name: str) -> Plugin | None:
     where = f"entry point {point.name} = {point.value}"
     try:
         found = point.load()
-    except Exception as error:
+    except Exception as error:  # a stranger's code may raise anything; it becomes an InputError
         reason = f"{type(error).__name__}: {error}"
         raise InputError(where, "", reason, "an object that loads") from error
     version = point.dist.version if point.dist is not None else ""
