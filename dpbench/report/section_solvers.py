@@ -66,7 +66,9 @@ def _abilities_table(known: Sequence[SolverRecord]) -> Table:
         note=(
             f"{plural(len(known), 'solver')}, {plural(len(rows), 'route')}; the default route of a "
             "solver first. Updates: what the library takes over without a new set-up. Start: what "
-            "a warm start is made of. Two-sided: l ≤ Az ≤ u reaches the library as such. Says "
+            "a warm start is made of. Keeps: what a kept workspace carries from step to step "
+            "beside factors, memory and a start, so that its answers differ from those of fresh "
+            "within the tolerance. Two-sided: l ≤ Az ≤ u reaches the library as such. Says "
             "infeasible: an infeasible problem is reported so, and not only as no answer."
         ),
         heads=(
@@ -77,6 +79,7 @@ def _abilities_table(known: Sequence[SolverRecord]) -> Table:
             "matrices",
             "updates",
             "start",
+            "keeps",
             "two-sided",
             "multipliers",
             "says infeasible",
@@ -84,7 +87,7 @@ def _abilities_table(known: Sequence[SolverRecord]) -> Table:
             "policies it has not",
         ),
         rows=tuple(rows),
-        text_columns=12,
+        text_columns=13,
     )
 
 
@@ -104,6 +107,7 @@ def _ability_row(solver: SolverRecord, route: Route) -> tuple[Cell, ...]:
         solver.form,
         can.updates,
         can.start,
+        can.keeps or MISSING,
         _yes(can.two_sided),
         _yes(can.gives_multipliers),
         _yes(can.detects_infeasibility),

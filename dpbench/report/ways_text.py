@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from dpbench.errors import UnknownNameError
 from dpbench.report.formats import (
     and_list,
     count_text,
@@ -27,6 +28,7 @@ from dpbench.report.ways import (
     Ways,
     way_text,
 )
+from dpbench.solvers.table import record
 
 FEW_SLOWER = 0.05
 """Up to this share of slower steps goes without a sentence; the table counts them all."""
@@ -79,9 +81,20 @@ def _breaks(ways: Ways) -> list[str]:
             clauses.append(
                 f"{way_text(way)} breaks answers: {len(found.wrong)} of "
                 f"{plural(found.steps, 'step')} {be} not true on which {way_text(found.above)} is "
-                f"right (k = {named}{more})"
+                f"right (k = {named}{more}){_kept_state(ways, way)}"
             )
     return clauses
+
+
+def _kept_state(ways: Ways, way: Way) -> str:
+    """Why a kept workspace answers otherwise than a new one, where the table of solvers knows."""
+    try:
+        keeps = record(ways.solver).on("native").keeps if way == KEPT else ""
+    except (UnknownNameError, KeyError):  # a plug-in that is not here any more
+        return ""
+    if not keeps:
+        return ""
+    return f": it keeps {keeps}, so at a loose tolerance it stops elsewhere than a new one"
 
 
 def _costs(ways: Ways, way: Way, comparisons: int) -> list[str]:

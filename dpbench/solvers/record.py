@@ -33,6 +33,8 @@ class RouteRecord:
     policies : those it runs; `refused` says why a missing one is missing.
     updates : what the library takes over without being set up anew.
     start : what a warm start is made of.
+    keeps : what a kept workspace carries into the next solve beside factors, memory and a start;
+        "" for nothing that would change an answer by more than rounding.
     two_sided : whether l ≤ A z ≤ u reaches the library as such.
     gives_multipliers : whether y and y_box come back.
     detects_infeasibility : whether an infeasible problem is reported as such, and not only as
@@ -44,6 +46,7 @@ class RouteRecord:
     policies: tuple[Policy, ...]
     updates: Updates = "vectors"
     start: Start = "none"
+    keeps: str = ""
     two_sided: bool = False
     gives_multipliers: bool = True
     detects_infeasibility: bool = True

@@ -70,6 +70,30 @@ def test_a_start_is_the_previous_answer_one_move_later():
         np.testing.assert_array_equal(start.dual, np.concatenate([start.y, start.y_box]))
 
 
+STATELESS = {
+    "clarabel": {"equilibrate_enable": False},
+    "osqp": {"adaptive_rho": 0, "scaling": 0},
+    "scs": {"adaptive_scale": False, "normalize": False, "acceleration_lookback": 0},
+}
+"""Settings that switch off what `RouteRecord.keeps` names."""
+
+
+@pytest.mark.parametrize("solver", sorted(STATELESS))
+def test_what_a_kept_workspace_carries_on_is_what_the_table_says(solver, sequence):
+    """With what `keeps` names switched off, reuse gives bit for bit what fresh gives; else not."""
+    assert TABLE[solver].on("native").keeps
+    for settings, same in ((STATELESS[solver], True), ("default", False)):
+        kept = answers(opened(solver, "reuse", settings), sequence.base, sequence.steps)
+        new = []
+        for step in sequence.steps:
+            workspace = opened(solver, "fresh", settings)
+            workspace.setup(sequence.base.at(step))
+            workspace.solve()
+            new.append(workspace.read())
+        equal = all(np.array_equal(a.z, b.z) for a, b in zip(kept, new, strict=True))
+        assert equal is same
+
+
 @pytest.mark.parametrize("solver", WARM)
 def test_reset_forgets_the_start(solver, sequence):
     """After a reset a warm workspace gives bit for bit what it gives after its setup."""

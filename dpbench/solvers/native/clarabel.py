@@ -18,6 +18,7 @@ from dpbench.solvers.through_qpsolvers.adapter import Options
 
 NATIVE = RouteRecord(
     policies=("fresh", "reuse"),
+    keeps="the equilibration it took from P, A and q at its set-up",
     refused={"warm": "Clarabel has no interface for a start"},
 )
 

@@ -19,6 +19,7 @@ from dpbench.solvers.through_qpsolvers.adapter import Options
 
 NATIVE = RouteRecord(
     policies=("fresh", "reuse", "warm"),
+    keeps="the step size ρ it has adapted, and the scale of the cost it took from q at its set-up",
     start="primal and dual",
     two_sided=True,
 )

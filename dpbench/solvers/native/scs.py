@@ -20,6 +20,8 @@ from dpbench.solvers.through_qpsolvers.adapter import Options
 
 NATIVE = RouteRecord(
     policies=("fresh", "reuse", "warm"),
+    keeps="the scale it has adapted, the normalisation of b and c at its set-up, and the "
+    "memory of its acceleration",
     start="primal and dual",
 )
 
