@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
@@ -13,7 +12,6 @@ from dpbench.bench.suite import load_suite
 from dpbench.errors import InputError
 from dpbench.problem_files import KINDS, problem_names, problem_path, read_toml
 from dpbench.scenario import load_scenario, load_vessel
-from dpbench.ship.vessel import Vessel
 from dpbench.solvers.settings import describe_ladder
 from dpbench.solvers.table import available, record, solver_names
 
@@ -32,17 +30,12 @@ def _table(*columns: str) -> Table:
     return table
 
 
-def time_constants_s(vessel: Vessel) -> np.ndarray:
-    """Time constants of surge, sway and yaw [s]: −1 over the eigenvalues of −M⁻¹D, slowest last."""
-    return np.sort(1.0 / np.linalg.eigvals(np.linalg.solve(vessel.M, vessel.D)).real)
-
-
 def _vessels() -> Table:
     table = _table("name", "ship", "time constants [s]", "max acceleration [mm/s², mm/s², mrad/s²]")
     for name in problem_names("vessels"):
         vessel = load_vessel(name)
-        times = ", ".join(f"{t:.3g}" for t in time_constants_s(vessel))
-        reach = 1e3 * vessel.tau_max / np.diag(vessel.M)
+        times = ", ".join(f"{t:.3g}" for t in vessel.time_constants_s())
+        reach = 1e3 * vessel.reachable_acceleration()[1]
         table.add_row(name, vessel.title, times, ", ".join(f"{a:.3g}" for a in reach))
     return table
 

@@ -5,28 +5,35 @@ Files speak the units of the trade (kN, kN·m, degrees); what they make is SI.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Literal
 
 import numpy as np
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import ValidationInfo, field_validator, model_validator
 
 from dpbench.errors import InputError
+from dpbench.file_types import (
+    Count,
+    Degrees,
+    Horizon,
+    NotNegative,
+    Number,
+    Percent,
+    Positive,
+    Seconds,
+    ThreeByThree,
+    ThreeNotNegative,
+    ThreePositive,
+    ThreeShares,
+    Two,
+)
+from dpbench.mpc.reference import ReferenceFilter
 from dpbench.problem_files import FileModel
 from dpbench.qp.program import Vector
+from dpbench.ship.froude import Froude
 from dpbench.ship.vessel import Vessel, bis_descaled, bis_descaled_damping
-
-# Bounds far beyond any ship, so that a slip of the keyboard is an error and not an overflow.
-Number = Annotated[float, Field(ge=-1e15, le=1e15)]
-Positive = Annotated[float, Field(gt=0, le=1e15)]
-NotNegative = Annotated[float, Field(ge=0, le=1e15)]
-Seconds = Annotated[float, Field(ge=1e-4, le=1e6)]
-Degrees = Annotated[float, Field(ge=-36000, le=36000)]
-Three = Annotated[list[Number], Field(min_length=3, max_length=3)]
-Two = Annotated[list[Number], Field(min_length=2, max_length=2)]
-ThreeByThree = Annotated[list[Three], Field(min_length=3, max_length=3)]
-ThreePositive = Annotated[list[Positive], Field(min_length=3, max_length=3)]
-ThreeNotNegative = Annotated[list[NotNegative], Field(min_length=3, max_length=3)]
-Horizon = Annotated[int, Field(ge=1, le=1000)]
+from dpbench.ship.waves import WaveReflection
+from dpbench.ship.wind import Windage
+from dpbench.weather_tables import EnvironmentTable
 
 
 class LimitsTable(FileModel):
@@ -38,13 +45,38 @@ class LimitsTable(FileModel):
     rate_max_N_per_s: ThreePositive
 
 
+class WindageTable(FileModel):
+    """The hull above the water, as the wind sees it."""
+
+    frontal_m2: Positive
+    lateral_m2: Positive
+    c_x: NotNegative = 0.7
+    c_y: NotNegative = 0.9
+    c_n: NotNegative = 0.095
+
+
+class ReflectionTable(FileModel):
+    """The hull at the waterline, as wave drift sees it."""
+
+    breadth_m: Positive
+    head: NotNegative = 0.42
+    beam: NotNegative = 0.72
+    yaw: NotNegative = 0.018
+
+
 class VesselFile(FileModel):
-    """`problems/vessels/*.toml`: matrices in SI, or dimensionless in the Bis system."""
+    """`problems/vessels/*.toml`: matrices in SI, or dimensionless in the Bis system.
+
+    `model_scale` λ makes it a model ship of scale 1 : λ, for which scenarios are scaled.
+    """
 
     title: str
     source: str
     length_m: Positive
     limits: LimitsTable
+    model_scale: Positive = 1.0
+    windage: WindageTable | None = None
+    reflection: ReflectionTable | None = None
     inertia: ThreeByThree | None = None
     damping: ThreeByThree | None = None
     mass_kg: Positive | None = None
@@ -69,10 +101,12 @@ class VesselFile(FileModel):
             D = bis_descaled_damping(np.array(self.damping_bis), self.mass_kg, self.length_m)
         low, high = np.array([self.limits.surge_N, self.limits.sway_N, self.limits.yaw_Nm]).T
         rate = np.array(self.limits.rate_max_N_per_s)
+        air, water = self.windage, self.reflection
+        windage = Windage(**air.model_dump(), where=where) if air else None
+        reflection = WaveReflection(**water.model_dump(), where=where) if water else None
+        ship = (name, self.title, self.source, self.length_m, M, D, low, high, rate, where)
         try:
-            return Vessel(
-                name, self.title, self.source, self.length_m, M, D, low, high, rate, where
-            )
+            return Vessel(*ship, windage, reflection)
         except InputError as error:
             bis = "" if self.inertia is not None else "_bis"
             keys = {"M": f"inertia{bis}", "D": f"damping{bis}", "tau_min, tau_max": "limits"}
@@ -92,14 +126,66 @@ class PoseTable(FileModel):
         return np.array([self.north_m, self.east_m, np.radians(self.heading_deg)])
 
 
-class EnvironmentTable(FileModel):
-    """b(t) = g(t)·(mean + amplitude·sin(2πt/T + phase)), north, east, yaw, in kN and kN·m."""
+class FilterTable(FileModel):
+    """A third-order reference filter, which starts at rest at the ship's start."""
 
-    mean_kN: Three
-    amplitude_kN: Three
-    period_s: ThreePositive
-    phase_rad: Three = [0.0, 1.0, 2.0]
-    ramp_s: NotNegative = 0.0
+    period_s: Positive
+    damping: Positive = 1.0
+
+
+class ReferenceTable(PoseTable):
+    """The set-point, whether it is filtered, and whether the controller sees it coming."""
+
+    filter: FilterTable | None = None
+    preview: bool = False
+
+    def smoothed(self, scale: Froude, where: str) -> ReferenceFilter | None:
+        """The filter in SI; None for none."""
+        if self.filter is None:
+            return None
+        return ReferenceFilter(self.filter.period_s * scale.time, self.filter.damping, where)
+
+
+class EstimatorTable(FileModel):
+    """What stands between the sensors and the controller.
+
+    `measured`: nothing. The filters take period and size of the wave motion from the weather where
+    the file does not give them.
+    """
+
+    kind: Literal["measured", "kalman", "passive"] = "measured"
+    wave_filter: bool = True
+    peak_period_s: Positive | None = None
+
+
+class PlantTable(FileModel):
+    """How the true ship differs from the controller's model of it."""
+
+    mass_percent: Percent = 0.0
+    damping_percent: Percent = 0.0
+    thrust_loss_percent: ThreeNotNegative = [0.0, 0.0, 0.0]
+    delay_samples: Count = 0
+
+
+class FaultTable(FileModel):
+    """From `at_s` on the limits of the force are this share of the vessel's, which is known to the
+    controller at that sample."""
+
+    at_s: NotNegative
+    limit_share: ThreeShares
+
+
+class OutputsTable(FileModel):
+    """Softened bounds on the predicted output: watch circle around the reference, speed."""
+
+    radius_m: Positive | None = None
+    speed_mps: Positive | None = None
+
+    @model_validator(mode="after")
+    def _something(self) -> OutputsTable:
+        if self.radius_m is None and self.speed_mps is None:
+            raise ValueError("at least one of radius_m and speed_mps")
+        return self
 
 
 class ControllerTable(FileModel):
@@ -113,6 +199,10 @@ class ControllerTable(FileModel):
     move_weight: ThreePositive | None = None
     move_weight_relative: ThreePositive | None = None
     model_heading_deg: Degrees = 0.0
+    linearisation: Literal["fixed", "each_step"] = "fixed"
+    amplitude: Literal["reachable", "hard", "soft"] = "reachable"
+    terminal: Literal["none", "riccati"] = "none"
+    outputs: OutputsTable | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> ControllerTable:
@@ -140,4 +230,7 @@ class ScenarioFile(FileModel):
     controller: ControllerTable
     environment: EnvironmentTable
     start: PoseTable = PoseTable()
-    reference: PoseTable = PoseTable()
+    reference: ReferenceTable = ReferenceTable()
+    estimator: EstimatorTable = EstimatorTable()
+    plant: PlantTable = PlantTable()
+    faults: list[FaultTable] = []

@@ -6,8 +6,9 @@ import numpy as np
 from numba import njit
 
 from dpbench.bench.cell import Fallback
+from dpbench.mpc.condense import CondensedMatrices
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.law import gains
+from dpbench.mpc.law import Gains, gains
 from dpbench.qp.program import Matrix, Vector
 
 CLIP_TOLERANCE = 1e-9
@@ -44,10 +45,10 @@ class FallbackLaw:
 
     def __init__(self, kind: Fallback, builder: CondensedQP) -> None:
         problem = builder.control
-        self._kind = kind
+        self._kind, self._builder = kind, builder
         self._plan: Matrix = np.zeros((problem.N_c, problem.model.n_u))
         self._age = problem.N_c
-        self._law = gains(problem, builder.matrices)
+        self._known: tuple[CondensedMatrices, Gains] | None = None
 
     def remember(self, plan: Matrix) -> Vector:
         """Keep a usable plan (N_c, n_u) and return its first move."""
@@ -58,9 +59,16 @@ class FallbackLaw:
     def move(self, x: Vector, y_ref: Vector) -> Vector:
         """Δu (n_u,) in place of the missing answer."""
         if self._kind == "clip":
-            return self._law.K_y @ y_ref - self._law.K_mpc @ x
+            law = self._law(self._builder.matrices)
+            return law.K_y @ y_ref - law.K_mpc @ x
         self._age += 1
         if self._kind == "hold" or self._age >= len(self._plan):
             return np.zeros(self._plan.shape[1])
         next_move: Vector = self._plan[self._age]
         return next_move
+
+    def _law(self, matrices: CondensedMatrices) -> Gains:
+        """The gains that go with the builder's matrices, which may turn with the ship."""
+        if self._known is None or self._known[0] is not matrices:
+            self._known = matrices, gains(self._builder.control, matrices)
+        return self._known[1]

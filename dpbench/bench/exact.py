@@ -11,7 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from dpbench.bench.emitter import Emitter
 from dpbench.bench.loop import Voyage, closed_loop
 from dpbench.bench.port import SolverPort
 from dpbench.bench.rawlog import RawLog, loop_layout
@@ -21,7 +23,7 @@ from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.qp.certify import Optimum, Referee
 from dpbench.qp.program import Matrix, QPSequence, QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
-from dpbench.scenario import Scenario, condense
+from dpbench.scenario import Scenario
 from dpbench.solvers.contract import Workspace
 
 
@@ -30,17 +32,22 @@ class ExactWorkspace(Workspace):
 
     def __init__(self) -> None:
         super().__init__("exact", "native", "reuse")
+        self._base: QuadraticProgram | None = None
         self._referee: Referee | None = None
         self._step: QPStep | None = None
         self._optimum: Optimum | None = None
 
     def setup(self, qp: QuadraticProgram) -> None:
         """Take the constant matrices."""
+        self._base = qp
         self._referee = Referee(qp.P, qp.A, qp.lb, qp.ub)
         self._step = QPStep(qp.q, qp.l, qp.u)
 
     def update(self, step: QPStep) -> None:
-        """Take the vectors."""
+        """Take the vectors, and matrices where they are others than before."""
+        assert self._base is not None, "setup comes first"
+        if brings_other_matrices(self._base, step):
+            self.setup(self._base.at(step))
         self._step = step
 
     def solve(self) -> None:
@@ -49,12 +56,23 @@ class ExactWorkspace(Workspace):
         self._optimum = self._referee.certify(self._step.q, self._step.l, self._step.u)
 
     def read(self) -> Solution:
-        """The certified optimum; an uncertified one is an error, never a guess."""
+        """The certified optimum, or the proof that there is none; without either an error."""
         optimum = self._optimum
         assert optimum is not None, "solve comes first"
+        if optimum.kind == "infeasible":
+            return Solution(Status.PRIMAL_INFEASIBLE, optimum.z, optimum.y, optimum.y_box, 0)
         if not np.isfinite(optimum.bound):
             raise CertificateError(f"no certified optimum ({optimum.kind})")
         return Solution(Status.SOLVED, optimum.z, optimum.y, optimum.y_box, 0)
+
+
+def brings_other_matrices(base: QuadraticProgram, step: QPStep) -> bool:
+    """Whether a step has to be solved with other matrices than those of `base`."""
+    for name in ("P", "A", "lb", "ub"):
+        matrix, known = getattr(step, name), getattr(base, name)
+        if matrix is not None and matrix is not known and not np.array_equal(matrix, known):
+            return True
+    return False
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,18 +101,21 @@ class ExactLoop:
 def solve_exactly(scenario: Scenario) -> ExactLoop:
     """Run the scenario with the certified optimum of every step.
 
+    Where a step is proven to have no feasible point, as under hard limits, the loop follows its
+    last plan.
+
     Raises
     ------
-    CertificateError : when a step has no certified optimum, e.g. an infeasible one.
+    CertificateError : when a step has neither a certified optimum nor that proof.
     """
-    builder = condense(scenario)
-    log = RawLog.in_memory(loop_layout(scenario.steps, builder.n, builder.m, builder.Z.shape[1]))
-    port = SolverPort(
-        ExactWorkspace(), "condensed_box", base_problem(builder), time.perf_counter_ns
-    )
-    closed_loop(Voyage(scenario, builder, port, log, "hold", 2**62, time.perf_counter_ns))
-    if log.flags[:, 0].any():
-        k = int(np.flatnonzero(log.flags[:, 0])[0])
+    emitter = Emitter(scenario)
+    log = RawLog.in_memory(loop_layout(scenario.steps, *emitter.sizes))
+    base = base_problem(emitter.builder)
+    port = SolverPort(ExactWorkspace(), "condensed_box", base, time.perf_counter_ns)
+    closed_loop(Voyage(scenario, emitter, port, log, "shifted_plan", 2**62, time.perf_counter_ns))
+    without = log.flags[:, 0].astype(bool) & (log.status[0] != Status.PRIMAL_INFEASIBLE)
+    if without.any():
+        k = int(np.flatnonzero(without)[0])
         raise CertificateError(f"{scenario.name}: step {k} has no certified optimum")
     return ExactLoop(log.theta, log.state, log.tau, log.z[0])
 
@@ -124,16 +145,17 @@ def sequence_of(
             f"{first}:{last}",
             f"steps within 0:{len(exact.theta)}",
         )
-    builder = condense(scenario, units=units)
-    n_x, n_y = builder.control.model.n_x, builder.control.model.n_y
-    steps = [
-        builder.emit(row[:n_x], row[n_x : n_x + n_y], row[n_x + n_y : -1])
-        for row in exact.theta[first:last]
-    ]
+    emitter = Emitter(scenario, units)
+    builder = emitter.builder
+    head = emitter.again(first, exact.theta[first])
+    base = builder.problem(head)
+    steps = [head, *(emitter.again(k, exact.theta[k]) for k in range(first + 1, last))]
     name = scenario.name if first == 0 else f"{scenario.name}[{first}:{last}]"
     return QPSequence(
         name=name,
-        base=builder.problem(steps[0]),
+        base=base,
+        P=_stack([step.P for step in steps]),
+        A=_stack([step.A for step in steps]),
         q=np.array([step.q for step in steps]),
         l=np.array([step.l for step in steps]),
         u=np.array([step.u for step in steps]),
@@ -143,6 +165,12 @@ def sequence_of(
         else sequence_of(scenario, exact, first=first, count=last - first),
         meta={"scenario": scenario.name, "sample_s": scenario.sample_s, "first": first},
     )
+
+
+def _stack(matrices: list[Matrix | None]) -> NDArray[np.float64] | None:
+    """The matrices of all steps, None where the steps bring none; none or all of them do."""
+    brought = [matrix for matrix in matrices if matrix is not None]
+    return np.array(brought) if brought else None
 
 
 def record_sequence(scenario: Scenario, *, units: UnitSystem = "scaled") -> QPSequence:

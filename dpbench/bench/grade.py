@@ -14,17 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.bench.cell import Cell
-from dpbench.bench.exact import ExactLoop, sequence_of
-from dpbench.bench.loop import nearest_reference
+from dpbench.bench.emitter import Emitter
+from dpbench.bench.exact import ExactLoop, base_problem, brings_other_matrices, sequence_of
 from dpbench.bench.metrics import control_metrics
 from dpbench.bench.rawlog import RawLog
-from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.qp.certify import Optimum, Referee, error_of
 from dpbench.qp.claims import judge_claim
-from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, Units
+from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, Refresh, Units
 from dpbench.qp.residuals import Residuals, best_multipliers, is_true, residuals
 from dpbench.qp.solution import Solution, Status
-from dpbench.scenario import Scenario, condense, scenario_of
+from dpbench.scenario import Scenario, scenario_of
 
 Columns = dict[str, NDArray[Any]]
 """Arrays of several types over the recorded rows of a cell."""
@@ -88,10 +87,17 @@ class StepJudge:
     def __init__(self, scaled: QuadraticProgram, own: QuadraticProgram, units: Units) -> None:
         self._scaled, self._own, self._units = scaled, own, units
         self._same = own is scaled
-        self._referee = Referee(scaled.P, scaled.A, scaled.lb, scaled.ub)
+        self._referee = self._new_referee()
 
-    def certify(self, step: QPStep) -> Optimum:
-        """The certified optimum of a step in scaled units."""
+    def _new_referee(self) -> Referee:
+        qp = self._scaled
+        return Referee(qp.P, qp.A, qp.lb, qp.ub)
+
+    def certify(self, step: QPStep, own: QPStep) -> Optimum:
+        """The certified optimum of a step in scaled units; its matrices hold from now on."""
+        if brings_other_matrices(self._scaled, step):
+            self._scaled, self._own = self._scaled.at(step), self._own.at(own)
+            self._referee = self._new_referee()
         return self._referee.certify(step.q, step.l, step.u)
 
     def judge(
@@ -110,7 +116,7 @@ class StepJudge:
                 found.status, found.z / units.z, found.y * units.row, found.y_box * units.z
             )
             in_scaled = residuals(qp, mapped)
-        move, plan = error_of(mapped.z, optimum, qp.block)
+        move, plan = error_of(mapped.z, optimum, qp.block, qp.moves)
         if answer.status in _NO_ANSWER_CLAIMS:
             levels: tuple[bool, ...] = (judge_claim(qp, mapped, optimum),) * 3
         else:
@@ -163,22 +169,23 @@ def _answer(log: RawLog, r: int, k: int) -> Solution:
 
 
 def _grade_closed_loop(cell: Cell, log: RawLog, scenario: Scenario, exact: ExactLoop) -> Graded:
-    scaled = condense(scenario)
-    own = scaled if cell.units == "scaled" else condense(scenario, units=cell.units)
+    scaled = Emitter(scenario)
+    own = scaled if cell.units == "scaled" else Emitter(scenario, cell.units)
     done = int(log.done[0])
     grades = np.full((done, len(GRADES)), np.nan)
     certificates = np.zeros(done, dtype=np.int8)
+    matrix_steps = 0
     if done:
-        first = _emit(scaled, log.theta[0]), _emit(own, log.theta[0])
-        base = scaled.problem(first[0])
-        own_base = base if own is scaled else own.problem(first[1])
-        judge = StepJudge(base, own_base, own.scale)
+        base = base_problem(scaled.builder)
+        own_base = base if own is scaled else base_problem(own.builder)
+        judge = StepJudge(base, own_base, own.builder.scale)
         for k in range(done):
-            step = _emit(scaled, log.theta[k])
-            step_own = step if own is scaled else _emit(own, log.theta[k])
-            optimum = judge.certify(step)
+            step = scaled.again(k, log.theta[k])
+            step_own = step if own is scaled else own.again(k, log.theta[k])
+            optimum = judge.certify(step, step_own)
             grades[k] = judge.judge(step, step_own, _answer(log, 0, k), optimum)
             certificates[k] = CERTIFICATES.index(optimum.kind)
+            matrix_steps += Refresh.MATRICES in step.refresh
     columns = _common_columns(log, [0], [done], grades, certificates)
     columns |= {
         "t_s": np.arange(done) * scenario.sample_s,
@@ -191,17 +198,16 @@ def _grade_closed_loop(cell: Cell, log: RawLog, scenario: Scenario, exact: Exact
     }
     metrics: dict[str, float] = {}
     if done:
-        reference = nearest_reference(scenario)
         metrics = control_metrics(
-            scenario, log.state[: done + 1], log.tau[:done], reference, (exact.state, exact.tau)
+            scenario,
+            log.state[: done + 1],
+            log.tau[:done],
+            scaled.reference,
+            (scaled.tau_min, scaled.tau_max),
+            (exact.state, exact.tau),
         )
+        metrics["matrix_steps"] = float(matrix_steps)
     return Graded(columns, metrics)
-
-
-def _emit(builder: CondensedQP, theta: NDArray[np.float64]) -> QPStep:
-    model = builder.control.model
-    n_x, n_y = model.n_x, model.n_y
-    return builder.emit(theta[:n_x], theta[n_x : n_x + n_y], theta[n_x + n_y : -1])
 
 
 def grade_sequence(log: RawLog, own: QPSequence, sample_s: float) -> Graded:
@@ -216,7 +222,7 @@ def grade_sequence(log: RawLog, own: QPSequence, sample_s: float) -> Graded:
     certificates = np.zeros(sum(counts), dtype=np.int8)
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(int)
     for k in range(max(counts, default=0)):
-        optimum = judge.certify(scaled.step(k))
+        optimum = judge.certify(scaled.step(k), own.step(k))
         seen: dict[bytes, tuple[float, ...]] = {}
         for r, start, count in zip(rounds, starts, counts, strict=True):
             if k >= count:

@@ -14,6 +14,7 @@ import pandas as pd
 
 from dpbench.bench.assemble import run_row, step_rows
 from dpbench.bench.cell import FALLBACKS, FORMULATIONS, Cell, Fallback, Formulation
+from dpbench.bench.emitter import Emitter
 from dpbench.bench.exact import base_problem, solve_exactly
 from dpbench.bench.grade import Graded, grade_log, grade_sequence
 from dpbench.bench.loop import Voyage, closed_loop
@@ -25,7 +26,7 @@ from dpbench.bench.supervise import Outcome
 from dpbench.errors import InputError
 from dpbench.mpc.condense import UnitSystem
 from dpbench.qp.program import QPSequence
-from dpbench.scenario import Scenario, condense
+from dpbench.scenario import Scenario
 from dpbench.solvers.contract import Workspace
 
 _NO_LIMIT = 2**62
@@ -57,10 +58,10 @@ def run_closed_loop(
     _check("formulation", formulation, FORMULATIONS)
     _check("fallback", fallback, FALLBACKS)
     _check_workspace(workspace)
-    builder = condense(scenario, units=units)
-    log = RawLog.in_memory(loop_layout(scenario.steps, builder.n, builder.m, builder.Z.shape[1]))
-    port = SolverPort(workspace, formulation, base_problem(builder), _clock)
-    closed_loop(Voyage(scenario, builder, port, log, fallback, _NO_LIMIT, _clock))
+    emitter = Emitter(scenario, units)
+    log = RawLog.in_memory(loop_layout(scenario.steps, *emitter.sizes))
+    port = SolverPort(workspace, formulation, base_problem(emitter.builder), _clock)
+    closed_loop(Voyage(scenario, emitter, port, log, fallback, _NO_LIMIT, _clock))
     cell = Cell(
         mode="closed_loop",
         scenario=scenario.files,

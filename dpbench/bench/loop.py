@@ -1,8 +1,9 @@
 """The closed loop: one solver steers the ship (method.md section 3).
 
-Order at t_k: measure x_m; Δx_m(k) = x_m(k) − x_m(k−1), zero at k = 0; emit the QP; solve; limit
-the first move by rate, then by amplitude; hold the force over [t_k, t_{k+1}). u(k−1) is the force
-that was *applied*. Only the solver's call stands between two clock reads of its phases.
+Order at t_k: measure or estimate x_m; Δx_m(k) = x_m(k) − x_m(k−1), zero at k = 0; emit the QP;
+solve; limit the first move by rate, then by amplitude; hold the force over [t_k, t_{k+1}). u(k−1)
+is the force that was *applied*. Only the solver's call stands between two clock reads of its
+phases.
 """
 
 from __future__ import annotations
@@ -14,12 +15,12 @@ import numpy as np
 
 from dpbench.bench.actuation import FallbackLaw, limit_move
 from dpbench.bench.cell import Fallback
+from dpbench.bench.emitter import Emitter
 from dpbench.bench.port import Clock, SolverPort, record_answer
 from dpbench.bench.rawlog import RawLog
-from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.qp.program import Vector
 from dpbench.qp.solution import Status
 from dpbench.scenario import Scenario
+from dpbench.ship.measurement import Sensors
 from dpbench.ship.plant import SUBSTEPS, Plant
 
 _UNFINISHED = frozenset({Status.INACCURATE, Status.MAX_ITERATIONS})
@@ -27,14 +28,14 @@ _UNFINISHED = frozenset({Status.INACCURATE, Status.MAX_ITERATIONS})
 
 @dataclass(slots=True, eq=False)
 class Voyage:
-    """What a closed loop is made of: the run, its QP builder, the solver, where steps go.
+    """What a closed loop is made of: the run, what emits its QPs, the solver, where steps go.
 
     `fallback` acts without a usable answer; `limit_ns` of own run time end the voyage; `clock`
     tells nanoseconds.
     """
 
     scenario: Scenario
-    builder: CondensedQP
+    emitter: Emitter
     port: SolverPort
     log: RawLog
     fallback: Fallback
@@ -49,40 +50,40 @@ def closed_loop(voyage: Voyage) -> bool:
     -------
     True when all steps were done, False when the time limit stopped the run after a step.
     """
-    scenario, builder, port, log = voyage.scenario, voyage.builder, voyage.port, voyage.log
-    clock, limit_ns = voyage.clock, voyage.limit_ns
-    ship, steps = scenario.vessel, scenario.steps
-    plant = Plant(ship, np.concatenate([np.zeros(3), scenario.start]), scenario.sample_s)
-    sea = scenario.environment.stage_table(steps, scenario.sample_s, SUBSTEPS)
-    y_ref = nearest_reference(scenario)
-    du_max, u_min, u_max = scenario.du_max, ship.tau_min, ship.tau_max
-    law = FallbackLaw(voyage.fallback, builder)
-    state, measured_before = plant.state, plant.state.copy()
+    scenario, emitter, port, log = voyage.scenario, voyage.emitter, voyage.port, voyage.log
+    clock, limit_ns, steps = voyage.clock, voyage.limit_ns, scenario.steps
+    plant = _plant(scenario)
+    weather, du_max = scenario.environment, scenario.du_max
+    sea = weather.stage_table(steps, scenario.sample_s, SUBSTEPS)
+    sensors, estimator = Sensors(weather, steps, scenario.sample_s), scenario.estimator()
+    law, moves = FallbackLaw(voyage.fallback, emitter.builder), emitter.builder.moves
+    state, reference = plant.state, emitter.reference
     x, u = np.zeros(9), np.zeros(3)
-    emit, formulate, answer = builder.emit, port.formulate, port.answer
+    emit, formulate, answer = emitter.emit, port.formulate, port.answer
+    sense, estimate = sensors.sense, estimator.update
     log.setup_once_ns[0] = port.prepare()
-    log.theta[:, 9:12], log.theta[:, 15] = y_ref, 1.0
+    log.theta[:, 9:12], log.theta[:, 15] = reference[:steps], 1.0
     log.state[0] = state
     began = clock()
     log.started[0] = 1
     for k in range(steps):
         t0 = clock()
-        np.subtract(state, measured_before, out=x[:6])
-        x[6:] = state[3:]
-        measured_before[...] = state
+        x[6:] = estimate(sense(state, k), u)[3:]
+        x[:6] = estimator.change
         log.theta[k, :9], log.theta[k, 12:15] = x, u
         t1 = clock()
-        step = formulate(emit(x, y_ref, u))
+        step = formulate(emit(k, x, u))
         t2 = clock()
         solution = answer(step)
         t3 = clock()
         usable = solution.status.usable and math.isfinite(solution.z.sum())
         if usable:
-            du = law.remember(builder.moves(solution.z))
+            du = law.remember(moves(solution.z))
         else:
-            du = law.move(x, y_ref)
+            du = law.move(x, reference[k])
             port.reset()
         np.add(u, du, out=log.command[k])
+        u_min, u_max = emitter.tau_min[k], emitter.tau_max[k]
         clipped = limit_move(u, du, du_max, u_min, u_max, log.tau[k])
         u[...] = log.tau[k]
         log.flags[k] = (not usable, usable and solution.status in _UNFINISHED, clipped)
@@ -97,9 +98,12 @@ def closed_loop(voyage: Voyage) -> bool:
     return True
 
 
-def nearest_reference(scenario: Scenario) -> Vector:
-    """The reference with its heading within π of the start's, so that the error is wrapped once."""
-    reference = scenario.reference.copy()
-    turn = 2 * np.pi
-    reference[2] += turn * np.round((scenario.start[2] - reference[2]) / turn)
-    return reference
+def _plant(scenario: Scenario) -> Plant:
+    """The true ship at rest in its start, in this weather, behind these actuators."""
+    return Plant(
+        scenario.true_ship,
+        np.concatenate([np.zeros(3), scenario.start]),
+        scenario.sample_s,
+        loads=scenario.environment.load_coefficients(scenario.vessel),
+        actuators=scenario.actuators,
+    )

@@ -14,19 +14,25 @@ AT_LIMIT = 1e-6
 
 
 def control_metrics(
-    scenario: Scenario, state: Matrix, tau: Matrix, reference: Vector, exact: tuple[Matrix, Matrix]
+    scenario: Scenario,
+    state: Matrix,
+    tau: Matrix,
+    reference: Matrix,
+    limits: tuple[Matrix, Matrix],
+    exact: tuple[Matrix, Matrix],
 ) -> dict[str, float]:
     """Metrics of a run of K steps.
 
     Parameters
     ----------
     state : (K + 1, 6) [u, v, r, n, e, ψ] at the sample times; tau : (K, 3) force applied.
-    reference : (3,) [n, e, ψ].
+    reference : at least (K + 1, 3) [n, e, ψ] at the sample times; limits : τ_min and τ_max in force
+        in each sample, at least (K, 3).
     exact : state and tau of the exactly solved loop, at least as long.
     """
     K = len(tau)
     dt = scenario.sample_s
-    error = state[:K, 3:] - reference
+    error = state[:K, 3:] - reference[:K]
     radius = np.hypot(error[:, 0], error[:, 1])
     heading = np.degrees(np.abs(error[:, 2]))
     t = np.arange(K, dtype=np.float64) * dt
@@ -43,7 +49,7 @@ def control_metrics(
         "settle_0p1m_s": _settling(t, radius <= 0.1, dt, hold_s=None),
         "share_1m": float(np.mean(radius <= 1.0)),
         "pose_error": float(np.mean(radius + 0.75**radius * np.abs(error[:, 2]))),
-        "closed_loop_cost": _cost(scenario, state[1 : K + 1, 3:] - reference, change),
+        "closed_loop_cost": _cost(scenario, state[1 : K + 1, 3:] - reference[1 : K + 1], change),
     }
     green = (radius <= 3.0) & (heading <= 3.0)
     red = (radius > 5.0) | (heading > 5.0)
@@ -59,7 +65,7 @@ def control_metrics(
     return (
         metrics
         | _effort(scenario, state[:K, :3], tau, change)
-        | _limit_shares(scenario, tau, change)
+        | _limit_shares(scenario, tau, u_before, limits)
         | _deviation(state[:K], tau, exact)
     )
 
@@ -107,16 +113,20 @@ def _effort(scenario: Scenario, nu: Matrix, tau: Matrix, change: Matrix) -> dict
     }
 
 
-def _limit_shares(scenario: Scenario, tau: Matrix, change: Matrix) -> dict[str, float]:
-    ship, du_max = scenario.vessel, scenario.du_max
+def _limit_shares(
+    scenario: Scenario, tau: Matrix, u_before: Matrix, limits: tuple[Matrix, Matrix]
+) -> dict[str, float]:
+    ship, du_max, change = scenario.vessel, scenario.du_max, tau - u_before
+    low, high = (limit[: len(tau)] for limit in limits)
     near = AT_LIMIT * du_max
     at_rate = np.abs(change) >= du_max - near
-    at_amplitude = (tau >= ship.tau_max - near) | (tau <= ship.tau_min + near)
+    at_amplitude = (tau >= high - near) | (tau <= low + near)
+    # What the rate leaves of a limit that has just dropped is no violation.
+    above = tau > np.maximum(high, u_before - du_max)
+    below = tau < np.minimum(low, u_before + du_max)
     # Beyond one unit in the last place of the force itself a difference is no rounding.
     rounding = 4 * np.spacing(np.maximum(ship.tau_max, -ship.tau_min))
-    violated = (
-        (tau > ship.tau_max) | (tau < ship.tau_min) | (np.abs(change) > du_max + rounding)
-    ).any(axis=1)
+    violated = (above | below | (np.abs(change) > du_max + rounding)).any(axis=1)
     shares = {"limit_violations": float(violated.sum())}
     for i, force in enumerate(FORCES):
         shares[f"at_rate_{force}"] = float(at_rate[:, i].mean())

@@ -143,6 +143,7 @@ CONTROL_COLUMNS: Columns = {
     "unconverged": ("Int64", "steps with an unfinished iterate"),
     "clipped": ("Int64", "steps whose answer violated a limit and was clipped"),
     "limit_violations": ("Int64", "applied forces outside a limit; must be 0"),
+    "matrix_steps": ("Int64", "steps that brought new matrices, after re-linearising"),
     "r_rms_m": ("float64", "radial error, root mean square"),
     "r_95_m": ("float64", "radial error, 95 %"),
     "r_max_m": ("float64", "radial error, largest"),

@@ -26,7 +26,9 @@ __all__ = ["worker"]
 def _prime() -> None:
     three = np.ones(3)
     ship = Vessel("", "", "", 1.0, np.eye(3), np.eye(3), -three, three, three)
-    Plant(ship, np.zeros(6), 0.1).advance(three, np.zeros((2 * SUBSTEPS + 1, 3)))
+    for loads, columns in ((None, 3), (np.zeros(6), 9)):
+        plant = Plant(ship, np.zeros(6), 0.1, loads=loads)
+        plant.advance(three, np.zeros((2 * SUBSTEPS + 1, columns)))
     limit_move(three, three, three, -three, three, np.empty(3))
     model = prediction_model(ship.M, ship.D, 0.0, 0.1)
     CondensedQP(ControlProblem(model, 3, 2, np.eye(3), np.eye(3), -three, three, three))

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from dpbench.bench.cell import Cell
+from dpbench.bench.emitter import Emitter
 from dpbench.bench.exact import ExactLoop, base_problem, sequence_of, solve_exactly
 from dpbench.bench.grade import grade_log
 from dpbench.bench.loop import Voyage, closed_loop
@@ -23,7 +24,7 @@ from dpbench.bench.port import SolverPort
 from dpbench.bench.rawlog import RawLog, loop_layout, replay_layout
 from dpbench.bench.replay import ReplayArm
 from dpbench.errors import CertificateError, InputError
-from dpbench.scenario import condense, scenario_of
+from dpbench.scenario import scenario_of
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.isolation import isolate
 from dpbench.solvers.open import open_workspace
@@ -91,12 +92,11 @@ def run_closed_loop_cell(text: str, folder: Path, name: str, core: int) -> None:
     if workspace is None:
         return
     scenario = scenario_of(cell.scenario).first(cell.steps)
-    builder = condense(scenario, units=cell.units)
-    layout = loop_layout(scenario.steps, builder.n, builder.m, builder.Z.shape[1])
-    log = RawLog.create(folder / f"{name}.raw", layout)
-    port = SolverPort(workspace, cell.formulation, base_problem(builder), clock)
+    emitter = Emitter(scenario, cell.units)
+    log = RawLog.create(folder / f"{name}.raw", loop_layout(scenario.steps, *emitter.sizes))
+    port = SolverPort(workspace, cell.formulation, base_problem(emitter.builder), clock)
     limit_ns = round(cell.limit_s * 1e9)
-    complete = closed_loop(Voyage(scenario, builder, port, log, cell.fallback, limit_ns, clock))
+    complete = closed_loop(Voyage(scenario, emitter, port, log, cell.fallback, limit_ns, clock))
     detail = _worst_detail(port)
     if not complete:
         stop = f"stopped after {cell.limit_s:g} s with {int(log.done[0])} steps"

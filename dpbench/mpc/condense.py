@@ -12,7 +12,7 @@ ub = 1 and the cost keeps its value; `units="si"` leaves everything in N and N·
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -21,11 +21,13 @@ from numpy.typing import NDArray
 
 from dpbench.errors import InputError, ShapeError
 from dpbench.mpc.kernels import condense_blocks, hessian_blocks, map_blocks
-from dpbench.mpc.model import StateSpace
+from dpbench.mpc.model import StateSpace, rotated
 from dpbench.mpc.prediction import toeplitz
+from dpbench.mpc.terminal import TerminalCost, terminal_cost
 from dpbench.qp.program import Matrix, Vector
 
 UnitSystem = Literal["scaled", "si"]
+Terminal = Literal["none", "riccati"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +40,7 @@ class ControlProblem:
     N_p, N_c : prediction and control horizon, 1 ≤ N_c ≤ N_p.
     Q : (n_y, n_y) output weight; R : (n_u, n_u) weight of the increments; the same at all steps.
     u_min, u_max : (n_u,) amplitude limits; du_max : (n_u,) largest increment per sample.
+    terminal : "none", the paper's, or "riccati", the cost of the infinite horizon at its end.
     """
 
     model: StateSpace
@@ -48,6 +51,7 @@ class ControlProblem:
     u_min: Vector
     u_max: Vector
     du_max: Vector
+    terminal: Terminal = "none"
 
     def __post_init__(self) -> None:
         n_u, n_y = self.model.n_u, self.model.n_y
@@ -61,6 +65,14 @@ class ControlProblem:
         if not 1 <= self.N_c <= self.N_p:
             found = f"N_c = {self.N_c}, N_p = {self.N_p}"
             raise InputError("ControlProblem", "N_c", found, "1 ≤ N_c ≤ N_p")
+        if self.terminal not in ("none", "riccati"):
+            raise InputError(
+                "ControlProblem", "terminal", repr(self.terminal), '"none" or "riccati"'
+            )
+
+    def turned(self, turn_rad: float) -> ControlProblem:
+        """The same problem with the ship's model linearised `turn_rad` further (eq. 5)."""
+        return replace(self, model=rotated(self.model, turn_rad))
 
 
 def hessian(h: NDArray[np.float64], Q: Matrix, R: Matrix, N_c: int) -> Matrix:
@@ -87,7 +99,7 @@ class CondensedMatrices:
 
     E (n, n), F_x (n, n_x), F_held (n, n_y) with F_k = F_x x + F_held y_d for a reference that is
     constant over the horizon; F (N_p·n_y, n_x) and the Markov parameters h (N_p, n_y, n_u) of
-    eq. 15; Q (n_y, n_y).
+    eq. 15; Q (n_y, n_y); the terminal cost that E, F_x and F_held hold too, if there is one.
     """
 
     E: Matrix
@@ -96,6 +108,7 @@ class CondensedMatrices:
     F: Matrix
     h: NDArray[np.float64]
     Q: Matrix
+    end: TerminalCost | None = None
 
     @cached_property
     def Phi(self) -> Matrix:
@@ -108,7 +121,10 @@ class CondensedMatrices:
         N_p, n_y, _ = self.h.shape
         n = self.E.shape[0]
         blocks = self.Phi.reshape(N_p, n_y, n).transpose(2, 0, 1)
-        return -(blocks @ self.Q).reshape(n, N_p * n_y)
+        F_y = -(blocks @ self.Q).reshape(n, N_p * n_y)
+        if self.end is not None:
+            F_y[:, -n_y:] += self.end.F_y
+        return F_y
 
 
 def condense_matrices(problem: ControlProblem) -> CondensedMatrices:
@@ -116,7 +132,10 @@ def condense_matrices(problem: ControlProblem) -> CondensedMatrices:
     model, Q = problem.model, problem.Q
     parts = condense_blocks(model.A, model.B, model.C, Q, problem.R, problem.N_p, problem.N_c)
     E, F_x, F_held, F, h = parts
-    return CondensedMatrices(E, F_x, F_held, F, h, Q)
+    if problem.terminal == "none":
+        return CondensedMatrices(E, F_x, F_held, F, h, Q)
+    end = terminal_cost(model, Q, problem.R, problem.du_max, problem.N_p, problem.N_c)
+    return CondensedMatrices(E + end.E, F_x + end.F_x, F_held + end.F_y, F, h, Q, end)
 
 
 def affine_map(problem: ControlProblem, matrices: CondensedMatrices, units: UnitSystem) -> Matrix:

@@ -6,6 +6,8 @@ and three views of it.
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 
 from dpbench.errors import InputError
@@ -17,8 +19,15 @@ from dpbench.mpc.condense import (
     condense_matrices,
     summed_moves,
 )
+from dpbench.mpc.layers import Penalty, amplitude_layer, lay
+from dpbench.mpc.outputs import OutputBounds, instants, output_layers
 from dpbench.qp.program import Matrix, QPStep, QuadraticProgram, Units, Vector
 from dpbench.qp.solution import Solution
+
+Amplitude = Literal["reachable", "hard", "soft"]
+"""What amplitude limits that `emit` is given mean for plan row i: `reachable`, the limits or what
+the rate leaves of them; `hard`, the limits, though no plan may satisfy them; `soft`, the limits
+with a slack at an exact penalty."""
 
 
 class CondensedQP:
@@ -28,32 +37,78 @@ class CondensedQP:
     ----------
     problem : model, horizons, weights and limits in SI units.
     units : "scaled" (z = ΔU/Δu_max) or "si" (z = ΔU in N, N, N·m).
+    amplitude : policy of the amplitude limits.
+    outputs : bounds on predicted position and speed, softened; None for none, as in the paper.
+    penalty : of the slacks; None for `Penalty.default`.
 
     Attributes
     ----------
-    P (n, n), A (m, n), lb, ub (n,) : constant; n = m = N_c·n_u.
+    P (n, n), A (m, n), lb, ub (n,) : constant; n = m = N_c·block.
+    block : variables, and rows, per move; n_u, the moves, come first, then slacks.
     Z (n + 2m, n_θ + 1) : the affine map [q; l; u] = Z [x; y_ref; u_prev; 1].
     matrices : E, F, Φ of the paper in SI units.
     scale : how z and the rows relate to the scaled ones (`Units`).
     """
 
-    def __init__(self, problem: ControlProblem, *, units: UnitSystem = "scaled") -> None:
+    def __init__(
+        self,
+        problem: ControlProblem,
+        *,
+        units: UnitSystem = "scaled",
+        amplitude: Amplitude = "reachable",
+        outputs: OutputBounds | None = None,
+        penalty: Penalty | None = None,
+    ) -> None:
         if units not in ("scaled", "si"):
             raise InputError("CondensedQP", "units", repr(units), '"scaled" or "si"')
+        if amplitude not in ("reachable", "hard", "soft"):
+            allowed = '"reachable", "hard" or "soft"'
+            raise InputError("CondensedQP", "amplitude", repr(amplitude), allowed)
         self.control, self.units = problem, units
-        self.matrices: CondensedMatrices = condense_matrices(problem)
-        n_u, N_c = problem.model.n_u, problem.N_c
+        self.amplitude, self.outputs, self.penalty = amplitude, outputs, penalty
+        self._matrices: CondensedMatrices = condense_matrices(problem)
+        self._du: Vector = problem.du_max if units == "scaled" else np.ones(problem.model.n_u)
+        self._build_plain()
+        if amplitude == "soft" or outputs is not None:
+            self._add_layers()
+        self._prepare_emit()
+
+    @property
+    def matrices(self) -> CondensedMatrices:
+        """E, F, Φ of the paper in SI units."""
+        return self._matrices
+
+    def _build_plain(self) -> None:
+        """The paper's problem: rate limits as bounds, amplitude limits as rows."""
+        problem, n_u, N_c = self.control, self.control.model.n_u, self.control.N_c
+        self.block = n_u
         self.n = self.m = N_c * n_u
-        du, one = np.concatenate([problem.du_max] * N_c), np.ones(self.n)
-        own = one if units == "scaled" else du
-        self._du: Vector = du if units == "scaled" else one
-        self.scale = Units(own, own)
-        self.P: Matrix = self.matrices.E * (self._du[:, np.newaxis] * self._du)
+        du_max, one = np.concatenate([problem.du_max] * N_c), np.ones(self.n)
+        own, du = (one, du_max) if self.units == "scaled" else (du_max, one)
+        self.scale, self._du_plan = Units(own, own), du
+        self.P: Matrix = self._matrices.E * (du[:, np.newaxis] * du)
         self.A: Matrix = summed_moves(N_c, n_u)
         self.ub: Vector = own.copy()
         self.lb: Vector = -own
-        self.Z: Matrix = affine_map(problem, self.matrices, units)
-        self._prepare_emit()
+        self.Z: Matrix = affine_map(problem, self._matrices, self.units)
+
+    def _add_layers(self) -> None:
+        """The same moves with soft amplitude limits, bounds on the outputs, or both."""
+        problem, matrices = self.control, self._matrices
+        du = np.tile(problem.du_max, problem.N_c)
+        P, Z = matrices.E * np.outer(du, du), affine_map(problem, matrices, "scaled")
+        penalty = Penalty.default(problem, P) if self.penalty is None else self.penalty
+        soft = self.amplitude == "soft"
+        layers = [amplitude_layer(problem, Z, penalty.amplitude if soft else None)]
+        if self.outputs is not None:
+            layers += output_layers(problem, matrices, self.outputs, penalty.outputs)
+        built = lay(P, Z[: len(P)], problem.du_max, layers, penalty.curvature)
+        self.block, self.penalty = built.block, penalty
+        self.n = self.m = len(built.P)
+        one = np.ones(self.n)
+        self.scale = Units(one, one) if self.units == "scaled" else built.si
+        own = built if self.units == "scaled" else built.in_si()
+        self.P, self.A, self.lb, self.ub, self.Z = own.P, own.A, own.lb, own.ub, own.Z
 
     def _prepare_emit(self) -> None:
         n_x, n_y, n_u = self.control.model.n_x, self.control.model.n_y, self.control.model.n_u
@@ -69,6 +124,12 @@ class CondensedQP:
             self.n,
             self.n + self.m,
         )
+        n_c, first = self.control.N_c, n_u if self.amplitude == "soft" else 0
+        self._i: Matrix = np.arange(1.0, n_c + 1)[:, np.newaxis]
+        self._shape = n_c, self.block
+        self._upper = slice(None), slice(0, n_u)
+        self._lower = slice(None), slice(first, first + n_u)
+        self._row_unit = self.scale.row[:n_u]
 
     def emit(
         self,
@@ -85,9 +146,9 @@ class CondensedQP:
         x : (n_x,) augmented state [Δν, Δη, y], SI; heading unwrapped.
         y_ref : (n_y,) reference, or (N_p, n_y) for preview; heading within π of y's.
         u_prev : (n_u,) force applied in the last sample [N, N, N·m].
-        limits : (u_min, u_max), each (n_u,), in force from now on instead of the vessel's; plan
-            row i then gets the reachable ones, max(u_max, u_prev − iΔu_max) and so on, because a
-            limit that drops below u_prev by more than one rate step leaves no feasible point.
+        limits : (u_min, u_max), each (n_u,), in force from now on instead of the vessel's. Under
+            the policy `reachable` plan row i gets max(u_max, u_prev − iΔu_max) and so on, because
+            a limit that drops below u_prev by more than one rate step leaves no feasible point.
         """
         x_part, y_part, u_part, theta, product, n, cut = self._parts
         x_part[...] = x
@@ -99,42 +160,69 @@ class CondensedQP:
         if preview:
             self._preview(step, y_ref)
         if limits is not None:
-            self._reachable(step, u_prev, *limits)
+            self._limit(step, u_prev, *limits)
         return step
 
     def _preview(self, step: QPStep, y_ref: Matrix) -> None:
         """Replace the reference held at y_ref[0] by the previewed one, (N_p, n_y)."""
         change = y_ref - y_ref[0]
-        step.q += self._du * (self.matrices.F_y @ change.reshape(-1))
+        slope = self._du_plan * (self._reference_map() @ change.reshape(-1))
+        if self.block == len(self._du):
+            step.q += slope
+            return
+        moves = step.q.reshape(self._shape)[self._upper]
+        moves += slope.reshape(moves.shape)
+        bounds = self.outputs
+        if bounds is not None and bounds.radius_m is not None and bounds.centre_m is None:
+            # The circle moves with the reference as it does with the one that is held.
+            first = self._lower[1].stop
+            circle = slice(first, first + bounds.sides)
+            n_x = self.control.model.n_x
+            map_ = self.Z[self.n + self.m :].reshape(*self._shape, -1)[0, circle, n_x : n_x + 2]
+            at = instants(self.control.N_p, self.control.N_c) - 1
+            step.u.reshape(self._shape)[:, circle] += change[at, :2] @ map_.T
 
-    def _reachable(self, step: QPStep, u_prev: Vector, u_min: Vector, u_max: Vector) -> None:
-        # In rate-limit steps the reachable bounds −i and i are exact, so a row that is forced to
-        # its bound meets it to the last bit and no rounding makes the step infeasible.
+    def _reference_map(self) -> Matrix:
+        """F_y (N_c·n_u, N_p·n_y) in SI units."""
+        return self._matrices.F_y
+
+    def _limit(self, step: QPStep, u_prev: Vector, u_min: Vector, u_max: Vector) -> None:
+        """Amplitude limits other than the vessel's, as the policy says."""
         du = self.control.du_max
-        i = np.arange(1.0, self.control.N_c + 1)[:, np.newaxis]
-        high = np.maximum((u_max - u_prev) / du, -i)
-        low = np.minimum((u_min - u_prev) / du, i)
-        step.l[:] = low.reshape(-1) * self.scale.row
-        step.u[:] = high.reshape(-1) * self.scale.row
+        high, low = (u_max - u_prev) / du, (u_min - u_prev) / du
+        if self.amplitude == "reachable":
+            # In rate-limit steps the reachable bounds −i and i are exact, so a row that is forced
+            # to its bound meets it to the last bit and no rounding makes the step infeasible.
+            high, low = np.maximum(high, -self._i), np.minimum(low, self._i)
+        np.multiply(low, self._row_unit, out=step.l.reshape(self._shape)[self._lower])
+        np.multiply(high, self._row_unit, out=step.u.reshape(self._shape)[self._upper])
 
     def problem(self, step: QPStep) -> QuadraticProgram:
         """The whole problem of one step."""
-        n_u = self.control.model.n_u
-        return QuadraticProgram(self.P, step.q, self.A, step.l, step.u, self.lb, self.ub, block=n_u)
+        P = self.P if step.P is None else step.P
+        A = self.A if step.A is None else step.A
+        n_u = len(self._du)
+        moves = n_u if self.block > n_u else 0
+        vectors = step.q, A, step.l, step.u, self.lb, self.ub
+        return QuadraticProgram(P, *vectors, block=self.block, moves=moves)
 
     def moves(self, z: Vector) -> Matrix:
         """ΔU as increments (N_c, n_u) in N, N, N·m."""
-        return (z * self._du).reshape(self.control.N_c, self.control.model.n_u)
+        return z.reshape(self._shape)[self._upper] * self._du
 
     def plan(self, delta_u: Matrix) -> Vector:
-        """z of the increments (N_c, n_u) in N, N, N·m: the inverse of `moves`."""
-        return delta_u.reshape(-1) / self._du
+        """z of the increments (N_c, n_u) in N, N, N·m: the inverse of `moves`, with no slack."""
+        z = np.zeros(self.n)
+        z.reshape(self._shape)[self._upper] = delta_u / self._du
+        return z
 
     def constant_cost(self, x: Vector, y_ref: Vector) -> float:
         """J0 (eq. 24): objective(z) + J0 is the predicted cost J of eq. 17."""
         y_d = np.tile(y_ref, self.control.N_p) if y_ref.ndim == 1 else y_ref.reshape(-1)
         error = (y_d - self.matrices.F @ x).reshape(self.control.N_p, -1)
-        return 0.5 * float(np.einsum("ki,ij,kj->", error, self.control.Q, error))
+        cost = 0.5 * float(np.einsum("ki,ij,kj->", error, self.control.Q, error))
+        end = self.matrices.end
+        return cost if end is None else cost + end.constant(x, y_d[-self.control.model.n_y :])
 
     def to_scaled(self, solution: Solution) -> Solution:
         """The answer mapped to scaled units: the same plan, multipliers of the scaled rows."""

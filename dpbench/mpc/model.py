@@ -98,3 +98,25 @@ def augment(discrete: StateSpace) -> StateSpace:
 def prediction_model(M: Matrix, D: Matrix, psi0_rad: float, sample_s: float) -> StateSpace:
     """Eq. 5-11 in one go: the incremental model of a ship at heading ψ0."""
     return augment(discretise(linearise(M, D, psi0_rad), sample_s))
+
+
+def rotated(model: StateSpace, turn_rad: float) -> StateSpace:
+    """The incremental model of a ship, linearised `turn_rad` further, without a new exponential.
+
+    ψ0 enters A_c through η̇ = R(ψ0) ν alone, so with η_b = Rᵀη the model is that of ψ0 = 0 and
+    x ↦ T x, T = diag(I, R, R), takes one to the other: A ↦ T A Tᵀ, B ↦ T B. As A keeps Δη and y
+    whole, only their rows over Δν, and those of B, change: both are linear in R.
+
+    Parameters
+    ----------
+    model : (9 states, 3 outputs) of `prediction_model`, at any heading.
+    turn_rad : by how much the heading of linearisation moves.
+    """
+    if (model.n_x, model.n_y) != (9, 3):
+        found = (model.n_x, model.n_y)
+        raise ShapeError.of("rotated", "model", found, "the 9 states and 3 outputs of a ship")
+    R, A, B = rotation(turn_rad), model.A.copy(), model.B.copy()
+    for rows in (slice(3, 6), slice(6, 9)):
+        A[rows, :3] = R @ A[rows, :3]
+        B[rows] = R @ B[rows]
+    return StateSpace(A, B, model.C)

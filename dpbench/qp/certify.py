@@ -102,7 +102,7 @@ class Referee:
         """Everything but the active set of the step before."""
         fixed = fix_forced(problem)
         posed = problem if fixed is None else fixed
-        first: Signs = np.zeros(len(problem.L), dtype=np.int8)
+        tried: list[Signs] = []
         best: Proof | None = None
         for signs in guesses(posed):
             if signs is None:
@@ -110,13 +110,13 @@ class Referee:
                 if empty is not None:
                     return empty
                 continue
-            first = signs
+            tried.append(signs)
             best = self._linear(posed, signs, guess=False)
             if best is not None:
                 self._last = signs
                 break
         if best is None or best.bound > WANTED:
-            best = self._closer(posed, first, best)
+            best = self._closer(posed, tried, best)
         if best is None:
             return self._infeasible(problem) or self._nothing()
         if best.kind == "infeasible":
@@ -147,16 +147,21 @@ class Referee:
             self._systems.move_to_end(key)
         return system
 
-    def _closer(self, problem: JointQP, signs: Signs, known: Proof | None) -> Proof | None:
-        """The best of `known` and the costly certificates."""
+    def _closer(self, problem: JointQP, tried: list[Signs], known: Proof | None) -> Proof | None:
+        """The best of `known` and the costly certificates, begun at the active sets `tried`."""
         if not self._definite:
             return known
         proofs = [] if known is None else [known]
-        by_gap = self._gap(problem, signs)
-        if by_gap is not None:
-            proofs.append(by_gap)
+        starts = tried or [np.zeros(len(problem.L), dtype=np.int8)]
+        # The libraries that named them differ in which weakly active rows they hold.
+        for signs in reversed(starts):
+            by_gap = self._gap(problem, signs)
+            if by_gap is not None:
+                proofs.append(by_gap)
+                if by_gap.bound <= WANTED:
+                    break
         if not any(proof.bound <= WANTED for proof in proofs) and len(problem.q) <= EXACT_SIZE:
-            exact = rational_certificate(problem, self._exactly(), signs)
+            exact = rational_certificate(problem, self._exactly(), starts[-1])
             if exact is not None:
                 proofs.append(exact)
         return min(
@@ -220,9 +225,10 @@ def certify(qp: QuadraticProgram) -> Optimum:
     return Referee(qp.P, qp.A, qp.lb, qp.ub).certify(qp.q, qp.l, qp.u)
 
 
-def error_of(z: Vector, optimum: Optimum, block: int) -> tuple[float, float]:
-    """error_move, error_plan: max_i |z_i − z*_i| over the first `block` variables, and over all.
+def error_of(z: Vector, optimum: Optimum, block: int, moves: int = 0) -> tuple[float, float]:
+    """error_move, error_plan: max_i |z_i − z*_i| over the first block of variables, and over all.
 
+    With `moves` only the first `moves` variables of each block count, the others being slacks.
     Both over all variables if block is 0; inf where z is not finite; NaN where there is no
     certified optimum to compare with. The bound of the optimum is not added.
     """
@@ -231,5 +237,8 @@ def error_of(z: Vector, optimum: Optimum, block: int) -> tuple[float, float]:
     if not np.isfinite(z).all():
         return np.inf, np.inf
     error = np.abs(z - optimum.z)
+    if block and moves:
+        error = error.reshape(-1, block)[:, :moves]
+        return float(error[0].max()), float(error.max())
     plan = float(error.max())
     return (float(error[:block].max()) if block else plan), plan

@@ -47,6 +47,8 @@ class QuadraticProgram:
     lb, ub : (n,) bounds, ±inf allowed.
     block : variables (and rows) per move, so that a workspace can shift a warm start by one move
         without knowing ships; 0 keeps a start as it is.
+    moves : how many variables of a block, its first ones, are moves of an actuator; the rest are
+        slacks, which no error of a move or of a plan counts. 0 = all.
 
     Raises
     ------
@@ -61,6 +63,7 @@ class QuadraticProgram:
     lb: Vector
     ub: Vector
     block: int = 0
+    moves: int = 0
 
     def __post_init__(self) -> None:
         n = np.shape(self.q)[0] if np.ndim(self.q) == 1 else -1
@@ -76,6 +79,9 @@ class QuadraticProgram:
             raise ShapeError.of(
                 "QuadraticProgram", "block", (self.block,), f"a divisor of n={n} and m={m}, or 0"
             )
+        most = self.block or n
+        if not 0 <= self.moves <= most:
+            raise ShapeError.of("QuadraticProgram", "moves", (self.moves,), f"0 to {most}")
 
     @property
     def n(self) -> int:
@@ -102,6 +108,7 @@ class QuadraticProgram:
             self.lb if step.lb is None else step.lb,
             self.ub if step.ub is None else step.ub,
             self.block,
+            self.moves,
         )
 
 
@@ -142,13 +149,14 @@ class Units:
 
 @dataclass(frozen=True, eq=False)
 class QPSequence:
-    """QPs recorded along one run: constant matrices in `base`, vectors per step.
+    """QPs recorded along one run: constant matrices in `base`, the rest per step.
 
     Parameters
     ----------
     name : what it was recorded from.
-    base : the problem of step 0 (its q, l, u are those of step 0).
+    base : the problem of step 0 (its q, l, u, and P, A, are those of step 0).
     q, l, u : (K, n), (K, m), (K, m) vectors of each step.
+    P, A : (K, n, n), (K, m, n) matrices of each step; None where they are those of `base`.
     units : how the variables of these QPs relate to the scaled ones; None means scaled.
     scaled : the same sequence in scaled units, what the referee judges in; None when this is it.
     meta : where it comes from: scenario, sample time [s], first step, versions.
@@ -162,11 +170,15 @@ class QPSequence:
     units: Units | None = None
     scaled: QPSequence | None = None
     meta: dict[str, str | float | int] = field(default_factory=dict)
+    P: NDArray[np.float64] | None = None
+    A: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
-        K = np.shape(self.q)[0]
-        shapes = {"q": (K, self.base.n), "l": (K, self.base.m), "u": (K, self.base.m)}
+        K, n, m = np.shape(self.q)[0], self.base.n, self.base.m
+        shapes = {"q": (K, n), "l": (K, m), "u": (K, m), "P": (K, n, n), "A": (K, m, n)}
         for name, shape in shapes.items():
+            if getattr(self, name) is None and name in ("P", "A"):
+                continue
             array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
             if array.shape != shape:
                 raise ShapeError.of("QPSequence", name, array.shape, f"shape {shape}")
@@ -176,8 +188,10 @@ class QPSequence:
         return int(self.q.shape[0])
 
     def step(self, k: int) -> QPStep:
-        """Step k; its vectors are views of the sequence, which nobody may write to."""
-        return QPStep(self.q[k], self.l[k], self.u[k])
+        """Step k; its arrays are views of the sequence, which nobody may write to."""
+        P = None if self.P is None else self.P[k]
+        A = None if self.A is None else self.A[k]
+        return QPStep(self.q[k], self.l[k], self.u[k], P=P, A=A)
 
     def problem(self, k: int) -> QuadraticProgram:
         """The whole problem of step k."""

@@ -15,12 +15,16 @@ from dpbench.qp.solution import Solution
 
 
 def stack(qp: QuadraticProgram) -> QuadraticProgram:
-    """The same problem with 2m + 2n one-sided rows and no bounds (eq. 25)."""
+    """The same problem with 2m + 2n one-sided rows and no bounds (eq. 25).
+
+    Rows of one move lie apart here, so `block` is 0; `moves` is kept.
+    """
     identity = np.eye(qp.n)
     M = np.vstack([-qp.A, qp.A, -identity, identity])
     gamma = np.concatenate([-qp.l, qp.u, -qp.lb, qp.ub])
     free = np.full(qp.n, np.inf)
-    return QuadraticProgram(qp.P, qp.q, M, np.full(len(gamma), -np.inf), gamma, -free, free, 0)
+    none = np.full(len(gamma), -np.inf)
+    return QuadraticProgram(qp.P, qp.q, M, none, gamma, -free, free, 0, qp.moves)
 
 
 def stack_step(step: QPStep, stacked: QuadraticProgram) -> QPStep:

@@ -1,9 +1,12 @@
-"""Low-frequency environmental force b(t) in the north-east-down frame (paper section IV).
+"""The weather of a run: everything that pushes the ship or disturbs its measurement.
 
-    b(t) = g(t) · (mean + amplitude · sin(2πt/T + phase)),   g(t) = min(t / ramp, 1)
+    b(t) = g(t) · (mean + amplitude · sin(2πt/T + phase)) + squalls,   g(t) = min(t / ramp, 1)
 
-The force does not depend on the ship, so a run evaluates it once at all stage times of the
-integrator and the step loop only reads a table.
+b is the low-frequency force in the north-east-down frame (paper section IV). Wind, current and
+wave drift act through the ship's own velocity and heading, so they enter as vectors in that frame
+(air velocity, water velocity, wave envelope), each grown by the same g(t); the plant applies the
+laws of `wind`, `current` and `waves`. Nothing here depends on the ship, so a run evaluates it all
+once at the stage times of the integrator and the step loop only reads tables.
 """
 
 from __future__ import annotations
@@ -13,21 +16,31 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dpbench.errors import InputError, ShapeError
+from dpbench.errors import InputError
 from dpbench.qp.program import Matrix, Vector
+from dpbench.ship.current import Current
+from dpbench.ship.sensors import SensorNoise
+from dpbench.ship.squall import Squall
+from dpbench.ship.validation import finite_array
+from dpbench.ship.vessel import Vessel
+from dpbench.ship.waves import FirstOrderMotion, WaveDrift
+from dpbench.ship.wind import Wind
 
 
 @dataclass(frozen=True, eq=False)
 class Environment:
-    """Mean plus one sinusoid per axis, north, east, yaw.
+    """Slow forces, and whatever else of the weather there is.
 
     Parameters
     ----------
-    mean, amplitude : (3,) [N, N, N·m].
+    mean, amplitude : (3,) slow force, north, east, yaw [N, N, N·m].
     period_s : (3,) periods [s], positive.
     phase_rad : (3,) phases [rad].
-    ramp_s : time over which the force grows from zero [s]; 0 for none.
+    ramp_s : time over which the weather grows from zero [s]; 0 for none. Squalls have their own.
     where : the file named in errors.
+    squalls, wind, current, drift : what else pushes the ship.
+    motion, noise : what the measurement shows beside the ship's low-frequency motion.
+    seed : of all random sources; each draws from its own stream of it.
     """
 
     mean: Vector
@@ -36,19 +49,29 @@ class Environment:
     phase_rad: Vector
     ramp_s: float = 0.0
     where: str = "Environment"
+    squalls: tuple[Squall, ...] = ()
+    wind: Wind | None = None
+    current: Current | None = None
+    drift: WaveDrift | None = None
+    motion: FirstOrderMotion | None = None
+    noise: SensorNoise | None = None
+    seed: int = 0
 
     def __post_init__(self) -> None:
         for name in ("mean", "amplitude", "period_s", "phase_rad"):
-            array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
-            if array.shape != (3,):
-                raise ShapeError.of(self.where, name, array.shape, "shape (3,)")
-            if not np.isfinite(array).all():
-                raise InputError(self.where, name, array.tolist(), "finite numbers")
+            array = finite_array(self.where, name, getattr(self, name), (3,))
             object.__setattr__(self, name, array)
         if not (self.period_s > 0).all():
             raise InputError(self.where, "period_s", self.period_s.tolist(), "positive periods")
         if not self.ramp_s >= 0:
             raise InputError(self.where, "ramp_s", self.ramp_s, "a time of 0 s or more")
+        if not self.seed >= 0:
+            raise InputError(self.where, "seed", self.seed, "a whole number of 0 or more")
+
+    @property
+    def moves_with_the_ship(self) -> bool:
+        """Whether a load depends on the ship's velocity or heading: wind, current or drift."""
+        return any(source is not None for source in (self.wind, self.current, self.drift))
 
     def force(self, t_s: ArrayLike) -> Matrix:
         """b at the times t_s (...,): array (..., 3) [N, N, N·m]."""
@@ -56,14 +79,79 @@ class Environment:
         b = self.mean + self.amplitude * np.sin(2 * np.pi * t / self.period_s + self.phase_rad)
         if self.ramp_s > 0:
             b *= np.minimum(t / self.ramp_s, 1.0)
+        for squall in self.squalls:
+            b += squall.at(t_s)
         return b
 
     def stage_table(self, steps: int, sample_s: float, substeps: int) -> Matrix:
-        """b at the stage times of Runge-Kutta 4: (steps, 2·substeps + 1, 3).
+        """The weather at the stage times of Runge-Kutta 4: (steps, 2·substeps + 1, 3 or 9).
 
         Entry [k, 2i] is the start of sub-step i of sample k, [k, 2i + 1] its middle, and the last
-        entry the end of the sample.
+        entry the end of the sample. The columns are b; where wind, current or drift are present,
+        then the velocities of air and water and the wave envelope follow, north and east each
+        [m/s, m/s, m].
         """
-        t = np.arange(steps)[:, np.newaxis] * sample_s
-        t = t + np.linspace(0.0, sample_s, 2 * substeps + 1)
-        return np.ascontiguousarray(self.force(t))
+        start = sample_s * np.arange(steps, dtype=np.float64)
+        offset = np.linspace(0.0, sample_s, 2 * substeps + 1)
+        t = start[:, np.newaxis] + offset
+        b = np.ascontiguousarray(self.force(t))
+        if not self.moves_with_the_ship:
+            return b
+        table = np.zeros((*t.shape, 9))
+        table[..., :3] = b
+        if self.wind is not None:
+            speed = self.wind.speed(start, offset, self.seed)
+            table[..., 3:5] = _along(speed, self.wind.to_rad)
+        if self.current is not None:
+            table[..., 5:7] = self.current.velocity
+        if self.drift is not None:
+            height = self.drift.envelope(start, offset, self.seed)
+            table[..., 7:9] = _along(height, self.drift.sea.to_rad)
+        if self.ramp_s > 0:
+            table[..., 3:] *= np.minimum(t / self.ramp_s, 1.0)[..., np.newaxis]
+        return table
+
+    def load_coefficients(self, vessel: Vessel) -> Vector | None:
+        """What the plant needs of the hull to feel wind and drift: (6,), zero where there is none.
+
+        Returns
+        -------
+        None where nothing moves with the ship; the stage table then has 3 columns.
+
+        Raises
+        ------
+        InputError : the weather has wind or drift and the vessel no hull data for it.
+        """
+        if not self.moves_with_the_ship:
+            return None
+        coefficients = np.zeros(6)
+        if self.wind is not None:
+            if vessel.windage is None:
+                allowed = "wind areas and coefficients, because the weather has wind"
+                raise InputError(vessel.where, "windage", "none", allowed)
+            coefficients[:3] = vessel.windage.coefficients(vessel.length_m)
+        if self.drift is not None:
+            if vessel.reflection is None:
+                allowed = "a breadth and wave reflection, because the weather has wave drift"
+                raise InputError(vessel.where, "reflection", "none", allowed)
+            coefficients[3:] = vessel.reflection.coefficients(vessel.length_m, self.drift.sea)
+        return coefficients
+
+    def measured_motion(self, samples: int, sample_s: float) -> Matrix:
+        """Wave-frequency motion at the samples: (samples, 6) = [n, e, ψ, ṅ, ė, ψ̇], NED, SI."""
+        if self.motion is None:
+            return np.zeros((samples, 6))
+        t = sample_s * np.arange(samples, dtype=np.float64)
+        return self.motion.table(t, self.seed)
+
+    def noise_table(self, samples: int) -> Matrix:
+        """Noise of the measured pose at the samples: (samples, 3) [m, m, rad]."""
+        return (
+            np.zeros((samples, 3)) if self.noise is None else self.noise.table(samples, self.seed)
+        )
+
+
+def _along(length: Matrix, to_rad: float) -> Matrix:
+    """Vectors (..., 2), north and east, of the given lengths (...,) in one direction."""
+    vectors: Matrix = np.multiply.outer(length, np.array([np.cos(to_rad), np.sin(to_rad)]))
+    return vectors

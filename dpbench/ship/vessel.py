@@ -5,12 +5,15 @@ M ν̇ + D ν = τ + w,     order surge, sway, yaw
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dpbench.errors import InputError, ShapeError
+from dpbench.errors import InputError
 from dpbench.qp.program import Matrix, Vector
+from dpbench.ship.validation import finite_array
+from dpbench.ship.waves import WaveReflection
+from dpbench.ship.wind import Windage
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +31,7 @@ class Vessel:
     tau_min, tau_max : (3,) limits of the force [N, N, N·m]; zero lies inside.
     rate_max : (3,) limits of its rate [N/s, N/s, N·m/s].
     where : the file named in errors.
+    windage, reflection : the hull as wind and wave drift see it; needed in such weather only.
 
     Raises
     ------
@@ -44,15 +48,13 @@ class Vessel:
     tau_max: Vector
     rate_max: Vector
     where: str = "Vessel"
+    windage: Windage | None = None
+    reflection: WaveReflection | None = None
 
     def __post_init__(self) -> None:
         shapes = {"M": (3, 3), "D": (3, 3), "tau_min": (3,), "tau_max": (3,), "rate_max": (3,)}
         for name, shape in shapes.items():
-            array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
-            if array.shape != shape:
-                raise ShapeError.of(self.where, name, array.shape, f"shape {shape}")
-            if not np.isfinite(array).all():
-                raise InputError(self.where, name, array.tolist(), "finite numbers")
+            array = finite_array(self.where, name, getattr(self, name), shape)
             object.__setattr__(self, name, array)
         self._check_matrices()
         if not (self.tau_min < 0).all() or not (self.tau_max > 0).all():
@@ -75,6 +77,34 @@ class Vessel:
         """Δu_max (3,) [N, N, N·m]: the largest change of the force in one sample."""
         largest: Vector = self.rate_max * sample_s
         return largest
+
+    def time_constants_s(self) -> Vector:
+        """Time constants of the three modes [s], fastest first: 1 over the eigenvalues of M⁻¹D."""
+        rates = np.linalg.eigvals(np.linalg.solve(self.M, self.D))
+        return np.sort(1.0 / rates.real)
+
+    def reachable_acceleration(self) -> Matrix:
+        """Largest acceleration astern, port, port and ahead, starboard, starboard: (2, 3).
+
+        τ_min and τ_max over the diagonal of M [m/s², m/s², rad/s²]: from rest, with the other
+        axes held.
+        """
+        return np.stack([self.tau_min, self.tau_max]) / np.diag(self.M)
+
+    def with_mismatch(self, mass_percent: float = 0.0, damping_percent: float = 0.0) -> Vessel:
+        """The ship with M and D changed by per cent, as the plant behind an unchanged model.
+
+        Raises
+        ------
+        InputError : a change of −100 % or less, or one that is no number.
+        """
+        factors = {}
+        changes = {"M": ("mass_percent", mass_percent), "D": ("damping_percent", damping_percent)}
+        for name, (key, percent) in changes.items():
+            if not -100.0 < percent < np.inf:
+                raise InputError(self.where, key, percent, "a change of more than -100 %")
+            factors[name] = 1.0 + percent / 100.0
+        return replace(self, M=factors["M"] * self.M, D=factors["D"] * self.D)
 
 
 def bis_descaled(Mb: Matrix, m_kg: float, length_m: float) -> Matrix:

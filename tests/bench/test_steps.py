@@ -9,6 +9,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from dpbench import open_workspace
+from dpbench.bench.emitter import Emitter
 from dpbench.bench.exact import ExactLoop, ExactWorkspace, base_problem, sequence_of
 from dpbench.bench.loop import Voyage, closed_loop
 from dpbench.bench.plan import CONTRAST
@@ -16,7 +17,7 @@ from dpbench.bench.port import SolverPort
 from dpbench.bench.rawlog import RawLog, loop_layout
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
-from dpbench.scenario import Scenario, condense
+from dpbench.scenario import Scenario
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.table import available, solver_names
 
@@ -70,9 +71,10 @@ class _Stored(Workspace):
 @pytest.mark.parametrize("kind", ["harness alone", "certified optimum"])
 def test_closed_loop(benchmark: BenchmarkFixture, scenario: Scenario, kind: str) -> None:
     """Plant, emit, records and bookkeeping of 120 steps; divide by 120 for a step."""
-    builder = condense(scenario)
-    log = RawLog.in_memory(loop_layout(scenario.steps, builder.n, builder.m, builder.Z.shape[1]))
+    emitter = Emitter(scenario)
+    log = RawLog.in_memory(loop_layout(scenario.steps, *emitter.sizes))
     workspace = _Stored() if kind == "harness alone" else ExactWorkspace()
-    port = SolverPort(workspace, "condensed_box", base_problem(builder), time.perf_counter_ns)
-    voyage = Voyage(scenario, builder, port, log, "hold", 2**62, time.perf_counter_ns)
+    base = base_problem(emitter.builder)
+    port = SolverPort(workspace, "condensed_box", base, time.perf_counter_ns)
+    voyage = Voyage(scenario, emitter, port, log, "hold", 2**62, time.perf_counter_ns)
     benchmark(closed_loop, voyage)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from dpbench import load_scenario
 from dpbench.bench.actuation import FallbackLaw, limit_move
 from dpbench.bench.cell import Fallback
+from dpbench.bench.emitter import Emitter
 from dpbench.bench.exact import base_problem
 from dpbench.bench.loop import Voyage, closed_loop
 from dpbench.bench.port import SolverPort
@@ -54,11 +55,12 @@ class Scripted(Workspace):
 def run(
     scenario: Scenario, answer: Answer, fallback: Fallback = "shifted_plan", limit_ns: int = 2**62
 ) -> tuple[RawLog, Scripted, bool]:
-    builder = condense(scenario)
-    log = RawLog.in_memory(loop_layout(scenario.steps, builder.n, builder.m, builder.Z.shape[1]))
+    emitter = Emitter(scenario)
+    log = RawLog.in_memory(loop_layout(scenario.steps, *emitter.sizes))
     workspace = Scripted(answer)
-    port = SolverPort(workspace, "condensed_box", base_problem(builder), time.perf_counter_ns)
-    voyage = Voyage(scenario, builder, port, log, fallback, limit_ns, time.perf_counter_ns)
+    base = base_problem(emitter.builder)
+    port = SolverPort(workspace, "condensed_box", base, time.perf_counter_ns)
+    voyage = Voyage(scenario, emitter, port, log, fallback, limit_ns, time.perf_counter_ns)
     complete = closed_loop(voyage)
     return log, workspace, complete
 

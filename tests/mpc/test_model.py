@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from dpbench.errors import ShapeError
@@ -14,6 +16,7 @@ from dpbench.mpc.model import (
     discretise,
     linearise,
     prediction_model,
+    rotated,
     rotation,
 )
 from dpbench.scenario import load_vessel
@@ -162,3 +165,25 @@ def test_matrices_that_do_not_fit_are_refused_by_name(
     with pytest.raises(ShapeError) as caught:
         StateSpace(A, B, C)
     assert caught.value.key == named
+
+
+@settings(max_examples=60, derandomize=True, deadline=None)
+@given(name=st.sampled_from(VESSELS), psi0_rad=st.floats(-7, 7), psi_rad=st.floats(-7, 7))
+def test_a_rotated_model_is_the_one_discretised_at_the_new_heading(
+    name: str, psi0_rad: float, psi_rad: float
+) -> None:
+    """Turning the discretised model from ψ0 to ψ gives what the matrix exponential gives at ψ."""
+    ship, sample_s = load_vessel(name), sample_of(name)
+    found = rotated(prediction_model(ship.M, ship.D, psi0_rad, sample_s), psi_rad - psi0_rad)
+    expected = prediction_model(ship.M, ship.D, psi_rad, sample_s)
+    # Entries of A are 1 at most; those of B are compared in what a rate-limit step does.
+    step = ship.step_max(sample_s)
+    np.testing.assert_allclose(found.A, expected.A, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.B * step, expected.B * step, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(found.C, expected.C)
+
+
+def test_only_a_ship_can_be_rotated() -> None:
+    """A model of other sizes has no heading to turn and is refused."""
+    with pytest.raises(ShapeError, match="9 states"):
+        rotated(StateSpace(np.eye(8), np.ones((8, 3)), np.eye(3, 8)), 0.1)

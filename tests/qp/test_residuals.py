@@ -219,3 +219,18 @@ def test_error_of_move_and_plan() -> None:
     assert error_of(z, optimum, 0)[0] == error_of(z, optimum, 0)[1]
     z[5] = np.nan
     assert error_of(z, optimum, 2) == (INF, INF)
+
+
+def test_slacks_are_no_error_of_a_move_or_a_plan() -> None:
+    """With `moves`, only the first variables of every block count, in the first block and in all;
+    a slack that is not finite still makes the answer useless."""
+    qp = _qp()
+    optimum = certify(qp)
+    z = optimum.z.copy()
+    z[:6] += [0.25, 7.0, -0.5, 8.0, 0.125, 9.0]
+    rounding = pytest.approx(0.25, rel=1e-14), pytest.approx(0.5, rel=1e-14)
+    assert error_of(z, optimum, 2, moves=1) == rounding
+    assert error_of(z, optimum, 2, moves=2) == error_of(z, optimum, 2)
+    assert error_of(z, optimum, 0, moves=1) == error_of(z, optimum, 0)
+    z[1] = np.nan
+    assert error_of(z, optimum, 2, moves=1) == (INF, INF)

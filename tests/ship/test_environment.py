@@ -1,14 +1,22 @@
-"""The environmental force against plain arithmetic, and what it refuses."""
+"""The weather against plain arithmetic, its independent sources, and what it refuses."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from dpbench.errors import InputError
+from dpbench.ship.current import Current
 from dpbench.ship.environment import Environment
+from dpbench.ship.sensors import SensorNoise
+from dpbench.ship.squall import Squall
+from dpbench.ship.streams import stream
+from dpbench.ship.vessel import Vessel
+from dpbench.ship.waves import FirstOrderMotion, Sea, WaveDrift
+from dpbench.ship.wind import Wind
 
 MEAN, AMPLITUDE = [-20e3, 55e3, 500e3], [10e3, 30e3, 300e3]
 PERIOD_S, PHASE_RAD = [150.0, 120.0, 100.0], [0.0, 1.0, 2.0]
@@ -64,12 +72,13 @@ def test_samples_join_without_a_gap() -> None:
         ("period_s", [60.0, 0.0, 60.0], "[60.0, 0.0, 60.0]", "positive"),
         ("ramp_s", -1.0, "-1.0", "0 s or more"),
         ("ramp_s", math.nan, "nan", "0 s or more"),
+        ("seed", -1, "-1", "0 or more"),
     ],
 )
 def test_bad_weather_is_refused_in_one_line(
     key: str, value: object, found: str, allowed: str
 ) -> None:
-    """A wrong shape, a number that is none, a period of zero or a negative ramp is refused."""
+    """A wrong shape, no number, a period of zero and a negative ramp or seed are refused."""
     arguments: dict[str, object] = {
         "mean": MEAN,
         "amplitude": AMPLITUDE,
@@ -85,3 +94,133 @@ def test_bad_weather_is_refused_in_one_line(
     assert found in str(error.found)
     assert allowed in error.allowed
     assert "\n" not in str(error)
+
+
+WAVES = Sea(3.1, 8.5, 0.4)
+SOURCES = {
+    "wind": Wind(13.8, -1.0),
+    "current": Current(0.75, 2.0),
+    "drift": WaveDrift(WAVES),
+    "motion": FirstOrderMotion(WAVES, 0.6, 0.1, 0.01),
+    "noise": SensorNoise(np.array([0.1, 0.1, 0.001])),
+}
+COLUMNS = {"wind": slice(3, 5), "current": slice(5, 7), "drift": slice(7, 9)}
+SQUALL = Squall(60.0, 5.0, 105.0, 30.0, np.array([-120e3, 340e3, 3000e3]))
+
+
+def rough(ramp_s: float = 0.0, seed: int = 4) -> Environment:
+    """All sources at once."""
+    return replace(sea(ramp_s), seed=seed, **SOURCES)  # type: ignore[arg-type] # one type per key
+
+
+@pytest.mark.parametrize("source", COLUMNS)
+def test_a_source_is_the_same_with_and_without_the_others(source: str) -> None:
+    """Adding or leaving out other sources changes no bit of a source's columns."""
+    alone = replace(sea(), seed=4, **{source: SOURCES[source]})  # type: ignore[arg-type] # one type per key
+    together, single = rough().stage_table(40, 0.3, 10), alone.stage_table(40, 0.3, 10)
+    np.testing.assert_array_equal(together[..., COLUMNS[source]], single[..., COLUMNS[source]])
+    for other in set(COLUMNS) - {source}:
+        np.testing.assert_array_equal(single[..., COLUMNS[other]], 0.0)
+        assert np.abs(together[..., COLUMNS[other]]).max() > 0.1
+
+
+def test_motion_and_noise_do_not_hang_on_the_other_sources() -> None:
+    """What the measurement shows is the same whatever pushes the ship, and is drawn apart."""
+    alone = replace(sea(), seed=4, noise=SOURCES["noise"], motion=SOURCES["motion"])  # type: ignore[arg-type] # one type per key
+    np.testing.assert_array_equal(rough().noise_table(50), alone.noise_table(50))
+    np.testing.assert_array_equal(rough().measured_motion(50, 0.3), alone.measured_motion(50, 0.3))
+    np.testing.assert_array_equal(sea().noise_table(5), 0.0)
+    np.testing.assert_array_equal(sea().measured_motion(5, 0.3), 0.0)
+
+
+def test_every_random_source_draws_from_a_stream_of_its_own(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Wind, waves and noise each ask for one stream by a name that no other uses."""
+    asked: dict[str, set[tuple[int, str]]] = {"wind": set(), "waves": set(), "sensors": set()}
+    for module, names in asked.items():
+
+        def recorded(
+            seed: int, name: str, names: set[tuple[int, str]] = names
+        ) -> np.random.Generator:
+            names.add((seed, name))
+            return stream(seed, name)
+
+        monkeypatch.setattr(f"dpbench.ship.{module}.stream", recorded)
+    rough(seed=6).stage_table(1, 0.3, 10)
+    rough(seed=6).measured_motion(1, 0.3)
+    rough(seed=6).noise_table(1)
+    assert all(len(names) == 1 and next(iter(names))[0] == 6 for names in asked.values())
+    assert len(set.union(*asked.values())) == 3
+
+
+def test_weather_is_a_function_of_its_seed() -> None:
+    """The same seed gives the same weather to the last bit, another seed another weather."""
+    for table in (
+        lambda weather: weather.stage_table(30, 0.3, 10)[..., [3, 7]],
+        lambda weather: weather.measured_motion(30, 0.3)[:, [0, 1, 2]],
+        lambda weather: weather.noise_table(30),
+    ):
+        np.testing.assert_array_equal(table(rough(seed=1)), table(rough(seed=1)))
+        assert (table(rough(seed=1)) != table(rough(seed=2))).all()
+
+
+def test_a_shorter_run_meets_the_beginning_of_the_same_weather() -> None:
+    """Cutting a run leaves the weather of its first samples untouched."""
+    weather = rough(60.0)
+    for table in (
+        lambda steps: weather.stage_table(steps, 0.3, 10),
+        lambda steps: weather.measured_motion(steps, 0.3),
+        weather.noise_table,
+    ):
+        np.testing.assert_array_equal(table(1500)[:200], table(200))
+
+
+def test_columns_are_vectors_along_each_source_at_the_stage_times() -> None:
+    """Wind, current and envelope stand north and east at the times of the forces."""
+    weather = rough()
+    table = weather.stage_table(3, 0.3, 10)
+    t = np.add.outer(0.3 * np.arange(3), 0.015 * np.arange(21))
+    gust = Wind(13.8, -1.0).speed(t.ravel(), np.zeros(1), 4).reshape(t.shape)
+    height = WaveDrift(WAVES).envelope(t.ravel(), np.zeros(1), 4).reshape(t.shape)
+    lengths_and_directions = ((gust, -1.0), (np.full(t.shape, 0.75), 2.0), (height, 0.4))
+    for column, (length, to_rad) in zip((3, 5, 7), lengths_and_directions, strict=True):
+        # Times formed in another order differ by rounding, 1e-15 s · 3 rad/s.
+        np.testing.assert_allclose(
+            table[..., column], length * math.cos(to_rad), rtol=1e-10, atol=1e-12
+        )
+        np.testing.assert_allclose(
+            table[..., column + 1], length * math.sin(to_rad), rtol=1e-10, atol=1e-12
+        )
+    np.testing.assert_array_equal(table[..., :3], sea().stage_table(3, 0.3, 10))
+
+
+def test_all_weather_but_squalls_grows_over_the_ramp() -> None:
+    """Forces, wind, current and envelope are multiplied by min(t/ramp, 1)."""
+    grown, full = (rough(ramp_s).stage_table(100, 0.3, 10) for ramp_s in (20.0, 0.0))
+    t = np.add.outer(0.3 * np.arange(100), 0.015 * np.arange(21))
+    share = np.minimum(t / 20.0, 1.0)[..., np.newaxis]
+    np.testing.assert_allclose(grown, share * full, rtol=1e-12, atol=1e-7)
+
+
+def test_weather_that_ignores_the_ship_keeps_three_columns() -> None:
+    """Squalls, motion and noise add no column and no load, so the plain plant serves them."""
+    weather = replace(sea(), squalls=(SQUALL,), motion=SOURCES["motion"], noise=SOURCES["noise"])  # type: ignore[arg-type] # one type per key
+    assert weather.stage_table(4, 0.3, 10).shape == (4, 21, 3)
+    assert not weather.moves_with_the_ship
+
+
+@pytest.mark.parametrize(("source", "key"), [("wind", "windage"), ("drift", "reflection")])
+def test_weather_that_needs_hull_data_says_so_in_one_line(
+    source: str, key: str, hull: Vessel
+) -> None:
+    """A vessel without areas cannot stand in wind, nor one without a breadth in drift."""
+    weather = replace(sea(), **{source: SOURCES[source]})  # type: ignore[arg-type] # one type per key
+    loads = weather.load_coefficients(hull)
+    assert loads is not None
+    assert np.count_nonzero(loads) == 3
+    with pytest.raises(InputError) as caught:
+        weather.load_coefficients(replace(hull, **{key: None}))  # type: ignore[arg-type] # None is allowed
+    assert (caught.value.where, caught.value.key) == (hull.where, key)
+    assert source in caught.value.allowed
+    assert "\n" not in str(caught.value)

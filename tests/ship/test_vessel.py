@@ -1,11 +1,13 @@
-"""Vessel data: the Bis scaling and what a vessel refuses."""
+"""Vessel data: the Bis scaling, time constants, mismatch, and what a vessel refuses."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from dpbench.errors import InputError, ShapeError
+from dpbench.scenario import load_vessel
 from dpbench.ship.vessel import Vessel, bis_descaled, bis_descaled_damping
 
 GOOD = {
@@ -79,3 +81,65 @@ def test_bis_scaling_follows_from_the_units_of_each_entry() -> None:
             lever = L ** ((i == 2) + (j == 2))
             assert M[i, j] == pytest.approx(m * lever * Mb[i, j], rel=1e-14)
             assert D[i, j] == pytest.approx(m * (g / L) ** 0.5 * lever * Db[i, j], rel=1e-14)
+
+
+def test_bis_scaling_of_the_supply_ship_by_hand() -> None:
+    """The published Bis matrices of supply.m at 6000 t and 76.2 m give these SI entries.
+
+    Worked by hand: L² = 5806.44 m², √(g/L) = 0.358804 1/s.
+    """
+    ship = load_vessel("supply_mss")
+    hand_M = [[6.7644e6, 0, 0], [0, 1.13412e7, -3.401568e7], [0, -3.401568e7, 4.452378e9]]
+    hand_D = [[7.70711e4, 0, 0], [0, 2.546791e5, -2.034160e6], [0, -6.725852e5, 3.850080e8]]
+    np.testing.assert_allclose(ship.M, hand_M, rtol=1e-6)
+    # The root carries six digits.
+    np.testing.assert_allclose(ship.D, hand_D, rtol=3e-6)
+
+
+def test_time_constants_of_the_default_ship_by_hand() -> None:
+    """Surge is M11/D11; sway and yaw are the roots of the characteristic quadratic.
+
+    det(λM − D) = 0 with M22 = 8.2831e6, M33 = 3.7454e9, D22 = 2.7229e5, D33 = 4.1894e8 and
+    D23 D32 = 1.93011e13: λ² − 0.1447271 λ + 3.0548e-3 = 0, so λ = 0.1190, 0.02567 1/s.
+    """
+    np.testing.assert_allclose(
+        load_vessel("supply_fs99").time_constants_s(), [8.403, 38.96, 105.73], rtol=1e-3
+    )
+
+
+@pytest.mark.parametrize("name", ["supply_fs99", "supply_mss", "supply_tmr", "osv", "cybership2"])
+def test_a_mode_decays_by_its_time_constant(name: str) -> None:
+    """A ship let go in still water loses its slowest motion with the longest time constant."""
+    ship = load_vessel(name)
+    slow = ship.time_constants_s()[-1]
+    decay = expm(-slow * np.linalg.solve(ship.M, ship.D))
+    # e⁻¹ is the largest factor of the free motion over one such time.
+    assert np.abs(np.linalg.eigvals(decay)).max() == pytest.approx(np.exp(-1.0), rel=1e-9)
+
+
+def test_reachable_accelerations_are_force_over_mass() -> None:
+    """The default ship reaches 0.233 m/s² ahead, 0.184 m/s² astern, 0.0503 m/s² sideways."""
+    reach = load_vessel("supply_fs99").reachable_acceleration()
+    np.testing.assert_allclose(reach[1], [0.23343, 0.050344, 4.8059e-3], rtol=1e-4)
+    np.testing.assert_allclose(reach[0], [-0.18448, -0.050344, -4.8059e-3], rtol=1e-4)
+
+
+def test_a_mismatched_ship_differs_in_mass_and_damping_only() -> None:
+    """M and D change by the per cent asked for, limits stay, and zero changes no bit."""
+    ship = vessel()
+    heavy = ship.with_mismatch(mass_percent=20.0, damping_percent=-30.0)
+    np.testing.assert_allclose(heavy.M, 1.2 * GOOD["M"], rtol=1e-15)
+    np.testing.assert_allclose(heavy.D, 0.7 * GOOD["D"], rtol=1e-15)
+    np.testing.assert_array_equal(heavy.tau_max, ship.tau_max)
+    same = ship.with_mismatch()
+    np.testing.assert_array_equal(same.M, ship.M)
+    np.testing.assert_array_equal(same.D, ship.D)
+
+
+@pytest.mark.parametrize("key", ["mass_percent", "damping_percent"])
+@pytest.mark.parametrize("percent", [-100.0, np.nan, np.inf])
+def test_a_mismatch_that_leaves_no_ship_is_refused(key: str, percent: float) -> None:
+    """A ship cannot lose all of its mass or damping."""
+    with pytest.raises(InputError) as caught:
+        vessel().with_mismatch(**{key: percent})
+    assert (caught.value.where, caught.value.key) == ("ship.toml", key)

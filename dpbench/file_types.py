@@ -1,0 +1,24 @@
+"""Types of the keys in problem files: numbers with bounds, vectors and matrices."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+# Bounds far beyond any ship, so that a slip of the keyboard is an error and not an overflow.
+Number = Annotated[float, Field(ge=-1e15, le=1e15)]
+Positive = Annotated[float, Field(gt=0, le=1e15)]
+NotNegative = Annotated[float, Field(ge=0, le=1e15)]
+Seconds = Annotated[float, Field(ge=1e-4, le=1e6)]
+Degrees = Annotated[float, Field(ge=-36000, le=36000)]
+Percent = Annotated[float, Field(gt=-100, le=1e4)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Count = Annotated[int, Field(ge=0, le=1_000_000)]
+Horizon = Annotated[int, Field(ge=1, le=1000)]
+Two = Annotated[list[Number], Field(min_length=2, max_length=2)]
+Three = Annotated[list[Number], Field(min_length=3, max_length=3)]
+ThreeByThree = Annotated[list[Three], Field(min_length=3, max_length=3)]
+ThreePositive = Annotated[list[Positive], Field(min_length=3, max_length=3)]
+ThreeNotNegative = Annotated[list[NotNegative], Field(min_length=3, max_length=3)]
+ThreeShares = Annotated[list[Share], Field(min_length=3, max_length=3)]

@@ -1,0 +1,162 @@
+"""Layers of rows and slacks on the moves of the condensed QP, in scaled units.
+
+    variables of a move   [Δu/Δu_max; slacks of the layers in turn]
+    rows of a move        [rows of the layers in turn]
+    low [θ; 1] ≤ A_moves z + A_slack s ≤ high [θ; 1],   s ≥ 0,   cost ρᵀs + ½ ε sᵀs
+
+Every layer brings the same rows and slacks to each move, and all together bring as many rows as
+there are moves and slacks, so one number of variables and rows per move shifts a warm start.
+
+The penalty is exact (Fletcher 1987, section 14.3): where the problem with hard rows is feasible and
+ρ exceeds the sum of the multipliers on the rows of a slack, s = 0 is optimal and the plan is that
+of the hard problem, whatever ε, because εs vanishes at s = 0. ε > 0 only keeps P definite.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpbench.mpc.condense import ControlProblem, summed_moves
+from dpbench.qp.program import Matrix, Units, Vector
+
+
+@dataclass(frozen=True, eq=False)
+class Penalty:
+    """What a unit of slack costs, in scaled units.
+
+    Parameters
+    ----------
+    amplitude : (n_u,) ρ of the amplitude slacks, per rate-limit step above the limit.
+    outputs : ρ of the output slacks, per unit of their rows.
+    curvature : ε.
+    """
+
+    amplitude: Vector
+    outputs: float
+    curvature: float
+
+    @classmethod
+    def default(cls, problem: ControlProblem, P: Matrix) -> Penalty:
+        """Penalties above the multipliers' size, from the scaled P (n, n) of the moves.
+
+        A multiplier of an amplitude row is the slope of the cost along one force, at most |P| times
+        the distance to the unconstrained plan. ρ takes that distance as the whole range of the
+        amplitude: the largest row sum of |P| of the axis times (u_max − u_min)/Δu_max. For outputs
+        the largest of the axes. ε is the smallest eigenvalue of P, so that cond(P) stays.
+        """
+        n_u = problem.model.n_u
+        slope = np.abs(P).sum(axis=1).reshape(-1, n_u).max(axis=0)
+        amplitude = slope * (problem.u_max - problem.u_min) / problem.du_max
+        return cls(amplitude, float(amplitude.max()), float(np.linalg.eigvalsh(P)[0]))
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """r rows and s slacks per move.
+
+    Parameters
+    ----------
+    A_moves : (N_c, r, N_c·n_u) coefficients of the moves; A_slack : (r, s) of the move's slacks.
+    low, high : (N_c, r, n_θ + 1) limits as maps of [θ; 1]; ±inf in the last column.
+    row_unit, slack_unit : (r,), (s,) what one scaled unit is in SI.
+    rho : (s,) penalties.
+    """
+
+    A_moves: NDArray[np.float64]
+    A_slack: Matrix
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    row_unit: Vector
+    slack_unit: Vector
+    rho: Vector
+
+
+def unlimited(like: NDArray[np.float64], sign: float) -> NDArray[np.float64]:
+    """The map of limits that are infinite whatever θ is."""
+    rows = np.zeros_like(like)
+    rows[..., -1] = sign * np.inf
+    return rows
+
+
+def amplitude_layer(problem: ControlProblem, Z: Matrix, rho: Vector | None) -> Layer:
+    """Amplitude rows C2 z (eq. 20-21); with ρ (n_u,) softened by one slack per force.
+
+    Z is the scaled map of the plain problem. Hard, a move has n_u two-sided rows; soft, it has n_u
+    upper rows C2 z − s ≤ u, then n_u lower rows C2 z + s ≥ l.
+    """
+    n_u, N_c = problem.model.n_u, problem.N_c
+    n = N_c * n_u
+    sums = summed_moves(N_c, n_u).reshape(N_c, n_u, n)
+    low, high = Z[n:].reshape(2, N_c, n_u, -1)
+    if rho is None:
+        nothing = np.zeros(0)
+        return Layer(sums, np.zeros((n_u, 0)), low, high, problem.du_max, nothing, nothing)
+    one = np.eye(n_u)
+    return Layer(
+        np.concatenate((sums, sums), axis=1),
+        np.vstack((-one, one)),
+        np.concatenate((unlimited(high, -1.0), low), axis=1),
+        np.concatenate((high, unlimited(low, 1.0)), axis=1),
+        np.concatenate((problem.du_max, problem.du_max)),
+        problem.du_max,
+        rho,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Layered:
+    """The matrices of a QP with layers; `block` variables per move, `si` what a unit is in SI."""
+
+    P: Matrix
+    A: Matrix
+    lb: Vector
+    ub: Vector
+    Z: Matrix
+    si: Units
+    block: int
+
+    def in_si(self) -> Layered:
+        """The same problem with z and rows in SI units."""
+        z, row = self.si.z, self.si.row
+        stretch = np.concatenate((1.0 / z, row, row))[:, np.newaxis]
+        return Layered(
+            self.P / np.outer(z, z),
+            self.A * row[:, np.newaxis] / z,
+            self.lb * z,
+            self.ub * z,
+            self.Z * stretch,
+            self.si,
+            self.block,
+        )
+
+
+def lay(P: Matrix, Z_q: Matrix, du_max: Vector, layers: list[Layer], epsilon: float) -> Layered:
+    """Assemble the layers on the scaled cost P (n_0, n_0), q = Z_q [θ; 1] of the moves."""
+    n_u, N_c = len(du_max), len(P) // len(du_max)
+    units = np.concatenate([du_max, *(layer.slack_unit for layer in layers)])
+    rows = np.concatenate([layer.row_unit for layer in layers])
+    block = len(units)
+    assert block == len(rows), "layers bring as many rows as moves and slacks"
+    n, width = N_c * block, Z_q.shape[1]
+    whole_P, A, Z = np.diag(np.full(n, epsilon)), np.zeros((n, n)), np.zeros((3, n, width))
+    place = np.arange(n).reshape(N_c, block)
+    moves = place[:, :n_u].reshape(-1)
+    whole_P[np.ix_(moves, moves)] = P
+    Z[0, moves] = Z_q
+    row, column = 0, n_u
+    for layer in layers:
+        r, s = layer.A_slack.shape
+        own, slacks = place[:, row : row + r], place[:, column : column + s]
+        A[own[:, :, np.newaxis], moves] = layer.A_moves
+        A[own[:, :, np.newaxis], slacks[:, np.newaxis]] = layer.A_slack
+        Z[0, slacks, -1] = layer.rho
+        Z[1, own], Z[2, own] = layer.low, layer.high
+        row, column = row + r, column + s
+    lb, ub = np.zeros((N_c, block)), np.full((N_c, block), np.inf)
+    lb[:, :n_u], ub[:, :n_u] = -1.0, 1.0
+    si = Units(np.tile(units, N_c), np.tile(rows, N_c))
+    flat_Z = Z.reshape(3 * n, width)
+    return Layered(whole_P, A, lb.reshape(-1), ub.reshape(-1), flat_Z, si, block)

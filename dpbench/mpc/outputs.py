@@ -1,0 +1,128 @@
+"""Bounds on the predicted outputs, x ∈ X of the paper's Algorithm 1: watch circle and speed.
+
+    dᵀ(p(k+i) − c) − s ≤ r_K,    dᵀ(p(k+i) − p(k+i−1))/ΔT − s ≤ v_K,    s ≥ 0
+    d = (cos 2πj/K, sin 2πj/K),  j = 0 … K−1;    r_K, v_K = cos(π/K) times the radius, the speed
+
+Circles in the horizontal plane become regular polygons of K sides in the north-east frame, inside
+the circle, so what satisfies the rows satisfies the circle; eight sides give away 8 % of it at
+most. They hold at N_c instants i = N_p/N_c, 2N_p/N_c, …, N_p, one per move, so that all moves have
+the same rows; each row has a slack of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpbench.errors import InputError, ShapeError
+from dpbench.mpc.condense import CondensedMatrices, ControlProblem
+from dpbench.mpc.layers import Layer, unlimited
+from dpbench.qp.program import Matrix, Vector
+
+
+@dataclass(frozen=True, eq=False)
+class OutputBounds:
+    """Where the ship may be and how fast it may go, predicted.
+
+    Parameters
+    ----------
+    radius_m : of the watch circle, None for none.
+    speed_mps : largest speed over ground, from Δη/ΔT, None for none.
+    sample_s : ΔT.
+    centre_m : (2,) north and east of the circle; None moves it with the reference.
+    sides : K.
+    """
+
+    sample_s: float
+    radius_m: float | None = None
+    speed_mps: float | None = None
+    centre_m: Vector | None = None
+    sides: int = 8
+
+    def __post_init__(self) -> None:
+        for name in ("sample_s", "radius_m", "speed_mps"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < np.inf:
+                raise InputError("OutputBounds", name, value, "a positive number")
+        if self.radius_m is None and self.speed_mps is None:
+            raise InputError("OutputBounds", "radius_m, speed_mps", None, "at least one of them")
+        if self.sides < 3:
+            raise InputError("OutputBounds", "sides", self.sides, "3 or more")
+        if self.centre_m is not None and np.shape(self.centre_m) != (2,):
+            found = np.shape(self.centre_m)
+            raise ShapeError.of("OutputBounds", "centre_m", found, "shape (2,)")
+
+    @property
+    def directions(self) -> Matrix:
+        """The outward normals d of the sides (K, 2)."""
+        angle = 2.0 * np.pi * np.arange(self.sides) / self.sides
+        return np.column_stack((np.cos(angle), np.sin(angle)))
+
+    @property
+    def inside(self) -> float:
+        """Distance of the sides from the centre, in radii."""
+        return float(np.cos(np.pi / self.sides))
+
+
+def instants(N_p: int, N_c: int) -> NDArray[np.intp]:
+    """The N_c steps i ≤ N_p at which outputs are bounded, spread evenly; the last is N_p."""
+    return np.arange(1, N_c + 1) * N_p // N_c
+
+
+def output_layers(
+    problem: ControlProblem, matrices: CondensedMatrices, bounds: OutputBounds, rho: float
+) -> list[Layer]:
+    """The layer of the watch circle and the one of the speed, whichever are asked for."""
+    n_y, n_x, n = problem.model.n_y, problem.model.n_x, len(matrices.E)
+    if n_y != 3:
+        raise ShapeError.of("OutputBounds", "model.C", problem.model.C.shape, "3 outputs of a ship")
+    # Outputs at steps 0 … N_p as maps of the state and of the scaled plan; north and east only.
+    free = np.vstack((problem.model.C, matrices.F)).reshape(-1, n_y, n_x)[:, :2]
+    moved = matrices.Phi * np.tile(problem.du_max, problem.N_c)
+    moved = np.vstack((np.zeros((n_y, n)), moved)).reshape(-1, n_y, n)[:, :2]
+    i = instants(problem.N_p, problem.N_c)
+    layers = []
+    if bounds.radius_m is not None:
+        layer = _polygon(problem, bounds, free[i], moved[i], bounds.radius_m, rho)
+        _centre(layer, bounds, n_x)
+        layers.append(layer)
+    if bounds.speed_mps is not None:
+        per_s = 1.0 / bounds.sample_s
+        rate, push = per_s * (free[i] - free[i - 1]), per_s * (moved[i] - moved[i - 1])
+        layers.append(_polygon(problem, bounds, rate, push, bounds.speed_mps, rho))
+    return layers
+
+
+def _polygon(
+    problem: ControlProblem,
+    bounds: OutputBounds,
+    free: NDArray[np.float64],
+    moved: NDArray[np.float64],
+    radius: float,
+    rho: float,
+) -> Layer:
+    """Sides around the origin for outputs free x + moved z, (N_c, 2, n_x) and (N_c, 2, n).
+
+    One unit of a row is what a full rate-limit step at k of the strongest axis does at the last
+    instant; it is the same at every heading.
+    """
+    K, n_u = bounds.sides, problem.model.n_u
+    unit = float(np.linalg.norm(moved[-1, :, :n_u], axis=0).max())
+    d = bounds.directions / unit
+    high = np.zeros((len(free), K, problem.model.n_x + problem.model.n_y + n_u + 1))
+    high[:, :, : problem.model.n_x] = -(d @ free)
+    high[:, :, -1] = bounds.inside * radius / unit
+    units = np.full(K, unit)
+    rows = d @ moved
+    return Layer(rows, -np.eye(K), unlimited(high, -1.0), high, units, units, np.full(K, rho))
+
+
+def _centre(layer: Layer, bounds: OutputBounds, n_x: int) -> None:
+    """Move the polygon of a layer from the origin to the centre of the circle."""
+    d = bounds.directions / layer.row_unit[0]
+    if bounds.centre_m is None:
+        layer.high[:, :, n_x : n_x + 2] = d
+    else:
+        layer.high[:, :, -1] += d @ bounds.centre_m

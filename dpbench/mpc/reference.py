@@ -1,0 +1,69 @@
+"""The reference over time: a set-point, or the trajectory of a reference filter towards it.
+
+    η_d''' + (2ζ+1) ω η_d'' + (2ζ+1) ω² η_d' + ω³ η_d = ω³ η_r        (Fossen 2021, section 12.1.1)
+
+A third-order filter gives a reference with continuous acceleration, which a ship can follow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from dpbench.errors import InputError
+from dpbench.qp.program import Matrix, Vector
+
+
+@dataclass(frozen=True)
+class ReferenceFilter:
+    """Natural period 2π/ω [s] and relative damping ζ of the filter."""
+
+    period_s: float
+    damping: float = 1.0
+    where: str = "ReferenceFilter"
+
+    def __post_init__(self) -> None:
+        for name in ("period_s", "damping"):
+            value = getattr(self, name)
+            if not 0.0 < value < np.inf:
+                raise InputError(self.where, name, value, "a positive number")
+
+
+def nearest_turn(target: Vector, start: Vector) -> Vector:
+    """The pose `target` (3,), its heading within π of the start's: the error is wrapped once."""
+    reference, turn = target.copy(), 2 * np.pi
+    reference[2] += turn * np.round((start[2] - reference[2]) / turn)
+    return reference
+
+
+def reference_table(
+    start: Vector,
+    target: Vector,
+    samples: int,
+    sample_s: float,
+    smoothed: ReferenceFilter | None = None,
+) -> Matrix:
+    """The reference at each sample: (samples, 3) [m, m, rad], heading unwrapped.
+
+    Parameters
+    ----------
+    start, target : (3,) poses; the filter begins at rest at the start.
+    smoothed : the filter; None for a set-point that is there from the first sample.
+    """
+    goal = nearest_turn(target, start)
+    table = np.tile(goal, (samples, 1))
+    if smoothed is None:
+        return table
+    omega, zeta = 2 * np.pi / smoothed.period_s, smoothed.damping
+    A = np.array([[0, 1, 0], [0, 0, 1], [-(omega**3), -(2 * zeta + 1) * omega**2, 0]])
+    A[2, 2] = -(2 * zeta + 1) * omega
+    advance = scipy.linalg.expm(A * sample_s)
+    # Distance to the goal, its first and second derivative; the goal is the filter's equilibrium.
+    away = np.zeros((3, 3))
+    away[0] = start - goal
+    for k in range(samples):
+        table[k] = goal + away[0]
+        away = advance @ away
+    return table

@@ -1,0 +1,211 @@
+"""`RelinearisedQP`: the condensed QP re-linearised at the measured heading, step by step.
+
+Linearising at ψ turns the model by T = diag(I, R, R) (`model.rotated`), so with R = R(ψ − ψ0)
+
+    h_t ↦ R h_t,    F_t ↦ R F_t Tᵀ,    E ↦ Σ hᵀ (RᵀQR) h + R̄,    F_x ↦ Σ hᵀ (RᵀQR) F_t Tᵀ
+
+(eq. 15-24): every entry of P, A and Z is a trigonometric polynomial of degree 2 in ψ. Condensing at
+five headings 72° apart therefore gives them at all headings, to rounding, for the price of a few
+multiply-adds a step. For a Q that weighs north and east alike, RᵀQR = Q and P is the same at
+every heading: re-linearising then changes q alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpbench.errors import InputError
+from dpbench.mpc.condense import CondensedMatrices, ControlProblem, UnitSystem, condense_matrices
+from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
+from dpbench.mpc.layers import Penalty
+from dpbench.mpc.outputs import OutputBounds
+from dpbench.qp.program import Matrix, QPStep, Vector
+
+_TURNS = 2.0 * np.pi * np.arange(5) / 5
+"""Where the polynomials are sampled: five points determine degree 2."""
+_CHECKED_TURN = 1.0
+"""A heading apart from all samples, where every polynomial must give what condensing gives."""
+_NOISE = 1e-13
+"""Changes below it, relative to the largest entry of their column, are rounding of the samples."""
+_DEGREE_TWO = 1e-9
+"""What an array may differ by at the checked heading, relative likewise."""
+
+Wave = TypeVar("Wave", float, Vector)
+
+
+@dataclass(frozen=True, eq=False)
+class HeadingSeries:
+    """A matrix whose entries are trigonometric polynomials of degree 2 in a turn δ.
+
+    `varying` : places of the entries that change, in the flattened matrix; `terms` : (number of
+    the basis function, coefficients) of those that take part in
+    entry(δ) = c_0 + c_1 cos δ + c_2 sin δ + c_3 cos 2δ + c_4 sin 2δ.
+    """
+
+    varying: NDArray[np.intp]
+    constant: Vector
+    terms: list[tuple[int, Vector]]
+
+    @classmethod
+    def of(cls, samples: Sequence[Matrix]) -> HeadingSeries:
+        """The polynomial through the samples at the turns `_TURNS`, two-dimensional arrays."""
+        stack = np.array([np.where(np.isfinite(sample), sample, 0.0) for sample in samples])
+        size = np.broadcast_to(_NOISE * np.abs(stack).max(axis=(0, 1)), stack.shape[1:]).reshape(-1)
+        stack = stack.reshape(len(_TURNS), -1)
+        varying = np.flatnonzero(np.ptp(stack, axis=0) > size)
+        values, size = stack[:, varying], size[varying]
+        waves = 0.4 * np.array(_waves(np.cos(_TURNS), np.sin(_TURNS))) @ values
+        terms = [(k, wave) for k, wave in enumerate(waves) if (np.abs(wave) > size).any()]
+        return cls(varying, values.mean(axis=0), terms)
+
+    def write(self, turn_rad: float, out: Matrix) -> None:
+        """Set the varying entries of a contiguous `out` to their values at a turn."""
+        waves = _waves(math.cos(turn_rad), math.sin(turn_rad))
+        # Entry by entry alike, so that a symmetric matrix stays so to the last bit.
+        values = self.constant.copy()
+        for k, coefficients in self.terms:
+            values += waves[k] * coefficients
+        out.reshape(-1)[self.varying] = values
+
+
+def _waves(c: Wave, s: Wave) -> tuple[Wave, Wave, Wave, Wave]:
+    """cos δ, sin δ, cos 2δ, sin 2δ from c = cos δ and s = sin δ."""
+    return c, s, c * c - s * s, 2.0 * c * s
+
+
+class RelinearisedQP(CondensedQP):
+    """The DP MPC problem re-linearised at the heading x[8] of the step.
+
+    Parameters
+    ----------
+    problem, units, amplitude, outputs, penalty : as for `CondensedQP`.
+    psi0_rad : heading at which the model of `problem` is linearised.
+    threshold_rad : re-linearise when the heading is at least this far from the last time; 0, each
+        step.
+    always : bring P with every re-linearised step, as a controller does that condenses anew; False,
+        only if entries of P depend on the heading.
+
+    Attributes
+    ----------
+    P, A, Z, matrices : those of the last step; A and P in arrays that later steps leave alone.
+    heading_rad : where they are linearised; rebuilt : how often that happened.
+
+    Raises
+    ------
+    InputError : when the QP is no polynomial of degree 2 in the heading, as with a Riccati terminal
+        cost under a Q that weighs north and east unlike.
+    """
+
+    def __init__(
+        self,
+        problem: ControlProblem,
+        *,
+        psi0_rad: float,
+        threshold_rad: float = 0.0,
+        always: bool = True,
+        units: UnitSystem = "scaled",
+        amplitude: Amplitude = "reachable",
+        outputs: OutputBounds | None = None,
+        penalty: Penalty | None = None,
+    ) -> None:
+        super().__init__(
+            problem, units=units, amplitude=amplitude, outputs=outputs, penalty=penalty
+        )
+        if not threshold_rad >= 0.0:
+            raise InputError("RelinearisedQP", "threshold_rad", threshold_rad, "0 or more")
+        self.psi0_rad = self.heading_rad = psi0_rad
+        self.threshold_rad = threshold_rad
+        self.rebuilt = 0
+        self._condensed_at = psi0_rad
+        *samples, check = [self._built(turn) for turn in (*_TURNS, _CHECKED_TURN)]
+        self._sampled = [sample.matrices for sample in samples]
+        self._series = {
+            name: HeadingSeries.of([getattr(sample, name) for sample in samples])
+            for name in ("P", "A", "Z")
+        }
+        self._check(check)
+        self._brings_P = always or len(self._series["P"].varying) > 0
+        self._brings_A = len(self._series["A"].varying) > 0
+
+    def _built(self, turn_rad: float) -> CondensedQP:
+        """The problem at another heading, with the penalty of this one."""
+        return CondensedQP(
+            self.control.turned(turn_rad),
+            units=self.units,
+            amplitude=self.amplitude,
+            outputs=self.outputs,
+            penalty=self.penalty,
+        )
+
+    def _check(self, check: CondensedQP) -> None:
+        for name, series in self._series.items():
+            expected, found = getattr(check, name), getattr(self, name).copy()
+            series.write(_CHECKED_TURN, found)
+            finite = np.isfinite(expected)
+            expected, found = np.where(finite, expected, 0.0), np.where(finite, found, 0.0)
+            if (np.abs(found - expected) > _DEGREE_TWO * np.abs(expected).max(axis=0)).any():
+                allowed = "a terminal cost and weights that turn with the ship"
+                raise InputError("RelinearisedQP", name, "another function of heading", allowed)
+
+    @property
+    def matrices(self) -> CondensedMatrices:
+        """E, F, Φ of the paper in SI units at the heading of the last step; slow after a turn."""
+        if self._condensed_at != self.heading_rad:
+            turn = self.heading_rad - self.psi0_rad
+            self._matrices = condense_matrices(self.control.turned(turn))
+            self._condensed_at = self.heading_rad
+        return self._matrices
+
+    @cached_property
+    def _reference_series(self) -> HeadingSeries:
+        return HeadingSeries.of([matrices.F_y for matrices in self._sampled])
+
+    def _reference_map(self) -> Matrix:
+        F_y = self._sampled[0].F_y.copy()
+        self._reference_series.write(self.heading_rad - self.psi0_rad, F_y)
+        return F_y
+
+    def linearise(self, psi_rad: float) -> None:
+        """Take the model linearised at a heading for this step and those that follow."""
+        self.heading_rad = float(psi_rad)
+        turn = self.heading_rad - self.psi0_rad
+        if len(self._series["P"].varying):
+            self.P = self.P.copy()
+            self._series["P"].write(turn, self.P)
+        if self._brings_A:
+            self.A = self.A.copy()
+            self._series["A"].write(turn, self.A)
+        # In place: `emit` holds the product with this very array.
+        self._series["Z"].write(turn, self.Z)
+        self.rebuilt += 1
+
+    def emit(
+        self,
+        x: Vector,
+        y_ref: Vector,
+        u_prev: Vector,
+        *,
+        limits: tuple[Vector, Vector] | None = None,
+    ) -> QPStep:
+        """The QP of one step as `CondensedQP.emit`, with the matrices that came with its heading.
+
+        A re-linearised step brings P (see `always`), and A where its entries depend on the heading:
+        those of output bounds do, scaled amplitude rows do not.
+        """
+        psi_rad = x[8]
+        if not abs(psi_rad - self.heading_rad) >= self.threshold_rad:
+            return super().emit(x, y_ref, u_prev, limits=limits)
+        self.linearise(psi_rad)
+        step = super().emit(x, y_ref, u_prev, limits=limits)
+        if self._brings_P:
+            step.P = self.P
+        if self._brings_A:
+            step.A = self.A
+        return step

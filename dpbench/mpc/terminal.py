@@ -1,0 +1,89 @@
+"""The terminal cost: what the infinite horizon beyond the last predicted step would cost.
+
+    S = AᵀSA − AᵀSB (R + BᵀSB)⁻¹ BᵀSA + CᵀQC                   (discrete algebraic Riccati equation)
+    J ← J + ½ (x(N_p) − Cᵀy_d)ᵀ W (x(N_p) − Cᵀy_d),   W = S − CᵀQC
+    x(N_p) = A^{N_p} x(k) + Γ ΔU,   Γ_j = A^{N_p−1−j} B
+
+Eq. 17 already counts Q at step N_p, hence W and not S: with W and N_c = N_p the unconstrained law
+is the linear-quadratic regulator at any horizon (Rawlings, Mayne & Diehl 2017, section 1.3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from dpbench.errors import InputError
+from dpbench.mpc.model import StateSpace
+from dpbench.qp.program import Matrix, Vector
+
+
+@dataclass(frozen=True, eq=False)
+class TerminalCost:
+    """W (n_x, n_x), A^{N_p} (n_x, n_x), Γ (n_x, N_c·n_u) and C (n_y, n_x), in SI units."""
+
+    W: Matrix
+    A_N: Matrix
+    Gamma: Matrix
+    C: Matrix
+
+    @property
+    def E(self) -> Matrix:
+        """What it adds to E (n, n): Γᵀ W Γ, symmetric to the last bit."""
+        E = self.Gamma.T @ self.W @ self.Gamma
+        return 0.5 * (E + E.T)
+
+    @property
+    def F_x(self) -> Matrix:
+        """What it adds to F_x (n, n_x)."""
+        return self.Gamma.T @ self.W @ self.A_N
+
+    @property
+    def F_y(self) -> Matrix:
+        """What it adds to the part of F_held, or F_y, of the last reference (n, n_y)."""
+        return -self.Gamma.T @ self.W @ self.C.T
+
+    def constant(self, x: Vector, y_d: Vector) -> float:
+        """What it adds to J0, for the reference y_d (n_y,) of the last step."""
+        away = self.A_N @ x - self.C.T @ y_d
+        return 0.5 * float(away @ self.W @ away)
+
+
+def riccati(model: StateSpace, Q: Matrix, R: Matrix, du_max: Vector) -> Matrix:
+    """S (n_x, n_x) of the incremental model, found with the inputs in units of du_max (n_u,).
+
+    Raises
+    ------
+    InputError : when no stabilising solution exists, as for an output that no input steers.
+    """
+    # In N and N·m the entries of B and R lie up to fourteen decades from those of A and Q.
+    A, B, R = model.A, model.B * du_max, R * du_max * du_max[:, np.newaxis]
+    reason = "the regulator leaves a mode that does not decay"
+    try:
+        S = scipy.linalg.solve_discrete_are(A, B, model.C.T @ Q @ model.C, R)
+        K = np.linalg.solve(R + B.T @ S @ B, B.T @ S @ A)
+        # A mode that no input steers can come back as a solution all the same.
+        stable = np.abs(np.linalg.eigvals(A - B @ K)).max() < 1.0 - 1e-9
+    except np.linalg.LinAlgError as error:
+        stable, reason = False, str(error)
+    if not stable:
+        allowed = 'a model that its inputs stabilise and its weights see, or "none"'
+        raise InputError("ControlProblem", "terminal", f"riccati: {reason}", allowed)
+    return np.asarray(S, dtype=np.float64)
+
+
+def terminal_cost(
+    model: StateSpace, Q: Matrix, R: Matrix, du_max: Vector, N_p: int, N_c: int
+) -> TerminalCost:
+    """The terminal cost of a horizon N_p with N_c moves."""
+    n_u = model.n_u
+    Gamma = np.empty((model.n_x, N_c * n_u))
+    reached = np.linalg.matrix_power(model.A, N_p - N_c) @ model.B
+    for j in range(N_c - 1, -1, -1):
+        Gamma[:, j * n_u : (j + 1) * n_u] = reached
+        reached = model.A @ reached
+    W = riccati(model, Q, R, du_max) - model.C.T @ Q @ model.C
+    A_N = np.linalg.matrix_power(model.A, N_p)
+    return TerminalCost(0.5 * (W + W.T), A_N, Gamma, model.C)

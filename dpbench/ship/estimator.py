@@ -1,0 +1,111 @@
+"""From what the sensors see to the state the controller acts on (paper Figure 2, "estimator").
+
+    estimate [u, v, r, n, e, ψ](t_k) = f(measured(t_0..t_k), τ(t_0..t_k))
+
+An estimator keeps the low-frequency motion, which the thrusters can and should counteract, and
+leaves out the first-order wave motion, which they cannot.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numba import njit
+
+from dpbench.errors import InputError, ShapeError
+from dpbench.qp.program import Vector
+
+TURN = 2.0 * math.pi
+
+
+@njit(cache=True)
+def nearest_turn(heading_rad, near_rad):  # type: ignore[no-untyped-def] # compiled by numba
+    """The angle equal to heading_rad up to whole turns that lies within π of near_rad."""
+    return heading_rad + TURN * np.rint((near_rad - heading_rad) / TURN)
+
+
+class Estimator(ABC):
+    """What stands between the sensors and the controller; one object per run.
+
+    Order in the loop: `start` with the state at t_0, then one `update` per sample, the first with
+    the measurement at t_0 itself: it advances nothing, and its τ is not read.
+    """
+
+    change: Vector
+    """(6,) [Δu, Δv, Δr, Δn, Δe, Δψ] over the sample before the last update, zero at the first.
+
+    What the law is to take for Δν, Δη: a filter's is free of the corrections that the difference
+    of two of its estimates holds (`model_change`). Overwritten by the next update.
+    """
+
+    @abstractmethod
+    def start(self, state: Vector) -> None:
+        """Forget everything and begin at the state (6,) = [u, v, r, n, e, ψ], SI, ψ unwrapped."""
+
+    @abstractmethod
+    def update(self, measured: Vector, tau: Vector) -> Vector:
+        """The estimate at the time of a measurement.
+
+        Parameters
+        ----------
+        measured : (6,) [u, v, r, n, e, ψ] or (3,) [n, e, ψ] as sensed [m/s, rad/s, m, rad], wave
+            motion and noise included. A filter reads the pose only, the last three: a ship in
+            dynamic positioning has no sensor of its low-frequency speed. ψ may be wrapped.
+        tau : (3,) force applied over the sample before this measurement [N, N, N·m].
+
+        Returns
+        -------
+        (6,) low-frequency [u, v, r, n, e, ψ], ψ unwrapped: the estimator's own memory, which the
+        next update overwrites.
+        """
+
+
+class MeasuredState(Estimator):
+    """No estimator at all: the controller acts on the measured state, wave motion included.
+
+    It takes the full measurement (6,), since a pose alone does not tell the speed.
+    """
+
+    def __init__(self) -> None:
+        self._estimate, self.change = np.zeros(6), np.zeros(6)
+        self._first = True
+
+    def start(self, state: Vector) -> None:
+        self._estimate[...] = state
+        self.change[...] = 0.0
+        self._first = True
+
+    def update(self, measured: Vector, tau: Vector) -> Vector:
+        """The measurement and its difference to the last; ShapeError unless it is (6,)."""
+        if measured.shape != (6,):
+            raise ShapeError.of("MeasuredState", "measured", measured.shape, "shape (6,)")
+        estimate, change = self._estimate, self.change
+        before = estimate[5]
+        np.subtract(measured, estimate, out=change)
+        turns = TURN * round(change[5] / TURN)
+        estimate[...] = measured
+        estimate[5] -= turns
+        change[5] = estimate[5] - before
+        if self._first:
+            change[...] = 0.0
+            self._first = False
+        return estimate
+
+
+def checked_sample(where: str, sample_s: float) -> float:
+    """The sample [s]; InputError unless it is a positive finite number."""
+    if not 0.0 < sample_s < math.inf:
+        raise InputError(where, "sample_s", sample_s, "a positive number of seconds")
+    return float(sample_s)
+
+
+def positive_vector(where: str, key: str, value: object) -> Vector:
+    """The value as (3,) positive finite floats; ShapeError or InputError names where and key."""
+    array = np.ascontiguousarray(value, dtype=np.float64)
+    if array.shape != (3,):
+        raise ShapeError.of(where, key, array.shape, "shape (3,)")
+    if not (np.isfinite(array) & (array > 0)).all():
+        raise InputError(where, key, array.tolist(), "positive finite numbers")
+    return array

@@ -1,0 +1,42 @@
+"""Froude's similarity: what a full-size scenario becomes for a model ship of scale 1 : λ.
+
+    length 1/λ,   time and speed 1/√λ,   mass and force 1/λ³,   moment 1/λ⁴      (same density)
+
+Accelerations and angles stay, so the model sees the same sea (Newman 1977, section 2.4).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from dpbench.qp.program import Vector
+
+
+@dataclass(frozen=True)
+class Froude:
+    """Factors from full size to a model of scale 1 : ratio; ratio 1 is full size itself."""
+
+    ratio: float = 1.0
+
+    @property
+    def length(self) -> float:
+        """Of lengths."""
+        return 1.0 / self.ratio
+
+    @property
+    def time(self) -> float:
+        """Of times, and of speeds."""
+        return 1.0 / math.sqrt(self.ratio)
+
+    @property
+    def force(self) -> Vector:
+        """(3,) of the force in surge and sway and the moment in yaw."""
+        return np.array([self.ratio**-3, self.ratio**-3, self.ratio**-4])
+
+    @property
+    def pose(self) -> Vector:
+        """(3,) of north, east, heading."""
+        return np.array([self.length, self.length, 1.0])

@@ -1,0 +1,40 @@
+"""What is measured of the ship: its state, the motion of the waves on top of it, and noise.
+
+measured = [ν; η] + [R(ψ)ᵀ η̇_w; η_w] + [0; noise]
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from dpbench.qp.program import Vector
+from dpbench.ship.environment import Environment
+
+
+@njit(cache=True)
+def _sense(state, motion, noise, measured):  # type: ignore[no-untyped-def] # compiled by numba
+    """The measurement (6,) into measured, of state (6,), motion (6,) in NED and noise (3,)."""
+    c, s = np.cos(state[5]), np.sin(state[5])
+    measured[0] = state[0] + c * motion[3] + s * motion[4]
+    measured[1] = state[1] - s * motion[3] + c * motion[4]
+    measured[2] = state[2] + motion[5]
+    for i in range(3):
+        measured[3 + i] = state[3 + i] + motion[i] + noise[i]
+
+
+class Sensors:
+    """The sensors in one run of `samples` samples; without wave motion and noise they are ideal."""
+
+    def __init__(self, environment: Environment, samples: int, sample_s: float) -> None:
+        self._ideal = environment.motion is None and environment.noise is None
+        self._motion = environment.measured_motion(samples, sample_s)
+        self._noise = environment.noise_table(samples)
+        self._measured = np.empty(6)
+
+    def sense(self, state: Vector, k: int) -> Vector:
+        """[u, v, r, n, e, ψ] as measured at sample k; valid until the next."""
+        if self._ideal:
+            return state
+        _sense(state, self._motion[k], self._noise[k], self._measured)
+        return self._measured

@@ -1,0 +1,44 @@
+"""What the tests of the loads share: a ship with hull data and the force that it feels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dpbench.scenario import load_vessel
+from dpbench.ship.environment import Environment
+from dpbench.ship.plant import Plant
+from dpbench.ship.vessel import Vessel
+from dpbench.ship.waves import WaveReflection
+from dpbench.ship.wind import Windage
+
+
+@pytest.fixture
+def hull() -> Vessel:
+    """The default ship with plausible areas above the water and at the waterline."""
+    windage, reflection = Windage(290.0, 700.0), WaveReflection(18.0)
+    return replace(load_vessel("supply_fs99"), windage=windage, reflection=reflection)
+
+
+@pytest.fixture
+def felt_force() -> Callable[..., np.ndarray]:
+    """The force of the weather at time zero on a ship at a heading and velocity.
+
+    It is read off the motion: F = M (ν(h) − ν)/h + D ν for an instant h of 10 µs, which leaves an
+    error of h over the ship's time constants, 1e-6 of the force.
+    """
+
+    def force(
+        ship: Vessel, weather: Environment, heading_rad: float = 0.0, nu: np.ndarray | None = None
+    ) -> np.ndarray:
+        start = np.zeros(6) if nu is None else np.concatenate([nu, np.zeros(3)])
+        start[5] = heading_rad
+        instant = 1e-5
+        plant = Plant(ship, start, instant, 1, loads=weather.load_coefficients(ship))
+        plant.advance(np.zeros(3), weather.stage_table(1, instant, 1)[0])
+        return ship.M @ (plant.state[:3] - start[:3]) / instant + ship.D @ start[:3]
+
+    return force

@@ -1,0 +1,88 @@
+"""Lost thrust and dead time between the command and the hull."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dpbench.errors import InputError
+from dpbench.scenario import load_vessel
+from dpbench.ship.actuators import Actuators
+from dpbench.ship.environment import Environment
+from dpbench.ship.plant import SUBSTEPS, Plant
+
+ZERO = np.zeros(3)
+STAGES = Environment(ZERO, ZERO, np.ones(3), ZERO).stage_table(1, 0.3, SUBSTEPS)[0]
+
+
+def commands(steps: int) -> np.ndarray:
+    """Commands that change in every sample."""
+    ship = load_vessel("supply_fs99")
+    return np.random.default_rng(3).uniform(ship.tau_min, ship.tau_max, (steps, 3))
+
+
+def track(tau: np.ndarray, actuators: Actuators | None) -> np.ndarray:
+    """States after each of the commands."""
+    plant = Plant(load_vessel("supply_fs99"), np.zeros(6), 0.3, actuators=actuators)
+    states = []
+    for command in tau:
+        plant.advance(command, STAGES)
+        states.append(plant.state.copy())
+    return np.array(states)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 4, 30])
+def test_a_delayed_ship_does_what_it_was_told_some_samples_ago(delay: int) -> None:
+    """Dead time of d samples is a command that begins with d samples of nothing, bit for bit."""
+    tau = commands(20)
+    earlier = np.concatenate([np.zeros((delay, 3)), tau])[:20]
+    late = track(tau, Actuators(delay_samples=delay))
+    np.testing.assert_array_equal(late, track(earlier, None))
+
+
+def test_lost_thrust_scales_the_force_on_the_hull() -> None:
+    """Each axis delivers its share of the command, to the last bit."""
+    share = np.array([0.9, 0.45, 0.6])
+    np.testing.assert_array_equal(
+        track(commands(20), Actuators(share, 2)),
+        track(np.concatenate([np.zeros((2, 3)), commands(20)])[:20] * share, None),
+    )
+
+
+def test_two_ships_of_one_design_do_not_share_their_commands() -> None:
+    """A description of actuators serves any number of runs, each starting from rest."""
+    actuators = Actuators(delay_samples=3)
+    first = track(commands(10), actuators)
+    np.testing.assert_array_equal(first, track(commands(10), actuators))
+
+
+def test_the_command_is_left_as_it_was() -> None:
+    """Neither loss nor delay writes into the caller's command."""
+    tau = commands(1)[0]
+    before = tau.copy()
+    plant = Plant(
+        load_vessel("supply_fs99"), np.zeros(6), 0.3, actuators=Actuators(np.full(3, 0.5), 1)
+    )
+    plant.advance(tau, STAGES)
+    np.testing.assert_array_equal(tau, before)
+
+
+@pytest.mark.parametrize(
+    ("share", "delay", "key", "allowed"),
+    [
+        ([1.0, 1.2, 1.0], 0, "efficiency", "0 to 1"),
+        ([1.0, -0.1, 1.0], 0, "efficiency", "0 to 1"),
+        ([1.0, np.nan, 1.0], 0, "efficiency", "finite"),
+        ([1.0, 1.0], 0, "efficiency", "shape (3,)"),
+        ([1.0, 1.0, 1.0], -1, "delay_samples", "whole samples"),
+        ([1.0, 1.0, 1.0], 1.5, "delay_samples", "whole samples"),
+    ],
+)
+def test_actuators_that_cannot_be_are_refused(
+    share: list[float], delay: int, key: str, allowed: str
+) -> None:
+    """Shares outside 0 to 1 and delays that are no whole number are named."""
+    with pytest.raises(InputError) as caught:
+        Actuators(share, delay, "fault.toml")  # type: ignore[arg-type] # bad on purpose
+    assert (caught.value.where, caught.value.key) == ("fault.toml", key)
+    assert allowed in caught.value.allowed

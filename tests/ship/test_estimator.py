@@ -1,0 +1,191 @@
+"""What every estimator promises, on the nonlinear ship."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from dpbench.errors import InputError, ShapeError
+from dpbench.scenario import load_vessel
+from dpbench.ship.environment import Environment
+from dpbench.ship.estimator import Estimator, MeasuredState
+from dpbench.ship.kalman import KalmanFilter
+from dpbench.ship.kalman_model import SENSOR_STD, KalmanTuning
+from dpbench.ship.model_change import change_matrix, model_change
+from dpbench.ship.passive_observer import PassiveObserver
+from dpbench.ship.passive_tuning import PassiveTuning
+from dpbench.ship.plant import SUBSTEPS, Plant
+from dpbench.ship.wave_filter import WaveModel
+
+SAMPLE_S = 0.3
+SHIP = load_vessel("supply_fs99")
+WAVES = WaveModel.of_sea(8.5, np.array([0.3, 0.3, np.radians(1.0)]))
+BIAS = np.array([-60e3, 90e3, 1e6])
+NOTHING = np.zeros(3)
+START = np.array([0.3, -0.2, 0.004, 12.0, -7.0, 0.8])
+
+
+def kalman() -> KalmanFilter:
+    """The Kalman filter with its defaults for the ship."""
+    return KalmanFilter(SHIP, KalmanTuning.of_ship(SHIP, WAVES), SAMPLE_S)
+
+
+def passive() -> PassiveObserver:
+    """The passive observer with its defaults for the ship."""
+    return PassiveObserver(SHIP, PassiveTuning.of_ship(SHIP, WAVES), SAMPLE_S)
+
+
+FILTERS = (kalman, passive)
+ALL = (MeasuredState, *FILTERS)
+
+
+def turning_ship(
+    estimator: Estimator, steps: int, heading_rad: float, wrapped: bool = False
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """States, estimates and changes (steps, 6) of a ship that is steered to a heading.
+
+    Steered from its true state by springs and dampers, pushed by BIAS, measured without noise.
+    """
+    sea = Environment(BIAS, NOTHING, np.ones(3), NOTHING)
+    table = sea.stage_table(1, SAMPLE_S, SUBSTEPS)[0]
+    plant, tau = Plant(SHIP, START, SAMPLE_S), np.zeros(3)
+    estimator.start(START)
+    states, estimates, changes = np.empty((3, steps, 6))
+    for k in range(steps):
+        measured = plant.state.copy()
+        if wrapped:
+            measured[5] = np.arctan2(np.sin(measured[5]), np.cos(measured[5]))
+        states[k] = plant.state
+        estimates[k] = estimator.update(measured, tau)
+        changes[k] = estimator.change
+        error = plant.state[3:] - [0.0, 0.0, heading_rad]
+        c, s = np.cos(plant.state[5]), np.sin(plant.state[5])
+        in_body = np.array([c * error[0] + s * error[1], c * error[1] - s * error[0], error[2]])
+        tau = -np.diag(SHIP.M) * (0.05**2 * in_body + 2 * 0.05 * plant.state[:3])
+        plant.advance(tau, table)
+    return states, estimates, changes
+
+
+@pytest.mark.parametrize("make", ALL)
+def test_the_first_update_is_at_the_start(make: Callable[[], Estimator]) -> None:
+    """Measured where it starts, a moving ship is estimated there, without a change."""
+    estimator = make()
+    for _ in range(2):
+        estimator.start(START)
+        # The rotation to and from vessel-parallel axes rounds.
+        np.testing.assert_allclose(estimator.update(START, SHIP.tau_max), START, rtol=1e-14)
+        np.testing.assert_array_equal(estimator.change, 0.0)
+        estimator.update(START + 1.0, SHIP.tau_max)
+
+
+@pytest.mark.parametrize("make", ALL)
+def test_a_wrapped_heading_is_unwrapped(make: Callable[[], Estimator]) -> None:
+    """A compass that jumps at ±180° gives the estimates of one that does not."""
+    states, plain, changes = turning_ship(make(), 500, 4.5)
+    _, wrapped, wrapped_changes = turning_ship(make(), 500, 4.5, wrapped=True)
+    assert states[:, 5].max() > np.pi
+    # Adding a whole turn rounds by 1e-15, which the filters do not amplify.
+    np.testing.assert_allclose(wrapped, plain, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(wrapped_changes, changes, rtol=0, atol=1e-9)
+    assert np.abs(np.diff(wrapped[:, 5])).max() < 0.1
+
+
+def test_the_measured_state_is_passed_on_with_its_difference() -> None:
+    """Without an estimator the law sees the measurement and its difference, to the last bit."""
+    states, estimates, changes = turning_ship(MeasuredState(), 50, 1.0)
+    np.testing.assert_array_equal(estimates, states)
+    np.testing.assert_array_equal(changes[1:], states[1:] - states[:-1])
+
+
+@pytest.mark.parametrize("make", FILTERS)
+def test_a_pose_is_all_a_filter_reads(make: Callable[[], Estimator]) -> None:
+    """The measured speed makes no difference: a pose alone gives the same estimate."""
+    full, pose = make(), make()
+    full.start(START)
+    pose.start(START)
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        measured, tau = START + rng.normal(size=6), SHIP.tau_max * rng.normal(size=3)
+        np.testing.assert_array_equal(full.update(measured, tau), pose.update(measured[3:], tau))
+
+
+@pytest.mark.parametrize("make", FILTERS)
+def test_a_ship_that_turns_by_ninety_degrees_is_followed(
+    make: Callable[[], KalmanFilter | PassiveObserver],
+) -> None:
+    """While the ship turns by 90° the estimate converges and the bias is recovered to 1 %."""
+    estimator = make()
+    states, estimates, changes = turning_ship(estimator, 1500, START[5] + np.pi / 2)
+    assert abs(states[-1, 5] - START[5]) > 1.4
+    tail = slice(1000, None)
+    # The ship still creeps; a millimetre and a hundredth of a degree are far below any sensor.
+    np.testing.assert_allclose(estimates[tail, 3:5], states[tail, 3:5], rtol=0, atol=2e-3)
+    np.testing.assert_allclose(estimates[tail, 5], states[tail, 5], rtol=0, atol=2e-4)
+    np.testing.assert_allclose(estimates[tail, :3], states[tail, :3], rtol=0, atol=1e-3)
+    np.testing.assert_allclose(estimator.bias, BIAS, rtol=0.01)
+    np.testing.assert_allclose(changes[tail], np.diff(states, axis=0)[999:], rtol=0, atol=3e-4)
+
+
+def test_the_change_by_the_model_is_that_of_the_ship() -> None:
+    """From the state after a sample the model tells what it changed, at a steady heading."""
+    heading, tau = 0.7, np.array([300e3, -200e3, 0.0])
+    # Without coupling to yaw the heading stays, so that the nonlinear ship is exactly linear.
+    ship = load_vessel("supply_tmr")
+    ship.M[1, 2] = ship.M[2, 1] = 0.0
+    b = np.array([50e3, 80e3, 0.0])
+    table = Environment(b, NOTHING, np.ones(3), NOTHING).stage_table(1, SAMPLE_S, SUBSTEPS)[0]
+    before = np.array([0.4, -0.3, 0.0, 3.0, 4.0, heading])
+    plant = Plant(ship, before, SAMPLE_S)
+    plant.advance(tau, table)
+    change = np.empty(6)
+    model_change(change_matrix(ship, SAMPLE_S), plant.state, tau, b, change)
+    # Differences of 1e-2 in states of 1 leave 1e-14; the integrator is exact to 1e-13.
+    np.testing.assert_allclose(change, plant.state - before, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("make", FILTERS)
+def test_sensor_noise_reaches_the_change_less_than_the_difference(
+    make: Callable[[], Estimator],
+) -> None:
+    """Of white sensor noise the change holds less than a fifth of what differences hold."""
+    estimator, rng = make(), np.random.default_rng(11)
+    estimator.start(np.zeros(6))
+    estimates, changes = np.empty((2, 4000, 6))
+    for k in range(4000):
+        estimates[k] = estimator.update(SENSOR_STD * rng.normal(size=3), NOTHING)
+        changes[k] = estimator.change
+    noise = changes[1000:].std(axis=0) / np.diff(estimates[999:], axis=0).std(axis=0)
+    assert (noise < 0.2).all()
+
+
+def test_a_pose_does_not_make_a_measured_state() -> None:
+    """Without an estimator a measurement without speeds is refused in one line."""
+    estimator = MeasuredState()
+    estimator.start(np.zeros(6))
+    with pytest.raises(ShapeError, match=r"MeasuredState: measured: found shape \(3,\)"):
+        estimator.update(np.zeros(3), NOTHING)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "found", "allowed"),
+    [
+        ("peak_period_s", np.array([8.5, 8.5]), "shape (2,)", "shape (3,)"),
+        ("peak_period_s", np.array([8.5, 0.0, 8.5]), "0.0", "positive"),
+        ("damping", np.array([0.1, 1.0, 0.1]), "1.0", "below 1"),
+        ("std", np.array([0.3, np.nan, 0.01]), "nan", "positive finite"),
+    ],
+)
+def test_a_sea_that_cannot_be_is_refused_in_one_line(
+    key: str, value: np.ndarray, found: str, allowed: str
+) -> None:
+    """Shape, sign, finiteness and a damping below 1 are checked by name."""
+    good = {"peak_period_s": np.full(3, 8.5), "damping": np.full(3, 0.1), "std": np.full(3, 0.3)}
+    with pytest.raises(InputError) as caught:
+        WaveModel(**{**good, key: value}, where="sea.toml: waves")
+    error = caught.value
+    assert (error.where, error.key) == ("sea.toml: waves", key)
+    assert found in str(error.found)
+    assert allowed in error.allowed
+    assert "\n" not in str(error)

@@ -1,0 +1,114 @@
+"""The plant in wind, current and drift against a second integrator, its order and its kernels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from dpbench.ship.current import Current
+from dpbench.ship.environment import Environment
+from dpbench.ship.plant import SUBSTEPS, Plant
+from dpbench.ship.vessel import Vessel
+from dpbench.ship.waves import Sea, WaveDrift
+from dpbench.ship.wind import Wind
+
+WAVES = Sea(3.1, 8.5, 0.4)
+START = np.array([0.4, -0.3, 0.01, 1.2, 1.3, 0.7])
+
+
+def weather(gusts: str) -> Environment:
+    """Slow forces, wind, current and drift from different sides."""
+    return Environment(
+        np.array([20e3, -30e3, 500e3]),
+        np.array([50e3, 60e3, 2e6]),
+        np.array([20.0, 26.0, 16.0]),
+        np.array([0.0, 1.0, 2.0]),
+        wind=Wind(13.8, -1.0, gusts),  # type: ignore[arg-type] # the name comes from a caller
+        current=Current(0.75, 2.0),
+        drift=WaveDrift(WAVES),
+        seed=9,
+    )
+
+
+def simulate(
+    ship: Vessel, sea: Environment, steps: int, sample_s: float, substeps: int
+) -> np.ndarray:
+    """The state after the given samples under a third of the limits."""
+    plant = Plant(ship, START, sample_s, substeps, loads=sea.load_coefficients(ship))
+    for stages in sea.stage_table(steps, sample_s, substeps):
+        plant.advance(0.3 * ship.tau_max, stages)
+    return plant.state
+
+
+def test_the_loaded_plant_agrees_with_an_adaptive_integrator(hull: Vessel) -> None:
+    """Under thrust, wind, current and drift the ship follows an eighth-order integrator.
+
+    The reference writes wind and drift with angles, and damping with the velocity through the
+    water in matrix form.
+    """
+    sea = weather("none")
+    waves, beam = WAVES.harmonics(9), hull.reflection
+    assert beam is not None
+    drift = beam.coefficients(hull.length_m, WAVES)
+    turns = np.array([-1.0, 2.0, 0.4])
+
+    def derivative(t: float, s: np.ndarray) -> np.ndarray:
+        c, sn = np.cos(s[5]), np.sin(s[5])
+        R = np.array([[c, -sn, 0.0], [sn, c, 0.0], [0.0, 0.0, 1.0]])
+        air, water, _ = (
+            R.T @ np.array([length * np.cos(to), length * np.sin(to), 0.0])
+            for length, to in zip((13.8, 0.75, 0.0), turns, strict=True)
+        )
+        u, v = s[:2] - air[:2]
+        gamma, pressure = -np.arctan2(v, u), 0.5 * 1.226 * (u * u + v * v)
+        power = np.abs(waves.at(np.array([t]), np.zeros(1))[0, 0]) ** 2
+        side = turns[2] - s[5]
+        blown = [-203.0 * np.cos(gamma), 630.0 * np.sin(gamma), 66.5 * 76.2 * np.sin(2 * gamma)]
+        drifted = drift * [np.cos(side), np.sin(side), -np.sin(2 * side)]
+        force = 0.3 * hull.tau_max + R.T @ sea.force(t) + pressure * np.array(blown)
+        force = force + power * drifted - hull.D @ (s[:3] - water)
+        return np.concatenate([np.linalg.solve(hull.M, force), R @ s[:3]])
+
+    ours = simulate(hull, sea, 100, 0.3, SUBSTEPS)
+    theirs = solve_ivp(derivative, (0.0, 30.0), START, method="DOP853", rtol=1e-12, atol=1e-13)
+    # The waves' fastest difference frequency of 3 rad/s leaves (0.03·3)⁴/120 ≈ 5e-7 of its share.
+    np.testing.assert_allclose(ours, theirs.y[:, -1], rtol=2e-8, atol=1e-8)
+
+
+def test_the_error_falls_with_the_fourth_power_in_gusts_and_waves(hull: Vessel) -> None:
+    """Halving the sub-step divides the error by about 16 with every load present."""
+    sea, sample_s = weather("norsok"), 2.4
+    exact = simulate(hull, sea, 20, sample_s, 768)
+    size = np.abs(exact)
+    errors = [
+        np.linalg.norm((simulate(hull, sea, 20, sample_s, substeps) - exact) / size)
+        for substeps in (12, 24, 48)
+    ]
+    # h is 0.2, 0.1, 0.05 s at loads of up to 3 rad/s: the next term of the expansion adds O(h).
+    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.1)
+    assert errors[1] / errors[2] == pytest.approx(16.0, rel=0.05)
+
+
+def test_weather_of_no_strength_is_no_weather(hull: Vessel) -> None:
+    """A current of zero and waves of no height leave the plain plant's motion."""
+    plain = replace(weather("none"), wind=None, current=None, drift=None)
+    nothing = replace(plain, current=Current(0.0, 1.0), drift=WaveDrift(Sea(0.0, 8.0, 0.0)))
+    # The kernels add the same terms in the same order; only zeros join them.
+    np.testing.assert_allclose(
+        simulate(hull, nothing, 50, 0.3, SUBSTEPS),
+        simulate(hull, plain, 50, 0.3, SUBSTEPS),
+        rtol=1e-14,
+    )
+
+
+def test_a_table_of_the_wrong_kind_is_refused(hull: Vessel) -> None:
+    """A plain plant takes no table of nine columns and a loaded one none of three."""
+    sea = weather("none")
+    loaded = Plant(hull, START, 0.3, loads=sea.load_coefficients(hull))
+    with pytest.raises(ValueError, match="9 columns"):
+        loaded.advance(np.zeros(3), np.zeros((21, 3)))
+    with pytest.raises(ValueError, match="3 columns"):
+        Plant(hull, START, 0.3).advance(np.zeros(3), sea.stage_table(1, 0.3, SUBSTEPS)[0])
