@@ -21,4 +21,7 @@ Three = Annotated[list[Number], Field(min_length=3, max_length=3)]
 ThreeByThree = Annotated[list[Three], Field(min_length=3, max_length=3)]
 ThreePositive = Annotated[list[Positive], Field(min_length=3, max_length=3)]
 ThreeNotNegative = Annotated[list[NotNegative], Field(min_length=3, max_length=3)]
+ThreeLosses = Annotated[
+    list[Annotated[float, Field(ge=0, le=100)]], Field(min_length=3, max_length=3)
+]
 ThreeShares = Annotated[list[Share], Field(min_length=3, max_length=3)]

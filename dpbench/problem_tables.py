@@ -21,6 +21,7 @@ from dpbench.file_types import (
     Positive,
     Seconds,
     ThreeByThree,
+    ThreeLosses,
     ThreeNotNegative,
     ThreePositive,
     ThreeShares,
@@ -163,7 +164,7 @@ class PlantTable(FileModel):
 
     mass_percent: Percent = 0.0
     damping_percent: Percent = 0.0
-    thrust_loss_percent: ThreeNotNegative = [0.0, 0.0, 0.0]
+    thrust_loss_percent: ThreeLosses = [0.0, 0.0, 0.0]
     delay_samples: Count = 0
 
 
