@@ -139,6 +139,9 @@ def _accuracy(steps: pd.DataFrame) -> dict[str, Any]:
     moves = steps["error_move"].dropna()
     iterations = steps["iterations"].dropna().astype(float)
     certified = np.isfinite(steps["optimum_bound"])
+    # To say of a QP without a feasible point that it has none is the right answer.
+    hopeless = steps["certificate"] == "infeasible"
+    failed = (steps["fallback"] | steps["unconverged"]) & ~(hopeless & true)
     return {
         "claimed_share": claimed.mean(),
         "true_share": true.mean(),
@@ -152,8 +155,9 @@ def _accuracy(steps: pd.DataFrame) -> dict[str, Any]:
         "primal_max": steps["primal"].max(),
         "dual_max": steps["dual"].max(),
         "optimum_bound_max": steps["optimum_bound"].where(certified).max(),
-        "uncertified": int((~certified).sum()),
-        "failed_steps": int((steps["fallback"] | steps["unconverged"]).sum()),
+        "uncertified": int((~certified & ~hopeless).sum()),
+        "infeasible_steps": int(hopeless.sum()),
+        "failed_steps": int(failed.sum()),
         "iterations_p50": iterations.median() if len(iterations) else np.nan,
         "iterations_max": iterations.max() if len(iterations) else np.nan,
     }

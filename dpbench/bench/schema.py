@@ -109,8 +109,12 @@ ACCURACY_COLUMNS: Columns = {
     "primal_max": ("float64", "largest violation"),
     "dual_max": ("float64", "largest stationarity residual"),
     "optimum_bound_max": ("float64", "largest certified bound of the optima"),
-    "uncertified": ("Int64", "steps without a certified optimum"),
-    "failed_steps": ("Int64", "steps with a fallback or an unfinished iterate"),
+    "uncertified": ("Int64", "steps without a certified optimum or proof that there is none"),
+    "infeasible_steps": ("Int64", "steps proven to have no feasible point"),
+    "failed_steps": (
+        "Int64",
+        "steps with a fallback or an unfinished iterate; saying infeasible rightly is no failure",
+    ),
     "iterations_p50": ("float64", "median iterations"),
     "iterations_max": ("float64", "most iterations"),
 }
