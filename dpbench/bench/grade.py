@@ -6,7 +6,9 @@ the recorded θ; the residuals are given in the solver's own units too.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.bench.cell import Cell
-from dpbench.bench.exact import ExactLoop, sequence_of
+from dpbench.bench.exact import ExactLoop
 from dpbench.bench.loop import nearest_reference
 from dpbench.bench.metrics import control_metrics
 from dpbench.bench.rawlog import RawLog
@@ -24,7 +26,7 @@ from dpbench.qp.claims import judge_claim
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, Units
 from dpbench.qp.residuals import Residuals, best_multipliers, is_true, residuals
 from dpbench.qp.solution import Solution, Status
-from dpbench.scenario import Scenario, condense, scenario_of
+from dpbench.scenario import condense, scenario_of
 
 Columns = dict[str, NDArray[Any]]
 """Arrays of several types over the recorded rows of a cell."""
@@ -88,7 +90,11 @@ class StepJudge:
     def __init__(self, scaled: QuadraticProgram, own: QuadraticProgram, units: Units) -> None:
         self._scaled, self._own, self._units = scaled, own, units
         self._same = own is scaled
-        self._referee = Referee(scaled.P, scaled.A, scaled.lb, scaled.ub)
+
+    @cached_property
+    def _referee(self) -> Referee:
+        qp = self._scaled
+        return Referee(qp.P, qp.A, qp.lb, qp.ub)
 
     def certify(self, step: QPStep) -> Optimum:
         """The certified optimum of a step in scaled units."""
@@ -147,22 +153,13 @@ def _truth(qp: QuadraticProgram, found: Residuals, plan: float) -> tuple[bool, .
     return tuple(is_true(qp, found, plan, tol) for tol in (1e-3, 1e-4, 1e-6))
 
 
-def grade_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Graded:
-    """The judged columns and metrics of a cell's raw log."""
-    scenario = scenario_of(cell.scenario)
-    if cell.mode == "replay":
-        sequence = sequence_of(
-            scenario, exact, units=cell.units, first=cell.first, count=cell.steps
-        )
-        return grade_sequence(log, sequence, scenario.sample_s)
-    return _grade_closed_loop(cell, log, scenario.first(cell.steps), exact)
-
-
 def _answer(log: RawLog, r: int, k: int) -> Solution:
     return Solution(Status(int(log.status[r, k])), log.z[r, k], log.y[r, k], log.y_box[r, k])
 
 
-def _grade_closed_loop(cell: Cell, log: RawLog, scenario: Scenario, exact: ExactLoop) -> Graded:
+def grade_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Graded:
+    """The judged columns and metrics of a closed loop."""
+    scenario = scenario_of(cell.scenario).first(cell.steps)
     scaled = condense(scenario)
     own = scaled if cell.units == "scaled" else condense(scenario, units=cell.units)
     done = int(log.done[0])
@@ -204,8 +201,10 @@ def _emit(builder: CondensedQP, theta: NDArray[np.float64]) -> QPStep:
     return builder.emit(theta[:n_x], theta[n_x : n_x + n_y], theta[n_x + n_y : -1])
 
 
-def grade_sequence(log: RawLog, own: QPSequence, sample_s: float) -> Graded:
-    """The judged columns of a replay of the sequence `own`."""
+def grade_sequence(
+    log: RawLog, own: QPSequence, sample_s: float, optima: Sequence[Optimum] | None = None
+) -> Graded:
+    """The judged columns of a replay of the sequence `own`; `optima` where they are certified."""
     scaled: QPSequence = own if own.scaled is None else own.scaled
     ones = np.ones(own.base.n)
     units = Units(ones, ones) if own.units is None else own.units
@@ -216,7 +215,7 @@ def grade_sequence(log: RawLog, own: QPSequence, sample_s: float) -> Graded:
     certificates = np.zeros(sum(counts), dtype=np.int8)
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(int)
     for k in range(max(counts, default=0)):
-        optimum = judge.certify(scaled.step(k))
+        optimum = judge.certify(scaled.step(k)) if optima is None else optima[k]
         seen: dict[bytes, tuple[float, ...]] = {}
         for r, start, count in zip(rounds, starts, counts, strict=True):
             if k >= count:
