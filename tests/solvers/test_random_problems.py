@@ -81,7 +81,7 @@ def test_the_same_at_the_largest_size(family: str, policy: Policy) -> None:
 
 @pytest.mark.parametrize("policy", ["fresh", "reuse", "warm"])
 def test_high_settings_tighten_the_proximal_steps_of_daqp(policy: Policy) -> None:
-    """Where P is semidefinite its answers at `high` are true at 1e-6; those at `default` are not."""
+    """Where P is semidefinite, `high` answers are true at 1e-6; those at `default` are not."""
     found = planted(RandomRecipe("semidefinite", 12, 30, 2, block=2))
 
     def worst(settings: str) -> float:
