@@ -33,7 +33,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--out", help="result folder (default: results/<suite>)")
     run.add_argument("--solver", action="append", metavar="S", help="only this solver; repeatable")
     run.add_argument("--scenario", action="append", metavar="N", help="only this scenario")
-    run.add_argument("--jobs", type=int, metavar="J", help="closed-loop cells at a time")
+    run.add_argument("--jobs", type=int, metavar="J", help="loops or random arms at a time")
     run.add_argument("--solver-module", metavar="FILE.py", help="a plug-in that brings a solver")
     run.add_argument("--fresh", action="store_true", help="run finished cells again too")
     run.set_defaults(call=_run)

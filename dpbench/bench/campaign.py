@@ -26,10 +26,10 @@ from dpbench.bench.running import (
     Job,
     Progress,
     Silent,
-    scenario_key,
     work_of,
 )
 from dpbench.bench.schema import as_steps
+from dpbench.bench.source import is_random, source_key
 from dpbench.bench.store import Results, claimed, write_results
 from dpbench.bench.suite import SuiteFile, load_suite
 from dpbench.bench.supervise import Outcome, template_context
@@ -46,12 +46,14 @@ class Campaign:
         self.machine = describe_machine()
         self._name, self._suite, self._out, self._jobs = name, suite, out, jobs
         self._store = CellStore(out / "cells")
+        solvers = {p.cell.solver for p in planned}
+        self._versions = {solver: available(solver).version for solver in solvers}
         self.work = [self._job(p) for p in planned]
         self._fresh = fresh
         self._cores = sorted(os.sched_getaffinity(0))
 
     def _job(self, planned: Planned) -> Job:
-        found = available(planned.cell.solver).version
+        found = self._versions[planned.cell.solver]
         run_id = planned.cell.run_id(found, self.machine["id"], HARNESS_VERSION)
         return Job(planned, run_id, found)
 
@@ -72,27 +74,30 @@ class Campaign:
             prefix="dpbench-", dir=shared if os.access(shared, os.W_OK) else None
         ) as folder:
             bench = Bench(template_context(), Path(folder), self._store, self._cores, progress)
-            exact = self._exact_loops(bench, pending)
+            exact = self._sources(bench, pending)
             runnable = [job for job in pending if job.outcome is None]
             loops = [job for job in runnable if job.cell.mode == "closed_loop"]
             bench.closed_loops(loops, exact, self._jobs)
-            for group in _groups([j for j in runnable if j.cell.mode == "replay"]):
-                bench.replays(group, exact[scenario_key(group[0].cell)])
+            replays = [job for job in runnable if job.cell.mode == "replay"]
+            for group in _groups([job for job in replays if not is_random(job.cell)]):
+                bench.replays(group, exact[_key(group[0])])
+            bench.random([job for job in replays if is_random(job.cell)], exact, self._jobs)
         self._write(started, time.monotonic() - began)
         return self._out
 
-    def _exact_loops(self, bench: Bench, pending: list[Job]) -> dict[str, Path]:
-        """Exactly solved loops of all scenarios in play, by scenario key."""
+    def _sources(self, bench: Bench, pending: list[Job]) -> dict[str, Path]:
+        """What the QPs of all cells are made from, by key: exactly solved loops and the like."""
         paths: dict[str, Path] = {}
-        by_key = {scenario_key(job.cell): job.cell for job in pending}
+        by_key = {_key(job): job.cell for job in pending}
         for key, cell in by_key.items():
             path = self._store.folder / f"exact-{key}.npz"
             if self._fresh or not path.exists():
-                outcome = bench.exact_loop(cell, path)
+                outcome = bench.source(cell, path)
                 if outcome.outcome != "finished":
-                    detail = f"the exactly solved loop failed: {outcome.detail}"
+                    what = "sequence" if cell.source else "exactly solved loop"
+                    detail = f"the {what} failed: {outcome.detail}"
                     for job in pending:
-                        if scenario_key(job.cell) == key:
+                        if _key(job) == key:
                             job.outcome = Outcome("invalid", detail)
             paths[key] = path
         return paths
@@ -124,6 +129,10 @@ class Campaign:
         write_results(self._out, Results(pd.DataFrame(rows), steps, self.machine, suite))
 
 
+def _key(job: Job) -> str:
+    return source_key(job.cell, HARNESS_VERSION)
+
+
 def _groups(jobs: list[Job]) -> list[list[Job]]:
     """Replay jobs that see the same QPs, interleaved with each other."""
     groups: dict[str, list[Job]] = {}
@@ -151,7 +160,8 @@ def run_campaign(
     out : result folder; by default `results/<suite>`, or `results/<suite>-part` with `solvers` or
         `scenarios`, so that a part never replaces the whole.
     solvers, scenarios : only these.
-    jobs : closed-loop cells at a time; all cores by default. Replays always run alone.
+    jobs : closed loops or random sequences at a time; all cores by default. Replays along a loop
+        always run alone.
     fresh : run every cell again, also those finished before.
     solver_module : a Python file with a plug-in, whose solver then has a name like any other.
     progress : told how far the campaign is.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from dpbench.bench.schema import SCHEMA_VERSION
@@ -18,12 +18,12 @@ FALLBACKS: tuple[Fallback, ...] = ("shifted_plan", "hold", "clip")
 
 @dataclass(frozen=True)
 class Cell:
-    """scenario × solver × route × policy × settings × formulation × units, in one mode.
+    """problem × solver × route × policy × settings × formulation × units, in one mode.
 
     Parameters
     ----------
     mode : "closed_loop" or "replay".
-    scenario : the documents of the scenario (`Scenario.files`).
+    scenario : the documents of the scenario (`Scenario.files`); empty where `source` stands.
     steps : steps to run from `first` on; the whole run in closed loop starts at 0.
     first : first step of a replayed sequence.
     rounds, warmup_steps : replay only: counting rounds, and steps of the round before them.
@@ -31,6 +31,8 @@ class Cell:
     fallback : what acts when there is no usable answer.
     seed : of the order of arms within a round.
     solver_module : file of the plug-in that brings the solver; "" for none.
+    source : replay only: what its QPs are made from where that is no scenario; its `kind`, the
+        `name` of the sequence, and whatever else `source.py` needs.
     """
 
     mode: Literal["closed_loop", "replay"]
@@ -49,17 +51,20 @@ class Cell:
     fallback: Fallback = "shifted_plan"
     seed: int = 0
     solver_module: str = ""
+    source: dict[str, Any] = field(default_factory=dict)
 
     @property
     def scenario_name(self) -> str:
-        """Name of the scenario."""
-        return str(self.scenario["name"])
+        """Name of the scenario; empty without one."""
+        return str(self.scenario["name"]) if self.scenario else ""
 
     @property
     def sequence(self) -> str:
         """Name of the replayed sequence; empty in closed loop."""
         if self.mode == "closed_loop":
             return ""
+        if self.source:
+            return str(self.source["name"])
         whole = self.first == 0
         last = self.first + self.steps
         return self.scenario_name if whole else f"{self.scenario_name}[{self.first}:{last}]"
@@ -67,12 +72,16 @@ class Cell:
     @property
     def problem_key(self) -> str:
         """Cells with the same problem key see the same QPs (replay) or the same ship."""
-        problem = (self.mode, self.scenario, self.units, self.first, self.steps)
+        problem = (self.mode, self.source or self.scenario, self.units, self.first, self.steps)
         return _digest(problem)
+
+    def _description(self) -> dict[str, Any]:
+        """All fields, less a `source` that is not there: a cell of a scenario keeps its key."""
+        return {k: v for k, v in vars(self).items() if k != "source" or self.source}
 
     def to_json(self) -> str:
         """The description as JSON."""
-        return json.dumps(asdict(self), sort_keys=True, ensure_ascii=False)
+        return json.dumps(self._description(), sort_keys=True, ensure_ascii=False)
 
     @classmethod
     def from_json(cls, text: str) -> Cell:
@@ -85,7 +94,8 @@ class Cell:
 
     def run_id(self, solver_version: str, machine_id: str, harness_version: str) -> str:
         """Hash of the cell and of everything a result of it depends on (method.md section 5)."""
-        return _digest([asdict(self), solver_version, machine_id, harness_version, SCHEMA_VERSION])
+        found = self._description()
+        return _digest([found, solver_version, machine_id, harness_version, SCHEMA_VERSION])
 
 
 def _digest(value: object) -> str:

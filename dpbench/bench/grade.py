@@ -6,6 +6,7 @@ the recorded θ; the residuals are given in the solver's own units too.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from dpbench.bench.cell import Cell
 from dpbench.bench.emitter import Emitter
-from dpbench.bench.exact import ExactLoop, base_problem, brings_other_matrices, sequence_of
+from dpbench.bench.exact import ExactLoop, base_problem, brings_other_matrices
 from dpbench.bench.metrics import control_metrics
 from dpbench.bench.rawlog import RawLog
 from dpbench.qp.certify import Optimum, Referee, error_of
@@ -23,7 +24,7 @@ from dpbench.qp.claims import judge_claim
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, Refresh, Units
 from dpbench.qp.residuals import Residuals, best_multipliers, is_true, residuals
 from dpbench.qp.solution import Solution, Status
-from dpbench.scenario import Scenario, scenario_of
+from dpbench.scenario import scenario_of
 
 Columns = dict[str, NDArray[Any]]
 """Arrays of several types over the recorded rows of a cell."""
@@ -87,17 +88,19 @@ class StepJudge:
     def __init__(self, scaled: QuadraticProgram, own: QuadraticProgram, units: Units) -> None:
         self._scaled, self._own, self._units = scaled, own, units
         self._same = own is scaled
-        self._referee = self._new_referee()
+        self._referee: Referee | None = None
 
-    def _new_referee(self) -> Referee:
-        qp = self._scaled
-        return Referee(qp.P, qp.A, qp.lb, qp.ub)
-
-    def certify(self, step: QPStep, own: QPStep) -> Optimum:
-        """The certified optimum of a step in scaled units; its matrices hold from now on."""
+    def follow(self, step: QPStep, own: QPStep) -> None:
+        """Take over the matrices of a step where it brings other ones; they hold from now on."""
         if brings_other_matrices(self._scaled, step):
             self._scaled, self._own = self._scaled.at(step), self._own.at(own)
-            self._referee = self._new_referee()
+            self._referee = None
+
+    def certify(self, step: QPStep) -> Optimum:
+        """The certified optimum of a step in scaled units."""
+        if self._referee is None:
+            qp = self._scaled
+            self._referee = Referee(qp.P, qp.A, qp.lb, qp.ub)
         return self._referee.certify(step.q, step.l, step.u)
 
     def judge(
@@ -153,22 +156,13 @@ def _truth(qp: QuadraticProgram, found: Residuals, plan: float) -> tuple[bool, .
     return tuple(is_true(qp, found, plan, tol) for tol in (1e-3, 1e-4, 1e-6))
 
 
-def grade_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Graded:
-    """The judged columns and metrics of a cell's raw log."""
-    scenario = scenario_of(cell.scenario)
-    if cell.mode == "replay":
-        sequence = sequence_of(
-            scenario, exact, units=cell.units, first=cell.first, count=cell.steps
-        )
-        return grade_sequence(log, sequence, scenario.sample_s)
-    return _grade_closed_loop(cell, log, scenario.first(cell.steps), exact)
-
-
 def _answer(log: RawLog, r: int, k: int) -> Solution:
     return Solution(Status(int(log.status[r, k])), log.z[r, k], log.y[r, k], log.y_box[r, k])
 
 
-def _grade_closed_loop(cell: Cell, log: RawLog, scenario: Scenario, exact: ExactLoop) -> Graded:
+def grade_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Graded:
+    """The judged columns and metrics of a closed loop."""
+    scenario = scenario_of(cell.scenario).first(cell.steps)
     scaled = Emitter(scenario)
     own = scaled if cell.units == "scaled" else Emitter(scenario, cell.units)
     done = int(log.done[0])
@@ -182,7 +176,8 @@ def _grade_closed_loop(cell: Cell, log: RawLog, scenario: Scenario, exact: Exact
         for k in range(done):
             step = scaled.again(k, log.theta[k])
             step_own = step if own is scaled else own.again(k, log.theta[k])
-            optimum = judge.certify(step, step_own)
+            judge.follow(step, step_own)
+            optimum = judge.certify(step)
             grades[k] = judge.judge(step, step_own, _answer(log, 0, k), optimum)
             certificates[k] = CERTIFICATES.index(optimum.kind)
             matrix_steps += Refresh.MATRICES in step.refresh
@@ -210,8 +205,10 @@ def _grade_closed_loop(cell: Cell, log: RawLog, scenario: Scenario, exact: Exact
     return Graded(columns, metrics)
 
 
-def grade_sequence(log: RawLog, own: QPSequence, sample_s: float) -> Graded:
-    """The judged columns of a replay of the sequence `own`."""
+def grade_sequence(
+    log: RawLog, own: QPSequence, sample_s: float, optima: Sequence[Optimum] | None = None
+) -> Graded:
+    """The judged columns of a replay of the sequence `own`; `optima` where they are certified."""
     scaled: QPSequence = own if own.scaled is None else own.scaled
     ones = np.ones(own.base.n)
     units = Units(ones, ones) if own.units is None else own.units
@@ -222,7 +219,8 @@ def grade_sequence(log: RawLog, own: QPSequence, sample_s: float) -> Graded:
     certificates = np.zeros(sum(counts), dtype=np.int8)
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(int)
     for k in range(max(counts, default=0)):
-        optimum = judge.certify(scaled.step(k), own.step(k))
+        judge.follow(scaled.step(k), own.step(k))
+        optimum = judge.certify(scaled.step(k)) if optima is None else optima[k]
         seen: dict[bytes, tuple[float, ...]] = {}
         for r, start, count in zip(rounds, starts, counts, strict=True):
             if k >= count:

@@ -50,7 +50,7 @@ class ReplayGroup:
     Parameters
     ----------
     cells : (run_id, cell) of each arm; all see the same QPs.
-    exact : the exactly solved loop the sequence is made from.
+    source : the file the sequence is made from.
     core : where the one running worker is pinned.
     """
 
@@ -58,11 +58,11 @@ class ReplayGroup:
         self,
         context: ForkServerContext,
         folder: Path,
-        exact: Path,
+        source: Path,
         core: int,
         cells: list[tuple[str, Cell]],
     ) -> None:
-        self._context, self._folder, self._exact, self._core = context, folder, exact, core
+        self._context, self._folder, self._source, self._core = context, folder, source, core
         self._cells = cells
         self.outcomes: dict[str, Outcome] = {}
 
@@ -89,7 +89,7 @@ class ReplayGroup:
 
     def _start(self, run_id: str, cell: Cell) -> _Arm:
         ours, theirs = self._context.Pipe()
-        args = (cell.to_json(), self._folder, run_id, self._core, self._exact, theirs)
+        args = (cell.to_json(), self._folder, run_id, self._core, self._source, theirs)
         child = Child(
             self._context, run_replay_cell, args, self._folder, run_id, limit_s=cell.limit_s
         )

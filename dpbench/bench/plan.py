@@ -4,40 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from pathlib import Path
 from typing import Any
 
+from dpbench.bench.arms import CONTRAST, Arm, Table, arms_of, choose_solvers, module_of, refusal_of
 from dpbench.bench.cell import Cell
-from dpbench.bench.suite import ClosedLoopTable, ReplayTable, SuiteFile, UnitName
-from dpbench.errors import InputError, SettingsError
+from dpbench.bench.source import random_source
+from dpbench.bench.suite import ClosedLoopTable, RandomTable, ReplayTable, SuiteFile
+from dpbench.errors import InputError
+from dpbench.qp.random_recipe import FAMILIES, RandomRecipe
 from dpbench.scenario import Scenario, load_scenario
-from dpbench.solvers.contract import Policy, Route
-from dpbench.solvers.open import REFUSED_BY_QPSOLVERS
-from dpbench.solvers.plugins import find_plugin
-from dpbench.solvers.settings import setting_names
-from dpbench.solvers.table import (
-    TABLE,
-    UNCONSTRAINED_CLIPPED,
-    available,
-    record,
-    settings_matter,
-    solver_names,
-)
+from dpbench.solvers.table import record
 
-CONTRAST = UNCONSTRAINED_CLIPPED.name
-
-
-@dataclass(frozen=True)
-class Arm:
-    """One way of running one solver; `alias` are further names of the same settings."""
-
-    solver: str
-    route: Route
-    policy: Policy
-    units: UnitName
-    settings: str
-    alias: tuple[str, ...] = ()
+NOT_STRICT = "P of this family is only semidefinite, and the solver needs P > 0"
 
 
 @dataclass(frozen=True)
@@ -52,34 +31,6 @@ class Planned:
     alias_settings: tuple[str, ...] = ()
 
 
-def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
-    """The solvers of a suite, or those of `only`; UnknownNameError for an unknown one.
-
-    "all" means every solver of the table except those of an optional extra that is not installed:
-    they are left out by default (`dpbench list solvers` says so), and asked for by name.
-    """
-    names = list(only) if only else suite.solvers
-    chosen: list[str] = []
-    for name in names:
-        if name == "all":
-            chosen += [s for s in solver_names() if s != CONTRAST and _by_default(s)]
-        else:
-            chosen.append(record(name).name)
-    if not only and suite.contrast:
-        chosen.append(CONTRAST)
-    return list(dict.fromkeys(chosen))
-
-
-def _by_default(solver: str) -> bool:
-    return record(solver).extra not in ("jax", "casadi") or available(solver).ok
-
-
-def _module_of(solver: str) -> str:
-    """The file of a plug-in that a worker has to load; "" for every other solver."""
-    plugin = None if solver in TABLE else find_plugin(solver)
-    return plugin.origin if plugin is not None and Path(plugin.origin).is_file() else ""
-
-
 def plan(
     suite: SuiteFile,
     *,
@@ -87,20 +38,21 @@ def plan(
     scenarios: Sequence[str] | None = None,
     beside: Path | None = None,
 ) -> list[Planned]:
-    """All cells of a suite in the order they run: closed loops first, then replays.
+    """All cells of a suite in the order they run: closed loops, replays, random sequences.
 
-    Paths of scenarios are relative to the folder `beside`, that of the suite.
+    Paths of scenarios are relative to the folder `beside`, that of the suite. A choice of
+    `scenarios` leaves the random sequences out.
 
     Raises
     ------
     InputError : for an unknown scenario or solver, or a scenario that the suite does not have.
     """
     chosen = choose_solvers(suite, solvers)
-    known = [name for table in suite.closed_loop for name in table.scenarios]
+    known = [name for table in suite.closed_loop for name in table.names]
     known += [table.scenario for table in suite.replay]
     for name in scenarios or ():
         if name not in known:
-            allowed = ", ".join(dict.fromkeys(known))
+            allowed = ", ".join(dict.fromkeys(known)) or "none, the suite has no scenario"
             raise InputError("--scenario", "", repr(name), f"a scenario of the suite: {allowed}")
     loaded = {name: load_scenario(name, beside=beside) for name in dict.fromkeys(known)}
     stems = [scenario.name for scenario in loaded.values()]
@@ -111,12 +63,14 @@ def plan(
     wanted = set(scenarios) if scenarios else set(known)
     cells: list[Planned] = []
     for closed in suite.closed_loop:
-        for name in closed.scenarios:
+        for name in closed.names:
             if name in wanted:
                 cells += _closed_loop_cells(suite, closed, loaded[name], chosen)
     for replay in suite.replay:
         if replay.scenario in wanted:
             cells += _replay_cells(suite, replay, loaded[replay.scenario], chosen)
+    for table in suite.random if not scenarios else ():
+        cells += _random_cells(suite, table, chosen)
     return _merged(cells)
 
 
@@ -127,45 +81,15 @@ def _merged(cells: Sequence[Planned]) -> list[Planned]:
     """
     once: dict[str, Planned] = {}
     for planned in cells:
-        known = once.setdefault(planned.cell.to_json(), planned)
-        names = dict.fromkeys((*known.alias_settings, *planned.alias_settings))
-        once[planned.cell.to_json()] = replace(known, alias_settings=tuple(names))
+        key = planned.cell.to_json()
+        known = once.setdefault(key, planned)
+        if known is not planned:
+            names = dict.fromkeys((*known.alias_settings, *planned.alias_settings))
+            once[key] = replace(known, alias_settings=tuple(names))
     return list(once.values())
 
 
-def _arms(solvers: Sequence[str], table: ClosedLoopTable | ReplayTable) -> list[Arm]:
-    """The arms of one table of a suite; a solver is left out of a route it does not have."""
-    known = [name for solver in solvers for name in setting_names(solver)]
-    for name in table.settings:
-        if name not in known:
-            raise SettingsError("settings", "", repr(name), " | ".join(dict.fromkeys(known)))
-    arms: list[Arm] = []
-    for units, policy, wanted, solver in product(
-        table.units, table.policies, table.routes, solvers
-    ):
-        row = record(solver)
-        route: Route = row.default_route if wanted == "default" else wanted
-        if route not in row.policies:
-            continue
-        names = [name for name in table.settings if name in setting_names(solver)]
-        if settings_matter(solver):
-            arms += [Arm(solver, route, policy, units, name) for name in names]
-        elif names:
-            arms.append(Arm(solver, route, policy, units, names[0], tuple(names[1:])))
-    return arms
-
-
-def _refusal(arm: Arm) -> str:
-    found, row = available(arm.solver), record(arm.solver)
-    if not found.ok:
-        return found.reason
-    if arm.policy in row.policies[arm.route]:
-        return ""
-    reason = row.refused.get((arm.route, arm.policy), "")
-    return f"policy {arm.policy}: {reason or REFUSED_BY_QPSOLVERS.get(arm.policy, 'not offered')}"
-
-
-def _cell(arm: Arm, suite: SuiteFile, table: ClosedLoopTable | ReplayTable, **more: Any) -> Planned:
+def _cell(arm: Arm, suite: SuiteFile, table: Table, **more: Any) -> Planned:
     contrast = arm.solver == CONTRAST
     cell = Cell(
         solver=arm.solver,
@@ -175,10 +99,10 @@ def _cell(arm: Arm, suite: SuiteFile, table: ClosedLoopTable | ReplayTable, **mo
         formulation="none" if contrast else table.formulation,
         units=arm.units,
         limit_s=suite.cell_limit_s,
-        solver_module=_module_of(arm.solver),
+        solver_module=module_of(arm.solver),
         **more,
     )
-    return Planned(cell, _refusal(arm), arm.alias)
+    return Planned(cell, refusal_of(arm), arm.alias)
 
 
 def _closed_loop_cells(
@@ -197,7 +121,7 @@ def _closed_loop_cells(
             steps=steps,
             fallback=table.fallback,
         )
-        for arm in _arms(solvers, table)
+        for arm in arms_of(solvers, table)
         if arm.solver != CONTRAST or (arm.units, arm.settings, arm.policy) == plain
     ]
 
@@ -222,6 +146,32 @@ def _replay_cells(
             rounds=suite.rounds,
             warmup_steps=min(suite.warmup_steps, steps),
         )
-        for arm in _arms(solvers, table)
+        for arm in arms_of(solvers, table)
         if arm.solver != CONTRAST
     ]
+
+
+def _random_cells(suite: SuiteFile, table: RandomTable, solvers: Sequence[str]) -> list[Planned]:
+    # What depends on the arm alone is found out once: a table may make thousands of cells.
+    blanks = [
+        _cell(
+            arm,
+            suite,
+            table,
+            mode="replay",
+            scenario={},
+            steps=table.steps,
+            rounds=suite.rounds,
+            warmup_steps=min(suite.warmup_steps, table.steps),
+        )
+        for arm in arms_of(solvers, table)
+        if arm.solver != CONTRAST
+    ]
+    return [_of_recipe(blank, recipe) for recipe in table.recipes() for blank in blanks]
+
+
+def _of_recipe(blank: Planned, recipe: RandomRecipe) -> Planned:
+    refused = blank.refused
+    if FAMILIES[recipe.family].semidefinite and record(blank.cell.solver).needs_strict_convexity:
+        refused = refused or NOT_STRICT
+    return replace(blank, cell=replace(blank.cell, source=random_source(recipe)), refused=refused)

@@ -49,7 +49,7 @@ class ReplayArm:
     Parameters
     ----------
     sequence : the QPs; port : the solver; log : where each round goes.
-    warmup_steps : length of round 0.
+    warmup_steps : length of round 0; preroll : steps solved before each round without a record.
     limit_ns : own run time of all rounds together after which the arm stops.
     """
 
@@ -62,10 +62,11 @@ class ReplayArm:
         warmup_steps: int,
         limit_ns: int,
         clock: Clock,
+        preroll: int = PREROLL,
     ) -> None:
         self._sequence, self._port, self._log, self._clock = sequence, port, log, clock
         self._warmup_steps = warmup_steps
-        self._limit_ns = limit_ns
+        self._limit_ns, self._preroll = limit_ns, preroll
         self._spent_ns = 0
         log.setup_once_ns[0] = port.prepare()
         log.started[0] = 1
@@ -73,7 +74,7 @@ class ReplayArm:
     def round(self, r: int) -> bool:
         """Replay round r into its rows; False when the time limit stopped it.
 
-        The first `PREROLL` steps are solved without a record beforehand: the worker slept on its
+        The first `preroll` steps are solved without a record beforehand: the worker slept on its
         pipe until now, and cold caches are no property of step 0.
         """
         log, clock, port, sequence = self._log, self._clock, self._port, self._sequence
@@ -82,7 +83,7 @@ class ReplayArm:
         log.done[r] = 0
         log.probe_ns[r, 0] = probe_ns(clock)
         began = clock()
-        for k in range(min(PREROLL, steps)):
+        for k in range(min(self._preroll, steps)):
             port.answer(port.formulate(sequence.step(k)))
         port.reset()
         for k in range(steps):

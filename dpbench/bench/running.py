@@ -1,15 +1,14 @@
 """Run cells in processes of their own, have them judged, and keep what is finished.
 
-Closed-loop cells run side by side on the cores; replays run one worker at a time.
+Closed-loop cells and random sequences run side by side on the cores; replays that are timed run
+one worker at a time.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -18,17 +17,17 @@ from pathlib import Path
 from typing import Protocol
 
 from dpbench.bench.cell import Cell
+from dpbench.bench.chain import GRADING_LIMIT_S, Chain, arm_of
 from dpbench.bench.grade import Graded
 from dpbench.bench.interleave import ReplayGroup
 from dpbench.bench.plan import Planned
 from dpbench.bench.rawlog import discard
+from dpbench.bench.source import source_key
 from dpbench.bench.store import write_json
-from dpbench.bench.supervise import Child, Outcome
-from dpbench.bench.worker import grade_cell, run_closed_loop_cell, run_exact_loop
+from dpbench.bench.supervise import Child, Outcome, in_slots
+from dpbench.bench.worker import Link, grade_cell, make_source, run_closed_loop_cell
 
 HARNESS_VERSION = version("dpbench")
-POLL_S = 0.02
-GRADING_LIMIT_S = 600.0
 
 
 class Progress(Protocol):
@@ -103,12 +102,6 @@ def work_of(cell: Cell) -> int:
     return cell.steps * max(1, cell.rounds)
 
 
-def scenario_key(cell: Cell) -> str:
-    """Cells with the same key share one exactly solved loop."""
-    text = json.dumps([cell.scenario, HARNESS_VERSION], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:12]
-
-
 @contextmanager
 def _away_from(core: int) -> Iterator[None]:
     """Keep this process, whose progress bar redraws itself, off the core that is measured."""
@@ -134,48 +127,20 @@ class Bench:
         self._context, self._folder, self._store = context, folder, store
         self._cores, self._progress = cores, progress
 
-    def exact_loop(self, cell: Cell, path: Path) -> Outcome:
-        """Solve a scenario exactly into `path`."""
+    def source(self, cell: Cell, path: Path) -> Outcome:
+        """Make the file behind a cell's QPs at `path`: an exactly solved loop, certified optima."""
         name = f"exact-{path.stem}"
         args = (cell.to_json(), self._folder, name, self._cores[-1])
-        child = Child(
-            self._context, run_exact_loop, args, self._folder, name, limit_s=GRADING_LIMIT_S
-        )
+        child = Child(self._context, make_source, args, self._folder, name, limit_s=GRADING_LIMIT_S)
         outcome = child.outcome()
         if outcome.outcome == "finished":
             (path.with_suffix(".part")).write_bytes((self._folder / f"{name}.npz").read_bytes())
             path.with_suffix(".part").replace(path)
         return outcome
 
-    def _in_slots(
-        self,
-        jobs: Sequence[Job],
-        slots: int,
-        start: Callable[[Job, int], Child],
-        ended: Callable[[Job, Child, int], Child | None],
-    ) -> None:
-        """Run a process per job, up to `slots` at a time, each on the core of its slot.
-
-        `ended` may return another process that goes on with the job on the same core.
-        """
-        waiting = list(reversed(jobs))
-        free = [self._cores[i % len(self._cores)] for i in range(slots)]
-        running: list[tuple[Job, Child, int]] = []
-        while waiting or running:
-            while waiting and free:
-                job, core = waiting.pop(), free.pop()
-                running.append((job, start(job, core), core))
-            time.sleep(POLL_S)
-            for entry in list(running):
-                job, child, core = entry
-                if child.process.is_alive() and not child.overdue():
-                    continue
-                running.remove(entry)
-                following = ended(job, child, core)
-                if following is None:
-                    free.append(core)
-                else:
-                    running.append((job, following, core))
+    def _slots(self, count: int) -> list[int]:
+        """The core of each of so many slots."""
+        return [self._cores[i % len(self._cores)] for i in range(count)]
 
     def closed_loops(self, jobs: Sequence[Job], exact: dict[str, Path], slots: int) -> None:
         """Run closed-loop cells on up to `slots` cores, each judged right after it ran."""
@@ -184,11 +149,11 @@ class Bench:
             if job.outcome is None:
                 job.outcome = child.outcome()
                 if child.raw_path.exists():
-                    return self._grade(job, exact[scenario_key(job.cell)], core)
+                    return self._grade(job, exact[source_key(job.cell, HARNESS_VERSION)], core)
             self._finish(job)
             return None
 
-        self._in_slots(jobs, slots, self._start, ended)
+        in_slots(jobs, self._slots(slots), self._start, ended)
 
     def _start(self, job: Job, core: int) -> Child:
         args = (job.cell.to_json(), self._folder, job.run_id, core)
@@ -228,7 +193,8 @@ class Bench:
             )
         self._store.finish(job, outcome)
         discard(raw)
-        self._progress.advance(work_of(job.cell), f"{job.cell.solver} {job.cell.scenario_name}")
+        what = job.cell.scenario_name or job.cell.sequence
+        self._progress.advance(work_of(job.cell), f"{job.cell.solver} {what}")
 
     def replays(self, jobs: Sequence[Job], exact: Path) -> None:
         """Replay one sequence through all its arms, interleaved, then judge them all."""
@@ -253,6 +219,34 @@ class Bench:
             if outcome.outcome != "finished":
                 job.outcome = Outcome("invalid", f"the referee failed on it: {outcome.detail}")
 
-        self._in_slots(
-            jobs, len(self._cores), lambda job, core: self._grade(job, exact, core), ended
-        )
+        in_slots(jobs, self._cores, lambda job, core: self._grade(job, exact, core), ended)
+
+    def random(self, jobs: Sequence[Job], sources: dict[str, Path], slots: int) -> None:
+        """Replay random sequences arm by arm, up to `slots` arms at a time, and judge them."""
+        arms: dict[tuple[str, ...], list[Job]] = {}
+        for job in jobs:
+            arms.setdefault(arm_of(job.cell), []).append(job)
+        chains = [(self._chain(mine, sources), mine) for mine in arms.values()]
+
+        def ended(task: tuple[Chain, list[Job]], child: Child, core: int) -> Child | None:
+            chain, mine = task
+            following = chain.follow(child, core)
+            if following is None:
+                for job in mine:
+                    job.outcome = chain.outcomes[job.run_id]
+                    self._finish(job)
+            return following
+
+        in_slots(chains, self._slots(slots), lambda task, core: task[0].start(core), ended)
+
+    def _chain(self, jobs: Sequence[Job], sources: dict[str, Path]) -> Chain:
+        links = [
+            Link(
+                job.run_id,
+                job.cell.to_json(),
+                sources[source_key(job.cell, HARNESS_VERSION)],
+                self._store.graded_path(job),
+            )
+            for job in jobs
+        ]
+        return Chain(self._context, self._folder, links, jobs[0].cell.limit_s)

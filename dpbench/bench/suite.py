@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from dpbench.problem_files import FileModel, problem_path, read_model
+from dpbench.qp.random_recipe import RandomRecipe
 
 Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
+Size = Annotated[list[Count], Field(min_length=2, max_length=2)]
 UnitName = Literal["scaled", "si"]
 PolicyName = Literal["fresh", "reuse", "warm"]
 RouteName = Literal["default", "qpsolvers", "native"]
@@ -27,9 +29,13 @@ class DemandTable(FileModel):
 
 
 class ClosedLoopTable(FileModel):
-    """Every solver steers the ship itself; route "default" is each solver's own."""
+    """Every solver steers the ship itself; route "default" is each solver's own.
+
+    With `vessels` every scenario is run with each of them instead of its own.
+    """
 
     scenarios: list[str]
+    vessels: list[str] = []
     units: list[UnitName] = ["scaled"]
     settings: list[str] = ["default"]
     routes: list[RouteName] = ["default"]
@@ -37,6 +43,13 @@ class ClosedLoopTable(FileModel):
     formulation: FormulationName = "condensed_box"
     fallback: Literal["shifted_plan", "hold", "clip"] = "shifted_plan"
     steps: Count = 0
+
+    @property
+    def names(self) -> list[str]:
+        """The scenarios, each with each vessel."""
+        if not self.vessels:
+            return self.scenarios
+        return [f"{scenario}@{vessel}" for scenario in self.scenarios for vessel in self.vessels]
 
 
 class ReplayTable(FileModel):
@@ -52,6 +65,34 @@ class ReplayTable(FileModel):
     formulation: FormulationName = "condensed_box"
 
 
+class RandomTable(FileModel):
+    """Random QPs with a planted optimum, through every solver: families × sizes × seeds.
+
+    A size is [n, m]. Such QPs have no units but their own.
+    """
+
+    units: ClassVar[list[UnitName]] = ["scaled"]
+    formulation: ClassVar[FormulationName] = "condensed_box"
+    families: Annotated[list[str], Field(min_length=1)]
+    sizes: Annotated[list[Size], Field(min_length=1)]
+    seeds: list[Count] = [1]
+    steps: Annotated[int, Field(ge=1)] = 24
+    block: Count = 0
+    cond: Annotated[float, Field(ge=0)] = 0.0
+    settings: list[str] = ["default"]
+    routes: list[RouteName] = ["default"]
+    policies: list[PolicyName] = ["fresh"]
+
+    def recipes(self) -> list[RandomRecipe]:
+        """The recipes of the table; InputError for one that cannot be."""
+        return [
+            RandomRecipe(family, n, m, seed, self.steps, self.block, self.cond)
+            for family in self.families
+            for n, m in self.sizes
+            for seed in self.seeds
+        ]
+
+
 class SuiteFile(FileModel):
     """`problems/suites/*.toml`; 0 steps means all steps."""
 
@@ -64,6 +105,7 @@ class SuiteFile(FileModel):
     demand: DemandTable = DemandTable()
     closed_loop: list[ClosedLoopTable] = []
     replay: list[ReplayTable] = []
+    random: list[RandomTable] = []
 
 
 def load_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:

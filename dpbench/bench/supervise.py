@@ -8,11 +8,11 @@ import multiprocessing.forkserver
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from dpbench.bench.machine import THREAD_VARIABLES, pin_threads
 from dpbench.bench.rawlog import RawLog
@@ -21,6 +21,8 @@ START_ALLOWANCE_S = 60.0
 """For importing a library; after it a cell that has not started its loop is killed."""
 GRACE_S = 3.0
 """Beyond a cell's own limit, for one call that does not return."""
+POLL_S = 0.02
+Task = TypeVar("Task")
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ class Child:
         verdict: str = "json",
     ) -> None:
         self.folder, self.name = folder, name
-        self._verdict = folder / f"{name}.{verdict}"
+        self._verdict, self._noise = folder / f"{name}.{verdict}", folder / f"{name}.noise"
         self._limit_s = limit_s
         self._born = time.monotonic()
         self._running_since: float | None = None
@@ -113,14 +115,47 @@ class Child:
             return Outcome("timed_out", self._killed_for)
         code = self.process.exitcode
         if self._verdict.exists():
-            return Outcome(**json.loads(self._verdict.read_text(encoding="utf-8")))
+            return self.verdict_of(self._verdict)
         if code is not None and code < 0:
             return Outcome("crashed", f"killed by {signal.Signals(-code).name}")
         return Outcome("crashed", f"exit code {code}: {self._last_words()}")
 
+    @staticmethod
+    def verdict_of(path: Path) -> Outcome:
+        """What the process wrote about a cell."""
+        return Outcome(**json.loads(path.read_text(encoding="utf-8")))
+
     def _last_words(self) -> str:
-        noise = self.folder / f"{self.name}.noise"
-        if not noise.exists():
+        if not self._noise.exists():
             return "no output"
-        lines = noise.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        lines = self._noise.read_text(encoding="utf-8", errors="replace").strip().splitlines()
         return lines[-1][:300] if lines else "no output"
+
+
+def in_slots(
+    tasks: Sequence[Task],
+    cores: Sequence[int],
+    start: Callable[[Task, int], Child],
+    ended: Callable[[Task, Child, int], Child | None],
+) -> None:
+    """Run a process per task, as many at a time as there are `cores`, each on one of them.
+
+    `ended` may return another process that goes on with the task on the same core.
+    """
+    waiting, free = list(reversed(tasks)), list(cores)
+    running: list[tuple[Task, Child, int]] = []
+    while waiting or running:
+        while waiting and free:
+            task, core = waiting.pop(), free.pop()
+            running.append((task, start(task, core), core))
+        time.sleep(POLL_S)
+        for entry in list(running):
+            task, child, core = entry
+            if child.process.is_alive() and not child.overdue():
+                continue
+            running.remove(entry)
+            following = ended(task, child, core)
+            if following is None:
+                free.append(core)
+            else:
+                running.append((task, following, core))

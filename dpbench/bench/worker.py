@@ -11,18 +11,21 @@ import json
 import os
 import time
 import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 from dpbench.bench.cell import Cell
 from dpbench.bench.emitter import Emitter
-from dpbench.bench.exact import ExactLoop, base_problem, sequence_of, solve_exactly
-from dpbench.bench.grade import grade_log
+from dpbench.bench.exact import ExactLoop, base_problem
+from dpbench.bench.grade import Graded, grade_log, grade_sequence
 from dpbench.bench.loop import Voyage, closed_loop
 from dpbench.bench.port import SolverPort
 from dpbench.bench.rawlog import RawLog, loop_layout, replay_layout
-from dpbench.bench.replay import ReplayArm
+from dpbench.bench.replay import PREROLL, ReplayArm
+from dpbench.bench.source import source_of
 from dpbench.errors import CertificateError, InputError
 from dpbench.scenario import scenario_of
 from dpbench.solvers.contract import Workspace
@@ -31,6 +34,16 @@ from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import load_solver_module
 
 clock = time.perf_counter_ns
+
+
+@dataclass(frozen=True)
+class Link:
+    """A cell of a chain: its name and JSON, the file behind its QPs, where its columns go."""
+
+    name: str
+    cell: str
+    source: Path
+    graded: Path
 
 
 def _settle(noise: Path) -> None:
@@ -60,13 +73,14 @@ def _verdict(outcome: str, detail: str, form: str = "") -> dict[str, Any]:
     return {"outcome": outcome, "detail": detail, "form": form}
 
 
-def _open(cell: Cell, folder: Path, name: str) -> Workspace | None:
+def _open(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Workspace | None:
     """Settle the process and open the cell's solver in it; None leaves a verdict `refused`."""
-    _settle(folder / f"{name}.noise")
     try:
-        if cell.solver_module:
-            load_solver_module(cell.solver_module)
-        isolate(cell.solver)
+        if not settled:
+            _settle(folder / f"{name}.noise")
+            if cell.solver_module:
+                load_solver_module(cell.solver_module)
+            isolate(cell.solver)
         return open_workspace(
             cell.solver, route=cell.route, policy=cell.policy, settings=cell.settings
         )
@@ -105,23 +119,34 @@ def run_closed_loop_cell(text: str, folder: Path, name: str, core: int) -> None:
 
 
 def run_replay_cell(
-    text: str, folder: Path, name: str, core: int, exact_path: Path, orders: Connection
+    text: str, folder: Path, name: str, core: int, source: Path, orders: Connection
 ) -> None:
     """Serve replay rounds: receive a round number, replay it, send whether it was completed.
 
-    None ends the service. The QPs are made from the exactly solved loop at `exact_path`.
+    None ends the service. The QPs come from the file `source` that `make_source` left.
     """
     cell = Cell.from_json(text)
-    verdict_path = folder / f"{name}.json"
     workspace = _open(cell, folder, name)
     if workspace is None:
         orders.send(None)
         return
-    scenario = scenario_of(cell.scenario)
-    exact = ExactLoop.load(exact_path)
-    sequence = sequence_of(scenario, exact, units=cell.units, first=cell.first, count=cell.steps)
+    arm, port, log = _replay_arm(cell, workspace, folder / f"{name}.raw", source)
+    # Pinned only now, so that several workers can import their libraries side by side.
+    _pin(core)
+    orders.send(True)
+    complete = True
+    while (r := orders.recv()) is not None:
+        complete = arm.round(r)
+        orders.send(complete)
+    _write(folder / f"{name}.json", _replay_verdict(cell, workspace, port, log, complete))
+
+
+def _replay_arm(
+    cell: Cell, workspace: Workspace, raw: Path, source: Path, preroll: int = PREROLL
+) -> tuple[ReplayArm, SolverPort, RawLog]:
+    sequence = source_of(cell).load(cell, source).sequence
     layout = replay_layout(cell.rounds + 1, len(sequence), sequence.base.n, sequence.base.m)
-    log = RawLog.create(folder / f"{name}.raw", layout)
+    log = RawLog.create(raw, layout)
     port = SolverPort(workspace, cell.formulation, sequence.base, clock)
     arm = ReplayArm(
         sequence,
@@ -130,43 +155,72 @@ def run_replay_cell(
         warmup_steps=cell.warmup_steps,
         limit_ns=round(cell.limit_s * 1e9),
         clock=clock,
+        preroll=preroll,
     )
-    # Pinned only now, so that several workers can import their libraries side by side.
-    _pin(core)
-    orders.send(True)
-    complete = True
-    while (r := orders.recv()) is not None:
-        complete = arm.round(r)
-        orders.send(complete)
+    return arm, port, log
+
+
+def _replay_verdict(
+    cell: Cell, workspace: Workspace, port: SolverPort, log: RawLog, complete: bool
+) -> dict[str, Any]:
     detail = _worst_detail(port)
     if not complete:
         stop = f"stopped after {cell.limit_s:g} s in round {int((log.done > 0).sum()) - 1}"
         detail = f"{stop}; {detail}" if detail else stop
-    _write(verdict_path, _verdict("finished" if complete else "timed_out", detail, workspace.form))
+    return _verdict("finished" if complete else "timed_out", detail, workspace.form)
 
 
-def run_exact_loop(text: str, folder: Path, name: str, core: int) -> None:
-    """Solve the scenario of a cell exactly; `name`.npz and a verdict appear in `folder`."""
+def run_replay_chain(links: Sequence[Link], folder: Path, core: int) -> None:
+    """Replay the cells of one arm, each with a raw log and a verdict of its own."""
+    _pin(core)
+    for i, link in enumerate(links):
+        cell = Cell.from_json(link.cell)
+        workspace = _open(cell, folder, link.name, settled=i > 0)
+        if workspace is None:
+            continue
+        raw = folder / f"{link.name}.raw"
+        # Without a time to take, cold caches do no harm, and a step that hangs should be recorded.
+        arm, port, log = _replay_arm(cell, workspace, raw, link.source, preroll=0)
+        complete = all(arm.round(r) for r in range(cell.rounds + 1))
+        verdict = _replay_verdict(cell, workspace, port, log, complete)
+        _write(folder / f"{link.name}.json", verdict)
+        # The collector is off while a solver works.
+        del workspace, arm, port, log
+        gc.collect()
+
+
+def make_source(text: str, folder: Path, name: str, core: int) -> None:
+    """Make the file behind a cell's QPs; `name`.npz and a verdict appear in `folder`."""
     _pin(core)
     _settle(folder / f"{name}.noise")
     try:
-        exact = solve_exactly(scenario_of(Cell.from_json(text).scenario))
+        source_of(Cell.from_json(text)).make(folder / f"{name}.npz")
     except CertificateError as error:
         _write(folder / f"{name}.json", _verdict("invalid", str(error)))
         return
-    exact.save(folder / f"{name}.npz")
     _write(folder / f"{name}.json", _verdict("finished", ""))
 
 
-def grade_cell(
-    text: str, folder: Path, name: str, core: int, exact_path: Path, graded: Path
-) -> None:
+def grade_cell(text: str, folder: Path, name: str, core: int, source: Path, graded: Path) -> None:
     """Let the referee judge the raw log of a cell; the columns appear in `graded` (.npz).
 
     Runs in a process of its own, in which the solver under test was never loaded.
     """
+    grade_chain([Link(name, text, source, graded)], folder, core)
+
+
+def grade_chain(links: Sequence[Link], folder: Path, core: int) -> None:
+    """As `grade_cell`, for several cells one after the other."""
     _pin(core)
-    _settle(folder / f"{name}.noise")
-    log = RawLog.open(folder / f"{name}.raw")
-    grade_log(Cell.from_json(text), log, ExactLoop.load(exact_path)).save(graded)
-    _write(folder / f"{name}.graded.json", _verdict("finished", ""))
+    _settle(folder / f"{links[0].name}.noise")
+    for link in links:
+        _grade(link, RawLog.open(folder / f"{link.name}.raw")).save(link.graded)
+        _write(folder / f"{link.name}.graded.json", _verdict("finished", ""))
+
+
+def _grade(link: Link, log: RawLog) -> Graded:
+    cell = Cell.from_json(link.cell)
+    if cell.mode == "replay":
+        found = source_of(cell).load(cell, link.source)
+        return grade_sequence(log, found.sequence, found.sample_s, found.optima)
+    return grade_log(cell, log, ExactLoop.load(link.source))

@@ -79,9 +79,9 @@ def count_text(value: object) -> str:
     return f"{number:,.0f}".replace(",", "\u202f") if math.isfinite(number) else MISSING
 
 
-def plural(count: float, word: str) -> str:
-    """`1 step`, `2 steps`."""
-    return f"{count_text(count)} {word}" if count == 1 else f"{count_text(count)} {word}s"
+def plural(count: float, word: str, words: str = "") -> str:
+    """`1 step`, `2 steps`; `words` where the plural does not end in s."""
+    return f"{count_text(count)} {word if count == 1 else words or word + 's'}"
 
 
 def seconds_text(value: float) -> str:

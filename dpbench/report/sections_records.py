@@ -16,15 +16,14 @@ from dpbench.report.view import View
 def runs_section(view: View) -> Section:
     """What was run, on what machine, and what did not finish."""
     section = Section("runs", "What was run")
-    if not view.runs:
+    if not view.every:
         section.add(missing("the results hold no cell."))
         return section
-    ended = sum(row["outcome"] == "finished" for row in view.runs)
+    ended = sum(row["outcome"] == "finished" for row in view.every)
     section.add(
         Paragraph(
-            f"{plural(len(view.runs), 'cell')} with {plural(len(view.solvers), 'solver')} in "
-            f"{and_list([f'`{s}`' for s in view.scenarios])}; {count_text(ended)} finished. "
-            f"{_effort(view)}"
+            f"{plural(len(view.every), 'cell')} with {plural(len(view.solvers), 'solver')} in "
+            f"{and_list(_problems(view))}; {count_text(ended)} finished. {_effort(view)}"
         ),
         Bullets(tuple(machine_lines(view.machine))),
         Tabular(population_table(view)),
@@ -38,20 +37,28 @@ def runs_section(view: View) -> Section:
     return section
 
 
+def _problems(view: View) -> list[str]:
+    """What was run: scenarios by name, random sequences by number."""
+    drawn = {str(row["sequence"]) for row in view.random}
+    names = [f"`{scenario}`" for scenario in view.scenarios]
+    return [*names, plural(len(drawn), "random sequence")] if drawn else names
+
+
 def _effort(view: View) -> str:
     suite = view.suite
     words = []
     if "rounds" in suite:
         words.append(f"each replay has {plural(as_float(suite['rounds']), 'round')}")
-    if "warmup_steps" in suite:
+    if suite.get("warmup_steps"):
         words.append(f"a warm-up of {plural(as_float(suite['warmup_steps']), 'step')}")
     if "cell_limit_s" in suite:
         words.append(f"a cell stops after {significant(as_float(suite['cell_limit_s']))} s")
-    spoilt = [as_float(row["spoilt_rounds"]) for row in view.select(mode="replay")]
-    count = sum(value for value in spoilt if value > 0)
-    words.append(f"{plural(count, 'round')} marked as spoilt by a slow machine")
+    if view.runs:
+        spoilt = [as_float(row["spoilt_rounds"]) for row in view.select(mode="replay")]
+        count = sum(value for value in spoilt if value > 0)
+        words.append(f"{plural(count, 'round')} marked as spoilt by a slow machine")
     text = "; ".join(words)
-    return f"{text[0].upper()}{text[1:]}."
+    return f"{text[0].upper()}{text[1:]}." if text else ""
 
 
 def machine_lines(machine: dict[str, Any]) -> list[str]:

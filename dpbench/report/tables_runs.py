@@ -22,8 +22,8 @@ OUTCOMES = tuple(TINTS)
 def population_table(view: View) -> Table:
     """One row per solver: version, route, and how its cells ended."""
     rows = []
-    for solver in dict.fromkeys(str(row["solver"]) for row in view.runs):
-        mine = view.select(solver=solver)
+    for solver in dict.fromkeys(str(row["solver"]) for row in view.every):
+        mine = [row for row in view.every if row["solver"] == solver]
         ended = Counter(str(row["outcome"]) for row in mine)
         steps = sum(len(view.steps(row)) for row in mine)
         rows.append(
@@ -42,8 +42,8 @@ def population_table(view: View) -> Table:
         )
     return Table(
         title="Solvers",
-        note=f"{plural(len(view.runs), 'cell')}; a cell is one solver in one arm of an experiment. "
-        "Form: what the library was given. Recorded steps include warm-up rounds.",
+        note=f"{plural(len(view.every), 'cell')}; a cell is one solver in one arm of an "
+        "experiment. Form: what the library was given. Recorded steps include warm-up rounds.",
         heads=(
             "solver",
             "version",
@@ -70,8 +70,12 @@ def experiments_table(view: View) -> Table:
     """One row per experiment: mode, problem, units, settings, policy, and its counts."""
     groups: dict[tuple[str, ...], list[Row]] = {}
     names = ("mode", "scenario", "sequence", "units", "settings", "route", "policy", "formulation")
-    for row in view.runs:
-        groups.setdefault(tuple(str(row[name]) for name in names), []).append(row)
+    for row in view.every:
+        # The sequences of a random family are too many to stand one by one.
+        shown = {name: str(row[name]) for name in names}
+        if row["family"]:
+            shown["sequence"] = f"random {row['family']}"
+        groups.setdefault(tuple(shown.values()), []).append(row)
     rows = []
     for key, mine in groups.items():
         mode, scenario, sequence, units, settings, route, policy, formulation = key
@@ -92,7 +96,7 @@ def experiments_table(view: View) -> Table:
     return Table(
         title="Experiments",
         note="Closed loop: every solver steers its own ship. Replay: identical QPs, recorded along "
-        "the exactly solved loop, through every solver.",
+        "the exactly solved loop or random, through every solver.",
         heads=(
             "mode",
             "problem",
@@ -114,7 +118,7 @@ def experiments_table(view: View) -> Table:
 def unfinished_table(view: View) -> Table | None:
     """Every cell that did not finish, equal reasons together; None when all finished."""
     groups: dict[tuple[str, str, str], list[Row]] = {}
-    for row in view.runs:
+    for row in view.every:
         if row["outcome"] != "finished":
             reason = str(row["outcome_detail"]) or "no reason was recorded"
             groups.setdefault((str(row["solver"]), str(row["outcome"]), reason), []).append(row)
@@ -132,7 +136,7 @@ def unfinished_table(view: View) -> Table | None:
     ]
     return Table(
         title="Cells that did not finish",
-        note=f"{plural(sum(map(len, groups.values())), 'cell')} of {len(view.runs)}; the reasons "
+        note=f"{plural(sum(map(len, groups.values())), 'cell')} of {len(view.every)}; the reasons "
         "are the library's or the harness's own words.",
         heads=("solver", "outcome", "cells", "where", "reason"),
         rows=tuple(rows),

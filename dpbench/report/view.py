@@ -18,7 +18,8 @@ from dpbench.report.statistics import Floats
 from dpbench.scenario import Scenario, scenario_of
 
 Row = Mapping[str, Any]
-"""One row of `runs.parquet`, with `default_route` added: whether it runs on its solver's own."""
+"""One row of `runs.parquet` with more of it: `default_route`, whether it runs on its solver's own;
+`family`, `n` and `m` of a random sequence, the family empty for every other row."""
 
 PHASES = ("setup", "update", "solve", "read")
 
@@ -47,7 +48,11 @@ class StepTimes:
 
 
 class View:
-    """The records of one result folder, asked by question."""
+    """The records of one result folder, asked by question.
+
+    `every` row is one of `runs`, which are about the ship, or of `random`, which are not; what is
+    selected below is selected from `runs`.
+    """
 
     def __init__(self, results: Results) -> None:
         self.machine, self.suite = results.machine, results.suite
@@ -55,10 +60,14 @@ class View:
             {str(name): value for name, value in row.items()}
             for row in results.runs.to_dict("records")
         ]
-        usual = _default_routes(rows)
-        self.runs: list[Row] = [
+        rows = [row | _random(row) for row in rows]
+        # What a solver is judged on is not for the random problems to say.
+        usual = _default_routes(rows) | _default_routes([row for row in rows if not row["family"]])
+        self.every: list[Row] = [
             row | {"default_route": row["route"] == usual[row["solver"]]} for row in rows
         ]
+        self.runs = [row for row in self.every if not row["family"]]
+        self.random = [row for row in self.every if row["family"]]
         self._steps = results.steps
         self._times: dict[str, StepTimes | None] = {}
         self._scenarios: dict[str, Scenario | None] = {}
@@ -92,7 +101,7 @@ class View:
     @cached_property
     def solvers(self) -> list[str]:
         """The solvers that are ranked, in the order of the suite: all but the contrast law."""
-        return list(dict.fromkeys(str(r["solver"]) for r in self.runs if not is_contrast(r)))
+        return list(dict.fromkeys(str(r["solver"]) for r in self.every if not is_contrast(r)))
 
     @cached_property
     def scenarios(self) -> list[str]:
@@ -170,6 +179,16 @@ def _default_routes(rows: Sequence[Row]) -> dict[str, str]:
         if solver not in usual or route == "qpsolvers":
             usual[solver] = route
     return usual
+
+
+def _random(row: Row) -> dict[str, Any]:
+    """What a replay without a scenario was made from, where that is a random recipe."""
+    described = row["mode"] == "replay" and not row["scenario"] and row["cell"]
+    source = json.loads(row["cell"]).get("source", {}) if described else {}
+    if source.get("kind") != "random":
+        return {"family": "", "n": 0, "m": 0}
+    recipe = source["recipe"]
+    return {"family": str(recipe["family"]), "n": int(recipe["n"]), "m": int(recipe["m"])}
 
 
 def is_contrast(row: Row) -> bool:

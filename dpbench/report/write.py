@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from dpbench.bench.store import Results, load_results
-from dpbench.report.blocks import Page
+from dpbench.report.blocks import Page, Section
 from dpbench.report.demand import Demand
 from dpbench.report.formats import as_float, time_text
 from dpbench.report.render import render_html, render_markdown
+from dpbench.report.section_random import random_lines, random_section
 from dpbench.report.section_reading import reading_section
 from dpbench.report.section_solvers import solvers_section
 from dpbench.report.section_use import use_section
@@ -56,7 +57,9 @@ def write_report(out: str | Path) -> Path:
 def verdict_lines(out: str | Path) -> list[str]:
     """The verdict on a result folder in a few plain lines."""
     results = load_results(out)
-    return _lines(View(results), Demand.of(results.suite))
+    view = View(results)
+    judged = _lines(view, Demand.of(results.suite)) if view.runs or not view.random else []
+    return [*judged, *random_lines(view)]
 
 
 def build_page(results: Results) -> Page:
@@ -67,20 +70,30 @@ def build_page(results: Results) -> Page:
         title=f"dpbench: {suite.get('name', 'results')}",
         subtitle=str(suite.get("title", "")),
         facts=_facts(results),
-        sections=[
-            verdict_section(view, demand),
-            runs_section(view),
-            accuracy_section(view, demand),
-            units_section(view),
-            timing_section(view, demand),
-            use_section(view, demand),
-            figures_section(view, demand),
-            control_section(view),
-            reproduced_section(view),
-            solvers_section(view),
-            reading_section(),
-        ],
+        sections=_sections(view, demand),
     )
+
+
+def _sections(view: View, demand: Demand) -> list[Section]:
+    """All sections; of records without a ship, those that have something to say."""
+    claims = random_section(view)
+    found = [claims] if claims is not None else []
+    if found and not view.runs:
+        return [*found, runs_section(view), solvers_section(view), reading_section()]
+    return [
+        verdict_section(view, demand),
+        runs_section(view),
+        accuracy_section(view, demand),
+        units_section(view),
+        *found,
+        timing_section(view, demand),
+        use_section(view, demand),
+        figures_section(view, demand),
+        control_section(view),
+        reproduced_section(view),
+        solvers_section(view),
+        reading_section(),
+    ]
 
 
 def _facts(results: Results) -> list[tuple[str, str]]:

@@ -55,7 +55,8 @@ def _rung(tolerance: float) -> dict[str, Options]:
         },
         "cvxopt": _coneqp(tolerance),
         # dual_tol stays at DAQP's own 1e-12, which is tighter.
-        "daqp": {"primal_tol": tolerance},
+        # A semidefinite P it solves by proximal steps, which end by a tolerance of their own.
+        "daqp": {"primal_tol": tolerance, "eta_prox": tolerance},
         "ecos": {"abstol": tolerance, "reltol": tolerance, "feastol": tolerance, "max_iters": 500},
         # Sweeps are cheap, and there are problems that take tens of thousands.
         "hildreth": {"eps_row": tolerance, "max_iter": 1_000_000},

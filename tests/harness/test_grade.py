@@ -32,7 +32,7 @@ def step(builder: CondensedQP) -> QPStep:
 @pytest.fixture(scope="module")
 def optimum(builder: CondensedQP, step: QPStep) -> Solution:
     base = builder.problem(step)
-    found = StepJudge(base, base, builder.scale).certify(step, step)
+    found = StepJudge(base, base, builder.scale).certify(step)
     return Solution(Status.SOLVED, found.z, found.y, found.y_box)
 
 
@@ -99,7 +99,7 @@ def test_raw_units_are_judged_in_scaled_ones() -> None:
     theta = (x, np.zeros(3), np.zeros(3))
     step, step_si = scaled.emit(*theta), si.emit(*theta)
     judge = StepJudge(scaled.problem(step), si.problem(step_si), si.scale)
-    best = judge.certify(step, step)
+    best = judge.certify(step)
     scale = si.scale.z
     answer = Solution(Status.SOLVED, best.z * scale, best.y / scale, best.y_box / scale)
     grades = dict(zip(GRADES, judge.judge(step, step_si, answer, best), strict=True))

@@ -1,0 +1,99 @@
+"""The arms of a suite: which solvers it means, and every way to run one that it asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+
+from dpbench.bench.suite import ClosedLoopTable, RandomTable, ReplayTable, SuiteFile, UnitName
+from dpbench.errors import SettingsError
+from dpbench.solvers.contract import Policy, Route
+from dpbench.solvers.open import REFUSED_BY_QPSOLVERS
+from dpbench.solvers.plugins import find_plugin
+from dpbench.solvers.settings import setting_names
+from dpbench.solvers.table import (
+    TABLE,
+    UNCONSTRAINED_CLIPPED,
+    available,
+    record,
+    settings_matter,
+    solver_names,
+)
+
+CONTRAST = UNCONSTRAINED_CLIPPED.name
+Table = ClosedLoopTable | ReplayTable | RandomTable
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One way of running one solver; `alias` are further names of the same settings."""
+
+    solver: str
+    route: Route
+    policy: Policy
+    units: UnitName
+    settings: str
+    alias: tuple[str, ...] = ()
+
+
+def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
+    """The solvers of a suite, or those of `only`; UnknownNameError for an unknown one.
+
+    "all" means every solver of the table except those of an optional extra that is not installed:
+    they are left out by default (`dpbench list solvers` says so), and asked for by name.
+    """
+    names = list(only) if only else suite.solvers
+    chosen: list[str] = []
+    for name in names:
+        if name == "all":
+            chosen += [s for s in solver_names() if s != CONTRAST and _by_default(s)]
+        else:
+            chosen.append(record(name).name)
+    if not only and suite.contrast:
+        chosen.append(CONTRAST)
+    return list(dict.fromkeys(chosen))
+
+
+def _by_default(solver: str) -> bool:
+    return record(solver).extra not in ("jax", "casadi") or available(solver).ok
+
+
+def module_of(solver: str) -> str:
+    """The file of a plug-in that a worker has to load; "" for every other solver."""
+    plugin = None if solver in TABLE else find_plugin(solver)
+    return plugin.origin if plugin is not None and Path(plugin.origin).is_file() else ""
+
+
+def arms_of(solvers: Sequence[str], table: Table) -> list[Arm]:
+    """The arms of one table of a suite; a solver is left out of a route it does not have."""
+    known = [name for solver in solvers for name in setting_names(solver)]
+    for name in table.settings:
+        if name not in known:
+            raise SettingsError("settings", "", repr(name), " | ".join(dict.fromkeys(known)))
+    arms: list[Arm] = []
+    for units, policy, wanted, solver in product(
+        table.units, table.policies, table.routes, solvers
+    ):
+        row = record(solver)
+        route: Route = row.default_route if wanted == "default" else wanted
+        if route not in row.policies:
+            continue
+        names = [name for name in table.settings if name in setting_names(solver)]
+        if settings_matter(solver):
+            arms += [Arm(solver, route, policy, units, name) for name in names]
+        elif names:
+            arms.append(Arm(solver, route, policy, units, names[0], tuple(names[1:])))
+    return arms
+
+
+def refusal_of(arm: Arm) -> str:
+    """Why an arm cannot run; "" where it can."""
+    found, row = available(arm.solver), record(arm.solver)
+    if not found.ok:
+        return found.reason
+    if arm.policy in row.policies[arm.route]:
+        return ""
+    reason = row.refused.get((arm.route, arm.policy), "")
+    return f"policy {arm.policy}: {reason or REFUSED_BY_QPSOLVERS.get(arm.policy, 'not offered')}"

@@ -1,0 +1,133 @@
+"""Recipes of random parametric QPs: what a family is about, and all that makes a sequence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from dpbench.errors import InputError
+
+MARGIN = 0.25
+"""By how much the limits of an infeasible step contradict each other."""
+NEAR = 2.0**-26
+"""Distance to a limit that is missed by less than most tolerances."""
+LARGEST = (120, 300)
+"""Most variables and rows; with more, sums would be rounded."""
+
+
+@dataclass(frozen=True)
+class Family:
+    """What makes a family of problems hard.
+
+    Parameters
+    ----------
+    shows : what it is, in words.
+    cond : condition of P where a recipe names none; semidefinite : P has less than full rank.
+    touching : rows and bounds met with a zero multiplier, as a share of n.
+    twins : share of rows that are written twice; equal, free, one_sided : shares of rows.
+    open_bounds : share of bounds that are infinite.
+    infeasible : every third step has no feasible point.
+    """
+
+    shows: str
+    cond: float = 1e2
+    semidefinite: bool = False
+    touching: float = 0.0
+    twins: float = 0.0
+    equal: float = 0.0
+    free: float = 0.0
+    one_sided: float = 0.0
+    open_bounds: float = 0.0
+    infeasible: bool = False
+
+
+FAMILIES: dict[str, Family] = {
+    "plain": Family("every limit that is met has a multiplier"),
+    "degenerate": Family(
+        "more limits met than there are variables, rows written twice", touching=1.0, twins=0.3
+    ),
+    "weakly_active": Family("limits met with a zero multiplier, or missed by 1.5e-8", touching=0.3),
+    "equal": Family("rows with l = u among others", equal=0.3),
+    "free": Family("rows without any limit, or with one", free=0.4, one_sided=0.3),
+    "infinite_bounds": Family(
+        "half of the bounds infinite, rows with one limit", one_sided=0.4, open_bounds=0.5
+    ),
+    "no_rows": Family("bounds alone, m = 0"),
+    "semidefinite": Family("P of less than full rank, the optimum unique", semidefinite=True),
+    "ill_conditioned": Family("cond(P) = 1e8", cond=1e8),
+    "infeasible_steps": Family(
+        "every third step has no feasible point, by a margin of 0.25", twins=0.2, infeasible=True
+    ),
+}
+
+
+@dataclass(frozen=True)
+class RandomRecipe:
+    """All that a random sequence is made from.
+
+    Parameters
+    ----------
+    family : a name of `FAMILIES`.
+    n, m : variables and rows, at most `LARGEST`; seed : of everything random.
+    steps : length of the sequence; block : as in `QuadraticProgram`.
+    cond : condition of P, 0 for that of the family.
+
+    Raises
+    ------
+    InputError : naming the field, what was found and what is allowed.
+    """
+
+    family: str
+    n: int
+    m: int
+    seed: int
+    steps: int = 24
+    block: int = 0
+    cond: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.family not in FAMILIES:
+            raise _refused("family", repr(self.family), f"one of {', '.join(FAMILIES)}")
+        if not 2 <= self.n <= LARGEST[0]:
+            raise _refused("n", self.n, f"2 to {LARGEST[0]}")
+        least = self._least_rows
+        most = LARGEST[1] if self.family != "no_rows" else 0
+        if not least <= self.m <= most:
+            raise _refused("m", self.m, f"{least} to {most} for {self.family} with n = {self.n}")
+        if self.seed < 0 or self.steps < 1:
+            raise _refused("seed, steps", (self.seed, self.steps), "0 or more, 1 or more")
+        if self.block < 0 or (self.block and (self.n % self.block or self.m % self.block)):
+            raise _refused("block", self.block, f"0 or a divisor of n={self.n} and m={self.m}")
+        if self.cond != 0.0 and not 1.0 <= self.cond <= 1e8:
+            raise _refused("cond", self.cond, "1 to 1e8, or 0 for that of the family")
+
+    @property
+    def _least_rows(self) -> int:
+        """Fewest rows that can show what the family is about."""
+        rows = {"degenerate": self.n, "no_rows": 0, "plain": 0, "semidefinite": 0}
+        return rows.get(self.family, 2)
+
+    @property
+    def name(self) -> str:
+        """A name that tells recipes apart, e.g. `plain-n12-m30-s1`."""
+        usual = {field.name: field.default for field in fields(self)}
+        extra = "".join(
+            f"-{key}{getattr(self, key):g}"
+            for key in ("steps", "block", "cond")
+            if getattr(self, key) != usual[key]
+        )
+        return f"{self.family}-n{self.n}-m{self.m}-s{self.seed}{extra}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The recipe as plain values, for JSON."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> RandomRecipe:
+        """The recipe that `to_dict` described."""
+        return cls(**values)
+
+
+def _refused(key: str, found: object, allowed: str) -> InputError:
+    return InputError("random recipe", key, found, allowed)

@@ -1,0 +1,226 @@
+"""Random sequences: reproducible, planted optima that are optima, and families that are what they
+are called."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from dpbench.errors import InputError
+from dpbench.qp.certify import Referee
+from dpbench.qp.random_recipe import FAMILIES, MARGIN, NEAR, RandomRecipe
+from dpbench.qp.random_sequence import Planted, planted, random_sequence
+
+INF = np.inf
+
+
+def recipe(family: str, n: int = 12, m: int = 30, seed: int = 1, **more: int) -> RandomRecipe:
+    return RandomRecipe(family, n, 0 if family == "no_rows" else m, seed, **more)
+
+
+def exact(array: np.ndarray) -> np.ndarray:
+    """The same numbers as fractions; infinite ones stay."""
+    flat = [Fraction(x) if np.isfinite(x) else x for x in array.ravel().tolist()]
+    return np.array(flat, dtype=object).reshape(array.shape)
+
+
+def joint(found: Planted, k: int) -> tuple[np.ndarray, ...]:
+    """C, L, U, multipliers of step k, with C = [A; I]."""
+    base, step = found.sequence.base, found.sequence.step(k)
+    C = np.vstack((base.A, np.eye(base.n)))
+    limits = np.concatenate((step.l, base.lb)), np.concatenate((step.u, base.ub))
+    return C, *limits, np.concatenate((found.y[k], found.y_box[k]))
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_recipe_gives_the_same_bits_again(family: str) -> None:
+    """Two sequences of one recipe agree in every bit; those of another seed do not."""
+    first, again = random_sequence(recipe(family)), random_sequence(recipe(family))
+    other = random_sequence(recipe(family, seed=2))
+    for name in ("q", "l", "u"):
+        assert getattr(first, name).tobytes() == getattr(again, name).tobytes()
+    for name in ("P", "A", "lb", "ub"):
+        assert getattr(first.base, name).tobytes() == getattr(again.base, name).tobytes()
+    assert first.q.tobytes() != other.q.tobytes()
+
+
+def _is_optimal(found: Planted, k: int) -> None:
+    """Optimality conditions of step k in rational arithmetic."""
+    C, L, U, y = (exact(array) for array in joint(found, k))
+    z, q = exact(found.z[k]), exact(found.sequence.q[k])
+    assert not (exact(found.sequence.base.P) @ z + q + C.T @ y).any()
+    value = C @ z
+    assert (value >= L).all() and (value <= U).all()
+    limit = np.where(y > 0, U, L)
+    assert (value == limit)[y != 0].all()
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_the_planted_optimum_satisfies_the_optimality_conditions_exactly(family: str) -> None:
+    """Stationarity, feasibility and complementarity hold without any rounding."""
+    found = planted(recipe(family))
+    for k in np.flatnonzero(found.feasible):
+        _is_optimal(found, int(k))
+
+
+@pytest.mark.parametrize("family", ["plain", "ill_conditioned"])
+def test_no_sum_is_rounded_at_the_largest_size(family: str) -> None:
+    """With 120 variables and 300 rows the conditions hold exactly too."""
+    found = planted(recipe(family, 120, 300, steps=2))
+    _is_optimal(found, 1)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize(("n", "m"), [(2, 4), (12, 30), (30, 60)])
+def test_the_referee_certifies_what_was_planted(family: str, n: int, m: int) -> None:
+    """Every step gets a certificate, and its optimum is the planted one to within its bound."""
+    steps = 6 if n == 30 else 24
+    found = planted(recipe(family, n, m, seed=3, steps=steps))
+    base, sequence = found.sequence.base, found.sequence
+    referee = Referee(base.P, base.A, base.lb, base.ub)
+    for k in range(steps):
+        optimum = referee.certify(sequence.q[k], sequence.l[k], sequence.u[k])
+        if found.feasible[k]:
+            # The bound grows with the condition; 1e-5 is the finest error an answer is held to.
+            assert np.abs(optimum.z - found.z[k]).max() <= optimum.bound <= 1e-8
+        else:
+            assert optimum.kind == "infeasible"
+
+
+def test_infeasible_steps_have_no_feasible_point_by_a_margin() -> None:
+    """Every third step would need limits moved by 1/40 at least; the planted vector proves it."""
+    found = planted(recipe("infeasible_steps", seed=4))
+    assert (~found.feasible).tolist() == [k % 3 == 2 for k in range(24)]
+    for k in np.flatnonzero(~found.feasible):
+        C, L, U, y = joint(found, int(k))
+        assert not (C.T @ y).any()
+        assert np.maximum(y, 0.0) @ U - np.maximum(-y, 0.0) @ L == -MARGIN
+        # min t with L − t ≤ Cz ≤ U + t: a row and the bounds share the margin by their size.
+        ones = np.ones((len(C), 1))
+        rows = np.vstack((np.hstack((C, -ones)), np.hstack((-C, -ones))))
+        bounds = [(None, None)] * found.z.shape[1] + [(0, None)]
+        cost = np.append(np.zeros(found.z.shape[1]), 1.0)
+        answer = linprog(cost, A_ub=rows, b_ub=np.concatenate((U, -L)), bounds=bounds)
+        assert answer.fun >= MARGIN / 10
+
+
+def _met(found: Planted, k: int) -> np.ndarray:
+    """Which limits the planted optimum of step k meets."""
+    C, L, U, _ = joint(found, k)
+    value = C @ found.z[k]
+    return (value == L) | (value == U)
+
+
+def test_degenerate_vertices_meet_more_limits_than_there_are_variables() -> None:
+    """On every step more than n limits are met, some of them by rows that are written twice."""
+    found = planted(recipe("degenerate"))
+    A = found.sequence.base.A
+    copies = [(i, j) for i in range(30) for j in range(i) if (np.abs(A[i]) == np.abs(A[j])).all()]
+    assert copies
+    for k in range(24):
+        met = _met(found, k)
+        assert met.sum() > 12
+    assert any(_met(found, k)[list(pair)].all() for k in range(24) for pair in copies)
+
+
+def test_weakly_active_limits_are_met_without_a_multiplier_or_nearly_met() -> None:
+    """On every step some limit is met with a zero multiplier; others are missed by 2⁻²⁶."""
+    found = planted(recipe("weakly_active"))
+    near = 0
+    for k in range(24):
+        C, L, U, y = joint(found, k)
+        value = C @ found.z[k]
+        assert (_met(found, k) & (y == 0.0)).any()
+        near += int(((U - value == NEAR) | (value - L == NEAR)).sum())
+    assert near >= 12
+
+
+def test_plain_problems_are_strictly_complementary() -> None:
+    """Every limit that is met has a multiplier, and every other one a slack of 1/50 at least."""
+    found = planted(recipe("plain"))
+    for k in range(24):
+        C, L, U, y = joint(found, k)
+        value = C @ found.z[k]
+        np.testing.assert_array_equal(_met(found, k), y != 0.0)
+        assert np.minimum(U - value, value - L)[y == 0.0].min() > 0.02
+
+
+def test_equal_free_and_infinite_limits_are_there() -> None:
+    """Rows with l = u, rows without a limit and infinite bounds, each where its family says so."""
+    equal = random_sequence(recipe("equal"))
+    assert (equal.l == equal.u).sum(axis=1).min() == 4
+    free = random_sequence(recipe("free"))
+    assert (np.isinf(free.l) & np.isinf(free.u)).sum(axis=1).min() == 12
+    assert (np.isinf(free.l) != np.isinf(free.u)).any()
+    base = random_sequence(recipe("infinite_bounds")).base
+    assert 6 <= np.isinf(base.lb).sum() + np.isinf(base.ub).sum() <= 18
+    assert random_sequence(recipe("no_rows")).base.m == 0
+
+
+@pytest.mark.parametrize(("family", "cond"), [("plain", 1e2), ("ill_conditioned", 1e8)])
+@pytest.mark.parametrize("n", [2, 12, 120])
+def test_cost_matrices_have_the_condition_they_name(family: str, cond: float, n: int) -> None:
+    """The condition of P is that of its family to 1 %, which its grid of 36 bits allows."""
+    eigenvalues = np.linalg.eigvalsh(random_sequence(recipe(family, n, 4, steps=1)).base.P)
+    assert eigenvalues[-1] / eigenvalues[0] == pytest.approx(cond, rel=1e-2)
+
+
+def test_semidefinite_costs_lose_a_fifth_of_their_rank() -> None:
+    """P has n//5 zero eigenvalues, to rounding, and none below zero."""
+    eigenvalues = np.linalg.eigvalsh(random_sequence(recipe("semidefinite", 30, 60)).base.P)
+    assert (np.abs(eigenvalues) < 1e-13 * eigenvalues[-1]).sum() == 6
+    assert eigenvalues[6] > 1e-3 * eigenvalues[-1]
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_rows_have_unit_norm_and_paths_are_smooth_but_for_jumps(family: str) -> None:
+    """Norms are 1 to 1e-4, the grid of A; between most steps a third of the limits met stays."""
+    found = planted(recipe(family))
+    norms = np.linalg.norm(found.sequence.base.A, axis=1)
+    np.testing.assert_allclose(norms, 1.0, atol=1e-4)
+    active = np.hstack((found.y, found.y_box)) != 0.0
+    pairs = [k for k in range(23) if found.feasible[k] and found.feasible[k + 1]]
+    shared = [(active[k] & active[k + 1]).sum() / active[k].sum() for k in pairs]
+    assert np.median(shared) > 1 / 3
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"family": "plane"}, "one of plain"),
+        ({"n": 121}, "n: found 121; allowed: 2 to 120"),
+        ({"m": 301}, "0 to 300 for plain"),
+        ({"family": "no_rows"}, "0 to 0 for no_rows"),
+        ({"family": "degenerate", "m": 5}, "12 to 300 for degenerate"),
+        ({"block": 5}, "0 or a divisor of n=12 and m=30"),
+        ({"cond": 1e9}, "1 to 1e8"),
+        ({"steps": 0}, "0 or more, 1 or more"),
+    ],
+)
+def test_a_recipe_that_cannot_be_is_refused_in_one_line(
+    values: dict[str, object], said: str
+) -> None:
+    """The message names the field, what was found and what is allowed."""
+    usual: dict[str, object] = {"family": "plain", "n": 12, "m": 30, "seed": 1}
+    with pytest.raises(InputError, match="random recipe") as caught:
+        RandomRecipe(**(usual | values))  # type: ignore[arg-type] # wrong on purpose
+    assert said in str(caught.value)
+
+
+def test_names_tell_recipes_apart_and_recipes_survive_json() -> None:
+    """What differs in a recipe shows in its name; its plain values make it again."""
+    variants = [
+        recipe("plain"),
+        recipe("free"),
+        recipe("plain", n=6),
+        recipe("plain", m=6),
+        recipe("plain", seed=2),
+        recipe("plain", steps=3),
+        recipe("plain", block=2),
+        RandomRecipe("plain", 12, 30, 1, cond=1e4),
+    ]
+    assert len({variant.name for variant in variants}) == len(variants)
+    assert all(RandomRecipe.from_dict(variant.to_dict()) == variant for variant in variants)

@@ -1,0 +1,93 @@
+"""Random problems: the paper's method never claims what is not true, and settings do what they say.
+
+Truth comes from the planted optimum, which is exact, and from no solver.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dpbench.qp.farkas import farkas_valid
+from dpbench.qp.program import QuadraticProgram
+from dpbench.qp.random_recipe import FAMILIES, RandomRecipe
+from dpbench.qp.random_sequence import Planted, planted
+from dpbench.qp.residuals import is_true, residuals
+from dpbench.qp.solution import Solution, Status
+from dpbench.solvers.contract import Policy
+from dpbench.solvers.open import open_workspace
+
+# It needs P > 0 and says so where P is only semidefinite.
+STRICT = [name for name, family in FAMILIES.items() if not family.semidefinite]
+SIZES = [(2, 4, 0), (5, 10, 5), (12, 30, 0), (12, 30, 3), (30, 60, 2)]
+"""n, m, block: without a block a start is kept as it is, with one it is shifted."""
+SEEDS = range(6)
+
+
+def answers(
+    found: Planted, policy: Policy, solver: str = "paper_active_set", settings: str = "default"
+) -> list[tuple[QuadraticProgram, Solution]]:
+    """The problem and the answer of every step."""
+    sequence = found.sequence
+    workspace = open_workspace(solver, route="native", policy=policy, settings=settings)
+    workspace.setup(sequence.base)
+    pairs = []
+    for k in range(len(sequence)):
+        qp = sequence.problem(k)
+        if workspace.setup_every_step:
+            workspace.setup(qp)
+        else:
+            workspace.update(sequence.step(k))
+        workspace.solve()
+        answer = workspace.read()
+        pairs.append((qp, answer))
+        if not answer.status.usable:
+            workspace.reset()
+    return pairs
+
+
+def check(found: Planted, policy: Policy) -> None:
+    """Every feasible step is solved and true at 1e-6, every other one proven infeasible."""
+    for k, (qp, answer) in enumerate(answers(found, policy)):
+        where = f"{found.sequence.name}, {policy}, step {k}: {answer.status.name} {answer.detail}"
+        if found.feasible[k]:
+            assert answer.status is Status.SOLVED, where
+            error = float(np.abs(answer.z - found.z[k]).max())
+            assert is_true(qp, residuals(qp, answer), error, 1e-6), where
+        else:
+            assert answer.status is Status.PRIMAL_INFEASIBLE, where
+            assert farkas_valid(qp, answer.y, answer.y_box), where
+
+
+@pytest.mark.parametrize("policy", ["fresh", "reuse", "warm"])
+@pytest.mark.parametrize("family", STRICT)
+def test_it_solves_every_random_problem_and_claims_nothing_untrue(
+    family: str, policy: Policy
+) -> None:
+    """At cond(P) ≤ 1e8 and rows of unit norm every answer is true at 1e-6, whatever the family."""
+    for n, m, block in SIZES:
+        for seed in SEEDS:
+            rows = 0 if family == "no_rows" else m
+            check(planted(RandomRecipe(family, n, rows, seed, block=block)), policy)
+
+
+@pytest.mark.parametrize("policy", ["fresh", "reuse", "warm"])
+@pytest.mark.parametrize("family", STRICT)
+def test_the_same_at_the_largest_size(family: str, policy: Policy) -> None:
+    """With 120 variables and 300 rows every answer is true at 1e-6 too."""
+    rows = 0 if family == "no_rows" else 300
+    check(planted(RandomRecipe(family, 120, rows, 1, steps=9)), policy)
+
+
+@pytest.mark.parametrize("policy", ["fresh", "reuse", "warm"])
+def test_high_settings_tighten_the_proximal_steps_of_daqp(policy: Policy) -> None:
+    """Where P is semidefinite, `high` answers are true at 1e-6; those at `default` are not."""
+    found = planted(RandomRecipe("semidefinite", 12, 30, 2, block=2))
+
+    def worst(settings: str) -> float:
+        pairs = answers(found, policy, "daqp", settings)
+        return max(
+            float(np.abs(answer.z - z).max()) for (_, answer), z in zip(pairs, found.z, strict=True)
+        )
+
+    assert worst("high") <= 1e-5 < worst("default")
