@@ -10,7 +10,7 @@ import pytest
 
 from dpbench import load_scenario
 from dpbench.bench.emitter import Emitter
-from dpbench.bench.exact import ExactLoop, solve_exactly
+from dpbench.bench.exact import ExactLoop, sequence_of, solve_exactly
 from dpbench.bench.metrics import control_metrics
 from dpbench.problem_files import problem_names
 from dpbench.scenario import Scenario
@@ -122,6 +122,15 @@ def test_turn_needs_a_model_that_turns() -> None:
     assert np.hypot(*loop.state[-1, 3:5]) < 0.1
     fixed = solve_exactly(replace(scenario, relinearised=False))
     assert np.hypot(fixed.state[-200:, 3], fixed.state[-200:, 4]).max() > 10.0
+
+
+def test_the_cost_matrix_turns_with_the_ship_where_its_weights_are_unequal() -> None:
+    """Every step of a turn brings P: the same one in `turn`, others in `turn_unequal`."""
+    for name, same in (("turn", True), ("turn_unequal", False)):
+        scenario = load_scenario(name)
+        sequence = sequence_of(scenario, exact(name), first=100, count=100)
+        assert sequence.P is not None
+        assert (np.ptp(sequence.P, axis=0).max() == 0) is same
 
 
 def test_wrap_takes_the_short_way() -> None:

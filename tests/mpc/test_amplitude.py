@@ -48,12 +48,12 @@ def lost_thruster(ship: Any) -> tuple[Any, np.ndarray, tuple[np.ndarray, np.ndar
 
 def test_where_hard_limits_are_feasible_the_soft_plan_is_the_hard_one(case: Any) -> None:
     """With the default penalty no slack is used and the moves are those of the hard problem, for
-    the limits of the vessel and for narrower ones, as long as the unconstrained plan is no further
-    away than half of the amplitude range that the default allows for."""
+    the limits of the vessel and for narrower ones, as long as no move of the unconstrained plan
+    exceeds the quarter of the amplitude range that the default allows for."""
     hard, soft = CondensedQP(case.problem), CondensedQP(case.problem, amplitude="soft")
     free = np.linalg.solve(hard.P, hard.emit(case.x, case.y_ref, case.u_prev).q)
     span = (case.problem.u_max - case.problem.u_min) / case.problem.du_max
-    near = min(1.0, 0.5 * float(span.min()) / np.abs(free).max())
+    near = min(1.0, 0.25 * float(span.min()) / np.abs(free).max())
     narrow = (0.5 * case.problem.u_min, 0.5 * case.problem.u_max)
     for u_prev, limits in ((case.u_prev, None), (0.4 * case.u_prev, narrow)):
         theta = (near * case.x, near * case.y_ref, u_prev)
@@ -185,14 +185,18 @@ def test_soft_variables_and_rows_shift_by_one_number(ship: Any) -> None:
 
 
 def test_slacks_leave_the_cost_of_the_moves_and_the_condition_of_it_alone(ship: Any) -> None:
-    """P is that of the plain problem over the moves, couples no slack, and is as well conditioned;
-    q charges every slack its penalty."""
+    """P is that of the plain problem over the moves and couples no slack, whose curvature is its
+    smallest eigenvalue, so that it is as well conditioned; q charges every slack its penalty."""
     problem = ship("supply_fs99", N_p=60, N_c=10, robust=True)
     plain, soft = CondensedQP(problem), CondensedQP(problem, amplitude="soft")
     place = np.arange(soft.n).reshape(10, 6)
     moves, slacks = place[:, :3].reshape(-1), place[:, 3:].reshape(-1)
     np.testing.assert_array_equal(soft.P[np.ix_(moves, moves)], plain.P)
     assert not soft.P[np.ix_(moves, slacks)].any()
+    smallest = np.linalg.eigvalsh(plain.P)[0]
+    np.testing.assert_allclose(
+        soft.P[np.ix_(slacks, slacks)], smallest * np.eye(30), rtol=1e-10, atol=0
+    )
     assert np.linalg.cond(soft.P) == pytest.approx(np.linalg.cond(plain.P), rel=1e-9)
     theta = (np.full(9, 0.1), np.zeros(3), np.zeros(3))
     q = soft.emit(*theta).q
