@@ -130,7 +130,7 @@ def test_the_cost_matrix_turns_with_the_ship_where_its_weights_are_unequal() -> 
         scenario = load_scenario(name)
         sequence = sequence_of(scenario, exact(name), first=100, count=100)
         assert sequence.P is not None
-        assert (np.ptp(sequence.P, axis=0).max() == 0) is same
+        assert bool(np.ptp(sequence.P, axis=0).max() == 0) is same
 
 
 def test_wrap_takes_the_short_way() -> None:
