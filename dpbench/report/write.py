@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from dpbench.bench.design_file import Designs, load_design
 from dpbench.bench.store import Results, load_results
 from dpbench.report.blocks import Page
 from dpbench.report.demand import Demand
 from dpbench.report.formats import as_float, time_text
 from dpbench.report.render import render_html, render_markdown
+from dpbench.report.section_design import design_section
 from dpbench.report.section_reading import reading_section
 from dpbench.report.section_solvers import solvers_section
 from dpbench.report.section_use import use_section
@@ -41,7 +43,7 @@ def write_report(out: str | Path) -> Path:
     figures = folder / "figures"
     figures.mkdir(exist_ok=True)
     with styled():
-        page = build_page(results)
+        page = build_page(results, load_design(folder))
         for stale in figures.glob("*.svg"):
             stale.unlink()
         for picture in page.pictures:
@@ -59,8 +61,8 @@ def verdict_lines(out: str | Path) -> list[str]:
     return _lines(View(results), Demand.of(results.suite))
 
 
-def build_page(results: Results) -> Page:
-    """The whole page, figures drawn but not written."""
+def build_page(results: Results, designs: Designs | None = None) -> Page:
+    """The whole page, figures drawn but not written; without designs no section on them."""
     view, demand = View(results), Demand.of(results.suite)
     suite = results.suite
     return Page(
@@ -76,6 +78,7 @@ def build_page(results: Results) -> Page:
             use_section(view, demand),
             figures_section(view, demand),
             control_section(view),
+            *([design_section(designs)] if designs is not None else []),
             reproduced_section(view),
             solvers_section(view),
             reading_section(),
