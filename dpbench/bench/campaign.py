@@ -11,12 +11,16 @@ import tempfile
 import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from multiprocessing.context import ForkServerContext
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from dpbench.bench.assemble import run_row, step_rows
+from dpbench.bench.design import Design, plan_designs
+from dpbench.bench.design_file import write_design
+from dpbench.bench.designing import DesignStore, run_designs, work_of_designs
 from dpbench.bench.machine import describe_machine
 from dpbench.bench.plan import Planned, plan
 from dpbench.bench.running import (
@@ -41,9 +45,18 @@ class Campaign:
     """One run of a suite into a folder; see `run_campaign`."""
 
     def __init__(
-        self, name: str, suite: SuiteFile, planned: list[Planned], out: Path, jobs: int, fresh: bool
+        self,
+        name: str,
+        suite: SuiteFile,
+        planned: list[Planned],
+        designs: list[Design],
+        out: Path,
+        jobs: int,
+        fresh: bool,
     ) -> None:
         self.machine = describe_machine()
+        self._designs = designs
+        self._design_store = DesignStore(out / "cells", self.machine["id"], fresh=fresh)
         self._name, self._suite, self._out, self._jobs = name, suite, out, jobs
         self._store = CellStore(out / "cells")
         solvers = {p.cell.solver for p in planned}
@@ -68,12 +81,14 @@ class Campaign:
                 job.outcome = self._store.finished(job)
             if job.outcome is None:
                 pending.append(job)
-        progress.start(sum(work_of(job.cell) for job in pending))
+        work = sum(work_of(job.cell) for job in pending)
+        progress.start(work + work_of_designs(self._designs, self._design_store))
         shared = Path("/dev/shm")
         with tempfile.TemporaryDirectory(
             prefix="dpbench-", dir=shared if os.access(shared, os.W_OK) else None
         ) as folder:
-            bench = Bench(template_context(), Path(folder), self._store, self._cores, progress)
+            context = template_context()
+            bench = Bench(context, Path(folder), self._store, self._cores, progress)
             exact = self._sources(bench, pending)
             runnable = [job for job in pending if job.outcome is None]
             loops = [job for job in runnable if job.cell.mode == "closed_loop"]
@@ -82,8 +97,25 @@ class Campaign:
             for group in _groups([job for job in replays if not is_random(job.cell)]):
                 bench.replays(group, exact[_key(group[0])])
             bench.random([job for job in replays if is_random(job.cell)], exact, self._jobs)
+            self._look_into_designs(context, Path(folder), progress)
         self._write(started, time.monotonic() - began)
         return self._out
+
+    def _look_into_designs(
+        self, context: ForkServerContext, folder: Path, progress: Progress
+    ) -> None:
+        """The designs of the suite, in a file of their own; none leaves no file of another run."""
+        found = None
+        if self._designs:
+            found = run_designs(
+                self._designs,
+                self._design_store,
+                context=context,
+                folder=folder,
+                cores=self._cores,
+                progress=progress,
+            )
+        write_design(self._out, found)
 
     def _sources(self, bench: Bench, pending: list[Job]) -> dict[str, Path]:
         """What the QPs of all cells are made from, by key: exactly solved loops and the like."""
@@ -179,11 +211,14 @@ def run_campaign(
     path, document = load_suite(suite)
     name = path.stem
     planned = plan(document, solvers=solvers, scenarios=scenarios, beside=path.parent)
+    # A part of a suite is about its solvers and runs; no design depends on them.
+    whole = document.design is not None and not (solvers or scenarios)
+    designs = plan_designs(document.design, path.parent) if document.design and whole else []
     cores = len(os.sched_getaffinity(0))
     if jobs is not None and not 1 <= jobs <= cores:
         raise InputError("--jobs", "", jobs, f"a number from 1 to {cores}, the cores available")
     part = "-part" if solvers or scenarios else ""
     folder = Path(out) if out is not None else Path("results") / f"{name}{part}"
     with claimed(folder, name):
-        campaign = Campaign(name, document, planned, folder, jobs or cores, fresh)
+        campaign = Campaign(name, document, planned, designs, folder, jobs or cores, fresh)
         return campaign.run(progress or Silent())

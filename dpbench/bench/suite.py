@@ -93,6 +93,13 @@ class RandomTable(FileModel):
         ]
 
 
+class DesignTable(FileModel):
+    """Stability and basin of controllers, those of some scenarios, in vessels; no solver's part."""
+
+    controllers: Annotated[list[str], Field(min_length=1)]
+    vessels: Annotated[list[str], Field(min_length=1)]
+
+
 class SuiteFile(FileModel):
     """`problems/suites/*.toml`; 0 steps means all steps."""
 
@@ -103,6 +110,7 @@ class SuiteFile(FileModel):
     rounds: Annotated[int, Field(ge=1)] = 5
     warmup_steps: Count = 50
     demand: DemandTable = DemandTable()
+    design: DesignTable | None = None
     closed_loop: list[ClosedLoopTable] = []
     replay: list[ReplayTable] = []
     random: list[RandomTable] = []

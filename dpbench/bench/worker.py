@@ -46,7 +46,7 @@ class Link:
     graded: Path
 
 
-def _settle(noise: Path) -> None:
+def settle(noise: Path) -> None:
     """Send what libraries print to a file, ignore warnings and stop the garbage collector."""
     sink = os.open(noise, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     os.dup2(sink, 1)
@@ -57,19 +57,20 @@ def _settle(noise: Path) -> None:
     gc.disable()
 
 
-def _pin(core: int) -> None:
+def pin(core: int) -> None:
     """Stay on one core from now on."""
     os.sched_setaffinity(0, {core})
 
 
-def _write(path: Path, verdict: dict[str, Any]) -> None:
+def write_verdict(path: Path, verdict: dict[str, Any]) -> None:
     """Leave a JSON verdict at `path`, whole or not at all."""
     part = path.with_suffix(".part")
     part.write_text(json.dumps(verdict), encoding="utf-8")
     part.replace(path)
 
 
-def _verdict(outcome: str, detail: str, form: str = "") -> dict[str, Any]:
+def verdict_of(outcome: str, detail: str, form: str = "") -> dict[str, Any]:
+    """A verdict in the words that the supervisor reads."""
     return {"outcome": outcome, "detail": detail, "form": form}
 
 
@@ -77,7 +78,7 @@ def _open(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Work
     """Settle the process and open the cell's solver in it; None leaves a verdict `refused`."""
     try:
         if not settled:
-            _settle(folder / f"{name}.noise")
+            settle(folder / f"{name}.noise")
             if cell.solver_module:
                 load_solver_module(cell.solver_module)
             isolate(cell.solver)
@@ -85,7 +86,7 @@ def _open(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Work
             cell.solver, route=cell.route, policy=cell.policy, settings=cell.settings
         )
     except InputError as error:
-        _write(folder / f"{name}.json", _verdict("refused", str(error)))
+        write_verdict(folder / f"{name}.json", verdict_of("refused", str(error)))
         return None
 
 
@@ -101,7 +102,7 @@ def run_closed_loop_cell(text: str, folder: Path, name: str, core: int) -> None:
     """Run a closed-loop cell; raw log and verdict appear in `folder` under `name`."""
     cell = Cell.from_json(text)
     verdict_path = folder / f"{name}.json"
-    _pin(core)
+    pin(core)
     workspace = _open(cell, folder, name)
     if workspace is None:
         return
@@ -115,7 +116,9 @@ def run_closed_loop_cell(text: str, folder: Path, name: str, core: int) -> None:
     if not complete:
         stop = f"stopped after {cell.limit_s:g} s with {int(log.done[0])} steps"
         detail = f"{stop}; {detail}" if detail else stop
-    _write(verdict_path, _verdict("finished" if complete else "timed_out", detail, workspace.form))
+    write_verdict(
+        verdict_path, verdict_of("finished" if complete else "timed_out", detail, workspace.form)
+    )
 
 
 def run_replay_cell(
@@ -132,13 +135,13 @@ def run_replay_cell(
         return
     arm, port, log = _replay_arm(cell, workspace, folder / f"{name}.raw", source)
     # Pinned only now, so that several workers can import their libraries side by side.
-    _pin(core)
+    pin(core)
     orders.send(True)
     complete = True
     while (r := orders.recv()) is not None:
         complete = arm.round(r)
         orders.send(complete)
-    _write(folder / f"{name}.json", _replay_verdict(cell, workspace, port, log, complete))
+    write_verdict(folder / f"{name}.json", _replay_verdict(cell, workspace, port, log, complete))
 
 
 def _replay_arm(
@@ -167,12 +170,12 @@ def _replay_verdict(
     if not complete:
         stop = f"stopped after {cell.limit_s:g} s in round {int((log.done > 0).sum()) - 1}"
         detail = f"{stop}; {detail}" if detail else stop
-    return _verdict("finished" if complete else "timed_out", detail, workspace.form)
+    return verdict_of("finished" if complete else "timed_out", detail, workspace.form)
 
 
 def run_replay_chain(links: Sequence[Link], folder: Path, core: int) -> None:
     """Replay the cells of one arm, each with a raw log and a verdict of its own."""
-    _pin(core)
+    pin(core)
     for i, link in enumerate(links):
         cell = Cell.from_json(link.cell)
         workspace = _open(cell, folder, link.name, settled=i > 0)
@@ -183,7 +186,7 @@ def run_replay_chain(links: Sequence[Link], folder: Path, core: int) -> None:
         arm, port, log = _replay_arm(cell, workspace, raw, link.source, preroll=0)
         complete = all(arm.round(r) for r in range(cell.rounds + 1))
         verdict = _replay_verdict(cell, workspace, port, log, complete)
-        _write(folder / f"{link.name}.json", verdict)
+        write_verdict(folder / f"{link.name}.json", verdict)
         # The collector is off while a solver works.
         del workspace, arm, port, log
         gc.collect()
@@ -191,14 +194,14 @@ def run_replay_chain(links: Sequence[Link], folder: Path, core: int) -> None:
 
 def make_source(text: str, folder: Path, name: str, core: int) -> None:
     """Make the file behind a cell's QPs; `name`.npz and a verdict appear in `folder`."""
-    _pin(core)
-    _settle(folder / f"{name}.noise")
+    pin(core)
+    settle(folder / f"{name}.noise")
     try:
         source_of(Cell.from_json(text)).make(folder / f"{name}.npz")
     except CertificateError as error:
-        _write(folder / f"{name}.json", _verdict("invalid", str(error)))
+        write_verdict(folder / f"{name}.json", verdict_of("invalid", str(error)))
         return
-    _write(folder / f"{name}.json", _verdict("finished", ""))
+    write_verdict(folder / f"{name}.json", verdict_of("finished", ""))
 
 
 def grade_cell(text: str, folder: Path, name: str, core: int, source: Path, graded: Path) -> None:
@@ -211,11 +214,11 @@ def grade_cell(text: str, folder: Path, name: str, core: int, source: Path, grad
 
 def grade_chain(links: Sequence[Link], folder: Path, core: int) -> None:
     """As `grade_cell`, for several cells one after the other."""
-    _pin(core)
-    _settle(folder / f"{links[0].name}.noise")
+    pin(core)
+    settle(folder / f"{links[0].name}.noise")
     for link in links:
         _grade(link, RawLog.open(folder / f"{link.name}.raw")).save(link.graded)
-        _write(folder / f"{link.name}.graded.json", _verdict("finished", ""))
+        write_verdict(folder / f"{link.name}.graded.json", verdict_of("finished", ""))
 
 
 def _grade(link: Link, log: RawLog) -> Graded:

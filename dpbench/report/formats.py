@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from decimal import ROUND_DOWN, Decimal
+from decimal import ROUND_DOWN, ROUND_UP, Decimal
 
 import numpy as np
 
@@ -45,11 +45,20 @@ def significant(value: float, digits: int = 3) -> str:
 
 def rounded_down(value: float, digits: int = 3) -> str:
     """As `significant`, but never more than `value`: what still holds when it is believed."""
+    return _rounded(value, digits, ROUND_DOWN)
+
+
+def rounded_up(value: float, digits: int = 3) -> str:
+    """As `significant`, but never less than `value`."""
+    return _rounded(value, digits, ROUND_UP)
+
+
+def _rounded(value: float, digits: int, way: str) -> str:
     if not (math.isfinite(value) and value > 0.0):
         return significant(value, digits)
     exact = Decimal(value)
     unit = Decimal(1).scaleb(exact.adjusted() - digits + 1)
-    return significant(float(exact.quantize(unit, rounding=ROUND_DOWN)), digits)
+    return significant(float(exact.quantize(unit, rounding=way)), digits)
 
 
 def error_text(value: float) -> str:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from dpbench.bench.design_file import Designs, load_design
 from dpbench.bench.store import Results, load_results
 from dpbench.report.blocks import Page, Section
 from dpbench.report.demand import Demand
 from dpbench.report.formats import as_float, time_text
 from dpbench.report.render import render_html, render_markdown
+from dpbench.report.section_design import design_section
 from dpbench.report.section_random import random_lines, random_section
 from dpbench.report.section_reading import reading_section
 from dpbench.report.section_solvers import solvers_section
@@ -42,7 +44,7 @@ def write_report(out: str | Path) -> Path:
     figures = folder / "figures"
     figures.mkdir(exist_ok=True)
     with styled():
-        page = build_page(results)
+        page = build_page(results, load_design(folder))
         for stale in figures.glob("*.svg"):
             stale.unlink()
         for picture in page.pictures:
@@ -62,24 +64,25 @@ def verdict_lines(out: str | Path) -> list[str]:
     return [*judged, *random_lines(view)]
 
 
-def build_page(results: Results) -> Page:
-    """The whole page, figures drawn but not written."""
+def build_page(results: Results, designs: Designs | None = None) -> Page:
+    """The whole page, figures drawn but not written; without designs no section on them."""
     view, demand = View(results), Demand.of(results.suite)
     suite = results.suite
     return Page(
         title=f"dpbench: {suite.get('name', 'results')}",
         subtitle=str(suite.get("title", "")),
         facts=_facts(results),
-        sections=_sections(view, demand),
+        sections=_sections(view, demand, designs),
     )
 
 
-def _sections(view: View, demand: Demand) -> list[Section]:
+def _sections(view: View, demand: Demand, designs: Designs | None) -> list[Section]:
     """All sections; of records without a ship, those that have something to say."""
     claims = random_section(view)
+    design = [design_section(designs)] if designs is not None else []
     found = [claims] if claims is not None else []
     if found and not view.runs:
-        return [*found, runs_section(view), solvers_section(view), reading_section()]
+        return [*found, runs_section(view), *design, solvers_section(view), reading_section()]
     return [
         verdict_section(view, demand),
         runs_section(view),
@@ -90,6 +93,7 @@ def _sections(view: View, demand: Demand) -> list[Section]:
         use_section(view, demand),
         figures_section(view, demand),
         control_section(view),
+        *design,
         reproduced_section(view),
         solvers_section(view),
         reading_section(),
