@@ -19,9 +19,9 @@ from dpbench.bench.design_file import (
     MissingDesign,
     read_designs,
 )
-from dpbench.bench.running import HARNESS_VERSION, POLL_S, Progress
+from dpbench.bench.running import HARNESS_VERSION, Progress
 from dpbench.bench.store import write_json
-from dpbench.bench.supervise import Child
+from dpbench.bench.supervise import POLL_S, Child
 from dpbench.bench.worker import pin, settle, verdict_of
 from dpbench.errors import ResultsError
 
