@@ -15,6 +15,7 @@ from dpbench.bench.replay import SPOILT_FACTOR
 from dpbench.bench.schema import SCHEMA_VERSION, as_steps
 from dpbench.bench.supervise import Outcome
 from dpbench.qp.solution import Status
+from dpbench.scenario import scenario_of
 
 _STATUS_NAMES = np.array([status.name for status in Status])
 
@@ -49,7 +50,7 @@ def step_rows(run_id: str, cell: Cell, graded: Graded) -> pd.DataFrame:
         frame["unconverged"] = frame["status"].isin(["INACCURATE", "MAX_ITERATIONS"])
         frame["fallback"] = _unusable(columns, frame)
         return as_steps(frame)
-    frame["late"] = frame["total_ns"] > cell.scenario["scenario"]["sample_s"] * 1e9
+    frame["late"] = frame["total_ns"] > scenario_of(cell.scenario).sample_s * 1e9
     return as_steps(pd.concat([frame, _ship_columns(columns)], axis=1))
 
 

@@ -55,8 +55,10 @@ class Cell:
 
     @property
     def scenario_name(self) -> str:
-        """Name of the scenario; empty without one."""
-        return str(self.scenario["name"]) if self.scenario else ""
+        """Name of the scenario, with the fallback where that is not the usual one; may be empty."""
+        name = str(self.scenario["name"]) if self.scenario else ""
+        usual = self.mode == "replay" or self.fallback == "shifted_plan"
+        return name if usual else f"{name} ({self.fallback})"
 
     @property
     def sequence(self) -> str:

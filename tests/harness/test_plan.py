@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dpbench.bench.plan import plan
-from dpbench.bench.suite import ReplayTable, SuiteFile, load_suite
+from dpbench.bench.suite import ClosedLoopTable, ReplayTable, SuiteFile, load_suite
 
 
 def test_a_cell_asked_for_twice_keeps_all_names_of_its_settings() -> None:
@@ -23,3 +23,19 @@ def test_the_standard_suite_has_no_cell_twice() -> None:
     _, suite = load_suite("standard")
     cells = [planned.cell.to_json() for planned in plan(suite)]
     assert len(cells) == len(set(cells))
+
+
+def test_vessels_multiply_the_scenarios_and_fallbacks_tell_rows_apart() -> None:
+    """Each scenario with each vessel; a fallback that is not the usual one is part of the name."""
+    table = ClosedLoopTable(
+        scenarios=["calm", "rough"], vessels=["osv", "cybership2"], fallback="hold", steps=5
+    )
+    suite = SuiteFile(title="x", solvers=["daqp"], contrast=False, closed_loop=[table])
+    cells = [planned.cell for planned in plan(suite)]
+    assert [cell.scenario_name for cell in cells] == [
+        "calm@osv (hold)",
+        "calm@cybership2 (hold)",
+        "rough@osv (hold)",
+        "rough@cybership2 (hold)",
+    ]
+    assert [cell.scenario["vessel_name"] for cell in cells] == ["osv", "cybership2"] * 2
