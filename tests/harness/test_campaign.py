@@ -234,7 +234,8 @@ def test_a_plug_in_runs_in_a_process_of_its_own(
     """A solver from a file has a name like any other, also inside its worker."""
     monkeypatch.setattr(plugins, "_LOADED", {})
     module = Path(__file__).parents[1] / "solvers" / "example_plugin.py"
-    suite = 'title = "x"\ncell_limit_s = 60.0\n[[closed_loop]]\nscenarios = ["calm"]\nsettings = ["high"]\nsteps = 20\n'
+    head = 'title = "x"\ncell_limit_s = 60.0\n[[closed_loop]]\n'
+    suite = head + 'scenarios = ["calm"]\nsettings = ["high"]\nsteps = 20\n'
     (tmp_path / "one.toml").write_text(suite, encoding="utf-8")
     out = run_campaign(
         tmp_path / "one.toml", tmp_path / "out", solvers=["admm"], solver_module=module
