@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from dpbench.report.formats import as_float
+from dpbench.report.verdict import settings_level
 from dpbench.report.view import Row, View
 
 NONE_SAID = ("PRIMAL_INFEASIBLE", "DUAL_INFEASIBLE")
@@ -62,10 +63,14 @@ class Tally:
 
 
 class RandomClaims:
-    """The steps of all random sequences with what they count as."""
+    """The steps of all random sequences with what they count as.
+
+    `rows` are the runs that were not refused, each once: settings without effect, one run shown
+    under several names, stand as one row with all of them in `settings`.
+    """
 
     def __init__(self, view: View) -> None:
-        self.rows = [row for row in view.random if row["outcome"] != "refused"]
+        self.rows = _once([row for row in view.random if row["outcome"] != "refused"])
         self._steps = _judged(view, self.rows)
 
     def of(self, rows: Sequence[Row]) -> Tally:
@@ -89,6 +94,24 @@ class RandomClaims:
             str(family): {str(kind): int(count) for kind, count in kinds.value_counts().items()}
             for family, kinds in once.groupby("family", sort=False)["certificate"]
         }
+
+
+def _once(rows: Sequence[Row]) -> list[Row]:
+    ways: dict[tuple[str, ...], dict[str, list[Row]]] = {}
+    for row in rows:
+        way = ways.setdefault((str(row["solver"]), str(row["route"]), str(row["policy"])), {})
+        way.setdefault(str(row["settings"]), []).append(row)
+    kept: list[Row] = []
+    for way in ways.values():
+        names: dict[str, list[str]] = {}
+        for settings, mine in way.items():
+            # Times never repeat to the nanosecond, so equal ones are those of one run.
+            figures = {str(row["sequence"]): (row["raw_max_ns"], row["steps_done"]) for row in mine}
+            names.setdefault(repr(sorted(figures.items())), []).append(settings)
+        for alike in names.values():
+            shown = ", ".join(sorted(alike, key=settings_level))
+            kept += [{**row, "settings": shown} for row in way[alike[0]]]
+    return kept
 
 
 def _missed(rows: Sequence[Row]) -> int:

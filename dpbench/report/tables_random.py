@@ -9,25 +9,13 @@ from dpbench.qp.random_recipe import FAMILIES
 from dpbench.report.claims_random import ARM, RandomClaims, Tally
 from dpbench.report.formats import MISSING, count_text, error_text, plural
 from dpbench.report.table import Cell, Table, good_if, row_of
-from dpbench.report.verdict import settings_level
-
-Arm = tuple[str, str, str, str]
-"""Solver, route, policy, settings."""
 
 HOW = (("off", "off"), ("outside", "outside"), ("empty", "empty"), ("dual", "multipliers"))
 
 
-def arms_of(claims: RandomClaims) -> list[tuple[Arm, Tally]]:
-    """Every arm with its tally, the most wrong claims first; equal settings under one name."""
-    merged: dict[tuple[str, ...], tuple[list[str], Tally]] = {}
-    for (solver, route, policy, settings), tally in claims.by(*ARM).items():
-        # Settings without effect are one run under several names.
-        key = (solver, route, policy, repr(tally))
-        merged.setdefault(key, ([], tally))[0].append(settings)
-    found = [
-        ((key[0], key[1], key[2], ", ".join(sorted(names, key=settings_level))), tally)
-        for key, (names, tally) in merged.items()
-    ]
+def arms_of(claims: RandomClaims) -> list[tuple[tuple[str, ...], Tally]]:
+    """Every arm with its tally, the most wrong claims first."""
+    found = claims.by(*ARM).items()
     return sorted(found, key=lambda arm: (-arm[1].wrong, -arm[1].lies[2], arm[0]))
 
 
@@ -44,7 +32,7 @@ def arm_tables(claims: RandomClaims) -> list[Table]:
     return tables
 
 
-def _arm_table(title: str, arms: Sequence[tuple[Arm, Tally]], *, folded: bool) -> Table:
+def _arm_table(title: str, arms: Sequence[tuple[tuple[str, ...], Tally]], *, folded: bool) -> Table:
     return Table(
         title=title,
         note=(
@@ -81,7 +69,7 @@ def _arm_table(title: str, arms: Sequence[tuple[Arm, Tally]], *, folded: bool) -
     )
 
 
-def _arm_row(arm: Arm, tally: Tally) -> tuple[Cell, ...]:
+def _arm_row(arm: tuple[str, ...], tally: Tally) -> tuple[Cell, ...]:
     lies = tally.lies
     return row_of(
         *arm,
@@ -107,8 +95,10 @@ def worst_text(tally: Tally) -> str:
 
 def how_text(tally: Tally) -> str:
     """In what way the false claims are false."""
-    parts = [f"{getattr(tally, name)} {word}" for name, word in HOW if getattr(tally, name)]
-    return ", ".join(parts) or MISSING
+    parts = {word: getattr(tally, name) for name, word in HOW if getattr(tally, name)}
+    if len(parts) == 1:
+        return next(iter(parts))
+    return ", ".join(f"{count} {word}" for word, count in parts.items()) or MISSING
 
 
 def family_table(claims: RandomClaims) -> Table:

@@ -71,14 +71,18 @@ def test_each_step_counts_as_what_it_is(records: Any) -> None:
     assert tally.worst == INF and tally.wrong == 6
 
 
-def test_settings_without_effect_stand_in_one_row(records: Any) -> None:
-    """One run shown under two names is one arm of the table, and two that differ are two."""
-    view_of(records, {})
-    view = view_of(records, {}, settings="high")
-    # Only the second run has steps in this view, so the two tallies differ.
-    assert [arm[3] for arm, _ in arms_of(RandomClaims(view))] == ["high", "default"]
-    empty = View(Results(records.results().runs, as_steps(pd.DataFrame()), {}, {}))
-    assert [arm[3] for arm, _ in arms_of(RandomClaims(empty))] == ["default, high"]
+def test_settings_without_effect_are_counted_once(records: Any) -> None:
+    """One run shown under two names is one arm with one count, and two runs are two."""
+    lie: dict[str, Any] = {"claimed": True, "true": False, "error_plan": 0.5}
+    for policy, times in (("fresh", (7.0, 7.0)), ("warm", (7.0, 8.0))):
+        for settings, raw_max_ns in zip(("default", "high"), times, strict=True):
+            columns = {"settings": settings, "policy": policy, "raw_max_ns": raw_max_ns}
+            records.replay("osqp", steps=1, rounds=1, **columns, **cell())
+    results = records.results()
+    rows = [{"run_id": run_id, "k": 0, "warmup": False} | lie for run_id in results.runs["run_id"]]
+    claims = RandomClaims(View(Results(results.runs, as_steps(pd.DataFrame(rows)), {}, {})))
+    found = {(arm[2], arm[3]): tally.lies[0] for arm, tally in arms_of(claims)}
+    assert found == {("fresh", "default, high"): 1, ("warm", "default"): 1, ("warm", "high"): 1}
 
 
 def _tables(results: Results) -> dict[str, Table]:

@@ -21,7 +21,7 @@ from dpbench.solvers.open import open_workspace
 STRICT = [name for name, family in FAMILIES.items() if not family.semidefinite]
 SIZES = [(2, 4, 0), (5, 10, 5), (12, 30, 0), (12, 30, 3), (30, 60, 2)]
 """n, m, block: without a block a start is kept as it is, with one it is shifted."""
-SEEDS = range(6)
+SEEDS = range(12)
 
 
 def answers(
@@ -81,7 +81,7 @@ def test_the_same_at_the_largest_size(family: str, policy: Policy) -> None:
 
 @pytest.mark.parametrize("policy", ["fresh", "reuse", "warm"])
 def test_high_settings_tighten_the_proximal_steps_of_daqp(policy: Policy) -> None:
-    """Where P is semidefinite, `high` answers are true at 1e-6; those at `default` are not."""
+    """Where P is semidefinite its answers at `high` are right to 1e-5, those at `default` not."""
     found = planted(RandomRecipe("semidefinite", 12, 30, 2, block=2))
 
     def worst(settings: str) -> float:
