@@ -7,7 +7,8 @@ data,
 
     P δz + C_Wᵀ δλ = −(P z + q + Cᵀλ),   C_W δz = g − C_W z,
 
-until the correction is rounding, and is checked against every row again if it is not at once.
+until the correction is rounding, and is checked against every row again if it is not at once; in
+full (`active_set_check.py`) where rounding of large multipliers or of a long plan may show.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from typing import Any
 from numba import njit
 
 from dpbench.qp.program import Matrix
+from dpbench.solvers.active_set_check import excess
 from dpbench.solvers.active_set_factor import (
     VIOLATED,
     most_violated,
@@ -29,23 +31,32 @@ from dpbench.solvers.active_set_factor import (
 )
 from dpbench.solvers.active_set_layout import (
     ASIDE,
+    CHECK,
     COUNT,
     CROSSED,
+    DOUBTFUL,
     HEAD,
     HIGH,
     ITERATIONS,
     KEEP,
+    LARGEST,
+    LENGTH,
     LOW,
     MASK,
+    MOST,
     N_PAD,
     NOT_FINITE,
+    PINNED,
     REORDER,
+    SIDE,
+    SIZE,
     STALE,
     STAMP,
     UNDECIDED,
     UNIT,
     V0,
     VECTORS,
+    WORST,
     M,
     N,
     Q,
@@ -85,11 +96,13 @@ def begin(S: Matrix, K: int, width: int) -> float:
     for i in range(width):
         S[V0, i] = 0.0
     product(S, V0, K, Q, n, 0, width)
-    size, bad = length(S, V0, width), 0
+    size, bad, pinned = length(S, V0, width), 0, 0
     for i in range(width):
         bad += not ((S[LOW, i] <= S[HIGH, i]) & (S[LOW, i] < inf) & (S[HIGH, i] > -inf))
+        pinned += S[LOW, i] == S[HIGH, i]
     if not size < inf:
         return NOT_FINITE
+    S[CHECK, LENGTH], S[CHECK, PINNED] = size, pinned
     return CROSSED if bad else size
 
 
@@ -106,13 +119,52 @@ def start(S: Matrix, L: int, H: int, width: int, noise: float) -> int:
 
 
 @compiled
+def bring_all_in(S: Matrix, L: int, H: int, J: int, j: int, coarse: float, size: float) -> int:
+    """Bring in row j and then the most violated one until there is none; 0, or an ending."""
+    width = S.shape[1] & MASK
+    while j >= 0:
+        ending = bring_in(S, L, H, J, j, size)
+        if ending != 0:
+            return ending
+        values(S, H, width)
+        j = most_violated(S, width, coarse)
+    return 0
+
+
+@compiled
+def look_again(S: Matrix, P: int, L: int, H: int, noise: float, size: float, dropped: int) -> int:
+    """A row that the refined point violates, or one put aside that it violates; −1 for none."""
+    width = S.shape[1] & MASK
+    evaluate(S, P, H, width)
+    if dropped > 0:
+        repair(S, L)
+        values(S, H, width)
+    j = most_violated(S, width, noise)
+    return take_up(S, H, size) if j < 0 and S[HEAD, ASIDE] > 0.0 else j
+
+
+@compiled
+def is_clear(S: Matrix, size: float) -> bool:
+    """Whether a correction of no more than `SETTLED` is all that an answer can be in error by."""
+    small = size <= S[CHECK, SIZE] and S[CHECK, LARGEST] <= S[CHECK, MOST]
+    return bool(small and S[HEAD, ASIDE] == 0.0)
+
+
+@compiled
+def solved(S: Matrix) -> int:
+    """The number of iterations; `DOUBTFUL` if a row with equal limits could not be made active."""
+    if S[CHECK, PINNED] > 0.0:
+        for i in range(S.shape[1]):
+            if S[LOW, i] == S[HIGH, i] and (S[SIDE, i] == 0.0 or S[SIDE, i] == 2.0):
+                return DOUBTFUL
+    return int(S[HEAD, ITERATIONS])
+
+
+@compiled
 def solve(S: Matrix) -> int:
     n, width = int(S[HEAD, N_PAD]) & MASK, S.shape[1] & MASK
-    K = VECTORS
-    P, H = K + n, K + 2 * n
-    J = H + width
-    A = J + width
-    L = A + width - n
+    K, P, H = VECTORS, VECTORS + n, VECTORS + 2 * n
+    J, A, L = H + width, H + 2 * width, H + 3 * width - n
     size = begin(S, K, width)
     if size < 0.0:
         return int(size)
@@ -121,30 +173,29 @@ def solve(S: Matrix) -> int:
     # Whether rows contradict each other is decided on refined values only.
     size = inf
     for _ in range(PASSES):
-        while j >= 0:
-            ending = bring_in(S, L, H, J, j, size)
-            if ending != 0:
-                return ending
-            values(S, H, width)
-            j = most_violated(S, width, coarse)
+        ending = bring_all_in(S, L, H, J, j, coarse, size)
+        if ending != 0:
+            return ending
         correction = refine(S, K, P, H, A, L)
-        dropped = settle_signs(S, L, max(coarse, sqrt(max(correction, 0.0))))
+        rounding = sqrt(max(correction, 0.0))
+        dropped = settle_signs(S, L, max(coarse, rounding))
         size = length(S, V, width)
         fine = VIOLATED * size
         settled = dropped == 0 and correction <= SETTLED * SETTLED * size * size
-        if settled and coarse <= NEAR * fine and S[HEAD, ASIDE] == 0.0:
-            return int(S[HEAD, ITERATIONS])
-        evaluate(S, P, H, width)
-        if dropped > 0:
-            repair(S, L)
-            values(S, H, width)
-        j = most_violated(S, width, max(fine, sqrt(max(correction, 0.0))))
-        if j < 0 and S[HEAD, ASIDE] > 0.0:
-            j = take_up(S, H, size)
+        clear = settled and is_clear(S, size)
+        if clear and coarse <= NEAR * fine:
+            return solved(S)
+        j = look_again(S, P, L, H, max(fine, rounding), size, dropped)
         # No longer falling: the correction is the rounding of this problem.
-        if j < 0 and (settled or (dropped == 0 and correction > 0.25 * before)):
-            return int(S[HEAD, ITERATIONS])
-        before = correction
+        falling = correction <= 0.25 * before
+        if j < 0 and (settled or (dropped == 0 and not falling)):
+            if clear or excess(S, P, n, width) <= 1.0:
+                return solved(S)
+            # What is left to do if it does not fall: a row that `VIOLATED` has let pass.
+            j = -1 if falling else int(S[CHECK, WORST])
+            if j < 0 and not falling:
+                return UNDECIDED
+        before = correction if j < 0 else inf
     return UNDECIDED
 
 
@@ -155,7 +206,7 @@ def _entry_points(version: int) -> tuple[Callable[..., Any], ...]:
     def solve_step(S):  # type: ignore[no-untyped-def] # compiled by numba
         S[HEAD, STAMP] = version
         ending = solve(S)
-        S[HEAD, STALE] = 1.0 if ending < 0 else 0.0
+        S[HEAD, STALE] = 1.0 if ending < 0 and ending != DOUBTFUL else 0.0
         return ending
 
     @njit("b1(f8[:, ::1], f8[::1], f8[::1], f8[::1])", cache=True)
@@ -170,11 +221,18 @@ def _entry_points(version: int) -> tuple[Callable[..., Any], ...]:
             S[LOW, n_pad + i], S[HIGH, n_pad + i] = low[i], high[i]
         return True
 
+    @njit("f8(f8[:, ::1])", cache=True, fastmath=REORDER, error_model="numpy")
+    def excess_of(S):  # type: ignore[no-untyped-def] # compiled by numba
+        S[HEAD, STAMP] = version
+        n = int(S[HEAD, N_PAD]) & MASK
+        return excess(S, VECTORS + n, n, S.shape[1] & MASK)
+
     # Without Numba's dispatcher, which takes 0.1 µs a call to find the type of S again.
-    return solve_step.get_overload(solve_step.signatures[0]), take_over
+    return solve_step.get_overload(solve_step.signatures[0]), take_over, excess_of
 
 
-solve_step, take_over = _entry_points(stamp())
+solve_step, take_over, excess_of = _entry_points(stamp())
 """solve_step(S): solve the QP in S; the number of iterations, or a negative ending.
 take_over(S, q, l, u): copy the vectors into S, or False where a length does not fit; TypeError for
-anything but contiguous float64 vectors that may be written to."""
+anything but contiguous float64 vectors that may be written to.
+excess_of(S): how many times what is allowed z and λ in S miss the optimality conditions by."""

@@ -16,15 +16,17 @@ from typing import TypeVar, cast
 from numba import njit
 
 # Rows of vectors. X, E, R and STEP are scratch.
-HEAD, Q, LOW, HIGH, UNIT, V0, V, LAM, SIDE, ACTIVE, INVERSE, R, STEP, X, E, Z, BEFORE = range(17)
-VECTORS = 17
-# Slots of row HEAD.
+HEAD, CHECK, Q, LOW, HIGH, UNIT, SUM, V0, V = range(9)
+LAM, SIDE, ACTIVE, INVERSE, R, STEP, X, E, Z, BEFORE = range(9, 19)
+VECTORS = 19
+# Slots of row HEAD, and of row CHECK; there is room for sixteen in a row.
 N, N_PAD, M, COUNT, ASIDE, ITERATIONS, LIMIT, KEEP, STALE, BLOCK, STAMP = range(11)
+SIZE, MOST, LARGEST, LENGTH, WORST, PINNED = range(6)
 MASK = 0xFFFFFF
 """An integer is taken with it so that the compiler knows that an index is not negative."""
 
 # What a compiled solve answers when it is not the number of iterations.
-NOT_FINITE, CROSSED, INFEASIBLE, UNDECIDED = -1, -2, -3, -4
+NOT_FINITE, CROSSED, INFEASIBLE, UNDECIDED, DOUBTFUL = -1, -2, -3, -4, -5
 
 F = TypeVar("F", bound=Callable[..., object])
 

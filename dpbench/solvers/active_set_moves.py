@@ -45,14 +45,14 @@ from dpbench.solvers.active_set_layout import (
 CLOSE = 1e-6
 """Below this share of its squared length a row's distance from the active ones is computed anew
 from the rows themselves, because the factor has lost six digits of it."""
-DEPENDENT, UNCLEAR = 1e-10, 1e-7
+DEPENDENT, UNCLEAR = 1e-11, 1e-7
 """Below the first share of its length a row is a combination of the active ones; between the two
-it cannot be told."""
+it cannot be told here."""
 NO_PART = 1e-11
 """A row whose share in a combination is less has none: without a row to bring in, nothing but a
 multiplier's way to zero ends a step, and on a share that is rounding that way has no end."""
 CONTRADICTION = 1e-9
-"""A violated dependent row proves infeasibility only if violated by more than this share."""
+"""A violated dependent row is taken for a contradiction if violated by more than this share."""
 
 
 @compiled
@@ -121,6 +121,20 @@ def put_aside(S: Matrix, H: int, j: int, lam: float) -> int:
 
 
 @compiled
+def first_to_block(S: Matrix, j: int, side: float, w: int, dependent: bool) -> tuple[int, float]:
+    """Position in W and step length at which a multiplier reaches zero first; (−1, inf) if none."""
+    blocking, t_dual = -1, inf
+    for k in range(w):
+        i, a = int(S[ACTIVE, k]) & MASK, side * S[R, k]
+        nothing = dependent and abs(a) * S[UNIT, j] < NO_PART * S[UNIT, i]
+        if a * S[SIDE, i] > 0.0 and S[LOW, i] < S[HIGH, i] and not nothing:
+            t = max(S[LAM, i] / a, 0.0)
+            if t < t_dual:
+                blocking, t_dual = k, t
+    return blocking, t_dual
+
+
+@compiled
 def bring_in(S: Matrix, L: int, H: int, J: int, j: int, size: float) -> int:
     """Raise the multiplier of row j until the row is active; rows that block are dropped.
 
@@ -138,14 +152,7 @@ def bring_in(S: Matrix, L: int, H: int, J: int, j: int, size: float) -> int:
         dependent = w == n or d <= DEPENDENT * DEPENDENT * S[H + j, j]
         if not dependent and d < UNCLEAR * UNCLEAR * S[H + j, j]:
             return UNDECIDED
-        blocking, t_dual = -1, inf
-        for k in range(w):
-            i, a = int(S[ACTIVE, k]) & MASK, side * S[R, k]
-            nothing = dependent and abs(a) * S[UNIT, j] < NO_PART * S[UNIT, i]
-            if a * S[SIDE, i] > 0.0 and S[LOW, i] < S[HIGH, i] and not nothing:
-                t = max(S[LAM, i] / a, 0.0)
-                if t < t_dual:
-                    blocking, t_dual = k, t
+        blocking, t_dual = first_to_block(S, j, side, w, dependent)
         if dependent and blocking < 0:
             if gap * S[UNIT, j] > CONTRADICTION * (abs(g) * S[UNIT, j] + size):
                 return ray(S, j, side, w)

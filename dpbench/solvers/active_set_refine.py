@@ -13,9 +13,11 @@ from dpbench.solvers.active_set_factor import backward, drop, forward, is_wrong,
 from dpbench.solvers.active_set_layout import (
     ACTIVE,
     ASIDE,
+    CHECK,
     COUNT,
     HEAD,
     LAM,
+    LARGEST,
     MASK,
     N_PAD,
     SIDE,
@@ -78,12 +80,15 @@ def refine(S: Matrix, K: int, P: int, H: int, A: int, L: int) -> float:
         S[R, k] = S[STEP, k] = _dot(S, A, i, n) - limit_of(S, i)
     forward(S, L, w, R)
     backward(S, L, w, R)
+    largest = 0.0
     for k in range(w):
         i, a = int(S[ACTIVE, k]) & MASK, S[R, k]
         correction += a * S[STEP, k]
-        S[LAM, i] += a
+        lam = S[LAM, i] + a
+        S[LAM, i], largest = lam, max(largest, abs(lam))
         for c in range(n):
             S[Z, c] -= a * S[H + i, c]
+    S[CHECK, LARGEST] = largest
     return 2.0 * correction
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from dpbench.qp.program import Matrix, QuadraticProgram, Vector
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.dual_active_set import DualActiveSet, Ending, Outcome
+from dpbench.solvers.dual_active_set import CONTRADICTION, DualActiveSet, Ending, Outcome
 
 STATUS = {
     Ending.OPTIMAL: Status.SOLVED,
@@ -25,13 +25,21 @@ STATUS = {
     Ending.ITERATION_LIMIT: Status.MAX_ITERATIONS,
 }
 # A guard against rounding only: the method ends by itself, usually within n + m iterations.
-ITERATIONS_PER_ROW = 10
+ITERATIONS_PER_ROW = 5
+# Of refinement; each gains the digits that the conditioning of the set has left.
+ROUNDS = 5
 
 
-def solve_carefully(qp: QuadraticProgram) -> Solution:
-    """The answer to `qp`, whose P is positive definite and whose data are finite or limits."""
+def solve_carefully(qp: QuadraticProgram, *, contradiction: float = CONTRADICTION) -> Solution:
+    """The answer to `qp`, whose P is positive definite and whose data are finite or limits.
+
+    Parameters
+    ----------
+    contradiction : share by which a row must contradict others for the answer to be infeasible;
+        with inf it is a point, whatever it violates.
+    """
     try:
-        return _prepared(qp).answer()
+        return _prepared(qp).answer(contradiction)
     except np.linalg.LinAlgError as error:
         return Solution.missing(qp.n, qp.m, Status.NUMERICAL_ERROR, str(error))
 
@@ -48,11 +56,14 @@ class _Problem:
     lower: Vector
     upper: Vector
 
-    def answer(self) -> Solution:
+    def answer(self, contradiction: float) -> Solution:
+        """Run the method, refine where it ended, and say how it ended."""
         n, m = self.qp.n, self.qp.m
         x0 = -np.linalg.solve(self.L, self.qp.q).astype(np.float64)
         lower, upper = self.lower * self.scale, self.upper * self.scale
-        outcome = DualActiveSet(self.J, x0, lower, upper, ITERATIONS_PER_ROW * (n + m)).run()
+        limit = ITERATIONS_PER_ROW * (n + m)
+        method = DualActiveSet(self.J, x0, lower, upper, limit=limit, contradiction=contradiction)
+        outcome = method.run()
         lam = outcome.multipliers * self.scale
         if outcome.ending is Ending.INFEASIBLE:
             z, detail = np.full(n, np.nan), "y and y_box are a Farkas ray"
@@ -79,14 +90,16 @@ class _Problem:
     def _on_set(
         self, W: NDArray[np.intp], side: Vector, z: Vector, lam: Vector
     ) -> tuple[Vector, Vector]:
-        """Two rounds of iterative refinement of (z, λ) on W, in the problem's own data."""
-        L, M = self.L, self.M
+        """Refinement of (z, λ) on W in the problem's own data, residuals in long double."""
+        L, M, qp = self.L, self.M.astype(np.longdouble), self.qp
+        P, q = qp.P.astype(np.longdouble), qp.q.astype(np.longdouble)
         J_W = self.J[:, W] / self.scale[W]
         Q, R = np.linalg.qr(J_W)
         g = np.where(side[W] > 0.0, self.upper[W], self.lower[W])
-        for _ in range(2):
-            e = -np.linalg.solve(L, self.qp.P @ z + self.qp.q + M.T @ lam)
-            step = np.linalg.solve(R, Q.T @ e - np.linalg.solve(R.T, g - M[W] @ z))
+        for _ in range(ROUNDS):
+            e = -np.linalg.solve(L, (P @ z + q + lam @ M).astype(np.float64))
+            slack = (g - M[W] @ z).astype(np.float64)
+            step = np.linalg.solve(R, Q.T @ e - np.linalg.solve(R.T, slack))
             lam[W] += step
             z = z + np.linalg.solve(L.T, e - J_W @ step)
         return z, lam

@@ -21,21 +21,29 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from dpbench.qp.program import Matrix, Vector
 
 # A row counts as violated beyond this many roundings of the quantities it is computed from.
-VIOLATED = 1e-13
+VIOLATED = 1e-14
 # A row is a combination of the active ones when less than this share of its length is left after
 # projection: far above rounding (1e-15), far below any angle that a step could be taken along.
 DEPENDENT = 1e-10
 # A row whose share in such a combination is less has none: its multiplier would be driven to zero
 # along rounding, which has no end.
-NO_PART = 1e-11
-# A violated dependent row proves infeasibility only when it is violated by more than this share;
-# below, it is an active row written twice with rounding, and is set aside.
-INFEASIBLE = 1e-9
+NO_PART = 1e-9
+# A violated dependent row is taken for a contradiction only when it is violated by more than this
+# share; below, it is an active row written twice with rounding, and is set aside.
+CONTRADICTION = 1e-11
+# What rounding of x0 leaves in x, of its length: at a vertex only what two projections leave.
+ROUNDING, AT_VERTEX = 1e-15, 1e-25
+
+
+# A dependent row is an active one written twice if violated by no more than this before any step.
+WRITTEN_TWICE = 1e-9
+_State = tuple[list[int], Vector, Vector, Matrix, Matrix]
 
 
 class Ending(Enum):
@@ -75,9 +83,19 @@ class DualActiveSet:
     x0 : (n,) the point to project.
     lower, upper : (p,) limits, lower ≤ upper; ±inf where there is none.
     limit : iterations after which to give up.
+    contradiction : share beyond which a violated dependent row ends the run as infeasible.
     """
 
-    def __init__(self, J: Matrix, x0: Vector, lower: Vector, upper: Vector, limit: int) -> None:
+    def __init__(
+        self,
+        J: Matrix,
+        x0: Vector,
+        lower: Vector,
+        upper: Vector,
+        *,
+        limit: int,
+        contradiction: float = CONTRADICTION,
+    ) -> None:
         self._J, self._lower, self._upper = J, lower, upper
         self._limit = limit
         self._free = lower == upper  # an equality, whose multiplier has either sign
@@ -88,7 +106,7 @@ class DualActiveSet:
         self._lam = np.zeros(J.shape[1])
         self._aside = np.zeros(J.shape[1], dtype=bool)
         self._Q, self._R = np.empty((x0.size, 0)), np.empty((0, 0))
-        self._noise = VIOLATED * float(np.max(np.abs(x0 @ J), initial=0.0))
+        self._contradiction = contradiction
         self.iterations = 0
 
     def run(self) -> Outcome:
@@ -109,6 +127,9 @@ class DualActiveSet:
         """The inactive row violated most, and +1 at its upper or −1 at its lower limit."""
         w = self._x @ self._J
         over, under = w - self._upper, self._lower - w
+        noise = VIOLATED * float(np.max(np.abs(w), initial=0.0))
+        vertex = len(self._active) == self._base.size
+        noise += (AT_VERTEX if vertex else ROUNDING) * float(np.linalg.norm(self._base))
         excess = np.maximum(over, under)
         excess[self._active] = -np.inf
         excess[self._aside] = -np.inf
@@ -117,7 +138,7 @@ class DualActiveSet:
         j = int(np.argmax(excess))
         side = 1.0 if over[j] >= under[j] else -1.0
         limit = self._upper[j] if side > 0.0 else self._lower[j]
-        if not excess[j] > self._noise + VIOLATED * abs(limit):
+        if not excess[j] > noise + VIOLATED * abs(limit):
             return -1, 0.0
         return j, side
 
@@ -126,6 +147,9 @@ class DualActiveSet:
         J, lam = self._J, self._lam
         limit = self._upper[j] if side > 0.0 else self._lower[j]
         self._side[j] = side
+        before = self._active.copy(), lam.copy(), self._x, self._Q, self._R
+        excess = side * (float(J[:, j] @ self._x) - limit)
+        rounding = excess <= WRITTEN_TWICE * self._size(limit)
         while self.iterations < self._limit:
             self.iterations += 1
             a = side * J[:, j]
@@ -135,7 +159,10 @@ class DualActiveSet:
             blocking, t_dual = self._first_to_block(r, NO_PART if dependent else 0.0)
             t_primal = np.inf if dependent else max(gap, 0.0) / float(d @ d)
             if dependent and blocking < 0:
-                return self._no_step(j, side, r, gap, limit)
+                if gap > self._contradiction * self._size(limit):
+                    return self._contradicted(j, side, r)
+                self._put_aside(j, before if rounding else None)
+                return None
             t = min(t_primal, t_dual)
             lam[self._active] -= t * r
             lam[j] += t * side
@@ -159,8 +186,7 @@ class DualActiveSet:
         c = self._Q.T @ a
         d = a - self._Q @ c
         again = self._Q.T @ d
-        r = np.asarray(np.linalg.solve(self._R, c + again), dtype=np.float64)
-        return r, d - self._Q @ again
+        return _triangular(self._R, c + again), d - self._Q @ again
 
     def _first_to_block(self, r: Vector, least: float) -> tuple[int, float]:
         """Position in W and step length at which a multiplier reaches zero; (−1, inf) if none.
@@ -185,18 +211,37 @@ class DualActiveSet:
         """Multipliers and point of the active set anew (eq. 31, 32), free of gathered rounding."""
         W = self._active
         g = np.where(self._side[W] > 0.0, self._upper[W], self._lower[W])
-        lam = np.linalg.solve(self._R, self._Q.T @ self._base - np.linalg.solve(self._R.T, g))
-        self._lam[W] = lam
-        self._x = self._base - self._J[:, W] @ lam
+        at_limits = _triangular(self._R.T, g, lower=True)
+        along = self._Q.T @ self._base
+        self._lam[W] = _triangular(self._R, along - at_limits)
+        # Projected twice: x0 may be far longer than x, which is all of x0 that a vertex keeps.
+        across = self._base - self._Q @ along
+        self._x = across - self._Q @ (self._Q.T @ across - at_limits)
 
-    def _no_step(self, j: int, side: float, r: Vector, gap: float, limit: float) -> Ending | None:
-        """Row j depends on rows that cannot give way: a contradiction, or a row written twice."""
-        if gap > INFEASIBLE * (abs(limit) + float(np.max(np.abs(self._x), initial=0.0))):
-            self._lam[:] = 0.0
-            self._lam[self._active] = -r
-            self._lam[j] = side
-            return Ending.INFEASIBLE
-        # What multiplier it has gathered stays a constant part of x.
+    def _size(self, limit: float) -> float:
+        return abs(limit) + float(np.max(np.abs(self._x), initial=0.0))
+
+    def _contradicted(self, j: int, side: float, r: Vector) -> Ending:
+        """Row j depends on rows that cannot give way, and is violated: the ray that shows it."""
+        self._lam[:] = 0.0
+        self._lam[self._active] = -r
+        self._lam[j] = side
+        return Ending.INFEASIBLE
+
+    def _put_aside(self, j: int, before: _State | None) -> None:
+        """Row j is the active ones written twice, with rounding.
+
+        If it was violated by no more than rounding at first, the steps since have followed nothing
+        else: they are taken back to `before`.
+        """
         self._aside[j] = True
-        self._base = self._base - self._lam[j] * self._J[:, j]
-        return None
+        if before is not None:
+            self._active, self._lam, self._x, self._Q, self._R = before
+        else:
+            # What multiplier it has gathered stays a constant part of x.
+            self._base = self._base - self._lam[j] * self._J[:, j]
+
+
+def _triangular(R: Matrix, b: Vector, *, lower: bool = False) -> Vector:
+    x = scipy.linalg.solve_triangular(R, b, lower=lower, check_finite=False)
+    return np.asarray(x, dtype=np.float64)

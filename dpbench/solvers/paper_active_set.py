@@ -2,7 +2,8 @@
 
 The paper's E, F, M, γ are P, q, the signed rows of [I; A] and their limits. A step is one compiled
 call of `active_set_kernel.py`; what rounding keeps that call from deciding is left to
-`careful_active_set.py`.
+`careful_active_set.py`, and no answer of either is called solved that misses the optimality
+conditions of `active_set_check.py`.
 """
 
 from __future__ import annotations
@@ -12,12 +13,16 @@ import numpy as np
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers import active_set_layout as layout
-from dpbench.solvers.active_set_kernel import solve_step
+from dpbench.solvers.active_set_kernel import excess_of, solve_step
 from dpbench.solvers.careful_active_set import solve_carefully
 from dpbench.solvers.compiled_workspace import CompiledWorkspace
+from dpbench.solvers.pinned import determined
 from dpbench.solvers.proof import cleaned, contradicts
 
 INFEASIBLE = Status.PRIMAL_INFEASIBLE
+USABLE = 1e4
+"""An answer that misses the optimality conditions by up to this many times what is allowed is
+given as inaccurate: 1e-6 of a row's terms, 1e-4 of 1 + ‖q‖ at most."""
 
 
 def prime() -> None:
@@ -32,23 +37,56 @@ class PaperActiveSet(CompiledWorkspace):
     """The paper's method with its constant matrices, and under `warm` its set, kept."""
 
     def solve(self) -> None:
-        """One compiled call; `read` sees to endings other than an optimum."""
+        """Solve the current problem, as a rule in one compiled call; raises before a setup."""
         if self._refusal or self._S is None:
             return self._cannot()
         self._ending = ending = solve_step(self._S)
-        if ending == layout.UNDECIDED or ending == layout.INFEASIBLE:
-            self._decide()
+        if ending < layout.CROSSED:
+            self._decide(ending)
         return None
 
-    def _decide(self) -> None:
+    def _decide(self, ending: int) -> None:
         """Check the proof of a contradiction, and leave what is not clear to the careful method."""
-        qp = self._problem()
-        if self._ending == layout.INFEASIBLE:
+        assert self._S is not None
+        qp, self._ending = self._problem(), layout.UNDECIDED
+        if ending == layout.DOUBTFUL:
+            return self._solved(qp, int(self._S[layout.HEAD, layout.ITERATIONS]))
+        if ending == layout.INFEASIBLE:
             z = np.full(qp.n, np.nan)
             self._unusual = _proven(qp, Solution(INFEASIBLE, z, self._y, self._y_box))
-        if self._ending == layout.UNDECIDED or self._unusual.status is not INFEASIBLE:
-            self._unusual = _proven(qp, solve_carefully(qp))
-        self._ending = layout.UNDECIDED
+            if self._unusual.status is INFEASIBLE:
+                return None
+        careful = solve_carefully(qp)
+        if careful.status is INFEASIBLE:
+            self._unusual = _proven(qp, careful)
+            if self._unusual.status is INFEASIBLE:
+                return None
+            careful = solve_carefully(qp, contradiction=np.inf)
+        return self._judge(qp, careful)
+
+    def _judge(self, qp: QuadraticProgram, answer: Solution) -> None:
+        """Solved, inaccurate or neither, by the optimality conditions and not by how it ended."""
+        assert self._S is not None
+        self._z[:], self._y[:], self._y_box[:] = answer.z, answer.y, answer.y_box
+        excess = excess_of(self._S)
+        if excess <= 1.0:
+            return self._solved(qp, answer.iterations)
+        detail = f"the optimality conditions are missed by {excess:.1e} times what is allowed"
+        if excess <= USABLE:
+            answer.status, answer.detail = Status.INACCURATE, detail
+        elif answer.status is Status.SOLVED:
+            answer = self._missing(Status.NUMERICAL_ERROR, detail)
+        self._unusual = answer
+        return None
+
+    def _solved(self, qp: QuadraticProgram, iterations: int) -> None:
+        """The answer in S meets the optimality conditions; whether it is the optimum."""
+        if determined(qp):
+            self._ending = iterations
+            return
+        z, y, y_box = self._z.copy(), self._y.copy(), self._y_box.copy()
+        detail = "rows with equal limits depend on one another but for rounding"
+        self._unusual = Solution(Status.INACCURATE, z, y, y_box, iterations, detail=detail)
 
 
 def _proven(qp: QuadraticProgram, answer: Solution) -> Solution:

@@ -14,8 +14,13 @@ from dpbench.qp.program import QuadraticProgram, Vector
 
 ROUNDING = 1e-13
 """Entries of a ray below this share of its largest are rounding."""
+CONSISTENT = 1e-6
+"""Share of its terms below which a sum of a ray may be meant to vanish."""
 PROVEN = 1e-10
 """Share of its terms to which a sum of a proof is taken to be what it is computed to be."""
+FAR = 1e6
+"""How many times farther than the limits of the proof are no feasible point is left, where a
+variable has no bound to absorb what does not cancel."""
 
 
 def cleaned(y: Vector, y_box: Vector) -> tuple[Vector, Vector]:
@@ -27,14 +32,18 @@ def cleaned(y: Vector, y_box: Vector) -> tuple[Vector, Vector]:
 def contradicts(qp: QuadraticProgram, y: Vector, y_box: Vector) -> bool:
     """Whether (y, y_box) proves `qp` infeasible, but for rounding.
 
-    Aᵀy + y_box vanishes to `PROVEN` of the terms it is the sum of, and what the limits allow the
-    sum of y(Az) + y_box z to reach is negative by more than `PROVEN` of its terms.
+    Aᵀy + y_box vanishes to `CONSISTENT` of the terms it is the sum of. With y_box := −Aᵀy, what the
+    limits allow the sum of y(Az) + y_box z to reach is negative by more than `PROVEN` of its terms,
+    and by more than what entries of y_box that name no bound can add within `FAR`.
     """
-    terms = np.abs(qp.A).T @ np.abs(y) + np.abs(y_box)
-    if not (np.abs(qp.A.T @ y + y_box) <= PROVEN * terms).all():
+    box = -(y @ qp.A)
+    terms = np.abs(y) @ np.abs(qp.A) + np.abs(y_box)
+    if not (np.abs(box - y_box) <= CONSISTENT * terms).all():
         return False
-    ray = np.concatenate([y, y_box])
+    unbounded = np.isinf(np.where(box > 0.0, qp.ub, qp.lb))
+    ray = np.concatenate([y, np.where(unbounded, 0.0, box)])
     low, high = np.concatenate([qp.l, qp.lb]), np.concatenate([qp.u, qp.ub])
     used = ray != 0.0
     reach = ray[used] * np.where(ray[used] > 0.0, high[used], low[used])
-    return bool(reach.sum() < -PROVEN * np.abs(reach).sum())
+    left = np.abs(box[unbounded]).sum() / max(float(terms.max()), np.finfo(float).tiny)
+    return bool(reach.sum() < -(PROVEN + FAR * left) * np.abs(reach).sum())
