@@ -113,7 +113,7 @@ ACCURACY_COLUMNS: Columns = {
     "infeasible_steps": ("Int64", "steps proven to have no feasible point"),
     "failed_steps": (
         "Int64",
-        "steps with a fallback or an unfinished iterate; saying infeasible rightly is no failure",
+        "steps with a fallback, though there was an answer to give, or an unfinished iterate",
     ),
     "iterations_p50": ("float64", "median iterations"),
     "iterations_max": ("float64", "most iterations"),

@@ -13,8 +13,8 @@ DEFINITIONS = (
     "1e-3·(1 + ‖q‖∞) and error_plan ≤ 1e-2. A solver never grades itself.",
     "**certified bound**: how far the referee's own optimum may be from the true one, at most.",
     "**failed step**: there was no usable answer and the fallback acted, or an iterate was "
-    "applied that the solver itself calls unfinished. To call a QP infeasible that is proven to "
-    "be so is no failure.",
+    "applied that the solver itself calls unfinished. To give no answer to a QP that is proven to "
+    "have none is no failure; whether the solver said why is part of **claimed** and **true**.",
     "**algorithmic time**: per step the minimum over the replay rounds, of set-up + update + "
     "solve + read. Its percentiles run over steps and tell hard steps from easy ones.",
     "**raw time**: all samples of all rounds, pooled. Its tail is the machine's jitter as much "

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from dpbench import load_scenario
+from dpbench import load_scenario, open_workspace, run_closed_loop
 from dpbench.bench.emitter import Emitter
 from dpbench.bench.exact import ExactLoop, sequence_of, solve_exactly
 from dpbench.bench.metrics import control_metrics
@@ -206,3 +206,13 @@ def test_watch_circle_limits_the_speed_of_a_transfer() -> None:
 def top_speed(scenario: Scenario, loop: ExactLoop) -> float:
     moved = np.diff(loop.state[:, 3:5], axis=0)
     return float(np.hypot(moved[:, 0], moved[:, 1]).max() / scenario.sample_s)
+
+
+def test_no_answer_to_a_problem_that_has_none_is_no_failure() -> None:
+    """Hard limits after the loss: the fallback acts three times, and no step counts as failed."""
+    scenario = load_scenario("thruster_loss_hard").first(420)
+    summary = run_closed_loop(scenario, open_workspace("daqp")).summary
+    assert summary["infeasible_steps"] == summary["fallbacks"] == 3
+    assert summary["failed_steps"] == 0
+    assert summary["uncertified"] == 0
+    assert summary["error_move_max"] < 1e-9
