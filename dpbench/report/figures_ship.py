@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -67,7 +68,24 @@ def _axis(panels: dict[str, Axes], i: int, laws: Sequence[Law], scenario: Scenar
         draw_line(force, law, law.steps[f"tau_{key}_{unit}"].to_numpy() / scale)
         draw_line(change, law, law.steps[f"dtau_{key}_{unit}"].to_numpy() / scale)
     vessel, rate = scenario.vessel, scenario.du_max[i] / scale
-    draw_limits(force, vessel.tau_min[i] / scale, vessel.tau_max[i] / scale)
+    if scenario.faults:
+        _draw_limits_of_the_time(force, laws, scenario, i, scale)
+    else:
+        draw_limits(force, vessel.tau_min[i] / scale, vessel.tau_max[i] / scale)
     draw_limits(change, -rate, rate)
     force.set_ylabel(f"{name} [{shown}]")
     change.set_ylabel(f"Δ{name} [{shown}]")
+
+
+def _draw_limits_of_the_time(
+    ax: Axes, laws: Sequence[Law], scenario: Scenario, i: int, scale: float
+) -> None:
+    """Amplitude limits that a fault changes, as dashed steps; the axis still fits the data."""
+    shown = ax.get_ylim()
+    samples = round(simulated_s(laws, scenario) / scenario.sample_s)
+    t_s = np.arange(samples) * scenario.sample_s
+    for limit in scenario.limit_tables(samples):
+        ax.step(t_s, limit[:, i] / scale, color=LIMIT, ls=(0, (5, 3)), lw=0.9, where="post")
+    reach = 2.5 * max(abs(end) for end in shown)
+    low, high = ax.get_ylim()
+    ax.set_ylim(max(low, -reach), min(high, reach))
