@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Sized
 
 from matplotlib.figure import Figure
 
@@ -57,6 +57,10 @@ FIGURES: dict[str, tuple[tuple[str, str, Draw], ...]] = {
 }
 
 
+DRAWN = 12
+"""Scenarios that get a figure of their own; a campaign may have a hundred."""
+
+
 def figures_section(view: View, demand: Demand) -> Section:
     """The figures of the paper, the step times, the deviations."""
     section = Section("figures", "Figures")
@@ -66,18 +70,26 @@ def figures_section(view: View, demand: Demand) -> Section:
     section.add(*_ship_pictures(view))
     section.add(*timing_pictures(view, demand))
     loops = {s: [r for r in view.full_loops(s) if has_steps(r)] for s in view.scenarios}
-    loops = {scenario: rows for scenario, rows in loops.items() if rows}
-    if loops:
+    every = {scenario: rows for scenario, rows in loops.items() if rows}
+    drawn = dict(list(every.items())[:DRAWN])
+    if drawn:
         section.add(
             Picture(
                 "deviation",
                 "Deviation of each closed loop from the exactly solved one",
                 "Full length, scaled units, settings default. A number of steps beside a bar "
-                "marks a run that was stopped early.",
-                deviations(loops),
+                f"marks a run that was stopped early.{_left_out(every)}",
+                deviations(drawn),
             )
         )
     return section
+
+
+def _left_out(scenarios: Sized) -> str:
+    """A sentence when there are more scenarios than are drawn."""
+    if len(scenarios) <= DRAWN:
+        return ""
+    return f" The first {DRAWN} of {len(scenarios)} scenarios; the tables have all."
 
 
 def _paper_pictures(view: View, name: str, figures: Sequence[tuple[str, str, Draw]]) -> list[Block]:
@@ -104,6 +116,8 @@ def _ship_pictures(view: View) -> list[Block]:
                 ship(laws, scenario),
             )
         )
+        if len(blocks) == DRAWN:
+            break
     return blocks
 
 
