@@ -169,6 +169,7 @@ def _timing(cell: Cell, graded: Graded, counting: pd.DataFrame) -> dict[str, Any
     raw = counting["total_ns"].to_numpy(dtype=np.float64)
     timing: dict[str, Any] = {
         "setup_once_ns": once if once > 0 else np.nan,
+        "matrix_updates": int(graded.columns["matrix_updates"].max()),
         "raw_p50_ns": _percentile(raw, 50),
         "raw_p99_ns": _percentile(raw, 99),
         "raw_p999_ns": _percentile(raw, 99.9),

@@ -257,6 +257,7 @@ def _common_columns(
         "iterations": rows(log.iterations),
         "reported_ns": rows(log.reported_ns),
         "setup_once_ns": log.setup_once_ns.copy(),
+        "matrix_updates": log.matrix_updates.copy(),
         "certificate": certificates,
         "grades": grades,
     }

@@ -92,6 +92,7 @@ def closed_loop(voyage: Voyage) -> bool:
         log.state[k + 1] = state
         t4 = clock()
         log.times[0, k] = (t2 - t1, *port.phases_ns, t4 - t0 - (t3 - t2))
+        log.matrix_updates[0] = port.matrix_updates
         log.done[0] = k + 1
         if t4 - began > limit_ns and k + 1 < steps:
             return False

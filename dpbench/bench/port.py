@@ -31,6 +31,11 @@ class SolverPort:
         self.phases_ns = (-1, -1, -1, -1)
         self.details: dict[str, int] = {}
 
+    @property
+    def matrix_updates(self) -> int:
+        """Updates so far with which the workspace took over new matrices."""
+        return self._workspace.matrix_updates
+
     def prepare(self) -> int:
         """Set up before the first step; the time it took [ns], −1 when steps do it themselves."""
         if self._workspace.setup_every_step:

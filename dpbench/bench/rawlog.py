@@ -41,6 +41,7 @@ def _answers(rounds: int, steps: int, n: int, m: int) -> dict[str, tuple[str, tu
         "done": ("i8", (rounds,)),
         "started": ("i8", (1,)),
         "setup_once_ns": ("i8", (1,)),
+        "matrix_updates": ("i8", (rounds,)),
         "times": ("i8", (rounds, steps, len(TIMES))),
         "status": ("i8", (rounds, steps)),
         "iterations": ("i8", (rounds, steps)),
@@ -61,6 +62,7 @@ class RawLog:
     done: NDArray[np.int64]
     started: NDArray[np.int64]
     setup_once_ns: NDArray[np.int64]
+    matrix_updates: NDArray[np.int64]
     times: NDArray[np.int64]
     status: NDArray[np.int64]
     iterations: NDArray[np.int64]

@@ -86,6 +86,7 @@ class ReplayArm:
         for k in range(min(self._preroll, steps)):
             port.answer(port.formulate(sequence.step(k)))
         port.reset()
+        updates_before = port.matrix_updates
         for k in range(steps):
             step = port.formulate(sequence.step(k))
             solution = port.answer(step)
@@ -93,6 +94,7 @@ class ReplayArm:
             if not solution.status.usable:
                 port.reset()
             times[k] = (-1, *port.phases_ns, -1)
+            log.matrix_updates[r] = port.matrix_updates - updates_before
             log.done[r] = k + 1
             if self._spent_ns + clock() - began > self._limit_ns:
                 self._spent_ns += clock() - began

@@ -121,6 +121,10 @@ ACCURACY_COLUMNS: Columns = {
 
 TIMING_COLUMNS: Columns = {
     "setup_once_ns": ("float64", "one set-up before the first step"),
+    "matrix_updates": (
+        "Int64",
+        "updates with which the workspace took over new matrices, in one pass; 0 if set up anew",
+    ),
     "rounds": ("Int64", "replay rounds that count"),
     "spoilt_rounds": ("Int64", "rounds marked as spoilt and run again"),
     "algo_p50_ns": ("float64", "over steps, of the minimum over rounds: the algorithmic time"),

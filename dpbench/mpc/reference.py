@@ -14,6 +14,7 @@ import scipy.linalg
 
 from dpbench.errors import InputError
 from dpbench.qp.program import Matrix, Vector
+from dpbench.ship.estimator import nearest_turn
 
 
 @dataclass(frozen=True)
@@ -31,10 +32,10 @@ class ReferenceFilter:
                 raise InputError(self.where, name, value, "a positive number")
 
 
-def nearest_turn(target: Vector, start: Vector) -> Vector:
+def nearest_pose(target: Vector, start: Vector) -> Vector:
     """The pose `target` (3,), its heading within π of the start's: the error is wrapped once."""
-    reference, turn = target.copy(), 2 * np.pi
-    reference[2] += turn * np.round((start[2] - reference[2]) / turn)
+    reference = target.copy()
+    reference[2] = nearest_turn(target[2], start[2])
     return reference
 
 
@@ -52,7 +53,7 @@ def reference_table(
     start, target : (3,) poses; the filter begins at rest at the start.
     smoothed : the filter; None for a set-point that is there from the first sample.
     """
-    goal = nearest_turn(target, start)
+    goal = nearest_pose(target, start)
     table = np.tile(goal, (samples, 1))
     if smoothed is None:
         return table

@@ -232,6 +232,7 @@ DESIGN_LIMITS = (
     "The horizon of 30 × 0.3 s = 9 s is shorter than the 11.4 s from zero to full thrust, and "
     "there is no terminal cost. With the vessel `supply_fs99` the design holds a pure sway "
     "offset of up to about 1.65 m in calm water and ends in a limit cycle beyond; horizons 60/10 "
-    "hold 8 m. This was established apart from the runs of this report and is the "
-    "paper's design, not a solver's failure."
+    "hold 8 m. That is the paper's design, not a solver's failure."
 )
+BRACKETED = " The brackets found in this run are under Stability and design."
+NOT_BRACKETED = " It was established apart from the runs of this report."

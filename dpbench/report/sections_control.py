@@ -29,8 +29,10 @@ from dpbench.report.figures_ship import ship
 from dpbench.report.formats import and_list, count_text, plural
 from dpbench.report.namesake import OF_PAPER, is_of_paper
 from dpbench.report.reproduced import (
+    BRACKETED,
     DESIGN_LIMITS,
     MISPRINTS,
+    NOT_BRACKETED,
     Claim,
     choices,
     claims,
@@ -141,8 +143,11 @@ def control_section(view: View) -> Section:
     return section
 
 
-def reproduced_section(view: View) -> Section:
-    """What of the paper is reproduced and what is not."""
+def reproduced_section(view: View, *, designed: bool) -> Section:
+    """What of the paper is reproduced and what is not.
+
+    designed : the report has a section on the design.
+    """
     section = Section("paper", "The paper, reproduced")
     if not any(is_of_paper(view, name) for name in OF_PAPER):
         section.add(Paragraph("No scenario of the paper was in this suite."))
@@ -166,7 +171,7 @@ def reproduced_section(view: View) -> Section:
             Bullets(tuple(f"**{what}**: {choice}." for what, choice in chosen)),
         )
     if is_of_paper(view, "paper") and any(has_steps(row) for row in view.full_loops("paper")):
-        section.add(Paragraph(DESIGN_LIMITS))
+        section.add(Paragraph(DESIGN_LIMITS + (BRACKETED if designed else NOT_BRACKETED)))
     section.add(
         Paragraph("Misprints to mind when reading it:"),
         Bullets(MISPRINTS),

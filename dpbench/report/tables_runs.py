@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from math import isfinite, nan
 
-from dpbench.report.formats import MISSING, count_text, plural
+from dpbench.report.formats import MISSING, as_float, count_text, plural
 from dpbench.report.table import Cell, Mark, Table, row_of
 from dpbench.report.view import Row, View
 
@@ -89,6 +90,7 @@ def experiments_table(view: View) -> Table:
                 policy,
                 formulation.replace("_", " "),
                 count_text(max(row["steps_planned"] for row in mine)),
+                count_text(_most(mine, "matrix_updates")),
                 count_text(len(mine)),
                 count_text(sum(row["outcome"] == "finished" for row in mine)),
             )
@@ -96,7 +98,8 @@ def experiments_table(view: View) -> Table:
     return Table(
         title="Experiments",
         note="Closed loop: every solver steers its own ship. Replay: identical QPs, recorded along "
-        "the exactly solved loop or random, through every solver.",
+        "the exactly solved loop or random, through every solver. Matrix updates: steps with new "
+        "matrices that a workspace took over without a new set-up.",
         heads=(
             "mode",
             "problem",
@@ -106,6 +109,7 @@ def experiments_table(view: View) -> Table:
             "policy",
             "formulation",
             "steps",
+            "matrix updates",
             "cells",
             "finished",
         ),
@@ -113,6 +117,11 @@ def experiments_table(view: View) -> Table:
         text_columns=7,
         folded=True,
     )
+
+
+def _most(rows: Sequence[Row], column: str) -> float:
+    """The largest entry of a column; NaN without any."""
+    return max((x for row in rows if isfinite(x := as_float(row[column]))), default=nan)
 
 
 def unfinished_table(view: View) -> Table | None:

@@ -94,7 +94,7 @@ def _sections(view: View, demand: Demand, designs: Designs | None) -> list[Secti
         figures_section(view, demand),
         control_section(view),
         *design,
-        reproduced_section(view),
+        reproduced_section(view, designed=bool(design)),
         solvers_section(view),
         reading_section(),
     ]

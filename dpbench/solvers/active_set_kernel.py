@@ -20,7 +20,7 @@ from typing import Any
 from numba import njit
 
 from dpbench.qp.program import Matrix
-from dpbench.solvers.active_set_check import excess
+from dpbench.solvers.active_set_check import excess, is_crowded
 from dpbench.solvers.active_set_factor import (
     VIOLATED,
     most_violated,
@@ -48,7 +48,6 @@ from dpbench.solvers.active_set_layout import (
     NOT_FINITE,
     PINNED,
     REORDER,
-    SIDE,
     SIZE,
     STALE,
     STAMP,
@@ -151,12 +150,11 @@ def is_clear(S: Matrix, size: float) -> bool:
 
 
 @compiled
-def solved(S: Matrix) -> int:
-    """The number of iterations; `DOUBTFUL` if a row with equal limits could not be made active."""
-    if S[CHECK, PINNED] > 0.0:
-        for i in range(S.shape[1]):
-            if S[LOW, i] == S[HIGH, i] and (S[SIDE, i] == 0.0 or S[SIDE, i] == 2.0):
-                return DOUBTFUL
+def solved(S: Matrix, width: int, size: float, clear: bool) -> int:
+    """The number of iterations; `DOUBTFUL` where rounding may decide where the optimum is."""
+    pinned = S[CHECK, PINNED] > 0.0
+    if not clear or pinned or is_crowded(S, width, size):
+        return DOUBTFUL
     return int(S[HEAD, ITERATIONS])
 
 
@@ -184,13 +182,13 @@ def solve(S: Matrix) -> int:
         settled = dropped == 0 and correction <= SETTLED * SETTLED * size * size
         clear = settled and is_clear(S, size)
         if clear and coarse <= NEAR * fine:
-            return solved(S)
+            return solved(S, width, size, clear)
         j = look_again(S, P, L, H, max(fine, rounding), size, dropped)
         # No longer falling: the correction is the rounding of this problem.
         falling = correction <= 0.25 * before
         if j < 0 and (settled or (dropped == 0 and not falling)):
             if clear or excess(S, P, n, width) <= 1.0:
-                return solved(S)
+                return solved(S, width, size, clear)
             # What is left to do if it does not fall: a row that `VIOLATED` has let pass.
             j = -1 if falling else int(S[CHECK, WORST])
             if j < 0 and not falling:

@@ -67,6 +67,7 @@ class CompiledWorkspace(Workspace):
             for own, array in zip(mine, (step.q, step.l, step.u), strict=True):
                 own[:] = array
         else:
+            self.matrix_updates += 1
             self._prepare(owned(base.at(step)))
 
     def _cannot(self) -> None:

@@ -32,9 +32,11 @@ class Workspace(ABC):
     form : the form the library gets its matrices in: "dense" or "csc".
     setup_every_step : the harness calls `setup` with the whole problem at every step instead of
         `update` (policy fresh on route native).
+    matrix_updates : updates so far that brought new P, A, lb or ub.
     """
 
     setup_every_step: bool = False
+    matrix_updates: int = 0
     form: str = "dense"
 
     def __init__(self, solver: str, route: Route, policy: Policy) -> None:

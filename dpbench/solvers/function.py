@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Concatenate
 
 from dpbench.errors import DpbenchError
-from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.contract import Policy, Workspace
 from dpbench.solvers.shapes import check_step, owned
@@ -37,6 +37,7 @@ class FunctionWorkspace(Workspace):
         if self._qp is None:
             raise DpbenchError("update before setup: call setup with the whole problem first")
         check_step(step, self._qp.n, self._qp.m)
+        self.matrix_updates += step.refresh is not Refresh.VECTORS
         self.setup(self._qp.at(step))
 
     def solve(self) -> None:

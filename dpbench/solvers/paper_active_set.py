@@ -3,21 +3,24 @@
 The paper's E, F, M, γ are P, q, the signed rows of [I; A] and their limits. A step is one compiled
 call of `active_set_kernel.py`; what rounding keeps that call from deciding is left to
 `careful_active_set.py`, and no answer of either is called solved that misses the optimality
-conditions of `active_set_check.py`.
+conditions of `active_set_check.py`, or whose place rounding decides (`sensitivity.py`).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from dpbench.qp.joint import JointQP
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers import active_set_layout as layout
 from dpbench.solvers.active_set_kernel import excess_of, solve_step
 from dpbench.solvers.careful_active_set import solve_carefully
 from dpbench.solvers.compiled_workspace import CompiledWorkspace
+from dpbench.solvers.exact_point import error_bound
 from dpbench.solvers.pinned import determined
 from dpbench.solvers.proof import cleaned, contradicts
+from dpbench.solvers.sensitivity import WRONG, is_sensitive
 
 INFEASIBLE = Status.PRIMAL_INFEASIBLE
 USABLE = 1e4
@@ -80,13 +83,25 @@ class PaperActiveSet(CompiledWorkspace):
         return None
 
     def _solved(self, qp: QuadraticProgram, iterations: int) -> None:
-        """The answer in S meets the optimality conditions; whether it is the optimum."""
-        if determined(qp):
+        """The answer in S meets the optimality conditions; whether it is near the optimum."""
+        detail = self._doubt(qp)
+        if detail:
+            z, y, y_box = self._z.copy(), self._y.copy(), self._y_box.copy()
+            self._unusual = Solution(Status.INACCURATE, z, y, y_box, iterations, detail=detail)
+        else:
             self._ending = iterations
-            return
-        z, y, y_box = self._z.copy(), self._y.copy(), self._y_box.copy()
-        detail = "rows with equal limits depend on one another but for rounding"
-        self._unusual = Solution(Status.INACCURATE, z, y, y_box, iterations, detail=detail)
+
+    def _doubt(self, qp: QuadraticProgram) -> str:
+        """Why the answer in S may not be near the optimum; "" if it is."""
+        assert self._S is not None
+        if not determined(qp):
+            return "rows with equal limits depend on one another but for rounding"
+        if not is_sensitive(self._S, qp):
+            return ""
+        multipliers = np.concatenate([self._y, self._y_box])
+        if error_bound(JointQP.of(qp), self._z, multipliers) <= WRONG:
+            return ""
+        return "where the optimum is depends on the rounding of limits"
 
 
 def _proven(qp: QuadraticProgram, answer: Solution) -> Solution:

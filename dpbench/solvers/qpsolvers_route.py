@@ -70,7 +70,9 @@ class QpsolversWorkspace(Workspace):
         check_step(step, base.n, base.m)
         if self.policy == "warm":
             self._start = self._shifted_start(base.block)
-        if step.refresh is Refresh.VECTORS and self._form.fits(step.l, step.u):
+        vectors_only = step.refresh is Refresh.VECTORS
+        self.matrix_updates += not vectors_only
+        if vectors_only and self._form.fits(step.l, step.u):
             self._fill(step.q, step.l, step.u)
         else:
             self._prepare(owned(base.at(step)))

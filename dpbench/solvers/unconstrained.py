@@ -44,6 +44,7 @@ class Unconstrained(Workspace):
             self._q[:] = step.q
             self._z = None
         else:
+            self.matrix_updates += 1
             self.setup(self._base.at(step))
 
     def solve(self) -> None:

@@ -14,6 +14,7 @@ from dpbench.bench.exact import ExactLoop, sequence_of, solve_exactly
 from dpbench.bench.metrics import control_metrics
 from dpbench.problem_files import problem_names
 from dpbench.scenario import Scenario
+from dpbench.solvers.contract import Policy
 
 NAMES = problem_names("scenarios")
 
@@ -131,6 +132,16 @@ def test_the_cost_matrix_turns_with_the_ship_where_its_weights_are_unequal() -> 
         sequence = sequence_of(scenario, exact(name), first=100, count=100)
         assert sequence.P is not None
         assert bool(np.ptp(sequence.P, axis=0).max() == 0) is same
+
+
+@pytest.mark.parametrize(("policy", "taken_over"), [("fresh", 0), ("warm", 20)])
+def test_matrix_updates_are_counted_by_who_takes_them_over(policy: Policy, taken_over: int) -> None:
+    """Of 20 steps with new matrices a kept workspace takes over all, one set up anew none."""
+    scenario = load_scenario("turn").first(20)
+    workspace = open_workspace("daqp", route="native", policy=policy)
+    found = run_closed_loop(scenario, workspace).summary
+    assert found["matrix_steps"] == 20
+    assert found["matrix_updates"] == taken_over
 
 
 def test_wrap_takes_the_short_way() -> None:

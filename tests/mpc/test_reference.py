@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lti, step
 
 from dpbench.errors import InputError
-from dpbench.mpc.reference import ReferenceFilter, nearest_turn, reference_table
+from dpbench.mpc.reference import ReferenceFilter, nearest_pose, reference_table
 
 START, GOAL = np.array([1.0, -2.0, 0.1]), np.array([21.0, 13.0, 0.6])
 
@@ -42,7 +42,7 @@ def test_the_filter_starts_at_rest_and_arrives() -> None:
 def test_heading_goes_the_short_way() -> None:
     """A goal at -175° seen from 175° is at 185°, filtered or not."""
     start, goal = np.array([0.0, 0.0, np.radians(175)]), np.array([0.0, 0.0, np.radians(-175)])
-    assert np.degrees(nearest_turn(goal, start)[2]) == pytest.approx(185.0)
+    assert np.degrees(nearest_pose(goal, start)[2]) == pytest.approx(185.0)
     heading = np.degrees(reference_table(start, goal, 100, 0.3, ReferenceFilter(20.0))[:, 2])
     assert heading.min() >= 175.0 - 1e-9
     assert heading.max() <= 185.0 + 1e-9

@@ -209,6 +209,7 @@ class Records:
             "failed_steps": failed,
             "true_share": 1.0 if error <= 1e-2 else 0.5,
             "setup_once_ns": 5e4,
+            "matrix_updates": 0,
             "raw_p50_ns": median_us * 1e3,
             "raw_max_ns": self._rng.uniform(1e5, 1e6),
         }

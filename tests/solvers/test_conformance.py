@@ -172,6 +172,7 @@ def test_matrices_may_change(arm, sequence, solve_at_once):
     )
     later = sequence.steps[1]
     workspace.update(later)
+    assert workspace.matrix_updates == 1
     workspace.solve()
     qp = QuadraticProgram(
         2.0 * base.P, later.q, -base.A, later.l, later.u, 0.5 * base.lb, 0.25 * base.ub

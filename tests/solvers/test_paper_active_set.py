@@ -31,8 +31,12 @@ def cost(rng, n, condition):
 
 
 def rows(rng, m, n):
-    """Rows of any kind: general, or of −1, 0 and 1, with multiples of one another among them."""
-    A = rng.normal(size=(m, n)) if rng.random() < 0.5 else rng.integers(-1, 2, (m, n)) * 1.0
+    """Rows of any kind: general, or of −1, 0 and 1, with multiples of one another among them.
+
+    Entries have few digits, so that limits through a point of whole numbers meet there exactly.
+    """
+    general = np.round(1024.0 * rng.normal(size=(m, n))) / 1024.0
+    A = general if rng.random() < 0.5 else rng.integers(-1, 2, (m, n)) * 1.0
     if m > 3 and rng.random() < 0.7:
         A[1], A[2] = A[0], -2.0 * A[0]
     return A

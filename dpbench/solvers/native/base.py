@@ -104,6 +104,7 @@ class NativeWorkspace(Workspace):
             self.read()
         self._done = False
         if matrices:
+            self.matrix_updates += 1
             self._keep(step)
         if matrices or self._spoilt or self.setup_every_step:
             self._q[:], self._l[:], self._u[:] = q, low, high
