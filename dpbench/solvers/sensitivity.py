@@ -2,10 +2,11 @@
 
 Where limits meet at an angle that is next to nothing, the optimality conditions hold to the last
 digit at points far from the optimum; so they do where the cost hardly curves. Limits and cost are
-therefore moved, by `MOVED` times what rounding may leave in a row and in the gradient, and the
-problem is solved again: an answer that follows by more than `MOVED` times what an answer may be
-wrong is none. All limits are tightened, all are widened, and some are moved at random, so that each
-may become the one that counts.
+therefore moved, by `MOVED` times what rounding leaves in a row and in the gradient, and the problem
+is solved again: an answer that follows by more than `MOVED` times what an answer may be wrong is
+none. The cost is moved where it matters most, both ways. All limits are tightened, all are widened,
+and then one half against the other, so that of every two rows either is moved in while the other is
+moved out.
 """
 
 from __future__ import annotations
@@ -25,8 +26,10 @@ MOVED = 2e4
 """Enough for a dependent row that is violated by as much to be seen as a contradiction."""
 WRONG = 5e-7
 """Half of the tightest tolerance that answers are held to."""
-RANDOM = 4
-"""Trials with random signs."""
+OFF = 10.0
+"""Roundings by which a row may be missed that has no room to be moved as far."""
+HALVES = 6
+"""Ways of halving the rows: any two of the 64 nearest their limits are apart in one of them."""
 
 
 def is_sensitive(S: Matrix, qp: QuadraticProgram) -> bool:
@@ -43,12 +46,15 @@ def is_sensitive(S: Matrix, qp: QuadraticProgram) -> bool:
     posed = JointQP.of(qp)
     columns = np.concatenate([n_pad + np.arange(qp.m), np.arange(qp.n)])
     far = _reach(posed, z, S[layout.UNIT, columns])
-    push = MOVED * EPSILON * _terms(posed, z, S[layout.LAM, columns])
+    if far is None:
+        return True
+    inverse = S[layout.VECTORS : layout.VECTORS + qp.n, : qp.n]
+    along = _push(posed, z, S[layout.LAM, columns], inverse)
     try:
-        for along, signs in zip(_signs(qp.n), _signs(len(far)), strict=True):
-            S[layout.Q, : qp.n] = qp.q + along * push
-            S[layout.LOW, columns] = posed.L - signs * far
-            S[layout.HIGH, columns] = posed.U + signs * far
+        for k, sides in enumerate(_sides(posed, z)):
+            S[layout.Q, : qp.n] = qp.q + (along if k % 2 else -along)
+            S[layout.LOW, columns] = posed.L - sides * far
+            S[layout.HIGH, columns] = posed.U + sides * far
             if not np.abs(_answer(S, qp, columns) - z).max() <= MOVED * WRONG:
                 return True
         return False
@@ -70,27 +76,38 @@ def _answer(S: Matrix, qp: QuadraticProgram, columns: NDArray[np.intp]) -> Vecto
     return np.full(qp.n, np.nan)
 
 
-def _reach(posed: JointQP, z: Vector, unit: Vector) -> Vector:
-    """How far each row's limits are moved.
+def _reach(posed: JointQP, z: Vector, unit: Vector) -> Vector | None:
+    """How far each row's limits are moved; None if a row is violated that cannot be moved as far.
 
     A row does not cross itself; one with equal limits stays, as `pinned.py` decides whether such
     rows depend on one another.
     """
     value = posed.C @ z
-    size = np.linalg.norm(value * unit)
-    far = MOVED * VIOLATED * (np.abs(value) + size / unit)
+    rounding = VIOLATED * (np.abs(value) + np.linalg.norm(value * unit) / unit)
+    violation = np.maximum(value - posed.U, posed.L - value)
+    far, room = MOVED * np.maximum(rounding, violation), 0.25 * (posed.U - posed.L)
+    if (violation > OFF * rounding)[room < far].any():
+        return None
     # A row of zeros is no row.
     far[~posed.C.any(axis=1)] = 0.0
-    return np.minimum(far, 0.25 * (posed.U - posed.L))
+    return np.minimum(far, room)
 
 
-def _terms(posed: JointQP, z: Vector, lam: Vector) -> Vector:
-    """The size of the terms that each entry of the gradient is the sum of."""
-    size = np.abs(posed.q) + np.abs(posed.P) @ np.abs(z) + np.abs(lam) @ np.abs(posed.C)
-    return np.asarray(size)
+def _push(posed: JointQP, z: Vector, lam: Vector, inverse: Matrix) -> Vector:
+    """How far the cost is moved, with the signs by which the free optimum would follow most."""
+    terms = np.abs(posed.q) + np.abs(posed.P) @ np.abs(z) + np.abs(lam) @ np.abs(posed.C)
+    r = posed.q + posed.P @ z + lam @ posed.C
+    size = MOVED * np.maximum(EPSILON * terms, np.abs(r))
+    most = int(np.argmax(np.abs(inverse) @ size))
+    return np.asarray(np.sign(inverse[most]) * size)
 
 
-def _signs(size: int) -> list[Vector]:
-    """Which way things are moved: all down, all up, each at random."""
-    one = np.ones(size)
-    return [-one, one, *np.random.default_rng(0).choice([-1.0, 1.0], (RANDOM, size))]
+def _sides(posed: JointQP, z: Vector) -> list[Vector]:
+    """−1 for a row that is tightened, +1 for one that is widened: all, and half against half."""
+    value = posed.C @ z
+    nearest = np.argsort(np.minimum(posed.U - value, value - posed.L), kind="stable")
+    place = np.empty_like(nearest)
+    place[nearest] = np.arange(len(nearest))
+    one = np.ones(len(value))
+    ways = [one, *(np.where(place >> bit & 1, one, -one) for bit in range(HALVES))]
+    return [side for way in ways for side in (-way, way)]
