@@ -1,8 +1,8 @@
 """The referee: certified optima of QPs that share P and A, with a rigorous bound beside each.
 
-In order: the linear certificate with the active set of the step before, then with those of
-independent libraries; the gap certificate where rows are weakly active; the rational one as the
-last resort. Nobody's word is taken for anything: every certificate stands on its own.
+In order: the linear certificate with the active set of the step before, then with those that others
+guess; the gap certificate where rows are weakly active; the rational one as the last resort.
+Nobody's word is taken for anything: every certificate stands on its own.
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ class Referee:
             return known
         proofs = [] if known is None else [known]
         starts = tried or [np.zeros(len(problem.L), dtype=np.int8)]
-        # The libraries that named them differ in which weakly active rows they hold.
+        # Those who named them differ in which weakly active rows they hold.
         for signs in reversed(starts):
             by_gap = self._gap(problem, signs)
             if by_gap is not None:
@@ -161,7 +161,9 @@ class Referee:
                 if by_gap.bound <= WANTED:
                     break
         if not any(proof.bound <= WANTED for proof in proofs) and len(problem.q) <= EXACT_SIZE:
-            exact = rational_certificate(problem, self._exactly(), starts[-1])
+            # Rows that depend on others exactly would make it begin with none.
+            start = independent(self._C, starts[-1], starts[-1])
+            exact = rational_certificate(problem, self._exactly(), start)
             if exact is not None:
                 proofs.append(exact)
         return min(

@@ -1,19 +1,20 @@
-"""Guesses of the active set from whatever QP library is at hand; a certificate judges them.
+"""Guesses of the active set, from a library or a method of our own; a certificate judges them.
 
-A library that is missing, refuses the problem or answers nonsense only costs time: the exact
+A guesser that is missing, refuses the problem or answers nonsense only costs time: the exact
 active-set method needs no guess.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from importlib import import_module
-from types import ModuleType
 
 import numpy as np
 
+from dpbench.qp.dual_active_set import Ending
 from dpbench.qp.joint import JointQP, Signs
 from dpbench.qp.program import Vector
+from dpbench.qp.projection import Projection
 
 FREE = 1e30
 """Stands for an infinite limit in DAQP, which documents this value."""
@@ -24,31 +25,19 @@ _INFEASIBLE = -1
 
 
 def guesses(problem: JointQP) -> Iterator[Signs | None]:
-    """Active sets worth trying, best first; None where a library says there is no feasible point.
+    """Active sets worth trying, best first; None where a guesser says there is no feasible point.
 
-    Lazy: the next library is asked only when the guess before failed.
+    Lazy: the next one is asked only when the guess before failed.
     """
-    asked: tuple[tuple[str, Callable[[ModuleType, JointQP], Signs | None]], ...] = (
-        ("daqp", _ask_daqp),
-        ("quadprog", _ask_quadprog),
-    )
-    for name, ask in asked:
-        library = _library(name)
-        if library is not None:
-            try:
-                yield ask(library, problem)
-            except (ArithmeticError, ValueError, TypeError, RuntimeError):
-                continue
+    for ask in GUESSERS:
+        try:
+            yield ask(problem)
+        except (ArithmeticError, ImportError, ValueError, TypeError, RuntimeError):
+            continue
 
 
-def _library(name: str) -> ModuleType | None:
-    try:
-        return import_module(name)
-    except ImportError:
-        return None
-
-
-def _ask_daqp(daqp: ModuleType, problem: JointQP) -> Signs | None:
+def _ask_daqp(problem: JointQP) -> Signs | None:
+    daqp = import_module("daqp")
     n = len(problem.q)
     m = len(problem.L) - n
     # Bounds come first in DAQP, and it may write to what it is given: own copies of all.
@@ -64,24 +53,18 @@ def _ask_daqp(daqp: ModuleType, problem: JointQP) -> Signs | None:
     return _signs(problem, np.roll(np.asarray(info["lam"], dtype=np.float64), -n))
 
 
-def _ask_quadprog(quadprog: ModuleType, problem: JointQP) -> Signs | None:
-    N = len(problem.L)
-    equal = problem.L == problem.U
-    upper, lower = np.isfinite(problem.U) & ~equal, np.isfinite(problem.L) & ~equal
-    C = np.vstack((problem.C[equal], -problem.C[upper], problem.C[lower]))
-    b = np.concatenate((problem.L[equal], -problem.U[upper], problem.L[lower]))
-    if not len(b):
-        return np.zeros(N, dtype=np.int8)
-    answer = quadprog.solve_qp(
-        problem.P.copy(), -problem.q, np.asfortranarray(C.T), b, int(equal.sum())
-    )
-    lam = answer[4]
-    k, kk = int(equal.sum()), int(equal.sum() + upper.sum())
-    y = np.zeros(N)
-    y[equal] = -lam[:k]
-    y[upper] = lam[k:kk]
-    y[lower] -= lam[kk:]
-    return _signs(problem, y)
+def _ask_own(problem: JointQP) -> Signs | None:
+    """What the dual active-set method on an orthogonal factorisation ends at.
+
+    It is bounded in its iterations, which the libraries of this method are not: quadprog goes on
+    for ever on some rows that depend on one another but for rounding, and nothing can stop it.
+    """
+    outcome = Projection.of(problem.P, problem.C).solve(problem.q, problem.L, problem.U)
+    if outcome.ending is Ending.INFEASIBLE:
+        return None
+    signs = np.zeros(len(problem.L))
+    signs[outcome.active] = outcome.side[outcome.active]
+    return _signs(problem, signs)
 
 
 def _signs(problem: JointQP, y: Vector) -> Signs:
@@ -90,3 +73,7 @@ def _signs(problem: JointQP, y: Vector) -> Signs:
     signs[(signs == 0.0) & (problem.L == problem.U)] = 1.0
     limit = np.where(signs > 0, problem.U, problem.L)
     return np.where(np.isfinite(limit), signs, 0).astype(np.int8)
+
+
+GUESSERS = (_ask_daqp, _ask_own)
+"""Who is asked, in this order."""

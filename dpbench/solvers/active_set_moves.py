@@ -1,8 +1,8 @@
 """How the active set of the compiled method moves: the rule of Goldfarb and Idnani, and a start.
 
 From a dual feasible set the most violated row is brought in; rows whose multiplier reaches zero on
-the way are dropped (see `dual_active_set.py` for the rule and why it ends). What rounding does not
-let it tell is answered `UNDECIDED`.
+the way are dropped (see `qp/dual_active_set.py` for the rule and why it ends). What rounding does
+not let it tell is answered `UNDECIDED`.
 """
 
 from __future__ import annotations

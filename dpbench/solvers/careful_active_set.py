@@ -1,8 +1,7 @@
 """The active-set method on an orthogonal factorisation, for what rounding keeps the fast one from.
 
-`dual_active_set.py` finds the set without ever forming products of rows, so that rows at an angle
-of 1e-10 are still told apart; this module prepares its data, refines the answer on the set and
-reports.
+`qp/dual_active_set.py` finds the set without ever forming products of rows, so that rows at an
+angle of 1e-10 are still told apart; this module refines the answer on the set and reports.
 
     refinement:  P δz + M_Wᵀ δλ = −(P z + q + Mᵀλ),   M_W δz = g − M_W z
 """
@@ -12,20 +11,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
+from dpbench.qp.dual_active_set import CONTRADICTION, Ending, Outcome
 from dpbench.qp.program import Matrix, QuadraticProgram, Vector
+from dpbench.qp.projection import Projection
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.dual_active_set import CONTRADICTION, DualActiveSet, Ending, Outcome
 
 STATUS = {
     Ending.OPTIMAL: Status.SOLVED,
     Ending.INFEASIBLE: Status.PRIMAL_INFEASIBLE,
     Ending.ITERATION_LIMIT: Status.MAX_ITERATIONS,
 }
-# A guard against rounding only: the method ends by itself, usually within n + m iterations.
-ITERATIONS_PER_ROW = 5
 # Of refinement; each gains the digits that the conditioning of the set has left.
 ROUNDS = 5
 
@@ -46,25 +43,21 @@ def solve_carefully(qp: QuadraticProgram, *, contradiction: float = CONTRADICTIO
 
 @dataclass(eq=False)
 class _Problem:
-    """P = L Lᵀ, M = [A; I], J = L⁻¹Mᵀ with columns of unit length by `scale`."""
+    """The problem with its rows M = [A; I] and their limits, and as a projection."""
 
     qp: QuadraticProgram
-    L: Matrix
     M: Matrix
-    J: Matrix
-    scale: Vector
     lower: Vector
     upper: Vector
+    projection: Projection
 
     def answer(self, contradiction: float) -> Solution:
         """Run the method, refine where it ended, and say how it ended."""
         n, m = self.qp.n, self.qp.m
-        x0 = -np.linalg.solve(self.L, self.qp.q).astype(np.float64)
-        lower, upper = self.lower * self.scale, self.upper * self.scale
-        limit = ITERATIONS_PER_ROW * (n + m)
-        method = DualActiveSet(self.J, x0, lower, upper, limit=limit, contradiction=contradiction)
-        outcome = method.run()
-        lam = outcome.multipliers * self.scale
+        outcome = self.projection.solve(
+            self.qp.q, self.lower, self.upper, contradiction=contradiction
+        )
+        lam = outcome.multipliers
         if outcome.ending is Ending.INFEASIBLE:
             z, detail = np.full(n, np.nan), "y and y_box are a Farkas ray"
         else:
@@ -77,7 +70,7 @@ class _Problem:
         """The answer on the final set, less rows whose multiplier is rounding of the wrong sign."""
         W, side = outcome.active, outcome.side
         inequality = self.lower < self.upper
-        L = self.L
+        L = self.projection.L
         z = -np.linalg.solve(L.T, np.linalg.solve(L, self.qp.q + self.M.T @ lam))
         while True:
             z, lam = self._on_set(W, side, z, lam)
@@ -91,9 +84,9 @@ class _Problem:
         self, W: NDArray[np.intp], side: Vector, z: Vector, lam: Vector
     ) -> tuple[Vector, Vector]:
         """Refinement of (z, λ) on W in the problem's own data, residuals in long double."""
-        L, M, qp = self.L, self.M.astype(np.longdouble), self.qp
+        L, M, qp = self.projection.L, self.M.astype(np.longdouble), self.qp
         P, q = qp.P.astype(np.longdouble), qp.q.astype(np.longdouble)
-        J_W = self.J[:, W] / self.scale[W]
+        J_W = self.projection.J[:, W] / self.projection.scale[W]
         Q, R = np.linalg.qr(J_W)
         g = np.where(side[W] > 0.0, self.upper[W], self.lower[W])
         for _ in range(ROUNDS):
@@ -106,12 +99,6 @@ class _Problem:
 
 
 def _prepared(qp: QuadraticProgram) -> _Problem:
-    L = np.linalg.cholesky(0.5 * (qp.P + qp.P.T)).astype(np.float64)
     M = np.vstack([qp.A, np.eye(qp.n)])
-    J = scipy.linalg.solve_triangular(L, M.T, lower=True)
-    length = np.linalg.norm(J, axis=0)
-    # Rows of unit length in the norm of P⁻¹ make the method independent of units.
-    scale = np.ones(length.size)
-    np.divide(1.0, length, out=scale, where=length > 0.0)
     lower, upper = np.concatenate([qp.l, qp.lb]), np.concatenate([qp.u, qp.ub])
-    return _Problem(qp, L, M, J * scale, scale, lower, upper)
+    return _Problem(qp, M, lower, upper, Projection.of(qp.P, M))

@@ -158,6 +158,15 @@ def test_an_answer_that_rounding_moves_is_not_called_solved(seed, distance):
     assert refused
 
 
+def test_referee_and_solver_end_where_a_library_goes_on_for_ever():
+    """On this problem, found by a search, the loop of quadprog has no end."""
+    base, steps = wedges(516)
+    qp = base.at(steps[0])
+    answer, optimum = solve(qp), certify(qp)
+    assert optimum.kind in ("none", "infeasible") or np.isfinite(optimum.z).all()
+    assert not answer.claimed or residuals(qp, answer).primal <= 1e-9
+
+
 def test_a_long_way_to_a_vertex_loses_nothing():
     """A cost that pulls 1e7 beyond the limits leaves no trace in the vertex it ends at."""
     for seed in range(50):
