@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from dpbench.bench.campaign import run_campaign
     from dpbench.bench.exact import record_sequence
     from dpbench.bench.inprocess import Run, replay, run_closed_loop
+    from dpbench.bench.sequence_file import load_sequence, save_sequence
     from dpbench.bench.store import load_results
     from dpbench.errors import DpbenchError, InputError
     from dpbench.mpc.condensed_qp import CondensedQP
@@ -44,12 +45,14 @@ _HOMES = {
     "condense": "scenario",
     "load_results": "bench.store",
     "load_scenario": "scenario",
+    "load_sequence": "bench.sequence_file",
     "open_workspace": "solvers.open",
     "record_sequence": "bench.exact",
     "replay": "bench.inprocess",
     "residuals": "qp.residuals",
     "run_campaign": "bench.campaign",
     "run_closed_loop": "bench.inprocess",
+    "save_sequence": "bench.sequence_file",
     "write_report": "report.write",
 }
 
@@ -72,12 +75,14 @@ __all__ = [
     "condense",
     "load_results",
     "load_scenario",
+    "load_sequence",
     "open_workspace",
     "record_sequence",
     "replay",
     "residuals",
     "run_campaign",
     "run_closed_loop",
+    "save_sequence",
     "write_report",
 ]
 

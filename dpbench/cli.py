@@ -29,7 +29,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"dpbench {version('dpbench')}")
     commands = parser.add_subparsers(dest="command", required=True, parser_class=_Parser)
     run = commands.add_parser("run", help="run a suite and write its report")
-    run.add_argument("suite", help="a suite by name, or a TOML file")
+    run.add_argument("suite", nargs="?", help="a suite by name, or a TOML file")
+    run.add_argument("--sequence", metavar="PATH", help="instead: a .npz, or a folder of problems")
     run.add_argument("--out", help="result folder (default: results/<suite>)")
     run.add_argument("--solver", action="append", metavar="S", help="only this solver; repeatable")
     run.add_argument("--scenario", action="append", metavar="N", help="only this scenario")
@@ -40,6 +41,14 @@ def _parser() -> argparse.ArgumentParser:
     report = commands.add_parser("report", help="write the report of a result folder again")
     report.add_argument("dir", help="a folder written by `dpbench run`")
     report.set_defaults(call=_report)
+    export = commands.add_parser("export", help="write QPs with certified optima for others")
+    export.add_argument("what", help="a scenario, a sequence (.npz) or a folder of problems")
+    export.add_argument("--format", default="npz", help="npz (default) or qpbenchmark")
+    export.add_argument("--out", required=True, metavar="PATH", help="the file to write")
+    export.add_argument("--horizons", metavar="N_p/N_c", help="instead of the tuning's")
+    export.add_argument("--steps", type=int, metavar="N", help="only the first N steps")
+    export.add_argument("--every", type=int, default=1, metavar="K", help="each K-th of them")
+    export.set_defaults(call=_export)
     listing = commands.add_parser("list", help="what there is")
     listing.add_argument("what", choices=("vessels", "scenarios", "suites", "solvers"))
     listing.set_defaults(call=_list)
@@ -131,6 +140,7 @@ def _run(arguments: argparse.Namespace) -> int:
             jobs=arguments.jobs,
             fresh=arguments.fresh,
             solver_module=arguments.solver_module,
+            sequence=arguments.sequence,
             progress=bar,
         )
         bar.advance(0, "writing the report")
@@ -152,6 +162,22 @@ def _say_verdict(out: Any, page: Any) -> None:
     for line in verdict_lines(out):
         print(line)
     print(f"report: {page}")
+
+
+def _export(arguments: argparse.Namespace) -> int:
+    from dpbench.bench.export import export
+
+    print(
+        export(
+            arguments.what,
+            arguments.out,
+            format=arguments.format,
+            horizons=arguments.horizons,
+            steps=arguments.steps,
+            every=arguments.every,
+        )
+    )
+    return 0
 
 
 def _list(arguments: argparse.Namespace) -> int:

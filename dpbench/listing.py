@@ -95,7 +95,7 @@ def check_file(path: str) -> str:
     if "controller" in document or "environment" in document:
         scenario = load_scenario(file)
         return f"{file}: a scenario of {scenario.steps} steps with vessel {scenario.vessel.id}"
-    if any(table in document for table in ("closed_loop", "replay", "random")):
+    if any(table in document for table in ("closed_loop", "replay", "recorded", "random")):
         suite_path, suite = load_suite(file)
         return f"{file}: a suite of {len(plan(suite, beside=suite_path.parent))} cells"
     raise InputError(
@@ -103,5 +103,5 @@ def check_file(path: str) -> str:
         "",
         f"tables {', '.join(document) or '(none)'}",
         "[limits] (a vessel), [controller] and [environment] (a scenario), "
-        "or [[closed_loop]], [[replay]] and [[random]] (a suite)",
+        "or [[closed_loop]], [[replay]], [[recorded]] and [[random]] (a suite)",
     )

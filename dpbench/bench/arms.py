@@ -7,7 +7,14 @@ from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
-from dpbench.bench.suite import ClosedLoopTable, RandomTable, ReplayTable, SuiteFile, UnitName
+from dpbench.bench.suite import (
+    ClosedLoopTable,
+    RandomTable,
+    RecordedTable,
+    ReplayTable,
+    SuiteFile,
+    UnitName,
+)
 from dpbench.errors import SettingsError
 from dpbench.solvers.contract import Policy, Route
 from dpbench.solvers.open import REFUSED_BY_QPSOLVERS
@@ -23,7 +30,7 @@ from dpbench.solvers.table import (
 )
 
 CONTRAST = UNCONSTRAINED_CLIPPED.name
-Table = ClosedLoopTable | ReplayTable | RandomTable
+Table = ClosedLoopTable | ReplayTable | RandomTable | RecordedTable
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,8 @@ from dpbench.bench.design import Design, plan_designs
 from dpbench.bench.design_file import write_design
 from dpbench.bench.designing import DesignStore, run_designs, work_of_designs
 from dpbench.bench.machine import describe_machine
-from dpbench.bench.plan import Planned, plan
+from dpbench.bench.plan import plan
+from dpbench.bench.planned import Planned
 from dpbench.bench.running import (
     HARNESS_VERSION,
     Bench,
@@ -35,7 +36,7 @@ from dpbench.bench.running import (
 from dpbench.bench.schema import as_steps
 from dpbench.bench.source import is_random, source_key
 from dpbench.bench.store import Results, claimed, write_results
-from dpbench.bench.suite import SuiteFile, load_suite
+from dpbench.bench.suite import SuiteFile, load_suite, sequence_suite
 from dpbench.bench.supervise import Outcome, template_context
 from dpbench.errors import InputError
 from dpbench.solvers.table import available, load_solver_module
@@ -173,8 +174,19 @@ def _groups(jobs: list[Job]) -> list[list[Job]]:
     return list(groups.values())
 
 
+def _asked(suite: str | Path | None, sequence: str | Path | None) -> tuple[str, Path, SuiteFile]:
+    """Name, folder and document of a suite, or of the one that replays a sequence."""
+    if suite is not None and sequence is None:
+        path, document = load_suite(suite)
+        return path.stem, path.parent, document
+    if sequence is not None and suite is None:
+        return f"sequence-{Path(sequence).resolve().stem}", Path(), sequence_suite(sequence)
+    found = "neither" if suite is None else f"suite {suite} and --sequence {sequence}"
+    raise InputError("run", "", found, "a suite, or --sequence PATH")
+
+
 def run_campaign(
-    suite: str | Path,
+    suite: str | Path | None = None,
     out: str | Path | None = None,
     *,
     solvers: Sequence[str] | None = None,
@@ -182,20 +194,23 @@ def run_campaign(
     jobs: int | None = None,
     fresh: bool = False,
     solver_module: str | Path | None = None,
+    sequence: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Path:
     """Run a suite and write `runs.parquet`, `steps.parquet`, `machine.json`, `suite.json`.
 
     Parameters
     ----------
-    suite : a name under `problems/suites/` or a TOML path.
-    out : result folder; by default `results/<suite>`, or `results/<suite>-part` with `solvers` or
-        `scenarios`, so that a part never replaces the whole.
+    suite : a name under `problems/suites/` or a TOML path; None with `sequence`.
+    out : result folder; by default `results/<suite>`, `results/sequence-<its file>`, and
+        `-part` behind it with `solvers` or `scenarios`, so that a part never replaces the whole.
     solvers, scenarios : only these.
     jobs : closed loops or random sequences at a time; all cores by default. Replays along a loop
         always run alone.
     fresh : run every cell again, also those finished before.
     solver_module : a Python file with a plug-in, whose solver then has a name like any other.
+    sequence : instead of a suite: a `.npz` of `dpbench export` or a folder of qpsolvers problems,
+        replayed through every solver at default and high settings.
     progress : told how far the campaign is.
 
     Returns
@@ -208,12 +223,11 @@ def run_campaign(
     """
     if solver_module is not None:
         load_solver_module(solver_module)
-    path, document = load_suite(suite)
-    name = path.stem
-    planned = plan(document, solvers=solvers, scenarios=scenarios, beside=path.parent)
+    name, beside, document = _asked(suite, sequence)
+    planned = plan(document, solvers=solvers, scenarios=scenarios, beside=beside)
     # A part of a suite is about its solvers and runs; no design depends on them.
     whole = document.design is not None and not (solvers or scenarios)
-    designs = plan_designs(document.design, path.parent) if document.design and whole else []
+    designs = plan_designs(document.design, beside) if document.design and whole else []
     cores = len(os.sched_getaffinity(0))
     if jobs is not None and not 1 <= jobs <= cores:
         raise InputError("--jobs", "", jobs, f"a number from 1 to {cores}, the cores available")

@@ -233,7 +233,8 @@ def grade_sequence(
             grades[start + k] = seen[identity]
             certificates[start + k] = CERTIFICATES.index(optimum.kind)
     columns = _common_columns(log, rounds, counts, grades, certificates)
-    columns["t_s"] = (columns["k"] + int(own.meta.get("first", 0))) * sample_s
+    first, every = int(own.meta.get("first", 0)), int(own.meta.get("every", 1))
+    columns["t_s"] = (first + every * columns["k"]) * sample_s
     columns["probe_ns"] = log.probe_ns[rounds].copy()
     return Graded(columns, {})
 

@@ -3,32 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from dpbench.bench.arms import CONTRAST, Arm, Table, arms_of, choose_solvers, module_of, refusal_of
-from dpbench.bench.cell import Cell
-from dpbench.bench.source import random_source
-from dpbench.bench.suite import ClosedLoopTable, RandomTable, ReplayTable, SuiteFile
+from dpbench.bench.arms import CONTRAST, arms_of, choose_solvers
+from dpbench.bench.planned import Planned, cell_of, random_cells, recorded_cells
+from dpbench.bench.suite import ClosedLoopTable, ReplayTable, SuiteFile
 from dpbench.errors import InputError
-from dpbench.qp.random_recipe import FAMILIES, RandomRecipe
 from dpbench.scenario import Scenario, load_scenario
-from dpbench.solvers.table import record
-
-NOT_STRICT = "P of this family is only semidefinite, and the solver needs P > 0"
-
-
-@dataclass(frozen=True)
-class Planned:
-    """A cell to run, or the reason why it is a row without running.
-
-    `alias_settings` are further names of the same settings, shown as rows of their own.
-    """
-
-    cell: Cell
-    refused: str = ""
-    alias_settings: tuple[str, ...] = ()
 
 
 def plan(
@@ -38,10 +20,10 @@ def plan(
     scenarios: Sequence[str] | None = None,
     beside: Path | None = None,
 ) -> list[Planned]:
-    """All cells of a suite in the order they run: closed loops, replays, random sequences.
+    """All cells of a suite in the order they run: closed loops, replays, recorded, random ones.
 
-    Paths of scenarios are relative to the folder `beside`, that of the suite. A choice of
-    `scenarios` leaves the random sequences out.
+    Paths of scenarios and sequences are relative to the folder `beside`, that of the suite. A
+    choice of `scenarios` leaves recorded and random sequences out.
 
     Raises
     ------
@@ -69,8 +51,10 @@ def plan(
     for replay in suite.replay:
         if replay.scenario in wanted:
             cells += _replay_cells(suite, replay, loaded[replay.scenario], chosen)
+    if not scenarios:
+        cells += recorded_cells(suite, chosen, beside, taken=stems)
     for table in suite.random if not scenarios else ():
-        cells += _random_cells(suite, table, chosen)
+        cells += random_cells(suite, table, chosen)
     return _merged(cells)
 
 
@@ -89,22 +73,6 @@ def _merged(cells: Sequence[Planned]) -> list[Planned]:
     return list(once.values())
 
 
-def _cell(arm: Arm, suite: SuiteFile, table: Table, **more: Any) -> Planned:
-    contrast = arm.solver == CONTRAST
-    cell = Cell(
-        solver=arm.solver,
-        route=arm.route,
-        policy=arm.policy,
-        settings=arm.settings,
-        formulation="none" if contrast else table.formulation,
-        units=arm.units,
-        limit_s=suite.cell_limit_s,
-        solver_module=module_of(arm.solver),
-        **more,
-    )
-    return Planned(cell, refusal_of(arm), arm.alias)
-
-
 def _closed_loop_cells(
     suite: SuiteFile, table: ClosedLoopTable, scenario: Scenario, solvers: Sequence[str]
 ) -> list[Planned]:
@@ -112,7 +80,7 @@ def _closed_loop_cells(
     # The contrast law does not look at units or settings: it runs where the default arms do.
     plain = ("scaled", "default", "fresh")
     return [
-        _cell(
+        cell_of(
             arm,
             suite,
             table,
@@ -135,7 +103,7 @@ def _replay_cells(
         )
     steps = min(table.steps or scenario.steps, scenario.steps - table.first)
     return [
-        _cell(
+        cell_of(
             arm,
             suite,
             table,
@@ -149,29 +117,3 @@ def _replay_cells(
         for arm in arms_of(solvers, table)
         if arm.solver != CONTRAST
     ]
-
-
-def _random_cells(suite: SuiteFile, table: RandomTable, solvers: Sequence[str]) -> list[Planned]:
-    # What depends on the arm alone is found out once: a table may make thousands of cells.
-    blanks = [
-        _cell(
-            arm,
-            suite,
-            table,
-            mode="replay",
-            scenario={},
-            steps=table.steps,
-            rounds=suite.rounds,
-            warmup_steps=min(suite.warmup_steps, table.steps),
-        )
-        for arm in arms_of(solvers, table)
-        if arm.solver != CONTRAST
-    ]
-    return [_of_recipe(blank, recipe) for recipe in table.recipes() for blank in blanks]
-
-
-def _of_recipe(blank: Planned, recipe: RandomRecipe) -> Planned:
-    refused = blank.refused
-    if FAMILIES[recipe.family].semidefinite and record(blank.cell.solver).needs_strict_convexity:
-        refused = refused or NOT_STRICT
-    return replace(blank, cell=replace(blank.cell, source=random_source(recipe)), refused=refused)

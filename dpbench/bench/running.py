@@ -20,7 +20,7 @@ from dpbench.bench.cell import Cell
 from dpbench.bench.chain import GRADING_LIMIT_S, Chain, arm_of
 from dpbench.bench.grade import Graded
 from dpbench.bench.interleave import ReplayGroup
-from dpbench.bench.plan import Planned
+from dpbench.bench.planned import Planned
 from dpbench.bench.rawlog import discard
 from dpbench.bench.source import source_key
 from dpbench.bench.store import write_json

@@ -1,4 +1,5 @@
-"""Where the QPs of a replay come from: the exactly solved loop of a scenario, or a random recipe.
+"""Where the QPs of a replay come from: the exactly solved loop of a scenario, a random recipe, or
+what others recorded.
 
 What takes long is done once per source, in a process of its own, and kept in a file that workers
 and graders read: the loop, or the sequence with its certified optima.
@@ -12,19 +13,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
-
 from dpbench.bench.cell import Cell
 from dpbench.bench.exact import ExactLoop, sequence_of, solve_exactly
+from dpbench.bench.recording import digest, read_sequence
+from dpbench.bench.sequence_file import certified, load_recorded, save_sequence
 from dpbench.errors import InputError
-from dpbench.qp.certify import Optimum, Referee
-from dpbench.qp.program import QPSequence, QuadraticProgram
+from dpbench.qp.certify import Optimum
+from dpbench.qp.program import QPSequence
 from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.qp.random_sequence import random_sequence
 from dpbench.scenario import scenario_of
 
 RANDOM = "random"
 """The kind of a source that is a recipe."""
+RECORDED = "recorded"
+"""The kind of a source that is a file, or a folder of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +56,9 @@ def source_of(cell: Cell) -> Source:
     kind = cell.source.get("kind")
     if kind == RANDOM:
         return _Random(RandomRecipe.from_dict(cell.source["recipe"]))
-    raise InputError("cell", "source.kind", repr(kind), repr(RANDOM))
+    if kind == RECORDED:
+        return _Recorded(cell.source)
+    raise InputError("cell", "source.kind", repr(kind), f"{RANDOM!r} or {RECORDED!r}")
 
 
 def source_key(cell: Cell, harness_version: str) -> str:
@@ -70,6 +75,11 @@ def is_random(cell: Cell) -> bool:
 def random_source(recipe: RandomRecipe) -> dict[str, Any]:
     """`Cell.source` of a recipe."""
     return {"kind": RANDOM, "name": recipe.name, "recipe": recipe.to_dict()}
+
+
+def recorded_source(path: Path, name: str) -> dict[str, Any]:
+    """`Cell.source` of the sequence called `name` at `path`, as it is at this moment."""
+    return {"kind": RECORDED, "name": name, "path": str(path), "sha256": digest(path)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,54 +107,30 @@ class _Random:
 
     def make(self, path: Path) -> None:
         sequence = random_sequence(self.recipe)
-        save_certified(path, sequence, certified(sequence))
+        save_sequence(path, sequence, certified(sequence))
 
     def load(self, cell: Cell, path: Path) -> Replayed:
-        sequence, optima = load_certified(path)
+        found = load_recorded(path)
         # Its QPs follow each other by no known time.
-        return Replayed(sequence, float("nan"), optima)
+        return Replayed(found.sequence, float("nan"), found.optima)
 
 
-def certified(sequence: QPSequence) -> list[Optimum]:
-    """The certified optimum of every step, for a sequence in scaled units."""
-    base = sequence.base
-    referee = Referee(base.P, base.A, base.lb, base.ub)
-    steps = (sequence.step(k) for k in range(len(sequence)))
-    return [referee.certify(step.q, step.l, step.u) for step in steps]
+@dataclass(frozen=True, eq=False)
+class _Recorded:
+    """What others recorded; their optima are not believed but certified again."""
 
+    described: dict[str, Any]
 
-def save_certified(path: Path, sequence: QPSequence, optima: list[Optimum]) -> None:
-    """Write a sequence and its optima to `path` (.npz), together so that they never part."""
-    base = sequence.base
-    np.savez(
-        path,
-        allow_pickle=False,
-        name=np.array(sequence.name),
-        block=np.array(base.block),
-        **{name: getattr(base, name) for name in ("P", "A", "lb", "ub")},
-        **{name: getattr(sequence, name) for name in ("q", "l", "u")},
-        z=np.array([optimum.z for optimum in optima]),
-        y=np.array([optimum.y for optimum in optima]),
-        y_box=np.array([optimum.y_box for optimum in optima]),
-        bound=np.array([optimum.bound for optimum in optima]),
-        certificate=np.array([optimum.kind for optimum in optima]),
-    )
+    def make(self, path: Path) -> None:
+        place = Path(self.described["path"])
+        found, wanted = digest(place), self.described["sha256"]
+        if found != wanted:
+            allowed = f"the file the cell was planned with, SHA-256 {wanted[:12]}…"
+            raise InputError(str(place), "", f"SHA-256 {found[:12]}…", allowed)
+        recorded = read_sequence(place)
+        save_sequence(path, recorded.sequence, units=recorded.units, documents=recorded.documents)
 
-
-def load_certified(path: Path) -> tuple[QPSequence, list[Optimum]]:
-    """Read what `save_certified` wrote."""
-    with np.load(path, allow_pickle=False) as data:
-        found = {name: data[name] for name in data.files}
-    q, l, u = found["q"], found["l"], found["u"]  # noqa: E741 - as in QuadraticProgram
-    base = QuadraticProgram(
-        found["P"], q[0], found["A"], l[0], u[0], found["lb"], found["ub"], int(found["block"])
-    )
-    columns = zip(
-        found["z"],
-        found["y"],
-        found["y_box"],
-        found["bound"].tolist(),
-        found["certificate"].tolist(),
-        strict=True,
-    )
-    return QPSequence(str(found["name"]), base, q, l, u), [Optimum(*row) for row in columns]
+    def load(self, cell: Cell, path: Path) -> Replayed:
+        found = load_recorded(path)
+        sample_s = float(found.sequence.meta.get("sample_s", float("nan")))
+        return Replayed(found.sequence, sample_s, found.optima)

@@ -93,6 +93,20 @@ class RandomTable(FileModel):
         ]
 
 
+class RecordedTable(FileModel):
+    """QPs that others recorded, through every solver: a `.npz` of `dpbench export`, or a folder.
+
+    A relative path is looked for beside the suite first. Such QPs have no units but their own.
+    """
+
+    units: ClassVar[list[UnitName]] = ["scaled"]
+    sequence: str
+    settings: list[str] = ["default"]
+    routes: list[RouteName] = ["default"]
+    policies: list[PolicyName] = ["fresh"]
+    formulation: FormulationName = "condensed_box"
+
+
 class DesignTable(FileModel):
     """Stability and basin of controllers, those of some scenarios, in vessels; no solver's part."""
 
@@ -113,6 +127,7 @@ class SuiteFile(FileModel):
     design: DesignTable | None = None
     closed_loop: list[ClosedLoopTable] = []
     replay: list[ReplayTable] = []
+    recorded: list[RecordedTable] = []
     random: list[RandomTable] = []
 
 
@@ -120,3 +135,10 @@ def load_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
     """A suite by name or TOML path, with its file; InputError in one line if it is bad."""
     path = problem_path("suites", name_or_path)
     return path, read_model(path, SuiteFile)
+
+
+def sequence_suite(path: str | Path) -> SuiteFile:
+    """The suite that replays one recorded sequence through every solver, default and high."""
+    table = RecordedTable(sequence=str(path), settings=["default", "high"])
+    title = f"Recorded sequence {Path(path).name}"
+    return SuiteFile(title=title, contrast=False, recorded=[table])

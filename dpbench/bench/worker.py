@@ -198,7 +198,7 @@ def make_source(text: str, folder: Path, name: str, core: int) -> None:
     settle(folder / f"{name}.noise")
     try:
         source_of(Cell.from_json(text)).make(folder / f"{name}.npz")
-    except CertificateError as error:
+    except (CertificateError, InputError) as error:
         write_verdict(folder / f"{name}.json", verdict_of("invalid", str(error)))
         return
     write_verdict(folder / f"{name}.json", verdict_of("finished", ""))

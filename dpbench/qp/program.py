@@ -18,6 +18,8 @@ from dpbench.errors import ShapeError
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
+CONSTANT = ("P", "A", "lb", "ub")
+"""What of a problem stays the same along most sequences."""
 
 
 class Refresh(Flag):
@@ -154,9 +156,10 @@ class QPSequence:
     Parameters
     ----------
     name : what it was recorded from.
-    base : the problem of step 0 (its q, l, u, and P, A, are those of step 0).
+    base : the problem of step 0 (all its arrays are those of step 0).
     q, l, u : (K, n), (K, m), (K, m) vectors of each step.
     P, A : (K, n, n), (K, m, n) matrices of each step; None where they are those of `base`.
+    lb, ub : (K, n) bounds of each step; None where they are those of `base`.
     units : how the variables of these QPs relate to the scaled ones; None means scaled.
     scaled : the same sequence in scaled units, what the referee judges in; None when this is it.
     meta : where it comes from: scenario, sample time [s], first step, versions.
@@ -172,12 +175,15 @@ class QPSequence:
     meta: dict[str, str | float | int] = field(default_factory=dict)
     P: NDArray[np.float64] | None = None
     A: NDArray[np.float64] | None = None
+    lb: Matrix | None = None
+    ub: Matrix | None = None
 
     def __post_init__(self) -> None:
         K, n, m = np.shape(self.q)[0], self.base.n, self.base.m
-        shapes = {"q": (K, n), "l": (K, m), "u": (K, m), "P": (K, n, n), "A": (K, m, n)}
+        shapes: dict[str, tuple[int, ...]] = {"q": (K, n), "l": (K, m), "u": (K, m)}
+        shapes |= {"P": (K, n, n), "A": (K, m, n), "lb": (K, n), "ub": (K, n)}
         for name, shape in shapes.items():
-            if getattr(self, name) is None and name in ("P", "A"):
+            if getattr(self, name) is None and name in CONSTANT:
                 continue
             array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
             if array.shape != shape:
@@ -189,9 +195,9 @@ class QPSequence:
 
     def step(self, k: int) -> QPStep:
         """Step k; its arrays are views of the sequence, which nobody may write to."""
-        P = None if self.P is None else self.P[k]
-        A = None if self.A is None else self.A[k]
-        return QPStep(self.q[k], self.l[k], self.u[k], P=P, A=A)
+        changed = {name: getattr(self, name) for name in CONSTANT}
+        brought = {name: array[k] for name, array in changed.items() if array is not None}
+        return QPStep(self.q[k], self.l[k], self.u[k], **brought)
 
     def problem(self, k: int) -> QuadraticProgram:
         """The whole problem of step k."""

@@ -10,13 +10,13 @@ import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.bench.cell import Cell
-from dpbench.bench.plan import NOT_STRICT, plan
-from dpbench.bench.source import certified, load_certified, save_certified, source_of
+from dpbench.bench.plan import plan
+from dpbench.bench.planned import NOT_STRICT
+from dpbench.bench.source import source_of
 from dpbench.bench.store import Results
 from dpbench.bench.suite import RandomTable, ReplayTable, SuiteFile, load_suite
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import FAMILIES, RandomRecipe
-from dpbench.qp.random_sequence import random_sequence
 from dpbench.report.claims_random import RandomClaims
 from dpbench.report.view import View
 from dpbench.report.write import build_page, verdict_lines, write_report
@@ -200,19 +200,3 @@ def test_an_unknown_kind_of_source_is_refused() -> None:
     text = planned.cell.to_json().replace('"kind": "random"', '"kind": "dice"')
     with pytest.raises(InputError, match="dice"):
         source_of(Cell.from_json(text))
-
-
-def test_a_certified_sequence_survives_its_file(tmp_path: Path) -> None:
-    """Sequence and optima come back bit for bit, infeasible steps and infinite bounds included."""
-    for family in ("infeasible_steps", "infinite_bounds"):
-        sequence = random_sequence(RandomRecipe(family, 4, 6, 1, steps=STEPS, block=2))
-        optima = certified(sequence)
-        save_certified(tmp_path / "one.npz", sequence, optima)
-        found, again = load_certified(tmp_path / "one.npz")
-        assert (found.name, found.base.block) == (sequence.name, 2)
-        for name in ("P", "A", "l", "u", "lb", "ub", "q"):
-            np.testing.assert_array_equal(getattr(found.base, name), getattr(sequence.base, name))
-        for mine, theirs in zip(optima, again, strict=True):
-            assert (mine.kind, mine.bound) == (theirs.kind, theirs.bound)
-            np.testing.assert_array_equal(mine.z, theirs.z)
-            np.testing.assert_array_equal(mine.y_box, theirs.y_box)

@@ -1,0 +1,104 @@
+"""`dpbench export`: a scenario or a sequence as a file for others."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+
+from dpbench.bench.qpbenchmark_files import save_qpbenchmark, with_optimum
+from dpbench.bench.recording import read_sequence, record, thinned
+from dpbench.bench.sequence_file import Recorded, certified, save_sequence
+from dpbench.errors import InputError
+from dpbench.problem_files import problem_names
+from dpbench.scenario import load_scenario
+
+Format = Literal["npz", "qpbenchmark"]
+FORMATS: tuple[Format, ...] = get_args(Format)
+
+
+def export(
+    what: str | Path,
+    out: str | Path,
+    *,
+    format: Format = "npz",
+    horizons: str | None = None,
+    steps: int | None = None,
+    every: int = 1,
+) -> str:
+    """Write the QPs of a scenario or a sequence to `out`, every one certified.
+
+    Parameters
+    ----------
+    what : a scenario by name or TOML path, a sequence (`.npz`), or a folder of qpsolvers problems.
+    out : the `.npz` file; for "qpbenchmark" the name of the Parquet file and the Python file.
+    horizons : "N_p/N_c" instead of those of the tuning; of a scenario only.
+    steps, every : the first so many steps, and of these each `every`-th.
+
+    Returns
+    -------
+    One line that says what was written.
+
+    Raises
+    ------
+    InputError : for bad input; CertificateError when the loop of a scenario cannot be certified.
+    """
+    target = Path(out)
+    if format not in FORMATS:
+        raise InputError("--format", "", repr(format), " | ".join(FORMATS))
+    if format == "npz" and target.suffix != ".npz":
+        raise InputError("--out", "", repr(target.name), "a file name that ends in .npz")
+    recorded = _recorded(what, _horizons(horizons), steps, every)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if format == "npz":
+        save_sequence(
+            target,
+            recorded.sequence,
+            recorded.optima,
+            units=recorded.units,
+            documents=recorded.documents,
+        )
+        written = str(target)
+    else:
+        written = " and ".join(map(str, save_qpbenchmark(target, recorded)))
+    left_out = len(recorded.optima or []) - len(with_optimum(recorded))
+    without = f"; {left_out} without an optimum left out" if left_out and format != "npz" else ""
+    return f"{written}: {_described(recorded)}{without}"
+
+
+def _recorded(
+    what: str | Path, horizons: tuple[int, int] | None, steps: int | None, every: int
+) -> Recorded:
+    path = Path(what)
+    is_file = path.suffix == ".npz" or path.is_dir()
+    if str(what) in problem_names("scenarios") or not is_file:
+        return record(load_scenario(what), horizons=horizons, steps=steps, every=every)
+    if horizons is not None:
+        found = f"{horizons[0]}/{horizons[1]} for a recorded sequence"
+        raise InputError("--horizons", "", found, "a scenario: a sequence has the horizons it has")
+    found_there = read_sequence(path)
+    sequence = thinned(found_there.sequence, steps, every)
+    # What the file says of its optima is not believed.
+    return replace(found_there, sequence=sequence, optima=certified(sequence))
+
+
+def _horizons(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    match = re.fullmatch(r"([0-9]{1,4})/([0-9]{1,4})", text)
+    if match is None:
+        raise InputError("--horizons", "", repr(text), "N_p/N_c, e.g. 30/5")
+    return int(match[1]), int(match[2])
+
+
+def _described(recorded: Recorded) -> str:
+    base, optima = recorded.sequence.base, recorded.optima or []
+    kinds = Counter(optimum.kind for optimum in optima)
+    bounds = [optimum.bound for optimum in optima if np.isfinite(optimum.bound)]
+    proofs = ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
+    worst = f"; largest bound {max(bounds):.1e}" if bounds else ""
+    return f"{len(optima)} QPs, n = {base.n}, m = {base.m}; certificates: {proofs}{worst}"

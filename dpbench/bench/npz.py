@@ -1,0 +1,141 @@
+"""Files of arrays (`.npz`) that hold no Python objects, and the same bytes for the same arrays."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpbench.errors import InputError
+
+Arrays = dict[str, NDArray[Any]]
+FIXED_DATE = (1980, 1, 1, 0, 0, 0)
+"""The date of every member, the earliest a zip file knows; a real one would change the bytes."""
+_DAMAGE = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, RuntimeError, MemoryError)
+
+
+def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write the arrays to `path` in their order, whole or not at all.
+
+    Nothing is compressed: what a compressor makes of the same array differs between versions.
+    """
+    part = path.with_name(path.name + ".part")
+    with zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as archive:
+        for name, array in arrays.items():
+            with archive.open(zipfile.ZipInfo(f"{name}.npy", FIXED_DATE), "w") as member:
+                np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
+    part.replace(path)
+
+
+def read_npz(path: Path, what: str) -> tuple[Arrays, dict[str, bytes]]:
+    """The arrays of `path`, and the bytes of members that hold Python objects, which stay packed.
+
+    Parameters
+    ----------
+    what : what the file should be, for the error's words.
+
+    Raises
+    ------
+    InputError : when it cannot be read or is damaged.
+    """
+    where = str(path)
+    arrays: Arrays = {}
+    objects: dict[str, bytes] = {}
+    try:
+        with zipfile.ZipFile(path) as archive:
+            for name in archive.namelist():
+                with archive.open(name) as member:
+                    header = _header(member)
+                key = name.removesuffix(".npy")
+                if header.hasobject:
+                    objects[key] = archive.read(name)
+                    continue
+                with archive.open(name) as member:
+                    # An array read from the stream itself: its check sum is compared at the end.
+                    arrays[key] = np.lib.format.read_array(member, allow_pickle=False)
+                    if member.read(1):
+                        raise ValueError(f"{name} goes on after its array")
+    except _DAMAGE as error:
+        found = f"a damaged file ({str(error)[:120]})"
+        raise InputError(where, "", found, what) from error
+    except OSError as error:
+        raise InputError(where, "", error.strerror or "unreadable", what) from error
+    return arrays, objects
+
+
+def _header(member: Any) -> np.dtype[Any]:
+    """The type of the array in an open member."""
+    version = np.lib.format.read_magic(member)
+    read = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }.get(version)
+    if read is None:
+        raise ValueError(f"array format {version}")
+    dtype: np.dtype[Any] = read(member)[2]
+    return dtype
+
+
+def float_array(
+    arrays: Arrays,
+    where: str,
+    name: str,
+    shape: tuple[int, ...],
+    *,
+    infinite: str = "",
+    nan: bool = False,
+) -> NDArray[np.float64]:
+    """The array `name` as float64.
+
+    Parameters
+    ----------
+    where : the file it is from; shape : what it must have.
+    infinite : which infinities it may hold: "+", "-", "+-" or none.
+    nan : whether it may hold NaN.
+
+    Raises
+    ------
+    InputError : naming file, array, what was found and what is allowed.
+    """
+    if name not in arrays:
+        raise InputError(where, name, "nothing", "this array is required")
+    array = arrays[name]
+    if array.dtype.kind not in "fiu":
+        raise InputError(where, name, f"type {array.dtype}", "real numbers")
+    if array.shape != shape:
+        raise InputError(where, name, f"shape {array.shape}", f"shape {shape}")
+    numbers = np.ascontiguousarray(array, dtype=np.float64)
+    bad = np.isnan(numbers) if not nan else np.zeros(shape, dtype=np.bool_)
+    for sign, value in (("+", np.inf), ("-", -np.inf)):
+        if sign not in infinite:
+            bad |= numbers == value
+    if bad.any():
+        at = tuple(int(i) for i in np.argwhere(bad)[0])
+        allowed = " or ".join(["finite numbers", *(f"{sign}inf" for sign in infinite)])
+        raise InputError(where, f"{name}{list(at)}", numbers[at], allowed)
+    return numbers
+
+
+def text_of(arrays: Arrays, where: str, name: str) -> str:
+    """The text `name`; InputError when it is missing or none."""
+    array = arrays.get(name)
+    if array is None:
+        others = ", ".join(list(arrays)[:8]) or "none"
+        raise InputError(where, name, f"nothing (arrays: {others})", "this text is required")
+    if array.dtype.kind != "U" or array.shape:
+        raise InputError(where, name, f"type {array.dtype}, shape {array.shape}", "one text")
+    return str(array)
+
+
+def count_of(arrays: Arrays, where: str, name: str) -> int:
+    """The whole number `name`, 0 or more; InputError when it is missing or none."""
+    array = arrays.get(name)
+    if array is None or array.dtype.kind not in "iu" or array.shape or array < 0:
+        found = "nothing" if array is None else np.array2string(array, threshold=4)
+        raise InputError(where, name, found, "one whole number, 0 or more")
+    return int(array)
