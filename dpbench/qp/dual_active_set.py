@@ -109,8 +109,16 @@ class DualActiveSet:
         self._contradiction = contradiction
         self.iterations = 0
 
-    def run(self) -> Outcome:
-        """Bring in violated rows until there is none left or no step is possible."""
+    def run(self, start: Vector | None = None) -> Outcome:
+        """Bring in violated rows until there is none left or no step is possible.
+
+        Parameters
+        ----------
+        start : (p,) +1 or −1 for rows at their upper or lower limit to begin with, independent of
+            one another; None for the empty set.
+        """
+        if start is not None:
+            self._begin(start)
         while True:
             j, side = self._most_violated()
             if j < 0:
@@ -118,6 +126,21 @@ class DualActiveSet:
             ending = self._bring_in(j, side)
             if ending is not None:
                 return self._outcome(ending)
+
+    def _begin(self, start: Vector) -> None:
+        """Hold the rows of `start` less those whose multipliers are wrong: a dual feasible set."""
+        self._active = [int(i) for i in np.flatnonzero(start)]
+        self._side[self._active] = start[self._active]
+        while self._active:
+            self._factor()
+            self._settle()
+            wrong = np.where(self._free, 0.0, self._side * self._lam)[self._active]
+            worst = int(np.argmin(wrong))
+            if wrong[worst] >= 0.0:
+                return
+            self._lam[self._active.pop(worst)] = 0.0
+        self._factor()
+        self._x = self._base
 
     def _outcome(self, ending: Ending) -> Outcome:
         active = np.array(self._active, dtype=np.intp)

@@ -38,12 +38,21 @@ class Projection:
         return cls(L, J * scale, scale)
 
     def solve(
-        self, q: Vector, lower: Vector, upper: Vector, *, contradiction: float = CONTRADICTION
+        self,
+        q: Vector,
+        lower: Vector,
+        upper: Vector,
+        *,
+        start: Vector | None = None,
+        contradiction: float = CONTRADICTION,
     ) -> Outcome:
-        """Where the dual active-set method ends; multipliers are those of the unscaled rows."""
+        """Where the dual active-set method ends; multipliers are those of the unscaled rows.
+
+        start : (N,) signs of the rows to begin with, as in `DualActiveSet.run`.
+        """
         x0 = -np.linalg.solve(self.L, q).astype(np.float64)
         limit = ITERATIONS_PER_ROW * self.scale.size
         low, high = lower * self.scale, upper * self.scale
         method = DualActiveSet(self.J, x0, low, high, limit=limit, contradiction=contradiction)
-        outcome = method.run()
+        outcome = method.run(start)
         return replace(outcome, multipliers=outcome.multipliers * self.scale)

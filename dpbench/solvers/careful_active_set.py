@@ -27,16 +27,19 @@ STATUS = {
 ROUNDS = 5
 
 
-def solve_carefully(qp: QuadraticProgram, *, contradiction: float = CONTRADICTION) -> Solution:
+def solve_carefully(
+    qp: QuadraticProgram, *, start: Vector | None = None, contradiction: float = CONTRADICTION
+) -> Solution:
     """The answer to `qp`, whose P is positive definite and whose data are finite or limits.
 
     Parameters
     ----------
+    start : (m + n,) signs of the rows of [A; I] to begin with, independent of one another.
     contradiction : share by which a row must contradict others for the answer to be infeasible;
         with inf it is a point, whatever it violates.
     """
     try:
-        return _prepared(qp).answer(contradiction)
+        return _prepared(qp).answer(start, contradiction)
     except np.linalg.LinAlgError as error:
         return Solution.missing(qp.n, qp.m, Status.NUMERICAL_ERROR, str(error))
 
@@ -51,11 +54,11 @@ class _Problem:
     upper: Vector
     projection: Projection
 
-    def answer(self, contradiction: float) -> Solution:
+    def answer(self, start: Vector | None, contradiction: float) -> Solution:
         """Run the method, refine where it ended, and say how it ended."""
         n, m = self.qp.n, self.qp.m
         outcome = self.projection.solve(
-            self.qp.q, self.lower, self.upper, contradiction=contradiction
+            self.qp.q, self.lower, self.upper, start=start, contradiction=contradiction
         )
         lam = outcome.multipliers
         if outcome.ending is Ending.INFEASIBLE:
