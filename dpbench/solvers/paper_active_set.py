@@ -20,7 +20,7 @@ from dpbench.solvers.compiled_workspace import CompiledWorkspace
 from dpbench.solvers.exact_point import error_bound
 from dpbench.solvers.pinned import determined
 from dpbench.solvers.proof import cleaned, contradicts
-from dpbench.solvers.sensitivity import WRONG, is_sensitive
+from dpbench.solvers.sensitivity import WRONG, is_sensitive, unit_of
 
 INFEASIBLE = Status.PRIMAL_INFEASIBLE
 USABLE = 1e4
@@ -99,7 +99,7 @@ class PaperActiveSet(CompiledWorkspace):
         if not is_sensitive(self._S, qp):
             return ""
         multipliers = np.concatenate([self._y, self._y_box])
-        if error_bound(JointQP.of(qp), self._z, multipliers) <= WRONG:
+        if error_bound(JointQP.of(qp), self._z, multipliers) <= WRONG * unit_of(qp).min():
             return ""
         return "where the optimum is depends on the rounding of limits"
 

@@ -25,7 +25,7 @@ from dpbench.solvers.careful_active_set import solve_carefully
 MOVED = 2e4
 """Enough for a dependent row that is violated by as much to be seen as a contradiction."""
 WRONG = 5e-7
-"""Half of the tightest tolerance that answers are held to."""
+"""Half of the tightest tolerance that answers are held to, in units of `unit_of`."""
 OFF = 10.0
 """Roundings by which a row may be missed that has no room to be moved as far."""
 HALVES = 6
@@ -49,6 +49,7 @@ def is_sensitive(S: Matrix, qp: QuadraticProgram) -> bool:
     if far is None:
         return True
     inverse = S[layout.VECTORS : layout.VECTORS + qp.n, : qp.n]
+    allowed = MOVED * WRONG * unit_of(qp)
     lam = S[layout.LAM, columns]
     along, start = _push(posed, z, lam, inverse), np.sign(lam)
     try:
@@ -60,12 +61,21 @@ def is_sensitive(S: Matrix, qp: QuadraticProgram) -> bool:
             # The careful method takes a second at n = 200: it is asked where all limits move.
             if ending != layout.UNDECIDED or k < 2:
                 found = _answer(S, qp, columns, ending, start)
-                if not np.abs(found - z).max() <= MOVED * WRONG:
+                if not (np.abs(found - z) <= allowed).all():
                     return True
             vectors[:], factor[:] = before
         return False
     finally:
         vectors[:], factor[:] = before
+
+
+def unit_of(qp: QuadraticProgram) -> Vector:
+    """What an error of each variable is measured by (n,): half of what its bounds leave it.
+
+    In scaled units that is 1, a rate-limit step. Where there is no bound, or less room, it is 1.
+    """
+    half = 0.5 * (qp.ub - qp.lb)
+    return np.where(np.isfinite(half), np.maximum(half, 1.0), 1.0)
 
 
 def _answer(

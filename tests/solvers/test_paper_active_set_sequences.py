@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import quadprog
 
-from dpbench import load_scenario
+from dpbench import load_scenario, run_closed_loop
 from dpbench.bench.exact import sequence_of, solve_exactly
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Status
@@ -18,6 +18,16 @@ INF = np.inf
 
 def workspace(policy="warm"):
     return open_workspace("paper_active_set", policy=policy)
+
+
+def test_in_newtons_every_step_is_claimed_too():
+    """In SI units, where a plan is 1e5 and its rounding 1e-11 of that, no claim is lost."""
+    scenario = load_scenario("paper").first(100)
+    for policy in ("fresh", "warm"):
+        solver = workspace(policy)
+        steps = run_closed_loop(scenario, solver, units="si").steps
+        assert (steps["status"] == "SOLVED").all()
+        assert steps["error_plan"].max() <= 1e-9
 
 
 @pytest.mark.parametrize("name", ["paper", "paper_tight", "calm", "rough"])
