@@ -12,6 +12,7 @@ moved out.
 from __future__ import annotations
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from dpbench.qp.joint import JointQP
@@ -21,6 +22,7 @@ from dpbench.solvers.active_set_check import EPSILON
 from dpbench.solvers.active_set_factor import VIOLATED
 from dpbench.solvers.active_set_kernel import solve_step
 from dpbench.solvers.careful_active_set import solve_carefully
+from dpbench.solvers.pinned import INDEPENDENT
 
 MOVED = 2e4
 """Enough for a dependent row that is violated by as much to be seen as a contradiction."""
@@ -94,7 +96,8 @@ def _answer(
 
 
 def _reach(posed: JointQP, z: Vector, unit: Vector) -> Vector | None:
-    """How far each row's limits are moved; None if a row is violated that cannot be moved as far.
+    """How far each row's limits are moved; None if those that cannot be moved as far are in doubt:
+    violated, or dependent on one another.
 
     A row does not cross itself; one with equal limits stays, as `pinned.py` decides whether such
     rows depend on one another.
@@ -103,11 +106,21 @@ def _reach(posed: JointQP, z: Vector, unit: Vector) -> Vector | None:
     rounding = VIOLATED * (np.abs(value) + np.linalg.norm(value * unit) / unit)
     violation = np.maximum(value - posed.U, posed.L - value)
     far, room = MOVED * np.maximum(rounding, violation), 0.25 * (posed.U - posed.L)
-    if (violation > OFF * rounding)[room < far].any():
-        return None
     # A row of zeros is no row.
     far[~posed.C.any(axis=1)] = 0.0
+    narrow = room < far
+    if (violation > OFF * rounding)[narrow].any():
+        return None
+    if (room[narrow] > 0.0).any() and not _independent(posed.C[narrow]):
+        return None
     return np.minimum(far, room)
+
+
+def _independent(rows: Matrix) -> bool:
+    """Whether no row is a combination of others, but for less than `INDEPENDENT` of its length."""
+    length = np.linalg.norm(rows, axis=1)
+    R = scipy.linalg.qr(rows.T / length, mode="r", pivoting=True)[0]
+    return len(rows) <= rows.shape[1] and bool(np.abs(np.diagonal(R)).min() > INDEPENDENT)
 
 
 def _push(posed: JointQP, z: Vector, lam: Vector, inverse: Matrix) -> Vector:
