@@ -141,7 +141,16 @@ def test_crowded_vertices_are_solved_where_the_referee_finds_them_solved():
 # Found by a search: once called solved, as far from the optimum as stands beside them.
 @pytest.mark.parametrize(
     ("seed", "distance"),
-    [(66, 2.6e-5), (270, 6.4e-5), (393, 5.5e-4), (1249, 25.0), (2340, 0.92), (14, INF), (30, INF)],
+    [
+        (66, 2.6e-5),
+        (270, 6.4e-5),
+        (393, 5.5e-4),
+        (1249, 25.0),
+        (2340, 0.92),
+        (3652, 4.6e-6),
+        (14, INF),
+        (30, INF),
+    ],
 )
 def test_an_answer_that_rounding_moves_is_not_called_solved(seed, distance):
     """Wedges between near copies of rows: what is claimed is what exact arithmetic finds."""

@@ -1,0 +1,81 @@
+"""The bound of an answer's error by a point that satisfies its limits to the last bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dpbench.qp.certify import certify
+from dpbench.qp.joint import JointQP
+from dpbench.qp.program import QuadraticProgram
+from dpbench.qp.random_recipe import RandomRecipe
+from dpbench.qp.random_sequence import planted
+from dpbench.solvers.exact_point import LARGEST, error_bound, is_regular
+
+INF = np.inf
+
+
+def bound_of(qp, z, y, y_box):
+    return error_bound(JointQP.of(qp), z, np.concatenate([y, y_box]))
+
+
+@given(st.sampled_from(["plain", "equal", "free", "infinite_bounds"]), st.integers(1, 10**6))
+def test_an_optimum_is_bounded_to_rounding(family, seed):
+    """At the planted optimum the bound is rounding; it holds where the answer is moved off it."""
+    found = planted(RandomRecipe(family, 5, 8, seed=seed, steps=1))
+    qp = found.sequence.problem(0)
+    z, y, y_box = found.z[0], found.y[0], found.y_box[0]
+    assert bound_of(qp, z, y, y_box) <= 1e-9
+    for size in (1e-12, 1e-6, 1e-3):
+        moved = z + size * np.random.default_rng(seed).normal(size=qp.n)
+        bound = bound_of(qp, moved, y, y_box)
+        assert bound >= np.abs(moved - z).max()
+
+
+def lines(third):
+    """Three half-planes whose borders pass through, or near, (1, 1): z0 ≤ 1, z1 ≤ 1 and a third."""
+    A, none = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]), np.full(2, INF)
+    return QuadraticProgram(np.eye(2), [-3.0, -3.0], A, [-INF] * 3, [1.0, 1.0, third], -none, none)
+
+
+def test_limits_that_rounding_sets_apart_leave_no_exact_point():
+    """At (1, 1) the third limit is met, missed by one unit of rounding, or overstepped by one."""
+    z, y, y_box = np.ones(2), np.array([2.0, 2.0, 0.0]), np.zeros(2)
+    one = np.spacing(2.0)
+    for third in (2.0, 2.0 + one):
+        assert bound_of(lines(third), z, y, y_box) <= 1e-14
+    assert bound_of(lines(2.0 - one), z, y, y_box) == INF
+    # Where that limit is the one with the multiplier, there is a point.
+    along = np.array([0.0, 0.0, 2.0])
+    assert bound_of(lines(2.0 - one), z, along, y_box) <= 1e-7
+
+
+def test_a_multiplier_of_a_limit_there_is_not_proves_nothing():
+    """λ < 0 names the lower limit, which is −∞ here."""
+    assert bound_of(lines(3.0), np.ones(2), np.array([2.0, -2.0, 0.0]), np.zeros(2)) == INF
+
+
+def test_more_equations_than_exact_arithmetic_has_time_for_are_not_judged():
+    """NaN is neither a bound nor the finding that no point exists."""
+    n = LARGEST + 1
+    none = np.full(n, INF)
+    qp = QuadraticProgram(np.eye(n), -2.0 * np.ones(n), np.zeros((0, n)), [], [], -none, np.ones(n))
+    assert np.isnan(bound_of(qp, np.ones(n), np.zeros(0), np.ones(n)))
+    assert certify(qp).kind == "linear"
+
+
+@pytest.mark.parametrize(("angle", "regular"), [(1.0, True), (1e-3, True), (1e-5, False)])
+def test_limits_are_regular_if_they_meet_at_an_angle(angle, regular):
+    """Two borders through the origin; a third that is far away does not count."""
+    A = np.array([[1.0, 0.0], [np.cos(angle), np.sin(angle)], [1.0, 1.0]])
+    none = np.full(2, INF)
+    qp = QuadraticProgram(np.eye(2), np.ones(2), A, [-INF] * 3, [0.0, 0.0, 1.0], -none, none)
+    assert is_regular(JointQP.of(qp), np.zeros(2)) is regular
+
+
+def test_more_limits_than_variables_are_not_regular():
+    """Three borders through one point of the plane."""
+    assert not is_regular(JointQP.of(lines(2.0)), np.ones(2))
+    assert is_regular(JointQP.of(lines(3.0)), np.ones(2))
