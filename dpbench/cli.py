@@ -49,6 +49,19 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("--steps", type=int, metavar="N", help="only the first N steps")
     export.add_argument("--every", type=int, default=1, metavar="K", help="each K-th of them")
     export.set_defaults(call=_export)
+    hunt = commands.add_parser("hunt", help="search for a solver's slowest or least accurate step")
+    hunt.add_argument("solver", help="the solver to hunt")
+    hunt.add_argument("--goal", default="iterations", help="iterations (default) or error")
+    hunt.add_argument("--scenario", default="paper", metavar="N", help="whose starts are varied")
+    hunt.add_argument("--route", help="native (default where there is one) or qpsolvers")
+    hunt.add_argument("--policy", default="fresh", help="fresh (default), reuse or warm")
+    hunt.add_argument("--settings", default="default", help="default, low, mid or high")
+    hunt.add_argument("--budget", type=int, default=300, metavar="B", help="cases to try (300)")
+    hunt.add_argument("--steps", type=int, default=60, metavar="N", help="length of a case (60)")
+    hunt.add_argument("--seed", type=int, default=1, help="of the search (1)")
+    hunt.add_argument("--out", metavar="FILE.npz", help="default: hunts/<solver>-<goal>.npz")
+    hunt.add_argument("--solver-module", metavar="FILE.py", help="a plug-in that brings the solver")
+    hunt.set_defaults(call=_hunt)
     listing = commands.add_parser("list", help="what there is")
     listing.add_argument("what", choices=("vessels", "scenarios", "suites", "solvers"))
     listing.set_defaults(call=_list)
@@ -178,6 +191,29 @@ def _export(arguments: argparse.Namespace) -> int:
         )
     )
     return 0
+
+
+def _hunt(arguments: argparse.Namespace) -> int:
+    from dpbench.bench.hunt import hunt
+
+    with _Bar() as bar:
+        found = hunt(
+            arguments.solver,
+            scenario=arguments.scenario,
+            goal=arguments.goal,
+            route=arguments.route,
+            policy=arguments.policy,
+            settings=arguments.settings,
+            budget=arguments.budget,
+            steps=arguments.steps,
+            seed=arguments.seed,
+            out=arguments.out,
+            solver_module=arguments.solver_module,
+            progress=bar,
+        )
+    for line in found.lines:
+        print(line)
+    return 130 if found.search.stopped == "interrupted" else 0
 
 
 def _list(arguments: argparse.Namespace) -> int:
