@@ -113,6 +113,7 @@ def run_row(
         "settings": cell.settings,
         "formulation": cell.formulation,
         "form": outcome.form,
+        **_sizes(cell, outcome),
         "units": cell.units,
         "seed": cell.seed,
         "outcome": outcome.outcome,
@@ -133,6 +134,18 @@ def run_row(
     if cell.mode == "closed_loop":
         row |= _failures(steps)
     return row
+
+
+def _sizes(cell: Cell, outcome: Outcome) -> dict[str, Any]:
+    """Horizons and size of the QP; null where there is no ship, or the solver never got a QP."""
+    controller = cell.scenario.get("scenario", {}).get("controller", {})
+    found = {
+        "N_p": controller.get("prediction_horizon"),
+        "N_c": controller.get("control_horizon"),
+        "n": outcome.n,
+        "m": outcome.m,
+    }
+    return {name: pd.NA if value is None else int(value) for name, value in found.items()}
 
 
 def _accuracy(steps: pd.DataFrame) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +22,13 @@ from dpbench.errors import CertificateError, ResultsError
 from dpbench.mpc.condense import UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.qp.certify import Optimum, Referee
+from dpbench.qp.joint import Kind
 from dpbench.qp.program import Matrix, QPSequence, QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario import Scenario
 from dpbench.solvers.contract import Workspace
+
+_OF_OPTIMUM = ("z", "y", "y_box", "bound", "kind")
 
 
 class ExactWorkspace(Workspace):
@@ -35,7 +39,8 @@ class ExactWorkspace(Workspace):
         self._base: QuadraticProgram | None = None
         self._referee: Referee | None = None
         self._step: QPStep | None = None
-        self._optimum: Optimum | None = None
+        self.optima: list[Optimum] = []
+        """The optimum of every solved step, in order."""
 
     def setup(self, qp: QuadraticProgram) -> None:
         """Take the constant matrices."""
@@ -53,12 +58,13 @@ class ExactWorkspace(Workspace):
     def solve(self) -> None:
         """Certify the optimum of the current step."""
         assert self._referee is not None and self._step is not None, "setup comes first"
-        self._optimum = self._referee.certify(self._step.q, self._step.l, self._step.u)
+        step = self._step
+        self.optima.append(self._referee.certify(step.q, step.l, step.u))
 
     def read(self) -> Solution:
         """The certified optimum, or the proof that there is none; without either an error."""
-        optimum = self._optimum
-        assert optimum is not None, "solve comes first"
+        assert self.optima, "solve comes first"
+        optimum = self.optima[-1]
         if optimum.kind == "infeasible":
             return Solution(Status.PRIMAL_INFEASIBLE, optimum.z, optimum.y, optimum.y_box, 0)
         if not np.isfinite(optimum.bound):
@@ -80,22 +86,43 @@ class ExactLoop:
     """The exactly solved loop of a scenario.
 
     theta (K, 16) : [x; y_ref; u_prev; 1] of each step; state (K + 1, 6); tau (K, 3); z (K, n).
+    optima : the certified optimum of each step in scaled units, so that no replay has to certify
+        the same QP again for every one of its arms.
     """
 
     theta: Matrix
     state: Matrix
     tau: Matrix
     z: Matrix
+    optima: list[Optimum]
 
     def save(self, path: Path) -> None:
         """Write to `path` (.npz)."""
-        np.savez(path, theta=self.theta, state=self.state, tau=self.tau, z=self.z)
+        certified: dict[str, NDArray[Any]] = {
+            name: np.array([getattr(optimum, name) for optimum in self.optima])
+            for name in _OF_OPTIMUM
+        }
+        np.savez(
+            path,
+            allow_pickle=False,
+            theta=self.theta,
+            state=self.state,
+            tau=self.tau,
+            z=self.z,
+            **{f"optimum_{name}": array for name, array in certified.items()},
+        )
 
     @classmethod
     def load(cls, path: Path) -> ExactLoop:
         """Read what `save` wrote."""
         with np.load(path, allow_pickle=False) as data:
-            return cls(**{name: data[name] for name in ("theta", "state", "tau", "z")})
+            z, y, y_box, bound, kind = (data[f"optimum_{name}"] for name in _OF_OPTIMUM)
+            optima = [
+                Optimum(z[k], y[k], y_box[k], float(bound[k]), cast(Kind, str(kind[k])))
+                for k in range(len(bound))
+            ]
+            arrays = {name: data[name] for name in ("theta", "state", "tau", "z")}
+        return cls(**arrays, optima=optima)
 
 
 def solve_exactly(scenario: Scenario) -> ExactLoop:
@@ -111,13 +138,14 @@ def solve_exactly(scenario: Scenario) -> ExactLoop:
     emitter = Emitter(scenario)
     log = RawLog.in_memory(loop_layout(scenario.steps, *emitter.sizes))
     base = base_problem(emitter.builder)
-    port = SolverPort(ExactWorkspace(), "condensed_box", base, time.perf_counter_ns)
+    workspace = ExactWorkspace()
+    port = SolverPort(workspace, "condensed_box", base, time.perf_counter_ns)
     closed_loop(Voyage(scenario, emitter, port, log, "shifted_plan", 2**62, time.perf_counter_ns))
     without = log.flags[:, 0].astype(bool) & (log.status[0] != Status.PRIMAL_INFEASIBLE)
     if without.any():
         k = int(np.flatnonzero(without)[0])
         raise CertificateError(f"{scenario.name}: step {k} has no certified optimum")
-    return ExactLoop(log.theta, log.state, log.tau, log.z[0])
+    return ExactLoop(log.theta, log.state, log.tau, log.z[0], workspace.optima)
 
 
 def base_problem(builder: CondensedQP) -> QuadraticProgram:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from dpbench.bench.horizons import Horizons, parse_horizons
 from dpbench.bench.qpbenchmark_files import save_qpbenchmark, with_optimum
 from dpbench.bench.recording import read_sequence, record, thinned
 from dpbench.bench.sequence_file import Recorded, certified, save_sequence
@@ -86,13 +86,13 @@ def _recorded(
     return replace(found_there, sequence=sequence, optima=certified(sequence))
 
 
-def _horizons(text: str | None) -> tuple[int, int] | None:
+def _horizons(text: str | None) -> Horizons | None:
     if text is None:
         return None
-    match = re.fullmatch(r"([0-9]{1,4})/([0-9]{1,4})", text)
-    if match is None:
-        raise InputError("--horizons", "", repr(text), "N_p/N_c, e.g. 30/5")
-    return int(match[1]), int(match[2])
+    try:
+        return parse_horizons(text)
+    except ValueError as error:
+        raise InputError("--horizons", "", repr(text), str(error)) from error
 
 
 def _described(recorded: Recorded) -> str:

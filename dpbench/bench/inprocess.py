@@ -74,7 +74,7 @@ def run_closed_loop(
         units=units,
         fallback=fallback,
     )
-    return _run(cell, workspace, grade_log(cell, log, solve_exactly(scenario)))
+    return _run(cell, workspace, port, grade_log(cell, log, solve_exactly(scenario)))
 
 
 def replay(
@@ -118,7 +118,7 @@ def replay(
         warmup_steps=min(warmup_steps, steps),
     )
     sample_s = float(sequence.meta.get("sample_s", float("nan")))
-    return _run(cell, workspace, grade_sequence(log, sequence, sample_s))
+    return _run(cell, workspace, port, grade_sequence(log, sequence, sample_s))
 
 
 def _check(key: str, found: str, allowed: tuple[str, ...]) -> None:
@@ -131,8 +131,8 @@ def _check_workspace(found: object) -> None:
         raise InputError("run", "workspace", repr(found), "a Workspace; see open_workspace")
 
 
-def _run(cell: Cell, workspace: Workspace, graded: Graded) -> Run:
+def _run(cell: Cell, workspace: Workspace, port: SolverPort, graded: Graded) -> Run:
     steps = step_rows("in-process", cell, graded)
-    outcome = Outcome("finished", "", workspace.form)
+    outcome = Outcome("finished", "", workspace.form, *port.size)
     row = run_row("in-process", cell, outcome, "", "", graded, steps)
     return Run(as_steps(steps), as_runs(pd.DataFrame([row])).iloc[0])

@@ -7,7 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from dpbench.bench.arms import CONTRAST, arms_of, choose_solvers
+from dpbench.bench.horizons import Horizons
 from dpbench.bench.planned import Planned, cell_of, random_cells, recorded_cells
+from dpbench.bench.recording import with_horizons
 from dpbench.bench.suite import ClosedLoopTable, ReplayTable, SuiteFile
 from dpbench.errors import InputError
 from dpbench.scenario import Scenario, load_scenario
@@ -37,11 +39,8 @@ def plan(
             allowed = ", ".join(dict.fromkeys(known)) or "none, the suite has no scenario"
             raise InputError("--scenario", "", repr(name), f"a scenario of the suite: {allowed}")
     loaded = {name: load_scenario(name, beside=beside) for name in dict.fromkeys(known)}
-    stems = [scenario.name for scenario in loaded.values()]
-    for stem in stems:
-        if stems.count(stem) > 1:
-            allowed = "files of different names, which tell their results apart"
-            raise InputError("suite", "scenarios", f"two scenarios called {stem!r}", allowed)
+    swept = _under_horizons(suite, loaded)
+    stems = _different_names([*loaded.values(), *swept.values()])
     wanted = set(scenarios) if scenarios else set(known)
     cells: list[Planned] = []
     for closed in suite.closed_loop:
@@ -49,13 +48,33 @@ def plan(
             if name in wanted:
                 cells += _closed_loop_cells(suite, closed, loaded[name], chosen)
     for replay in suite.replay:
-        if replay.scenario in wanted:
-            cells += _replay_cells(suite, replay, loaded[replay.scenario], chosen)
+        for pair in replay.pairs if replay.scenario in wanted else ():
+            name = replay.scenario
+            scenario = loaded[name] if pair is None else swept[name, pair]
+            cells += _replay_cells(suite, replay, scenario, chosen)
     if not scenarios:
         cells += recorded_cells(suite, chosen, beside, taken=stems)
     for table in suite.random if not scenarios else ():
         cells += random_cells(suite, table, chosen)
     return _merged(cells)
+
+
+def _different_names(scenarios: Sequence[Scenario]) -> list[str]:
+    """Their names; InputError when two have the same."""
+    stems = [scenario.name for scenario in scenarios]
+    for stem in stems:
+        if stems.count(stem) > 1:
+            allowed = "files of different names, which tell their results apart"
+            raise InputError("suite", "scenarios", f"two scenarios called {stem!r}", allowed)
+    return stems
+
+
+def _under_horizons(
+    suite: SuiteFile, loaded: dict[str, Scenario]
+) -> dict[tuple[str, Horizons], Scenario]:
+    """The scenarios of the replays under each pair of horizons that a table asks for."""
+    asked = {(table.scenario, pair) for table in suite.replay for pair in table.pairs if pair}
+    return {(name, pair): with_horizons(loaded[name], *pair) for name, pair in sorted(asked)}
 
 
 def _merged(cells: Sequence[Planned]) -> list[Planned]:

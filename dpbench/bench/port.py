@@ -36,6 +36,12 @@ class SolverPort:
         """Updates so far with which the workspace took over new matrices."""
         return self._workspace.matrix_updates
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """n and m of the QP in the formulation the solver gets."""
+        qp = self._stacked or self._base
+        return qp.n, qp.m
+
     def prepare(self) -> int:
         """Set up before the first step; the time it took [ns], −1 when steps do it themselves."""
         if self._workspace.setup_every_step:

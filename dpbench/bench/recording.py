@@ -57,7 +57,7 @@ def with_horizons(scenario: Scenario, N_p: int, N_c: int) -> Scenario:
     controller = files["scenario"]["controller"]
     controller["prediction_horizon"], controller["control_horizon"] = N_p, N_c
     files["name"] = f"{scenario.name}-{N_p}-{N_c}"
-    return scenario_of(files, where=f"{scenario.name} with --horizons {N_p}/{N_c}")
+    return scenario_of(files, where=f"{scenario.name} with horizons {N_p}/{N_c}")
 
 
 def thinned(sequence: QPSequence, steps: int | None, every: int = 1) -> QPSequence:

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 DType = Literal["str", "bool", "int32", "int64", "Int64", "float64"]
 Columns = dict[str, tuple[DType, str]]
@@ -85,6 +85,10 @@ IDENTITY_COLUMNS: Columns = {
     "settings": ("str", "name of the settings"),
     "formulation": ("str", "condensed_box | condensed_stacked | none"),
     "form": ("str", "dense | csc: what the library was given"),
+    "N_p": ("Int64", "prediction horizon; null without a ship"),
+    "N_c": ("Int64", "control horizon; null without a ship"),
+    "n": ("Int64", "variables of the QP the solver was given; null where it never got one"),
+    "m": ("Int64", "its rows, in stacked form the stacked ones, without the box"),
     "units": ("str", "scaled | si"),
     "seed": ("int64", "seed of the order of replay rounds"),
     "outcome": ("str", "finished | crashed | timed_out | refused | invalid"),

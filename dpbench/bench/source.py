@@ -16,6 +16,7 @@ from typing import Any, Protocol
 from dpbench.bench.cell import Cell
 from dpbench.bench.exact import ExactLoop, sequence_of, solve_exactly
 from dpbench.bench.recording import digest, read_sequence
+from dpbench.bench.schema import SCHEMA_VERSION
 from dpbench.bench.sequence_file import certified, load_recorded, save_sequence
 from dpbench.errors import InputError
 from dpbench.qp.certify import Optimum
@@ -63,7 +64,9 @@ def source_of(cell: Cell) -> Source:
 
 def source_key(cell: Cell, harness_version: str) -> str:
     """Cells with the same key share one file."""
-    text = json.dumps([cell.source or cell.scenario, harness_version], sort_keys=True)
+    text = json.dumps(
+        [cell.source or cell.scenario, harness_version, SCHEMA_VERSION], sort_keys=True
+    )
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
@@ -96,7 +99,8 @@ class _Loop:
         sequence = sequence_of(
             scenario, exact, units=cell.units, first=cell.first, count=cell.steps
         )
-        return Replayed(sequence, scenario.sample_s, None)
+        last = cell.first + cell.steps
+        return Replayed(sequence, scenario.sample_s, exact.optima[cell.first : last])
 
 
 @dataclass(frozen=True, eq=False)

@@ -106,12 +106,6 @@ def load_results(out: str | Path) -> Results:
             raise ResultsError(str(folder / "suite.json"), name, found, "the same; run again")
     if "id" not in results.machine:
         raise ResultsError(str(folder / "machine.json"), "id", "nothing", "a machine description")
-    versions = set(results.runs["schema"].unique().tolist())
-    if versions - {SCHEMA_VERSION}:
-        found = f"schema {sorted(versions)}"
-        raise ResultsError(
-            str(folder / "runs.parquet"), "schema", found, f"schema {SCHEMA_VERSION}"
-        )
     return results
 
 
@@ -125,6 +119,12 @@ def _read_table(folder: Path, name: str) -> pd.DataFrame:
         raise ResultsError(
             str(path), "", f"a damaged file ({str(error)[:120]})", "a parquet table; run again"
         ) from error
+    if "schema" in frame:
+        versions = set(frame["schema"].unique().tolist())
+        if versions - {SCHEMA_VERSION}:
+            # Said before its columns are looked at: those of another schema are others.
+            found, allowed = f"schema {sorted(versions)}", f"schema {SCHEMA_VERSION}; run again"
+            raise ResultsError(str(path), "schema", found, allowed)
     missing = sorted(set(TABLES[name]) - set(frame.columns))
     if missing:
         named = ", ".join(missing[:3]) + (", …" if len(missing) > 3 else "")

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
+from dpbench.bench.horizons import Horizons, different_horizons, parse_horizons
 from dpbench.problem_files import FileModel, problem_path, read_model
 from dpbench.qp.random_recipe import RandomRecipe
 
@@ -53,9 +54,13 @@ class ClosedLoopTable(FileModel):
 
 
 class ReplayTable(FileModel):
-    """Identical QPs, recorded along the exactly solved loop, through every solver."""
+    """Identical QPs, recorded along the exactly solved loop, through every solver.
+
+    With `horizons` ("30/5") the scenario is run under each of them instead of those of its tuning.
+    """
 
     scenario: str
+    horizons: Annotated[list[str], AfterValidator(different_horizons)] = []
     first: Count = 0
     steps: Count = 0
     units: list[UnitName] = ["scaled"]
@@ -63,6 +68,11 @@ class ReplayTable(FileModel):
     routes: list[RouteName] = ["default"]
     policies: list[PolicyName] = ["fresh"]
     formulation: FormulationName = "condensed_box"
+
+    @property
+    def pairs(self) -> list[Horizons | None]:
+        """The horizons to run under; None for those of the tuning."""
+        return [parse_horizons(text) for text in self.horizons] or [None]
 
 
 class RandomTable(FileModel):

@@ -27,11 +27,16 @@ Task = TypeVar("Task")
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a process: `outcome` as in `runs.parquet`, its cause, the solver's form."""
+    """What became of a process: `outcome` as in `runs.parquet`, its cause, the solver's form.
+
+    n, m : size of the QP the solver was given; None where it never got one.
+    """
 
     outcome: str
     detail: str
     form: str = ""
+    n: int | None = None
+    m: int | None = None
 
 
 def template_context() -> ForkServerContext:

@@ -69,9 +69,12 @@ def write_verdict(path: Path, verdict: dict[str, Any]) -> None:
     part.replace(path)
 
 
-def verdict_of(outcome: str, detail: str, form: str = "") -> dict[str, Any]:
-    """A verdict in the words that the supervisor reads."""
-    return {"outcome": outcome, "detail": detail, "form": form}
+def verdict_of(
+    outcome: str, detail: str, form: str = "", size: tuple[int, int] | None = None
+) -> dict[str, Any]:
+    """A verdict in the words that the supervisor reads; `size` is n and m of the solver's QP."""
+    n, m = size or (None, None)
+    return {"outcome": outcome, "detail": detail, "form": form, "n": n, "m": m}
 
 
 def _open(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Workspace | None:
@@ -116,9 +119,8 @@ def run_closed_loop_cell(text: str, folder: Path, name: str, core: int) -> None:
     if not complete:
         stop = f"stopped after {cell.limit_s:g} s with {int(log.done[0])} steps"
         detail = f"{stop}; {detail}" if detail else stop
-    write_verdict(
-        verdict_path, verdict_of("finished" if complete else "timed_out", detail, workspace.form)
-    )
+    ended = "finished" if complete else "timed_out"
+    write_verdict(verdict_path, verdict_of(ended, detail, workspace.form, port.size))
 
 
 def run_replay_cell(
@@ -170,7 +172,8 @@ def _replay_verdict(
     if not complete:
         stop = f"stopped after {cell.limit_s:g} s in round {int((log.done > 0).sum()) - 1}"
         detail = f"{stop}; {detail}" if detail else stop
-    return verdict_of("finished" if complete else "timed_out", detail, workspace.form)
+    ended = "finished" if complete else "timed_out"
+    return verdict_of(ended, detail, workspace.form, port.size)
 
 
 def run_replay_chain(links: Sequence[Link], folder: Path, core: int) -> None:

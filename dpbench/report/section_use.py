@@ -8,6 +8,7 @@ from dpbench.report.blocks import Block, Bullets, Paragraph, Picture, Section, T
 from dpbench.report.demand import Demand
 from dpbench.report.figures_use import step_down
 from dpbench.report.formats import plural
+from dpbench.report.sweep import between_ends, sweeps
 from dpbench.report.table import Table, row_of
 from dpbench.report.tables_timing import is_right
 from dpbench.report.tables_use import kept_table, ladder_table, missing_table
@@ -26,11 +27,18 @@ INTRODUCTION = (
 MORE = f"measurably and more than {100 * SLOWER_SHARE:g} %"
 
 
+ENDS_ONLY = "Of a horizon sweep this section holds the shortest and the longest horizons."
+
+
 def use_section(view: View, demand: Demand) -> Section:
     """What the wrapper costs, and what a kept workspace and a warm start bring or break."""
     section = Section("use", "As a controller would use it")
     section.add(Paragraph(INTRODUCTION))
-    every = {sequence: ways_of(view, sequence) for sequence in view.sequences}
+    repeated = between_ends(sweeps(view, demand))
+    shown = [sequence for sequence in view.sequences if sequence not in repeated]
+    if repeated:
+        section.add(Paragraph(ENDS_ONLY))
+    every = {sequence: ways_of(view, sequence) for sequence in shown}
     native = {sequence: native_ways(ways) for sequence, ways in every.items()}
     if not any(WRAPPED in w.times for ways in native.values() for w in ways):
         section.add(missing("no solver was replayed both natively and through qpsolvers."))

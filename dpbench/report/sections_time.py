@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular, missing
 from dpbench.report.demand import Demand
 from dpbench.report.figures import error_against_time, step_times, unanswered
 from dpbench.report.formats import and_list, plural
+from dpbench.report.sweep import between_ends, sweeps
 from dpbench.report.tables_timing import Arm, jitter_table, timed_arms, timing_tables
 from dpbench.report.view import View
+
+ENDS_ONLY = (
+    "Of a horizon sweep the shortest and the longest horizons stand here in full and those between "
+    "are folded; how times grow from one to the next is said in the section on the horizon."
+)
 
 
 def timing_section(view: View, demand: Demand) -> Section:
@@ -22,10 +29,15 @@ def timing_section(view: View, demand: Demand) -> Section:
         )
     )
     found = False
+    repeated = between_ends(sweeps(view, demand))
+    if repeated:
+        section.add(Paragraph(ENDS_ONLY))
     for sequence in view.sequences:
         ranked, raw = timing_tables(view, sequence, demand), jitter_table(view, sequence)
         if raw is not None:
             found = True
+            if sequence in repeated:
+                ranked = [replace(table, folded=True) for table in ranked]
             section.add(*(Tabular(table) for table in ranked), Tabular(raw))
     if not found:
         section.add(missing("no replay left a step, so no time is given."))
@@ -35,9 +47,10 @@ def timing_section(view: View, demand: Demand) -> Section:
 def timing_pictures(view: View, demand: Demand) -> list[Block]:
     """Distributions and error against time, per replayed sequence."""
     blocks: list[Block] = []
+    repeated = between_ends(sweeps(view, demand))
     for i, sequence in enumerate(view.sequences):
         arms = timed_arms(view, sequence)
-        if not arms:
+        if not arms or sequence in repeated:
             continue
         usual = [arm for arm in arms if arm[0]["settings"] == "default"] or arms
         shown = _two_of_each(usual)

@@ -13,6 +13,7 @@ from typing import Any, cast
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -138,9 +139,19 @@ def log_x(ax: Axes) -> None:
 def log_time(ax: Axes) -> None:
     """A logarithmic x axis of times, labelled 10, 20, 50, 100 in plain numbers."""
     ax.set_xscale("log")
-    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.6g}".replace(",", " ")))
-    ax.xaxis.set_minor_formatter(NullFormatter())
+    _plain_times(ax.xaxis, (1.0, 2.0, 5.0))
+
+
+def log_time_y(ax: Axes) -> None:
+    """A logarithmic y axis of times, labelled 1, 10, 100 in plain numbers."""
+    ax.set_yscale("log")
+    _plain_times(ax.yaxis, (1.0,))
+
+
+def _plain_times(axis: Axis, steps: tuple[float, ...]) -> None:
+    axis.set_major_locator(LogLocator(subs=steps))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.6g}".replace(",", " ")))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def log_y(ax: Axes) -> None:

@@ -19,7 +19,7 @@ from dpbench.scenario import Scenario, scenario_of
 
 Row = Mapping[str, Any]
 """One row of `runs.parquet` with more of it: `default_route`, whether it runs on its solver's own;
-`family`, `n` and `m` of a random sequence, the family empty for every other row."""
+`family`, `n` and `m` as drawn of a random sequence, the family empty for every other row."""
 
 PHASES = ("setup", "update", "solve", "read")
 
@@ -186,7 +186,7 @@ def _random(row: Row) -> dict[str, Any]:
     described = row["mode"] == "replay" and not row["scenario"] and row["cell"]
     source = json.loads(row["cell"]).get("source", {}) if described else {}
     if source.get("kind") != "random":
-        return {"family": "", "n": 0, "m": 0}
+        return {"family": ""}
     recipe = source["recipe"]
     return {"family": str(recipe["family"]), "n": int(recipe["n"]), "m": int(recipe["m"])}
 

@@ -11,6 +11,7 @@ from dpbench.report.demand import Demand
 from dpbench.report.formats import as_float, time_text
 from dpbench.report.render import render_html, render_markdown
 from dpbench.report.section_design import design_section
+from dpbench.report.section_horizon import horizon_section
 from dpbench.report.section_random import random_lines, random_section
 from dpbench.report.section_reading import reading_section
 from dpbench.report.section_solvers import solvers_section
@@ -79,6 +80,7 @@ def build_page(results: Results, designs: Designs | None = None) -> Page:
 def _sections(view: View, demand: Demand, designs: Designs | None) -> list[Section]:
     """All sections; of records without a ship, those that have something to say."""
     claims = random_section(view)
+    horizon = horizon_section(view, demand)
     design = [design_section(designs)] if designs is not None else []
     found = [claims] if claims is not None else []
     if found and not view.runs:
@@ -91,6 +93,7 @@ def _sections(view: View, demand: Demand, designs: Designs | None) -> list[Secti
         *found,
         timing_section(view, demand),
         use_section(view, demand),
+        *([horizon] if horizon is not None else []),
         figures_section(view, demand),
         control_section(view),
         *design,

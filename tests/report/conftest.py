@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.bench.schema import as_runs, as_steps
+from dpbench.bench.schema import SCHEMA_VERSION, as_runs, as_steps
 from dpbench.bench.store import Results, write_results
 from dpbench.report.view import View
 from dpbench.scenario import Scenario, load_scenario
@@ -81,7 +81,7 @@ class Records:
             "seed": 0,
             "steps_planned": 0,
             "steps_done": 0,
-            "schema": 1,
+            "schema": SCHEMA_VERSION,
             "cell": json.dumps({"scenario": self.scenario(scenario).files}),
             "claimed_share": 1.0,
             "claimed_not_true": 0,

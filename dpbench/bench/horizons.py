@@ -1,0 +1,28 @@
+"""Horizons as a person writes them: "N_p/N_c", e.g. 30/5."""
+
+from __future__ import annotations
+
+import re
+
+Horizons = tuple[int, int]
+"""N_p and N_c."""
+
+
+def parse_horizons(text: str) -> Horizons:
+    """(N_p, N_c) of "30/5"; ValueError that says what is allowed."""
+    match = re.fullmatch(r"([0-9]{1,4})/([0-9]{1,4})", text)
+    N_p, N_c = (int(match[1]), int(match[2])) if match else (0, 0)
+    if not 1 <= N_c <= N_p:
+        raise ValueError("N_p/N_c with N_c from 1 to N_p, e.g. 30/5")
+    return N_p, N_c
+
+
+def different_horizons(texts: list[str]) -> list[str]:
+    """`texts` as they are; ValueError for one that is malformed or there twice."""
+    seen: set[Horizons] = set()
+    for text in texts:
+        pair = parse_horizons(text)
+        if pair in seen:
+            raise ValueError(f"each pair of horizons once, {text} is there twice")
+        seen.add(pair)
+    return texts

@@ -1,0 +1,124 @@
+"""The figure of the horizon sweep: step time against the number of moves, logarithmic on both."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FixedLocator, NullLocator
+from scipy.optimize import isotonic_regression
+
+from dpbench.report.statistics import Floats
+from dpbench.report.style import (
+    FAMILY_COLOURS,
+    GREY,
+    colour_of,
+    family_of,
+    log_time_y,
+    new_figure,
+)
+from dpbench.report.sweep import Horizons, Sweep, SweptArm, moves_of
+
+ROOM = 1.9
+"""So many times the largest n fits on the axis, for the names at the ends of the lines."""
+LINE_PT, OFFSET_PT = 9.0, 18.0
+"""Height of a name, and how far right of its line it stands."""
+
+
+def growth_figure(sweep: Sweep, arms: Sequence[SweptArm]) -> Figure:
+    """Median step time of the arms against n, a panel per formulation with axes in common."""
+    forms = list(dict.fromkeys(arm.formulation for arm in arms))
+    figure = new_figure(8.2, 1.0 + 5.0 * len(forms))
+    panels = figure.subplots(len(forms), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+    for ax, form in zip(panels, forms, strict=True):
+        mine = [arm for arm in arms if arm.formulation == form]
+        for arm in mine:
+            _line(ax, arm)
+        ax.set_title(form.replace("_", " "))
+        ax.set_ylabel("median step time [µs]")
+    _axes(panels[-1], sweep.horizons)
+    present = {family_of(arm.solver) for arm in arms}
+    marks = [
+        Line2D([], [], color=colour, marker="o", ms=4.5, label=name)
+        for name, colour in FAMILY_COLOURS.items()
+        if name in present
+    ]
+    hollow = Line2D(
+        [], [], marker="o", color=GREY, mfc="white", ls="", label="an answer misses the demand"
+    )
+    figure.legend(handles=[*marks, hollow], loc="outside lower center", ncols=4)
+    figure.draw_without_rendering()
+    for ax, form in zip(panels, forms, strict=True):
+        _names(ax, [arm for arm in arms if arm.formulation == form])
+    return figure
+
+
+def _spots(arm: SweptArm) -> list[tuple[float, float, bool]]:
+    """n, median [µs] and whether the answers are right, the shortest horizons first."""
+    found = [(moves_of(h), p.median_ns / 1e3, p.right) for h, p in arm.timed.items()]
+    return sorted(found)
+
+
+def _line(ax: Axes, arm: SweptArm) -> None:
+    colour, spots = colour_of(arm.solver), _spots(arm)
+    ax.plot([n for n, _, _ in spots], [t for _, t, _ in spots], color=colour, lw=1.0, alpha=0.8)
+    for n, t, right in spots:
+        ax.plot(n, t, "o", color=colour, mfc=colour if right else "white", ms=4.5, zorder=3)
+
+
+def _axes(ax: Axes, horizons: Sequence[Horizons]) -> None:
+    ticks: dict[int, list[str]] = {}
+    for N_p, N_c in horizons:
+        ticks.setdefault(moves_of((N_p, N_c)), []).append(f"{N_p}/{N_c}")
+    ax.set_xscale("log")
+    log_time_y(ax)
+    ax.xaxis.set_major_locator(FixedLocator(list(ticks)))
+    ax.xaxis.set_minor_locator(NullLocator())
+    ax.set_xticks(list(ticks), ["\n".join([str(n), *names]) for n, names in ticks.items()])
+    ax.set_xlim(min(ticks) / 1.15, max(ticks) * ROOM)
+    ax.set_xlabel("moves n in a plan, and horizons N_p/N_c")
+
+
+def _names(ax: Axes, arms: Sequence[SweptArm]) -> None:
+    """The name of each solver right of the end of its line, names of one column kept apart.
+
+    The limits and scales of `ax` must be final, and its layout drawn once.
+    """
+    columns: dict[float, list[tuple[float, str]]] = {}
+    for arm in arms:
+        if arm.timed:
+            n, t, _ = _spots(arm)[-1]
+            columns.setdefault(n, []).append((t, arm.solver))
+    scale = 72.0 / ax.get_figure(root=True).dpi  # type: ignore[union-attr] # axes of a figure have one
+    for n, ends in columns.items():
+        ends.sort()
+        heights = ax.transData.transform([(n, t) for t, _ in ends])[:, 1] * scale
+        for (t, solver), shift in zip(ends, kept_apart(heights, LINE_PT) - heights, strict=True):
+            ax.annotate(
+                solver,
+                (n, t),
+                xytext=(OFFSET_PT, shift),
+                textcoords="offset points",
+                va="center",
+                fontsize=7.5,
+                color=colour_of(solver),
+                bbox={"boxstyle": "square,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.7},
+                arrowprops={
+                    "arrowstyle": "-",
+                    "color": colour_of(solver),
+                    "lw": 0.5,
+                    "relpos": (0.0, 0.5),
+                    "shrinkA": 0,
+                    "shrinkB": 3,
+                },
+            )
+
+
+def kept_apart(places: Floats, gap: float) -> Floats:
+    """The places nearest to these ascending ones (least squares) that are `gap` apart at least."""
+    steps = gap * np.arange(len(places))
+    found: Floats = isotonic_regression(places - steps).x + steps
+    return found

@@ -1,0 +1,95 @@
+"""The section on the horizon sweep: how step times grow with the number of moves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular
+from dpbench.report.demand import Demand
+from dpbench.report.figures_horizon import growth_figure
+from dpbench.report.formats import interval_text, plural, significant, time_text
+from dpbench.report.statistics import Interval
+from dpbench.report.sweep import Horizons, Sweep, SweptArm, moves_of, sweeps
+from dpbench.report.tables_horizon import growth_table, horizons_text
+from dpbench.report.view import View
+
+INTRODUCTION = (
+    "The same scenario under longer and longer horizons: a plan of N_c moves has n = 3 N_c "
+    "variables in condensed form, whose matrices are dense, while the sparse form has more "
+    "variables and few entries. Each horizon has an exactly solved loop of its own, so solvers "
+    "get identical QPs at each horizon and different ones from horizon to horizon."
+)
+
+
+def horizon_section(view: View, demand: Demand) -> Section | None:
+    """Growth with the horizon; None where no scenario was replayed under two horizons."""
+    found = [sweep for sweep in sweeps(view, demand) if any(arm.timed for arm in sweep.arms)]
+    if not found:
+        return None
+    section = Section("horizon", "Horizon")
+    section.add(Paragraph(INTRODUCTION))
+    for i, sweep in enumerate(found):
+        section.add(*_blocks(i, sweep))
+    return section
+
+
+def _blocks(i: int, sweep: Sweep) -> list[Block]:
+    best = [arm for arm in sweep.best_arms if arm.timed]
+    every = sorted(sweep.arms, key=lambda a: (a.solver, a.formulation, a.way))
+    forms = " and ".join(form.replace("_", " ") for form in sweep.formulations)
+    picture = Picture(
+        f"horizon_{i + 1}",
+        f"Step time against the number of moves in {sweep.name}",
+        f"Median over {plural(sweep.steps, 'step')} of the algorithmic step time, {forms}; of each "
+        "solver the way that is right at most horizons, and of these the fastest at the longest. "
+        "A line ends at the longest horizon at which every step was done in the cell's time. "
+        "Hollow: an answer misses the demand.",
+        growth_figure(sweep, best),
+    )
+    return [
+        Paragraph(" ".join(_summary(sweep, best))),
+        picture,
+        Tabular(growth_table(sweep, best)),
+        Tabular(growth_table(sweep, every, every=True)),
+    ]
+
+
+def _summary(sweep: Sweep, best: Sequence[SweptArm]) -> list[str]:
+    """Who is fastest at either end, and whose time grows least."""
+    ends = (sweep.horizons[0], sweep.horizons[-1])
+    words = [text for h in ends if (text := _fastest(best, h))]
+    grown = [
+        (arm, growth)
+        for arm in best
+        if arm.right and len(arm.timed) == len(sweep.horizons) and (growth := arm.growth)
+    ]
+    if grown:
+        grown.sort(key=lambda found: found[1].exponent.value)
+        among = "Of the arms that are right at every horizon"
+        said = [_growth_text(arm, growth.exponent) for arm, growth in grown]
+        words.append(
+            f"{among}, the time grows least with {said[0]}"
+            + (f" and most with {said[-1]}." if len(said) > 1 else ".")
+        )
+    return [f"Scenario `{sweep.name}`, {plural(sweep.steps, 'step')} a horizon.", *words]
+
+
+def _fastest(best: Sequence[SweptArm], horizons: Horizons) -> str:
+    right = [arm for arm in best if horizons in arm.timed and arm.timed[horizons].right]
+    if not right:
+        return ""
+    first = min(right, key=lambda arm: arm.timed[horizons].median_ns)
+    return (
+        f"At {horizons_text(horizons)} (n = {moves_of(horizons)}) the fastest of "
+        f"{plural(len(right), 'arm')} whose answers meet the demand is **{first.solver}** "
+        f"({_how(first)}), {time_text(first.timed[horizons].median_ns)}."
+    )
+
+
+def _how(arm: SweptArm) -> str:
+    return f"{arm.formulation.replace('_', ' ')}, {arm.way}"
+
+
+def _growth_text(arm: SweptArm, exponent: Interval) -> str:
+    interval = interval_text(exponent.low, exponent.high)
+    return f"**{arm.solver}** ({_how(arm)}), like n to the {significant(exponent.value)} {interval}"
