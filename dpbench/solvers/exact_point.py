@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
-from math import inf
+from math import inf, nan
 
 import numpy as np
 import scipy.linalg
@@ -20,7 +20,8 @@ from dpbench.qp.dyadic import Dyadic, Whole, solve_integer
 from dpbench.qp.gap import independent, met
 from dpbench.qp.joint import JointQP
 from dpbench.qp.program import Matrix, Vector
-from dpbench.solvers.active_set_check import EPSILON
+from dpbench.solvers.active_set_check import EPSILON, STEEP
+from dpbench.solvers.pinned import apart
 
 LARGEST = 40
 """Equations to be solved in exact arithmetic, which takes 0.1 s for as many."""
@@ -28,6 +29,8 @@ LARGEST = 40
 
 def error_bound(problem: JointQP, z: Vector, lam: Vector) -> float:
     """A bound of max_i |z_i − z*_i|; inf where no z′ is found or λ names a limit there is not.
+
+    NaN where there are more than `LARGEST` equations.
 
     Parameters
     ----------
@@ -41,12 +44,20 @@ def error_bound(problem: JointQP, z: Vector, lam: Vector) -> float:
         return inf
     held = np.flatnonzero(independent(problem.C, signs, np.sign(lam).astype(np.int8)))
     if len(held) > LARGEST:
-        return inf
+        return nan
     exact = _Moved.onto(problem, z, held, limit)
     if exact is None or not exact.feasible(near):
         return inf
     gap = sum(abs(lam[i]) * abs(exact.above(i, limit[i])) for i in near[lam[near] != 0.0])
     return _distance(problem, z, lam, float(gap)) + exact.size()
+
+
+def is_regular(problem: JointQP, z: Vector) -> bool:
+    """Whether the limits that z meets are at angles of more than `STEEP` to one another.
+
+    Then rounding moves the vertex they make by little, and there is a z′ near z.
+    """
+    return apart(problem.C[met(problem, z) != 0], STEEP)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,6 +8,8 @@ conditions of `active_set_check.py`, or whose place rounding decides (`sensitivi
 
 from __future__ import annotations
 
+from math import inf
+
 import numpy as np
 
 from dpbench.qp.joint import JointQP
@@ -17,7 +19,7 @@ from dpbench.solvers import active_set_layout as layout
 from dpbench.solvers.active_set_kernel import excess_of, solve_step
 from dpbench.solvers.careful_active_set import solve_carefully
 from dpbench.solvers.compiled_workspace import CompiledWorkspace
-from dpbench.solvers.exact_point import error_bound
+from dpbench.solvers.exact_point import error_bound, is_regular
 from dpbench.solvers.pinned import determined
 from dpbench.solvers.proof import cleaned, contradicts
 from dpbench.solvers.sensitivity import WRONG, is_sensitive, unit_of
@@ -96,10 +98,12 @@ class PaperActiveSet(CompiledWorkspace):
         assert self._S is not None
         if not determined(qp):
             return "rows with equal limits depend on one another but for rounding"
-        if not is_sensitive(self._S, qp):
+        posed, sensitive = JointQP.of(qp), is_sensitive(self._S, qp)
+        if not sensitive and is_regular(posed, self._z):
             return ""
-        multipliers = np.concatenate([self._y, self._y_box])
-        if error_bound(JointQP.of(qp), self._z, multipliers) <= WRONG * unit_of(qp).min():
+        bound = error_bound(posed, self._z, np.concatenate([self._y, self._y_box]))
+        # A point that satisfies all limits to the last bit is asked for where it can be found.
+        if bound <= WRONG * unit_of(qp).min() or (bound != inf and not sensitive):
             return ""
         return "where the optimum is depends on the rounding of limits"
 

@@ -40,6 +40,15 @@ def determined(qp: QuadraticProgram) -> bool:
     return _redundant(both[order[:rank]], both[order[rank:]])
 
 
+def apart(rows: Matrix, share: float) -> bool:
+    """Whether no row is a combination of others, but for that share of its length or less."""
+    rows = rows[rows.any(axis=1)]
+    if len(rows) > rows.shape[1]:
+        return False
+    R = scipy.linalg.qr((rows.T / np.linalg.norm(rows, axis=1)), mode="r", pivoting=True)[0]
+    return bool((np.abs(np.diagonal(R)) > share).all())
+
+
 def _redundant(basis: Matrix, rest: Matrix) -> bool:
     """Whether the rows of `rest` are exact combinations of those of `basis`, limits included."""
     Q, R = np.linalg.qr(basis[:, :-1].T)

@@ -12,7 +12,6 @@ moved out.
 from __future__ import annotations
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 from dpbench.qp.joint import JointQP
@@ -22,7 +21,7 @@ from dpbench.solvers.active_set_check import EPSILON
 from dpbench.solvers.active_set_factor import VIOLATED
 from dpbench.solvers.active_set_kernel import solve_step
 from dpbench.solvers.careful_active_set import solve_carefully
-from dpbench.solvers.pinned import INDEPENDENT
+from dpbench.solvers.pinned import INDEPENDENT, apart
 
 MOVED = 2e4
 """Enough for a dependent row that is violated by as much to be seen as a contradiction."""
@@ -111,16 +110,9 @@ def _reach(posed: JointQP, z: Vector, unit: Vector) -> Vector | None:
     narrow = room < far
     if (violation > OFF * rounding)[narrow].any():
         return None
-    if (room[narrow] > 0.0).any() and not _independent(posed.C[narrow]):
+    if (room[narrow] > 0.0).any() and not apart(posed.C[narrow], INDEPENDENT):
         return None
     return np.minimum(far, room)
-
-
-def _independent(rows: Matrix) -> bool:
-    """Whether no row is a combination of others, but for less than `INDEPENDENT` of its length."""
-    length = np.linalg.norm(rows, axis=1)
-    R = scipy.linalg.qr(rows.T / length, mode="r", pivoting=True)[0]
-    return len(rows) <= rows.shape[1] and bool(np.abs(np.diagonal(R)).min() > INDEPENDENT)
 
 
 def _push(posed: JointQP, z: Vector, lam: Vector, inverse: Matrix) -> Vector:
