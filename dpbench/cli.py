@@ -30,7 +30,11 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, parser_class=_Parser)
     run = commands.add_parser("run", help="run a suite and write its report")
     run.add_argument("suite", nargs="?", help="a suite by name, or a TOML file")
-    run.add_argument("--sequence", metavar="PATH", help="instead: a .npz, or a folder of problems")
+    run.add_argument(
+        "--sequence",
+        metavar="S",
+        help="instead: a stored sequence, a .npz, or a folder",
+    )
     run.add_argument("--out", help="result folder (default: results/<suite>)")
     run.add_argument("--solver", action="append", metavar="S", help="only this solver; repeatable")
     run.add_argument("--scenario", action="append", metavar="N", help="only this scenario")
@@ -42,9 +46,14 @@ def _parser() -> argparse.ArgumentParser:
     report.add_argument("dir", help="a folder written by `dpbench run`")
     report.set_defaults(call=_report)
     export = commands.add_parser("export", help="write QPs with certified optima for others")
-    export.add_argument("what", help="a scenario, a sequence (.npz) or a folder of problems")
+    export.add_argument(
+        "what", nargs="?", help="a scenario, a sequence (by name or .npz) or a folder of problems"
+    )
+    export.add_argument("--all", action="store_true", help="instead: all stored sequences anew")
     export.add_argument("--format", default="npz", help="npz (default) or qpbenchmark")
-    export.add_argument("--out", required=True, metavar="PATH", help="the file to write")
+    export.add_argument(
+        "--out", metavar="PATH", help="the file to write; of --all a folder (results/sequences)"
+    )
     export.add_argument("--horizons", metavar="N_p/N_c", help="instead of the tuning's")
     export.add_argument("--steps", type=int, metavar="N", help="only the first N steps")
     export.add_argument("--every", type=int, default=1, metavar="K", help="each K-th of them")
@@ -63,10 +72,11 @@ def _parser() -> argparse.ArgumentParser:
     hunt.add_argument("--solver-module", metavar="FILE.py", help="a plug-in that brings the solver")
     hunt.set_defaults(call=_hunt)
     listing = commands.add_parser("list", help="what there is")
-    listing.add_argument("what", choices=("vessels", "scenarios", "suites", "solvers"))
+    kinds = ("vessels", "scenarios", "suites", "sequences", "solvers")
+    listing.add_argument("what", choices=kinds)
     listing.set_defaults(call=_list)
-    check = commands.add_parser("check", help="check a vessel, scenario or suite file")
-    check.add_argument("file", help="a TOML file")
+    check = commands.add_parser("check", help="check a vessel, scenario, suite or sequence file")
+    check.add_argument("file", help="a TOML file, or a .npz whose every step is certified anew")
     check.set_defaults(call=_check)
     return parser
 
@@ -97,9 +107,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 class _Bar:
-    """A progress bar with the time left, fed by the campaign."""
+    """A progress bar with the time left, fed by the campaign; a transient one leaves no line."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, transient: bool = False) -> None:
         from rich.progress import (
             BarColumn,
             Progress,
@@ -115,6 +125,8 @@ class _Bar:
             TimeElapsedColumn(),
             TextColumn("left"),
             TimeRemainingColumn(),
+            transient=transient,
+            disable=transient and not sys.stdout.isatty(),
         )
         self._task = self._progress.add_task("starting", total=None)
 
@@ -178,8 +190,16 @@ def _say_verdict(out: Any, page: Any) -> None:
 
 
 def _export(arguments: argparse.Namespace) -> int:
-    from dpbench.bench.export import export
+    from dpbench.bench.export import check_asked, export
 
+    check_asked(vars(arguments))
+    if arguments.all:
+        from dpbench.bench.stored import regenerate
+
+        with _Bar(transient=True) as bar:
+            said = regenerate(arguments.out or "results/sequences", progress=bar)
+        print(said)
+        return 0
     print(
         export(
             arguments.what,
@@ -230,5 +250,7 @@ def _list(arguments: argparse.Namespace) -> int:
 def _check(arguments: argparse.Namespace) -> int:
     from dpbench.listing import check_file
 
-    print(check_file(arguments.file))
+    with _Bar(transient=True) as bar:
+        said = check_file(arguments.file, bar)
+    print(said)
     return 0

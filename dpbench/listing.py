@@ -4,23 +4,34 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
 from dpbench.bench.plan import plan
+from dpbench.bench.running import Progress
+from dpbench.bench.sequence_file import active_set, load_recorded
 from dpbench.bench.suite import load_suite
+from dpbench.bench.verify import verify_sequence
 from dpbench.errors import InputError
-from dpbench.problem_files import KINDS, problem_names, problem_path, read_toml
+from dpbench.problem_files import (
+    KINDS,
+    SEQUENCES,
+    is_stored,
+    problem_names,
+    problem_path,
+    read_toml,
+    sequence_path,
+)
 from dpbench.scenario import load_scenario, load_vessel
 from dpbench.solvers.settings import describe_ladder
 from dpbench.solvers.table import available, record, solver_names
 
 
 def listing(what: str) -> Table:
-    """A table of the vessels, scenarios, suites or solvers there are."""
-    return {"vessels": _vessels, "scenarios": _scenarios, "suites": _suites, "solvers": _solvers}[
-        what
-    ]()
+    """A table of the vessels, scenarios, suites, sequences or solvers there are."""
+    tables = {"vessels": _vessels, "scenarios": _scenarios, "suites": _suites}
+    return (tables | {"sequences": _sequences, "solvers": _solvers})[what]()
 
 
 def _table(*columns: str) -> Table:
@@ -57,6 +68,24 @@ def _suites() -> Table:
     return table
 
 
+def _sequences() -> Table:
+    table = _table("name", "n", "m", "K", "active", "matrices", "source")
+    for name in problem_names(SEQUENCES):
+        recorded = load_recorded(sequence_path(name))
+        sequence, meta = recorded.sequence, recorded.sequence.meta
+        sets = [active_set(o) for o in recorded.optima or [] if np.isfinite(o.bound)]
+        base, every = sequence.base, int(meta.get("every", 1))
+        stride = "each sample" if every == 1 else f"each {every}th sample"
+        table.add_row(
+            name,
+            *(str(count) for count in (base.n, base.m, len(sequence))),
+            f"{np.count_nonzero(sets) / np.size(sets):.1%}" if sets else "–",
+            "constant" if sequence.P is None else "each step's",
+            f"{recorded.documents['scenario']['title']}; exactly solved loop, {stride}",
+        )
+    return table
+
+
 def _solvers() -> Table:
     table = _table("name", "version", "method", "form", "policies", "installed", "settings")
     for name in solver_names():
@@ -74,20 +103,25 @@ def _solvers() -> Table:
     return table
 
 
-def check_file(path: str) -> str:
-    """Check a TOML file as what it is, by its tables; one line of what it describes.
+def check_file(path: str, progress: Progress | None = None) -> str:
+    """Check a TOML file as what it is, by its tables, or a sequence; one line of what it describes.
+
+    Every optimum of a sequence is certified anew, which may take a while.
 
     Raises
     ------
     InputError : naming file, key, what was found and what is allowed.
     """
+    if path.endswith(".npz") or is_stored(path):
+        return verify_sequence(sequence_path(path), progress)
     file = Path(path)
     for kind in KINDS:
         if path in problem_names(kind):
             file = problem_path(kind, path)
     if not file.is_file():
         found = "a folder" if file.is_dir() else "no such file"
-        raise InputError(path, "", found, "a vessel, scenario or suite file in TOML")
+        allowed = "a vessel, scenario or suite file in TOML, or a sequence (.npz)"
+        raise InputError(path, "", found, allowed)
     document = read_toml(file)
     if "limits" in document:
         vessel = load_vessel(file)

@@ -17,6 +17,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from dpbench.errors import InputError, UnknownNameError
 
 KINDS = ("vessels", "scenarios", "suites")
+SEQUENCES = "sequences"
+"""The kind of the recorded sequences, which are `.npz` files beside one TOML file."""
 _PACKAGE = Path(__file__).resolve().parent
 _Model = TypeVar("_Model", bound=BaseModel)
 
@@ -34,8 +36,9 @@ def problems_root() -> Path:
 
 
 def problem_names(kind: str) -> list[str]:
-    """The names a person may use for vessels, scenarios or suites."""
-    return sorted(path.stem for path in (problems_root() / kind).glob("*.toml"))
+    """The names a person may use for vessels, scenarios, suites or sequences."""
+    suffix = ".npz" if kind == SEQUENCES else ".toml"
+    return sorted(path.stem for path in (problems_root() / kind).glob(f"*{suffix}"))
 
 
 def problem_path(kind: str, name: str | Path, beside: Path | None = None) -> Path:
@@ -51,17 +54,51 @@ def problem_path(kind: str, name: str | Path, beside: Path | None = None) -> Pat
         path = problems_root() / kind / f"{text}.toml"
         if os.path.isfile(path):
             return path
-        known = problem_names(kind)
-        near = difflib.get_close_matches(text, known, n=3)
-        allowed = f"{'e.g. ' + ', '.join(near) + '; ' if near else ''}one of {', '.join(known)}"
-        shown = repr(text if len(text) <= 80 else f"{text[:77]}...")
-        raise UnknownNameError(f"{kind[:-1]} name", "", shown, f"{allowed}; or a .toml path")
+        raise unknown_name(kind, text, "a .toml path")
     for base in ([beside] if beside else []) + [Path()]:
         # Unlike Path.is_file, this is False for a name that is too long to exist.
         if os.path.isfile(base / text):
             return base / text
     found = "a folder" if os.path.isdir(text) else "no such file"
     raise InputError(text, "", found, f"a readable {kind[:-1]} file in TOML")
+
+
+def sequence_path(name_or_path: str | Path, beside: Path | None = None) -> Path:
+    """The file of a stored sequence by name; else the path, looked for beside `beside` first.
+
+    Nothing is said of a path that does not exist: reading it does that.
+
+    Raises
+    ------
+    UnknownNameError : for what looks like a name, when there is no such name and no such folder.
+    """
+    text = str(name_or_path)
+    if is_stored(text):
+        return problems_root() / SEQUENCES / f"{text}.npz"
+    for base in ([beside] if beside else []) + [Path()]:
+        # Unlike Path.exists, this is False for a name that is too long to exist.
+        if os.path.exists(base / text):
+            return base / text
+    if "/" not in text and not text.endswith(".npz"):
+        raise unknown_name(SEQUENCES, text, "a .npz path or a folder of problems")
+    return Path(text)
+
+
+def is_stored(name: str | Path) -> bool:
+    """Whether a sequence of this name ships with the package."""
+    return str(name) in problem_names(SEQUENCES)
+
+
+def unknown_name(kind: str, text: str, otherwise: str) -> UnknownNameError:
+    """The error of a name that no file of its kind has, with the nearest names and all of them.
+
+    `otherwise` is what could stand there instead of a name.
+    """
+    known = problem_names(kind)
+    near = difflib.get_close_matches(text, known, n=3)
+    allowed = f"{'e.g. ' + ', '.join(near) + '; ' if near else ''}one of {', '.join(known)}"
+    shown = repr(text if len(text) <= 80 else f"{text[:77]}...")
+    return UnknownNameError(f"{kind[:-1]} name", "", shown, f"{allowed}; or {otherwise}")
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from dpbench.problem_files import (
     problem_path,
     problems_root,
     read_toml,
+    sequence_path,
 )
 
 
@@ -193,3 +194,21 @@ def test_a_folder_is_told_as_a_folder(tmp_path: Path) -> None:
     folder.mkdir()
     with pytest.raises(InputError, match="found a folder"):
         problem_path("scenarios", folder)
+
+
+def test_a_sequence_is_a_stored_name_or_a_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stored name whatever lies in the folder; any other is a path, the near one first."""
+    beside, here = tmp_path / "beside", tmp_path / "here"
+    for folder in (beside / "robot", here / "robot", here / "paper-30-5", here / "mine"):
+        folder.mkdir(parents=True)
+    monkeypatch.chdir(here)
+    stored = problems_root() / "sequences" / "paper-30-5.npz"
+    assert sequence_path("paper-30-5") == sequence_path("paper-30-5", beside) == stored
+    assert sequence_path("robot", beside) == beside / "robot"
+    assert sequence_path("mine", beside).resolve() == here / "mine"
+    assert sequence_path("no/such") == Path("no/such")
+    for name in ("paper-30-6", "x" * 300):
+        with pytest.raises(UnknownNameError, match=r"one of .*paper-30-5.*; or a .npz path"):
+            sequence_path(name)

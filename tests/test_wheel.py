@@ -21,7 +21,8 @@ def test_names_resolve_from_a_wheel_in_an_empty_folder(tmp_path: Path) -> None:
     zipfile.ZipFile(wheel).extractall(site)
     script = (
         "import dpbench, dpbench.report.write as w; from dpbench.cli import main;"
-        "print(dpbench.__file__, dpbench.load_scenario('rough').steps);"
+        "print(dpbench.__file__, dpbench.load_scenario('rough').steps,"
+        " dpbench.load_sequence('rough-60-10').base.n);"
         "raise SystemExit(main(['list', 'scenarios']))"
     )
     environment = {**os.environ, "PYTHONPATH": str(site)}
@@ -34,6 +35,6 @@ def test_names_resolve_from_a_wheel_in_an_empty_folder(tmp_path: Path) -> None:
         check=True,
     )
     assert str(site) in done.stdout.splitlines()[0]
-    assert "2000" in done.stdout.splitlines()[0]
+    assert done.stdout.splitlines()[0].endswith(" 2000 30")
     assert "paper_tight" in done.stdout
     assert any((site / "dpbench" / "report" / "templates").iterdir())

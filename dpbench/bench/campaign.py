@@ -209,8 +209,8 @@ def run_campaign(
         always run alone.
     fresh : run every cell again, also those finished before.
     solver_module : a Python file with a plug-in, whose solver then has a name like any other.
-    sequence : instead of a suite: a `.npz` of `dpbench export` or a folder of qpsolvers problems,
-        replayed through every solver at default and high settings.
+    sequence : instead of a suite: a stored sequence by name, a `.npz` of `dpbench export` or a
+        folder of qpsolvers problems, replayed through every solver at default and high settings.
     progress : told how far the campaign is.
 
     Returns

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
-import numpy as np
-
+from dpbench.bench.certifying import certified
 from dpbench.bench.horizons import Horizons, parse_horizons
 from dpbench.bench.qpbenchmark_files import save_qpbenchmark, with_optimum
-from dpbench.bench.recording import read_sequence, record, thinned
-from dpbench.bench.sequence_file import Recorded, certified, save_sequence
+from dpbench.bench.recording import described, read_sequence, record, thinned
+from dpbench.bench.sequence_file import Recorded, save_sequence
 from dpbench.errors import InputError
-from dpbench.problem_files import problem_names
+from dpbench.problem_files import is_stored, problem_names, sequence_path
 from dpbench.scenario import load_scenario
 
 Format = Literal["npz", "qpbenchmark"]
@@ -34,7 +32,8 @@ def export(
 
     Parameters
     ----------
-    what : a scenario by name or TOML path, a sequence (`.npz`), or a folder of qpsolvers problems.
+    what : a scenario by name or TOML path, a sequence (a stored one by name, or a `.npz`), or a
+        folder of qpsolvers problems.
     out : the `.npz` file; for "qpbenchmark" the name of the Parquet file and the Python file.
     horizons : "N_p/N_c" instead of those of the tuning; of a scenario only.
     steps, every : the first so many steps, and of these each `every`-th.
@@ -67,20 +66,34 @@ def export(
         written = " and ".join(map(str, save_qpbenchmark(target, recorded)))
     left_out = len(recorded.optima or []) - len(with_optimum(recorded))
     without = f"; {left_out} without an optimum left out" if left_out and format != "npz" else ""
-    return f"{written}: {_described(recorded)}{without}"
+    return f"{written}: {described(recorded.sequence, recorded.optima or [])}{without}"
+
+
+def check_asked(options: dict[str, Any]) -> None:
+    """Either --all, with nothing that chooses, or WHAT and --out; InputError for anything else."""
+    if not options["all"]:
+        for key, name in (("what", "WHAT"), ("out", "--out")):
+            if options[key] is None:
+                raise InputError("export", name, "nothing", "WHAT and --out PATH, or --all")
+        return
+    defaults = {"what": None, "horizons": None, "steps": None, "every": 1, "format": "npz"}
+    for key, default in defaults.items():
+        if options[key] != default:
+            found = f"{key} {options[key]} beside --all"
+            raise InputError("export", "", found, "--all, which follows its manifest, and --out")
 
 
 def _recorded(
     what: str | Path, horizons: tuple[int, int] | None, steps: int | None, every: int
 ) -> Recorded:
     path = Path(what)
-    is_file = path.suffix == ".npz" or path.is_dir()
+    is_file = path.suffix == ".npz" or path.is_dir() or is_stored(what)
     if str(what) in problem_names("scenarios") or not is_file:
         return record(load_scenario(what), horizons=horizons, steps=steps, every=every)
     if horizons is not None:
         found = f"{horizons[0]}/{horizons[1]} for a recorded sequence"
         raise InputError("--horizons", "", found, "a scenario: a sequence has the horizons it has")
-    found_there = read_sequence(path)
+    found_there = read_sequence(sequence_path(what))
     sequence = thinned(found_there.sequence, steps, every)
     # What the file says of its optima is not believed.
     return replace(found_there, sequence=sequence, optima=certified(sequence))
@@ -93,12 +106,3 @@ def _horizons(text: str | None) -> Horizons | None:
         return parse_horizons(text)
     except ValueError as error:
         raise InputError("--horizons", "", repr(text), str(error)) from error
-
-
-def _described(recorded: Recorded) -> str:
-    base, optima = recorded.sequence.base, recorded.optima or []
-    kinds = Counter(optimum.kind for optimum in optima)
-    bounds = [optimum.bound for optimum in optima if np.isfinite(optimum.bound)]
-    proofs = ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
-    worst = f"; largest bound {max(bounds):.1e}" if bounds else ""
-    return f"{len(optima)} QPs, n = {base.n}, m = {base.m}; certificates: {proofs}{worst}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -16,19 +17,20 @@ from dpbench.errors import InputError
 Arrays = dict[str, NDArray[Any]]
 FIXED_DATE = (1980, 1, 1, 0, 0, 0)
 """The date of every member, the earliest a zip file knows; a real one would change the bytes."""
+LEVEL = 9
+"""Of the deflate compression. The same zlib makes the same bytes of the same array at it."""
 _DAMAGE = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, RuntimeError, MemoryError)
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write the arrays to `path` in their order, whole or not at all.
-
-    Nothing is compressed: what a compressor makes of the same array differs between versions.
-    """
+    """Write the arrays to `path` in their order, compressed, whole or not at all."""
     part = path.with_name(path.name + ".part")
-    with zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as archive:
+    with zipfile.ZipFile(part, "w") as archive:
         for name, array in arrays.items():
-            with archive.open(zipfile.ZipInfo(f"{name}.npy", FIXED_DATE), "w") as member:
-                np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
+            member = io.BytesIO()
+            np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
+            info = zipfile.ZipInfo(f"{name}.npy", FIXED_DATE)
+            archive.writestr(info, member.getvalue(), zipfile.ZIP_DEFLATED, LEVEL)
     part.replace(path)
 
 

@@ -13,6 +13,7 @@ from dpbench.bench.recording import read_sequence
 from dpbench.bench.source import random_source, recorded_source
 from dpbench.bench.suite import RandomTable, RecordedTable, SuiteFile
 from dpbench.errors import InputError
+from dpbench.problem_files import sequence_path
 from dpbench.qp.kkt import positive_definite
 from dpbench.qp.program import QPSequence
 from dpbench.qp.random_recipe import FAMILIES, RandomRecipe
@@ -66,9 +67,8 @@ def recorded_cells(
     cells: list[Planned] = []
     places: dict[str, str] = {}
     for table in suite.recorded:
-        near = beside / table.sequence if beside is not None else Path(table.sequence)
-        path = near if near.exists() else Path(table.sequence)
-        source = recorded_source(path, "")
+        path = sequence_path(table.sequence, beside)
+        source = recorded_source(table.sequence, path, "")
         sequence = read_sequence(path).sequence
         source["name"] = sequence.name
         known = places.setdefault(sequence.name, source["sha256"])

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import copy
 import hashlib
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from dpbench.bench.certifying import certified
 from dpbench.bench.emitter import Emitter
 from dpbench.bench.exact import sequence_of, solve_exactly
 from dpbench.bench.qpsolvers_files import natural_order, read_folder
-from dpbench.bench.sequence_file import Recorded, certified, load_recorded
+from dpbench.bench.sequence_file import Recorded, load_recorded
 from dpbench.errors import InputError
+from dpbench.qp.certify import Optimum
 from dpbench.qp.program import CONSTANT, QPSequence
 from dpbench.scenario import Scenario, scenario_of
 
@@ -80,6 +86,16 @@ def thinned(sequence: QPSequence, steps: int | None, every: int = 1) -> QPSequen
         meta=sequence.meta | {"every": stride},
         **cut,
     )
+
+
+def described(sequence: QPSequence, optima: Sequence[Optimum]) -> str:
+    """A sequence and the certificates of its optima in half a line."""
+    kinds = Counter(optimum.kind for optimum in optima)
+    bounds = [optimum.bound for optimum in optima if np.isfinite(optimum.bound)]
+    proofs = ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
+    worst = f"; largest bound {max(bounds):.1e}" if bounds else ""
+    n, m = sequence.base.n, sequence.base.m
+    return f"{len(sequence)} QPs, n = {n}, m = {m}; certificates: {proofs}{worst}"
 
 
 def read_sequence(path: Path) -> Recorded:

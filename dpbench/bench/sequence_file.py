@@ -25,22 +25,26 @@ from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, get_args
+from zlib import ZLIB_RUNTIME_VERSION as ZLIB
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.bench.exact import brings_other_matrices
+from dpbench.bench.certifying import certified
 from dpbench.bench.grade import ACTIVE_MULTIPLIER
 from dpbench.bench.npz import Arrays, count_of, float_array, read_npz, text_of, write_npz
 from dpbench.errors import InputError
-from dpbench.qp.certify import Optimum, Referee
+from dpbench.mpc.condense import UnitSystem
+from dpbench.problem_files import sequence_path
+from dpbench.qp.certify import Optimum
 from dpbench.qp.joint import Kind
+from dpbench.qp.own_units import in_own_units
 from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram, Units
 
 FORMAT = "dpbench-sequence"
 FORMAT_VERSION = 1
 WHAT = "a sequence written by `dpbench export` (.npz)"
-VERSIONED = ("dpbench", "numpy", "scipy")
+VERSIONED = ("dpbench", "numpy", "scipy", "numba")
 INFINITE = {"l": "+-", "u": "+-", "lb": "+-", "ub": "+-", "bound": "+"}
 _TEXTS = ("format", "name", "meta", "documents")
 
@@ -59,19 +63,6 @@ class Recorded:
     optima: list[Optimum] | None
     units: Units | None = None
     documents: dict[str, Any] = field(default_factory=dict)
-
-
-def certified(sequence: QPSequence) -> list[Optimum]:
-    """The certified optimum of every step, for a sequence in scaled units."""
-    qp, optima = sequence.base, []
-    referee = Referee(qp.P, qp.A, qp.lb, qp.ub)
-    for k in range(len(sequence)):
-        step = sequence.step(k)
-        if brings_other_matrices(qp, step):
-            qp = qp.at(step)
-            referee = Referee(qp.P, qp.A, qp.lb, qp.ub)
-        optima.append(referee.certify(step.q, step.l, step.u))
-    return optima
 
 
 def save_sequence(
@@ -94,7 +85,7 @@ def save_sequence(
     units = units or sequence.units
     found = certified(scaled) if optima is None else optima
     base = scaled.base
-    meta = scaled.meta | {name: version(name) for name in VERSIONED}
+    meta = scaled.meta | {name: version(name) for name in VERSIONED} | {"zlib": ZLIB}
     arrays: dict[str, Any] = {
         "format": FORMAT,
         "version": FORMAT_VERSION,
@@ -131,14 +122,28 @@ def active_set(optimum: Optimum) -> NDArray[np.int8]:
     return signs.astype(np.int8)
 
 
-def load_sequence(path: str | Path) -> QPSequence:
-    """The QPs that `save_sequence` wrote, in scaled units.
+def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> QPSequence:
+    """The QPs that `save_sequence` wrote, in scaled units or, with their scaled twin, in SI.
+
+    Parameters
+    ----------
+    name_or_path : a stored sequence by name (`dpbench list sequences`), or a `.npz` file.
 
     Raises
     ------
-    InputError : naming file, array, what was found and what is allowed.
+    InputError : naming file, array, what was found and what is allowed; also for a file that
+        does not say what its units are in SI.
     """
-    return load_recorded(path).sequence
+    if units not in ("scaled", "si"):
+        raise InputError("load_sequence", "units", repr(units), '"scaled" or "si"')
+    path = sequence_path(name_or_path)
+    recorded = load_recorded(path)
+    if units == "scaled":
+        return recorded.sequence
+    if recorded.units is None:
+        found = "1 for all: units of its own"
+        raise InputError(str(path), "unit_z, unit_row", found, "units in SI, or units='scaled'")
+    return in_own_units(recorded.sequence, recorded.units)
 
 
 def load_recorded(path: str | Path) -> Recorded:

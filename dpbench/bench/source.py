@@ -14,11 +14,13 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from dpbench.bench.cell import Cell
+from dpbench.bench.certifying import certified
 from dpbench.bench.exact import ExactLoop, sequence_of, solve_exactly
 from dpbench.bench.recording import digest, read_sequence
 from dpbench.bench.schema import SCHEMA_VERSION
-from dpbench.bench.sequence_file import certified, load_recorded, save_sequence
+from dpbench.bench.sequence_file import load_recorded, save_sequence
 from dpbench.errors import InputError
+from dpbench.problem_files import is_stored, sequence_path
 from dpbench.qp.certify import Optimum
 from dpbench.qp.program import QPSequence
 from dpbench.qp.random_recipe import RandomRecipe
@@ -80,9 +82,14 @@ def random_source(recipe: RandomRecipe) -> dict[str, Any]:
     return {"kind": RANDOM, "name": recipe.name, "recipe": recipe.to_dict()}
 
 
-def recorded_source(path: Path, name: str) -> dict[str, Any]:
-    """`Cell.source` of the sequence called `name` at `path`, as it is at this moment."""
-    return {"kind": RECORDED, "name": name, "path": str(path), "sha256": digest(path)}
+def recorded_source(what: str, path: Path, name: str) -> dict[str, Any]:
+    """`Cell.source` of the sequence called `name` at `path`, as it is at this moment.
+
+    Where `what`, as which it was asked for, is the name of a stored one, the name stands for it:
+    another installation has it in another folder.
+    """
+    place = what if is_stored(what) else str(path)
+    return {"kind": RECORDED, "name": name, "path": place, "sha256": digest(path)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +133,7 @@ class _Recorded:
     described: dict[str, Any]
 
     def make(self, path: Path) -> None:
-        place = Path(self.described["path"])
+        place = sequence_path(self.described["path"])
         found, wanted = digest(place), self.described["sha256"]
         if found != wanted:
             allowed = f"the file the cell was planned with, SHA-256 {wanted[:12]}…"

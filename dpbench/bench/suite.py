@@ -104,7 +104,7 @@ class RandomTable(FileModel):
 
 
 class RecordedTable(FileModel):
-    """QPs that others recorded, through every solver: a `.npz` of `dpbench export`, or a folder.
+    """Recorded QPs through every solver: a stored sequence by name, a `.npz`, or a folder.
 
     A relative path is looked for beside the suite first. Such QPs have no units but their own.
     """

@@ -88,9 +88,10 @@ def hessian(h: NDArray[np.float64], Q: Matrix, R: Matrix, N_c: int) -> Matrix:
 
 def summed_moves(N_c: int, n_u: int) -> Matrix:
     """C2 (eq. 19): U = C1 u(k−1) + C2 ΔU, block lower-triangular ones."""
-    moves = np.arange(N_c * n_u)
-    same_input = np.equal.outer(moves % n_u, moves % n_u)
-    return (same_input & np.greater_equal.outer(moves, moves)).astype(np.float64)
+    C2, lower = np.zeros((N_c, n_u, N_c, n_u)), np.tri(N_c)
+    for axis in range(n_u):
+        C2[:, axis, :, axis] = lower
+    return C2.reshape(N_c * n_u, N_c * n_u)
 
 
 @dataclass(frozen=True, eq=False)

@@ -86,7 +86,8 @@ class CondensedQP:
         du_max, one = np.concatenate([problem.du_max] * N_c), np.ones(self.n)
         own, du = (one, du_max) if self.units == "scaled" else (du_max, one)
         self.scale, self._du_plan = Units(own, own), du
-        self.P: Matrix = self._matrices.E * (du[:, np.newaxis] * du)
+        self.P: Matrix = du[:, np.newaxis] * du
+        self.P *= self._matrices.E
         self.A: Matrix = summed_moves(N_c, n_u)
         self.ub: Vector = own.copy()
         self.lb: Vector = -own

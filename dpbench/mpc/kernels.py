@@ -12,6 +12,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+TILE = 32
+"""Rows and columns of a tile of P: 8 kB, of which two fit the smallest cache."""
+
 
 @njit(cache=True)
 def product(X, Y, out):
@@ -54,7 +57,7 @@ def hessian_blocks(h, Q, R, N_c, E):
     Last block row by sums over the horizon, the others along the block diagonals,
     E_ij = E_{i+1,j+1} + h_{N_p−1−i}ᵀ Q h_{N_p−1−j}: the work grows like the output.
     """
-    N_p, _, n_u = h.shape
+    N_p, n_y, n_u = h.shape
     Qh = np.empty_like(h)
     for t in range(N_p):
         product(Q, h[t], Qh[t])
@@ -64,16 +67,38 @@ def hessian_blocks(h, Q, R, N_c, E):
         block = E[last * n_u :, j * n_u : (j + 1) * n_u]
         for t in range(N_p - last):
             _accumulate(h[t], Qh[t + last - j], block)
-    for i in range(last - 1, -1, -1):
-        for j in range(i + 1):
-            block = E[i * n_u : (i + 1) * n_u, j * n_u : (j + 1) * n_u]
-            block[:] = E[(i + 1) * n_u : (i + 2) * n_u, (j + 1) * n_u : (j + 2) * n_u]
-            _accumulate(h[N_p - 1 - i], Qh[N_p - 1 - j], block)
+    # Q h_{N_p−1−j} of all j side by side, so that a row of E is made in one sweep.
+    beside = np.empty((n_y, N_c * n_u))
+    for j in range(N_c):
+        beside[:, j * n_u : (j + 1) * n_u] = Qh[N_p - 1 - j]
+    part = np.empty(N_c * n_u)
+    for row in range(last * n_u - 1, -1, -1):
+        i, a = row // n_u, row % n_u
+        width = (i + 1) * n_u
+        part[:width] = 0.0
+        for k in range(n_y):
+            weight = h[N_p - 1 - i, k, a]
+            for c in range(width):
+                part[c] += weight * beside[k, c]
+        for c in range(width):
+            E[row, c] = E[row + n_u, c + n_u] + part[c]
     for i in range(N_c):
         E[i * n_u : (i + 1) * n_u, i * n_u : (i + 1) * n_u] += R
-    for a in range(E.shape[0]):
-        for b in range(a):
-            E[b, a] = E[a, b]
+    _mirror(E)
+
+
+@njit(cache=True)
+def _mirror(E):
+    """Copy the part below the diagonal above it, tile by tile.
+
+    Row by row, each write would be to another line of the cache.
+    """
+    n = E.shape[0]
+    for top in range(0, n, TILE):
+        for left in range(0, top + 1, TILE):
+            for a in range(top, min(top + TILE, n)):
+                for b in range(left, min(left + TILE, a)):
+                    E[b, a] = E[a, b]
 
 
 @njit(cache=True)
@@ -84,16 +109,26 @@ def gradient_blocks(h, F, Q, F_x, F_held):
     for t in range(N_p):
         product(Q, F[t * n_y : (t + 1) * n_y], QF[t * n_y : (t + 1) * n_y])
     F_x[:] = 0.0
-    F_held[:] = 0.0
-    for j in range(F_x.shape[0] // n_u):
-        rows = F_x[j * n_u : (j + 1) * n_u]
-        held = F_held[j * n_u : (j + 1) * n_u]
+    N_c, n_x = F_x.shape[0] // n_u, F_x.shape[1]
+    part = np.empty(n_x)
+    for j in range(N_c):
         for t in range(N_p - j):
-            _accumulate(h[t], QF[(t + j) * n_y : (t + j + 1) * n_y], rows)
-            _accumulate(h[t], Q, held)
-    for a in range(F_held.shape[0]):
-        for b in range(n_y):
-            F_held[a, b] = -F_held[a, b]
+            for a in range(n_u):
+                # The states innermost, as they lie in memory: this is what takes time here.
+                part[:] = 0.0
+                for k in range(n_y):
+                    weight = h[t, k, a]
+                    for b in range(n_x):
+                        part[b] += weight * QF[(t + j) * n_y + k, b]
+                for b in range(n_x):
+                    F_x[j * n_u + a, b] += part[b]
+    # A reference that is held meets each h_t in all moves up to N_p − t: one sum that goes on.
+    held = np.zeros((n_u, n_y))
+    for t in range(N_p):
+        _accumulate(h[t], Q, held)
+        j = N_p - 1 - t
+        if j < N_c:
+            F_held[j * n_u : (j + 1) * n_u] = -held
 
 
 @njit(cache=True)

@@ -3,31 +3,28 @@
 from __future__ import annotations
 
 import logging
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-import qpmpc
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from dpbench.mpc.condense import ControlProblem, affine_map, condense_matrices
+from dpbench.mpc.condense import ControlProblem, affine_map, condense_matrices, hessian
 from dpbench.mpc.condensed_qp import CondensedQP
 
-
-@pytest.mark.benchmark(group="condense 30/5 from given (A, B, C)")
-def test_condense(benchmark: BenchmarkFixture, problem: ControlProblem) -> None:
-    """The whole CondensedQP: E, F, Φ, the affine map, scaling."""
-    benchmark(CondensedQP, problem)
+SIZES = (75, 150, 300, 600, 900)
 
 
-@pytest.mark.benchmark(group="condense 30/5 from given (A, B, C)")
-def test_condense_matrices_and_map(benchmark: BenchmarkFixture, problem: ControlProblem) -> None:
-    """The algebra alone: what a re-linearised step needs."""
-    benchmark(lambda: affine_map(problem, condense_matrices(problem), "scaled"))
+def qpmpc_build(problem: ControlProblem) -> Callable[[], Any]:
+    """A call that builds qpmpc's QP of the same horizon, its best form; skipped without qpmpc.
 
-
-@pytest.mark.benchmark(group="condense 30/5 from given (A, B, C)")
-def test_qpmpc_builds(benchmark: BenchmarkFixture, problem: ControlProblem) -> None:
-    """qpmpc 3.3 on the same horizon: states [x; u(k−1)], the same amplitude and rate rows."""
+    States [x; u(k−1)], inputs Δu, the same amplitude and rate rows at every step; weights, which
+    it takes as scalars, cost it the same whatever they are.
+    """
+    qpmpc = pytest.importorskip("qpmpc", reason="qpmpc is not installed")
     model = problem.model
     n_x, n_u = model.n_x, model.n_u
     A = np.block([[model.A, np.zeros((n_x, n_u))], [np.zeros((n_u, n_x)), np.eye(n_u)]])
@@ -38,7 +35,7 @@ def test_qpmpc_builds(benchmark: BenchmarkFixture, problem: ControlProblem) -> N
     e_rows = np.concatenate([problem.u_max, -problem.u_min, problem.du_max, problem.du_max])
     logging.disable(logging.WARNING)
 
-    def build() -> qpmpc.MPCQP:
+    def build() -> Any:
         mpc = qpmpc.MPCProblem(
             transition_state_matrix=A,
             transition_input_matrix=B,
@@ -55,7 +52,66 @@ def test_qpmpc_builds(benchmark: BenchmarkFixture, problem: ControlProblem) -> N
         )
         return qpmpc.MPCQP(mpc)
 
-    benchmark(build)
+    return build
+
+
+@pytest.mark.benchmark(group="condense 30/5 from given (A, B, C)")
+def test_condense(benchmark: BenchmarkFixture, problem: ControlProblem) -> None:
+    """The whole CondensedQP: E, F, Φ, the affine map, scaling."""
+    benchmark(CondensedQP, problem)
+
+
+@pytest.mark.benchmark(group="condense 30/5 from given (A, B, C)")
+def test_condense_matrices_and_map(benchmark: BenchmarkFixture, problem: ControlProblem) -> None:
+    """The algebra alone: what a re-linearised step needs."""
+    benchmark(lambda: affine_map(problem, condense_matrices(problem), "scaled"))
+
+
+@pytest.mark.benchmark(group="condense 30/5 from given (A, B, C)")
+def test_qpmpc_builds(benchmark: BenchmarkFixture, problem: ControlProblem) -> None:
+    """qpmpc 3.3 on the same horizon."""
+    benchmark(qpmpc_build(problem))
+
+
+@pytest.mark.benchmark(group="condense 300/300 (n = 900), by turns with qpmpc")
+def test_condense_long(benchmark: BenchmarkFixture, problem: ControlProblem) -> None:
+    """The whole CondensedQP; before each round qpmpc builds the same, `extra_info` has its times.
+
+    By turns in one process, so that what slows the machine down slows both.
+    """
+    long = replace(problem, N_p=300, N_c=300)
+    build, times = qpmpc_build(long), []
+
+    def before() -> None:
+        start = time.perf_counter()
+        build()
+        times.append(time.perf_counter() - start)
+
+    benchmark.pedantic(CondensedQP, (long,), setup=before, rounds=7, warmup_rounds=1)
+    # Without --benchmark-disable; the first one warmed up.
+    if benchmark.stats is not None:
+        theirs, ours = float(np.median(times[1:])), float(benchmark.stats.stats.median)
+        benchmark.extra_info["qpmpc_median_s"] = theirs
+        benchmark.extra_info["times_faster_than_qpmpc"] = theirs / ours
+
+
+@pytest.mark.benchmark(group="growth: P by the block recursion, N_p = N_c = n/3")
+@pytest.mark.parametrize("n", SIZES)
+def test_hessian_grows(benchmark: BenchmarkFixture, problem: ControlProblem, n: int) -> None:
+    """E alone from given Markov parameters; its output has n² entries."""
+    horizon = n // problem.model.n_u
+    h = condense_matrices(replace(problem, N_p=horizon, N_c=horizon)).h
+    benchmark.extra_info["n"] = n
+    benchmark(hessian, h, problem.Q, problem.R, horizon)
+
+
+@pytest.mark.benchmark(group="growth: the whole CondensedQP, N_p = N_c = n/3")
+@pytest.mark.parametrize("n", SIZES)
+def test_condense_grows(benchmark: BenchmarkFixture, problem: ControlProblem, n: int) -> None:
+    """Markov parameters, E, gradient, affine map, scaling."""
+    horizon = n // problem.model.n_u
+    benchmark.extra_info["n"] = n
+    benchmark(CondensedQP, replace(problem, N_p=horizon, N_c=horizon))
 
 
 @pytest.mark.benchmark(group="emit one step")

@@ -153,6 +153,19 @@ def test_any_plant_and_any_horizons_condense_like_the_naive_construction(
     np.testing.assert_allclose(step.u, expected.upper / du, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.parametrize("N_c", [11, 22, 35])
+def test_many_moves_condense_like_the_naive_construction(ship: Any, naive: Any, N_c: int) -> None:
+    """n = 33, 66, 105: just above one and two tiles of the kernel, and not a multiple of them."""
+    problem = ship("supply_fs99", N_p=40, N_c=N_c)
+    rng = np.random.default_rng(N_c)
+    x, Y_d = rng.normal(size=9), np.tile(rng.normal(size=3), (40, 1))
+    expected, found = naive(problem, x, Y_d, np.zeros(3)), condense_matrices(problem)
+    close(found.E, expected.E)
+    np.testing.assert_array_equal(found.E, found.E.T)
+    close(found.F_x, expected.Phi.T @ expected.Q_bar @ expected.F)
+    close(found.F_held @ Y_d[0], -expected.Phi.T @ expected.Q_bar @ Y_d.reshape(-1))
+
+
 def test_hessian_needs_no_diagonal_weights(random_plant: Any, naive: Any) -> None:
     """Full Q and R are used whole: exchanging two axes of one weight changes the Hessian."""
     problem = random_plant(11, 3, 3, 9, 4)

@@ -9,6 +9,8 @@ import pytest
 
 from dpbench.mpc.condense import summed_moves
 from dpbench.mpc.condensed_qp import CondensedQP
+from dpbench.mpc.outputs import OutputBounds
+from dpbench.mpc.relinearised import RelinearisedQP
 from dpbench.qp.certify import certify
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status
@@ -39,6 +41,37 @@ def test_a_step_is_the_map_times_its_parameters(case: Any) -> None:
     np.testing.assert_allclose(
         pieces(builder.emit(case.x, case.y_ref, case.u_prev)), builder.Z @ theta, rtol=1e-13
     )
+
+
+@pytest.mark.parametrize("units", ["scaled", "si"])
+@pytest.mark.parametrize("amplitude", ["reachable", "hard", "soft"])
+@pytest.mark.parametrize("bounded", [False, True])
+@pytest.mark.parametrize("turning", [False, True])
+def test_every_condensed_formulation_is_one_affine_map(
+    ship: Any, units: Any, amplitude: Any, bounded: bool, turning: bool
+) -> None:
+    """At one heading: the map shown makes every step, and steps combine as their parameters do."""
+    problem = ship("supply_fs99", N_p=20, N_c=4)
+    options: dict[str, Any] = {"units": units, "amplitude": amplitude}
+    options["outputs"] = OutputBounds(0.3, 5.0, 0.15) if bounded else None
+    builder = (
+        RelinearisedQP(problem, psi0_rad=0.0, **options)
+        if turning
+        else CondensedQP(problem, **options)
+    )
+    rng = np.random.default_rng(3)
+    theta = rng.normal(size=(3, 15)) * np.repeat([0.1, 1e5], [12, 3])
+    theta[:, 8] = 0.4
+    theta[2] = 0.37 * theta[0] + 0.63 * theta[1]
+    steps = [pieces(builder.emit(row[:9], row[9:12], row[12:])) for row in theta]
+    finite = np.isfinite(builder.Z[:, -1])
+    size = np.abs(builder.Z[finite]) @ np.append(np.abs(theta).max(axis=0), 1.0)
+    for row, step in zip(theta, steps, strict=True):
+        np.testing.assert_array_equal(step[~finite], builder.Z[~finite, -1])
+        apart = np.abs(step[finite] - builder.Z[finite] @ np.append(row, 1.0))
+        assert (apart <= 1e-14 * size).all()
+    mixed = 0.37 * steps[0][finite] + 0.63 * steps[1][finite]
+    assert (np.abs(mixed - steps[2][finite]) <= 1e-14 * size).all()
 
 
 def test_a_step_stays_valid_and_leaves_its_inputs_alone(case: Any) -> None:
