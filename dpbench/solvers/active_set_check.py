@@ -46,6 +46,8 @@ rounding of them is more."""
 PRIMAL_AT_MOST, DUAL_AT_MOST = 2e-7, 9e-7
 """Allowed in any case of a violation, and of 1 + ‖q‖ in r with half a unit of rounding: below the
 tightest tolerance that answers are held to, 1e-6."""
+WRONG = 5e-7
+"""Half of the tightest tolerance that answers are held to, of a variable's room (`unit_of`)."""
 NEAR, STEEP = 1e-8, 1e-4
 """A row this share of its terms from its limit may be active; an active one that is no more than
 this share of its length away from the others leans on them."""
@@ -97,17 +99,24 @@ def excess_of_rows(S: Matrix, P: int, n: int, width: int) -> float:
 
 
 @compiled
+def gradient(S: Matrix, P: int, i: int, n: int, width: int) -> tuple[float, float]:
+    """Entry i of r, and the size of the terms it is the sum of."""
+    r, terms = S[Q, i] + S[LAM, i], abs(S[LAM, i])
+    for k in range(n):
+        a = S[P + i, k] * S[Z, k]
+        r, terms = r + a, terms + abs(a)
+    for k in range(n, width):
+        a = S[P + i, k] * S[LAM, k]
+        r, terms = r + a, terms + abs(a)
+    return r, terms
+
+
+@compiled
 def excess_of_gradient(S: Matrix, P: int, n: int, width: int) -> float:
     """The most by which an entry of r exceeds what is allowed."""
     size, cost, most = largest(S, Z, n), largest(S, Q, n), 0.0
     for i in range(n):
-        r, terms = S[Q, i] + S[LAM, i], abs(S[LAM, i])
-        for k in range(n):
-            a = S[P + i, k] * S[Z, k]
-            r, terms = r + a, terms + abs(a)
-        for k in range(n, width):
-            a = S[P + i, k] * S[LAM, k]
-            r, terms = r + a, terms + abs(a)
+        r, terms = gradient(S, P, i, n, width)
         r, rounding = abs(r), EPSILON * terms
         if not r < inf:
             return inf
@@ -116,6 +125,25 @@ def excess_of_gradient(S: Matrix, P: int, n: int, width: int) -> float:
             most = max(most, r / max(allowed, rounding))
             most = max(most, (r + 0.5 * rounding) / (DUAL_AT_MOST * (1.0 + cost)))
     return most
+
+
+@compiled
+def is_near(S: Matrix, P: int, H: int, n: int, width: int) -> bool:
+    """Whether r leaves the answer near the optimum of its active rows, as it does where P is not
+    too ill-conditioned.
+
+    With r and its rounding, |z_i − z*_i| ≤ √((P⁻¹)_ii · |r|ᵀ|P⁻¹||r|).
+    """
+    square, widest = 0.0, 0.0
+    for i in range(n):
+        r, terms = gradient(S, P, i, n, width)
+        S[E, i] = abs(r) + EPSILON * terms
+        room = max(1.0, 0.5 * (S[HIGH, i] - S[LOW, i]))
+        widest = max(widest, S[H + i, i] / (room * room if room < inf else 1.0))
+    for i in range(n):
+        for k in range(n):
+            square += S[E, i] * abs(S[H + i, k]) * S[E, k]
+    return bool(widest * square <= WRONG * WRONG)
 
 
 @compiled

@@ -20,7 +20,7 @@ from typing import Any
 from numba import njit
 
 from dpbench.qp.program import Matrix
-from dpbench.solvers.active_set_check import excess, is_crowded
+from dpbench.solvers.active_set_check import excess, is_crowded, is_near
 from dpbench.solvers.active_set_factor import (
     VIOLATED,
     most_violated,
@@ -150,10 +150,12 @@ def is_clear(S: Matrix, size: float) -> bool:
 
 
 @compiled
-def solved(S: Matrix, width: int, size: float, clear: bool) -> int:
+def solved(S: Matrix, P: int, H: int, size: float, clear: bool) -> int:
     """The number of iterations; `DOUBTFUL` where rounding may decide where the optimum is."""
-    pinned = S[CHECK, PINNED] > 0.0
-    if not clear or pinned or is_crowded(S, width, size):
+    n, width = P - VECTORS, S.shape[1] & MASK
+    if S[CHECK, PINNED] > 0.0 or is_crowded(S, width, size):
+        return DOUBTFUL
+    if not clear and (S[HEAD, ASIDE] > 0.0 or not is_near(S, P, H, n, width)):
         return DOUBTFUL
     return int(S[HEAD, ITERATIONS])
 
@@ -182,13 +184,13 @@ def solve(S: Matrix) -> int:
         settled = dropped == 0 and correction <= SETTLED * SETTLED * size * size
         clear = settled and is_clear(S, size)
         if clear and coarse <= NEAR * fine:
-            return solved(S, width, size, clear)
+            return solved(S, P, H, size, clear)
         j = look_again(S, P, L, H, max(fine, rounding), size, dropped)
         # No longer falling: the correction is the rounding of this problem.
         falling = correction <= 0.25 * before
         if j < 0 and (settled or (dropped == 0 and not falling)):
             if clear or excess(S, P, n, width) <= 1.0:
-                return solved(S, width, size, clear)
+                return solved(S, P, H, size, clear)
             # What is left to do if it does not fall: a row that `VIOLATED` has let pass.
             j = -1 if falling else int(S[CHECK, WORST])
             if j < 0 and not falling:

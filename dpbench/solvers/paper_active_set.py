@@ -16,13 +16,14 @@ from dpbench.qp.joint import JointQP
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers import active_set_layout as layout
+from dpbench.solvers.active_set_check import WRONG
 from dpbench.solvers.active_set_kernel import excess_of, solve_step
 from dpbench.solvers.careful_active_set import solve_carefully
 from dpbench.solvers.compiled_workspace import CompiledWorkspace
 from dpbench.solvers.exact_point import error_bound, is_regular
 from dpbench.solvers.pinned import determined
 from dpbench.solvers.proof import cleaned, contradicts
-from dpbench.solvers.sensitivity import WRONG, is_sensitive, unit_of
+from dpbench.solvers.sensitivity import is_sensitive, unit_of
 
 INFEASIBLE = Status.PRIMAL_INFEASIBLE
 USABLE = 1e4

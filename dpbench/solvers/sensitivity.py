@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from dpbench.qp.joint import JointQP
 from dpbench.qp.program import Matrix, QuadraticProgram, Vector
 from dpbench.solvers import active_set_layout as layout
-from dpbench.solvers.active_set_check import EPSILON
+from dpbench.solvers.active_set_check import EPSILON, WRONG
 from dpbench.solvers.active_set_factor import VIOLATED
 from dpbench.solvers.active_set_kernel import solve_step
 from dpbench.solvers.careful_active_set import solve_carefully
@@ -25,8 +25,6 @@ from dpbench.solvers.pinned import INDEPENDENT, apart
 
 MOVED = 2e4
 """Enough for a dependent row that is violated by as much to be seen as a contradiction."""
-WRONG = 5e-7
-"""Half of the tightest tolerance that answers are held to, in units of `unit_of`."""
 OFF = 10.0
 """Roundings by which a row may be missed that has no room to be moved as far."""
 HALVES = 6

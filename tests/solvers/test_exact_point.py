@@ -7,12 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dpbench.bench.sequence_file import load_recorded
+from dpbench.problem_files import sequence_path
 from dpbench.qp.certify import certify
 from dpbench.qp.joint import JointQP
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.qp.random_sequence import planted
+from dpbench.solvers import paper_active_set
 from dpbench.solvers.exact_point import LARGEST, error_bound, is_regular
+from dpbench.solvers.open import open_workspace
 
 INF = np.inf
 
@@ -79,3 +83,18 @@ def test_more_limits_than_variables_are_not_regular():
     """Three borders through one point of the plane."""
     assert not is_regular(JointQP.of(lines(2.0)), np.ones(2))
     assert is_regular(JointQP.of(lines(3.0)), np.ones(2))
+
+
+def test_a_long_horizon_alone_raises_no_doubt(monkeypatch):
+    """cond(P) is 4e7 at 200/40, yet rounding leaves the answer near the certified optimum."""
+    recorded = load_recorded(sequence_path("paper-200-40"))
+    monkeypatch.setattr(paper_active_set, "is_sensitive", lambda *_: pytest.fail("was in doubt"))
+    workspace = open_workspace("paper_active_set", policy="warm")
+    workspace.setup(recorded.sequence.base)
+    for k, optimum in enumerate(recorded.optima):
+        workspace.update(recorded.sequence.step(k))
+        workspace.solve()
+        answer = workspace.read()
+        assert answer.claimed
+        # What `is_near` allows; the optimum itself is known to 1e-10.
+        np.testing.assert_allclose(answer.z, optimum.z, rtol=0, atol=5e-7)
