@@ -16,6 +16,7 @@ from dpbench.mpc.model import prediction_model
 from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.reference import ReferenceFilter, reference_table
 from dpbench.mpc.relinearised import RelinearisedQP
+from dpbench.mpc.staged_qp import StagedQP
 from dpbench.problem_files import parse_model, problem_path, read_model
 from dpbench.problem_tables import ControllerTable, ScenarioFile, VesselFile
 from dpbench.qp.program import Matrix, Vector
@@ -243,3 +244,21 @@ def condense(scenario: Scenario, *, units: UnitSystem = "scaled") -> CondensedQP
             outputs=outputs,
         )
     return CondensedQP(problem, units=units, amplitude=scenario.amplitude, outputs=outputs)
+
+
+def no_stages(scenario: Scenario) -> str:
+    """Why the QPs of a scenario have no formulation with the states kept; "" where they have."""
+    if scenario.relinearised:
+        return "sparse: the model is linearised anew at each step, and its stages with it"
+    if scenario.amplitude == "soft" or scenario.outputs is not None:
+        return "sparse: soft limits and output bounds are layers on the condensed problem"
+    return ""
+
+
+def keep_states(scenario: Scenario, *, units: UnitSystem = "scaled") -> StagedQP:
+    """The builder of the same QPs as `condense`, in stages; InputError where there are none."""
+    why = no_stages(scenario)
+    if why or scenario.amplitude == "soft":
+        allowed = "a scenario without layers and with one model"
+        raise InputError(f"scenario {scenario.name}", "formulation", why, allowed)
+    return StagedQP(scenario.control_problem(), units=units, amplitude=scenario.amplitude)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from dpbench.bench.suite import (
     ClosedLoopTable,
+    FormulationName,
     RandomTable,
     RecordedTable,
     ReplayTable,
@@ -42,6 +43,7 @@ class Arm:
     policy: Policy
     units: UnitName
     settings: str
+    formulation: FormulationName = "condensed_box"
     alias: tuple[str, ...] = ()
 
 
@@ -80,8 +82,8 @@ def arms_of(solvers: Sequence[str], table: Table) -> list[Arm]:
         if name not in known:
             raise SettingsError("settings", "", repr(name), " | ".join(dict.fromkeys(known)))
     arms: list[Arm] = []
-    for units, policy, wanted, solver in product(
-        table.units, table.policies, table.routes, solvers
+    for units, formulation, policy, wanted, solver in product(
+        table.units, table.formulations, table.policies, table.routes, solvers
     ):
         row = record(solver)
         route: Route = row.default_route if wanted == "default" else wanted
@@ -89,9 +91,10 @@ def arms_of(solvers: Sequence[str], table: Table) -> list[Arm]:
             continue
         names = [name for name in table.settings if name in setting_names(solver)]
         if settings_matter(solver):
-            arms += [Arm(solver, route, policy, units, name) for name in names]
+            arms += [Arm(solver, route, policy, units, name, formulation) for name in names]
         elif names:
-            arms.append(Arm(solver, route, policy, units, names[0], tuple(names[1:])))
+            alias = tuple(names[1:])
+            arms.append(Arm(solver, route, policy, units, names[0], formulation, alias))
     return arms
 
 

@@ -10,9 +10,9 @@ from typing import Any, Literal
 from dpbench.bench.schema import SCHEMA_VERSION
 from dpbench.solvers.contract import Policy, Route
 
-Formulation = Literal["condensed_box", "condensed_stacked", "none"]
+Formulation = Literal["condensed_box", "condensed_stacked", "sparse", "none"]
 Fallback = Literal["shifted_plan", "hold", "clip"]
-FORMULATIONS: tuple[Formulation, ...] = ("condensed_box", "condensed_stacked", "none")
+FORMULATIONS: tuple[Formulation, ...] = ("condensed_box", "condensed_stacked", "sparse", "none")
 FALLBACKS: tuple[Fallback, ...] = ("shifted_plan", "hold", "clip")
 
 

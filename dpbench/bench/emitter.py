@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dpbench.mpc.condense import UnitSystem
 from dpbench.qp.program import Matrix, QPStep, Vector
-from dpbench.scenario import Scenario, condense
+from dpbench.scenario import Scenario, condense, keep_states
 
 
 class Emitter:
@@ -16,16 +16,20 @@ class Emitter:
 
     Parameters
     ----------
-    scenario : the run; units : of the QPs.
+    scenario : the run; units : of the QPs; sparse : whether they keep the states.
 
     Attributes
     ----------
-    builder : the builder behind it.
+    builder : the builder of the condensed QPs; staged : that of the sparse ones, if they are meant.
     reference (K + N_p, 3), tau_min, tau_max (K, 3) : what is wanted and allowed at each sample.
     """
 
-    def __init__(self, scenario: Scenario, units: UnitSystem = "scaled") -> None:
+    def __init__(
+        self, scenario: Scenario, units: UnitSystem = "scaled", *, sparse: bool = False
+    ) -> None:
         self.builder = condense(scenario, units=units)
+        self.staged = keep_states(scenario, units=units) if sparse else None
+        self._emit = self.builder.emit if self.staged is None else self.staged.emit
         self.reference: Matrix = scenario.reference_table(scenario.steps + scenario.N_p)
         self.tau_min, self.tau_max = scenario.limit_tables(scenario.steps)
         self._horizon = scenario.N_p if scenario.preview else 0
@@ -34,7 +38,7 @@ class Emitter:
 
     @property
     def sizes(self) -> tuple[int, int, int]:
-        """n, m and the length of [θ; 1]."""
+        """n and m of the condensed QPs, and the length of [θ; 1]."""
         return self.builder.n, self.builder.m, int(self.builder.Z.shape[1])
 
     def emit(self, k: int, x: Vector, u_prev: Vector) -> QPStep:
@@ -42,9 +46,9 @@ class Emitter:
         table, ahead = self.reference, self._horizon
         y_ref = table[k + 1 : k + 1 + ahead] if ahead else table[k]
         if k < self._fault:
-            return self.builder.emit(x, y_ref, u_prev)
+            return self._emit(x, y_ref, u_prev)
         limits = self.tau_min[k], self.tau_max[k]
-        return self.builder.emit(x, y_ref, u_prev, limits=limits)
+        return self._emit(x, y_ref, u_prev, limits=limits)
 
     def again(self, k: int, theta: Vector) -> QPStep:
         """The QP of step k from its recorded [x; y_ref; u_prev; 1]."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.bench.emitter import Emitter
+from dpbench.bench.formulation import Box
 from dpbench.bench.loop import Voyage, closed_loop
 from dpbench.bench.port import SolverPort
 from dpbench.bench.rawlog import RawLog, loop_layout
@@ -23,7 +25,7 @@ from dpbench.mpc.condense import UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.qp.certify import Optimum, Referee
 from dpbench.qp.joint import Kind
-from dpbench.qp.program import Matrix, QPSequence, QPStep, QuadraticProgram
+from dpbench.qp.program import Matrix, QPSequence, QPStep, QuadraticProgram, SparseTwin
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario import Scenario
 from dpbench.solvers.contract import Workspace
@@ -139,7 +141,7 @@ def solve_exactly(scenario: Scenario) -> ExactLoop:
     log = RawLog.in_memory(loop_layout(scenario.steps, *emitter.sizes))
     base = base_problem(emitter.builder)
     workspace = ExactWorkspace()
-    port = SolverPort(workspace, "condensed_box", base, time.perf_counter_ns)
+    port = SolverPort(workspace, Box(base), time.perf_counter_ns)
     closed_loop(Voyage(scenario, emitter, port, log, "shifted_plan", 2**62, time.perf_counter_ns))
     without = log.flags[:, 0].astype(bool) & (log.status[0] != Status.PRIMAL_INFEASIBLE)
     if without.any():
@@ -192,7 +194,26 @@ def sequence_of(
         if units == "scaled"
         else sequence_of(scenario, exact, first=first, count=last - first),
         meta={"scenario": scenario.name, "sample_s": scenario.sample_s, "first": first},
+        twin=partial(_twin, scenario, exact.theta[first:last], units, first, name),
     )
+
+
+def _twin(
+    scenario: Scenario, theta: Matrix, units: UnitSystem, first: int, name: str
+) -> SparseTwin:
+    """The QPs along θ (K, 16) from step `first` on with the states kept; InputError if refused."""
+    emitter = Emitter(scenario, units, sparse=True)
+    staged = emitter.staged
+    assert staged is not None, "asked for"
+    steps = [emitter.again(k, row) for k, row in enumerate(theta, first)]
+    sequence = QPSequence(
+        name=name,
+        base=staged.problem(steps[0]),
+        q=np.array([step.q for step in steps]),
+        l=np.array([step.l for step in steps]),
+        u=np.array([step.u for step in steps]),
+    )
+    return SparseTwin(sequence, staged.condensed)
 
 
 def _stack(matrices: list[Matrix | None]) -> NDArray[np.float64] | None:

@@ -10,11 +10,13 @@ from __future__ import annotations
 import gc
 import time
 from contextlib import suppress
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 from dpbench.bench.cell import Cell
+from dpbench.bench.formulation import in_replay
 from dpbench.bench.grade import Graded, grade_sequence
 from dpbench.bench.port import SolverPort
 from dpbench.bench.rawlog import RawLog, replay_layout
@@ -76,7 +78,8 @@ class HuntedSolver:
         raw.unlink(missing_ok=True)
         # A process that died after its last answer is found dead by the wait for the next one.
         with suppress(OSError):
-            self._orders.send((sequence, limit_s))
+            # How to make it in another form is not needed there, and large.
+            self._orders.send((replace(sequence, twin=None), limit_s))
         reply = self._wait(limit_s + GRACE_S)
         outcome = Outcome("finished", "")
         if reply is False:
@@ -137,9 +140,10 @@ def _open(cell: Cell) -> Workspace:
 def _answer(cell: Cell, sequence: QPSequence, limit_s: float, raw: Path) -> bool:
     base, steps, clock = sequence.base, len(sequence), time.perf_counter_ns
     log = RawLog.create(raw, replay_layout(ROUNDS, steps, base.n, base.m))
-    port = SolverPort(_open(cell), cell.formulation, base, clock)
+    made, formulated = in_replay(cell.formulation, sequence)
+    port = SolverPort(_open(cell), formulated, clock)
     arm = ReplayArm(
-        sequence,
+        made,
         port,
         log,
         warmup_steps=min(cell.warmup_steps, steps),

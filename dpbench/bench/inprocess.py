@@ -16,6 +16,7 @@ from dpbench.bench.assemble import run_row, step_rows
 from dpbench.bench.cell import FALLBACKS, FORMULATIONS, Cell, Fallback, Formulation
 from dpbench.bench.emitter import Emitter
 from dpbench.bench.exact import base_problem, solve_exactly
+from dpbench.bench.formulation import in_loop, in_replay
 from dpbench.bench.grade import Graded, grade_log, grade_sequence
 from dpbench.bench.loop import Voyage, closed_loop
 from dpbench.bench.port import SolverPort
@@ -53,14 +54,15 @@ def run_closed_loop(
 
     Raises
     ------
-    InputError : for an unknown formulation or fallback.
+    InputError : for an unknown formulation or fallback, or "sparse" for a scenario that has none.
     """
     _check("formulation", formulation, FORMULATIONS)
     _check("fallback", fallback, FALLBACKS)
     _check_workspace(workspace)
-    emitter = Emitter(scenario, units)
+    emitter = Emitter(scenario, units, sparse=formulation == "sparse")
     log = RawLog.in_memory(loop_layout(scenario.steps, *emitter.sizes))
-    port = SolverPort(workspace, formulation, base_problem(emitter.builder), _clock)
+    formulated = in_loop(formulation, emitter, base_problem(emitter.builder))
+    port = SolverPort(workspace, formulated, _clock)
     closed_loop(Voyage(scenario, emitter, port, log, fallback, _NO_LIMIT, _clock))
     cell = Cell(
         mode="closed_loop",
@@ -85,7 +87,12 @@ def replay(
     warmup_steps: int = 50,
     formulation: Formulation = "condensed_box",
 ) -> Run:
-    """Replay `sequence` through `workspace`: a warm-up, then `repeats` rounds, all judged."""
+    """Replay `sequence` through `workspace`: a warm-up, then `repeats` rounds, all judged.
+
+    Raises
+    ------
+    InputError : for an unknown formulation, or "sparse" for QPs without a scenario behind them.
+    """
     _check("formulation", formulation, FORMULATIONS)
     _check_workspace(workspace)
     if repeats < 1:
@@ -93,9 +100,10 @@ def replay(
     base = sequence.base
     steps = len(sequence)
     log = RawLog.in_memory(replay_layout(repeats + 1, steps, base.n, base.m))
-    port = SolverPort(workspace, formulation, base, _clock)
+    made, formulated = in_replay(formulation, sequence)
+    port = SolverPort(workspace, formulated, _clock)
     arm = ReplayArm(
-        sequence,
+        made,
         port,
         log,
         warmup_steps=min(warmup_steps, steps),

@@ -12,7 +12,7 @@ from dpbench.bench.planned import Planned, cell_of, random_cells, recorded_cells
 from dpbench.bench.recording import with_horizons
 from dpbench.bench.suite import ClosedLoopTable, ReplayTable, SuiteFile
 from dpbench.errors import InputError
-from dpbench.scenario import Scenario, load_scenario
+from dpbench.scenario import Scenario, load_scenario, no_stages
 
 
 def plan(
@@ -103,6 +103,7 @@ def _closed_loop_cells(
             arm,
             suite,
             table,
+            no_stages=no_stages(scenario),
             mode="closed_loop",
             scenario=scenario.files,
             steps=steps,
@@ -126,6 +127,7 @@ def _replay_cells(
             arm,
             suite,
             table,
+            no_stages=no_stages(scenario),
             mode="replay",
             scenario=scenario.files,
             steps=steps,

@@ -19,7 +19,8 @@ from dpbench.qp.program import QPSequence
 from dpbench.qp.random_recipe import FAMILIES, RandomRecipe
 from dpbench.solvers.table import record
 
-NOT_STRICT = "P of this family is only semidefinite, and the solver needs P > 0"
+NOT_STRICT = "P is only semidefinite, and the solver needs P > 0"
+NO_MODEL = "sparse: there is no model whose states to keep"
 
 
 @dataclass(frozen=True)
@@ -34,21 +35,33 @@ class Planned:
     alias_settings: tuple[str, ...] = ()
 
 
-def cell_of(arm: Arm, suite: SuiteFile, table: Table, **more: Any) -> Planned:
-    """The cell of one arm of a table, or why it is refused; `more` are the fields of its mode."""
+def cell_of(
+    arm: Arm, suite: SuiteFile, table: Table, *, no_stages: str = NO_MODEL, **more: Any
+) -> Planned:
+    """The cell of one arm of a table, or why it is refused.
+
+    Parameters
+    ----------
+    no_stages : why the QPs cannot be formulated with the states kept; "" where they can.
+    more : the fields of the cell's mode.
+    """
     contrast = arm.solver == CONTRAST
     cell = Cell(
         solver=arm.solver,
         route=arm.route,
         policy=arm.policy,
         settings=arm.settings,
-        formulation="none" if contrast else table.formulation,
+        formulation="none" if contrast else arm.formulation,
         units=arm.units,
         limit_s=suite.cell_limit_s,
         solver_module=module_of(arm.solver),
         **more,
     )
-    return Planned(cell, refusal_of(arm), arm.alias)
+    planned = Planned(cell, refusal_of(arm), arm.alias)
+    if cell.formulation != "sparse":
+        return planned
+    # States cost nothing along most of their directions, so P is only semidefinite.
+    return _if_semidefinite(replace(planned, refused=planned.refused or no_stages))
 
 
 def recorded_cells(

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from dpbench.bench.cell import Formulation
+from dpbench.bench.formulation import Formulated
 from dpbench.bench.rawlog import RawLog
-from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Solution, Status
-from dpbench.qp.stacked import stack, stack_step, unstack
 from dpbench.solvers.contract import Workspace
 
 Clock = Callable[[], int]
@@ -21,13 +20,10 @@ class SolverPort:
     did not take place.
     """
 
-    def __init__(
-        self, workspace: Workspace, formulation: Formulation, base: QuadraticProgram, clock: Clock
-    ) -> None:
-        self._workspace, self._clock = workspace, clock
-        self._base = base
-        self._m = base.m
-        self._stacked = stack(base) if formulation == "condensed_stacked" else None
+    def __init__(self, workspace: Workspace, formulated: Formulated, clock: Clock) -> None:
+        self._workspace, self._formulated, self._clock = workspace, formulated, clock
+        # An emitted step in the formulation the solver gets; part of emitting it.
+        self.formulate = formulated.step
         self.phases_ns = (-1, -1, -1, -1)
         self.details: dict[str, int] = {}
 
@@ -39,36 +35,22 @@ class SolverPort:
     @property
     def size(self) -> tuple[int, int]:
         """n and m of the QP in the formulation the solver gets."""
-        qp = self._stacked or self._base
-        return qp.n, qp.m
+        return self._formulated.base.n, self._formulated.base.m
 
     def prepare(self) -> int:
         """Set up before the first step; the time it took [ns], −1 when steps do it themselves."""
         if self._workspace.setup_every_step:
             return -1
         started = self._clock()
-        self._workspace.setup(self._stacked or self._base)
+        self._workspace.setup(self._formulated.base)
         return self._clock() - started
 
-    def formulate(self, step: QPStep) -> QPStep:
-        """The step in the formulation the solver gets; part of emitting it.
-
-        New matrices become those of the base problem, so that a later step without any is solved
-        with the same ones.
-        """
-        formulated = step if self._stacked is None else stack_step(step, self._stacked)
-        if not (step.P is None and step.A is None and step.lb is None and step.ub is None):
-            self._base = self._base.at(step)
-            if self._stacked is not None:
-                self._stacked = self._stacked.at(formulated)
-        return formulated
-
     def answer(self, step: QPStep) -> Solution:
-        """Solve one step and map the answer to the two-sided form; never raises for a solver."""
-        workspace, clock = self._workspace, self._clock
+        """Solve one step and map the answer to the condensed QP; never raises for a solver."""
+        workspace, clock, formulated = self._workspace, self._clock, self._formulated
         t1 = t2 = t3 = t0 = -1
         setup_every_step = workspace.setup_every_step
-        qp = (self._stacked or self._base).at(step) if setup_every_step else self._base
+        qp = formulated.base.at(step) if setup_every_step else formulated.base
         try:
             t0 = clock()
             if setup_every_step:
@@ -84,7 +66,6 @@ class SolverPort:
         except Exception as error:
             now = clock()
             t1, t2, t3 = (now if t < 0 else t for t in (t1, t2, t3))
-            qp = self._stacked or self._base
             detail = f"{type(error).__name__}: {error}"
             solution = Solution.missing(qp.n, qp.m, Status.ERROR, detail)
         prepared = t1 - t0
@@ -92,7 +73,7 @@ class SolverPort:
         self.phases_ns = (*handed_over, t2 - t1, t3 - t2)
         if solution.detail:
             self.details[solution.detail] = self.details.get(solution.detail, 0) + 1
-        return solution if self._stacked is None else unstack(solution, self._m)
+        return formulated.solution(solution)
 
     def reset(self) -> None:
         """Make the workspace forget an answer that was not usable."""

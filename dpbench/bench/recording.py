@@ -84,6 +84,8 @@ def thinned(sequence: QPSequence, steps: int | None, every: int = 1) -> QPSequen
         name=f"{sequence.name}[:{steps or len(sequence)}:{every}]",
         scaled=None if sequence.scaled is None else thinned(sequence.scaled, steps, every),
         meta=sequence.meta | {"every": stride},
+        # It would have all steps.
+        twin=None,
         **cut,
     )
 

@@ -83,7 +83,7 @@ IDENTITY_COLUMNS: Columns = {
     "route": ("str", "qpsolvers | native"),
     "policy": ("str", "fresh | reuse | warm"),
     "settings": ("str", "name of the settings"),
-    "formulation": ("str", "condensed_box | condensed_stacked | none"),
+    "formulation": ("str", "condensed_box | condensed_stacked | sparse | none"),
     "form": ("str", "dense | csc: what the library was given"),
     "N_p": ("Int64", "prediction horizon; null without a ship"),
     "N_c": ("Int64", "control horizon; null without a ship"),

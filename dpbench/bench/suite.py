@@ -17,7 +17,7 @@ Size = Annotated[list[Count], Field(min_length=2, max_length=2)]
 UnitName = Literal["scaled", "si"]
 PolicyName = Literal["fresh", "reuse", "warm"]
 RouteName = Literal["default", "qpsolvers", "native"]
-FormulationName = Literal["condensed_box", "condensed_stacked"]
+FormulationName = Literal["condensed_box", "condensed_stacked", "sparse"]
 
 
 class DemandTable(FileModel):
@@ -41,7 +41,7 @@ class ClosedLoopTable(FileModel):
     settings: list[str] = ["default"]
     routes: list[RouteName] = ["default"]
     policies: list[PolicyName] = ["fresh"]
-    formulation: FormulationName = "condensed_box"
+    formulations: list[FormulationName] = ["condensed_box"]
     fallback: Literal["shifted_plan", "hold", "clip"] = "shifted_plan"
     steps: Count = 0
 
@@ -67,7 +67,7 @@ class ReplayTable(FileModel):
     settings: list[str] = ["default"]
     routes: list[RouteName] = ["default"]
     policies: list[PolicyName] = ["fresh"]
-    formulation: FormulationName = "condensed_box"
+    formulations: list[FormulationName] = ["condensed_box"]
 
     @property
     def pairs(self) -> list[Horizons | None]:
@@ -82,7 +82,7 @@ class RandomTable(FileModel):
     """
 
     units: ClassVar[list[UnitName]] = ["scaled"]
-    formulation: ClassVar[FormulationName] = "condensed_box"
+    formulations: ClassVar[list[FormulationName]] = ["condensed_box"]
     families: Annotated[list[str], Field(min_length=1)]
     sizes: Annotated[list[Size], Field(min_length=1)]
     seeds: list[Count] = [1]
@@ -114,7 +114,7 @@ class RecordedTable(FileModel):
     settings: list[str] = ["default"]
     routes: list[RouteName] = ["default"]
     policies: list[PolicyName] = ["fresh"]
-    formulation: FormulationName = "condensed_box"
+    formulations: list[FormulationName] = ["condensed_box"]
 
 
 class DesignTable(FileModel):

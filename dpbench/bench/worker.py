@@ -20,6 +20,7 @@ from typing import Any
 from dpbench.bench.cell import Cell
 from dpbench.bench.emitter import Emitter
 from dpbench.bench.exact import ExactLoop, base_problem
+from dpbench.bench.formulation import in_loop, in_replay
 from dpbench.bench.grade import Graded, grade_log, grade_sequence
 from dpbench.bench.loop import Voyage, closed_loop
 from dpbench.bench.port import SolverPort
@@ -110,9 +111,10 @@ def run_closed_loop_cell(text: str, folder: Path, name: str, core: int) -> None:
     if workspace is None:
         return
     scenario = scenario_of(cell.scenario).first(cell.steps)
-    emitter = Emitter(scenario, cell.units)
+    emitter = Emitter(scenario, cell.units, sparse=cell.formulation == "sparse")
     log = RawLog.create(folder / f"{name}.raw", loop_layout(scenario.steps, *emitter.sizes))
-    port = SolverPort(workspace, cell.formulation, base_problem(emitter.builder), clock)
+    formulated = in_loop(cell.formulation, emitter, base_problem(emitter.builder))
+    port = SolverPort(workspace, formulated, clock)
     limit_ns = round(cell.limit_s * 1e9)
     complete = closed_loop(Voyage(scenario, emitter, port, log, cell.fallback, limit_ns, clock))
     detail = _worst_detail(port)
@@ -152,9 +154,10 @@ def _replay_arm(
     sequence = source_of(cell).load(cell, source).sequence
     layout = replay_layout(cell.rounds + 1, len(sequence), sequence.base.n, sequence.base.m)
     log = RawLog.create(raw, layout)
-    port = SolverPort(workspace, cell.formulation, sequence.base, clock)
+    steps, formulated = in_replay(cell.formulation, sequence)
+    port = SolverPort(workspace, formulated, clock)
     arm = ReplayArm(
-        sequence,
+        steps,
         port,
         log,
         warmup_steps=cell.warmup_steps,

@@ -50,4 +50,4 @@ def in_own_units(scaled: QPSequence, units: Units) -> QPSequence:
     for name in CONSTANT:
         matrices = getattr(scaled, name)
         steps[name] = None if matrices is None else matrices * factor[name]
-    return replace(scaled, base=problem, units=units, scaled=scaled, **steps)
+    return replace(scaled, base=problem, units=units, scaled=scaled, twin=None, **steps)

@@ -8,13 +8,18 @@ data that the solvers must face and the referee must find.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Flag, auto
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.errors import ShapeError
+
+if TYPE_CHECKING:
+    from dpbench.qp.solution import Solution
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -163,6 +168,7 @@ class QPSequence:
     units : how the variables of these QPs relate to the scaled ones; None means scaled.
     scaled : the same sequence in scaled units, what the referee judges in; None when this is it.
     meta : where it comes from: scenario, sample time [s], first step, versions.
+    twin : makes the same problems in sparse form with the states kept; None where nobody can.
     """
 
     name: str
@@ -177,6 +183,7 @@ class QPSequence:
     A: NDArray[np.float64] | None = None
     lb: Matrix | None = None
     ub: Matrix | None = None
+    twin: Callable[[], SparseTwin] | None = None
 
     def __post_init__(self) -> None:
         K, n, m = np.shape(self.q)[0], self.base.n, self.base.m
@@ -202,3 +209,14 @@ class QPSequence:
     def problem(self, k: int) -> QuadraticProgram:
         """The whole problem of step k."""
         return self.base.at(self.step(k))
+
+
+@dataclass(frozen=True, eq=False)
+class SparseTwin:
+    """The problems of a sequence in sparse form, and the way back from their answers.
+
+    `condensed` maps an answer to a problem of `sequence` to one of the sequence it is the twin of.
+    """
+
+    sequence: QPSequence
+    condensed: Callable[[Solution], Solution]

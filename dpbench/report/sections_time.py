@@ -9,6 +9,7 @@ from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular, m
 from dpbench.report.demand import Demand
 from dpbench.report.figures import error_against_time, step_times, unanswered
 from dpbench.report.formats import and_list, plural
+from dpbench.report.formulations import OTHERS, formulation_tables
 from dpbench.report.sweep import between_ends, sweeps
 from dpbench.report.tables_timing import Arm, jitter_table, timed_arms, timing_tables
 from dpbench.report.view import View
@@ -41,6 +42,9 @@ def timing_section(view: View, demand: Demand) -> Section:
             section.add(*(Tabular(table) for table in ranked), Tabular(raw))
     if not found:
         section.add(missing("no replay left a step, so no time is given."))
+    formulated = formulation_tables(view, demand)
+    if formulated:
+        section.add(Paragraph(OTHERS), *(Tabular(table) for table in formulated))
     return section
 
 

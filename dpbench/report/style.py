@@ -38,6 +38,7 @@ FAMILIES = {
         "hpipm",
         "kvxopt",
         "piqp",
+        "piqp_multistage",
         "piqp_sparse",
         "qoco",
         "qpax",

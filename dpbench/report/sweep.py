@@ -117,7 +117,9 @@ class Sweep:
 def sweeps(view: View, demand: Demand) -> list[Sweep]:
     """The sweeps in the records: scenarios that were replayed under two horizons at least."""
     groups: dict[str, list[Row]] = {}
-    for row in view.select(mode="replay", units="scaled"):
+    # A sweep compares formulations, which `View.select` does not.
+    replayed = (r for r in view.every if r["mode"] == "replay" and r["units"] == "scaled")
+    for row in replayed:
         key = _problem_key(row)
         if key:
             groups.setdefault(key, []).append(row)

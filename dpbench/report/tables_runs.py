@@ -8,7 +8,7 @@ from math import isfinite, nan
 
 from dpbench.report.formats import MISSING, as_float, count_text, plural
 from dpbench.report.table import Cell, Mark, Table, row_of
-from dpbench.report.view import Row, View
+from dpbench.report.view import COMMON, Row, View
 
 TINTS: dict[str, Mark] = {
     "finished": "",
@@ -160,6 +160,7 @@ def _where(rows: Sequence[Row]) -> str:
         return ", ".join(f"{count} × {mode}" for mode, count in modes.items())
     return "; ".join(
         f"{row['sequence'] or row['scenario']} "
-        f"({row['units']}, {row['settings']}, {row['route']}, {row['policy']})"
+        f"({row['units']}, {row['settings']}, {row['route']}, {row['policy']}"
+        f"{'' if row['formulation'] == COMMON else ', ' + row['formulation'].replace('_', ' ')})"
         for row in rows
     )

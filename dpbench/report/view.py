@@ -22,6 +22,8 @@ Row = Mapping[str, Any]
 `family`, `n` and `m` as drawn of a random sequence, the family empty for every other row."""
 
 PHASES = ("setup", "update", "solve", "read")
+COMMON = "condensed_box"
+"""The formulation that solvers are compared in."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +52,9 @@ class StepTimes:
 class View:
     """The records of one result folder, asked by question.
 
-    `every` row is one of `runs`, which are about the ship, or of `random`, which are not; what is
-    selected below is selected from `runs`.
+    `every` row is one of `runs`, which are about the ship, of `random`, which are not, or of
+    another formulation than the common one of its problem; what is selected below is selected from
+    `runs`, so that nothing mixes formulations.
     """
 
     def __init__(self, results: Results) -> None:
@@ -66,7 +69,7 @@ class View:
         self.every: list[Row] = [
             row | {"default_route": row["route"] == usual[row["solver"]]} for row in rows
         ]
-        self.runs = [row for row in self.every if not row["family"]]
+        self.runs = _commonly_formulated([row for row in self.every if not row["family"]])
         self.random = [row for row in self.every if row["family"]]
         self._steps = results.steps
         self._times: dict[str, StepTimes | None] = {}
@@ -179,6 +182,23 @@ def _default_routes(rows: Sequence[Row]) -> dict[str, str]:
         if solver not in usual or route == "qpsolvers":
             usual[solver] = route
     return usual
+
+
+def _commonly_formulated(rows: Sequence[Row]) -> list[Row]:
+    """The rows in the common formulation of their problem, and those of the contrast law.
+
+    Where a problem was never run in `COMMON`, its first formulation is the common one.
+    """
+    common: dict[tuple[str, ...], str] = {}
+    for row in rows:
+        found = str(row["formulation"])
+        if not is_contrast(row) and (_problem(row) not in common or found == COMMON):
+            common[_problem(row)] = found
+    return [r for r in rows if is_contrast(r) or r["formulation"] == common[_problem(r)]]
+
+
+def _problem(row: Row) -> tuple[str, ...]:
+    return tuple(str(row[name]) for name in ("mode", "scenario", "sequence", "units"))
 
 
 def _random(row: Row) -> dict[str, Any]:

@@ -86,6 +86,7 @@ PROJECTS: dict[str, Project] = {
     ),
     "paper_active_set": _DPBENCH,
     "piqp": _PIQP,
+    "piqp_multistage": _PIQP,
     "piqp_sparse": _PIQP,
     "proxqp": _PROXQP,
     "proxqp_sparse": _PROXQP,

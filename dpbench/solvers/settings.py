@@ -76,6 +76,7 @@ def _rung(tolerance: float) -> dict[str, Options]:
         "kvxopt": _coneqp(tolerance),
         "osqp": {**first_order, "max_iter": 200_000},
         "piqp": _piqp(tolerance),
+        "piqp_multistage": _piqp(tolerance),
         "piqp_sparse": _piqp(tolerance),
         "proxqp": _proxqp(tolerance),
         "proxqp_sparse": _proxqp(tolerance),

@@ -11,6 +11,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from dpbench import open_workspace
 from dpbench.bench.emitter import Emitter
 from dpbench.bench.exact import ExactLoop, ExactWorkspace, base_problem, sequence_of
+from dpbench.bench.formulation import Box
 from dpbench.bench.loop import Voyage, closed_loop
 from dpbench.bench.plan import CONTRAST
 from dpbench.bench.port import SolverPort
@@ -75,6 +76,6 @@ def test_closed_loop(benchmark: BenchmarkFixture, scenario: Scenario, kind: str)
     log = RawLog.in_memory(loop_layout(scenario.steps, *emitter.sizes))
     workspace = _Stored() if kind == "harness alone" else ExactWorkspace()
     base = base_problem(emitter.builder)
-    port = SolverPort(workspace, "condensed_box", base, time.perf_counter_ns)
+    port = SolverPort(workspace, Box(base), time.perf_counter_ns)
     voyage = Voyage(scenario, emitter, port, log, "hold", 2**62, time.perf_counter_ns)
     benchmark(closed_loop, voyage)

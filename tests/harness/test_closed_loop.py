@@ -15,6 +15,7 @@ from dpbench.bench.actuation import FallbackLaw, limit_move
 from dpbench.bench.cell import Fallback
 from dpbench.bench.emitter import Emitter
 from dpbench.bench.exact import base_problem
+from dpbench.bench.formulation import Box
 from dpbench.bench.loop import Voyage, closed_loop
 from dpbench.bench.port import SolverPort
 from dpbench.bench.rawlog import RawLog, loop_layout
@@ -59,7 +60,7 @@ def run(
     log = RawLog.in_memory(loop_layout(scenario.steps, *emitter.sizes))
     workspace = Scripted(answer)
     base = base_problem(emitter.builder)
-    port = SolverPort(workspace, "condensed_box", base, time.perf_counter_ns)
+    port = SolverPort(workspace, Box(base), time.perf_counter_ns)
     voyage = Voyage(scenario, emitter, port, log, fallback, limit_ns, time.perf_counter_ns)
     complete = closed_loop(voyage)
     return log, workspace, complete

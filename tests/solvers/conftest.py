@@ -35,6 +35,7 @@ TOLERANCE = {
     "osqp": FIRST_ORDER,
     "paper_active_set": EXACT,
     "piqp": INTERIOR,
+    "piqp_multistage": INTERIOR,
     "piqp_sparse": INTERIOR,
     "proxqp": FIRST_ORDER,
     "proxqp_sparse": FIRST_ORDER,

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from dpbench.errors import DpbenchError
+from dpbench.qp.certify import certify
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.native import NATIVE
@@ -188,3 +189,48 @@ def test_a_workspace_may_be_set_up_for_another_size(solver, sequence):
     workspace.solve()
     # An interior point ends at a gap of 1e-9, which allows 4.5e-5 for P = I.
     np.testing.assert_allclose(workspace.read().z, [1.0, 0.0], rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("solver", ["piqp", "piqp_multistage", "piqp_sparse"])
+def test_rows_that_become_equalities_are_solved_as_such(solver):
+    """An interior point method has no interior on a row with l = u: it is handed over as an
+    equality, in whichever rows a step has them, and its multiplier comes back in its place."""
+    rng = np.random.default_rng(3)
+    n, m = 6, 4
+    A, q, free = rng.normal(size=(m, n)), rng.normal(size=n), np.full(n, 2.0)
+    middle = A @ rng.uniform(-0.5, 0.5, size=n)
+    base = QuadraticProgram(np.eye(n), q, A, middle - 1, middle + 1, -free, free)
+    steps = []
+    for equal in ([], [0], [1, 3], [0, 1, 2, 3], []):
+        low, high = middle - 0.1, middle + 0.1
+        low[equal] = high[equal] = middle[equal]
+        steps.append(QPStep(q, low, high))
+    for step, found in zip(
+        steps, answers(opened(solver, "reuse", "high"), base, steps), strict=True
+    ):
+        expected = certify(base.at(step))
+        assert found.status is Status.SOLVED and found.iterations < 30
+        np.testing.assert_allclose(found.z, expected.z, atol=1e-7)
+        np.testing.assert_allclose(found.y, expected.y, atol=1e-6)
+        np.testing.assert_allclose(found.y_box, expected.y_box, atol=1e-6)
+
+
+def test_arrays_given_before_are_known_and_new_ones_are_taken(sequence):
+    """A set-up with the same arrays, with equal ones and with others after a step that brought its
+    own: the answer is that of the problem handed over, each time."""
+    workspace = open_workspace("piqp", route="native", policy="fresh", settings="high")
+    base = sequence.base
+    other = QuadraticProgram(
+        2.0 * base.P, base.q, base.A, base.l, base.u, base.lb, base.ub, base.block
+    )
+    step = QPStep(base.q, base.l, base.u, P=other.P)
+    for qp in (base, base, other, base):
+        workspace.setup(qp)
+        workspace.solve()
+        np.testing.assert_allclose(workspace.read().z, certify(qp).z, atol=1e-6)
+    workspace.update(step)
+    workspace.solve()
+    np.testing.assert_allclose(workspace.read().z, certify(other).z, atol=1e-6)
+    workspace.setup(base)
+    workspace.solve()
+    np.testing.assert_allclose(workspace.read().z, certify(base).z, atol=1e-6)

@@ -141,6 +141,7 @@ TIMED = {
     "proxqp": {"compute_timings": True},
     "qpalm": {},
     "scs": {},
+    "piqp_multistage": {"compute_timings": True},
     "piqp_sparse": {"compute_timings": True},
     "proxqp_sparse": {"compute_timings": True},
     "qoco": {},

@@ -26,6 +26,7 @@ NATIVE: dict[str, NativeAdapter] = {
         osqp.ADAPTER,
         piqp.ADAPTER,
         piqp.SPARSE_ADAPTER,
+        piqp.MULTISTAGE_ADAPTER,
         proxqp.ADAPTER,
         proxqp.SPARSE_ADAPTER,
         qoco.ADAPTER,

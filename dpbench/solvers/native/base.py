@@ -50,6 +50,7 @@ class NativeWorkspace(Workspace):
         self._options = dict(options)
         self._n, self._m, self._block = -1, -1, 0
         self._converted = self._used = False
+        self._matrices_given: tuple[Matrix, ...] = ()
         self._done = self._unread = self._spoilt = False
         self._failure = ""
 
@@ -80,10 +81,17 @@ class NativeWorkspace(Workspace):
             self._n, self._m, self._block = qp.n, qp.m, qp.block
             self._P, self._A = qp.P.copy(), qp.A.copy()
             self._lb, self._ub = qp.lb.copy(), qp.ub.copy()
+            self._matrices_given = qp.P, qp.A, qp.lb, qp.ub
             self._converted = False
         self._rebuild()
 
     def _same_matrices(self, qp: QuadraticProgram) -> bool:
+        """Whether the matrices are those kept; the very arrays are, if nobody can write to them."""
+        given, brought = self._matrices_given, (qp.P, qp.A, qp.lb, qp.ub)
+        if given and all(
+            a is b and not b.flags.writeable for a, b in zip(given, brought, strict=True)
+        ):
+            return True
         return (
             _same(self._P, qp.P)
             and _same(self._A, qp.A)
@@ -122,7 +130,7 @@ class NativeWorkspace(Workspace):
             value = getattr(step, name)
             if value is not None:
                 setattr(self, f"_{name}", np.array(value, dtype=np.float64, order="C"))
-        self._converted = False
+        self._converted, self._matrices_given = False, ()
 
     def _rebuild(self) -> None:
         self._spoilt = self._used = False

@@ -1,0 +1,215 @@
+"""`StagedQP`: the problem of `CondensedQP` with the states kept, sparse and ordered by stages.
+
+    variables   [Δu_0, u_0, x_1 | … | Δu_{N_c−1}, u_{N_c−1}, x_{N_c} | x_{N_c+1} | … | x_{N_p}]
+    rows        u_i − u_{i−1} − Δu_i = 0                                             (eq. 18)
+                x_{i+1} − A x_i − B Δu_i = 0                                         (eq. 11)
+                u_min ≤ u_i ≤ u_max                  of stage i < N_c, in this order (eq. 19)
+                x_{i+1} − A x_i = 0                                       of the stages behind
+    bounds      −Δu_max ≤ Δu_i ≤ Δu_max                                              (eq. 21)
+    cost        ½ Σ (C x_i − y_d,i)ᵀ Q (C x_i − y_d,i) + ½ Σ Δu_iᵀ R Δu_i            (eq. 17)
+
+less the part of the cost that is constant. θ = [x; y_ref; u_prev] enters by the right-hand sides of
+the first two blocks of rows and, y_ref, by q: a step changes vectors only, and few of their
+entries. Forces and states cost nothing or little, so P is only semidefinite.
+
+Its optimum is that of the condensed problem, multipliers included. With λ_i of the first rows, μ_i
+of the second, y_i of the third and r_i of the bounds, stationarity along u_i reads
+λ_i − λ_{i+1} + y_i = 0, hence λ_i = −Σ_{j≥i} y_j; along x_i it is the costate recursion
+μ_{i−1} = Aᵀ μ_i − CᵀQ (C x_i − y_d,i), so that −Bᵀ μ_i is the slope of the tracking cost along
+Δu_i; along Δu_i what is left is R Δu_i − Bᵀ μ_i + Σ_{j≥i} y_j + r_i = 0: a row of E ΔU + F_k + C2ᵀ
+y + r = 0 (eq. 24, 28). A Farkas vector of the staged rows has μ = 0, by the same recursion without
+a cost, and leaves C2ᵀ y + r = 0 and the same negative sum over the limits: it proves the condensed
+problem infeasible too. What is kept here are therefore the Δu_i, the y_i and the r_i.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from dpbench.errors import InputError
+from dpbench.mpc.condense import ControlProblem, UnitSystem
+from dpbench.mpc.terminal import riccati
+from dpbench.qp.program import Matrix, QPStep, QuadraticProgram, Vector
+from dpbench.qp.solution import Solution
+
+PlainAmplitude = Literal["reachable", "hard"]
+"""The policies of the amplitude limits that need no slack; see `condensed_qp.Amplitude`."""
+
+
+class StagedQP:
+    """The DP MPC problem with states kept.
+
+    Parameters
+    ----------
+    problem : model, horizons, weights and limits in SI units.
+    units : "scaled" (Δu and u in steps of the rate limit) or "si"; states are in SI units in both.
+    amplitude : policy of the amplitude limits, "reachable" or "hard".
+
+    Attributes
+    ----------
+    P (n, n), A (m, n), lb, ub (n,) : constant; n = m = N_c (2 n_u + n_x) + (N_p − N_c) n_x.
+    block : 0. Stages with a move and stages without one differ in size, so no number of variables
+        shifts a warm start by one move; it is kept as it is.
+
+    Raises
+    ------
+    InputError : for other units, or a policy with slacks.
+    """
+
+    def __init__(
+        self,
+        problem: ControlProblem,
+        *,
+        units: UnitSystem = "scaled",
+        amplitude: PlainAmplitude = "reachable",
+    ) -> None:
+        if units not in ("scaled", "si"):
+            raise InputError("StagedQP", "units", repr(units), '"scaled" or "si"')
+        if amplitude not in ("reachable", "hard"):
+            raise InputError("StagedQP", "amplitude", repr(amplitude), '"reachable" or "hard"')
+        self.control, self.units, self.amplitude = problem, units, amplitude
+        n_x, n_u, N_c = problem.model.n_x, problem.model.n_u, problem.N_c
+        self.block = 0
+        self._width, self._cut = 2 * n_u + n_x, N_c * (2 * n_u + n_x)
+        self.n = self.m = self._cut + (problem.N_p - N_c) * n_x
+        self._unit: Vector = problem.du_max if units == "scaled" else np.ones(n_u)
+        self._build_cost()
+        self._build_rows()
+        # A solver that is set up anew at every step knows by this that they are the same again,
+        # without comparing megabytes.
+        for array in (self.P, self.A, self.lb, self.ub):
+            array.setflags(write=False)
+        # What moves are at most, summed over the moves up to each: (N_c, n_u).
+        self._reach: Matrix = np.outer(np.arange(1.0, N_c + 1), problem.du_max / self._unit)
+
+    def _start(self, i: int) -> int:
+        """The first variable, and the first row, of stage i."""
+        last = max(i - self.control.N_c, 0)
+        return (i - last) * self._width + last * self.control.model.n_x
+
+    def _state(self, i: int) -> slice:
+        """Where x_{i+1} stands among the variables."""
+        model = self.control.model
+        first = self._start(i) + (2 * model.n_u if i < self.control.N_c else 0)
+        return slice(first, first + model.n_x)
+
+    def _build_cost(self) -> None:
+        problem, model, unit = self.control, self.control.model, self._unit
+        weight = model.C.T @ problem.Q @ model.C
+        move = problem.R * np.outer(unit, unit)
+        self.P: Matrix = np.zeros((self.n, self.n))
+        for i in range(problem.N_c):
+            at = slice(self._start(i), self._start(i) + model.n_u)
+            self.P[at, at] = 0.5 * (move + move.T)
+        for i in range(problem.N_p):
+            self.P[self._state(i), self._state(i)] = 0.5 * (weight + weight.T)
+        # q along each state, per unit of its reference, and what the last one has on top.
+        self._slope: Matrix = -model.C.T @ problem.Q
+        self._end: Matrix = np.zeros((model.n_x, model.n_y))
+        if problem.terminal == "riccati":
+            S = riccati(model, problem.Q, problem.R, problem.du_max)
+            last = self._state(problem.N_p - 1)
+            self.P[last, last] = 0.5 * (S + S.T)
+            self._end = (weight - S) @ model.C.T
+        held = np.zeros((self.n, model.n_y))
+        for i in range(problem.N_p):
+            held[self._state(i)] = self._slope
+        held[-model.n_x :] += self._end
+        self._held: Matrix = held
+
+    def _build_rows(self) -> None:
+        problem, model, unit = self.control, self.control.model, self._unit
+        n_u, n_x = model.n_u, model.n_x
+        one, B = np.eye(n_u), model.B * unit
+        self.A: Matrix = np.zeros((self.m, self.n))
+        low, high = np.zeros(self.m), np.zeros(self.m)
+        for i in range(problem.N_p):
+            row = self._start(i)
+            if i < problem.N_c:
+                du, u = slice(row, row + n_u), slice(row + n_u, row + 2 * n_u)
+                moved = slice(row, row + n_u)
+                limited = slice(row + n_u + n_x, row + self._width)
+                self.A[moved, du], self.A[moved, u] = -one, one
+                if i > 0:
+                    before = self._start(i - 1) + n_u
+                    self.A[moved, before : before + n_u] = -one
+                self.A[limited, u] = one
+                low[limited], high[limited] = problem.u_min / unit, problem.u_max / unit
+                row += n_u
+                self.A[row : row + n_x, du] = -B
+            self.A[row : row + n_x, self._state(i)] = np.eye(n_x)
+            if i > 0:
+                self.A[row : row + n_x, self._state(i - 1)] = -model.A
+        self._low, self._high = low, high
+        self.ub: Vector = np.full(self.n, np.inf)
+        self._moves(self.ub)[...] = problem.du_max / unit
+        self.lb: Vector = -self.ub
+
+    def _moves(self, along: Vector) -> Matrix:
+        """The entries of the moves in an array over the variables: a view (N_c, n_u)."""
+        stages = along[: self._cut].reshape(self.control.N_c, self._width)
+        return stages[:, : self.control.model.n_u]
+
+    def _amplitudes(self, along: Vector) -> Matrix:
+        """The entries of the amplitude rows in an array over the rows: a view (N_c, n_u)."""
+        stages = along[: self._cut].reshape(self.control.N_c, self._width)
+        return stages[:, -self.control.model.n_u :]
+
+    def emit(
+        self,
+        x: Vector,
+        y_ref: Vector,
+        u_prev: Vector,
+        *,
+        limits: tuple[Vector, Vector] | None = None,
+    ) -> QPStep:
+        """The QP of one step, in memory of its own; x, y_ref, u_prev, limits as `CondensedQP.emit`.
+
+        Under the policy `reachable` a limit that acts is what the rate leaves of it, rounded to the
+        side of the forces that moves can reach, so that no rounding makes the step infeasible.
+        """
+        model = self.control.model
+        n_u, first = model.n_u, model.n_u + model.n_x
+        low, high = self._low.copy(), self._high.copy()
+        before = u_prev / self._unit
+        low[:n_u] = high[:n_u] = before
+        low[n_u:first] = high[n_u:first] = model.A.dot(x)
+        q = self._held.dot(y_ref) if y_ref.ndim == 1 else self._preview(y_ref)
+        if limits is not None:
+            u_min, u_max = limits[0] / self._unit, limits[1] / self._unit
+            if self.amplitude == "reachable":
+                room = self._reach - 2.0 * np.spacing(np.abs(before) + self._reach)
+                u_min, u_max = np.minimum(u_min, before + room), np.maximum(u_max, before - room)
+            self._amplitudes(low)[...], self._amplitudes(high)[...] = u_min, u_max
+        return QPStep(q, low, high)
+
+    def _preview(self, y_ref: Matrix) -> Vector:
+        """q of a reference that changes along the horizon (N_p, n_y)."""
+        N_c, n_x = self.control.N_c, self.control.model.n_x
+        along = y_ref @ self._slope.T
+        along[-1] += self._end @ y_ref[-1]
+        q = np.zeros(self.n)
+        q[: self._cut].reshape(N_c, self._width)[:, -n_x:] = along[:N_c]
+        q[self._cut :] = along[N_c:].reshape(-1)
+        return q
+
+    def problem(self, step: QPStep) -> QuadraticProgram:
+        """The whole problem of one step."""
+        return QuadraticProgram(self.P, step.q, self.A, step.l, step.u, self.lb, self.ub)
+
+    def condensed(self, solution: Solution) -> Solution:
+        """The answer to the condensed problem in the same units: moves and their multipliers.
+
+        An entry that is NaN stays so; a claim of infeasibility keeps its proof (see the module).
+        """
+        return Solution(
+            solution.status,
+            self._moves(solution.z).reshape(-1),
+            self._amplitudes(solution.y).reshape(-1),
+            self._moves(solution.y_box).reshape(-1),
+            solution.iterations,
+            solution.reported_ns,
+            solution.detail,
+        )
