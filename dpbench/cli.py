@@ -44,6 +44,7 @@ def _parser() -> argparse.ArgumentParser:
     run.set_defaults(call=_run)
     report = commands.add_parser("report", help="write the report of a result folder again")
     report.add_argument("dir", help="a folder written by `dpbench run`")
+    report.add_argument("--baseline", metavar="S", help="compare step times with this solver's")
     report.set_defaults(call=_report)
     export = commands.add_parser("export", help="write QPs with certified optima for others")
     export.add_argument(
@@ -177,7 +178,8 @@ def _run(arguments: argparse.Namespace) -> int:
 def _report(arguments: argparse.Namespace) -> int:
     from dpbench.report.write import write_report
 
-    _say_verdict(arguments.dir, write_report(arguments.dir))
+    page = write_report(arguments.dir, baseline=arguments.baseline)
+    _say_verdict(arguments.dir, page)
     return 0
 
 

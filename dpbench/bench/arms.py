@@ -16,7 +16,7 @@ from dpbench.bench.suite import (
     SuiteFile,
     UnitName,
 )
-from dpbench.errors import SettingsError
+from dpbench.errors import InputError, SettingsError
 from dpbench.solvers.contract import Policy, Route
 from dpbench.solvers.open import REFUSED_BY_QPSOLVERS
 from dpbench.solvers.plugins import find_plugin
@@ -48,20 +48,35 @@ class Arm:
 
 
 def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
-    """The solvers of a suite, or those of `only`; UnknownNameError for an unknown one.
+    """The solvers of a suite, or those of `only`.
 
     "all" means every solver of the table except those of an optional extra that is not installed:
     they are left out by default (`dpbench list solvers` says so), and asked for by name.
+
+    Raises
+    ------
+    UnknownNameError : for an unknown solver.
+    InputError : for a baseline of the report that is no solver of the suite.
     """
-    names = list(only) if only else suite.solvers
+    named = _named(suite.solvers)
+    baseline = suite.report.baseline
+    if baseline is not None and baseline not in named:
+        allowed = f"a solver of the suite: {', '.join(named)}"
+        raise InputError("suite", "report.baseline", repr(baseline), allowed)
+    chosen = _named(only) if only else named
+    if not only and suite.contrast:
+        chosen.append(CONTRAST)
+    return list(dict.fromkeys(chosen))
+
+
+def _named(names: Sequence[str]) -> list[str]:
+    """The solvers of some names, "all" spelt out."""
     chosen: list[str] = []
     for name in names:
         if name == "all":
             chosen += [s for s in solver_names() if s != CONTRAST and _by_default(s)]
         else:
             chosen.append(record(name).name)
-    if not only and suite.contrast:
-        chosen.append(CONTRAST)
     return list(dict.fromkeys(chosen))
 
 

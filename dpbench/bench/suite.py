@@ -124,6 +124,12 @@ class DesignTable(FileModel):
     vessels: Annotated[list[str], Field(min_length=1)]
 
 
+class ReportTable(FileModel):
+    """What the report compares with: the solver whose step times are 1; by default the fastest."""
+
+    baseline: str | None = None
+
+
 class SuiteFile(FileModel):
     """`problems/suites/*.toml`; 0 steps means all steps."""
 
@@ -134,6 +140,7 @@ class SuiteFile(FileModel):
     rounds: Annotated[int, Field(ge=1)] = 5
     warmup_steps: Count = 50
     demand: DemandTable = DemandTable()
+    report: ReportTable = ReportTable()
     design: DesignTable | None = None
     closed_loop: list[ClosedLoopTable] = []
     replay: list[ReplayTable] = []

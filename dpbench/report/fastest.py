@@ -33,6 +33,7 @@ class Candidate:
     p50_ns, p99_ns : of the algorithmic step time on the sequence `where`, that of the worst p99;
         where no sequence supports a p99 it is NaN, and `where` is that of the worst p50.
     algo_max_ns : the largest algorithmic step time of all sequences.
+    error_move : the largest error of the first move in its replays.
     steps : replayed steps, over `sequences` sequences; loops : closed loops run in the same way.
     """
 
@@ -44,6 +45,7 @@ class Candidate:
     p99_ns: float
     where: str
     algo_max_ns: float
+    error_move: float
     steps: int
     sequences: int
     loops: int
@@ -114,6 +116,7 @@ def _candidate(
         p99_ns=p99[where],
         where=where,
         algo_max_ns=max(float(t.algo_ns.max()) for t in timed.values()),
+        error_move=max(as_float(row["error_move_max"]) for row in rows),
         steps=sum(len(t.algo_ns) for t in timed.values()),
         sequences=len(timed),
         loops=len(loops),

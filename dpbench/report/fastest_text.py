@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from dpbench.report.demand import Demand
-from dpbench.report.fastest import ALIKE, Candidate, fastest_of
+from dpbench.report.fastest import Candidate, fastest_of
 from dpbench.report.formats import (
     and_list,
     interval_text,
@@ -16,7 +16,6 @@ from dpbench.report.formats import (
     time_text,
 )
 from dpbench.report.ranking import Contender, Duel, duel, fastest_first
-from dpbench.report.table import Table, row_of
 from dpbench.report.verdict import Verdict
 from dpbench.report.verdict_text import slack_text
 from dpbench.report.view import View, has_steps
@@ -126,7 +125,8 @@ def duel_text(found: Duel) -> str:
     span = interval_text(found.ratio.low, found.ratio.high)
     pair = (
         f"{found.second} takes {ratio} times as long as {found.first} per step "
-        f"(geometric mean of the paired ratios of {plural(found.steps, 'step')}, "
+        f"(geometric mean of the paired ratios of {plural(found.steps, 'step')}, each sequence of "
+        "equal weight, "
         f"95 % interval {span})"
     )
     if found.tied:
@@ -137,56 +137,3 @@ def duel_text(found: Duel) -> str:
             f"Caution: {pair}; the order depends on the yardstick: {and_list(list(by.values()))}."
         )
     return f"Second: {pair}."
-
-
-def fastest_table(found: Sequence[Candidate], verdicts: Sequence[Verdict]) -> Table | None:
-    """The fastest way to run each solver beside the usual one; None without any."""
-    usual = {v.solver: v for v in verdicts}
-    best = [way for way in first_ways(found) if way.solver in usual]
-    if not best:
-        return None
-    without = [s for s, v in usual.items() if v.outcome != "not run" and not fastest_of(found, s)]
-    none = (
-        f" No such way: {and_list(without)} (a replayed answer misses the demand, or an arm did "
-        "not finish)."
-        if without
-        else ""
-    )
-    return Table(
-        title=f"Fastest way to run each solver, by {yardstick(best[0])}",
-        note=(
-            f"Among {plural(len(found), 'arm')} replayed on {plural(best[0].sequences, 'sequence')}"
-            " in scaled units whose answers meet the demand on every step; "
-            f"ordered by {yardstick(best[0])}. p50 "
-            "and p99 are those of the sequence with the worst p99, the largest step that of all. "
-            "An arm without a closed loop of its own is judged on replays alone; where settings "
-            f"make less than {100 * ALIKE:g} % of difference the more usual ones are named. Last "
-            f"column: the same solver on its default route, policy fresh.{none}"
-        ),
-        heads=(
-            "solver",
-            "route",
-            "policy",
-            "settings",
-            "answers judged",
-            "p50",
-            "p99",
-            "largest step",
-            "p99, default route fresh",
-        ),
-        rows=tuple(
-            row_of(
-                c.solver,
-                c.route,
-                c.policy,
-                c.settings,
-                c.judged_on,
-                time_text(c.p50_ns),
-                time_text(c.p99_ns),
-                time_text(c.algo_max_ns),
-                time_text(usual[c.solver].p99_ns),
-            )
-            for c in best
-        ),
-        text_columns=5,
-    )

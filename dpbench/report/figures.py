@@ -14,7 +14,6 @@ from matplotlib.ticker import FuncFormatter
 
 from dpbench.report.demand import Demand
 from dpbench.report.formats import as_float, count_text, error_text, plural, share_text
-from dpbench.report.labels import label_points
 from dpbench.report.style import (
     FAMILY_COLOURS,
     GREY,
@@ -24,7 +23,6 @@ from dpbench.report.style import (
     family_of,
     log_time,
     log_x,
-    log_y,
     new_figure,
     one_axes,
     power_label,
@@ -71,56 +69,6 @@ def _family_patches(solvers: Sequence[str]) -> list[Patch]:
 
 def _legend(figure: Figure, handles: Sequence[Line2D | Patch]) -> None:
     figure.legend(handles=list(handles), loc="outside lower center", ncols=4)
-
-
-def error_against_time(arms: Sequence[Arm], demand: Demand) -> Figure:
-    """Largest error of the first move against the p95 step time; settings joined per solver."""
-    figure, ax = one_axes(8.2, 6.0)
-    points: dict[str, list[tuple[str, float, float]]] = {}
-    failed: dict[str, int] = {}
-    for row, times in arms:
-        error = as_float(row["error_move_max"])
-        if math.isfinite(error):
-            spot = (float(np.percentile(times.algo_ns, 95)) / 1e3, max(error, EXACT))
-            points.setdefault(str(row["solver"]), []).append((str(row["settings"]), *spot))
-            if as_float(row["failed_steps"]) > 0:
-                solver = str(row["solver"])
-                failed[solver] = max(failed.get(solver, 0), int(row["failed_steps"]))
-                ax.plot(*spot, "x", color=INK, ms=9, mew=1.3, zorder=5)
-    for solver, found in points.items():
-        found.sort()
-        colour = colour_of(solver)
-        ax.plot([x for _, x, _ in found], [y for _, _, y in found], color=colour, lw=0.9, alpha=0.6)
-        for settings, x, y in found:
-            filled = colour if settings == "default" else "white"
-            ax.plot(x, y, "o", color=colour, mfc=filled, ms=6)
-    ax.axhline(demand.error_move, color=INK, ls="--", lw=0.9)
-    log_time(ax)
-    log_y(ax)
-    ax.margins(0.14, 0.08)
-    ax.set_xlabel("p95 of the algorithmic step time [µs]")
-    ax.set_ylabel("largest error of the first move [rate-limit steps]")
-    shown = [
-        Line2D([], [], marker="o", ls="", color=GREY, label="settings default"),
-        Line2D([], [], marker="o", ls="", color=GREY, mfc="white", label="other settings"),
-        Line2D([], [], color=INK, ls="--", lw=0.9, label=f"demand, {demand.error_move:g}"),
-        *([Line2D([], [], marker="x", ls="", color=INK, label="steps failed")] if failed else []),
-    ]
-    _legend(figure, [*shown, *_family_patches(list(points))])
-    figure.draw_without_rendering()
-    firsts = {solver: found[0] for solver, found in points.items()}
-    label_points(
-        ax,
-        [(x, y) for _, x, y in firsts.values()],
-        [f"{s}, {count_text(failed[s])} failed" if s in failed else s for s in firsts],
-        [colour_of(solver) for solver in firsts],
-    )
-    return figure
-
-
-def unanswered(arms: Sequence[Arm]) -> list[str]:
-    """Arms without a finite largest error, which have no place in `error_against_time`."""
-    return [arm_name(row) for row, _ in arms if not math.isfinite(as_float(row["error_move_max"]))]
 
 
 def units_heat_map(matrix: UnitsMatrix) -> Figure:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 Box = tuple[float, float, float, float]
@@ -41,6 +42,7 @@ def label_points(
             va="center",
             fontsize=7.5,
             color=colour,
+            path_effects=[withStroke(linewidth=2.0, foreground="white")],
             arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.5, "shrinkB": 3}
             if far
             else None,

@@ -10,8 +10,9 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.report.statistics import UNKNOWN, Floats, Interval, paired_ratio
-from dpbench.report.view import StepTimes, View
+from dpbench.report.statistics import UNKNOWN, Floats, Interval, pooled_mean
+from dpbench.report.step_times import StepTimes
+from dpbench.report.view import View
 
 
 class Contender(Protocol):
@@ -88,9 +89,8 @@ def paired(slower: StepTimes, faster: StepTimes) -> tuple[Floats, Floats]:
 
 
 def duel(view: View, first: Contender, second: Contender) -> Duel:
-    """Compare two arms on the steps of all sequences."""
-    slow: list[Floats] = []
-    fast: list[Floats] = []
+    """Compare two arms on the steps of all sequences, each of equal weight."""
+    logs: list[Floats] = []
     leaders: dict[str, str] = {}
     for sequence in view.sequences:
         both = [_times(view, sequence, arm) for arm in (first, second)]
@@ -99,16 +99,14 @@ def duel(view: View, first: Contender, second: Contender) -> Duel:
         a, b = paired(both[1], both[0])
         if len(a) == 0:
             continue
-        slow.append(a)
-        fast.append(b)
+        logs.append(np.log(a / b))
         leaders[f"median on `{sequence}`"] = (
             first.label if np.median(b) <= np.median(a) else second.label
         )
-    if not slow:
+    if not logs:
         return Duel(first.label, second.label, UNKNOWN, 0, {})
-    mine, theirs = np.concatenate(slow), np.concatenate(fast)
     leaders["p99" if math.isfinite(first.p99_ns) else "largest step"] = first.label
-    return Duel(first.label, second.label, paired_ratio(mine, theirs), len(mine), leaders)
+    return Duel(first.label, second.label, pooled_mean(logs), sum(map(len, logs)), leaders)
 
 
 def _times(view: View, sequence: str, arm: Contender) -> StepTimes | None:

@@ -31,6 +31,13 @@ DEFINITIONS = (
     "**settings**: `default` is what the library ships; `low`, `mid` and `high` ask for tolerances "
     "of 1e-3, 1e-6 and 1e-9; `polished` adds the solver's own polishing of the answer. Where "
     "settings have no effect, one run is shown under all names.",
+    "**shifted geometric mean**: exp(mean ln(t + s)) − s over steps, every sequence of equal "
+    "weight; the shift s is the median of the fastest arm, as one of seconds would make it an "
+    "arithmetic mean. **Performance profile**: the share of steps solved within so many times the "
+    "fastest solver's time on the same step.",
+    "**unsolved step** of a ranking at an accuracy: it failed, its answer is not **true**, or its "
+    "error_move is larger than the accuracy. **flips**: other places that another penalty, "
+    "another shift or the loss of one sequence leads to.",
     "**slow-down**: the deadline over the largest algorithmic step time, rounded down; a "
     "computer that many times slower would still make the deadline on every step.",
 )

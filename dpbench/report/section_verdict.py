@@ -10,7 +10,6 @@ from dpbench.report.demand import Demand, demand_text
 from dpbench.report.fastest import Candidate, candidates
 from dpbench.report.fastest_text import (
     fastest_arm,
-    fastest_table,
     fastest_usual,
     fastest_way,
     first_ways,
@@ -26,6 +25,7 @@ from dpbench.report.formats import (
 )
 from dpbench.report.ranking import Contender, fastest_first
 from dpbench.report.table import Cell, Mark, Table, row_of
+from dpbench.report.tables_levels import level_tables
 from dpbench.report.verdict import Verdict, judge_all
 from dpbench.report.verdict_text import contrast, elsewhere, sentence, summary
 from dpbench.report.view import View
@@ -59,7 +59,6 @@ def verdict_section(view: View, demand: Demand) -> Section:
     first = next(iter(verdicts))
     ordered = _ordered(verdicts[first])
     found = candidates(view, demand)
-    ways = fastest_table(found, verdicts[first])
     section.add(
         Paragraph(" ".join(summary(verdicts)), lead=True),
         Paragraph(" ".join(fastest_arm(view, found)), lead=True),
@@ -67,7 +66,7 @@ def verdict_section(view: View, demand: Demand) -> Section:
         Paragraph(demand_text(demand)),
         *(Paragraph(line) for line in fastest_usual(view, verdicts[first], demand)),
         Tabular(verdict_table(verdicts, demand)),
-        *([Tabular(ways)] if ways is not None else []),
+        *(Tabular(table) for table in level_tables(view, demand, verdicts[first])),
         Bullets(
             tuple(
                 sentence(v, demand) + elsewhere(verdicts, v) + fastest_way(found, v.solver)

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular, missing
 from dpbench.report.demand import Demand
-from dpbench.report.figures import error_against_time, step_times, unanswered
-from dpbench.report.formats import and_list, plural
+from dpbench.report.figures import step_times
+from dpbench.report.formats import plural
 from dpbench.report.formulations import OTHERS, formulation_tables
 from dpbench.report.sweep import between_ends, sweeps
 from dpbench.report.tables_timing import Arm, jitter_table, timed_arms, timing_tables
@@ -49,7 +49,7 @@ def timing_section(view: View, demand: Demand) -> Section:
 
 
 def timing_pictures(view: View, demand: Demand) -> list[Block]:
-    """Distributions and error against time, per replayed sequence."""
+    """Distributions of step times, per replayed sequence."""
     blocks: list[Block] = []
     repeated = between_ends(sweeps(view, demand))
     for i, sequence in enumerate(view.sequences):
@@ -68,13 +68,6 @@ def timing_pictures(view: View, demand: Demand) -> list[Block]:
                 step_times(shown, demand),
             )
         )
-        fresh = [arm for arm in arms if arm[0]["policy"] == "fresh" and arm[0]["default_route"]]
-        native = _fastest_native(arms)
-        if fresh:
-            blocks.append(_error_picture(f"error_time_{i + 1}", sequence, fresh, demand))
-        if any(row["policy"] != "fresh" for row, _ in native):
-            name = f"error_time_native_{i + 1}"
-            blocks.append(_error_picture(name, sequence, native, demand, native=True))
     return blocks
 
 
@@ -89,31 +82,3 @@ def _two_of_each(arms: Sequence[Arm]) -> list[Arm]:
         if (arm[0]["default_route"] and arm[0]["policy"] == "fresh")
         or fastest[str(arm[0]["solver"])] is arm
     ]
-
-
-def _fastest_native(arms: Sequence[Arm]) -> list[Arm]:
-    """The fastest policy on route native of each solver and settings; `arms` fastest first."""
-    fastest: dict[tuple[str, str], Arm] = {}
-    for arm in arms:
-        if arm[0]["route"] == "native":
-            fastest.setdefault((str(arm[0]["solver"]), str(arm[0]["settings"])), arm)
-    return list(fastest.values())
-
-
-def _error_picture(
-    name: str, sequence: str, arms: Sequence[Arm], demand: Demand, *, native: bool = False
-) -> Picture:
-    how = "route native, fastest policy by median" if native else "default route, policy fresh"
-    steps = plural(max(len(times.algo_ns) for _, times in arms), "step")
-    silent = unanswered(arms)
-    without = (
-        f" Not drawn, as they leave steps without an answer: {and_list(silent)}." if silent else ""
-    )
-    return Picture(
-        name,
-        f"Error against time in the replay of {sequence}, {how}",
-        "A line joins the settings of one solver; failed: the most steps of one arm. "
-        "Errors below 1e-15 are drawn there. "
-        f"{plural(len(arms), 'arm')}, {steps}.{without}",
-        error_against_time(arms, demand),
-    )

@@ -6,11 +6,13 @@ blocks of consecutive steps (circular block bootstrap: Politis & Romano 1992), n
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 Floats = NDArray[np.float64]
 
@@ -92,6 +94,26 @@ def paired_ratio(
     tails = _tails(1.0 - (1.0 - confidence) / comparisons)
     low, high = np.quantile(resampled_means(logs, block, resamples, seed), tails)
     return Interval(float(np.exp(logs.mean())), float(np.exp(low)), float(np.exp(high)))
+
+
+def pooled_mean(logs: Sequence[Floats], comparisons: int = 1) -> Interval:
+    """exp of the mean over sequences of the mean log ratio, with its interval.
+
+    Parameters
+    ----------
+    logs : log ratios of the steps of each sequence; an empty one makes the mean unknown.
+    comparisons : how many such intervals are to hold together.
+    """
+    if not logs or not all(map(len, logs)):
+        return UNKNOWN
+    means = np.array([found.mean() for found in logs])
+    errors = [
+        float(resampled_means(found, BLOCK_STEPS, 4 * RESAMPLES, SEED).std()) for found in logs
+    ]
+    middle = float(means.mean())
+    spread = float(np.linalg.norm(errors)) / len(logs)
+    far = float(norm.isf((1.0 - CONFIDENCE) / (2.0 * comparisons))) * spread
+    return Interval(float(np.exp(middle)), float(np.exp(middle - far)), float(np.exp(middle + far)))
 
 
 def _tails(confidence: float) -> tuple[float, float]:

@@ -15,8 +15,9 @@ from dpbench.report.demand import Demand
 from dpbench.report.formats import as_float
 from dpbench.report.growth import Growth, fit_growth
 from dpbench.report.statistics import percentile
+from dpbench.report.step_times import StepTimes
 from dpbench.report.tables_timing import is_right
-from dpbench.report.view import Row, StepTimes, View
+from dpbench.report.view import Row, View
 
 Horizons = tuple[int, int]
 """N_p and N_c."""

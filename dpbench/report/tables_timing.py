@@ -18,11 +18,11 @@ from dpbench.report.formats import (
     plural,
     significant,
 )
-from dpbench.report.ranking import paired
-from dpbench.report.statistics import paired_ratio, percentile, percentile_interval, supports
+from dpbench.report.statistics import percentile, percentile_interval, supports
+from dpbench.report.step_times import StepTimes
 from dpbench.report.table import Cell, Table, row_of
 from dpbench.report.tables_accuracy import settings_without_effect
-from dpbench.report.view import Row, StepTimes, View
+from dpbench.report.view import Row, View
 
 Arm = tuple[Row, StepTimes]
 
@@ -62,19 +62,14 @@ def timing_tables(view: View, sequence: str, demand: Demand) -> list[Table]:
 def _timing_table(
     view: View, sequence: str, arms: Sequence[Arm], shown: Sequence[Arm], demand: Demand
 ) -> Table:
-    """Some arms of a sequence beside the best of all its arms."""
-    right = [arm for arm in arms if is_right(arm[0], demand)]
-    best = (right or arms)[0]
-    among = "arms whose answers meet the demand" if right else "arms, none of which meets it"
+    """Some of the arms of a sequence."""
     return Table(
         title=f"Step times in the replay of `{sequence}`",
         note=(
             f"{_population(view, arms)} Algorithmic time: per step the minimum over the rounds "
-            f"(set-up + update + solve + read). Intervals: 95 %, block bootstrap over steps. "
-            f"Against {best[0]['solver']}: geometric mean of paired ratios to {_label(best[0])}, "
-            f"the fastest by median among the {among}, its interval holding for "
-            f"all {plural(len(arms) - 1, 'comparison')} together. {plural(len(shown), 'arm')} "
-            f"shown here. {_refused_percentile(arms)}"
+            "(set-up + update + solve + read). Intervals: 95 %, block bootstrap over steps. "
+            f"{plural(len(shown), 'arm')} shown here; the section on rankings compares them in "
+            f"pairs. {_refused_percentile(arms)}"
         ),
         heads=(
             "solver",
@@ -88,11 +83,9 @@ def _timing_table(
             "p99 [µs]",
             "p99 95 %",
             "max [µs]",
-            f"against {best[0]['solver']} (fastest median)",
-            "interval",
             "steps",
         ),
-        rows=tuple(_timing_row(arm, best, len(arms) - 1, demand) for arm in shown),
+        rows=tuple(_timing_row(arm, demand) for arm in shown),
         text_columns=5,
     )
 
@@ -155,22 +148,12 @@ def _refused_percentile(arms: Sequence[Arm]) -> str:
     return f"{plural(most, 'step')} do not support a p99 (it takes 1000), so none is printed."
 
 
-def _label(row: Row) -> str:
-    return f"{row['solver']} ({row['route']} {row['policy']}, {row['settings']})"
-
-
-def _timing_row(arm: Arm, best: Arm, comparisons: int, demand: Demand) -> tuple[Cell, ...]:
+def _timing_row(arm: Arm, demand: Demand) -> tuple[Cell, ...]:
     row, times = arm
     algo = times.algo_ns
     middle = percentile_interval(algo, 50)
     far = percentile_interval(algo, 99)
     right = is_right(row, demand)
-    if arm is best:
-        ratio = row_of("1", "itself")
-    else:
-        slow, fast = paired(times, best[1])
-        found = paired_ratio(slow, fast, comparisons=max(1, comparisons))
-        ratio = row_of(significant(found.value), interval_text(found.low, found.high))
     early = as_float(row["steps_planned"]) > len(algo)
     return row_of(
         str(row["solver"]),
@@ -184,7 +167,6 @@ def _timing_row(arm: Arm, best: Arm, comparisons: int, demand: Demand) -> tuple[
         Cell(micro_text(far.value), "bad" if far.value > demand.p99_ns else ""),
         interval_text(far.low, far.high, 1e3),
         micro_text(float(algo.max())),
-        *ratio,
         Cell(count_text(len(algo)), "bad" if early else ""),
     )
 

@@ -4,49 +4,24 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from dpbench.bench.store import Results
 from dpbench.report.formats import as_float
 from dpbench.report.statistics import Floats
+from dpbench.report.step_times import StepTimes, step_times_of
 from dpbench.scenario import Scenario, scenario_of
 
 Row = Mapping[str, Any]
 """One row of `runs.parquet` with more of it: `default_route`, whether it runs on its solver's own;
 `family`, `n` and `m` as drawn of a random sequence, the family empty for every other row."""
 
-PHASES = ("setup", "update", "solve", "read")
 COMMON = "condensed_box"
 """The formulation that solvers are compared in."""
-
-
-@dataclass(frozen=True, eq=False)
-class StepTimes:
-    """Step times of one replayed arm.
-
-    Parameters
-    ----------
-    k : (K,) steps; algo_ns : (K,) minimum over the counting rounds, the algorithmic time.
-    raw_ns : (N,) all samples of the counting rounds.
-    true : (K,) whether the referee found the answer true in every counting round.
-    phase_ns : median of each phase over the samples, NaN where it is no part of a step.
-    iterations : median, mean and largest count, NaN where the solver gives none.
-    rounds : how many rounds count.
-    """
-
-    k: NDArray[np.int64]
-    algo_ns: Floats
-    raw_ns: Floats
-    true: NDArray[np.bool_]
-    phase_ns: dict[str, float]
-    iterations: tuple[float, float, float]
-    rounds: int
 
 
 class View:
@@ -157,7 +132,7 @@ class View:
         """Step times of a replay; None when no counting round left a step."""
         run_id = str(row["run_id"])
         if run_id not in self._times:
-            self._times[run_id] = _step_times(self.steps(row))
+            self._times[run_id] = step_times_of(self.steps(row))
         return self._times[run_id]
 
     def scenario(self, name: str) -> Scenario | None:
@@ -224,37 +199,3 @@ def has_steps(row: Row) -> bool:
 def values(rows: Sequence[Row], column: str) -> Floats:
     """A column of some runs as floats, missing ones NaN."""
     return np.array([as_float(row[column]) for row in rows], dtype=np.float64)
-
-
-def _step_times(steps: pd.DataFrame) -> StepTimes | None:
-    counting = steps[~steps["warmup"]]
-    calm = counting[~counting["spoilt"]]
-    counting = calm if len(calm) else counting
-    if counting.empty:
-        return None
-    k = counting["k"].to_numpy(dtype=np.int64)
-    raw = counting["total_ns"].to_numpy(dtype=np.float64, na_value=np.nan)
-    best = np.full(int(k.max()) + 1, np.inf)
-    np.minimum.at(best, k, raw)
-    done = np.flatnonzero(np.isfinite(best))
-    true = np.ones(len(best), dtype=np.bool_)
-    np.logical_and.at(true, k, counting["true"].to_numpy(dtype=np.bool_))
-    iterations = counting["iterations"].to_numpy(dtype=np.float64, na_value=np.nan)
-    counted = iterations[np.isfinite(iterations)]
-    return StepTimes(
-        k=done,
-        algo_ns=best[done],
-        raw_ns=raw,
-        true=true[done],
-        phase_ns={phase: _median(counting[f"{phase}_ns"]) for phase in PHASES},
-        iterations=(float(np.median(counted)), float(counted.mean()), float(counted.max()))
-        if len(counted)
-        else (float(np.nan), float(np.nan), float(np.nan)),
-        rounds=int(counting["repeat"].nunique()),
-    )
-
-
-def _median(column: pd.Series[Any]) -> float:
-    numbers = column.to_numpy(dtype=np.float64, na_value=np.nan)
-    numbers = numbers[np.isfinite(numbers)]
-    return float(np.median(numbers)) if len(numbers) else float(np.nan)

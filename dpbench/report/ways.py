@@ -14,7 +14,8 @@ import numpy as np
 from dpbench.errors import UnknownNameError
 from dpbench.report.ranking import common_steps
 from dpbench.report.statistics import Interval, paired_ratio
-from dpbench.report.view import Row, StepTimes, View
+from dpbench.report.step_times import StepTimes
+from dpbench.report.view import Row, View
 from dpbench.solvers.table import record
 
 Way = tuple[str, str]

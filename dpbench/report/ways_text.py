@@ -15,7 +15,7 @@ from dpbench.report.formats import (
     significant,
     time_text,
 )
-from dpbench.report.view import StepTimes
+from dpbench.report.step_times import StepTimes
 from dpbench.report.ways import (
     KEPT,
     NATIVE,

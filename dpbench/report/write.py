@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from dpbench.bench.design_file import Designs, load_design
 from dpbench.bench.store import Results, load_results
@@ -13,6 +14,7 @@ from dpbench.report.render import render_html, render_markdown
 from dpbench.report.section_design import design_section
 from dpbench.report.section_horizon import horizon_section
 from dpbench.report.section_random import random_lines, random_section
+from dpbench.report.section_ranks import check_baseline, ranks_section
 from dpbench.report.section_reading import reading_section
 from dpbench.report.section_solvers import solvers_section
 from dpbench.report.section_use import use_section
@@ -29,8 +31,13 @@ from dpbench.report.style import save, styled
 from dpbench.report.view import View
 
 
-def write_report(out: str | Path) -> Path:
+def write_report(out: str | Path, *, baseline: str | None = None) -> Path:
     """Write the report of the result folder `out` into it.
+
+    Parameters
+    ----------
+    baseline : the solver whose step times the others are compared with; by default the one the
+        suite names, or the fastest whose answers meet the demand.
 
     Returns
     -------
@@ -39,13 +46,16 @@ def write_report(out: str | Path) -> Path:
     Raises
     ------
     ResultsError : when the folder holds no readable results.
+    InputError : for a baseline that was not replayed; nothing is written then.
     """
     folder = Path(out)
     results = load_results(folder)
+    if baseline is not None:
+        check_baseline(View(results), Demand.of(results.suite), baseline)
     figures = folder / "figures"
     figures.mkdir(exist_ok=True)
     with styled():
-        page = build_page(results, load_design(folder))
+        page = build_page(results, load_design(folder), baseline=baseline)
         for stale in figures.glob("*.svg"):
             stale.unlink()
         for picture in page.pictures:
@@ -65,7 +75,9 @@ def verdict_lines(out: str | Path) -> list[str]:
     return [*judged, *random_lines(view)]
 
 
-def build_page(results: Results, designs: Designs | None = None) -> Page:
+def build_page(
+    results: Results, designs: Designs | None = None, *, baseline: str | None = None
+) -> Page:
     """The whole page, figures drawn but not written; without designs no section on them."""
     view, demand = View(results), Demand.of(results.suite)
     suite = results.suite
@@ -73,11 +85,19 @@ def build_page(results: Results, designs: Designs | None = None) -> Page:
         title=f"dpbench: {suite.get('name', 'results')}",
         subtitle=str(suite.get("title", "")),
         facts=_facts(results),
-        sections=_sections(view, demand, designs),
+        sections=_sections(view, demand, designs, baseline or _baseline(suite)),
     )
 
 
-def _sections(view: View, demand: Demand, designs: Designs | None) -> list[Section]:
+def _baseline(suite: dict[str, Any]) -> str | None:
+    """The baseline that the suite names."""
+    named = suite.get("report", {}).get("baseline")
+    return None if named is None else str(named)
+
+
+def _sections(
+    view: View, demand: Demand, designs: Designs | None, baseline: str | None
+) -> list[Section]:
     """All sections; of records without a ship, those that have something to say."""
     claims = random_section(view)
     horizon = horizon_section(view, demand)
@@ -92,6 +112,7 @@ def _sections(view: View, demand: Demand, designs: Designs | None) -> list[Secti
         units_section(view),
         *found,
         timing_section(view, demand),
+        ranks_section(view, demand, baseline),
         use_section(view, demand),
         *([horizon] if horizon is not None else []),
         figures_section(view, demand),

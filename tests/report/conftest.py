@@ -189,6 +189,8 @@ class Records:
         failed: int = 0,
         stopped: bool = False,
         wrong: Sequence[int] = (),
+        lost: Sequence[int] = (),
+        done: int | None = None,
         slow: Mapping[int, float] | None = None,
         setup: bool = False,
         iterations: int = 5,
@@ -196,13 +198,14 @@ class Records:
     ) -> None:
         """A replay with lognormal step times of a given median and spread.
 
-        Steps of `wrong` have an answer that is not true, those of `slow` take so many times as
-        long, and with `setup` each step holds a set-up.
+        Steps of `wrong` have an answer that is not true, those of `lost` none at all, those of
+        `slow` take so many times as long, and with `setup` each step holds a set-up. Only `done`
+        steps are recorded; all by default.
         """
         figures: dict[str, Any] = {
             "sequence": sequence,
             "steps_planned": steps,
-            "steps_done": steps,
+            "steps_done": steps if done is None else done,
             "rounds": rounds,
             "spoilt_rounds": 0,
             "error_move_max": error,
@@ -229,9 +232,10 @@ class Records:
             slower = 1.0 if r == 1 else 1.0 + self._rng.uniform(0.01, 0.3, steps)
             frame = self._replay_round(row["run_id"], r, algo * slower)
             frame["true"], frame["iterations"] = true, iterations + frame["k"] % 4
+            frame["error_move"], frame["fallback"] = error, frame["k"].isin(lost)
             if setup:
                 frame["setup_ns"], frame["update_ns"] = frame["update_ns"], pd.NA
-            frames.append(as_steps(frame))
+            frames.append(as_steps(frame.iloc[:done]))
         self._steps.append(pd.concat(frames, ignore_index=True))
 
     def _replay_round(self, run_id: str, r: int, total: np.ndarray) -> pd.DataFrame:

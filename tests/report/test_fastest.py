@@ -7,7 +7,9 @@ import pytest
 
 from dpbench.report.demand import Demand
 from dpbench.report.fastest import candidates, fastest_of
-from dpbench.report.fastest_text import fastest_arm, fastest_table, fastest_way
+from dpbench.report.fastest_text import fastest_arm, fastest_way
+from dpbench.report.table import Table
+from dpbench.report.tables_levels import level_tables, levels_of
 from dpbench.report.verdict import judge, judge_all
 
 DEMAND = Demand()
@@ -119,15 +121,72 @@ def test_a_headline_that_cannot_be_told_apart_carries_caution(records: Any) -> N
     assert "(native warm)" in second
 
 
-def test_the_table_names_who_has_no_way(records: Any) -> None:
-    """A solver without any right arm is named in the note instead of having a row."""
-    records.replay("daqp")
-    records.replay("osqp", error=0.5)
+def _headline(records: Any) -> list[Table]:
     view = records.view()
-    table = fastest_table(candidates(view, DEMAND), judge_all(view, DEMAND)["default"])
-    assert table is not None
-    assert [row[0].text for row in table.rows] == ["daqp"]
-    assert "No such way: osqp" in table.note
+    return level_tables(view, DEMAND, judge_all(view, DEMAND)["default"])
+
+
+def _places(table: Table) -> list[tuple[str, str, str]]:
+    return [(row[0].text, row[1].text, row[2].text) for row in table.rows]
+
+
+def test_the_headline_names_who_is_fastest_at_each_accuracy(records: Any) -> None:
+    """A fast solver with errors of 1e-3 leads at 1e-2 alone; who has no way is named instead."""
+    records.replay("rough_one", error=1e-3, median_us=5.0)
+    records.replay("exact", error=1e-12, median_us=20.0)
+    records.replay("middling", error=1e-5, median_us=10.0)
+    (table,) = _headline(records)
+    assert _places(table) == [
+        ("≤ 0.01", "1", "rough_one"),
+        ("≤ 0.01", "2", "middling"),
+        ("≤ 0.01", "3", "exact"),
+        ("≤ 0.0001", "1", "middling"),
+        ("≤ 0.0001", "2", "exact"),
+        ("≤ 1e-06", "1", "exact"),
+    ]
+    assert "at 0.0001 rough_one; at 1e-06 rough_one and middling" in table.note
+
+
+def test_tighter_settings_earn_a_place_at_a_higher_accuracy(records: Any) -> None:
+    """At each accuracy a solver stands once, with the settings that reach it fastest."""
+    records.replay("osqp", error=1e-3, median_us=10.0)
+    records.replay("osqp", error=1e-8, median_us=30.0, settings="high")
+    (table,) = _headline(records)
+    settings = table.heads.index("settings")
+    assert [row[settings].text for row in table.rows] == ["default", "high", "high"]
+
+
+def test_an_accuracy_has_to_be_achieved_on_every_sequence(records: Any) -> None:
+    """One sequence with a larger error takes the place away, and the largest error is printed."""
+    for solver, error in (("once", 1e-3), ("both", 1e-7)):
+        records.replay(solver, error=1e-7)
+        records.replay(solver, "rough[900:1400]", error=error)
+    (table,) = _headline(records)
+    assert [r[2] for r in _places(table) if r[0] == "≤ 1e-06"] == ["both"]
+    shown = {row[2].text: row[7].text for row in table.rows if row[0].text == "≤ 0.01"}
+    assert shown == {"once": "1.0e-03", "both": "1.0e-07"}
+
+
+def test_the_accuracy_of_the_demand_is_among_those_of_the_headline() -> None:
+    """A demand of its own is a level of its own; one of the usual three is there once."""
+    assert levels_of(Demand(error_move=1e-3)) == [1e-2, 1e-3, 1e-4, 1e-6]
+    assert levels_of(Demand(error_move=1e-2)) == [1e-2, 1e-4, 1e-6]
+
+
+def test_places_behind_the_first_five_are_folded(records: Any) -> None:
+    """The headline stays short, and nobody is lost."""
+    for i in range(7):
+        records.replay(f"s{i}", error=1e-3, median_us=10.0 + 5 * i)
+    head, rest = _headline(records)
+    assert [solver for *_, solver in _places(head)] == [f"s{i}" for i in range(5)]
+    assert [(place, solver) for _, place, solver in _places(rest)] == [("6", "s5"), ("7", "s6")]
+    assert rest.folded
+
+
+def test_without_a_right_arm_there_is_no_headline(records: Any) -> None:
+    """No table is made of nobody."""
+    records.replay("osqp", error=0.5)
+    assert _headline(records) == []
 
 
 @pytest.mark.parametrize(

@@ -99,6 +99,7 @@ def test_sections_come_in_their_order(report: Path) -> None:
         "accuracy",
         "units",
         "timing",
+        "ranks",
         "use",
         "figures",
         "control",

@@ -93,17 +93,6 @@ def test_timing_refuses_a_p99_of_few_steps(records: Any) -> None:
     assert "do not support a p99" in table.note
 
 
-def test_the_best_arm_is_one_with_right_answers(records: Any) -> None:
-    """A fast solver with wrong answers is not what the others are measured against."""
-    records.replay("wrong", median_us=5.0, error=0.5)
-    records.replay("right", median_us=20.0)
-    (table,) = timing_tables(records.view(), "paper", DEMAND)
-    assert _column(table, "interval")[1] == "itself"
-    assert float(_column(table, "against right (fastest median)")[0]) == pytest.approx(
-        0.25, abs=0.02
-    )
-
-
 def test_raw_tails_need_their_samples(records: Any) -> None:
     """A p99.9 needs 10 000 samples, and the table counts them."""
     records.replay("few", steps=1000, rounds=3)

@@ -1,0 +1,157 @@
+"""The section on rankings: what accuracy costs, ratios to a baseline, places that hold or flip."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from dpbench.errors import InputError
+from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular, missing
+from dpbench.report.demand import Demand
+from dpbench.report.figures_ranks import (
+    FARTHEST,
+    OF_EACH,
+    highlighted,
+    performance_profiles,
+    work_precision,
+)
+from dpbench.report.formats import and_list, plural
+from dpbench.report.pooled import Pool, pool
+from dpbench.report.rank_stability import Ranking, rank
+from dpbench.report.ratios import baseline_of, ratios
+from dpbench.report.tables_levels import levels_of
+from dpbench.report.tables_ranks import rank_table, ratio_tables
+from dpbench.report.view import View
+from dpbench.report.work_precision import Rung, fastest_at, native_ladders, usual_ladders
+
+
+def check_baseline(view: View, demand: Demand, solver: str) -> None:
+    """Refuse a baseline without a replayed arm that others can be compared with."""
+    pooled = pool(view, demand)
+    known = list(dict.fromkeys(arm.solver for arm in pooled.arms)) if pooled else []
+    if solver not in known:
+        allowed = ", ".join(known) or "none, no replay left a step"
+        raise InputError("--baseline", "", repr(solver), f"a solver that was replayed: {allowed}")
+
+
+def ranks_section(view: View, demand: Demand, baseline: str | None = None) -> Section:
+    """Rankings and what they depend on.
+
+    Parameters
+    ----------
+    baseline : the solver that others are compared with; None: that of the suite, or the fastest.
+    """
+    section = Section("ranks", "Rankings")
+    pooled = pool(view, demand)
+    if pooled is None or not pooled.arms:
+        section.add(missing("no replay left a step, so nothing is ranked."))
+        return section
+    section.add(
+        Paragraph(
+            "Speed is compared at equal accuracy, on the same steps, and again with other choices: "
+            "a place is worth no more than the choices that lead to it. "
+            "A place without a mark holds under all of them."
+        ),
+        *_precision_pictures(view, pooled, demand),
+        *_ratios(pooled, baseline),
+        *_rankings(pooled, demand),
+    )
+    return section
+
+
+def _precision_pictures(view: View, pooled: Pool, demand: Demand) -> list[Block]:
+    usual = usual_ladders(view, pooled.sequences)
+    native = native_ladders(view, pooled.sequences)
+    blocks: list[Block] = []
+    if usual:
+        how = "default route, policy fresh"
+        blocks.append(_precision_picture("work_precision", how, pooled, usual, demand))
+    if any(rung.policy != "fresh" for rungs in native.values() for rung in rungs):
+        how = "route native, fastest policy by p50"
+        blocks.append(_precision_picture("work_precision_native", how, pooled, native, demand))
+    return blocks
+
+
+def _precision_picture(
+    name: str, how: str, pooled: Pool, ladders: Mapping[str, Sequence[Rung]], demand: Demand
+) -> Picture:
+    rungs = [rung for found in ladders.values() for rung in found]
+    silent = [f"{r.solver} ({r.settings})" for r in rungs if math.isinf(r.error_move)]
+    without = (
+        f" Not drawn, as they leave steps without an answer: {and_list(silent)}." if silent else ""
+    )
+    unknown = [f"{r.solver} ({r.settings})" for r in rungs if math.isnan(r.error_move)]
+    without += f" Not drawn for want of an optimum: {and_list(unknown)}." if unknown else ""
+    tail = (
+        ""
+        if any(math.isfinite(rung.p99_ns) for rung in rungs)
+        else " No sequence has the 1000 steps that a p99 takes."
+    )
+    return Picture(
+        name,
+        f"What accuracy costs, {how}",
+        f"{plural(len(ladders), 'solver')}, {plural(len(rungs), 'arm')}, "
+        f"{_names(pooled)}; a line joins the settings of one solver. Time: the worst over the "
+        "sequences, p99 over those long enough for one; error: the largest of all, below 1e-15 "
+        f"drawn there. Coloured: of each method family the {OF_EACH} of least p50 that meet the "
+        f"demand on every step.{tail}{without}",
+        work_precision(ladders, highlighted(fastest_at(ladders, demand.error_move)), demand),
+    )
+
+
+def _names(pooled: Pool) -> str:
+    steps = plural(len(pooled.sequence_of), "step")
+    return f"{steps} of {and_list(list(pooled.sequences))}"
+
+
+def _ratios(pooled: Pool, wanted: str | None) -> list[Block]:
+    """The paired ratios to the baseline, and how it was chosen."""
+    baseline = baseline_of(pooled, wanted)
+    chosen = wanted == baseline.solver
+    why = "the fastest way of the solver chosen" if chosen else "the fastest arm"
+    why += " by geometric mean"
+    right = "its answers meet the demand" if baseline.right else "its answers miss the demand"
+    absent = (
+        f" The suite names {wanted} as baseline, which was not replayed here."
+        if wanted and not chosen
+        else ""
+    )
+    found = ratios(pooled, baseline)
+    if not found:
+        return [Paragraph(f"Only {baseline.label} was replayed, so nothing is compared with it.")]
+    return [
+        Paragraph(f"Baseline: **{baseline.label}**, {why}; {right}.{absent}"),
+        *(Tabular(table) for table in ratio_tables(pooled, baseline, found)),
+    ]
+
+
+def _rankings(pooled: Pool, demand: Demand) -> list[Block]:
+    """Profiles and places per accuracy; that of the demand unfolded."""
+    found = [rank(pooled, level, demand) for level in levels_of(demand)]
+    solving = [ranking for ranking in found if ranking.placed]
+    blocks: list[Block] = []
+    if solving:
+        blocks.append(_profile_picture(pooled, solving, demand))
+    for ranking in found:
+        if ranking.placed:
+            folded = ranking.level != demand.error_move
+            blocks.append(Tabular(rank_table(pooled, ranking, folded=folded)))
+        else:
+            blocks.append(missing(f"no step is solved to {ranking.level:g}, so nobody is ranked."))
+    return blocks
+
+
+def _profile_picture(pooled: Pool, found: Sequence[Ranking], demand: Demand) -> Picture:
+    judged = next((r for r in found if r.level == demand.error_move), found[0])
+    colours = highlighted([placed.arm.solver for placed in judged.placed])
+    return Picture(
+        "performance_profiles",
+        "Performance profiles",
+        f"Dolan-Moré profiles over {_names(pooled)}, every sequence of equal weight; of each "
+        "solver the way of the rank table. A step is unsolved if it failed, its answer is not "
+        "true or its error is larger than the title says. Left end: how often a solver is "
+        f"the fastest; right end: how often it solves the step in at most {FARTHEST:g} times the "
+        "best time. Who follows the leader depends on who takes part (Gould & Scott 2016). "
+        f"Coloured: the first {OF_EACH} of each method family at {judged.level:g}.",
+        performance_profiles(pooled, found, colours),
+    )

@@ -1,0 +1,135 @@
+"""The headline: who is fastest at an accuracy achieved on every step of every sequence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from dpbench.report.demand import Demand
+from dpbench.report.fastest import ALIKE, Candidate, candidates, fastest_of
+from dpbench.report.fastest_text import first_ways, yardstick
+from dpbench.report.formats import and_list, error_text, interval_text, plural, time_text
+from dpbench.report.statistics import UNKNOWN, Interval, percentile_interval
+from dpbench.report.table import Cell, Table, row_of
+from dpbench.report.verdict import Verdict
+from dpbench.report.view import View
+
+LEVELS = (1e-2, 1e-4, 1e-6)
+"""Accuracies of the first move that are asked for, in rate-limit steps."""
+FIRST = 5
+"""So many solvers of each accuracy stand in the headline; the others are folded below it."""
+HEADS = (
+    "achieved error_move",
+    "place",
+    "solver",
+    "route",
+    "policy",
+    "settings",
+    "answers judged",
+    "error_move max",
+    "p50",
+    "p50 95 % [µs]",
+    "p99",
+    "p99 95 % [µs]",
+    "on",
+    "largest step",
+)
+
+
+def levels_of(demand: Demand) -> list[float]:
+    """The accuracies of the headline, that of the demand among them, the coarsest first."""
+    return sorted({*LEVELS, demand.error_move}, reverse=True)
+
+
+def level_tables(view: View, demand: Demand, verdicts: Sequence[Verdict]) -> list[Table]:
+    """The headline table and, folded, the solvers behind the first; none without a right arm."""
+    ran = [verdict.solver for verdict in verdicts if verdict.outcome != "not run"]
+    found: dict[float, list[Candidate]] = {}
+    for level in levels_of(demand):
+        arms = candidates(view, replace(demand, error_move=level))
+        found[level] = [arm for arm in arms if arm.solver in ran]
+    if not any(found.values()):
+        return []
+    ways = {level: list(enumerate(first_ways(arms), 1)) for level, arms in found.items()}
+    some = next(way for placed in ways.values() for _, way in placed)
+    by = yardstick(some)
+    head = Table(
+        title=f"Fastest at an accuracy achieved on every step, by {by}",
+        note=(
+            f"The first {FIRST} solvers at each accuracy of the first move, each in its fastest "
+            f"way. {_population(found, some)} Ordered by {by}; p50 and p99 with bootstrap "
+            "intervals are those of the sequence with the worst p99, the largest step that of all. "
+            "An arm without a closed loop of its own is judged on replays alone; where settings "
+            f"make less than {100 * ALIKE:g} % of difference the more usual ones are named. "
+            f"{_absent(found, ran)}"
+        ),
+        heads=HEADS,
+        rows=tuple(
+            _row(view, level, place, way, demand)
+            for level, placed in ways.items()
+            for place, way in placed[:FIRST]
+        ),
+        text_columns=7,
+    )
+    rest = tuple(
+        _row(view, level, place, way, demand)
+        for level, placed in ways.items()
+        for place, way in placed[FIRST:]
+    )
+    if not rest:
+        return [head]
+    note = f"The same for {plural(len(rest), 'further place')}. {_population(found, some)}"
+    more = replace(head, title=f"{head.title}: the others", note=note, rows=rest, folded=True)
+    return [head, more]
+
+
+def _population(found: dict[float, list[Candidate]], some: Candidate) -> str:
+    counts = [f"{len(arms)} at {level:g}" for level, arms in found.items()]
+    return (
+        f"Arms replayed on {plural(some.sequences, 'sequence')} in scaled units whose every answer "
+        f"is that accurate: {and_list(counts)}."
+    )
+
+
+def _absent(found: dict[float, list[Candidate]], ran: Sequence[str]) -> str:
+    """Who has no way to an accuracy, said once for several accuracies."""
+    lines = []
+    for level, arms in found.items():
+        none = [solver for solver in ran if fastest_of(arms, solver) is None]
+        if none:
+            lines.append(f"at {level:g} {and_list(none)}")
+    if not lines:
+        return ""
+    why = "an answer is less accurate, a step failed, or an arm did not finish"
+    return f"No such way: {'; '.join(lines)} ({why})."
+
+
+def _row(view: View, level: float, place: int, way: Candidate, demand: Demand) -> tuple[Cell, ...]:
+    p50, p99 = _intervals(view, way)
+    return row_of(
+        Cell(f"≤ {level:g}", "good" if level == demand.error_move else ""),
+        str(place),
+        way.solver,
+        way.route,
+        way.policy,
+        way.settings,
+        way.judged_on,
+        error_text(way.error_move),
+        time_text(way.p50_ns),
+        interval_text(p50.low, p50.high, 1e3),
+        Cell(time_text(way.p99_ns), "bad" if way.p99_ns > demand.p99_ns else ""),
+        interval_text(p99.low, p99.high, 1e3),
+        f"`{way.where}`",
+        time_text(way.algo_max_ns),
+    )
+
+
+def _intervals(view: View, way: Candidate) -> tuple[Interval, Interval]:
+    """Bootstrap intervals of p50 and p99 on the sequence they belong to."""
+    arm = {"route": way.route, "policy": way.policy, "settings": way.settings}
+    for row in view.replays(way.where, solver=way.solver, **arm):
+        times = view.times(row)
+        if times is not None:
+            algo = times.algo_ns
+            return percentile_interval(algo, 50), percentile_interval(algo, 99)
+    return UNKNOWN, UNKNOWN

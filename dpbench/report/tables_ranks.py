@@ -1,0 +1,199 @@
+"""Tables of rankings: paired ratios to a baseline, and places that other choices move."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dpbench.report.formats import (
+    and_list,
+    count_text,
+    interval_text,
+    micro_text,
+    plural,
+    share_text,
+    significant,
+    time_text,
+)
+from dpbench.report.pooled import Arm, Pool
+from dpbench.report.rank_stability import Placed, Ranking
+from dpbench.report.ratios import Ratio
+from dpbench.report.table import Cell, Table, row_of
+
+COLUMNS = 4
+"""Of more sequences the least and the largest ratio are shown instead of each."""
+
+
+def population(pool: Pool) -> str:
+    """What the figures of a pool are taken from."""
+    names = and_list([f"`{name}`" for name in pool.sequences])
+    more = (
+        f" {plural(pool.left_out, 'further arm')} replayed on fewer sequences stay out."
+        if pool.left_out
+        else ""
+    )
+    weighing = ", each sequence of equal weight" if len(pool.sequences) > 1 else ""
+    return (
+        f"Replay of {names}: {plural(len(pool.sequence_of), 'step')}{weighing}, "
+        f"{plural(len(pool.arms), 'arm')} in scaled units, algorithmic time.{more}"
+    )
+
+
+def ratio_tables(pool: Pool, baseline: Arm, found: Sequence[Ratio]) -> list[Table]:
+    """The fastest right way of each solver against the baseline, and folded all other arms."""
+    first = _first_of_each(found)
+    rest = [ratio for ratio in found if ratio not in first]
+    title = f"Step times against {baseline.label}"
+    tables = [_ratio_table(pool, title, first, len(found), folded=False)] if first else []
+    if rest:
+        tables.append(
+            _ratio_table(pool, f"{title}: other ways", rest, len(found), folded=True),
+        )
+    return tables
+
+
+def _first_of_each(found: Sequence[Ratio]) -> list[Ratio]:
+    """Of each solver its fastest arm, among those that meet the demand where there is one."""
+    best: dict[str, Ratio] = {}
+    for ratio in found:
+        known = best.setdefault(ratio.arm.solver, ratio)
+        if ratio.arm.right and not known.arm.right:
+            best[ratio.arm.solver] = ratio
+    return [ratio for ratio in found if best[ratio.arm.solver] is ratio]
+
+
+def _ratio_table(
+    pool: Pool, title: str, shown: Sequence[Ratio], comparisons: int, *, folded: bool
+) -> Table:
+    return Table(
+        title=title,
+        note=(
+            f"{population(pool)} How many times as long an arm takes per step: geometric mean of "
+            f"the paired ratios. The intervals of all {plural(comparisons, 'comparison')} hold "
+            "together with 95 % (Bonferroni; standard error by block bootstrap). Where one holds "
+            "1 the two cannot be told apart. "
+            f"{plural(len(shown), 'arm')} shown here."
+        ),
+        heads=(
+            "solver",
+            "route",
+            "policy",
+            "settings",
+            "answers meet the demand",
+            "than the baseline",
+            "ratio",
+            "simultaneous interval",
+            *_sequence_heads(pool.sequences),
+            "common steps",
+        ),
+        rows=tuple(_ratio_row(ratio) for ratio in shown),
+        text_columns=6,
+        folded=folded,
+    )
+
+
+def _sequence_heads(names: Sequence[str]) -> tuple[str, ...]:
+    """A column per sequence; of many sequences the extremes."""
+    if len(names) > COLUMNS:
+        return "least on a sequence", "most on a sequence"
+    return tuple(f"on `{name}`" for name in names) if len(names) > 1 else ()
+
+
+def _sequence_values(found: Sequence[float]) -> tuple[float, ...]:
+    """The numbers below `_sequence_heads`."""
+    if len(found) > COLUMNS:
+        return float(np.fmin.reduce(found)), float(np.fmax.reduce(found))
+    return tuple(found) if len(found) > 1 else ()
+
+
+def _ratio_row(ratio: Ratio) -> tuple[Cell, ...]:
+    arm = ratio.arm
+    return row_of(
+        arm.solver,
+        arm.route,
+        arm.policy,
+        arm.settings,
+        Cell("yes" if arm.right else "no", "good" if arm.right else "bad"),
+        _order(ratio),
+        significant(ratio.pooled.value),
+        interval_text(ratio.pooled.low, ratio.pooled.high),
+        *(significant(value) for value in _sequence_values(ratio.per_sequence)),
+        count_text(ratio.steps),
+    )
+
+
+def _order(ratio: Ratio) -> Cell:
+    """Whether the arm is slower or faster, and whether that is the same everywhere."""
+    if ratio.pooled.value != ratio.pooled.value:
+        return Cell("not compared", "quiet")
+    if ratio.pooled.spans(1.0):
+        return Cell("cannot be told apart", "warn")
+    word = "slower" if ratio.pooled.value > 1.0 else "faster"
+    return Cell(f"{word}, not on every sequence", "warn") if ratio.turns else Cell(word)
+
+
+def rank_table(pool: Pool, ranking: Ranking, *, folded: bool) -> Table:
+    """The places at one accuracy, the unstable ones marked with what flips them."""
+    penalty, shift = ranking.choice.penalty_ns, ranking.choice.shift_ns
+    idle = (
+        f" Not ranked, as no step is solved: {and_list(list(ranking.idle))}."
+        if ranking.idle
+        else ""
+    )
+    first = ranking.placed[0].mean_ns if ranking.placed else float("nan")
+    return Table(
+        title=f"Ranks at error_move ≤ {ranking.level:g}, by shifted geometric mean",
+        note=(
+            f"{population(pool)} {plural(len(ranking.placed), 'solver')}, each in the way that "
+            "leaves the least unsolved and then has the smallest mean. A step is unsolved if it "
+            "failed, its answer is not true or its error_move is larger; it costs "
+            f"{time_text(penalty)}, the deadline. Shift {time_text(shift)}: the median of the "
+            "fastest arm that solves every step. "
+            f"Places were found again with {and_list([c.name for c in ranking.others])}; a place "
+            f"that another choice changes is marked with what it becomes.{idle}"
+        ),
+        heads=(
+            "place",
+            "solver",
+            "route",
+            "policy",
+            "settings",
+            "place flips to",
+            "shifted mean [µs]",
+            "to the first",
+            "unsolved",
+            "places",
+        ),
+        rows=tuple(_rank_row(placed, first) for placed in ranking.placed),
+        text_columns=6,
+        folded=folded,
+    )
+
+
+def _rank_row(placed: Placed, first: float) -> tuple[Cell, ...]:
+    arm = placed.arm
+    ranks = [placed.rank, *placed.flips.values()]
+    low, high = min(ranks), max(ranks)
+    return row_of(
+        Cell(str(placed.rank), "warn" if placed.flips else "good"),
+        arm.solver,
+        arm.route,
+        arm.policy,
+        arm.settings,
+        Cell(flips_text(placed), "warn" if placed.flips else ""),
+        micro_text(placed.mean_ns),
+        significant(placed.mean_ns / first),
+        share_text(placed.unsolved),
+        str(low) if low == high else f"{low}-{high}",
+    )
+
+
+def flips_text(placed: Placed) -> str:
+    """`3: shift × 10 and without paper; 5: penalty × 10`, or `stable`."""
+    if not placed.flips:
+        return "stable"
+    by_place: dict[int, list[str]] = {}
+    for name, place in placed.flips.items():
+        by_place.setdefault(place, []).append(name)
+    return "; ".join(f"{place}: {and_list(names)}" for place, names in sorted(by_place.items()))

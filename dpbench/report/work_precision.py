@@ -1,0 +1,95 @@
+"""What accuracy costs: the settings ladder of each solver as points of time and achieved error."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dpbench.report.statistics import percentile
+from dpbench.report.verdict import settings_level
+from dpbench.report.view import Row, View, values
+
+
+@dataclass(frozen=True)
+class Rung:
+    """A solver run in one way at one settings level, over all sequences.
+
+    Parameters
+    ----------
+    p50_ns, p99_ns : algorithmic step time, each the worst over the sequences; p99 over those that
+        support one, NaN where none does.
+    error_move : the largest error of the first move, NaN where no optimum is certified.
+    failed : failed steps.
+    """
+
+    solver: str
+    route: str
+    policy: str
+    settings: str
+    p50_ns: float
+    p99_ns: float
+    error_move: float
+    failed: int
+
+
+def usual_ladders(view: View, sequences: Sequence[str]) -> dict[str, list[Rung]]:
+    """Per solver its rungs on the default route with policy fresh."""
+    return _ladders(
+        view, sequences, lambda row: bool(row["default_route"]) and row["policy"] == "fresh"
+    )
+
+
+def native_ladders(view: View, sequences: Sequence[str]) -> dict[str, list[Rung]]:
+    """Per solver its rungs on route native, at each settings level the policy of least p50."""
+    return _ladders(view, sequences, lambda row: row["route"] == "native")
+
+
+def _ladders(
+    view: View, sequences: Sequence[str], wanted: Callable[[Row], bool]
+) -> dict[str, list[Rung]]:
+    arms: dict[tuple[str, str, str, str], dict[str, Row]] = {}
+    for row in view.select(mode="replay", units="scaled", sequence=tuple(sequences)):
+        if wanted(row):
+            key = (str(row["solver"]), str(row["route"]), str(row["policy"]), str(row["settings"]))
+            arms.setdefault(key, {})[str(row["sequence"])] = row
+    best: dict[tuple[str, str], Rung] = {}
+    for key, rows in arms.items():
+        rung = _rung(view, key, list(rows.values())) if len(rows) == len(sequences) else None
+        if rung is not None:
+            place = (rung.solver, rung.settings)
+            if place not in best or rung.p50_ns < best[place].p50_ns:
+                best[place] = rung
+    ladders: dict[str, list[Rung]] = {}
+    for rung in sorted(best.values(), key=lambda r: settings_level(r.settings)):
+        ladders.setdefault(rung.solver, []).append(rung)
+    return ladders
+
+
+def _rung(view: View, key: tuple[str, str, str, str], rows: Sequence[Row]) -> Rung | None:
+    times = [view.times(row) for row in rows]
+    timed = [found.algo_ns for found in times if found is not None]
+    if len(timed) < len(rows):
+        return None
+    p99 = [percentile(algo, 99) for algo in timed]
+    return Rung(
+        *key,
+        p50_ns=max(float(np.median(algo)) for algo in timed),
+        p99_ns=max((value for value in p99 if math.isfinite(value)), default=math.nan),
+        error_move=float(np.fmax.reduce(values(rows, "error_move_max"))),
+        failed=int(np.nansum(values(rows, "failed_steps"))),
+    )
+
+
+def fastest_at(ladders: Mapping[str, Sequence[Rung]], error_move: float) -> list[str]:
+    """Solvers with a rung of this accuracy and without a failed step, the fastest p50 first."""
+    best = {
+        solver: min(
+            (r.p50_ns for r in rungs if r.failed == 0 and r.error_move <= error_move),
+            default=math.inf,
+        )
+        for solver, rungs in ladders.items()
+    }
+    return sorted((s for s in best if math.isfinite(best[s])), key=lambda solver: best[solver])
