@@ -79,6 +79,8 @@ def _parser() -> argparse.ArgumentParser:
     check = commands.add_parser("check", help="check a vessel, scenario, suite or sequence file")
     check.add_argument("file", help="a TOML file, or a .npz whose every step is certified anew")
     check.set_defaults(call=_check)
+    doctor = commands.add_parser("doctor", help="is this machine quiet, is the harness right")
+    doctor.set_defaults(call=_doctor)
     return parser
 
 
@@ -246,6 +248,14 @@ def _list(arguments: argparse.Namespace) -> int:
     # Into a file or a pipe the table takes the room it needs instead of 80 columns.
     console = Console() if sys.stdout.isatty() else Console(width=200)
     console.print(listing(arguments.what))
+    return 0
+
+
+def _doctor(arguments: argparse.Namespace) -> int:
+    from dpbench.report.doctor import doctor_lines
+
+    for line in doctor_lines():
+        print(line)
     return 0
 
 

@@ -17,6 +17,7 @@ from dpbench.bench.suite import (
     UnitName,
 )
 from dpbench.errors import InputError, SettingsError
+from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Policy, Route
 from dpbench.solvers.open import REFUSED_BY_QPSOLVERS
 from dpbench.solvers.plugins import find_plugin
@@ -66,6 +67,8 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
     chosen = _named(only) if only else named
     if not only and suite.contrast:
         chosen.append(CONTRAST)
+    if not only and suite.calibration:
+        chosen += CALIBRATION
     return list(dict.fromkeys(chosen))
 
 
@@ -91,11 +94,17 @@ def module_of(solver: str) -> str:
 
 
 def arms_of(solvers: Sequence[str], table: Table) -> list[Arm]:
-    """The arms of one table of a suite; a solver is left out of a route it does not have."""
+    """The arms of one table of a suite; a solver is left out of a route it does not have.
+
+    The harness's own arms have one way to run, whatever the table asks for, and take part in timed
+    replays alone.
+    """
     known = [name for solver in solvers for name in setting_names(solver)]
     for name in table.settings:
         if name not in known:
             raise SettingsError("settings", "", repr(name), " | ".join(dict.fromkeys(known)))
+    own = [name for name in solvers if name in CALIBRATION]
+    solvers = [name for name in solvers if name not in CALIBRATION]
     arms: list[Arm] = []
     for units, formulation, policy, wanted, solver in product(
         table.units, table.formulations, table.policies, table.routes, solvers
@@ -110,7 +119,8 @@ def arms_of(solvers: Sequence[str], table: Table) -> list[Arm]:
         elif names:
             alias = tuple(names[1:])
             arms.append(Arm(solver, route, policy, units, names[0], formulation, alias))
-    return arms
+    timed = isinstance(table, ReplayTable | RecordedTable)
+    return arms + [Arm(name, "native", "reuse", "scaled", "default") for name in own if timed]
 
 
 def refusal_of(arm: Arm) -> str:

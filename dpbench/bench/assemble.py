@@ -16,6 +16,7 @@ from dpbench.bench.schema import SCHEMA_VERSION, as_steps
 from dpbench.bench.supervise import Outcome
 from dpbench.qp.solution import Status
 from dpbench.scenario import scenario_of
+from dpbench.solvers.calibration import CALIBRATION
 
 _STATUS_NAMES = np.array([status.name for status in Status])
 
@@ -130,7 +131,9 @@ def run_row(
     if counting.empty:
         counting = steps
     row["steps_done"] = int(counting.groupby("repeat")["k"].count().max())
-    row |= graded.metrics | _accuracy(counting) | _timing(cell, graded, counting)
+    row |= graded.metrics | _timing(cell, graded, counting)
+    if cell.solver not in CALIBRATION:
+        row |= _accuracy(counting)
     if cell.mode == "closed_loop":
         row |= _failures(steps)
     return row
@@ -195,10 +198,11 @@ def _timing(cell: Cell, graded: Graded, counting: pd.DataFrame) -> dict[str, Any
         return timing
     per_step = pd.Series(raw).groupby(counting["k"].to_numpy())
     best = per_step.min().to_numpy()
-    rounds = np.unique(graded.columns["repeat"])
+    spoilt = spoilt_rounds(graded.columns)
     return timing | {
         "rounds": int(counting["repeat"].nunique()),
-        "spoilt_rounds": int(np.isin(rounds, spoilt_rounds(graded.columns)).sum()),
+        # The warm-up is never run again and never counts, so it is not said to be spoilt either.
+        "spoilt_rounds": int((spoilt > 0).sum()),
         "algo_p50_ns": _percentile(best, 50),
         "algo_p95_ns": _percentile(best, 95),
         "algo_p99_ns": _percentile(best, 99),

@@ -6,7 +6,6 @@ the recorded θ; the residuals are given in the solver's own units too.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ from dpbench.bench.metrics import control_metrics
 from dpbench.bench.rawlog import RawLog
 from dpbench.qp.certify import Optimum, Referee, error_of
 from dpbench.qp.claims import judge_claim
-from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, Refresh, Units
+from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Units
 from dpbench.qp.residuals import Residuals, best_multipliers, is_true, residuals
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario import scenario_of
@@ -156,7 +155,8 @@ def _truth(qp: QuadraticProgram, found: Residuals, plan: float) -> tuple[bool, .
     return tuple(is_true(qp, found, plan, tol) for tol in (1e-3, 1e-4, 1e-6))
 
 
-def _answer(log: RawLog, r: int, k: int) -> Solution:
+def recorded_answer(log: RawLog, r: int, k: int) -> Solution:
+    """The answer in row (r, k) of a log, in the solver's own units."""
     return Solution(Status(int(log.status[r, k])), log.z[r, k], log.y[r, k], log.y_box[r, k])
 
 
@@ -178,10 +178,10 @@ def grade_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Graded:
             step_own = step if own is scaled else own.again(k, log.theta[k])
             judge.follow(step, step_own)
             optimum = judge.certify(step)
-            grades[k] = judge.judge(step, step_own, _answer(log, 0, k), optimum)
+            grades[k] = judge.judge(step, step_own, recorded_answer(log, 0, k), optimum)
             certificates[k] = CERTIFICATES.index(optimum.kind)
             matrix_steps += Refresh.MATRICES in step.refresh
-    columns = _common_columns(log, [0], [done], grades, certificates)
+    columns = common_columns(log, [0], [done], grades, certificates)
     columns |= {
         "t_s": np.arange(done) * scenario.sample_s,
         "fallback": log.flags[:done, 0].astype(bool),
@@ -205,47 +205,15 @@ def grade_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Graded:
     return Graded(columns, metrics)
 
 
-def grade_sequence(
-    log: RawLog, own: QPSequence, sample_s: float, optima: Sequence[Optimum] | None = None
-) -> Graded:
-    """The judged columns of a replay of the sequence `own`; `optima` where they are certified."""
-    scaled: QPSequence = own if own.scaled is None else own.scaled
-    ones = np.ones(own.base.n)
-    units = Units(ones, ones) if own.units is None else own.units
-    judge = StepJudge(scaled.base, own.base, units)
-    rounds = [r for r in range(len(log.done)) if log.done[r] > 0]
-    counts = [int(log.done[r]) for r in rounds]
-    grades = np.full((sum(counts), len(GRADES)), np.nan)
-    certificates = np.zeros(sum(counts), dtype=np.int8)
-    starts = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(int)
-    for k in range(max(counts, default=0)):
-        judge.follow(scaled.step(k), own.step(k))
-        optimum = judge.certify(scaled.step(k)) if optima is None else optima[k]
-        seen: dict[bytes, tuple[float, ...]] = {}
-        for r, start, count in zip(rounds, starts, counts, strict=True):
-            if k >= count:
-                continue
-            # Most solvers repeat themselves bit for bit; an identical answer has its judgement.
-            identity = log.z[r, k].tobytes() + log.y[r, k].tobytes() + log.y_box[r, k].tobytes()
-            if identity not in seen:
-                answer = _answer(log, r, k)
-                seen[identity] = judge.judge(scaled.step(k), own.step(k), answer, optimum)
-            grades[start + k] = seen[identity]
-            certificates[start + k] = CERTIFICATES.index(optimum.kind)
-    columns = _common_columns(log, rounds, counts, grades, certificates)
-    first, every = int(own.meta.get("first", 0)), int(own.meta.get("every", 1))
-    columns["t_s"] = (first + every * columns["k"]) * sample_s
-    columns["probe_ns"] = log.probe_ns[rounds].copy()
-    return Graded(columns, {})
-
-
-def _common_columns(
+def common_columns(
     log: RawLog,
     rounds: list[int],
     counts: list[int],
     grades: NDArray[np.float64],
     certificates: NDArray[np.int8],
 ) -> Columns:
+    """The columns of both modes: `counts` recorded steps of each of `rounds`, and their grades."""
+
     def rows(array: NDArray[Any]) -> NDArray[Any]:
         parts = [array[r, :count] for r, count in zip(rounds, counts, strict=True)]
         return np.concatenate(parts) if parts else array[0, :0].copy()

@@ -17,7 +17,8 @@ from pathlib import Path
 
 from dpbench.bench.cell import Cell
 from dpbench.bench.formulation import in_replay
-from dpbench.bench.grade import Graded, grade_sequence
+from dpbench.bench.grade import Graded
+from dpbench.bench.grade_replay import grade_sequence
 from dpbench.bench.port import SolverPort
 from dpbench.bench.rawlog import RawLog, replay_layout
 from dpbench.bench.replay import ReplayArm

@@ -17,7 +17,8 @@ from dpbench.bench.cell import FALLBACKS, FORMULATIONS, Cell, Fallback, Formulat
 from dpbench.bench.emitter import Emitter
 from dpbench.bench.exact import base_problem, solve_exactly
 from dpbench.bench.formulation import in_loop, in_replay
-from dpbench.bench.grade import Graded, grade_log, grade_sequence
+from dpbench.bench.grade import Graded, grade_log
+from dpbench.bench.grade_replay import grade_sequence
 from dpbench.bench.loop import Voyage, closed_loop
 from dpbench.bench.port import SolverPort
 from dpbench.bench.rawlog import RawLog, loop_layout, replay_layout

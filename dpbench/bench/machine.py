@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import psutil
+from threadpoolctl import threadpool_info
 
 LIBRARIES = ("dpbench", "numpy", "scipy", "numba", "pandas", "qpsolvers")
 THREAD_VARIABLES = (
@@ -62,7 +63,8 @@ def describe_machine() -> dict[str, Any]:
         **lasting,
         "governor": _first_line("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor"),
         "frequency_MHz": _frequency(),
-        "blas_threads": 1,
+        "blas": _blas(),
+        "throttle_counters": "visible" if _throttle_visible() else "not visible",
         "affinity": sorted(os.sched_getaffinity(0)),
         "clock_read_ns": read_cost,
         "timer_resolution_ns": resolution,
@@ -82,6 +84,21 @@ def _first_line(path: str) -> str:
         return Path(path).read_text(encoding="ascii").strip()
     except OSError:
         return "not visible"
+
+
+def _blas() -> list[str]:
+    """The BLAS libraries that are loaded, with the kernels they chose for this processor."""
+    return [
+        " ".join(
+            str(pool[key]) for key in ("internal_api", "version", "architecture") if pool.get(key)
+        )
+        for pool in threadpool_info()
+        if pool["user_api"] == "blas"
+    ]
+
+
+def _throttle_visible() -> bool:
+    return Path("/sys/devices/system/cpu/cpu0/thermal_throttle").is_dir()
 
 
 def _cpu_model() -> str:

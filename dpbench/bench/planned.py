@@ -17,6 +17,7 @@ from dpbench.problem_files import sequence_path
 from dpbench.qp.kkt import positive_definite
 from dpbench.qp.program import QPSequence
 from dpbench.qp.random_recipe import FAMILIES, RandomRecipe
+from dpbench.solvers.calibration import WAITS_NS
 from dpbench.solvers.table import record
 
 NOT_STRICT = "P is only semidefinite, and the solver needs P > 0"
@@ -53,7 +54,7 @@ def cell_of(
         settings=arm.settings,
         formulation="none" if contrast else arm.formulation,
         units=arm.units,
-        limit_s=suite.cell_limit_s,
+        limit_s=suite.cell_limit_s + _waiting_s(arm, **more),
         solver_module=module_of(arm.solver),
         **more,
     )
@@ -62,6 +63,11 @@ def cell_of(
         return planned
     # States cost nothing along most of their directions, so P is only semidefinite.
     return _if_semidefinite(replace(planned, refused=planned.refused or no_stages))
+
+
+def _waiting_s(arm: Arm, steps: int, rounds: int = 0, **_: Any) -> float:
+    """What a waiting arm waits on purpose, every round run again; 0 for every other arm."""
+    return 2e-9 * WAITS_NS.get(arm.solver, 0) * steps * (rounds + 1)
 
 
 def recorded_cells(

@@ -7,6 +7,7 @@ same file and finds every step that was completed.
 from __future__ import annotations
 
 import json
+import mmap
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,24 @@ from numpy.typing import NDArray
 _ALIGN = 64
 TIMES = ("emit", "setup", "update", "solve", "read", "overhead")
 """Order of the phases in `RawLog.times`; −1 where a phase did not take place."""
+
+COUNTERS = (
+    "replay_s",
+    "voluntary_switches",
+    "involuntary_switches",
+    "steal_s",
+    "throttle_events",
+)
+"""What `RawLog.counters` holds of a round (`disturbance.py`); NaN where the kernel hides it."""
+FOOTPRINT = (
+    "peak_rss_bytes",
+    "os_threads",
+    "pool_threads",
+    "python_blocks_per_step",
+    "python_peak_bytes_per_step",
+    "heap_growth_bytes_per_step",
+)
+"""What `RawLog.footprint` holds of a worker (`footprint.py`); NaN where it was not measured."""
 
 
 def loop_layout(steps: int, n: int, m: int, n_theta: int) -> dict[str, tuple[str, tuple[int, ...]]]:
@@ -33,7 +52,12 @@ def replay_layout(
     rounds: int, steps: int, n: int, m: int
 ) -> dict[str, tuple[str, tuple[int, ...]]]:
     """Arrays of a replay log: round 0 is the warm-up."""
-    return _answers(rounds, steps, n, m) | {"probe_ns": ("f8", (rounds, 2))}
+    return _answers(rounds, steps, n, m) | {
+        "probe_ns": ("f8", (rounds, 2)),
+        "attempts": ("i8", (rounds,)),
+        "counters": ("f8", (rounds, len(COUNTERS))),
+        "footprint": ("f8", (len(FOOTPRINT),)),
+    }
 
 
 def _answers(rounds: int, steps: int, n: int, m: int) -> dict[str, tuple[str, tuple[int, ...]]]:
@@ -56,7 +80,8 @@ class RawLog:
     """Named arrays over one buffer; attribute access by name, e.g. `log.times[r, k]`.
 
     `done[r]` counts the completed steps of round r and is written last, so whatever it covers is
-    whole. `flags` (steps, 3) holds fallback, unconverged, clipped.
+    whole. `flags` (steps, 3) holds fallback, unconverged, clipped; `attempts[r]` how often round r
+    was begun.
     """
 
     done: NDArray[np.int64]
@@ -76,9 +101,13 @@ class RawLog:
     command: NDArray[np.float64]
     flags: NDArray[np.uint8]
     probe_ns: NDArray[np.float64]
+    attempts: NDArray[np.int64]
+    counters: NDArray[np.float64]
+    footprint: NDArray[np.float64]
 
     def __init__(self, layout: dict[str, tuple[str, tuple[int, ...]]], buffer: Any) -> None:
         offset = 0
+        self._buffer = buffer
         for name, (dtype, shape) in layout.items():
             count = int(np.prod(shape))
             setattr(self, name, np.frombuffer(buffer, dtype, count, offset).reshape(shape))
@@ -106,6 +135,10 @@ class RawLog:
         """The log at `path`, writable and shared with whoever else has it open."""
         layout = json.loads(path.with_suffix(".layout").read_text(encoding="ascii"))
         return cls(layout, np.memmap(path, np.uint8, "r+"))
+
+    def touch(self) -> None:
+        """Read a byte of every page, so that the kernel maps it into this process now."""
+        np.frombuffer(self._buffer, np.uint8)[:: mmap.PAGESIZE].max(initial=0)
 
 
 def _size(layout: dict[str, tuple[str, tuple[int, ...]]]) -> int:

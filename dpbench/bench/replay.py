@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from dpbench.bench.disturbance import counters
 from dpbench.bench.port import Clock, SolverPort, record_answer
 from dpbench.bench.rawlog import RawLog
 from dpbench.qp.program import QPSequence
@@ -64,10 +65,11 @@ class ReplayArm:
         clock: Clock,
         preroll: int = PREROLL,
     ) -> None:
-        self._sequence, self._port, self._log, self._clock = sequence, port, log, clock
+        self.sequence, self._port, self._log, self._clock = sequence, port, log, clock
         self._warmup_steps = warmup_steps
         self._limit_ns, self._preroll = limit_ns, preroll
         self._spent_ns = 0
+        log.footprint[:] = np.nan
         log.setup_once_ns[0] = port.prepare()
         log.started[0] = 1
 
@@ -77,10 +79,13 @@ class ReplayArm:
         The first `preroll` steps are solved without a record beforehand: the worker slept on its
         pipe until now, and cold caches are no property of step 0.
         """
-        log, clock, port, sequence = self._log, self._clock, self._port, self._sequence
+        log, clock, port, sequence = self._log, self._clock, self._port, self.sequence
         steps = self._warmup_steps if r == 0 else len(sequence)
         times = log.times[r]
         log.done[r] = 0
+        log.attempts[r] += 1
+        log.counters[r] = np.nan
+        before = counters()
         log.probe_ns[r, 0] = probe_ns(clock)
         began = clock()
         for k in range(min(self._preroll, steps)):
@@ -101,4 +106,5 @@ class ReplayArm:
                 return False
         self._spent_ns += clock() - began
         log.probe_ns[r, 1] = probe_ns(clock)
+        np.subtract(counters(), before, out=log.counters[r])
         return True

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 DType = Literal["str", "bool", "int32", "int64", "Int64", "float64"]
 Columns = dict[str, tuple[DType, str]]
@@ -130,7 +130,8 @@ TIMING_COLUMNS: Columns = {
         "updates with which the workspace took over new matrices, in one pass; 0 if set up anew",
     ),
     "rounds": ("Int64", "replay rounds that count"),
-    "spoilt_rounds": ("Int64", "rounds marked as spoilt and run again"),
+    "spoilt_rounds": ("Int64", "rounds marked as spoilt, whose times do not count"),
+    "rerun_rounds": ("Int64", "rounds run again because they were spoilt; the last attempt counts"),
     "algo_p50_ns": ("float64", "over steps, of the minimum over rounds: the algorithmic time"),
     "algo_p95_ns": ("float64", "the same, 95 %"),
     "algo_p99_ns": ("float64", "the same, 99 %; NaN below 1000 steps"),
@@ -143,6 +144,31 @@ TIMING_COLUMNS: Columns = {
     "raw_samples": ("Int64", "how many samples are pooled"),
     "emit_p50_ns": ("float64", "median of emit_ns"),
     "overhead_p50_ns": ("float64", "median of overhead_ns"),
+}
+
+MACHINE_COLUMNS: Columns = {
+    "replay_s": ("float64", "wall time of the rounds of a replay, with all that is between steps"),
+    "voluntary_switches": ("Int64", "context switches over them in which the worker waited"),
+    "involuntary_switches": ("Int64", "context switches over them against the worker's will"),
+    "steal_s": ("float64", "time the host of a virtual machine took from the worker's core"),
+    "throttle_events": ("float64", "thermal throttle events of that core; NaN if not visible"),
+    "bit_identical_share": ("float64", "share of steps with the same bits in z in every round"),
+    "answer_spread_max": ("float64", "largest difference of a z between two rounds, scaled units"),
+    "iterations_identical_share": ("float64", "share of steps with the same iterations each round"),
+    "iterations_spread": ("Int64", "largest difference of a step's iterations between rounds"),
+    "peak_rss_bytes": (
+        "float64",
+        "peak resident memory of the worker with its library, above the process it is forked "
+        "from, less the QPs and the log",
+    ),
+    "os_threads": ("Int64", "threads of the worker after its last round"),
+    "pool_threads": ("Int64", "most threads a loaded BLAS or OpenMP library would use"),
+    "python_blocks_per_step": ("float64", "Python memory blocks an answer leaves held, median"),
+    "python_peak_bytes_per_step": (
+        "float64",
+        "peak of what Python and NumPy allocate within a step, median; not a library's own",
+    ),
+    "heap_growth_bytes_per_step": ("float64", "growth of the C heap a step, over untimed steps"),
 }
 
 CONTROL_COLUMNS: Columns = {
@@ -187,7 +213,9 @@ CONTROL_COLUMNS: Columns = {
     "dev_force_rms_N": ("float64", "its root mean square"),
 }
 
-RUN_COLUMNS = IDENTITY_COLUMNS | ACCURACY_COLUMNS | TIMING_COLUMNS | CONTROL_COLUMNS
+RUN_COLUMNS = (
+    IDENTITY_COLUMNS | ACCURACY_COLUMNS | TIMING_COLUMNS | MACHINE_COLUMNS | CONTROL_COLUMNS
+)
 
 
 def _conform(frame: pd.DataFrame, columns: Columns) -> pd.DataFrame:

@@ -131,11 +131,16 @@ class ReportTable(FileModel):
 
 
 class SuiteFile(FileModel):
-    """`problems/suites/*.toml`; 0 steps means all steps."""
+    """`problems/suites/*.toml`; 0 steps means all steps.
+
+    With `contrast` the clipped unconstrained law steers too; with `calibration` the harness's own
+    arms, whose cost is known, take part in every replay.
+    """
 
     title: str
     solvers: Annotated[list[str], Field(min_length=1)] = ["all"]
     contrast: bool = True
+    calibration: bool = False
     cell_limit_s: Positive = 5.0
     rounds: Annotated[int, Field(ge=1)] = 5
     warmup_steps: Count = 50

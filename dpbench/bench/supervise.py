@@ -91,6 +91,11 @@ class Child:
         """Its raw log; there is none before it started."""
         return self.folder / f"{self.name}.raw"
 
+    @property
+    def has_verdict(self) -> bool:
+        """Whether it wrote what became of it; what it does after that changes nothing."""
+        return self._verdict.exists()
+
     def overdue(self) -> bool:
         """Kill the process when a limit has passed; true if it did."""
         now = time.monotonic()
@@ -119,7 +124,7 @@ class Child:
         if self._killed_for:
             return Outcome("timed_out", self._killed_for)
         code = self.process.exitcode
-        if self._verdict.exists():
+        if self.has_verdict:
             return self.verdict_of(self._verdict)
         if code is not None and code < 0:
             return Outcome("crashed", f"killed by {signal.Signals(-code).name}")

@@ -20,8 +20,10 @@ from typing import Any
 from dpbench.bench.cell import Cell
 from dpbench.bench.emitter import Emitter
 from dpbench.bench.exact import ExactLoop, base_problem
+from dpbench.bench.footprint import MemoryWatch, affordable_steps, measure_steps, threads
 from dpbench.bench.formulation import in_loop, in_replay
-from dpbench.bench.grade import Graded, grade_log, grade_sequence
+from dpbench.bench.grade import Graded, grade_log
+from dpbench.bench.grade_replay import grade_sequence
 from dpbench.bench.loop import Voyage, closed_loop
 from dpbench.bench.port import SolverPort
 from dpbench.bench.rawlog import RawLog, loop_layout, replay_layout
@@ -29,6 +31,7 @@ from dpbench.bench.replay import PREROLL, ReplayArm
 from dpbench.bench.source import source_of
 from dpbench.errors import CertificateError, InputError
 from dpbench.scenario import scenario_of
+from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.isolation import isolate
 from dpbench.solvers.open import open_workspace
@@ -132,12 +135,13 @@ def run_replay_cell(
 
     None ends the service. The QPs come from the file `source` that `make_source` left.
     """
-    cell = Cell.from_json(text)
+    cell, memory = Cell.from_json(text), MemoryWatch()
     workspace = _open(cell, folder, name)
     if workspace is None:
         orders.send(None)
         return
-    arm, port, log = _replay_arm(cell, workspace, folder / f"{name}.raw", source)
+    memory.opened()
+    arm, port, log = _replay_arm(cell, workspace, folder / f"{name}.raw", source, memory=memory)
     # Pinned only now, so that several workers can import their libraries side by side.
     pin(core)
     orders.send(True)
@@ -145,16 +149,28 @@ def run_replay_cell(
     while (r := orders.recv()) is not None:
         complete = arm.round(r)
         orders.send(complete)
+    log.footprint[:3] = (memory.peak_bytes(), *threads())
     write_verdict(folder / f"{name}.json", _replay_verdict(cell, workspace, port, log, complete))
+    # The verdict stands: what happens from here on is no part of the replay.
+    if complete:
+        log.footprint[3:] = measure_steps(arm.sequence, port, affordable_steps(log))
 
 
 def _replay_arm(
-    cell: Cell, workspace: Workspace, raw: Path, source: Path, preroll: int = PREROLL
+    cell: Cell,
+    workspace: Workspace,
+    raw: Path,
+    source: Path,
+    *,
+    preroll: int = PREROLL,
+    memory: MemoryWatch | None = None,
 ) -> tuple[ReplayArm, SolverPort, RawLog]:
     sequence = source_of(cell).load(cell, source).sequence
     layout = replay_layout(cell.rounds + 1, len(sequence), sequence.base.n, sequence.base.m)
     log = RawLog.create(raw, layout)
     steps, formulated = in_replay(cell.formulation, sequence)
+    if memory is not None:
+        memory.loaded(log)
     port = SolverPort(workspace, formulated, clock)
     arm = ReplayArm(
         steps,
@@ -231,5 +247,6 @@ def _grade(link: Link, log: RawLog) -> Graded:
     cell = Cell.from_json(link.cell)
     if cell.mode == "replay":
         found = source_of(cell).load(cell, link.source)
-        return grade_sequence(log, found.sequence, found.sample_s, found.optima)
+        judged = cell.solver not in CALIBRATION
+        return grade_sequence(log, found.sequence, found.sample_s, found.optima, judged=judged)
     return grade_log(cell, log, ExactLoop.load(link.source))

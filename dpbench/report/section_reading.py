@@ -38,6 +38,13 @@ DEFINITIONS = (
     "**unsolved step** of a ranking at an accuracy: it failed, its answer is not **true**, or its "
     "error_move is larger than the accuracy. **flips**: other places that another penalty, "
     "another shift or the loss of one sequence leads to.",
+    "**the machine was quiet** or **disturbed**: judged by a rule stated beside it, from what the "
+    "kernel counts around every replay round and from a reference kernel timed before and after "
+    "it. A round in which that kernel is slowed by more than a quarter is spoilt and run again "
+    "once; one spoilt twice does not count.",
+    "**no_op**, **copy_only**, **busy_wait**: arms of the harness itself, of known cost, by which "
+    "it measures its own overhead and shows that it measures right. They answer nothing, are "
+    "judged by nobody, and no time is corrected by them.",
     "**slow-down**: the deadline over the largest algorithmic step time, rounded down; a "
     "computer that many times slower would still make the deadline on every step.",
 )

@@ -57,6 +57,8 @@ def _effort(view: View) -> str:
         spoilt = [as_float(row["spoilt_rounds"]) for row in view.select(mode="replay")]
         count = sum(value for value in spoilt if value > 0)
         words.append(f"{plural(count, 'round')} marked as spoilt by a slow machine")
+    if view.calibration:
+        words.append(f"{plural(len(view.calibration), 'cell')} more measure the harness itself")
     text = "; ".join(words)
     return f"{text[0].upper()}{text[1:]}." if text else ""
 
@@ -69,8 +71,8 @@ def machine_lines(machine: dict[str, Any]) -> list[str]:
 
     lines = [
         f"Processor {of('cpu_model')}, {of('cores')} cores, {of('memory_GiB')} GiB memory; "
-        f"{of('kernel')}, {of('python')}; one thread for every numerical library "
-        f"({of('blas_threads')}).",
+        f"{of('kernel')}, {of('python')}; every numerical library is asked for one thread "
+        f"(BLAS: {', '.join(machine.get('blas') or ['none seen'])}).",
         f"Reading the clock costs {of('clock_read_ns')} ns; its resolution is "
         f"{of('timer_resolution_ns')} ns.",
     ]

@@ -10,6 +10,7 @@ from dpbench.report.demand import Demand
 from dpbench.report.figures import step_times
 from dpbench.report.formats import plural
 from dpbench.report.formulations import OTHERS, formulation_tables
+from dpbench.report.section_harness import machine_blocks
 from dpbench.report.sweep import between_ends, sweeps
 from dpbench.report.tables_timing import Arm, jitter_table, timed_arms, timing_tables
 from dpbench.report.view import View
@@ -29,6 +30,7 @@ def timing_section(view: View, demand: Demand) -> Section:
             "closed loops belong to different QPs and are ranked nowhere."
         )
     )
+    section.add(*machine_blocks(view))
     found = False
     repeated = between_ends(sweeps(view, demand))
     if repeated:
@@ -40,7 +42,7 @@ def timing_section(view: View, demand: Demand) -> Section:
             if sequence in repeated:
                 ranked = [replace(table, folded=True) for table in ranked]
             section.add(*(Tabular(table) for table in ranked), Tabular(raw))
-    if not found:
+    if not found and not view.calibration:
         section.add(missing("no replay left a step, so no time is given."))
     formulated = formulation_tables(view, demand)
     if formulated:

@@ -15,6 +15,7 @@ from dpbench.report.formats import as_float
 from dpbench.report.statistics import Floats
 from dpbench.report.step_times import StepTimes, step_times_of
 from dpbench.scenario import Scenario, scenario_of
+from dpbench.solvers.calibration import CALIBRATION
 
 Row = Mapping[str, Any]
 """One row of `runs.parquet` with more of it: `default_route`, whether it runs on its solver's own;
@@ -29,7 +30,8 @@ class View:
 
     `every` row is one of `runs`, which are about the ship, of `random`, which are not, or of
     another formulation than the common one of its problem; what is selected below is selected from
-    `runs`, so that nothing mixes formulations.
+    `runs`, so that nothing mixes formulations. The harness's own arms are no solvers: they are in
+    `calibration` and nowhere else.
     """
 
     def __init__(self, results: Results) -> None:
@@ -39,6 +41,8 @@ class View:
             for row in results.runs.to_dict("records")
         ]
         rows = [row | _random(row) for row in rows]
+        self.calibration: list[Row] = [row for row in rows if row["solver"] in CALIBRATION]
+        rows = [row for row in rows if row["solver"] not in CALIBRATION]
         # What a solver is judged on is not for the random problems to say.
         usual = _default_routes(rows) | _default_routes([row for row in rows if not row["family"]])
         self.every: list[Row] = [

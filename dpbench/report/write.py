@@ -12,6 +12,7 @@ from dpbench.report.demand import Demand
 from dpbench.report.formats import as_float, time_text
 from dpbench.report.render import render_html, render_markdown
 from dpbench.report.section_design import design_section
+from dpbench.report.section_harness import harness_lines, repeat_section
 from dpbench.report.section_horizon import horizon_section
 from dpbench.report.section_random import random_lines, random_section
 from dpbench.report.section_ranks import check_baseline, ranks_section
@@ -71,8 +72,9 @@ def verdict_lines(out: str | Path) -> list[str]:
     """The verdict on a result folder in a few plain lines."""
     results = load_results(out)
     view = View(results)
-    judged = _lines(view, Demand.of(results.suite)) if view.runs or not view.random else []
-    return [*judged, *random_lines(view)]
+    without = view.random or view.calibration
+    judged = _lines(view, Demand.of(results.suite)) if view.runs or not without else []
+    return [*judged, *random_lines(view), *harness_lines(view)]
 
 
 def build_page(
@@ -99,8 +101,11 @@ def _sections(
     view: View, demand: Demand, designs: Designs | None, baseline: str | None
 ) -> list[Section]:
     """All sections; of records without a ship, those that have something to say."""
+    if view.calibration and not view.every:
+        return [timing_section(view, demand), reading_section()]
     claims = random_section(view)
     horizon = horizon_section(view, demand)
+    repeat = repeat_section(view)
     design = [design_section(designs)] if designs is not None else []
     found = [claims] if claims is not None else []
     if found and not view.runs:
@@ -113,6 +118,7 @@ def _sections(
         *found,
         timing_section(view, demand),
         ranks_section(view, demand, baseline),
+        *([repeat] if repeat is not None else []),
         use_section(view, demand),
         *([horizon] if horizon is not None else []),
         figures_section(view, demand),

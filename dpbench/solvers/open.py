@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 
 from dpbench.errors import InputError, PolicyError, SolverUnavailableError
+from dpbench.solvers.calibration import CALIBRATION, open_calibration
 from dpbench.solvers.contract import Policy, Route, Settings, Workspace
 from dpbench.solvers.native import NATIVE
 from dpbench.solvers.plugins import find_plugin
@@ -110,6 +111,8 @@ def _open_own(row: SolverRecord, policy: Policy, settings: Settings) -> Workspac
     else:
         check_names(row.name, settings, HILDRETH_KEYS if row.name == "hildreth" else ())
         options = dict(settings)
+    if row.name in CALIBRATION:
+        return open_calibration(row.name)
     # What is compiled is loaded, or compiled at the first time, only when it is asked for.
     if row.name == "paper_active_set":
         from dpbench.solvers.paper_active_set import PaperActiveSet

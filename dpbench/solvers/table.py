@@ -9,6 +9,7 @@ from importlib import metadata
 from pathlib import Path
 
 from dpbench.errors import UnknownNameError
+from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.native import NATIVE
 from dpbench.solvers.plugins import entry_point_names, find_plugin, load_file, loaded_names
 from dpbench.solvers.project import NOT_STATED
@@ -82,12 +83,17 @@ class Availability:
 
 
 def solver_names() -> tuple[str, ...]:
-    """Every solver of the table, installed or not, and every plug-in, in alphabetical order."""
+    """Every solver of the table, installed or not, and every plug-in, in alphabetical order.
+
+    The harness's own arms (`calibration.py`) have records but are no solvers, and not among them.
+    """
     return tuple(sorted({*TABLE, *loaded_names(), *entry_point_names()}))
 
 
 def record(name: str) -> SolverRecord:
     """The row of a solver: of the table, of a plug-in, or of one that only qpsolvers knows.
+
+    The harness's own arms have a row too.
 
     Raises
     ------
@@ -96,6 +102,8 @@ def record(name: str) -> SolverRecord:
     """
     if name in TABLE:
         return TABLE[name]
+    if name in CALIBRATION:
+        return CALIBRATION[name]
     plugin = find_plugin(name)
     if plugin is not None:
         return plugin.record
@@ -111,7 +119,7 @@ def load_solver_module(path: str | Path) -> SolverRecord:
     ------
     InputError : the file is missing, fails when run, is no plug-in, or takes a name of the table.
     """
-    return load_file(path, TABLE)
+    return load_file(path, {**TABLE, **CALIBRATION})
 
 
 def available(name: str) -> Availability:

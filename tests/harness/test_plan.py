@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
+
+from dpbench.bench.cell import Cell
 from dpbench.bench.plan import plan
 from dpbench.bench.suite import ClosedLoopTable, ReplayTable, SuiteFile, load_suite
+from dpbench.solvers.calibration import CALIBRATION
 
 
 def test_a_cell_asked_for_twice_keeps_all_names_of_its_settings() -> None:
@@ -39,3 +43,36 @@ def test_vessels_multiply_the_scenarios_and_fallbacks_tell_rows_apart() -> None:
         "rough@cybership2 (hold)",
     ]
     assert [cell.scenario["vessel_name"] for cell in cells] == ["osv", "cybership2"] * 2
+
+
+def test_the_harness_own_arms_run_once_per_timed_sequence_and_never_steer() -> None:
+    """Whatever ways a table asks for they have one; `all` does not mean them, a name does."""
+    ways = {"settings": ["default", "high"], "units": ["scaled", "si"]}
+    policies = {"policies": ["fresh", "warm"]}
+    document = {
+        "title": "x",
+        "solvers": ["daqp"],
+        "contrast": False,
+        "closed_loop": [{"scenarios": ["paper"], "steps": 5, **ways}],
+        "replay": [
+            {"scenario": "paper", "steps": 5, **ways, **policies},
+            {"scenario": "paper", "steps": 5, "routes": ["native"], "policies": ["reuse"]},
+        ],
+        "random": [{"families": ["plain"], "sizes": [[4, 4]], "steps": 2}],
+    }
+
+    def own(*only: str, **more: object) -> list[Cell]:
+        suite = SuiteFile.model_validate(document | more)
+        cells = [planned.cell for planned in plan(suite, solvers=only or None)]
+        return [cell for cell in cells if cell.solver in CALIBRATION]
+
+    assert own() == [] and own(solvers=["all"]) == []
+    arms = own(calibration=True)
+    assert sorted(cell.solver for cell in arms) == sorted(CALIBRATION)
+    assert {(cell.mode, cell.route, cell.policy, cell.units) for cell in arms} == {
+        ("replay", "native", "reuse", "scaled")
+    }
+    assert [cell.solver for cell in own("no_op")] == ["no_op"]
+    # A millisecond of waiting, five steps, five rounds and a warm-up, each run twice.
+    limits = {cell.solver: cell.limit_s for cell in arms}
+    assert limits["busy_wait_1000us"] - limits["no_op"] == pytest.approx(0.06)

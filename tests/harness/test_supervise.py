@@ -14,6 +14,7 @@ import pytest
 from dpbench.bench import supervise
 from dpbench.bench.rawlog import RawLog, replay_layout
 from dpbench.bench.supervise import Child, template_context
+from dpbench.bench.worker import verdict_of, write_verdict
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +70,17 @@ def test_a_process_that_never_starts_its_loop_is_killed(
     wait(child)
     assert child.outcome().outcome == "timed_out"
     assert "did not start" in child.outcome().detail
+
+
+def test_a_process_killed_behind_its_verdict_keeps_it(
+    context: ForkServerContext, tmp_path: Path
+) -> None:
+    """What a worker does after it said what became of the cell is no part of the cell."""
+    child = Child(context, time.sleep, (600.0,), tmp_path, "cell", limit_s=5.0)
+    assert not child.has_verdict
+    write_verdict(tmp_path / "cell.json", verdict_of("finished", ""))
+    child.kill("" if child.has_verdict else "no verdict")
+    assert child.outcome().outcome == "finished"
 
 
 def test_the_template_pins_threads_and_leaves_the_caller_alone(

@@ -24,7 +24,7 @@ MACHINE: dict[str, Any] = {
     "kernel": "Linux 6.1",
     "python": "CPython 3.11",
     "governor": "not visible",
-    "blas_threads": 1,
+    "blas": ["openblas 0.3 Synthetic"],
     "affinity": [0, 1],
     "clock_read_ns": 40.0,
     "timer_resolution_ns": 1,

@@ -1,0 +1,85 @@
+"""Judge the raw log of a replay; how it repeated itself, what disturbed it, what it took."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpbench.bench.disturbance import disturbance_metrics
+from dpbench.bench.footprint import footprint_metrics
+from dpbench.bench.grade import (
+    CERTIFICATES,
+    GRADES,
+    Graded,
+    StepJudge,
+    common_columns,
+    recorded_answer,
+)
+from dpbench.bench.rawlog import RawLog
+from dpbench.bench.repeatability import repeatability
+from dpbench.qp.certify import Optimum
+from dpbench.qp.program import QPSequence, Units
+
+
+def grade_sequence(
+    log: RawLog,
+    own: QPSequence,
+    sample_s: float,
+    optima: Sequence[Optimum] | None = None,
+    *,
+    judged: bool = True,
+) -> Graded:
+    """The judged columns of a replay of the sequence `own`; `optima` where they are certified.
+
+    Without `judged` the answers are none, and nothing is said of them.
+    """
+    rounds = [r for r in range(len(log.done)) if log.done[r] > 0]
+    counts = [int(log.done[r]) for r in rounds]
+    grades = np.full((sum(counts), len(GRADES)), np.nan)
+    certificates = np.full(sum(counts), CERTIFICATES.index("none"), dtype=np.int8)
+    units = _units(own)
+    if judged:
+        _judge_rounds(log, own, units, optima, rounds, counts, grades, certificates)
+    columns = common_columns(log, rounds, counts, grades, certificates)
+    first, every = int(own.meta.get("first", 0)), int(own.meta.get("every", 1))
+    columns["t_s"] = (first + every * columns["k"]) * sample_s
+    columns["probe_ns"] = log.probe_ns[rounds].copy()
+    metrics = repeatability(log, units.z) | disturbance_metrics(log) | footprint_metrics(log)
+    return Graded(columns, metrics)
+
+
+def _units(own: QPSequence) -> Units:
+    ones = np.ones(own.base.n)
+    return Units(ones, ones) if own.units is None else own.units
+
+
+def _judge_rounds(
+    log: RawLog,
+    own: QPSequence,
+    units: Units,
+    optima: Sequence[Optimum] | None,
+    rounds: list[int],
+    counts: list[int],
+    grades: NDArray[np.float64],
+    certificates: NDArray[np.int8],
+) -> None:
+    """Judge the answers of all rounds into the rows of `grades` and `certificates`."""
+    scaled: QPSequence = own if own.scaled is None else own.scaled
+    judge = StepJudge(scaled.base, own.base, units)
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(int)
+    for k in range(max(counts, default=0)):
+        judge.follow(scaled.step(k), own.step(k))
+        optimum = judge.certify(scaled.step(k)) if optima is None else optima[k]
+        seen: dict[bytes, tuple[float, ...]] = {}
+        for r, start, count in zip(rounds, starts, counts, strict=True):
+            if k >= count:
+                continue
+            # Most solvers repeat themselves bit for bit; an identical answer has its judgement.
+            identity = log.z[r, k].tobytes() + log.y[r, k].tobytes() + log.y_box[r, k].tobytes()
+            if identity not in seen:
+                answer = recorded_answer(log, r, k)
+                seen[identity] = judge.judge(scaled.step(k), own.step(k), answer, optimum)
+            grades[start + k] = seen[identity]
+            certificates[start + k] = CERTIFICATES.index(optimum.kind)

@@ -1,0 +1,36 @@
+"""What `dpbench doctor` says: this machine, is it quiet now, and is the harness right."""
+
+from __future__ import annotations
+
+from dpbench.bench.calibrating import calibrate
+from dpbench.bench.disturbance import RULE
+from dpbench.bench.machine import describe_machine
+from dpbench.report.formats import MISSING
+from dpbench.report.machine_verdict import disturbance_facts, machine_facts, verdict_text
+from dpbench.report.section_harness import calibration_line
+
+_WIDTH = 32
+
+
+def doctor_lines() -> list[str]:
+    """Facts, and the verdicts on machine and harness, from a few seconds of the harness's own arms.
+
+    They run in this process, on the core that timed replays are pinned to.
+    """
+    machine = describe_machine()
+    found = calibrate()
+    loads = ", ".join(f"{load:.2f}" for load in machine["load_average"])
+    facts = [
+        *machine_facts(machine),
+        ("memory", f"{machine['memory_GiB']} GiB"),
+        ("system", f"{machine['kernel']}, {machine['python']}"),
+        ("versions", ", ".join(f"{k} {v}" for k, v in machine["versions"].items())),
+        ("load average", loads or MISSING),
+        *disturbance_facts(found.disturbance),
+    ]
+    return [
+        *(f"{what:<{_WIDTH}}{said}" for what, said in facts),
+        f"machine: {verdict_text(found.disturbance)}",
+        f"quiet means: {RULE}",
+        calibration_line(found.p50_ns),
+    ]

@@ -1,0 +1,183 @@
+"""The verdict on the machine: how quiet it was while replays were timed, what is known of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from dpbench.bench.disturbance import RULE, Disturbance
+from dpbench.report.formats import (
+    MISSING,
+    and_list,
+    as_float,
+    count_text,
+    plural,
+    share_text,
+    significant,
+)
+from dpbench.report.table import Table, row_of
+from dpbench.report.view import Row, View, has_steps
+
+FOLD_ABOVE = 8
+"""Rows above which a table is folded."""
+
+
+def timed_runs(view: View) -> list[Row]:
+    """Every replay that was timed, the harness's own arms too; once where it has several names."""
+    once: dict[tuple[str, ...], Row] = {}
+    for row in [*view.calibration, *view.every]:
+        if row["mode"] == "replay" and not row["family"] and has_steps(row):
+            names = ("sequence", "solver", "route", "policy", "units", "formulation", "replay_s")
+            # Settings without effect are one run under several names, to the nanosecond.
+            once.setdefault((*(str(row[name]) for name in names), str(row["raw_max_ns"])), row)
+    return list(once.values())
+
+
+def disturbance_of(rows: Sequence[Row]) -> Disturbance:
+    """What disturbed some replays together."""
+    columns = (
+        "rounds",
+        "spoilt_rounds",
+        "rerun_rounds",
+        "replay_s",
+        "involuntary_switches",
+        "steal_s",
+        "throttle_events",
+    )
+    # The rounds that count are those that are not spoilt.
+    parts = []
+    for row in rows:
+        kept, spoilt, *rest = (as_float(row[name]) for name in columns)
+        parts.append(Disturbance(kept + spoilt, spoilt, *rest))
+    return Disturbance.total(parts)
+
+
+def verdict_text(found: Disturbance) -> str:
+    """ "quiet", or "disturbed" and by what."""
+    complaints = found.complaints()
+    return f"disturbed: {and_list(complaints)}" if complaints else "quiet"
+
+
+def verdict_paragraph(found: Disturbance) -> str:
+    """The verdict with its rule, and what it means for the times."""
+    means = (
+        "Algorithmic times are minima over rounds and suffer least; raw percentiles are this "
+        "machine's as much as a solver's."
+        if found.complaints()
+        else "Nothing it shows spoils the times below."
+    )
+    return f"**The machine was {verdict_text(found)}.** {means} Quiet means: {RULE}."
+
+
+def machine_facts(machine: dict[str, Any]) -> list[tuple[str, str]]:
+    """What is known of a machine, whatever ran on it."""
+
+    def of(key: str, unit: str = "") -> str:
+        value = machine.get(key, "not recorded")
+        return f"{value} {unit}" if unit and isinstance(value, int | float) else str(value)
+
+    cores = [str(core) for core in machine.get("affinity") or []]
+    return [
+        ("processor", f"{of('cpu_model')}, {of('cores')} cores"),
+        ("cores allowed", ", ".join(cores) or "not recorded"),
+        ("frequency governor", of("governor")),
+        ("frequency at the start", of("frequency_MHz", "MHz")),
+        ("throttle counters", of("throttle_counters")),
+        ("BLAS", ", ".join(machine.get("blas") or ["none seen"])),
+        ("reading the clock", of("clock_read_ns", "ns")),
+        ("resolution of the clock", of("timer_resolution_ns", "ns")),
+    ]
+
+
+def disturbance_facts(found: Disturbance) -> list[tuple[str, str]]:
+    """What disturbed some replays, as the kernel shows it."""
+    spoilt = f"{count_text(found.spoilt)} of {plural(found.rounds, 'round')}"
+    throttled = count_text(found.throttled)
+    return [
+        ("spoilt rounds left", f"{spoilt}; {count_text(found.rerun)} run again"),
+        ("involuntary context switches", f"{_rate(found.switches_per_s)} a second"),
+        ("time stolen by the host", f"{_steal(found.steal_share)}"),
+        ("throttle events", "not visible" if throttled == MISSING else throttled),
+    ]
+
+
+def _rate(value: float) -> str:
+    return significant(value, 2)
+
+
+def _steal(share: float) -> str:
+    return "not visible" if share != share else share_text(share)
+
+
+def machine_table(view: View, rows: Sequence[Row]) -> Table:
+    """The machine and what disturbed the timed replays on it."""
+    found = disturbance_of(rows)
+    cores = view.machine.get("affinity") or []
+    pinned = [("core of the timed worker", str(cores[-1]))] if cores else []
+    facts = [*machine_facts(view.machine), *pinned, *disturbance_facts(found), *_threads(rows)]
+    return Table(
+        title="The machine, and what disturbed the replays",
+        note=f"{plural(len(rows), 'replayed arm')}, the harness's own among them; "
+        f"{significant(found.seconds)} s of rounds that count. A steal time of 0 may also mean "
+        "that the host does not tell.",
+        heads=("what", "found"),
+        rows=tuple(row_of(*fact) for fact in facts),
+        text_columns=2,
+    )
+
+
+def _threads(rows: Sequence[Row]) -> list[tuple[str, str]]:
+    """The most threads seen in a worker, and whose they are."""
+    said = []
+    for column, what in (
+        ("pool_threads", "BLAS or OpenMP threads allowed in a worker"),
+        ("os_threads", "threads of a worker"),
+    ):
+        seen = [(as_float(row[column]), str(row["solver"])) for row in rows]
+        most = max((count for count, _ in seen if count == count), default=float("nan"))
+        whose = sorted({solver for count, solver in seen if count > 1})
+        of = f" ({', '.join(whose)})" if whose else ""
+        said.append((what, f"at most {count_text(most)}{of}" if most == most else MISSING))
+    return said
+
+
+def sequence_table(rows: Sequence[Row]) -> Table | None:
+    """What disturbed each replayed sequence; None where there is only one."""
+    sequences = list(dict.fromkeys(str(row["sequence"]) for row in rows))
+    if len(sequences) < 2:
+        return None
+    lines = []
+    for sequence in sequences:
+        mine = [row for row in rows if row["sequence"] == sequence]
+        found = disturbance_of(mine)
+        lines.append(
+            row_of(
+                f"`{sequence}`",
+                verdict_text(found),
+                count_text(len(mine)),
+                count_text(found.rounds),
+                count_text(found.spoilt),
+                count_text(found.rerun),
+                _rate(found.switches_per_s),
+                _rate(max((disturbance_of([row]).switches_per_s for row in mine), default=0.0)),
+                _steal(found.steal_share),
+            )
+        )
+    return Table(
+        title="What disturbed each replayed sequence",
+        note="By the rule above. Of each arm the same figures are in `runs.parquet`.",
+        heads=(
+            "sequence",
+            "verdict",
+            "arms",
+            "rounds",
+            "spoilt",
+            "run again",
+            "switches/s",
+            "switches/s, worst arm",
+            "stolen",
+        ),
+        rows=tuple(lines),
+        text_columns=2,
+        folded=len(lines) > FOLD_ABOVE,
+    )

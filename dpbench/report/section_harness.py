@@ -1,0 +1,83 @@
+"""What stands beside the step times: the verdict on the machine, the harness's own cost; and the
+section on what repeats itself and what memory it takes.
+"""
+
+from __future__ import annotations
+
+from dpbench.bench.calibrating import within_bar
+from dpbench.report.blocks import Block, Paragraph, Section, Tabular
+from dpbench.report.formats import and_list, as_float, plural, time_text
+from dpbench.report.machine_verdict import (
+    disturbance_of,
+    machine_table,
+    sequence_table,
+    timed_runs,
+    verdict_paragraph,
+    verdict_text,
+)
+from dpbench.report.tables_harness import (
+    audited,
+    cost_table,
+    determinism_table,
+    differs,
+    memory_table,
+)
+from dpbench.report.view import View, has_steps
+
+
+def machine_blocks(view: View) -> list[Block]:
+    """The verdict on the machine and the cost of the harness; nothing where nothing was counted."""
+    rows = timed_runs(view)
+    found = disturbance_of(rows)
+    if not found.seconds > 0:
+        return []
+    tables = [machine_table(view, rows), sequence_table(rows), cost_table(view)]
+    shown: list[Block] = [Tabular(table) for table in tables if table is not None]
+    return [Paragraph(verdict_paragraph(found)), *shown]
+
+
+def repeat_section(view: View) -> Section | None:
+    """Which arms repeat themselves, and what memory each takes; None where nobody looked."""
+    rows = timed_runs(view)
+    seen, memory = audited(rows), memory_table(rows)
+    if not seen and memory is None:
+        return None
+    section = Section("repeat", "Repeatability and memory")
+    if seen:
+        section.add(Paragraph(_repeats(len(seen), sum(map(differs, seen)))))
+    table = determinism_table(rows)
+    section.add(*(Tabular(found) for found in (table, memory) if found is not None))
+    return section
+
+
+def _repeats(arms: int, others: int) -> str:
+    every = "in every round of its replay, with the same iterations"
+    if not others:
+        said = "the only replayed arm gives" if arms == 1 else f"each of {arms} replayed arms gives"
+        return f"Determinism: {said} the same QP the same answer, bit for bit, {every}."
+    same = arms - others
+    return (
+        f"Determinism: {plural(same, 'arm')} of {arms} {'gives' if same == 1 else 'give'} the same "
+        f"QP the same answer, bit for bit, {every}; {others} {'does' if others == 1 else 'do'} not."
+    )
+
+
+def harness_lines(view: View) -> list[str]:
+    """The verdicts on machine and harness in plain lines; none where nothing was counted."""
+    lines = []
+    found = disturbance_of(timed_runs(view))
+    if found.seconds > 0:
+        lines.append(f"machine: {verdict_text(found)}")
+    arms = [row for row in view.calibration if has_steps(row)]
+    if arms:
+        p50 = {str(row["solver"]): as_float(row["raw_p50_ns"]) for row in arms}
+        lines.append(calibration_line(p50))
+    return lines
+
+
+def calibration_line(p50_ns: dict[str, float]) -> str:
+    """What the harness's own arms say in one line, from the median of each [ns]."""
+    missed = [arm for arm, p50 in p50_ns.items() if within_bar(arm, p50) is False]
+    said = ", ".join(f"{arm} {time_text(p50)}" for arm, p50 in p50_ns.items())
+    verdict = f"missed by {and_list(missed)}" if missed else "within the bar"
+    return f"harness: {verdict} ({said})"

@@ -1,0 +1,156 @@
+"""What the report says of machine, harness, repeatability and memory, on made-up records."""
+
+import re
+from typing import Any
+
+import pytest
+
+from dpbench.bench.store import Results
+from dpbench.report.blocks import Paragraph, Tabular
+from dpbench.report.machine_verdict import disturbance_of, timed_runs
+from dpbench.report.render import render_markdown
+from dpbench.report.section_harness import harness_lines, machine_blocks, repeat_section
+from dpbench.report.table import Table
+from dpbench.report.tables_harness import cost_table, determinism_table, memory_table
+from dpbench.report.view import View
+from dpbench.report.write import build_page
+from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
+
+QUIET = {
+    "replay_s": 2.0,
+    "involuntary_switches": 4,
+    "steal_s": 0.0,
+    "rerun_rounds": 1,
+    "bit_identical_share": 1.0,
+    "answer_spread_max": 0.0,
+    "peak_rss_bytes": 5e6,
+    "os_threads": 1,
+    "pool_threads": 1,
+    "N_p": 30,
+    "N_c": 5,
+}
+
+
+def _with_own_arms(records: Any, off_us: float = 0.4, **columns: Any) -> None:
+    for name in CALIBRATION:
+        median_us = WAITS_NS.get(name, 0) / 1e3 + off_us
+        records.replay(
+            name, median_us=median_us, route="native", policy="reuse", **(QUIET | columns)
+        )
+
+
+def _cells(table: Table | None, column: str) -> list[str]:
+    assert table is not None
+    at = table.heads.index(column)
+    return [row[at].text for row in table.rows]
+
+
+def test_own_arms_are_seen_in_no_other_part_of_the_view(records: Any) -> None:
+    """They are no solvers, no runs and no rows of anything but the table of their own."""
+    records.replay("daqp", **QUIET)
+    _with_own_arms(records)
+    view = records.view()
+    assert [row["solver"] for row in view.every] == ["daqp"] == view.solvers
+    assert [row["solver"] for row in view.runs] == ["daqp"]
+    assert _cells(cost_table(view), "arm") == list(CALIBRATION)
+
+
+def test_own_arms_change_nothing_else_in_the_report(records: Any) -> None:
+    """With and without them, every section but those on times and runs reads the same."""
+    for solver, median in (("daqp", 18.0), ("quadprog", 25.0)):
+        records.replay(solver, median_us=median, **QUIET)
+        records.loop(solver)
+    before = build_page(records.results())
+    _with_own_arms(records)
+    after = build_page(records.results())
+    assert [s.key for s in after.sections] == [s.key for s in before.sections]
+    for old, new in zip(before.sections, after.sections, strict=True):
+        if old.key not in ("runs", "timing", "repeat"):
+            said = [[b for b in s.blocks if isinstance(b, Paragraph | Tabular)] for s in (old, new)]
+            assert said[0] == said[1], old.key
+    text = render_markdown(after)
+    outside = re.sub(r"### What the harness itself costs.*?(?=\n### )", "", text, flags=re.DOTALL)
+    assert "busy_wait_20us" in text and "busy_wait_20us" not in outside
+
+
+@pytest.mark.parametrize(
+    ("off_us", "missed"),
+    [
+        (0.9, []),
+        (1.5, ["no_op", "busy_wait_20us", "busy_wait_50us"]),
+        (3.0, ["no_op", "busy_wait_20us", "busy_wait_50us", "busy_wait_200us"]),
+        (11.0, ["no_op", *WAITS_NS]),
+    ],
+)
+def test_the_bar_is_a_microsecond_or_a_hundredth(
+    records: Any, off_us: float, missed: list[str]
+) -> None:
+    """20, 50 and 200 µs and nothing at all: within 1, 1, 2 and 1 µs; 1000 µs within 10."""
+    _with_own_arms(records, off_us)
+    table = cost_table(records.view())
+    held = dict(zip(_cells(table, "arm"), _cells(table, "within the bar"), strict=True))
+    assert [arm for arm, word in held.items() if word == "no"] == missed
+    assert held["copy_only"] == "–"
+
+
+def test_a_quiet_machine_and_a_disturbed_one(records: Any) -> None:
+    """Sums over all arms; a run under two names of its settings counts once."""
+    same = QUIET | {"raw_max_ns": 7e4}
+    records.replay("quadprog", **same)
+    records.replay("quadprog", **(same | {"settings": "high"}))
+    view = records.view()
+    found = disturbance_of(timed_runs(view))
+    assert (found.rounds, found.seconds, found.involuntary, found.rerun) == (3, 2.0, 4, 1)
+    assert harness_lines(view) == ["machine: quiet"]
+    records.replay("daqp", **(QUIET | {"involuntary_switches": 96, "steal_s": 0.2}))
+    (line,) = harness_lines(records.view())
+    assert "25 involuntary context switches a second" in line and "5.0 % of the time" in line
+
+
+def test_spoilt_rounds_are_part_of_all_rounds(records: Any) -> None:
+    """Three rounds count and one is spoilt: one of four."""
+    records.replay("daqp", **(QUIET | {"spoilt_rounds": 1}))
+    assert "1 of 4 rounds spoilt" in harness_lines(records.view())[0]
+
+
+def test_arms_that_differ_are_listed_and_the_others_counted(records: Any) -> None:
+    """One line when all repeat themselves, a row for each that does not."""
+    records.replay("daqp", **QUIET)
+    section = repeat_section(records.view())
+    assert section is not None and determinism_table(timed_runs(records.view())) is None
+    other = {"bit_identical_share": 0.5, "answer_spread_max": 1e-4, "iterations_spread": 25}
+    records.replay("osqp", **(QUIET | other | {"iterations_identical_share": 0.9}))
+    view = records.view()
+    assert _cells(determinism_table(timed_runs(view)), "solver") == ["osqp"]
+    section = repeat_section(view)
+    assert section is not None
+    (text,) = [block.text for block in section.blocks if isinstance(block, Paragraph)]
+    assert "1 arm of 2 gives" in text and "1 does not" in text
+
+
+def test_memory_is_the_largest_of_a_solver_and_horizon(records: Any) -> None:
+    """Two policies are one row, two horizons are two; of the own arms no_op stands first."""
+    records.replay("daqp", policy="reuse", **QUIET)
+    records.replay("daqp", policy="warm", **(QUIET | {"peak_rss_bytes": 7e6}))
+    records.replay("daqp", policy="warm", **(QUIET | {"peak_rss_bytes": 9e6, "N_p": 60}))
+    _with_own_arms(records, peak_rss_bytes=2e6)
+    table = memory_table(timed_runs(records.view()))
+    assert _cells(table, "solver") == ["no_op", "daqp", "daqp"]
+    assert _cells(table, "horizons") == ["30/5", "60/5", "30/5"]
+    assert _cells(table, "peak [MB]") == ["2.00", "9.00", "7.00"]
+
+
+def test_a_report_on_nothing_but_the_harness(records: Any) -> None:
+    """The suite `calibration` alone: no verdict on solvers, and no sentence that misses them."""
+    _with_own_arms(records)
+    text = render_markdown(build_page(records.results()))
+    assert "The machine was quiet" in text and "What the harness itself costs" in text
+    assert "Missing:" not in text and "Verdict" not in text
+
+
+def test_records_without_counters_say_nothing(records: Any) -> None:
+    """A folder of closed loops has no section on what was never looked at."""
+    records.loop("daqp")
+    found: Results = records.results()
+    assert machine_blocks(View(found)) == [] and repeat_section(View(found)) is None
+    assert harness_lines(View(found)) == []

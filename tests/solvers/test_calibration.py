@@ -1,0 +1,91 @@
+"""The harness's own arms: what they do, and that no list of solvers has them."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from dpbench.errors import InputError, PolicyError, UnknownNameError
+from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.qp.solution import Status
+from dpbench.solvers.calibration import CALIBRATION, COPY_ONLY, NO_OP, WAITS_NS, BusyWait, CopyOnly
+from dpbench.solvers.open import open_workspace
+from dpbench.solvers.table import load_solver_module, record, solver_names
+
+
+@pytest.fixture
+def qp() -> QuadraticProgram:
+    rng = np.random.default_rng(3)
+    A = rng.standard_normal((2, 3))
+    box = np.ones(3)
+    return QuadraticProgram(np.eye(3), rng.standard_normal(3), A, -box[:2], box[:2], -box, box)
+
+
+def test_they_have_names_but_are_no_solvers() -> None:
+    """Each is found by its name and listed nowhere; another name is unknown all the same."""
+    assert not set(CALIBRATION) & set(solver_names())
+    assert all(record(name).name == name for name in CALIBRATION)
+    with pytest.raises(UnknownNameError):
+        record("busy_wait_30us")
+
+
+def test_no_plug_in_takes_their_name(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    """A plug-in called like one of them would have its results hidden."""
+    text = (
+        "from dpbench.solvers.plugins import solver_record\n"
+        f"RECORD = solver_record({NO_OP!r}, method='x')\n"
+        "def open(policy, options): raise NotImplementedError\n"
+    )
+    (tmp_path / "mine.py").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=NO_OP):
+        load_solver_module(tmp_path / "mine.py")
+
+
+@pytest.mark.parametrize("name", CALIBRATION)
+def test_they_run_one_way_and_claim_nothing(name: str, qp: QuadraticProgram) -> None:
+    """Policy reuse alone; the answer is no answer, which no referee could take for one."""
+    with pytest.raises(PolicyError, match="reuse"):
+        open_workspace(name)
+    workspace = open_workspace(name, policy="reuse")
+    workspace.setup(qp)
+    workspace.update(QPStep(qp.q, qp.l, qp.u))
+    workspace.solve()
+    answer = workspace.read()
+    assert (answer.status, answer.iterations) == (Status.UNKNOWN, -1)
+    assert np.isnan(answer.z).all() and answer.z.shape == (3,) and answer.y.shape == (2,)
+    assert (workspace.read() is answer) == (name != COPY_ONLY)
+
+
+def test_copy_only_copies_in_and_out(qp: QuadraticProgram) -> None:
+    """It holds the numbers of the step, not the step's memory, and gives out memory of its own."""
+    workspace = CopyOnly(COPY_ONLY)
+    workspace.setup(qp)
+    step = QPStep(qp.q + 1, qp.l - 1, qp.u + 2)
+    workspace.update(step)
+    for found, given in ((workspace.q, step.q), (workspace.l, step.l), (workspace.u, step.u)):
+        np.testing.assert_array_equal(found, given)
+        assert not np.shares_memory(found, given)
+    first, second = workspace.read(), workspace.read()
+    for a, b in ((first.z, second.z), (first.y, second.y), (first.y_box, second.y_box)):
+        assert not np.shares_memory(a, b)
+    assert not np.shares_memory(first.z, first.y_box)
+
+
+@pytest.mark.parametrize("wait_ns", [20_000, 1_000_000])
+def test_a_wait_ends_with_the_first_reading_that_is_late_enough(wait_ns: int) -> None:
+    """On a clock that advances 300 ns a reading it reads as often as the wait holds such steps."""
+    readings = itertools.count(5_000, 300)
+    workspace = BusyWait("busy", wait_ns, lambda: next(readings))
+    workspace.solve()
+    took = next(readings) - 300 - 5_000
+    assert wait_ns <= took < wait_ns + 300
+
+
+def test_their_names_say_what_they_wait() -> None:
+    """20, 50, 200 and 1000 µs."""
+    assert [ns for name, ns in WAITS_NS.items() if name == f"busy_wait_{ns // 1000}us"] == [
+        20_000,
+        50_000,
+        200_000,
+        1_000_000,
+    ]
