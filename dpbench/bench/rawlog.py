@@ -26,6 +26,7 @@ def loop_layout(steps: int, n: int, m: int, n_theta: int) -> dict[str, tuple[str
         "tau": ("f8", (steps, 3)),
         "command": ("f8", (steps, 3)),
         "flags": ("u1", (steps, 3)),
+        "latency_ns": ("i8", (steps,)),
     }
 
 
@@ -56,7 +57,8 @@ class RawLog:
     """Named arrays over one buffer; attribute access by name, e.g. `log.times[r, k]`.
 
     `done[r]` counts the completed steps of round r and is written last, so whatever it covers is
-    whole. `flags` (steps, 3) holds fallback, unconverged, clipped.
+    whole. `flags` (steps, 3) holds fallback, unconverged, clipped;
+    `latency_ns` (steps,) what `slow.py` writes, nothing in other loops.
     """
 
     done: NDArray[np.int64]
@@ -75,6 +77,7 @@ class RawLog:
     tau: NDArray[np.float64]
     command: NDArray[np.float64]
     flags: NDArray[np.uint8]
+    latency_ns: NDArray[np.int64]
     probe_ns: NDArray[np.float64]
 
     def __init__(self, layout: dict[str, tuple[str, tuple[int, ...]]], buffer: Any) -> None:

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 DType = Literal["str", "bool", "int32", "int64", "Int64", "float64"]
 Columns = dict[str, tuple[DType, str]]
@@ -35,7 +35,11 @@ STEP_COLUMNS: Columns = {
     "total_ns": ("Int64", "setup + update + solve + read"),
     "overhead_ns": ("Int64", "whole closed-loop step less total_ns; null in replay"),
     "reported_ns": ("Int64", "the solver's own figure"),
-    "status": ("str", "what the solver claims"),
+    "latency_ns": (
+        "Int64",
+        "time of the answer on the slow computer; null without, or where no computation began",
+    ),
+    "status": ("str", "what the solver claims; empty where no computation began"),
     "claimed": ("bool", "the claim is SOLVED"),
     "true": ("bool", "the referee finds the answer true at 1e-3"),
     "true_1e4": ("bool", "the same at 1e-4"),
@@ -52,10 +56,10 @@ STEP_COLUMNS: Columns = {
     "optimum_bound": ("float64", "certified error bound of the optimum itself"),
     "certificate": ("str", "kind of certificate"),
     "n_active": ("int32", "active limits at the optimum"),
-    "fallback": ("bool", "no usable answer: the fallback acted"),
+    "fallback": ("bool", "no usable answer in time, and none arrived late: the fallback acted"),
     "unconverged": ("bool", "an inaccurate or unfinished iterate was applied"),
     "clipped": ("bool", "the answer violated a limit and was clipped"),
-    "late": ("bool", "the answer came after the deadline"),
+    "late": ("bool", "no answer by the deadline of the step; a deadline missed"),
     "n_m": ("float64", "north position at the start of the step"),
     "e_m": ("float64", "east position"),
     "psi_rad": ("float64", "heading, unwrapped"),
@@ -90,6 +94,8 @@ IDENTITY_COLUMNS: Columns = {
     "n": ("Int64", "variables of the QP the solver was given; null where it never got one"),
     "m": ("Int64", "its rows, in stacked form the stacked ones, without the box"),
     "units": ("str", "scaled | si"),
+    "slowdown": ("float64", "how much slower the ship's computer is; 0: it waits for answers"),
+    "deadline_s": ("float64", "budget of a step; NaN in replay"),
     "seed": ("int64", "seed of the order of replay rounds"),
     "outcome": ("str", "finished | crashed | timed_out | refused | invalid"),
     "outcome_detail": ("str", "cause in the library's or the harness's words"),
@@ -152,6 +158,19 @@ CONTROL_COLUMNS: Columns = {
         "Int64",
         "most steps from a failure to the next true answer; null if none or never",
     ),
+    "deadline_misses": ("Int64", "steps without an answer by their deadline"),
+    "longest_miss_streak": ("Int64", "longest run of such steps"),
+    "miss_recover_steps_max": (
+        "Int64",
+        "most steps from a missed deadline to the next true answer in time; null if none or never",
+    ),
+    "computations": ("Int64", "steps in which a computation began: fewer on a slow computer"),
+    "interrupted": (
+        "Int64",
+        "those during which the kernel ran others; their latency is of processor time",
+    ),
+    "latency_p50_ns": ("float64", "median latency on the slow computer"),
+    "latency_max_ns": ("float64", "largest latency on the slow computer"),
     "unconverged": ("Int64", "steps with an unfinished iterate"),
     "clipped": ("Int64", "steps whose answer violated a limit and was clipped"),
     "limit_violations": ("Int64", "applied forces outside a limit; must be 0"),
@@ -179,6 +198,7 @@ CONTROL_COLUMNS: Columns = {
     **{f"at_rate_{f}": ("float64", "share of steps at a rate limit") for f in FORCES},
     **{f"at_amplitude_{f}": ("float64", "share of steps at an amplitude limit") for f in FORCES},
     "closed_loop_cost": ("float64", "½ Σ (y−y_d)ᵀQ(y−y_d) + ½ Σ ΔuᵀRΔu over the run"),
+    "exact_cost": ("float64", "the same of the exactly solved loop, over as many steps"),
     "dev_position_max_m": ("float64", "largest deviation from the exactly solved loop"),
     "dev_position_rms_m": ("float64", "its root mean square"),
     "dev_heading_max_deg": ("float64", "largest deviation of heading"),

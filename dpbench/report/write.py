@@ -10,6 +10,7 @@ from dpbench.report.blocks import Page, Section
 from dpbench.report.demand import Demand
 from dpbench.report.formats import as_float, time_text
 from dpbench.report.render import render_html, render_markdown
+from dpbench.report.section_deadline import deadline_lines, deadline_section
 from dpbench.report.section_design import design_section
 from dpbench.report.section_horizon import horizon_section
 from dpbench.report.section_random import random_lines, random_section
@@ -61,8 +62,9 @@ def verdict_lines(out: str | Path) -> list[str]:
     """The verdict on a result folder in a few plain lines."""
     results = load_results(out)
     view = View(results)
-    judged = _lines(view, Demand.of(results.suite)) if view.runs or not view.random else []
-    return [*judged, *random_lines(view)]
+    other = view.random or view.slowed
+    judged = _lines(view, Demand.of(results.suite)) if view.runs or not other else []
+    return [*judged, *deadline_lines(view), *random_lines(view)]
 
 
 def build_page(results: Results, designs: Designs | None = None) -> Page:
@@ -78,13 +80,21 @@ def build_page(results: Results, designs: Designs | None = None) -> Page:
 
 
 def _sections(view: View, demand: Demand, designs: Designs | None) -> list[Section]:
-    """All sections; of records without a ship, those that have something to say."""
-    claims = random_section(view)
+    """All sections; without usual loops and replays, those that have something to say."""
+    claims, deadline = random_section(view), deadline_section(view)
     horizon = horizon_section(view, demand)
     design = [design_section(designs)] if designs is not None else []
+    slow = [deadline] if deadline is not None else []
     found = [claims] if claims is not None else []
-    if found and not view.runs:
-        return [*found, runs_section(view), *design, solvers_section(view), reading_section()]
+    if (found or slow) and not view.runs:
+        return [
+            *slow,
+            *found,
+            runs_section(view),
+            *design,
+            solvers_section(view),
+            reading_section(),
+        ]
     return [
         verdict_section(view, demand),
         runs_section(view),
@@ -95,7 +105,8 @@ def _sections(view: View, demand: Demand, designs: Designs | None) -> list[Secti
         use_section(view, demand),
         *([horizon] if horizon is not None else []),
         figures_section(view, demand),
-        control_section(view),
+        control_section(view, demand),
+        *slow,
         *design,
         reproduced_section(view, designed=bool(design)),
         solvers_section(view),
