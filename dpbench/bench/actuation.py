@@ -40,29 +40,31 @@ class FallbackLaw:
 
     `shifted_plan` follows the last usable plan, one move further for every step since, and holds
     when it is used up; `hold` keeps the force; `clip` is the unconstrained law (eq. 33), which the
-    loop clips.
+    loop clips. `acted` is whether the last move was one without an answer.
     """
 
     def __init__(self, kind: Fallback, builder: CondensedQP) -> None:
         problem = builder.control
-        self._kind, self._builder = kind, builder
+        self.kind, self.acted = kind, False
+        self._builder = builder
         self._plan: Matrix = np.zeros((problem.N_c, problem.model.n_u))
         self._age = problem.N_c
         self._known: tuple[CondensedMatrices, Gains] | None = None
 
     def remember(self, plan: Matrix) -> Vector:
         """Keep a usable plan (N_c, n_u) and return its first move."""
-        self._plan, self._age = plan, 0
+        self._plan, self._age, self.acted = plan, 0, False
         first: Vector = plan[0]
         return first
 
     def move(self, x: Vector, y_ref: Vector) -> Vector:
         """Δu (n_u,) in place of the missing answer."""
-        if self._kind == "clip":
+        self.acted = True
+        if self.kind == "clip":
             law = self._law(self._builder.matrices)
             return law.K_y @ y_ref - law.K_mpc @ x
         self._age += 1
-        if self._kind == "hold" or self._age >= len(self._plan):
+        if self.kind == "hold" or self._age >= len(self._plan):
             return np.zeros(self._plan.shape[1])
         next_move: Vector = self._plan[self._age]
         return next_move

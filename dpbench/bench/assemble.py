@@ -9,10 +9,12 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dpbench.bench.cell import Cell
+from dpbench.bench.deadline import deadline_metrics, late_columns, longest_streak, steps_to_recover
 from dpbench.bench.grade import CERTIFICATES, GRADES, Columns, Graded
 from dpbench.bench.rawlog import TIMES
 from dpbench.bench.replay import SPOILT_FACTOR
 from dpbench.bench.schema import SCHEMA_VERSION, as_steps
+from dpbench.bench.slow import pace_of
 from dpbench.bench.supervise import Outcome
 from dpbench.qp.solution import Status
 from dpbench.scenario import scenario_of
@@ -35,10 +37,15 @@ def step_rows(run_id: str, cell: Cell, graded: Graded) -> pd.DataFrame:
     }
     frame = pd.DataFrame(rows)
     times = columns["times"]
+    if cell.slowdown > 0.0:
+        asked = columns["asked"]
+        frame.loc[~asked, "status"] = ""
+        times = np.where(asked[:, None] | (np.array(TIMES) == "overhead"), times, -1)
     for i, phase in enumerate(TIMES):
         frame[f"{phase}_ns"] = _nullable(times[:, i])
     inside = times[:, 1:5]
-    frame["total_ns"] = _nullable(np.where(inside > 0, inside, 0).sum(axis=1))
+    total = np.where(inside > 0, inside, 0).sum(axis=1)
+    frame["total_ns"] = _nullable(np.where((inside < 0).all(axis=1), -1, total))
     frame["iterations"] = _nullable(columns["iterations"])
     frame["reported_ns"] = _nullable(columns["reported_ns"])
     for i, grade in enumerate(GRADES):
@@ -49,14 +56,15 @@ def step_rows(run_id: str, cell: Cell, graded: Graded) -> pd.DataFrame:
         frame["warmup"] = frame["repeat"] == 0
         frame["spoilt"] = np.isin(columns["repeat"], spoilt_rounds(columns))
         frame["unconverged"] = frame["status"].isin(["INACCURATE", "MAX_ITERATIONS"])
-        frame["fallback"] = _unusable(columns, frame)
+        frame["fallback"] = _unusable(frame)
         return as_steps(frame)
-    frame["late"] = frame["total_ns"] > scenario_of(cell.scenario).sample_s * 1e9
+    pace = pace_of(cell, scenario_of(cell.scenario).sample_s)
+    frame = frame.assign(**late_columns(pace, columns["latency_ns"], frame["total_ns"]))
     return as_steps(pd.concat([frame, _ship_columns(columns)], axis=1))
 
 
-def _unusable(columns: Columns, frame: pd.DataFrame) -> pd.Series[bool]:
-    """Replayed steps in which a closed loop would have needed its fallback."""
+def _unusable(frame: pd.DataFrame) -> pd.Series[bool]:
+    """Steps whose answer is none that a closed loop could apply."""
     no_use = [status.name for status in Status if not status.usable]
     unusable: pd.Series[bool] = frame["status"].isin(no_use) | np.isinf(frame["error_plan"])
     return unusable
@@ -116,6 +124,8 @@ def run_row(
         "form": outcome.form,
         **_sizes(cell, outcome),
         "units": cell.units,
+        "slowdown": cell.slowdown,
+        "deadline_s": _deadline_s(cell),
         "seed": cell.seed,
         "outcome": outcome.outcome,
         "outcome_detail": outcome.detail,
@@ -131,12 +141,20 @@ def run_row(
     if counting.empty:
         counting = steps
     row["steps_done"] = int(counting.groupby("repeat")["k"].count().max())
-    row |= graded.metrics | _timing(cell, graded, counting)
+    judged = _judged(cell, counting)
+    row |= graded.metrics | _timing(cell, graded, judged)
     if cell.solver not in CALIBRATION:
-        row |= _accuracy(counting)
+        row |= _accuracy(judged)
     if cell.mode == "closed_loop":
-        row |= _failures(steps)
+        row |= _failures(steps) | deadline_metrics(steps, cell.slowdown)
     return row
+
+
+def _deadline_s(cell: Cell) -> float:
+    """The budget of a step [s]; NaN in a replay, which has none."""
+    if cell.mode == "replay":
+        return float("nan")
+    return cell.deadline_s or scenario_of(cell.scenario).sample_s
 
 
 def _sizes(cell: Cell, outcome: Outcome) -> dict[str, Any]:
@@ -149,6 +167,14 @@ def _sizes(cell: Cell, outcome: Outcome) -> dict[str, Any]:
         "m": outcome.m,
     }
     return {name: pd.NA if value is None else int(value) for name, value in found.items()}
+
+
+def _judged(cell: Cell, steps: pd.DataFrame) -> pd.DataFrame:
+    """The steps with an answer to judge; a late one is not for that reason a failed one."""
+    if cell.slowdown == 0.0:
+        return steps
+    asked = steps[steps["total_ns"].notna()]
+    return asked.assign(fallback=_unusable(asked))
 
 
 def _accuracy(steps: pd.DataFrame) -> dict[str, Any]:
@@ -220,16 +246,11 @@ def _percentile(values: NDArray[np.float64], percent: float) -> float:
 
 def _failures(steps: pd.DataFrame) -> dict[str, Any]:
     failed = steps["fallback"].to_numpy(dtype=bool)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], failed.astype(int), [0]])))
-    starts, ends = edges[::2], edges[1::2]
-    true_at = np.flatnonzero(steps["true"].to_numpy(dtype=bool))
-    after = np.searchsorted(true_at, starts)
-    recovered = after < len(true_at)
-    waits = true_at[after[recovered]] - starts[recovered]
+    recovered = steps_to_recover(failed, steps["true"].to_numpy(dtype=bool))
     return {
         "fallbacks": int(failed.sum()),
-        "fallback_longest": int((ends - starts).max()) if len(starts) else 0,
-        "recover_steps_max": int(waits.max()) if len(waits) and recovered.all() else pd.NA,
+        "fallback_longest": longest_streak(failed),
+        "recover_steps_max": pd.NA if recovered is None else recovered,
         "unconverged": int(steps["unconverged"].sum()),
         "clipped": int(steps["clipped"].sum()),
     }

@@ -14,6 +14,9 @@ Formulation = Literal["condensed_box", "condensed_stacked", "sparse", "none"]
 Fallback = Literal["shifted_plan", "hold", "clip"]
 FORMULATIONS: tuple[Formulation, ...] = ("condensed_box", "condensed_stacked", "sparse", "none")
 FALLBACKS: tuple[Fallback, ...] = ("shifted_plan", "hold", "clip")
+SLOWEST = 1e9
+"""Largest slow-down: with it a latency of some seconds still is a 64-bit integer [ns]."""
+_OPTIONAL = ("source", "slowdown", "deadline_s")
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,9 @@ class Cell:
     rounds, warmup_steps : replay only: counting rounds, and steps of the round before them.
     limit_s : the cell's own run time after which it stops.
     fallback : what acts when there is no usable answer.
+    slowdown, deadline_s : closed loop only: how much slower than this machine the ship's computer
+        is, ≥ 1, and what a step may take of its time; 0 for a loop that waits for every answer,
+        and for the whole sample (`slow.py`).
     seed : of the order of arms within a round.
     solver_module : file of the plug-in that brings the solver; "" for none.
     source : replay only: what its QPs are made from where that is no scenario; its `kind`, the
@@ -52,6 +58,8 @@ class Cell:
     seed: int = 0
     solver_module: str = ""
     source: dict[str, Any] = field(default_factory=dict)
+    slowdown: float = 0.0
+    deadline_s: float = 0.0
 
     @property
     def scenario_name(self) -> str:
@@ -78,8 +86,8 @@ class Cell:
         return _digest(problem)
 
     def _description(self) -> dict[str, Any]:
-        """All fields, less a `source` that is not there: a cell of a scenario keeps its key."""
-        return {k: v for k, v in vars(self).items() if k != "source" or self.source}
+        """All fields, less those of `_OPTIONAL` that are not used: other cells keep their keys."""
+        return {k: v for k, v in vars(self).items() if k not in _OPTIONAL or v}
 
     def to_json(self) -> str:
         """The description as JSON."""

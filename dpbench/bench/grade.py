@@ -17,7 +17,7 @@ from dpbench.bench.cell import Cell
 from dpbench.bench.emitter import Emitter
 from dpbench.bench.exact import ExactLoop, base_problem, brings_other_matrices
 from dpbench.bench.metrics import control_metrics
-from dpbench.bench.rawlog import RawLog
+from dpbench.bench.rawlog import TIMES, RawLog
 from dpbench.qp.certify import Optimum, Referee, error_of
 from dpbench.qp.claims import judge_claim
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Units
@@ -44,6 +44,7 @@ GRADES = (
 )
 _NO_ANSWER_CLAIMS = (Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE)
 CERTIFICATES = ("linear", "gap", "rational", "infeasible", "none")
+_SOLVE = TIMES.index("solve")
 ACTIVE_MULTIPLIER = 1e-9
 """Scaled multipliers above it count as active limits in `n_active`."""
 
@@ -167,13 +168,15 @@ def grade_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Graded:
     own = scaled if cell.units == "scaled" else Emitter(scenario, cell.units)
     done = int(log.done[0])
     grades = np.full((done, len(GRADES)), np.nan)
-    certificates = np.zeros(done, dtype=np.int8)
+    certificates = np.full(done, CERTIFICATES.index("none"), dtype=np.int8)
+    # On a slow computer a step may pass without a computation: it has no answer to judge.
+    asked = log.times[0, :done, _SOLVE] >= 0
     matrix_steps = 0
     if done:
         base = base_problem(scaled.builder)
         own_base = base if own is scaled else base_problem(own.builder)
         judge = StepJudge(base, own_base, own.builder.scale)
-        for k in range(done):
+        for k in np.flatnonzero(asked).tolist():
             step = scaled.again(k, log.theta[k])
             step_own = step if own is scaled else own.again(k, log.theta[k])
             judge.follow(step, step_own)
@@ -184,6 +187,8 @@ def grade_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Graded:
     columns = common_columns(log, [0], [done], grades, certificates)
     columns |= {
         "t_s": np.arange(done) * scenario.sample_s,
+        "asked": asked,
+        "latency_ns": log.latency_ns[:done].copy(),
         "fallback": log.flags[:done, 0].astype(bool),
         "unconverged": log.flags[:done, 1].astype(bool),
         "clipped": log.flags[:done, 2].astype(bool),

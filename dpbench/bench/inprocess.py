@@ -24,6 +24,7 @@ from dpbench.bench.port import SolverPort
 from dpbench.bench.rawlog import RawLog, loop_layout, replay_layout
 from dpbench.bench.replay import ReplayArm
 from dpbench.bench.schema import as_runs, as_steps
+from dpbench.bench.slow import pace_of, usage_of_process
 from dpbench.bench.supervise import Outcome
 from dpbench.errors import InputError
 from dpbench.mpc.condense import UnitSystem
@@ -50,21 +51,25 @@ def run_closed_loop(
     units: UnitSystem = "scaled",
     formulation: Formulation = "condensed_box",
     fallback: Fallback = "shifted_plan",
+    slowdown: float = 0.0,
+    deadline_s: float = 0.0,
 ) -> Run:
     """Let `workspace` steer the ship through `scenario`, and judge every answer.
 
+    Parameters
+    ----------
+    slowdown : how much slower than this machine the ship's computer is (≥ 1), so that answers
+        arrive late; 0 for a ship that waits for each. Time is simulated, not waited for.
+    deadline_s : what a step may take of its time [s], at most the sample; 0 for the sample.
+
     Raises
     ------
-    InputError : for an unknown formulation or fallback, or "sparse" for a scenario that has none.
+    InputError : for an unknown formulation or fallback, "sparse" for a scenario that has none, or
+        a slow-down or deadline that cannot be.
     """
     _check("formulation", formulation, FORMULATIONS)
     _check("fallback", fallback, FALLBACKS)
     _check_workspace(workspace)
-    emitter = Emitter(scenario, units, sparse=formulation == "sparse")
-    log = RawLog.in_memory(loop_layout(scenario.steps, *emitter.sizes))
-    formulated = in_loop(formulation, emitter, base_problem(emitter.builder))
-    port = SolverPort(workspace, formulated, _clock)
-    closed_loop(Voyage(scenario, emitter, port, log, fallback, _NO_LIMIT, _clock))
     cell = Cell(
         mode="closed_loop",
         scenario=scenario.files,
@@ -76,7 +81,16 @@ def run_closed_loop(
         formulation=formulation,
         units=units,
         fallback=fallback,
+        slowdown=slowdown,
+        deadline_s=deadline_s,
     )
+    pace = pace_of(cell, scenario.sample_s)
+    emitter = Emitter(scenario, units, sparse=formulation == "sparse")
+    log = RawLog.in_memory(loop_layout(scenario.steps, *emitter.sizes))
+    formulated = in_loop(formulation, emitter, base_problem(emitter.builder))
+    port = SolverPort(workspace, formulated, _clock)
+    usage = usage_of_process
+    closed_loop(Voyage(scenario, emitter, port, log, fallback, _NO_LIMIT, _clock, pace, usage))
     return _run(cell, workspace, port, grade_log(cell, log, solve_exactly(scenario)))
 
 

@@ -28,7 +28,7 @@ def control_metrics(
     state : (K + 1, 6) [u, v, r, n, e, ψ] at the sample times; tau : (K, 3) force applied.
     reference : at least (K + 1, 3) [n, e, ψ] at the sample times; limits : τ_min and τ_max in force
         in each sample, at least (K, 3).
-    exact : state and tau of the exactly solved loop, at least as long.
+    exact : state (K + 1, 6) and tau (K, 3) of the exactly solved loop, at least as long.
     """
     K = len(tau)
     dt = scenario.sample_s
@@ -50,6 +50,7 @@ def control_metrics(
         "share_1m": float(np.mean(radius <= 1.0)),
         "pose_error": float(np.mean(radius + 0.75**radius * np.abs(error[:, 2]))),
         "closed_loop_cost": _cost(scenario, state[1 : K + 1, 3:] - reference[1 : K + 1], change),
+        "exact_cost": _cost_of(scenario, exact, reference, K),
     }
     green = (radius <= 3.0) & (heading <= 3.0)
     red = (radius > 5.0) | (heading > 5.0)
@@ -101,6 +102,13 @@ def _cost(scenario: Scenario, error: Matrix, change: Matrix) -> float:
     tracking = np.einsum("ki,ij,kj->", error, scenario.Q, error)
     moving = np.einsum("ki,ij,kj->", change, scenario.R, change)
     return 0.5 * float(tracking + moving)
+
+
+def _cost_of(scenario: Scenario, exact: tuple[Matrix, Matrix], reference: Matrix, K: int) -> float:
+    """Cost of the exactly solved loop over its first K steps."""
+    state, tau = exact[0][: K + 1], exact[1][:K]
+    change = np.diff(tau, axis=0, prepend=np.zeros((1, 3)))
+    return _cost(scenario, state[1:, 3:] - reference[1 : K + 1], change)
 
 
 def _effort(scenario: Scenario, nu: Matrix, tau: Matrix, change: Matrix) -> dict[str, float]:

@@ -96,6 +96,9 @@ def _closed_loop_cells(
     suite: SuiteFile, table: ClosedLoopTable, scenario: Scenario, solvers: Sequence[str]
 ) -> list[Planned]:
     steps = min(table.steps or scenario.steps, scenario.steps)
+    if table.deadline_s > scenario.sample_s:
+        where, allowed = f"suite: closed loop of {scenario.name}", f"at most {scenario.sample_s:g}"
+        raise InputError(where, "deadline_s", table.deadline_s, f"{allowed}, its sample")
     # The contrast law does not look at units or settings: it runs where the default arms do.
     plain = ("scaled", "default", "fresh")
     return [
@@ -108,7 +111,10 @@ def _closed_loop_cells(
             scenario=scenario.files,
             steps=steps,
             fallback=table.fallback,
+            slowdown=slowdown,
+            deadline_s=table.deadline_s,
         )
+        for slowdown in table.slowdowns
         for arm in arms_of(solvers, table)
         if arm.solver != CONTRAST or (arm.units, arm.settings, arm.policy) == plain
     ]

@@ -45,6 +45,14 @@ class SolverPort:
         self._workspace.setup(self._formulated.base)
         return self._clock() - started
 
+    def warm_up(self, times: int) -> None:
+        """Solve the problem of the set-up so often, and forget it."""
+        base = self._formulated.base
+        for _ in range(times):
+            self.answer(QPStep(base.q, base.l, base.u))
+        self.reset()
+        self.details.clear()
+
     def answer(self, step: QPStep) -> Solution:
         """Solve one step and map the answer to the condensed QP; never raises for a solver."""
         workspace, clock, formulated = self._workspace, self._clock, self._formulated

@@ -45,6 +45,7 @@ def loop_layout(steps: int, n: int, m: int, n_theta: int) -> dict[str, tuple[str
         "tau": ("f8", (steps, 3)),
         "command": ("f8", (steps, 3)),
         "flags": ("u1", (steps, 3)),
+        "latency_ns": ("i8", (steps,)),
     }
 
 
@@ -81,7 +82,7 @@ class RawLog:
 
     `done[r]` counts the completed steps of round r and is written last, so whatever it covers is
     whole. `flags` (steps, 3) holds fallback, unconverged, clipped; `attempts[r]` how often round r
-    was begun.
+    was begun; `latency_ns` (steps,) what `slow.py` writes, nothing in other loops.
     """
 
     done: NDArray[np.int64]
@@ -100,6 +101,7 @@ class RawLog:
     tau: NDArray[np.float64]
     command: NDArray[np.float64]
     flags: NDArray[np.uint8]
+    latency_ns: NDArray[np.int64]
     probe_ns: NDArray[np.float64]
     attempts: NDArray[np.int64]
     counters: NDArray[np.float64]

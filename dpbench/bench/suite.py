@@ -7,17 +7,29 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field
 
+from dpbench.bench.cell import SLOWEST
 from dpbench.bench.horizons import Horizons, different_horizons, parse_horizons
 from dpbench.problem_files import FileModel, problem_path, read_model
 from dpbench.qp.random_recipe import RandomRecipe
 
 Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
 Size = Annotated[list[Count], Field(min_length=2, max_length=2)]
 UnitName = Literal["scaled", "si"]
 PolicyName = Literal["fresh", "reuse", "warm"]
 RouteName = Literal["default", "qpsolvers", "native"]
 FormulationName = Literal["condensed_box", "condensed_stacked", "sparse"]
+
+
+def _off_or_slower(value: float) -> float:
+    """A computer is not faster than the one that is measured."""
+    if value != 0.0 and not 1.0 <= value <= SLOWEST:
+        raise ValueError(f"0 (off), or 1 to {SLOWEST:g}")
+    return value
+
+
+Slowdown = Annotated[float, AfterValidator(_off_or_slower)]
 
 
 class DemandTable(FileModel):
@@ -32,7 +44,9 @@ class DemandTable(FileModel):
 class ClosedLoopTable(FileModel):
     """Every solver steers the ship itself; route "default" is each solver's own.
 
-    With `vessels` every scenario is run with each of them instead of its own.
+    With `vessels` every scenario is run with each of them instead of its own. `slowdowns` says how
+    much slower than this machine the ship's computer is (≥ 1), 0 that the ship waits for every
+    answer; `deadline_s` what a step may take of its time, 0 the whole sample.
     """
 
     scenarios: list[str]
@@ -43,6 +57,8 @@ class ClosedLoopTable(FileModel):
     policies: list[PolicyName] = ["fresh"]
     formulations: list[FormulationName] = ["condensed_box"]
     fallback: Literal["shifted_plan", "hold", "clip"] = "shifted_plan"
+    slowdowns: Annotated[list[Slowdown], Field(min_length=1)] = [0.0]
+    deadline_s: NotNegative = 0.0
     steps: Count = 0
 
     @property

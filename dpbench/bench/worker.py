@@ -28,6 +28,7 @@ from dpbench.bench.loop import Voyage, closed_loop
 from dpbench.bench.port import SolverPort
 from dpbench.bench.rawlog import RawLog, loop_layout, replay_layout
 from dpbench.bench.replay import PREROLL, ReplayArm
+from dpbench.bench.slow import pace_of, usage_of_process
 from dpbench.bench.source import source_of
 from dpbench.errors import CertificateError, InputError
 from dpbench.scenario import scenario_of
@@ -118,8 +119,11 @@ def run_closed_loop_cell(text: str, folder: Path, name: str, core: int) -> None:
     log = RawLog.create(folder / f"{name}.raw", loop_layout(scenario.steps, *emitter.sizes))
     formulated = in_loop(cell.formulation, emitter, base_problem(emitter.builder))
     port = SolverPort(workspace, formulated, clock)
-    limit_ns = round(cell.limit_s * 1e9)
-    complete = closed_loop(Voyage(scenario, emitter, port, log, cell.fallback, limit_ns, clock))
+    limit_ns, pace = round(cell.limit_s * 1e9), pace_of(cell, scenario.sample_s)
+    voyage = Voyage(
+        scenario, emitter, port, log, cell.fallback, limit_ns, clock, pace, usage_of_process
+    )
+    complete = closed_loop(voyage)
     detail = _worst_detail(port)
     if not complete:
         stop = f"stopped after {cell.limit_s:g} s with {int(log.done[0])} steps"

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, NullLocator
-from scipy.optimize import isotonic_regression
 
-from dpbench.report.statistics import Floats
+from dpbench.report.labels import name_ends
 from dpbench.report.style import (
     FAMILY_COLOURS,
     GREY,
@@ -24,8 +22,6 @@ from dpbench.report.sweep import Horizons, Sweep, SweptArm, moves_of
 
 ROOM = 1.9
 """So many times the largest n fits on the axis, for the names at the ends of the lines."""
-LINE_PT, OFFSET_PT = 9.0, 18.0
-"""Height of a name, and how far right of its line it stands."""
 
 
 def growth_figure(sweep: Sweep, arms: Sequence[SweptArm]) -> Figure:
@@ -83,42 +79,6 @@ def _axes(ax: Axes, horizons: Sequence[Horizons]) -> None:
 
 
 def _names(ax: Axes, arms: Sequence[SweptArm]) -> None:
-    """The name of each solver right of the end of its line, names of one column kept apart.
-
-    The limits and scales of `ax` must be final, and its layout drawn once.
-    """
-    columns: dict[float, list[tuple[float, str]]] = {}
-    for arm in arms:
-        if arm.timed:
-            n, t, _ = _spots(arm)[-1]
-            columns.setdefault(n, []).append((t, arm.solver))
-    scale = 72.0 / ax.get_figure(root=True).dpi  # type: ignore[union-attr] # axes of a figure have one
-    for n, ends in columns.items():
-        ends.sort()
-        heights = ax.transData.transform([(n, t) for t, _ in ends])[:, 1] * scale
-        for (t, solver), shift in zip(ends, kept_apart(heights, LINE_PT) - heights, strict=True):
-            ax.annotate(
-                solver,
-                (n, t),
-                xytext=(OFFSET_PT, shift),
-                textcoords="offset points",
-                va="center",
-                fontsize=7.5,
-                color=colour_of(solver),
-                bbox={"boxstyle": "square,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.7},
-                arrowprops={
-                    "arrowstyle": "-",
-                    "color": colour_of(solver),
-                    "lw": 0.5,
-                    "relpos": (0.0, 0.5),
-                    "shrinkA": 0,
-                    "shrinkB": 3,
-                },
-            )
-
-
-def kept_apart(places: Floats, gap: float) -> Floats:
-    """The places nearest to these ascending ones (least squares) that are `gap` apart at least."""
-    steps = gap * np.arange(len(places))
-    found: Floats = isotonic_regression(places - steps).x + steps
-    return found
+    """The name of each solver right of the end of its line."""
+    ends = [(*_spots(arm)[-1][:2], arm.solver, colour_of(arm.solver)) for arm in arms if arm.timed]
+    name_ends(ax, ends)

@@ -8,12 +8,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
+from scipy.optimize import isotonic_regression
 
 Box = tuple[float, float, float, float]
 
 _CHARACTER_PT = 5.0
 _LINE_PT = 9.5
 _DIRECTIONS = 16
+LINE_PT, OFFSET_PT = 9.0, 18.0
+"""Height of a name at the end of a line, and how far right of it the name stands."""
 
 
 def label_points(
@@ -78,3 +81,48 @@ def _overlap(a: Box, b: Box) -> float:
     wide = min(a[2], b[2]) - max(a[0], b[0])
     high = min(a[3], b[3]) - max(a[1], b[1])
     return max(0.0, wide) * max(0.0, high)
+
+
+def name_ends(ax: Axes, ends: Sequence[tuple[float, float, str, str]]) -> None:
+    """Names right of the ends of lines, those of one column kept apart.
+
+    The limits and scales of `ax` must be final, and its layout drawn once.
+
+    Parameters
+    ----------
+    ends : x, y, name and colour of each.
+    """
+    columns: dict[float, list[tuple[float, str, str]]] = {}
+    for x, y, name, colour in ends:
+        columns.setdefault(x, []).append((y, name, colour))
+    scale = 72.0 / ax.get_figure(root=True).dpi  # type: ignore[union-attr] # axes of a figure have one
+    for x, column in columns.items():
+        column.sort()
+        heights = ax.transData.transform([(x, y) for y, _, _ in column])[:, 1] * scale
+        shifts = kept_apart(heights, LINE_PT) - heights
+        for (y, name, colour), shift in zip(column, shifts, strict=True):
+            ax.annotate(
+                name,
+                (x, y),
+                xytext=(OFFSET_PT, shift),
+                textcoords="offset points",
+                va="center",
+                fontsize=7.5,
+                color=colour,
+                bbox={"boxstyle": "square,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.7},
+                arrowprops={
+                    "arrowstyle": "-",
+                    "color": colour,
+                    "lw": 0.5,
+                    "relpos": (0.0, 0.5),
+                    "shrinkA": 0,
+                    "shrinkB": 3,
+                },
+            )
+
+
+def kept_apart(places: NDArray[np.float64], gap: float) -> NDArray[np.float64]:
+    """The places nearest to these ascending ones (least squares) that are `gap` apart at least."""
+    steps = gap * np.arange(len(places))
+    found: NDArray[np.float64] = isotonic_regression(places - steps).x + steps
+    return found

@@ -133,10 +133,10 @@ def _caption(laws: Sequence[Law], scenario: Scenario) -> str:
     )
 
 
-def control_section(view: View) -> Section:
+def control_section(view: View, demand: Demand) -> Section:
     """What every solver's own closed loop did to the ship."""
     section = Section("control", "Control")
-    tables = [table for name in view.scenarios for table in control_tables(view, name)]
+    tables = [table for name in view.scenarios for table in control_tables(view, name, demand)]
     section.add(*(Tabular(table) for table in tables))
     if not tables:
         section.add(missing("no full-length closed loop left a step."))

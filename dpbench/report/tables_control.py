@@ -5,6 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
+from dpbench.bench.deadline import longest_streak
+from dpbench.report.demand import Demand
 from dpbench.report.formats import (
     MISSING,
     as_float,
@@ -44,6 +48,7 @@ MAIN: tuple[tuple[str, str, Writer], ...] = (
     ("total_variation", "total variation", _short),
     ("closed_loop_cost", "cost", _short),
     ("fallbacks", "fallbacks", count_text),
+    ("missed", "late", count_text),
     ("clipped", "clipped", count_text),
     ("limit_violations", "violations", count_text),
     ("dev_position_max_m", "deviation max [m]", _exact),
@@ -70,23 +75,31 @@ MORE: tuple[tuple[str, str, Writer], ...] = (
     ("unconverged", "unfinished", count_text),
     ("fallback_longest", "longest fallback", count_text),
     ("recover_steps_max", "recovery [steps]", count_text),
+    ("missed_longest", "longest late", count_text),
     ("dev_position_rms_m", "deviation RMS [m]", _exact),
     ("dev_heading_max_deg", "heading deviation [°]", _exact),
     ("dev_force_max_N", "force deviation [N]", _exact),
 )
 
 
-def control_tables(view: View, scenario: str) -> list[Table]:
+def control_tables(view: View, scenario: str, demand: Demand) -> list[Table]:
     """The main table of one scenario and the folded one with the rest; none without runs."""
-    rows = [row for row in view.full_loops(scenario) if has_steps(row)]
-    if not rows:
+    found = [row for row in view.full_loops(scenario) if has_steps(row)]
+    if not found:
         return []
-    rows = sorted(rows, key=_by_deviation)
-    note = _note(view, scenario, rows)
+    rows = sorted((_with_misses(view, row, demand) for row in found), key=_by_deviation)
+    note = _note(view, scenario, rows, demand)
     return [
         _table(f"Control in `{scenario}`", note, MAIN, rows, folded=False),
         _table(f"Control in `{scenario}`: further metrics", note, MORE, rows, folded=True),
     ]
+
+
+def _with_misses(view: View, row: Row, demand: Demand) -> Row:
+    """The row with the steps that took longer than the demand's deadline."""
+    total = view.steps(row)["total_ns"].to_numpy(dtype=np.float64, na_value=np.nan)
+    late = total > demand.deadline_ns
+    return {**row, "missed": int(late.sum()), "missed_longest": longest_streak(late)}
 
 
 def _by_deviation(row: Row) -> tuple[bool, float, str]:
@@ -94,7 +107,7 @@ def _by_deviation(row: Row) -> tuple[bool, float, str]:
     return is_contrast(row), math.inf if math.isnan(deviation) else deviation, name_of(row)
 
 
-def _note(view: View, scenario: str, rows: Sequence[Row]) -> str:
+def _note(view: View, scenario: str, rows: Sequence[Row], demand: Demand) -> str:
     early = [row for row in rows if as_float(row["steps_done"]) < as_float(row["steps_planned"])]
     counts = [f"{name_of(row)} ({plural(as_float(row['steps_done']), 'step')})" for row in early]
     cut = f" Stopped early, metrics over what was run: {', '.join(counts)}." if early else ""
@@ -102,7 +115,8 @@ def _note(view: View, scenario: str, rows: Sequence[Row]) -> str:
         f"Closed loop of {plural(view.full_steps(scenario), 'step')}, scaled units, settings "
         f"default, {plural(len(rows), 'arm')}. Deviation: position against the exactly solved "
         "loop; sorted by it. Fallbacks: steps without a usable answer, in which the shifted plan "
-        f"acted. Violations of an applied force must be 0.{cut}"
+        f"acted. Late: steps that took longer than {demand.deadline_ms:g} ms on this machine; the "
+        f"ship waited for them. Violations of an applied force must be 0.{cut}"
     )
 
 
@@ -138,5 +152,5 @@ def _name(row: Row) -> Cell:
 def _cell(row: Row, column: str, write: Writer) -> Cell:
     value = as_float(row[column])
     text = MISSING if math.isnan(value) else write(value)
-    bad = column in ("limit_violations", "fallbacks") and value > 0
+    bad = column in ("limit_violations", "fallbacks", "missed") and value > 0
     return Cell(text, "bad" if bad else "")

@@ -74,6 +74,8 @@ def experiments_table(view: View) -> Table:
     for row in view.every:
         # The sequences of a random family are too many to stand one by one.
         shown = {name: str(row[name]) for name in names}
+        if as_float(row["slowdown"]) > 0.0:
+            shown["mode"] += f", {as_float(row['slowdown']):g} × slower"
         if row["family"]:
             shown["sequence"] = f"random {row['family']}"
         groups.setdefault(tuple(shown.values()), []).append(row)

@@ -28,9 +28,10 @@ COMMON = "condensed_box"
 class View:
     """The records of one result folder, asked by question.
 
-    `every` row is one of `runs`, which are about the ship, of `random`, which are not, or of
-    another formulation than the common one of its problem; what is selected below is selected from
-    `runs`, so that nothing mixes formulations. The harness's own arms are no solvers: they are in
+    `every` row is one of `runs`, which are about the ship, of `slowed`, closed loops on a slow
+    computer, of `random`, which have no ship, or of another formulation than the common one of its
+    problem; what is selected below is selected from `runs`, so that nothing mixes formulations, nor
+    a solver's mistakes with a computer's. The harness's own arms are no solvers: they are in
     `calibration` and nowhere else.
     """
 
@@ -48,7 +49,9 @@ class View:
         self.every: list[Row] = [
             row | {"default_route": row["route"] == usual[row["solver"]]} for row in rows
         ]
-        self.runs = _commonly_formulated([row for row in self.every if not row["family"]])
+        self.slowed = [row for row in self.every if as_float(row["slowdown"]) > 0.0]
+        usual_pace = [row for row in self.every if not as_float(row["slowdown"]) > 0.0]
+        self.runs = _commonly_formulated([row for row in usual_pace if not row["family"]])
         self.random = [row for row in self.every if row["family"]]
         self._steps = results.steps
         self._times: dict[str, StepTimes | None] = {}

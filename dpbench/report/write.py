@@ -11,6 +11,7 @@ from dpbench.report.blocks import Page, Section
 from dpbench.report.demand import Demand
 from dpbench.report.formats import as_float, time_text
 from dpbench.report.render import render_html, render_markdown
+from dpbench.report.section_deadline import deadline_lines, deadline_section
 from dpbench.report.section_design import design_section
 from dpbench.report.section_harness import harness_lines, repeat_section
 from dpbench.report.section_horizon import horizon_section
@@ -72,9 +73,9 @@ def verdict_lines(out: str | Path) -> list[str]:
     """The verdict on a result folder in a few plain lines."""
     results = load_results(out)
     view = View(results)
-    without = view.random or view.calibration
-    judged = _lines(view, Demand.of(results.suite)) if view.runs or not without else []
-    return [*judged, *random_lines(view), *harness_lines(view)]
+    other = view.random or view.slowed or view.calibration
+    judged = _lines(view, Demand.of(results.suite)) if view.runs or not other else []
+    return [*judged, *deadline_lines(view), *random_lines(view), *harness_lines(view)]
 
 
 def build_page(
@@ -103,13 +104,21 @@ def _sections(
     """All sections; of records without a ship, those that have something to say."""
     if view.calibration and not view.every:
         return [timing_section(view, demand), reading_section()]
-    claims = random_section(view)
+    claims, deadline = random_section(view), deadline_section(view)
     horizon = horizon_section(view, demand)
     repeat = repeat_section(view)
     design = [design_section(designs)] if designs is not None else []
+    slow = [deadline] if deadline is not None else []
     found = [claims] if claims is not None else []
-    if found and not view.runs:
-        return [*found, runs_section(view), *design, solvers_section(view), reading_section()]
+    if (found or slow) and not view.runs:
+        return [
+            *slow,
+            *found,
+            runs_section(view),
+            *design,
+            solvers_section(view),
+            reading_section(),
+        ]
     return [
         verdict_section(view, demand),
         runs_section(view),
@@ -122,7 +131,8 @@ def _sections(
         use_section(view, demand),
         *([horizon] if horizon is not None else []),
         figures_section(view, demand),
-        control_section(view),
+        control_section(view, demand),
+        *slow,
         *design,
         reproduced_section(view, designed=bool(design)),
         solvers_section(view),

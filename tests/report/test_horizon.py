@@ -13,8 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dpbench.report.demand import Demand
-from dpbench.report.figures_horizon import growth_figure, kept_apart
+from dpbench.report.figures_horizon import growth_figure
 from dpbench.report.growth import Growth, crossover, fit_growth
+from dpbench.report.labels import kept_apart
 from dpbench.report.section_horizon import horizon_section
 from dpbench.report.statistics import Interval
 from dpbench.report.style import styled

@@ -118,7 +118,7 @@ def test_control_is_sorted_by_deviation_and_counts_steps(records: Any) -> None:
     """Control tables start with the loop closest to the exact one and print how far each got."""
     records.loop("far", error=0.9)
     records.loop("near", error=1e-9, done=60, outcome="timed_out")
-    main, more = control_tables(records.view(), "paper")
+    main, more = control_tables(records.view(), "paper", DEMAND)
     assert _column(main, "solver") == ["near", "far"]
     assert _column(main, "steps") == ["60", "120"]
     assert "near (60 steps)" in main.note

@@ -1,0 +1,72 @@
+"""The section on deadlines: what late answers of a slow computer do to the ship."""
+
+from __future__ import annotations
+
+import math
+
+from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular, missing
+from dpbench.report.figures_deadline import slowdown_figure
+from dpbench.report.formats import and_list, plural
+from dpbench.report.slowed import SlowedGroup, cost_ratio, factor_text, slowed_groups
+from dpbench.report.tables_deadline import WITHIN, misses_table, survival_table
+from dpbench.report.view import View
+
+INTRODUCTION = (
+    "The ship's computer is so many times slower than this machine: the measured time of a step "
+    "(set-up + update + solve + read; less what the kernel gave to others meanwhile) times the "
+    "slow-down is the latency of its answer. Within the budget the answer is applied at its own "
+    "sample. A later one is applied at the first sample after it arrived, at the force its plan "
+    "has by then; until then the fallback steers, and no other computation begins. Time is "
+    "simulated, not waited for. These loops are kept out of every other section."
+)
+
+
+def deadline_section(view: View) -> Section | None:
+    """Cost, misses and survival on slow computers; None where no loop ran on one."""
+    groups = slowed_groups(view)
+    if not groups:
+        return None
+    section = Section("deadline", "Slow computers and late answers")
+    section.add(Paragraph(INTRODUCTION))
+    for i, group in enumerate(groups):
+        section.add(*_blocks(i, group))
+    return section
+
+
+def deadline_lines(view: View) -> list[str]:
+    """Who survives which slow-down, a line per scenario, for a terminal."""
+    return [_line(group).replace("**", "") for group in slowed_groups(view)]
+
+
+def _blocks(i: int, group: SlowedGroup) -> list[Block]:
+    ran = [
+        arm for arm in group.arms if any(math.isfinite(cost_ratio(r)) for r in arm.loops.values())
+    ]
+    tables = [Tabular(survival_table(group)), Tabular(misses_table(group))]
+    if not ran:
+        return [missing(f"no loop in `{group.scenario}` was run to its end."), *tables]
+    picture = Picture(
+        f"slowdown_{i + 1}",
+        f"Closed-loop cost against slow-down in {group.scenario}",
+        f"{plural(len(ran), 'arm')}, {plural(group.steps, 'step')}; cost over that of the exactly "
+        f"solved loop, in which no answer is late. Dashed: {WITHIN}; hollow: beyond. A line ends "
+        "at the last loop that was run to its end.",
+        slowdown_figure(group),
+    )
+    return [Paragraph(_line(group)), picture, *tables]
+
+
+def _line(group: SlowedGroup) -> str:
+    """Which solvers survive which slow-down, the largest first."""
+    by_factor: dict[float, list[str]] = {}
+    for arm in group.arms:
+        survives = arm.survives
+        by_factor.setdefault(-1.0 if math.isnan(survives) else survives, []).append(arm.name)
+    words = [
+        f"up to **{factor_text(factor)}**: {and_list(names)}"
+        if factor > 0
+        else f"at no slow-down: {and_list(names)}"
+        for factor, names in sorted(by_factor.items(), reverse=True)
+    ]
+    within = f"cost {WITHIN} of the exactly solved loop's"
+    return f"Scenario `{group.scenario}`, {within} {'; '.join(words)}."

@@ -1,0 +1,124 @@
+"""Tables of the loops on slow computers: cost by slow-down, and what was missed."""
+
+from __future__ import annotations
+
+import math
+
+from dpbench.report.formats import (
+    MISSING,
+    as_float,
+    count_text,
+    plural,
+    significant,
+    time_text,
+)
+from dpbench.report.slowed import (
+    MARGIN,
+    SlowedArm,
+    SlowedGroup,
+    cost_ratio,
+    factor_text,
+    survived,
+)
+from dpbench.report.table import Cell, Table, row_of
+from dpbench.report.view import Row
+
+WITHIN = f"within {100 * MARGIN:g} %"
+COUNTS = (
+    ("deadline_misses", "misses"),
+    ("longest_miss_streak", "longest streak"),
+    ("miss_recover_steps_max", "recovery [steps]"),
+    ("computations", "computations"),
+    ("interrupted", "interrupted"),
+    ("fallbacks", "fallbacks"),
+)
+
+
+def survival_table(group: SlowedGroup) -> Table:
+    """Per arm the slow-down it survives, and its cost at each, over the exactly solved loop's."""
+    slowdowns = group.slowdowns
+    return Table(
+        title=f"What slow-down each solver survives in `{group.scenario}`",
+        note=f"{plural(len(group.arms), 'arm')}, {plural(group.steps, 'step')}, a budget of "
+        f"{significant(1e3 * group.deadline_s)} ms a step. Cost over that of the exactly solved "
+        f"loop, in which no answer is late; tinted where it is not {WITHIN}, or the loop was "
+        "not run to its end. Survives: the largest slow-down up to which every loop that was run "
+        f"stays {WITHIN} over the whole of it, without a violated limit. Step time: as measured, "
+        "at the smallest slow-down. Each cell is one run.",
+        heads=(
+            "solver",
+            "survives",
+            "step time p50",
+            "step time max",
+            *(f"cost at {factor_text(slowdown)}" for slowdown in slowdowns),
+        ),
+        rows=tuple(
+            row_of(
+                arm.name,
+                Cell(factor_text(arm.survives), "" if math.isfinite(arm.survives) else "bad"),
+                *_measured(arm),
+                *(_cost(arm.loops.get(slowdown)) for slowdown in slowdowns),
+            )
+            for arm in group.arms
+        ),
+    )
+
+
+def _measured(arm: SlowedArm) -> tuple[str, str]:
+    """Median and largest measured step time at the smallest slow-down."""
+    slowdown, row = next(iter(arm.loops.items()))
+    middle, largest = (as_float(row[f"latency_{of}_ns"]) / slowdown for of in ("p50", "max"))
+    return time_text(middle), time_text(largest)
+
+
+def _cost(row: Row | None) -> Cell:
+    if row is None:
+        return Cell(MISSING, "quiet")
+    ratio = cost_ratio(row)
+    if math.isnan(ratio):
+        return Cell(str(row["outcome"]).replace("_", " "), "bad")
+    return Cell(significant(ratio), "" if survived(row) else "bad")
+
+
+def misses_table(group: SlowedGroup) -> Table:
+    """Every loop with its misses, longest streak, recovery, latencies and cost."""
+    rows = [
+        row_of(
+            arm.name,
+            factor_text(slowdown),
+            *(count_text(row[column]) for column, _ in COUNTS),
+            *(time_text(as_float(row[f"latency_{of}_ns"])) for of in ("p50", "max")),
+            _cost(row),
+            significant(as_float(row["dev_position_max_m"])),
+            Cell(
+                count_text(row["limit_violations"]),
+                "bad" if as_float(row["limit_violations"]) > 0 else "",
+            ),
+            count_text(row["steps_done"]),
+        )
+        for arm in group.arms
+        for slowdown, row in arm.loops.items()
+    ]
+    return Table(
+        title=f"Deadlines missed in `{group.scenario}`",
+        note=f"{plural(len(rows), 'loop')}. A miss is a step without an answer in time: its own "
+        "came late, or none was begun because the processor was still at an earlier one. "
+        "Recovery: most steps from a miss to the next true answer in time, a dash for none or "
+        "never. Computations: steps in which one was begun. Fallbacks: steps in which neither an "
+        "answer in time nor one that arrived just then steered. Latency: measured step time × "
+        "slow-down; where the kernel interrupted a computation to run others, its processor time "
+        "× slow-down, since it is not this machine that steers.",
+        heads=(
+            "solver",
+            "slow-down",
+            *(head for _, head in COUNTS),
+            "latency p50",
+            "latency max",
+            "cost",
+            "deviation max [m]",
+            "violations",
+            "steps",
+        ),
+        rows=tuple(rows),
+        folded=True,
+    )
