@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -14,8 +15,12 @@ from dpbench.mpc.condensed_qp import CondensedQP
 
 
 @pytest.mark.benchmark(group="condense 30/5 from given (A, B, C)")
-def test_condense(benchmark: BenchmarkFixture, problem: ControlProblem) -> None:
+def test_condense(
+    benchmark: BenchmarkFixture, exactly: Callable[..., None], problem: ControlProblem
+) -> None:
     """The whole CondensedQP: E, F, Φ, the affine map, scaling."""
+    A = CondensedQP(problem).A
+    exactly(lambda: CondensedQP(problem), rows=A.shape[0], variables=A.shape[1])
     benchmark(CondensedQP, problem)
 
 
@@ -59,10 +64,13 @@ def test_qpmpc_builds(benchmark: BenchmarkFixture, problem: ControlProblem) -> N
 
 
 @pytest.mark.benchmark(group="emit one step")
-def test_emit(benchmark: BenchmarkFixture, problem: ControlProblem) -> None:
+def test_emit(
+    benchmark: BenchmarkFixture, exactly: Callable[..., None], problem: ControlProblem
+) -> None:
     """θ → q, l, u in memory of its own."""
     builder = CondensedQP(problem)
     x, y_ref, u_prev = np.full(9, 0.1), np.zeros(3), np.ones(3)
+    exactly(lambda: builder.emit(x, y_ref, u_prev), rows=builder.A.shape[0])
     benchmark(builder.emit, x, y_ref, u_prev)
 
 
