@@ -13,7 +13,7 @@ export OPENBLAS_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: setup bench full test lint bench-ci report clean clean-results help
+.PHONY: setup bench full test lint bench-ci bench-compare report clean clean-results help
 
 setup: $(STAMP) ## make .venv with all solvers and the development tools
 
@@ -43,6 +43,10 @@ bench-ci: setup ## pytest-benchmark of the parts; writes results/bench-ci.json
 	$(BIN)/python -m pytest tests/bench --override-ini addopts='--import-mode=importlib' \
 	    --benchmark-json=results/bench-ci.json --benchmark-columns=min,median,max,rounds
 
+bench-compare: setup ## compare it with this machine's baseline, RENEW=--renew to replace that
+	test -s results/bench-ci.json || $(MAKE) bench-ci
+	$(BIN)/python tests/bench/gate.py results/bench-ci.json results/baseline $(RENEW)
+
 report: setup ## write the report of the last standard run again
 	$(BIN)/dpbench report $(OUT)
 
@@ -51,8 +55,8 @@ clean: ## remove the environment and all caches; results stay
 	    .benchmarks .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-clean-results: ## remove all results but the reference one
-	find results -mindepth 1 -maxdepth 1 ! -name reference -exec rm -rf {} +
+clean-results: ## remove all results but the reference one and the baselines
+	find results -mindepth 1 -maxdepth 1 ! -name reference ! -name baseline -exec rm -rf {} +
 
 help: ## show this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)

@@ -21,12 +21,14 @@ if TYPE_CHECKING:
     from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, Refresh
     from dpbench.qp.residuals import Residuals, residuals
     from dpbench.qp.solution import Solution, Status
+    from dpbench.report.compare import Comparison, compare
     from dpbench.report.write import write_report
     from dpbench.scenario import Scenario, condense, load_scenario
     from dpbench.solvers.contract import Workspace
     from dpbench.solvers.open import open_workspace
 
 _HOMES = {
+    "Comparison": "report.compare",
     "CondensedQP": "mpc.condensed_qp",
     "DpbenchError": "errors",
     "InputError": "errors",
@@ -42,6 +44,7 @@ _HOMES = {
     "Status": "qp.solution",
     "Workspace": "solvers.contract",
     "certify": "qp.certify",
+    "compare": "report.compare",
     "condense": "scenario",
     "load_results": "bench.store",
     "load_scenario": "scenario",
@@ -57,6 +60,7 @@ _HOMES = {
 }
 
 __all__ = [
+    "Comparison",
     "CondensedQP",
     "DpbenchError",
     "InputError",
@@ -72,6 +76,7 @@ __all__ = [
     "Status",
     "Workspace",
     "certify",
+    "compare",
     "condense",
     "load_results",
     "load_scenario",

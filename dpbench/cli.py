@@ -1,7 +1,7 @@
 """The command line: parse arguments, call one public function, choose the exit code.
 
-Exit 0: done (a solver's failure is data). 2: bad input, said in one line. The only module that
-prints.
+Exit 0: done (a solver's failure is data). 1: a comparison shows a regression. 2: bad input, said
+in one line. The only module that prints.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
+from pathlib import Path
 from types import TracebackType
 from typing import Any, NoReturn
 
@@ -46,6 +47,14 @@ def _parser() -> argparse.ArgumentParser:
     report.add_argument("dir", help="a folder written by `dpbench run`")
     report.add_argument("--baseline", metavar="S", help="compare step times with this solver's")
     report.set_defaults(call=_report)
+    compare = commands.add_parser("compare", help="what became slower or worse from A to B")
+    compare.add_argument("a", metavar="A", help="a result folder, the baseline")
+    compare.add_argument("b", metavar="B", help="another one of the same suite")
+    compare.add_argument("--any-machine", action="store_true", help="also of another machine")
+    compare.add_argument("--margin", type=float, default=0.05, help="what is no difference (0.05)")
+    compare.add_argument("--alpha", type=float, default=0.05, help="family-wise error (0.05)")
+    compare.add_argument("--markdown", metavar="FILE", help="write Markdown; - for the screen")
+    compare.set_defaults(call=_compare)
     export = commands.add_parser("export", help="write QPs with certified optima for others")
     export.add_argument(
         "what", nargs="?", help="a scenario, a sequence (by name or .npz) or a folder of problems"
@@ -193,6 +202,30 @@ def _say_verdict(out: Any, page: Any) -> None:
     print(f"report: {page}")
 
 
+def _compare(arguments: argparse.Namespace) -> int:
+    from dpbench.listing import rich_table
+    from dpbench.report.compare import compare
+
+    found = compare(
+        arguments.a,
+        arguments.b,
+        any_machine=arguments.any_machine,
+        margin=arguments.margin,
+        alpha=arguments.alpha,
+    )
+    if arguments.markdown == "-":
+        print(found.markdown(), end="")
+        return int(found.worse)
+    if arguments.markdown is not None:
+        Path(arguments.markdown).write_text(found.markdown(), encoding="utf-8")
+    console = _console()
+    for table in found.tables:
+        console.print(rich_table(table), "")
+    for line in found.lines:
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    return int(found.worse)
+
+
 def _export(arguments: argparse.Namespace) -> int:
     from dpbench.bench.export import check_asked, export
 
@@ -241,13 +274,9 @@ def _hunt(arguments: argparse.Namespace) -> int:
 
 
 def _list(arguments: argparse.Namespace) -> int:
-    from rich.console import Console
-
     from dpbench.listing import listing
 
-    # Into a file or a pipe the table takes the room it needs instead of 80 columns.
-    console = Console() if sys.stdout.isatty() else Console(width=200)
-    console.print(listing(arguments.what))
+    _console().print(listing(arguments.what))
     return 0
 
 
@@ -257,6 +286,13 @@ def _doctor(arguments: argparse.Namespace) -> int:
     for line in doctor_lines():
         print(line)
     return 0
+
+
+def _console() -> Any:
+    from rich.console import Console
+
+    # Into a file or a pipe a table takes the room it needs instead of 80 columns.
+    return Console() if sys.stdout.isatty() else Console(width=200)
 
 
 def _check(arguments: argparse.Namespace) -> int:

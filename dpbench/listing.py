@@ -1,4 +1,4 @@
-"""What `dpbench list` and `dpbench check` say: tables of what there is, a line about a file."""
+"""What `dpbench list` and `dpbench check` say, and tables of the report on a terminal."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from dpbench.bench.plan import plan
 from dpbench.bench.running import Progress
@@ -23,6 +24,7 @@ from dpbench.problem_files import (
     read_toml,
     sequence_path,
 )
+from dpbench.report.table import Table as ReportTable
 from dpbench.scenario import load_scenario, load_vessel
 from dpbench.solvers.settings import describe_ladder
 from dpbench.solvers.table import available, record, solver_names
@@ -39,6 +41,24 @@ def _table(*columns: str) -> Table:
     for i, column in enumerate(columns):
         table.add_column(column, no_wrap=i == 0)
     return table
+
+
+def rich_table(table: ReportTable) -> Table:
+    """A table of the report for a terminal, its note below it."""
+    shown = Table(
+        title=table.title,
+        title_justify="left",
+        caption=table.note,
+        caption_justify="left",
+        show_edge=False,
+        pad_edge=False,
+    )
+    for i, head in enumerate(table.heads):
+        shown.add_column(escape(head), justify="left" if i < table.text_columns else "right")
+    styles = {"good": "green", "bad": "bold red", "warn": "yellow"}
+    for row in table.rows:
+        shown.add_row(*(Text(cell.text, style=styles.get(cell.mark, "")) for cell in row))
+    return shown
 
 
 def _vessels() -> Table:

@@ -138,6 +138,7 @@ TIMING_COLUMNS: Columns = {
     "rounds": ("Int64", "replay rounds that count"),
     "spoilt_rounds": ("Int64", "rounds marked as spoilt, whose times do not count"),
     "rerun_rounds": ("Int64", "rounds run again because they were spoilt; the last attempt counts"),
+    "probe_ns": ("float64", "the reference kernel, median over rounds: is the machine slower?"),
     "algo_p50_ns": ("float64", "over steps, of the minimum over rounds: the algorithmic time"),
     "algo_p95_ns": ("float64", "the same, 95 %"),
     "algo_p99_ns": ("float64", "the same, 99 %; NaN below 1000 steps"),

@@ -56,8 +56,12 @@ def qpmpc_build(problem: ControlProblem) -> Callable[[], Any]:
 
 
 @pytest.mark.benchmark(group="condense 30/5 from given (A, B, C)")
-def test_condense(benchmark: BenchmarkFixture, problem: ControlProblem) -> None:
+def test_condense(
+    benchmark: BenchmarkFixture, exactly: Callable[..., None], problem: ControlProblem
+) -> None:
     """The whole CondensedQP: E, F, Φ, the affine map, scaling."""
+    A = CondensedQP(problem).A
+    exactly(lambda: CondensedQP(problem), rows=A.shape[0], variables=A.shape[1])
     benchmark(CondensedQP, problem)
 
 
@@ -115,10 +119,13 @@ def test_condense_grows(benchmark: BenchmarkFixture, problem: ControlProblem, n:
 
 
 @pytest.mark.benchmark(group="emit one step")
-def test_emit(benchmark: BenchmarkFixture, problem: ControlProblem) -> None:
+def test_emit(
+    benchmark: BenchmarkFixture, exactly: Callable[..., None], problem: ControlProblem
+) -> None:
     """θ → q, l, u in memory of its own."""
     builder = CondensedQP(problem)
     x, y_ref, u_prev = np.full(9, 0.1), np.zeros(3), np.ones(3)
+    exactly(lambda: builder.emit(x, y_ref, u_prev), rows=builder.A.shape[0])
     benchmark(builder.emit, x, y_ref, u_prev)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Callable
 
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
@@ -28,7 +29,11 @@ INSTALLED = [name for name in solver_names() if available(name).ok and name != C
 @pytest.mark.benchmark(group="update + solve + read, mean over 120 steps of `paper`", min_rounds=3)
 @pytest.mark.parametrize("solver", INSTALLED)
 def test_step(
-    benchmark: BenchmarkFixture, scenario: Scenario, exact: ExactLoop, solver: str
+    benchmark: BenchmarkFixture,
+    exactly: Callable[..., None],
+    scenario: Scenario,
+    exact: ExactLoop,
+    solver: str,
 ) -> None:
     """A whole pass over the sequence; divide by 120 for a step."""
     sequence = sequence_of(scenario, exact)
@@ -36,14 +41,19 @@ def test_step(
     workspace.setup(sequence.base)
     steps = [sequence.step(k) for k in range(len(sequence))]
 
-    def replay() -> None:
-        for step in steps:
+    def replay(count: int = len(steps)) -> int:
+        iterations = 0
+        for step in steps[:count]:
             workspace.update(step)
             workspace.solve()
-            workspace.read()
+            iterations += workspace.read().iterations
+        return iterations
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
+        rows = sequence.base.m + sequence.base.n
+        # Under tracemalloc a solver in Python is slow; what a step holds, any few steps show.
+        exactly(lambda: replay(10), iterations=replay(), rows=rows)
         benchmark(replay)
 
 

@@ -1,0 +1,162 @@
+"""Compare two result folders: who became slower, less accurate or a worse pilot."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from dpbench.bench.store import load_results
+from dpbench.errors import InputError
+from dpbench.report.compare_answers import Answer, compare_answers
+from dpbench.report.compare_pairs import KEY, Pairs, check_machines, pair_cells
+from dpbench.report.compare_tables import answers_table, shared_line, times_table
+from dpbench.report.compare_times import Compared, Shared, compare_times, time_pairs
+from dpbench.report.formats import plural
+from dpbench.report.table import Table, markdown
+from dpbench.report.view import View
+
+LISTED = 5
+"""So many cells without a partner are named."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What became of each arm from folder A to folder B.
+
+    Parameters
+    ----------
+    compared : step times with their verdicts; shared : what all arms of a sequence share.
+    found : every figure of accuracy and control; pairs : which cells were compared.
+    lines : the verdict in a few lines of text; tables : the rest.
+    """
+
+    compared: list[Compared]
+    shared: list[Shared]
+    found: list[Answer]
+    pairs: Pairs
+    lines: list[str]
+    tables: list[Table]
+
+    @property
+    def worse(self) -> bool:
+        """Whether a regression is shown."""
+        together = [s.judgement for s in self.shared if s.judgement is not None]
+        slow = any(
+            j.verdict == "slower" for j in [*(c.judgement for c in self.compared), *together]
+        )
+        return slow or any(answer.change == "worse" for answer in self.found)
+
+    @property
+    def times(self) -> pd.DataFrame:
+        """One row per arm and sequence: identity, ratios, interval, adjusted p-values, verdict."""
+        return pd.DataFrame([_time_row(compared) for compared in self.compared])
+
+    @property
+    def answers(self) -> pd.DataFrame:
+        """One row per arm, experiment and figure: identity, ranges in A and B, change."""
+        return pd.DataFrame([_answer_row(answer) for answer in self.found])
+
+    def markdown(self) -> str:
+        """The comparison as a Markdown document."""
+        parts = ["# Comparison", "\n".join(f"- {line}" for line in self.lines)]
+        parts += [f"## {t.title}\n\n{t.note}\n\n{markdown(t)}" for t in self.tables]
+        return "\n\n".join(parts) + "\n"
+
+
+def compare(
+    a: str | Path,
+    b: str | Path,
+    *,
+    any_machine: bool = False,
+    margin: float = 0.05,
+    alpha: float = 0.05,
+) -> Comparison:
+    """Compare folder B with folder A, cell by cell.
+
+    Parameters
+    ----------
+    a, b : folders written by `dpbench run`; A is the older one, the baseline.
+    any_machine : compare runs of two machines too; what all arms share is then not judged.
+    margin : a ratio up to 1 + margin either way makes no difference.
+    alpha : family-wise error of the claims on step times.
+
+    Raises
+    ------
+    InputError : for a margin or alpha that cannot be; as `ResultsError` for a folder that is
+        missing, damaged, of another machine, or has no cell in common with the other.
+    """
+    if not (margin > 0.0 and math.isfinite(margin)):
+        raise InputError("--margin", "", margin, "a finite number above 0, as 0.05 for 5 %")
+    if not 0.0 < alpha < 0.5:
+        raise InputError("--alpha", "", alpha, "a number above 0 and below 0.5")
+    results = load_results(a), load_results(b)
+    if not any_machine:
+        check_machines(*results, where=str(b))
+    views = View(results[0]), View(results[1])
+    pairs = pair_cells(*views, names=(str(a), str(b)))
+    same = results[0].machine["id"] == results[1].machine["id"]
+    timings = time_pairs(*views, pairs.pairs)
+    compared, shared = compare_times(timings, margin, alpha, same_machine=same)
+    found = compare_answers(*views, pairs.pairs, margin)
+    lines = [f"A: {a}", f"B: {b}{'' if same else ' (another machine)'}"]
+    lines += _lines(compared, shared, found, pairs)
+    changed = answers_table(found, margin)
+    tables = [times_table(compared, margin, alpha)] if compared else []
+    tables += [changed] if changed is not None else []
+    return Comparison(compared, shared, found, pairs, lines, tables)
+
+
+def _lines(
+    compared: list[Compared], shared: list[Shared], found: list[Answer], pairs: Pairs
+) -> list[str]:
+    lines = [f"{plural(len(pairs.pairs), 'cell')} compared"]
+    verdicts = Counter(c.judgement.verdict for c in compared)
+    if compared:
+        lines.append("step times: " + ", ".join(f"{n} {v}" for v, n in verdicts.most_common()))
+    lines += [shared_line(one) for one in shared]
+    changes = Counter(answer.change for answer in found)
+    if found:
+        counts = ", ".join(f"{n} {change}" for change, n in changes.most_common())
+        lines.append(f"figures of accuracy and control: {counts}")
+    for what, cells in (
+        ("only in A", pairs.only_a),
+        ("only in B", pairs.only_b),
+        ("another problem under the same name", pairs.changed),
+    ):
+        if cells:
+            more = f" and {len(cells) - LISTED} more" if len(cells) > LISTED else ""
+            lines.append(f"{what}, not compared: {'; '.join(cells[:LISTED])}{more}")
+    return lines
+
+
+def _time_row(compared: Compared) -> dict[str, Any]:
+    timing, found = compared.timing, compared.judgement
+    return {name: timing.pair.a[name] for name in KEY} | {
+        "raw": found.raw,
+        "machine": found.machine,
+        "ratio": found.ratio.value,
+        "low": found.ratio.low,
+        "high": found.ratio.high,
+        "own": timing.own,
+        "p_differs": found.p_differs,
+        "p_equal": found.p_equal,
+        "steps": timing.steps,
+        "rounds": timing.rounds,
+        "verdict": found.verdict,
+    }
+
+
+def _answer_row(answer: Answer) -> dict[str, Any]:
+    return {name: answer.pair.a[name] for name in KEY} | {
+        "figure": answer.measure.column,
+        "a_low": answer.a[0],
+        "a_high": answer.a[1],
+        "b_low": answer.b[0],
+        "b_high": answer.b[1],
+        "change": answer.change,
+    }

@@ -1,0 +1,127 @@
+"""Tables of a comparison, in the words of the report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from dpbench.report.compare_answers import ORDER, Answer, Range
+from dpbench.report.compare_times import Compared, Shared
+from dpbench.report.formats import (
+    count_text,
+    error_text,
+    interval_text,
+    micro_text,
+    plural,
+    share_text,
+    significant,
+)
+from dpbench.report.table import Cell, Mark, Table, row_of
+
+_MARKS: dict[str, Mark] = {"slower": "bad", "worse": "bad", "faster": "good", "better": "good"}
+
+
+def times_table(compared: Sequence[Compared], margin: float, alpha: float) -> Table:
+    """One row per arm and sequence, those with a claim first."""
+    order = ("slower", "faster", "no difference shown", "equivalent")
+    rows = sorted(compared, key=lambda c: order.index(c.judgement.verdict))
+    percent = f"{100 * margin:g} %"
+    return Table(
+        title="Step times, replays",
+        note=(
+            "B/A: geometric mean over the steps of the ratio of algorithmic times (minimum over "
+            "as many rounds of either run). Machine: the median of that ratio over the other "
+            "arms of the sequence (of the reference kernel below four), taken out of the next. Its "
+            "interval holds for all rows together and counts the noise between two runs. Slower "
+            f"or faster: by more than {percent}; equivalent: within {percent}; each kind of claim "
+            f"with a family-wise error of {100 * alpha:g} % (Holm)."
+        ),
+        heads=(
+            "arm",
+            "sequence",
+            "A p50 [µs]",
+            "B p50 [µs]",
+            "B/A",
+            "machine",
+            "B/A less machine",
+            "interval",
+            "steps × rounds",
+            "verdict",
+        ),
+        rows=tuple(_time_row(c) for c in rows),
+        text_columns=2,
+    )
+
+
+def _time_row(compared: Compared) -> tuple[Cell, ...]:
+    timing, found = compared.timing, compared.judgement
+    return row_of(
+        timing.pair.label,
+        timing.pair.problem,
+        micro_text(timing.median_ns[0]),
+        micro_text(timing.median_ns[1]),
+        f"{found.raw:.3f}",
+        f"{found.machine:.3f}",
+        f"{found.ratio.value:.3f}",
+        interval_text(found.ratio.low, found.ratio.high),
+        f"{count_text(timing.steps)} × {count_text(timing.rounds)}",
+        Cell(found.verdict, _MARKS.get(found.verdict, "")),
+    )
+
+
+def shared_line(shared: Shared) -> str:
+    """What all arms of a sequence have in common, and whether that is the machine."""
+    said = f"`{shared.sequence}`: {plural(shared.arms, 'arm')} together {shared.factor:.3f}"
+    if shared.kernel == shared.kernel:
+        said += f", the reference kernel {shared.kernel:.3f}"
+    if shared.judgement is None:
+        return said + "; not judged"
+    verdict = shared.judgement.verdict
+    cause = " in a part that all arms share" if verdict in ("slower", "faster") else ""
+    return f"{said}: {verdict}{cause}"
+
+
+def answers_table(answers: Sequence[Answer], margin: float) -> Table | None:
+    """The figures that changed, worse ones first; None where none did."""
+    changed = [answer for answer in answers if answer.change != "same"]
+    if not changed:
+        return None
+    changed.sort(key=lambda answer: answer.change != "worse")
+    return Table(
+        title="Accuracy and control: what changed",
+        note=(
+            f"{plural(len(changed), 'figure')} of {count_text(len(answers))}; the others are the "
+            f"same within {100 * margin:g} %, counts and shares exactly. A range: over the rounds."
+        ),
+        heads=("arm", "experiment", "figure", "A", "B", "change"),
+        rows=tuple(_answer_row(answer) for answer in changed),
+        text_columns=3,
+    )
+
+
+def _answer_row(answer: Answer) -> tuple[Cell, ...]:
+    mode = "closed loop" if answer.pair.a["mode"] == "closed_loop" else "replay"
+    return row_of(
+        answer.pair.label,
+        f"{mode} of {answer.pair.problem}",
+        answer.measure.head,
+        _range_text(answer.measure.column, answer.a),
+        _range_text(answer.measure.column, answer.b),
+        Cell(answer.change, _MARKS[answer.change]),
+    )
+
+
+def _range_text(column: str, values: Range) -> str:
+    texts = [_figure_text(column, value) for value in values]
+    return texts[0] if texts[0] == texts[1] else f"{texts[0]} … {texts[1]}"
+
+
+def _figure_text(column: str, value: float) -> str:
+    if column == "outcome":
+        return ORDER[int(value)].replace("_", " ")
+    if column.startswith("error"):
+        return error_text(value)
+    if column.endswith("share"):
+        return share_text(value)
+    if column in ("failed_steps", "steps_done"):
+        return count_text(value)
+    return significant(value, 4)

@@ -1,0 +1,171 @@
+"""Step times of the same arms in two runs: one ratio per arm and sequence, with its own noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from dpbench.report.compare_pairs import KEY, Pair
+from dpbench.report.evidence import MACHINE_NOISE, Evidence, Judgement, gather, judge
+from dpbench.report.formats import as_float
+from dpbench.report.statistics import BLOCK_STEPS, RESAMPLES, SEED, Floats, resampled_means
+from dpbench.report.view import Row, View
+
+PARTS = 4
+"""A run's rounds are cut into so many consecutive parts, each left out in turn."""
+
+
+@dataclass(frozen=True, eq=False)
+class Timing:
+    """log(B/A) of one arm on one sequence, its standard error from inside the runs, its sizes."""
+
+    pair: Pair
+    log: float
+    own: float
+    steps: int
+    rounds: int
+    median_ns: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """A timing with its verdict."""
+
+    timing: Timing
+    judgement: Judgement
+
+
+@dataclass(frozen=True)
+class Shared:
+    """All arms of a sequence together.
+
+    Parameters
+    ----------
+    factor : median over the arms of B/A; kernel : the same of the reference kernel, NaN where a
+        folder does not have it; judgement : on factor / kernel, None where it cannot be judged.
+    """
+
+    sequence: str
+    factor: float
+    kernel: float
+    arms: int
+    judgement: Judgement | None
+
+
+def time_pairs(a: View, b: View, pairs: Sequence[Pair]) -> list[Timing]:
+    """The timings of all replayed pairs that have one."""
+    replays = [pair for pair in pairs if pair.a["mode"] == "replay"]
+    once: dict[tuple[object, ...], Timing] = {}
+    for pair in replays:
+        found = _timing(pair, _rounds(a, pair.a), _rounds(b, pair.b))
+        if found is not None:
+            # Settings without effect are one run under several names, and one piece of evidence.
+            arm = [pair.a[name] for name in KEY if name != "settings"]
+            once.setdefault((*arm, found.log, found.own), found)
+    return list(once.values())
+
+
+def compare_times(
+    timings: Sequence[Timing], margin: float, alpha: float, *, same_machine: bool
+) -> tuple[list[Compared], list[Shared]]:
+    """Verdicts on the arms and, on one machine, on what they share: one family of claims."""
+    logs = np.array([t.log for t in timings])
+    own = np.array([t.own for t in timings])
+    groups = [t.pair.problem for t in timings]
+    kernels = {n: _kernel([t for t in timings if t.pair.problem == n]) for n in groups}
+    arms = gather(logs, own, groups, kernel=np.array([kernels[name] for name in groups]))
+    labels = np.asarray(groups)
+    shared: list[tuple[str, float, float, int]] = []
+    effects, errors = [], []
+    for name, kernel in kernels.items():
+        inside = labels == name
+        factor = float(np.median(logs[inside]))
+        shared.append((name, factor, kernel, int(inside.sum())))
+        if same_machine and np.isfinite(kernel):
+            effects.append(factor - kernel)
+            spread = float(np.median(arms.error[inside]) ** 2) / inside.sum()
+            errors.append(np.sqrt(MACHINE_NOISE.sd**2 + np.pi / 2 * spread))
+    count = len(effects)
+    family = Evidence(
+        np.concatenate([arms.effect, effects]),
+        np.concatenate([arms.machine, np.zeros(count)]),
+        np.concatenate([arms.error, errors]),
+        np.concatenate([arms.df, np.full(count, MACHINE_NOISE.df)]),
+    )
+    judged = judge(family, margin, alpha)
+    rest = iter(judged[len(timings) :])
+    compared = [Compared(*both) for both in zip(timings, judged, strict=False)]
+    together = [
+        Shared(
+            name,
+            float(np.exp(factor)),
+            float(np.exp(kernel)),
+            arms_,
+            next(rest) if same_machine and np.isfinite(kernel) else None,
+        )
+        for name, factor, kernel, arms_ in shared
+    ]
+    return compared, together
+
+
+def _kernel(timings: Sequence[Timing]) -> float:
+    """log(B/A) of the reference kernel, timed in every worker: the median over the arms."""
+    logs = [
+        np.log(as_float(t.pair.b["probe_ns"]) / as_float(t.pair.a["probe_ns"])) for t in timings
+    ]
+    known = [value for value in logs if np.isfinite(value)]
+    return float(np.median(known)) if known else float(np.nan)
+
+
+def _rounds(view: View, row: Row) -> pd.DataFrame | None:
+    """(rounds, steps) times [ns] of the rounds that count, calm ones where there are any."""
+    steps = view.steps(row)
+    counting = steps[~steps["warmup"]]
+    calm = counting[~counting["spoilt"]]
+    counting = calm if len(calm) else counting
+    if counting.empty:
+        return None
+    times = counting.assign(total_ns=counting["total_ns"].astype("float64"))
+    table = times.pivot(index="repeat", columns="k", values="total_ns")
+    whole = table.dropna(axis="index")
+    # An arm that its time limit stopped in its first round has the steps it has.
+    return whole if len(whole) else table.dropna(axis="columns")
+
+
+def _timing(pair: Pair, a: pd.DataFrame | None, b: pd.DataFrame | None) -> Timing | None:
+    if a is None or b is None:
+        return None
+    steps = a.columns.intersection(b.columns)
+    if steps.empty:
+        return None
+    # The minimum over more rounds is smaller, so both runs get as many: their first ones.
+    rounds = min(len(a), len(b))
+    mine = a[steps].to_numpy(dtype=np.float64)[:rounds]
+    theirs = b[steps].to_numpy(dtype=np.float64)[:rounds]
+    best = mine.min(axis=0), theirs.min(axis=0)
+    logs = np.log(best[1] / best[0])
+    over_steps = resampled_means(logs, BLOCK_STEPS, RESAMPLES, SEED).std()
+    own = float(np.sqrt(over_steps**2 + _variance(mine) + _variance(theirs)))
+    medians = float(np.median(best[0])), float(np.median(best[1]))
+    return Timing(pair, float(logs.mean()), own, len(steps), rounds, medians)
+
+
+def _variance(times: Floats) -> float:
+    """Variance of a run's mean log minimum time: the jackknife over consecutive parts of rounds.
+
+    What is left out is a part, not what is kept: a stretch of slow rounds leaves the minimum over
+    the others where it was, and a minimum that one part alone reached is not to be relied on.
+
+    Parameters
+    ----------
+    times : (rounds, steps); a single round says nothing, which leaves the noise between runs.
+    """
+    parts = min(PARTS, len(times))
+    if parts < 2:
+        return 0.0
+    left_out = np.array_split(np.arange(len(times)), parts)
+    means = [np.log(np.delete(times, rows, axis=0).min(axis=0)).mean() for rows in left_out]
+    return float(np.var(means)) * (parts - 1)

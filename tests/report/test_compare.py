@@ -1,0 +1,308 @@
+"""Two result folders against each other, with planted differences: verdicts, refusals, exits."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dpbench import InputError, compare
+from dpbench.bench.schema import SCHEMA_VERSION, as_runs, as_steps
+from dpbench.bench.store import Results, write_results
+from dpbench.cli import main
+
+STEPS, ROUNDS = 100, 8
+ARMS = ("daqp", "quadprog", "piqp", "proxqp", "osqp", "qpalm", "scs", "clarabel")
+Make = Callable[..., Path]
+
+
+def replay_rows(
+    run_id: str, factor: float, rng: np.random.Generator, error: np.ndarray
+) -> pd.DataFrame:
+    """Times of 20 µs times a pattern that all runs share, a factor, and noise of each sample."""
+    k = np.tile(np.arange(STEPS), ROUNDS)
+    noise = np.exp(0.02 * rng.exponential(size=k.size))
+    total = 2e4 * (1.5 + np.sin(k / 7.0)) * factor * noise
+    return pd.DataFrame(
+        {
+            "run_id": run_id,
+            "repeat": np.repeat(np.arange(1, ROUNDS + 1), STEPS),
+            "k": k,
+            "total_ns": np.round(total).astype(np.int64),
+            "true": np.tile(error <= 1e-2, ROUNDS),
+            "error_move": np.tile(error, ROUNDS),
+            "error_plan": np.tile(error, ROUNDS),
+        }
+    )
+
+
+def identity(mode: str, solver: str, columns: Mapping[str, Any]) -> dict[str, Any]:
+    """A row of runs.parquet."""
+    return {
+        "run_id": f"{mode}-{solver}",
+        "mode": mode,
+        "scenario": "paper",
+        "sequence": "paper" if mode == "replay" else "",
+        "solver": solver,
+        "solver_version": "1.0",
+        "route": "native",
+        "policy": "fresh",
+        "settings": "default",
+        "formulation": "condensed_box",
+        "units": "scaled",
+        "outcome": "finished",
+        "schema": SCHEMA_VERSION,
+        "cell": json.dumps({"scenario": {"name": "paper"}}),
+        "steps_planned": STEPS,
+        "steps_done": STEPS,
+        "probe_ns": 5e4,
+        **columns,
+    }
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Make:
+    """Makes a result folder of replays, and of a closed loop where its figures are given."""
+
+    def folder(
+        name: str,
+        *,
+        seed: int,
+        slow: Mapping[str, float] = {},
+        machine: float = 1.0,
+        errors: Mapping[str, float] = {},
+        loop: Mapping[str, Any] | None = None,
+        machine_id: str = "one",
+        arms: tuple[str, ...] = ARMS,
+        **columns: Any,
+    ) -> Path:
+        rng = np.random.default_rng(seed)
+        runs, steps = [], []
+        for solver in arms:
+            factor = machine * slow.get(solver, 1.0) * np.exp(0.003 * rng.standard_normal())
+            error = np.full(STEPS, 1e-6)
+            error[3] = errors.get(solver, 1e-6)
+            row = identity("replay", solver, columns)
+            runs.append(row)
+            steps.append(replay_rows(row["run_id"], factor, rng, error))
+        if loop is not None:
+            runs.append(identity("closed_loop", "daqp", loop))
+        described = {"id": machine_id, "kernel": f"Linux of {machine_id}"}
+        write_results(
+            tmp_path / name,
+            Results(
+                as_runs(pd.DataFrame(runs)),
+                as_steps(pd.concat(steps, ignore_index=True)),
+                described,
+                {"name": "synthetic"},
+            ),
+        )
+        return tmp_path / name
+
+    return folder
+
+
+def verdicts(found: pd.DataFrame) -> dict[str, str]:
+    """Verdict by solver."""
+    return dict(zip(found["solver"], found["verdict"], strict=True))
+
+
+def test_planted_ratios_are_found_and_the_others_are_equivalent(make: Make) -> None:
+    """1.3 and 1/1.3 in two arms; the machine's own 1.1 is taken out and said."""
+    a = make("a", seed=1)
+    b = make("b", seed=2, slow={"piqp": 1.3, "scs": 1 / 1.3}, machine=1.1, probe_ns=5.5e4)
+    found = compare(a, b)
+    expected = dict.fromkeys(ARMS, "equivalent") | {"piqp": "slower", "scs": "faster"}
+    assert verdicts(found.times) == expected
+    row = found.times.set_index("solver").loc["piqp"]
+    assert row["ratio"] == pytest.approx(1.3, rel=0.02)
+    assert row["raw"] == pytest.approx(1.43, rel=0.02)
+    assert row["machine"] == pytest.approx(1.1, rel=0.02)
+    assert row["low"] < 1.3 < row["high"]
+    assert found.worse
+    assert any("the reference kernel 1.100" in line for line in found.lines)
+
+
+def test_what_all_arms_share_is_a_regression_only_beyond_the_kernel(make: Make) -> None:
+    """Twice the time in every arm is the machine where the kernel doubles too, else shared code."""
+    a = make("a", seed=1)
+    machine = compare(a, make("slow", seed=2, machine=2.0, probe_ns=1e5))
+    assert not machine.worse
+    code = compare(a, make("code", seed=3, machine=2.0))
+    assert code.worse
+    assert set(code.times["verdict"]) == {"equivalent"}
+    (line,) = [line for line in code.lines if line.startswith("`paper`")]
+    assert line.endswith("slower in a part that all arms share")
+
+
+def test_few_arms_are_held_against_the_kernel(make: Make) -> None:
+    """Two arms on a machine twice as slow, as the kernel says: 1.1 hides in it, 2 does not."""
+    both = ("daqp", "piqp")
+    a = make("a", seed=1, arms=both)
+    slow = {"piqp": 1.1}
+    found = compare(a, make("b", seed=2, arms=both, slow=slow, machine=2.0, probe_ns=1e5))
+    assert set(found.times["verdict"]) == {"no difference shown"}
+    assert found.times["machine"].tolist() == pytest.approx([2.0, 2.0])
+    slow = {"piqp": 2.0}
+    found = compare(a, make("c", seed=2, arms=both, slow=slow, machine=2.0, probe_ns=1e5))
+    assert verdicts(found.times)["piqp"] == "slower"
+
+
+def test_a_folder_against_itself(make: Make) -> None:
+    """No claim, every figure the same, ratios of exactly 1."""
+    a = make("a", seed=1, loop={"r_rms_m": 0.3})
+    found = compare(a, a)
+    assert not found.worse
+    assert (found.times["raw"] == 1.0).all()
+    assert set(found.answers["change"]) == {"same"}
+
+
+@pytest.mark.parametrize(
+    ("change", "figures"),
+    [
+        ({"errors": {"osqp": 0.5}}, {"error_move_max", "error_plan_max", "true_share"}),
+        ({"loop": {"r_rms_m": 0.33}}, {"r_rms_m"}),
+        ({"loop": {"r_rms_m": 0.31}}, set()),
+        ({"loop": {"r_rms_m": 0.3, "closed_loop_cost": 1.06}}, {"closed_loop_cost"}),
+        ({"loop": {"r_rms_m": 0.3, "outcome": "crashed"}}, {"outcome"}),
+        ({"loop": {"r_rms_m": 0.3, "steps_done": 50}}, {"steps_done"}),
+    ],
+)
+def test_figures_of_accuracy_and_control(make: Make, change: Any, figures: set[str]) -> None:
+    """Each is worse beyond 5 %, and better the other way round."""
+    usual = {"r_rms_m": 0.3, "closed_loop_cost": 1.0, "total_variation": 2.0}
+    a = make("a", seed=1, loop=usual)
+    b = make("b", seed=1, **({"loop": usual} | change | {"loop": usual | change.get("loop", {})}))
+    for first, second, word in ((a, b, "worse"), (b, a, "better")):
+        found = compare(first, second)
+        changed = found.answers[found.answers["change"] != "same"]
+        assert set(changed["figure"]) == figures
+        assert set(changed["change"]) <= {word}
+        assert found.worse is (bool(figures) and word == "worse")
+
+
+def test_an_error_that_is_rounding_in_both_is_no_change(make: Make) -> None:
+    """1e-14 to 1e-10 is a factor of ten thousand and nothing at all."""
+    a = make("a", seed=1, errors=dict.fromkeys(ARMS, 1e-6) | {"daqp": 1e-6})
+    b = make("b", seed=1)
+    assert not compare(a, b).worse
+
+
+def test_rounds_are_cut_to_the_fewer(make: Make, tmp_path: Path) -> None:
+    """A run of fewer rounds has larger minima; that is no slow-down."""
+    a = make("a", seed=1)
+    b = make("b", seed=1)
+    steps = pd.read_parquet(b / "steps.parquet")
+    few = steps[steps["repeat"] <= 2]
+    few.to_parquet(b / "steps.parquet", index=False)
+    suite = json.loads((b / "suite.json").read_text()) | {"step_rows": len(few)}
+    (b / "suite.json").write_text(json.dumps(suite))
+    found = compare(a, b).times
+    assert (found["rounds"] == 2).all()
+    assert (found["raw"] == 1.0).all()
+
+
+def test_a_stretch_of_slow_rounds_hides_nothing(make: Make) -> None:
+    """Half of B's rounds take 1.5 times as long: the minimum is that of the others, and counts."""
+    a, b = make("a", seed=1), make("b", seed=2, slow={"piqp": 1.15})
+    steps = pd.read_parquet(b / "steps.parquet")
+    late = steps["repeat"] > ROUNDS // 2
+    steps["total_ns"] = steps["total_ns"].where(~late, (1.5 * steps["total_ns"]).round())
+    steps.to_parquet(b / "steps.parquet", index=False)
+    assert verdicts(compare(a, b).times)["piqp"] == "slower"
+
+
+def test_another_machine_is_refused_in_one_line(
+    make: Make, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit 2 names both machines and what differs; --any-machine compares all the same."""
+    a, b = make("a", seed=1), make("b", seed=2, machine_id="two", machine=3.0)
+    assert main(["compare", str(a), str(b)]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert all(part in line for part in ("machine.json", "'two'", "'one'", "kernel", "--any-mach"))
+    assert main(["compare", str(a), str(b), "--any-machine"]) == 0
+    assert "another machine" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "parts"),
+    [
+        (["--margin", "0"], ["--margin", "0"]),
+        (["--margin", "nan"], ["--margin", "nan"]),
+        (["--alpha", "0.7"], ["--alpha", "0.7"]),
+        (["--alpha", "much"], ["--alpha", "much"]),
+    ],
+)
+def test_bad_options(
+    make: Make, options: list[str], parts: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One line with option and value, exit 2."""
+    a = make("a", seed=1)
+    try:
+        code = main(["compare", str(a), str(a), *options])
+    except SystemExit as exit_:
+        code = int(exit_.code or 0)
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert code == 2
+    assert all(part in line for part in parts)
+
+
+def test_folders_without_a_common_cell(make: Make, tmp_path: Path) -> None:
+    """Nothing to compare is bad input, as is a folder that is not there."""
+    a, b = make("a", seed=1, arms=("daqp",)), make("b", seed=1, arms=("piqp",))
+    with pytest.raises(InputError, match="no cell that the first folder has too"):
+        compare(a, b)
+    with pytest.raises(InputError, match="no such folder"):
+        compare(a, tmp_path / "none")
+
+
+def test_cells_without_a_partner_are_named(make: Make) -> None:
+    """One solver only in A, one only in B, and one whose problem changed under its name."""
+    a = make("a", seed=1, arms=("daqp", "osqp"))
+    b = make("b", seed=1, arms=("daqp", "scs"))
+    found = compare(a, b)
+    assert len(found.pairs.pairs) == 1
+    text = "\n".join(found.lines)
+    assert "only in A, not compared: osqp" in text
+    assert "only in B, not compared: scs" in text
+    changed = json.dumps({"scenario": {"name": "paper", "vessel": "another"}})
+    with pytest.raises(InputError, match="no cell that the first folder has too"):
+        compare(a, make("c", seed=1, cell=changed))
+
+
+def test_exit_codes_and_markdown(
+    make: Make, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """0 where nothing is worse, 1 where something is; Markdown to a file or to the screen."""
+    a, b = make("a", seed=1), make("b", seed=2, slow={"daqp": 1.4})
+    page = tmp_path / "compare.md"
+    assert main(["compare", str(b), str(a)]) == 0
+    assert main(["compare", str(a), str(b), "--markdown", str(page)]) == 1
+    text = page.read_text(encoding="utf-8")
+    (row,) = [line for line in text.splitlines() if line.startswith("| daqp")]
+    assert row.endswith("| slower |")
+    capsys.readouterr()
+    assert main(["compare", str(a), str(b), "--markdown", "-"]) == 1
+    assert capsys.readouterr().out == text
+
+
+def test_settings_without_effect_are_one_piece_of_evidence(make: Make) -> None:
+    """A run shown under two names of its settings is one row of the table."""
+    folders = []
+    for name, seed in (("a", 1), ("b", 2)):
+        folder = make(name, seed=seed)
+        runs, steps = (pd.read_parquet(folder / f"{t}.parquet") for t in ("runs", "steps"))
+        twin = runs.iloc[:1].assign(run_id="twin", settings="high")
+        rows = steps[steps["run_id"] == runs["run_id"][0]].assign(run_id="twin")
+        both = pd.concat([runs, twin]), pd.concat([steps, rows])
+        suite = {"name": "synthetic"}
+        write_results(folder, Results(*both, {"id": "one"}, suite))
+        folders.append(folder)
+    found = compare(*folders)
+    assert len(found.pairs.pairs) == len(ARMS) + 1
+    assert len(found.times) == len(ARMS)
