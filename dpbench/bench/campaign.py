@@ -86,7 +86,10 @@ class Campaign:
         progress.start(work + work_of_designs(self._designs, self._design_store))
         shared = Path("/dev/shm")
         with tempfile.TemporaryDirectory(
-            prefix="dpbench-", dir=shared if os.access(shared, os.W_OK) else None
+            # A worker that was interrupted as well may write its last file while the folder goes.
+            ignore_cleanup_errors=True,
+            prefix="dpbench-",
+            dir=shared if os.access(shared, os.W_OK) else None,
         ) as folder:
             context = template_context()
             bench = Bench(context, Path(folder), self._store, self._cores, progress)

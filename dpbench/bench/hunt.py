@@ -136,7 +136,10 @@ def hunt(
     cell = _cell(solver, route, policy, settings, base)
     shared = Path("/dev/shm")
     with tempfile.TemporaryDirectory(
-        prefix="dpbench-", dir=shared if os.access(shared, os.W_OK) else None
+        # A worker that was interrupted as well may write its last file while the folder goes.
+        ignore_cleanup_errors=True,
+        prefix="dpbench-",
+        dir=shared if os.access(shared, os.W_OK) else None,
     ) as folder:
         hunted = HuntedSolver(template_context(), Path(folder), cell)
         try:
