@@ -158,7 +158,7 @@ def test_the_steps_of_a_sparse_replay_are_those_of_its_closed_loop() -> None:
         for name in ("q", "l", "u"):
             np.testing.assert_array_equal(getattr(emitted, name), getattr(step, name))
         found = certify(twin.sequence.problem(k))
-        from_states = twin.condensed(Solution(0, found.z, found.y, found.y_box))  # type: ignore[arg-type]
+        from_states = twin.condensed(Solution(0, found.z, found.y, found.y_box))
         expected = certify(sequence.problem(k))
         np.testing.assert_allclose(from_states.z, expected.z, rtol=0, atol=1e-8)
 
@@ -179,7 +179,7 @@ def test_formulations_are_an_axis_of_the_tables() -> None:
 
 
 def _suite(solvers: tuple[str, ...] = ("daqp",), **tables: object) -> SuiteFile:
-    return SuiteFile(title="x", solvers=list(solvers), contrast=False, **tables)  # type: ignore[arg-type]
+    return SuiteFile(title="x", solvers=list(solvers), contrast=False, **tables)
 
 
 @pytest.mark.parametrize(

@@ -101,6 +101,6 @@ def test_a_sequence_without_si_units_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"random.npz: unit_z, unit_row"):
         load_sequence(path, units="si")
     with pytest.raises(InputError, match="'imperial'"):
-        load_sequence(path, units="imperial")  # type: ignore[arg-type]
+        load_sequence(path, units="imperial")
     with pytest.raises(ShapeError, match="row"):
         in_own_units(sequence, Units(np.ones(3), np.ones(3)))

@@ -140,7 +140,7 @@ def test_the_figure_has_a_line_per_arm_that_ends_where_runs_end(records: Any) ->
         figure = slowdown_figure(group_of(records))
     (ax,) = figure.axes
     assert isinstance(figure, Figure) and ax.get_xscale() == ax.get_yscale() == "log"
-    lines = [line for line in ax.lines if len(line.get_xdata()) > 2]  # type: ignore[arg-type]
+    lines = [line for line in ax.lines if len(line.get_xdata()) > 2]
     found = {tuple(np.asarray(line.get_xdata()).tolist()) for line in lines}
     assert found == {(1.0, 100.0, 1000.0), (1.0, 100.0, 1000.0, 10000.0)}
     assert {text.get_text() for text in ax.texts} == set(COSTS)

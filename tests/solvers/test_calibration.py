@@ -29,7 +29,7 @@ def test_they_have_names_but_are_no_solvers() -> None:
         record("busy_wait_30us")
 
 
-def test_no_plug_in_takes_their_name(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_no_plug_in_takes_their_name(tmp_path) -> None:
     """A plug-in called like one of them would have its results hidden."""
     text = (
         "from dpbench.solvers.plugins import solver_record\n"
