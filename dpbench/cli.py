@@ -166,7 +166,7 @@ class _Bar:
 
 def _run(arguments: argparse.Namespace) -> int:
     from dpbench.bench.campaign import run_campaign
-    from dpbench.report.write import write_report
+    from dpbench.report.write import report_and_verdict
 
     with _Bar() as bar:
         out = run_campaign(
@@ -181,23 +181,20 @@ def _run(arguments: argparse.Namespace) -> int:
             progress=bar,
         )
         bar.advance(0, "writing the report")
-        page = write_report(out)
-    _say_verdict(out, page)
+        found = report_and_verdict(out)
+    _say_verdict(*found)
     return 0
 
 
 def _report(arguments: argparse.Namespace) -> int:
-    from dpbench.report.write import write_report
+    from dpbench.report.write import report_and_verdict
 
-    page = write_report(arguments.dir, baseline=arguments.baseline)
-    _say_verdict(arguments.dir, page)
+    _say_verdict(*report_and_verdict(arguments.dir, baseline=arguments.baseline))
     return 0
 
 
-def _say_verdict(out: Any, page: Any) -> None:
-    from dpbench.report.write import verdict_lines
-
-    for line in verdict_lines(out):
+def _say_verdict(page: Path, lines: list[str]) -> None:
+    for line in lines:
         print(line)
     print(f"report: {page}")
 

@@ -15,9 +15,7 @@ from multiprocessing.context import ForkServerContext
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
-from dpbench.bench.assemble import run_row, step_rows
+from dpbench.bench.accounting import Ledger
 from dpbench.bench.design import Design, plan_designs
 from dpbench.bench.design_file import write_design
 from dpbench.bench.designing import DesignStore, run_designs, work_of_designs
@@ -33,11 +31,11 @@ from dpbench.bench.running import (
     Silent,
     work_of,
 )
-from dpbench.bench.schema import as_steps
 from dpbench.bench.source import is_random, source_key
 from dpbench.bench.store import Results, claimed, write_results
 from dpbench.bench.suite import SuiteFile, load_suite, sequence_suite
 from dpbench.bench.supervise import Outcome, template_context
+from dpbench.bench.tabulate import tabulate
 from dpbench.errors import InputError
 from dpbench.solvers.table import available, load_solver_module
 
@@ -65,6 +63,7 @@ class Campaign:
         self.work = [self._job(p) for p in planned]
         self._fresh = fresh
         self._cores = sorted(os.sched_getaffinity(0))
+        self._ledger = Ledger()
 
     def _job(self, planned: Planned) -> Job:
         found = self._versions[planned.cell.solver]
@@ -82,6 +81,7 @@ class Campaign:
                 job.outcome = self._store.finished(job)
             if job.outcome is None:
                 pending.append(job)
+        earlier = len(self.work) - len(pending) - sum(bool(j.planned.refused) for j in self.work)
         work = sum(work_of(job.cell) for job in pending)
         progress.start(work + work_of_designs(self._designs, self._design_store))
         shared = Path("/dev/shm")
@@ -93,17 +93,26 @@ class Campaign:
         ) as folder:
             context = template_context()
             bench = Bench(context, Path(folder), self._store, self._cores, progress)
-            exact = self._sources(bench, pending)
-            runnable = [job for job in pending if job.outcome is None]
-            loops = [job for job in runnable if job.cell.mode == "closed_loop"]
-            bench.closed_loops(loops, exact, self._jobs)
-            replays = [job for job in runnable if job.cell.mode == "replay"]
-            for group in _groups([job for job in replays if not is_random(job.cell)]):
-                bench.replays(group, exact[_key(group[0])])
-            bench.random([job for job in replays if is_random(job.cell)], exact, self._jobs)
+            self._run_cells(bench, pending)
             self._look_into_designs(context, Path(folder), progress)
-        self._write(started, time.monotonic() - began)
+        self._write(started, time.monotonic() - began, earlier)
         return self._out
+
+    def _run_cells(self, bench: Bench, pending: list[Job]) -> None:
+        """Make the QPs of all cells, then run the cells, mode by mode."""
+        stage, cores, slots = self._ledger.stage, len(self._cores), self._jobs
+        exact = self._sources(bench, pending)
+        runnable = [job for job in pending if job.outcome is None]
+        loops = [job for job in runnable if job.cell.mode == "closed_loop"]
+        with stage("closed loop", loops, slots=slots, judges=slots):
+            bench.closed_loops(loops, exact, slots)
+        replays = [job for job in runnable if job.cell.mode == "replay"]
+        for group in _groups([job for job in replays if not is_random(job.cell)]):
+            with stage(f"replay of {group[0].cell.sequence}", group, judges=cores):
+                bench.replays(group, exact[_key(group[0])])
+        drawn = [job for job in replays if is_random(job.cell)]
+        with stage("random problems", drawn, slots=slots, judges=slots):
+            bench.random(drawn, exact, slots)
 
     def _look_into_designs(
         self, context: ForkServerContext, folder: Path, progress: Progress
@@ -138,31 +147,18 @@ class Campaign:
             paths[key] = path
         return paths
 
-    def _write(self, started: datetime, wall_s: float) -> None:
-        rows, frames = [], []
-        for job in self.work:
-            graded = None if job.planned.refused else self._store.graded(job)
-            outcome = job.outcome or Outcome("invalid", "not run")
-            for settings in (job.cell.settings, *job.planned.alias_settings):
-                cell = job.cell.with_settings(settings)
-                run_id = cell.run_id(job.solver_version, self.machine["id"], HARNESS_VERSION)
-                steps = step_rows(run_id, cell, graded) if graded else None
-                if steps is not None:
-                    frames.append(steps)
-                rows.append(
-                    run_row(
-                        run_id, cell, outcome, job.solver_version, self.machine["id"], graded, steps
-                    )
-                )
+    def _write(self, started: datetime, wall_s: float, earlier: int) -> None:
+        runs, steps, inside = tabulate(self.work, self._store, self.machine["id"])
         suite: dict[str, Any] = {
             "name": self._name,
             **self._suite.model_dump(),
             "harness_version": HARNESS_VERSION,
             "started_utc": started.isoformat(timespec="seconds"),
             "wall_s": round(wall_s, 1),
+            "earlier_cells": earlier,
+            "spent": self._ledger.entries(inside),
         }
-        steps = pd.concat(frames, ignore_index=True) if frames else as_steps(pd.DataFrame())
-        write_results(self._out, Results(pd.DataFrame(rows), steps, self.machine, suite))
+        write_results(self._out, Results(runs, steps, self.machine, suite))
 
 
 def _key(job: Job) -> str:

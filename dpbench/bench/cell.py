@@ -16,7 +16,7 @@ FORMULATIONS: tuple[Formulation, ...] = ("condensed_box", "condensed_stacked", "
 FALLBACKS: tuple[Fallback, ...] = ("shifted_plan", "hold", "clip")
 SLOWEST = 1e9
 """Largest slow-down: with it a latency of some seconds still is a 64-bit integer [ns]."""
-_OPTIONAL = ("source", "slowdown", "deadline_s")
+_OPTIONAL = ("source", "slowdown", "deadline_s", "budget_s")
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,8 @@ class Cell:
     first : first step of a replayed sequence.
     rounds, warmup_steps : replay only: counting rounds, and steps of the round before them.
     limit_s : the cell's own run time after which it stops.
+    budget_s : replay only: run time after which the rounds that are left are left out, once
+        `FEWEST_ROUNDS` count (`interleave.py`); 0 for none.
     fallback : what acts when there is no usable answer.
     slowdown, deadline_s : closed loop only: how much slower than this machine the ship's computer
         is, ≥ 1, and what a step may take of its time; 0 for a loop that waits for every answer,
@@ -60,6 +62,7 @@ class Cell:
     source: dict[str, Any] = field(default_factory=dict)
     slowdown: float = 0.0
     deadline_s: float = 0.0
+    budget_s: float = 0.0
 
     @property
     def scenario_name(self) -> str:

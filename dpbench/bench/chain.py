@@ -85,6 +85,11 @@ class Chain:
         """The first process."""
         return self._replay(self._links, core)
 
+    def judge(self, core: int) -> Child:
+        """The first process where all cells were replayed before, and left steps."""
+        self._judging = True
+        return self._judge(self._links, core)
+
     def follow(self, child: Child, core: int) -> Child | None:
         """Take down what became of the process that ended; the next one, or None at the end."""
         assert isinstance(child, _Run), "the processes of a chain are its own"

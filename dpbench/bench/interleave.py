@@ -23,6 +23,8 @@ from dpbench.bench.worker import run_replay_cell
 STARTED_TOGETHER = 4
 SPOILT_RETRIES = 1
 """How often a round in which the reference kernel was slowed is run again."""
+FEWEST_ROUNDS = 3
+"""Rounds, none of them spoilt, that an arm gets whatever its budget is."""
 
 
 class _Arm:
@@ -32,6 +34,13 @@ class _Arm:
         self.run_id, self.cell, self.child, self.orders = run_id, cell, child, orders
         self.serving = True
         self.spent_s = 0.0
+        self.clean_rounds = 0
+
+    @property
+    def sated(self) -> bool:
+        """Whether it has used up its budget and has rounds enough."""
+        budget_s = self.cell.budget_s
+        return 0.0 < budget_s <= self.spent_s and self.clean_rounds >= FEWEST_ROUNDS
 
     def wait(self, limit_s: float) -> object:
         """The worker's next word; None when it died, hung (and was killed) or refused."""
@@ -80,7 +89,7 @@ class ReplayGroup:
             order = random.Random(self._cells[0][1].seed)
             for r in range(rounds + 1):
                 for arm in order.sample(arms, len(arms)):
-                    if arm.serving and r <= arm.cell.rounds:
+                    if arm.serving and r <= arm.cell.rounds and not arm.sated:
                         self._serve(arm, r)
                 yield r
         finally:
@@ -97,7 +106,7 @@ class ReplayGroup:
         return _Arm(run_id, cell, child, ours)
 
     def _serve(self, arm: _Arm, r: int) -> None:
-        for attempt in range(SPOILT_RETRIES + 1):
+        for _ in range(SPOILT_RETRIES + 1):
             arm.orders.send(r)
             started = time.monotonic()
             done = arm.wait(arm.cell.limit_s + GRACE_S)
@@ -105,7 +114,10 @@ class ReplayGroup:
             if done is not True:
                 arm.serving = False
                 return
-            if r == 0 or attempt == SPOILT_RETRIES or not self._spoilt(arm, r):
+            if r == 0:
+                return
+            if not self._spoilt(arm, r):
+                arm.clean_rounds += 1
                 return
 
     def _spoilt(self, arm: _Arm, r: int) -> bool:

@@ -11,7 +11,7 @@ from dpbench.bench.arms import CONTRAST, Arm, Table, arms_of, module_of, refusal
 from dpbench.bench.cell import Cell
 from dpbench.bench.recording import read_sequence
 from dpbench.bench.source import random_source, recorded_source
-from dpbench.bench.suite import RandomTable, RecordedTable, SuiteFile
+from dpbench.bench.suite import ClosedLoopTable, RandomTable, RecordedTable, SuiteFile
 from dpbench.errors import InputError
 from dpbench.problem_files import sequence_path
 from dpbench.qp.kkt import positive_definite
@@ -54,7 +54,7 @@ def cell_of(
         settings=arm.settings,
         formulation="none" if contrast else arm.formulation,
         units=arm.units,
-        limit_s=suite.cell_limit_s + _waiting_s(arm, **more),
+        limit_s=(_own_limit_s(table) or suite.cell_limit_s) + _waiting_s(arm, **more),
         solver_module=module_of(arm.solver),
         **more,
     )
@@ -63,6 +63,11 @@ def cell_of(
         return planned
     # States cost nothing along most of their directions, so P is only semidefinite.
     return _if_semidefinite(replace(planned, refused=planned.refused or no_stages))
+
+
+def _own_limit_s(table: Table) -> float | None:
+    """The limit of a table's cells, where it has one of its own."""
+    return table.limit_s if isinstance(table, ClosedLoopTable) else None
 
 
 def _waiting_s(arm: Arm, steps: int, rounds: int = 0, **_: Any) -> float:
@@ -117,6 +122,7 @@ def _of_sequence(
             steps=len(sequence),
             rounds=suite.rounds,
             warmup_steps=min(suite.warmup_steps, len(sequence)),
+            budget_s=suite.replay_budget_s,
             source=source,
         )
         for arm in arms_of(solvers, table)

@@ -214,12 +214,15 @@ class Bench:
             discard(self._folder / f"{job.run_id}.raw")
 
     def _judge_all(self, jobs: Sequence[Job], exact: Path) -> None:
-        def ended(job: Job, grader: Child, core: int) -> None:
-            outcome = grader.outcome()
-            if outcome.outcome != "finished":
-                job.outcome = Outcome("invalid", f"the referee failed on it: {outcome.detail}")
-
-        in_slots(jobs, self._cores, lambda job, core: self._grade(job, exact, core), ended)
+        """Judge what was replayed, on every core some of it."""
+        by_id = {job.run_id: job for job in jobs}
+        shares = [jobs[i :: len(self._cores)] for i in range(len(self._cores))]
+        sources = {source_key(job.cell, HARNESS_VERSION): exact for job in jobs}
+        chains = [self._chain(share, sources) for share in shares if share]
+        in_slots(chains, self._cores, Chain.judge, Chain.follow)
+        for chain in chains:
+            for run_id, invalid in chain.outcomes.items():
+                by_id[run_id].outcome = invalid
 
     def random(self, jobs: Sequence[Job], sources: dict[str, Path], slots: int) -> None:
         """Replay random sequences arm by arm, up to `slots` arms at a time, and judge them."""

@@ -46,7 +46,8 @@ class ClosedLoopTable(FileModel):
 
     With `vessels` every scenario is run with each of them instead of its own. `slowdowns` says how
     much slower than this machine the ship's computer is (≥ 1), 0 that the ship waits for every
-    answer; `deadline_s` what a step may take of its time, 0 the whole sample.
+    answer; `deadline_s` what a step may take of its time, 0 the whole sample. `limit_s` is the
+    limit of a cell here, where it is not that of the suite.
     """
 
     scenarios: list[str]
@@ -59,6 +60,7 @@ class ClosedLoopTable(FileModel):
     fallback: Literal["shifted_plan", "hold", "clip"] = "shifted_plan"
     slowdowns: Annotated[list[Slowdown], Field(min_length=1)] = [0.0]
     deadline_s: NotNegative = 0.0
+    limit_s: Positive | None = None
     steps: Count = 0
 
     @property
@@ -149,6 +151,8 @@ class ReportTable(FileModel):
 class SuiteFile(FileModel):
     """`problems/suites/*.toml`; 0 steps means all steps.
 
+    A replay that has taken `replay_budget_s` gets no further round, once two count; 0 for all of
+    them whatever they take.
     With `contrast` the clipped unconstrained law steers too; with `calibration` the harness's own
     arms, whose cost is known, take part in every replay.
     """
@@ -158,6 +162,7 @@ class SuiteFile(FileModel):
     contrast: bool = True
     calibration: bool = False
     cell_limit_s: Positive = 5.0
+    replay_budget_s: Annotated[float, Field(ge=0)] = 0.0
     rounds: Annotated[int, Field(ge=1)] = 5
     warmup_steps: Count = 50
     demand: DemandTable = DemandTable()

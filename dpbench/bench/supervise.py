@@ -10,6 +10,7 @@ import signal
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from multiprocessing.connection import wait
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
 from typing import Any, TypeVar
@@ -158,7 +159,7 @@ def in_slots(
         while waiting and free:
             task, core = waiting.pop(), free.pop()
             running.append((task, start(task, core), core))
-        time.sleep(POLL_S)
+        wait([child.process.sentinel for _, child, _ in running], POLL_S)
         for entry in list(running):
             task, child, core = entry
             if child.process.is_alive() and not child.overdue():

@@ -17,6 +17,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dpbench.bench.cell import Cell
 from dpbench.bench.emitter import Emitter
 from dpbench.bench.exact import ExactLoop, base_problem
@@ -243,7 +245,10 @@ def grade_chain(links: Sequence[Link], folder: Path, core: int) -> None:
     pin(core)
     settle(folder / f"{links[0].name}.noise")
     for link in links:
-        _grade(link, RawLog.open(folder / f"{link.name}.raw")).save(link.graded)
+        log, began = RawLog.open(folder / f"{link.name}.raw"), clock()
+        graded = _grade(link, log)
+        graded.columns["referee_ns"] = np.array([clock() - began])
+        graded.save(link.graded)
         write_verdict(folder / f"{link.name}.graded.json", verdict_of("finished", ""))
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+from dpbench.bench.interleave import FEWEST_ROUNDS
 from dpbench.report.blocks import Block, Bullets, Paragraph, Picture, Section, Tabular, missing
 from dpbench.report.demand import Demand
 from dpbench.report.figures import units_heat_map
 from dpbench.report.formats import and_list, as_float, count_text, plural, significant
 from dpbench.report.tables_accuracy import accuracy_table, units_matrix, units_table
 from dpbench.report.tables_runs import experiments_table, population_table, unfinished_table
+from dpbench.report.tables_spent import spent_table
 from dpbench.report.view import View
 
 
@@ -29,6 +31,9 @@ def runs_section(view: View) -> Section:
         Tabular(population_table(view)),
         Tabular(experiments_table(view)),
     )
+    spent = spent_table(view.suite)
+    if spent is not None:
+        section.add(Tabular(spent))
     unfinished = unfinished_table(view)
     if unfinished is None:
         section.add(Paragraph("Every cell finished."))
@@ -48,7 +53,12 @@ def _effort(view: View) -> str:
     suite = view.suite
     words = []
     if "rounds" in suite:
-        words.append(f"each replay has {plural(as_float(suite['rounds']), 'round')}")
+        rounds = f"each replay has {plural(as_float(suite['rounds']), 'round')}"
+        budget_s = as_float(suite.get("replay_budget_s"))
+        if budget_s > 0.0:
+            fewest = f"{FEWEST_ROUNDS} if those take {significant(budget_s)} s or more"
+            rounds += f", but only {fewest}"
+        words.append(rounds)
     if suite.get("warmup_steps"):
         words.append(f"a warm-up of {plural(as_float(suite['warmup_steps']), 'step')}")
     if "cell_limit_s" in suite:

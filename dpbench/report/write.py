@@ -50,6 +50,11 @@ def write_report(out: str | Path, *, baseline: str | None = None) -> Path:
     ResultsError : when the folder holds no readable results.
     InputError : for a baseline that was not replayed; nothing is written then.
     """
+    return report_and_verdict(out, baseline=baseline)[0]
+
+
+def report_and_verdict(out: str | Path, *, baseline: str | None = None) -> tuple[Path, list[str]]:
+    """As `write_report`; with it the verdict on the folder in a few plain lines."""
     folder = Path(out)
     results = load_results(folder)
     if baseline is not None:
@@ -66,12 +71,15 @@ def write_report(out: str | Path, *, baseline: str | None = None) -> Path:
     (folder / "report.md").write_text(render_markdown(page), encoding="utf-8")
     html = folder / "report.html"
     html.write_text(render_html(page, drawn), encoding="utf-8")
-    return html
+    return html, _verdict(results)
 
 
 def verdict_lines(out: str | Path) -> list[str]:
     """The verdict on a result folder in a few plain lines."""
-    results = load_results(out)
+    return _verdict(load_results(out))
+
+
+def _verdict(results: Results) -> list[str]:
     view = View(results)
     other = view.random or view.slowed or view.calibration
     judged = _lines(view, Demand.of(results.suite)) if view.runs or not other else []

@@ -1,0 +1,40 @@
+"""The two tables of a campaign, from the judged cells on disk."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pandas as pd
+
+from dpbench.bench.accounting import time_inside
+from dpbench.bench.assemble import run_row, step_rows
+from dpbench.bench.running import HARNESS_VERSION, CellStore, Job
+from dpbench.bench.schema import as_steps
+from dpbench.bench.supervise import Outcome
+
+Inside = dict[str, tuple[float, float]]
+"""Seconds inside timed phases and inside the referee, by run_id."""
+
+
+def tabulate(
+    work: Sequence[Job], store: CellStore, machine_id: str
+) -> tuple[pd.DataFrame, pd.DataFrame, Inside]:
+    """Runs and steps of all cells, and what of their time was inside what is measured.
+
+    A cell whose settings have no effect has rows under each of its names.
+    """
+    rows, frames, inside = [], [], {}
+    for job in work:
+        graded = None if job.planned.refused else store.graded(job)
+        outcome = job.outcome or Outcome("invalid", "not run")
+        if graded is not None:
+            inside[job.run_id] = time_inside(graded.columns)
+        for settings in (job.cell.settings, *job.planned.alias_settings):
+            cell, version = job.cell.with_settings(settings), job.solver_version
+            run_id = cell.run_id(version, machine_id, HARNESS_VERSION)
+            steps = step_rows(run_id, cell, graded) if graded else None
+            if steps is not None:
+                frames.append(steps)
+            rows.append(run_row(run_id, cell, outcome, version, machine_id, graded, steps))
+    steps = pd.concat(frames, ignore_index=True) if frames else as_steps(pd.DataFrame())
+    return pd.DataFrame(rows), steps, inside
