@@ -6,6 +6,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.dpbench-installed
 OUT    ?= results/standard
+CASADI := build/casadi
 
 # One thread for every numerical library: two cores are two benchmark slots, not one fast one.
 export OMP_NUM_THREADS := 1
@@ -13,7 +14,7 @@ export OPENBLAS_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: setup bench full test lint bench-ci bench-compare report clean clean-results help
+.PHONY: setup bench full test test-casadi lint bench-ci bench-compare report clean clean-results help
 
 setup: $(STAMP) ## make .venv with all solvers and the development tools
 
@@ -31,6 +32,11 @@ full: setup ## run everything at full length with twenty replays (hours)
 
 test: setup ## run the tests
 	$(BIN)/python -m pytest
+
+test-casadi: setup ## run the tests of the solvers whose library is an extra (HPIPM, qpOASES)
+	$(BIN)/python -m pip install --quiet --no-deps --upgrade --target $(CASADI) 'casadi>=3.7'
+	PYTHONPATH=$(CASADI) $(BIN)/python -m pytest tests/solvers tests/harness/test_sparse_bar.py \
+	    -k "hpipm or qpoases"
 
 lint: setup ## ruff, mypy --strict, import floors
 	$(BIN)/ruff check .

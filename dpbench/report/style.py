@@ -36,6 +36,7 @@ FAMILIES = {
         "cvxopt",
         "ecos",
         "hpipm",
+        "hpipm_ocp",
         "kvxopt",
         "piqp",
         "piqp_multistage",

@@ -25,6 +25,16 @@ def _known(
 _DPBENCH = _known(
     ("Apache-2.0", "dpbench, pyproject.toml"), ("Python, compiled by Numba", "dpbench, source")
 )
+_HPIPM = _known(
+    ("BSD-2-Clause", "HPIPM source, head of each file"),
+    ("C, on BLASFEO", "HPIPM reference guide, Introduction"),
+    c_code=("it is C to embed", "HPIPM reference guide, Introduction"),
+    allocation_free=(
+        "yes, memory comes from the caller",
+        "HPIPM source, *_memsize and *_create",
+    ),
+    single_precision=("yes, routines s_*", "HPIPM source, s_dense_qp_ipm"),
+)
 _PIQP = _known(
     ("BSD-2-Clause", "PIQP README, Features"),
     ("C++14, C interface", "PIQP README, Features and Interfaces"),
@@ -62,16 +72,8 @@ PROJECTS: dict[str, Project] = {
         ("C++, C interface", "HiGHS documentation, front page"),
     ),
     "hildreth": _DPBENCH,
-    "hpipm": _known(
-        ("BSD-2-Clause", "HPIPM source, head of each file"),
-        ("C, on BLASFEO", "HPIPM reference guide, Introduction"),
-        c_code=("it is C to embed", "HPIPM reference guide, Introduction"),
-        allocation_free=(
-            "yes, memory comes from the caller",
-            "HPIPM source, *_memsize and *_create",
-        ),
-        single_precision=("yes, routines s_*", "HPIPM source, s_dense_qp_ipm"),
-    ),
+    "hpipm": _HPIPM,
+    "hpipm_ocp": _HPIPM,
     "jaxopt": _known(("Apache-2.0", "JAXopt README"), ("Python on JAX", "JAXopt README")),
     "kvxopt": _known(
         ("GPL-3.0-or-later", "KVXOPT, metadata of its distribution"),

@@ -17,7 +17,15 @@ from dpbench.solvers.isolation import isolate
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import TABLE, available, record, solver_names
 
-NATIVE_ONLY = ["hpipm", "piqp_multistage", "piqp_sparse", "proxqp_sparse", "qoco", "qpoases"]
+NATIVE_ONLY = [
+    "hpipm",
+    "hpipm_ocp",
+    "piqp_multistage",
+    "piqp_sparse",
+    "proxqp_sparse",
+    "qoco",
+    "qpoases",
+]
 SERVED = [
     "clarabel",
     "cvxopt",

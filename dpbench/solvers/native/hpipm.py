@@ -7,8 +7,6 @@ HPIPM takes an infinite side as one that is masked out, and l = u as an equality
 from __future__ import annotations
 
 import ctypes
-from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +17,14 @@ from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.contract import Policy
 from dpbench.solvers.native.adapter import NativeAdapter
 from dpbench.solvers.native.base import NativeWorkspace, Start, stacked
-from dpbench.solvers.native.hpipm_parts import Limits, Structures, pattern, pointer
+from dpbench.solvers.native.hpipm_parts import (
+    OPTION_NAMES,
+    Limits,
+    Structures,
+    load_library,
+    pattern,
+    pointer,
+)
 from dpbench.solvers.record import SolverRecord
 from dpbench.solvers.through_qpsolvers.adapter import Options
 
@@ -38,29 +43,13 @@ RECORD = SolverRecord(
     two_sided=True,
 )
 
-STATUS = {
-    0: Status.SOLVED,
-    1: Status.MAX_ITERATIONS,
-    2: Status.NUMERICAL_ERROR,  # step length at its minimum
-    3: Status.NUMERICAL_ERROR,  # NaN in the solution
-    4: Status.PRIMAL_INFEASIBLE,  # inconsistent equalities
-}
-
-MODES = ("SPEED_ABS", "SPEED", "BALANCE", "ROBUST")
-REALS = ("mu0", "tol_stat", "tol_eq", "tol_ineq", "tol_comp", "reg_prim", "alpha_min")
-INTEGERS = ("iter_max", "pred_corr", "cond_pred_corr")
-OPTION_NAMES = ("mode", *REALS, *INTEGERS)
-
 
 class HpipmWorkspace(NativeWorkspace):
     """HPIPM on lb ≤ v ≤ ub, lg ≤ C v ≤ ug, A v = b; `warm` gives it the previous v, shifted."""
 
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
         super().__init__(record.name, "dense", policy, options)
-        folder = Path(str(import_module("casadi").__file__)).parent
-        # Whoever loads libhpipm needs libblasfeo first.
-        ctypes.CDLL(str(folder / "libblasfeo.so"), mode=ctypes.RTLD_GLOBAL)
-        self._library = ctypes.CDLL(str(folder / "libhpipm.so"))
+        self._library = load_library()
         self._flags = ctypes.c_int(0), ctypes.c_int(1)
 
     def _convert(self) -> None:
@@ -76,9 +65,7 @@ class HpipmWorkspace(NativeWorkspace):
         limits = self._limits = Limits(self._low, self._high, m)
         n_bounds = limits.bounds.size
         sizes = (n, limits.equal.size, n_bounds, limits.rows.size, 0)
-        self._parts = parts = Structures(library, sizes)
-        self._set_arguments(parts.arg)
-        parts.finish()
+        self._parts = parts = Structures(library, "dense_qp", sizes, self._options)
         lower, upper = limits.masks()
         constants: dict[str, NDArray[Any]] = {
             "H": self._P,
@@ -93,15 +80,6 @@ class HpipmWorkspace(NativeWorkspace):
         self._allocate(n_bounds)
         self._start = Start(n, m, self._block)
         self._fill(self._q)
-
-    def _set_arguments(self, arg: Any) -> None:
-        library, options = self._library, dict(self._options)
-        mode = MODES.index(str(options.pop("mode", "SPEED")))
-        library.d_dense_qp_ipm_arg_set_default(mode, arg)
-        for name, value in options.items():
-            kind: Any = ctypes.c_int if name in INTEGERS else ctypes.c_double
-            setter = getattr(library, f"d_dense_qp_ipm_arg_set_{name}")
-            setter(ctypes.byref(kind(value)), arg)
 
     def _allocate(self, n_bounds: int) -> None:
         """Buffers and their addresses: what is set at each step, and what is got."""
@@ -163,13 +141,10 @@ class HpipmWorkspace(NativeWorkspace):
         self._library.d_dense_qp_ipm_solve(parts.qp, parts.sol, parts.arg, parts.ws)
 
     def _answer(self) -> Solution:
-        library, parts, m = self._library, self._parts, self._m
-        flag, count = ctypes.c_int(), ctypes.c_int()
-        library.d_dense_qp_ipm_get_status(parts.ws, ctypes.byref(flag))
-        library.d_dense_qp_ipm_get_iter(parts.ws, ctypes.byref(count))
-        status, detail = STATUS.get(flag.value, Status.UNKNOWN), f"status {flag.value}"
+        parts, m = self._parts, self._m
+        status, detail, count = parts.outcome()
         if not status.usable:
-            return self._missing(status, detail, count.value)
+            return self._missing(status, detail, count)
         for function, address in self._getters:
             function(parts.sol, address)
         y, limits = np.zeros(m + self._n), self._limits
@@ -177,10 +152,10 @@ class HpipmWorkspace(NativeWorkspace):
         if limits.equal.size:
             y[limits.equal] = -self._pi
         detail = "" if status is Status.SOLVED else detail
-        return Solution(status, self._z.copy(), y[:m], y[m:], count.value, detail=detail)
+        return Solution(status, self._z.copy(), y[:m], y[m:], count, detail=detail)
 
     def _remember(self, solution: Solution) -> None:
         self._start.remember(solution)
 
 
-ADAPTER = NativeAdapter(RECORD, HpipmWorkspace, lambda: OPTION_NAMES)
+ADAPTER = NativeAdapter(RECORD, HpipmWorkspace, lambda: (*OPTION_NAMES, "kkt_fact_alg"))

@@ -1,35 +1,97 @@
-"""What HPIPM's C interface works on: its structures, and the limits in its order."""
+"""What HPIPM's C interface works on: its library, its structures, the limits in its order."""
 
 from __future__ import annotations
 
 import ctypes
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.qp.program import Vector
+from dpbench.qp.solution import Status
+from dpbench.solvers.through_qpsolvers.adapter import Options
+
+MODES = ("SPEED_ABS", "SPEED", "BALANCE", "ROBUST")
+REALS = ("mu0", "tol_stat", "tol_eq", "tol_ineq", "tol_comp", "reg_prim", "alpha_min")
+INTEGERS = ("iter_max", "pred_corr", "cond_pred_corr", "kkt_fact_alg", "ric_alg")
+OPTION_NAMES = ("mode", *REALS, *INTEGERS[:3])
+"""Settings that both interfaces have."""
+
+STATUS = {
+    0: Status.SOLVED,
+    1: Status.MAX_ITERATIONS,
+    2: Status.NUMERICAL_ERROR,  # step length at its minimum
+    3: Status.NUMERICAL_ERROR,  # NaN in the solution
+    4: Status.PRIMAL_INFEASIBLE,  # inconsistent equalities
+}
+
+
+def load_library() -> ctypes.CDLL:
+    """HPIPM's library of the casadi wheel."""
+    folder = Path(str(import_module("casadi").__file__)).parent
+    # Whoever loads libhpipm needs libblasfeo first. Its names stay its own: PIQP's factorisation by
+    # stages brings another BLASFEO of the same names, and would call this one and corrupt memory.
+    ctypes.CDLL(str(folder / "libblasfeo.so"))
+    return ctypes.CDLL(str(folder / "libhpipm.so"))
 
 
 class Structures:
-    """HPIPM's structures of one problem size, and the memory behind them."""
+    """HPIPM's structures of one problem size, and the memory behind them.
 
-    def __init__(self, library: ctypes.CDLL, sizes: tuple[int, ...]) -> None:
-        self._library = library
+    Parameters
+    ----------
+    kind : "dense_qp" or "ocp_qp".
+    sizes : what `dim_set_all` takes; options : settings by name.
+    stages : what the structure of the sizes is made of: nothing, or the number of the last stage.
+    """
+
+    def __init__(
+        self,
+        library: ctypes.CDLL,
+        kind: str,
+        sizes: tuple[Any, ...],
+        options: Options,
+        *stages: int,
+    ) -> None:
+        self._library, self._kind = library, f"d_{kind}"
         self._memory: list[Any] = []
-        self.dim = self._make("_dim")
-        library.d_dense_qp_dim_set_all(*sizes, self.dim)
+        self.dim = self._make("_dim", *stages)
+        self.function("dim_set_all")(*sizes, self.dim)
         self.qp = self._make("", self.dim)
         self.sol = self._make("_sol", self.dim)
         self.arg = self._make("_ipm_arg", self.dim)
-        self.ws: Any = None
-
-    def finish(self) -> None:
-        """The workspace, whose size depends on the arguments."""
+        self._set_arguments(dict(options))
+        # Its size depends on the arguments.
         self.ws = self._make("_ipm_ws", self.dim, self.arg)
+        self._flag, self._count = ctypes.c_int(), ctypes.c_int()
+        self._asked = [
+            (self.function("ipm_get_status"), ctypes.byref(self._flag)),
+            (self.function("ipm_get_iter"), ctypes.byref(self._count)),
+        ]
+
+    def function(self, name: str) -> Any:
+        """A function of the library for this kind of problem."""
+        return getattr(self._library, f"{self._kind}_{name}")
+
+    def outcome(self) -> tuple[Status, str, int]:
+        """Status, its number in words and iterations of the last solve."""
+        for function, target in self._asked:
+            function(self.ws, target)
+        flag = self._flag.value
+        return STATUS.get(flag, Status.UNKNOWN), f"status {flag}", self._count.value
+
+    def _set_arguments(self, options: dict[str, Any]) -> None:
+        mode = MODES.index(str(options.pop("mode", "SPEED")))
+        self.function("ipm_arg_set_default")(mode, self.arg)
+        for name, value in options.items():
+            number: Any = ctypes.c_int if name in INTEGERS else ctypes.c_double
+            self.function(f"ipm_arg_set_{name}")(ctypes.byref(number(value)), self.arg)
 
     def _make(self, kind: str, *parts: Any) -> Any:
-        library, prefix = self._library, f"d_dense_qp{kind}"
+        library, prefix = self._library, f"{self._kind}{kind}"
         sizes = [getattr(library, f"{prefix}_{name}") for name in ("strsize", "memsize")]
         for function in sizes:
             function.restype = ctypes.c_size_t

@@ -1,0 +1,152 @@
+"""HPIPM by stages: random optimal control problems against the referee's certified optimum."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dpbench
+from dpbench.qp.certify import certify
+from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.qp.solution import Solution, Status
+from dpbench.solvers.open import open_workspace
+from dpbench.solvers.table import available
+
+pytestmark = pytest.mark.skipif(not available("hpipm_ocp").ok, reason="casadi is not installed")
+
+TIGHT = {
+    **dict.fromkeys(("tol_stat", "tol_eq", "tol_ineq", "tol_comp"), 1e-10),
+    "iter_max": 100,
+    "mode": "BALANCE",
+}
+INF = np.inf
+
+
+class Staged:
+    """A random optimal control problem in the order u_0 | x_1, u_1 | …, and steps of it.
+
+    Inputs are limited by bounds, by rows of one variable and by rows of several, on both sides or
+    one; the cost of the states is semidefinite, of integers, so that rounding leaves it so.
+    """
+
+    def __init__(self, seed: int, stages: int) -> None:
+        rng = self._rng = np.random.default_rng(seed)
+        n_u, n_x = 2, 3
+        self._n = n = stages * (n_u + n_x) + n_u
+        P, rows, self._dynamics = np.zeros((n, n)), [], []
+        lb, ub = np.full(n, -INF), np.full(n, INF)
+        for k in range(stages + 1):
+            first = k * (n_u + n_x)
+            u = slice(first, first + n_u)
+            root = rng.integers(-2, 3, size=(n_u, n_u))
+            P[u, u] = np.eye(n_u) + root @ root.T
+            lb[first], ub[first] = -1.0, rng.choice([1.0, INF])
+            rows.append(np.eye(n)[first + 1] * rng.choice([1.0, -2.0]))
+            if k == stages:
+                continue
+            x = slice(first + n_u, first + n_u + n_x)
+            output = rng.integers(-2, 3, size=(1, n_x))
+            P[x, x] = output.T @ output
+            for i in range(n_x):
+                row = np.zeros(n)
+                row[x.start + i] = rng.choice([1.0, -1.0, 0.5])
+                before = slice(max(first - n_x, 0), first + n_u)
+                row[before] = 0.4 * rng.normal(size=row[before].size)
+                rows.append(row)
+                self._dynamics.append(len(rows) - 1)
+            mixed = np.zeros(n)
+            mixed[x] = rng.normal(size=n_x)
+            rows.append(mixed)
+        self._A = np.array(rows)
+        step = self.step()
+        self.base = QuadraticProgram(P, step.q, self._A, step.l, step.u, lb, ub)
+
+    def step(self) -> QPStep:
+        """Another cost and other limits around a point within the bounds; one side may be open."""
+        rng, m = self._rng, len(self._A)
+        inside = self._A @ rng.uniform(-0.5, 0.5, size=self._n)
+        low, high = inside - rng.uniform(0.1, 1.0, size=m), inside + rng.uniform(0.1, 1.0, size=m)
+        low[rng.uniform(size=m) < 0.2] = -INF
+        high[rng.uniform(size=m) < 0.2] = INF
+        low[self._dynamics] = high[self._dynamics] = inside[self._dynamics]
+        return QPStep(3.0 * rng.normal(size=self._n), low, high)
+
+
+def answers(case: Staged, policy: str) -> Iterator[tuple[QuadraticProgram, Solution]]:
+    """The problems of three steps, whose equal and infinite sides change, and the answers."""
+    workspace = open_workspace("hpipm_ocp", route="native", policy=policy, settings=TIGHT)
+    workspace.setup(case.base)
+    for _ in range(3):
+        step = case.step()
+        qp = case.base.at(step)
+        if workspace.setup_every_step:
+            workspace.setup(qp)
+        else:
+            workspace.update(step)
+        workspace.solve()
+        yield qp, workspace.read()
+
+
+def assert_optimal(qp: QuadraticProgram, found: Solution) -> None:
+    """The certified optimum, and multipliers that fulfil all conditions of optimality."""
+    # An interior point is as near as the square root of its gap where limits are weakly active.
+    np.testing.assert_allclose(found.z, certify(qp).z, rtol=0, atol=1e-5)
+    gradient = qp.P @ found.z + qp.q + qp.A.T @ found.y + found.y_box
+    assert np.abs(gradient).max() < 1e-8
+    for value, low, high, y in (
+        (qp.A @ found.z, qp.l, qp.u, found.y),
+        (found.z, qp.lb, qp.ub, found.y_box),
+    ):
+        assert (value - high).max() < 1e-8 and (low - value).max() < 1e-8
+        for side, slack in ((y, high - value), (-y, value - low)):
+            # An equality is without slack, whatever the sign of its multiplier.
+            acting = (side > 1e-9) & (low < high)
+            assert (side[acting] * slack[acting] < 1e-8).all()
+
+
+@pytest.mark.parametrize("policy", ["fresh", "reuse", "warm"])
+def test_random_optimal_control_problems(policy: str) -> None:
+    """Answers and multipliers; what is not claimed is a stall, which it comes to now and then."""
+    stalls = 0
+    for seed in range(60):
+        for qp, found in answers(Staged(seed, 1 + seed % 4), policy):
+            if found.status is Status.SOLVED:
+                assert_optimal(qp, found)
+            else:
+                assert found.status is Status.MAX_ITERATIONS
+                stalls += 1
+    assert stalls <= 4  # of 180
+
+
+def test_it_leaves_the_factorisation_of_piqp_alone() -> None:
+    """PIQP's factorisation by stages brings a BLASFEO of its own, with the same names as HPIPM's;
+    one that called the other's would corrupt memory, so they are tried in a process of theirs."""
+    program = """
+import numpy as np
+from dpbench import load_scenario, open_workspace, record_sequence
+sequence = record_sequence(load_scenario("paper").first(5)).twin().sequence
+answers = []
+for solver in ("hpipm_ocp", "hpipm", "piqp_multistage", "hpipm_ocp"):
+    workspace = open_workspace(solver, route="native", policy="reuse", settings="high")
+    workspace.setup(sequence.base)
+    for k in range(len(sequence)):
+        workspace.update(sequence.step(k))
+        workspace.solve()
+    assert workspace.read().claimed
+    answers.append(workspace.read().z)
+for answer in answers[1:]:
+    assert np.abs(answer - answers[0]).max() < 1e-4 * np.abs(answers[0]).max()
+"""
+    root = Path(dpbench.__file__).parents[1]
+    subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(root), *sys.path])},
+        check=True,
+        timeout=100,
+    )
