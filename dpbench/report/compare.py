@@ -14,9 +14,10 @@ from dpbench.bench.store import load_results
 from dpbench.errors import InputError
 from dpbench.report.compare_answers import Answer, compare_answers
 from dpbench.report.compare_pairs import KEY, Pairs, check_machines, pair_cells
-from dpbench.report.compare_tables import answers_table, shared_line, times_table
+from dpbench.report.compare_tables import answers_table, shared_line, solvers_table, times_table
 from dpbench.report.compare_times import Compared, Shared, compare_times, time_pairs
 from dpbench.report.formats import plural
+from dpbench.report.machine_verdict import disturbance_of, timed_runs, verdict_text
 from dpbench.report.table import Table, markdown
 from dpbench.report.view import View
 
@@ -103,12 +104,21 @@ def compare(
     timings = time_pairs(*views, pairs.pairs)
     compared, shared = compare_times(timings, margin, alpha, same_machine=same)
     found = compare_answers(*views, pairs.pairs, margin)
-    lines = [f"A: {a}", f"B: {b}{'' if same else ' (another machine)'}"]
+    lines = [f"A: {a}{_machine(views[0])}"]
+    lines += [f"B: {b}{_machine(views[1])}{'' if same else ' (another machine)'}"]
     lines += _lines(compared, shared, found, pairs)
     changed = answers_table(found, margin)
-    tables = [times_table(compared, margin, alpha)] if compared else []
+    tables = [solvers_table(compared, found)] if compared or found else []
+    tables += [times_table(compared, margin, alpha)] if compared else []
     tables += [changed] if changed is not None else []
     return Comparison(compared, shared, found, pairs, lines, tables)
+
+
+def _machine(view: View) -> str:
+    """On what a folder was measured, and how quiet that was while replays were timed."""
+    said = f", {view.machine.get('cpu_model', 'an unnamed CPU')}"
+    found = disturbance_of(timed_runs(view))
+    return f"{said}, {verdict_text(found)}" if found.seconds > 0 else said
 
 
 def _lines(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 from dpbench.report.compare_answers import ORDER, Answer, Range
 from dpbench.report.compare_times import Compared, Shared
 from dpbench.report.formats import (
+    MISSING,
     count_text,
     error_text,
     interval_text,
@@ -17,13 +19,51 @@ from dpbench.report.formats import (
 )
 from dpbench.report.table import Cell, Mark, Table, row_of
 
+TIMES = ("slower", "faster", "no difference shown", "equivalent")
+"""Verdicts on a step time: the two claims, then what claims less."""
 _MARKS: dict[str, Mark] = {"slower": "bad", "worse": "bad", "faster": "good", "better": "good"}
+
+
+def solvers_table(compared: Sequence[Compared], answers: Sequence[Answer]) -> Table:
+    """One row per solver: what its arms together say of step times, accuracy and control."""
+    names = [c.timing.pair.a["solver"] for c in compared] + [a.pair.a["solver"] for a in answers]
+    rows = []
+    for solver in sorted({str(name) for name in names}):
+        times = Counter[str](
+            c.judgement.verdict for c in compared if c.timing.pair.a["solver"] == solver
+        )
+        changes = Counter[str](a.change for a in answers if a.pair.a["solver"] == solver)
+        cells = (_together(times, TIMES), _together(changes, ("worse", "better", "same")))
+        rows.append(
+            row_of(
+                solver,
+                *(Cell(verdict, _MARKS.get(verdict, "")) for verdict in cells),
+                ", ".join(f"{times[v]} {v}" for v in TIMES if times[v]) or MISSING,
+                count_text(changes.total()),
+            )
+        )
+    return Table(
+        title="Verdict per solver",
+        note="Over all ways to run it: slower, faster, worse or better where an arm is and none "
+        "is the contrary; equivalent where every arm is; same where every figure is. Claims on "
+        "step times hold together over all solvers.",
+        heads=("solver", "step times", "accuracy and control", "arms", "figures"),
+        rows=tuple(rows),
+        text_columns=4,
+    )
+
+
+def _together(counts: Counter[str], order: tuple[str, ...]) -> str:
+    """One word for the verdicts of several; `order`: the two claims, then what claims less."""
+    claims = [verdict for verdict in order[:2] if counts[verdict]]
+    if len(claims) == 2:
+        return f"{claims[0]} and {claims[1]}"
+    return next((verdict for verdict in order if counts[verdict]), MISSING)
 
 
 def times_table(compared: Sequence[Compared], margin: float, alpha: float) -> Table:
     """One row per arm and sequence, those with a claim first."""
-    order = ("slower", "faster", "no difference shown", "equivalent")
-    rows = sorted(compared, key=lambda c: order.index(c.judgement.verdict))
+    rows = sorted(compared, key=lambda c: TIMES.index(c.judgement.verdict))
     percent = f"{100 * margin:g} %"
     return Table(
         title="Step times, replays",

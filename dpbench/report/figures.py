@@ -14,6 +14,7 @@ from matplotlib.ticker import FuncFormatter
 
 from dpbench.report.demand import Demand
 from dpbench.report.formats import as_float, count_text, error_text, plural, share_text
+from dpbench.report.statistics import percentile
 from dpbench.report.style import (
     FAMILY_COLOURS,
     GREY,
@@ -36,7 +37,7 @@ EXACT = 1e-15
 
 
 def step_times(arms: Sequence[Arm], demand: Demand) -> Figure:
-    """Distribution of step times per arm: algorithmic in colour, raw samples in grey."""
+    """Step times per arm: algorithmic in colour, raw samples in grey, of medians a tick."""
     figure, ax = one_axes(8.2, 1.4 + 0.3 * len(arms))
     for i, (row, times) in enumerate(arms):
         colour = colour_of(str(row["solver"]))
@@ -46,6 +47,8 @@ def step_times(arms: Sequence[Arm], demand: Demand) -> Figure:
         ax.plot([low, high], [i, i], color=colour, lw=5, solid_capstyle="butt", alpha=0.75)
         ax.plot([algo.min(), algo.max()], [i, i], color=colour, lw=1)
         ax.plot(middle, i, "o", color="white", mec=colour, ms=5, zorder=4)
+        ax.plot(np.percentile(times.typical_ns, 95) / 1e3, i, "|", color=INK, ms=9, zorder=5)
+        ax.plot(percentile(raw, 99), i, "d", color=GREY, ms=3.5, zorder=5)
     ax.axvline(demand.p99_ms * 1e3, color=INK, ls="--", lw=0.9)
     log_time(ax)
     ax.set_yticks(range(len(arms)), [arm_name(row) for row, _ in arms])
@@ -55,7 +58,9 @@ def step_times(arms: Sequence[Arm], demand: Demand) -> Figure:
     marks = [
         Line2D([], [], marker="o", color=GREY, mfc="white", lw=5, label="algorithmic p5-p50-p95"),
         Line2D([], [], color=GREY, lw=1, label="algorithmic min-max"),
+        Line2D([], [], marker="|", color=INK, ls="", ms=9, label="median over rounds, p95"),
         Line2D([], [], color=PALE, lw=5, label="raw samples min-max"),
+        Line2D([], [], marker="d", color=GREY, ls="", ms=3.5, label="raw samples p99"),
         Line2D([], [], color=INK, ls="--", lw=0.9, label=f"demand, {demand.p99_ms:g} ms"),
     ]
     _legend(figure, [*marks, *_family_patches([str(row["solver"]) for row, _ in arms])])

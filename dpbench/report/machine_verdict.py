@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from dpbench.bench.disturbance import RULE, Disturbance
+import numpy as np
+
+from dpbench.bench.disturbance import MAX_SWITCHES_PER_S, RULE, Disturbance
 from dpbench.report.formats import (
     MISSING,
     and_list,
@@ -20,10 +22,32 @@ from dpbench.report.view import Row, View, has_steps
 
 FOLD_ABOVE = 8
 """Rows above which a table is folded."""
+OWN_A_STEP, OWN_TIMES = 0.5, 10.0
+"""An arm with so many involuntary switches a step, and so many times as many a second as the median
+arm and the rule allow, makes them itself: a library that starts a thread in each solve is put off
+its only core by that thread, where a busy machine would put off its neighbours too."""
+SWITCHES = "involuntary_switches"
 
 
 def timed_runs(view: View) -> list[Row]:
-    """Every replay that was timed, the harness's own arms too; once where it has several names."""
+    """Every replay that was timed, the harness's own arms too; once where it has several names.
+
+    The involuntary switches that an arm makes itself stand in `own_switches_a_step`, and are NaN
+    among those that the machine is judged by.
+    """
+    rows = _once_each(view)
+    rates = np.array([as_float(row[SWITCHES]) / as_float(row["replay_s"]) for row in rows])
+    seen = rates[np.isfinite(rates)]
+    usual = max(float(np.median(seen)), MAX_SWITCHES_PER_S) if len(seen) else np.inf
+    found: list[Row] = []
+    for row, rate in zip(rows, rates, strict=True):
+        a_step = as_float(row[SWITCHES]) / (as_float(row["rounds"]) * as_float(row["steps_done"]))
+        own = a_step >= OWN_A_STEP and rate > OWN_TIMES * usual
+        found.append({**row, SWITCHES: np.nan, "own_switches_a_step": a_step} if own else row)
+    return found
+
+
+def _once_each(view: View) -> list[Row]:
     once: dict[tuple[str, ...], Row] = {}
     for row in [*view.calibration, *view.every]:
         if row["mode"] == "replay" and not row["family"] and has_steps(row):
@@ -40,7 +64,7 @@ def disturbance_of(rows: Sequence[Row]) -> Disturbance:
         "spoilt_rounds",
         "rerun_rounds",
         "replay_s",
-        "involuntary_switches",
+        SWITCHES,
         "steal_s",
         "throttle_events",
     )
@@ -114,7 +138,8 @@ def machine_table(view: View, rows: Sequence[Row]) -> Table:
     found = disturbance_of(rows)
     cores = view.machine.get("affinity") or []
     pinned = [("core of the timed worker", str(cores[-1]))] if cores else []
-    facts = [*machine_facts(view.machine), *pinned, *disturbance_facts(found), *_threads(rows)]
+    facts = [*machine_facts(view.machine), *pinned, *disturbance_facts(found)]
+    facts += [*_own_switches(rows), *_threads(rows)]
     return Table(
         title="The machine, and what disturbed the replays",
         note=f"{plural(len(rows), 'replayed arm')}, the harness's own among them; "
@@ -124,6 +149,19 @@ def machine_table(view: View, rows: Sequence[Row]) -> Table:
         rows=tuple(row_of(*fact) for fact in facts),
         text_columns=2,
     )
+
+
+def _own_switches(rows: Sequence[Row]) -> list[tuple[str, str]]:
+    """The arms that leave the processor by their own doing, which is not the machine's fault."""
+    own: dict[str, float] = {}
+    for row in rows:
+        if "own_switches_a_step" in row:
+            name = f"{row['solver']} ({row['route']} {row['policy']})"
+            own[name] = max(own.get(name, 0.0), row["own_switches_a_step"])
+    if not own:
+        return []
+    said = ", ".join(f"{name}: {_rate(a_step)} a step" for name, a_step in own.items())
+    return [("switches an arm makes itself, not counted above", said)]
 
 
 def _threads(rows: Sequence[Row]) -> list[tuple[str, str]]:
@@ -159,7 +197,7 @@ def sequence_table(rows: Sequence[Row]) -> Table | None:
                 count_text(found.spoilt),
                 count_text(found.rerun),
                 _rate(found.switches_per_s),
-                _rate(max((disturbance_of([row]).switches_per_s for row in mine), default=0.0)),
+                count_text(np.fmax.reduce([as_float(row[SWITCHES]) for row in mine])),
                 _steal(found.steal_share),
             )
         )
@@ -174,7 +212,7 @@ def sequence_table(rows: Sequence[Row]) -> Table | None:
             "spoilt",
             "run again",
             "switches/s",
-            "switches/s, worst arm",
+            "switches, worst arm",
             "stolen",
         ),
         rows=tuple(lines),

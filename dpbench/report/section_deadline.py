@@ -29,7 +29,7 @@ def deadline_section(view: View) -> Section | None:
     section = Section("deadline", "Slow computers and late answers")
     section.add(Paragraph(INTRODUCTION))
     for i, group in enumerate(groups):
-        section.add(*_blocks(i, group))
+        section.add(*_blocks(i, group, view))
     return section
 
 
@@ -38,11 +38,12 @@ def deadline_lines(view: View) -> list[str]:
     return [_line(group).replace("**", "") for group in slowed_groups(view)]
 
 
-def _blocks(i: int, group: SlowedGroup) -> list[Block]:
+def _blocks(i: int, group: SlowedGroup, view: View) -> list[Block]:
     ran = [
         arm for arm in group.arms if any(math.isfinite(cost_ratio(r)) for r in arm.loops.values())
     ]
-    tables = [Tabular(survival_table(group)), Tabular(misses_table(group))]
+    cpu = str(view.machine.get("cpu_model", "an unnamed CPU"))
+    tables = [Tabular(survival_table(group, cpu)), Tabular(misses_table(group))]
     if not ran:
         return [missing(f"no loop in `{group.scenario}` was run to its end."), *tables]
     picture = Picture(

@@ -8,7 +8,7 @@ from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular
 from dpbench.report.demand import Demand
 from dpbench.report.figures_horizon import growth_figure
 from dpbench.report.formats import interval_text, plural, significant, time_text
-from dpbench.report.statistics import Interval
+from dpbench.report.growth import Growth
 from dpbench.report.sweep import Horizons, Sweep, SweptArm, moves_of, sweeps
 from dpbench.report.tables_horizon import growth_table, horizons_text
 from dpbench.report.view import View
@@ -19,6 +19,9 @@ INTRODUCTION = (
     "variables and few entries. Each horizon has an exactly solved loop of its own, so solvers "
     "get identical QPs at each horizon and different ones from horizon to horizon."
 )
+
+NO_POWER = 1.5
+"""Times that leave the fitted line by a larger factor grow by no single power of n."""
 
 
 def horizon_section(view: View, demand: Demand) -> Section | None:
@@ -66,7 +69,7 @@ def _summary(sweep: Sweep, best: Sequence[SweptArm]) -> list[str]:
     if grown:
         grown.sort(key=lambda found: found[1].exponent.value)
         among = "Of the arms that are right at every horizon"
-        said = [_growth_text(arm, growth.exponent) for arm, growth in grown]
+        said = [_growth_text(arm, growth) for arm, growth in grown]
         words.append(
             f"{among}, the time grows least with {said[0]}"
             + (f" and most with {said[-1]}." if len(said) > 1 else ".")
@@ -90,6 +93,13 @@ def _how(arm: SweptArm) -> str:
     return f"{arm.formulation.replace('_', ' ')}, {arm.way}"
 
 
-def _growth_text(arm: SweptArm, exponent: Interval) -> str:
+def _growth_text(arm: SweptArm, growth: Growth) -> str:
+    exponent = growth.exponent
     interval = interval_text(exponent.low, exponent.high)
-    return f"**{arm.solver}** ({_how(arm)}), like n to the {significant(exponent.value)} {interval}"
+    average = (
+        f", an average, as its times leave that line by up to × {significant(growth.misfit)}"
+        if growth.misfit > NO_POWER
+        else ""
+    )
+    power = f"like n to the {significant(exponent.value)} {interval}{average}"
+    return f"**{arm.solver}** ({_how(arm)}), {power}"

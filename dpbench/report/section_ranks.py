@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from dpbench.errors import InputError
 from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular, missing
 from dpbench.report.demand import Demand
@@ -19,6 +21,7 @@ from dpbench.report.formats import and_list, plural
 from dpbench.report.pooled import Pool, pool
 from dpbench.report.rank_stability import Ranking, rank
 from dpbench.report.ratios import baseline_of, ratios
+from dpbench.report.statistics import supports
 from dpbench.report.tables_levels import levels_of
 from dpbench.report.tables_ranks import rank_table, ratio_tables
 from dpbench.report.view import View
@@ -92,11 +95,20 @@ def _precision_picture(
         f"What accuracy costs, {how}",
         f"{plural(len(ladders), 'solver')}, {plural(len(rungs), 'arm')}, "
         f"{_names(pooled)}; a line joins the settings of one solver. Time: the worst over the "
-        "sequences, p99 over those long enough for one; error: the largest of all, below 1e-15 "
+        f"sequences{_long_enough(pooled)}; error: the largest of all, below 1e-15 "
         f"drawn there. Coloured: of each method family the {OF_EACH} of least p50 that meet the "
         f"demand on every step.{tail}{without}",
         work_precision(ladders, highlighted(fastest_at(ladders, demand.error_move)), demand),
     )
+
+
+def _long_enough(pooled: Pool) -> str:
+    """Which sequences both times are of, where some are too short for a p99."""
+    counts = np.bincount(pooled.sequence_of)
+    whole = [f"`{name}`" for i, name in enumerate(pooled.sequences) if supports(counts[i], 99)]
+    if len(whole) in (0, len(pooled.sequences)):
+        return ""
+    return f" long enough for a p99 ({and_list(whole)})"
 
 
 def _names(pooled: Pool) -> str:

@@ -16,7 +16,8 @@ DEFINITIONS = (
     "applied that the solver itself calls unfinished. To give no answer to a QP that is proven to "
     "have none is no failure; whether the solver said why is part of **claimed** and **true**.",
     "**algorithmic time**: per step the minimum over the replay rounds, of set-up + update + "
-    "solve + read. Its percentiles run over steps and tell hard steps from easy ones.",
+    "solve + read. Its percentiles run over steps and tell hard steps from easy ones. **Of "
+    "medians**: the same with the median over the rounds, which is what a usual round takes.",
     "**raw time**: all samples of all rounds, pooled. Its tail is the machine's jitter as much "
     "as the solver's.",
     "**route**: `native` calls the solver's own library; `qpsolvers` goes through that wrapper, "
@@ -41,7 +42,9 @@ DEFINITIONS = (
     "**the machine was quiet** or **disturbed**: judged by a rule stated beside it, from what the "
     "kernel counts around every replay round and from a reference kernel timed before and after "
     "it. A round in which that kernel is slowed by more than a quarter is spoilt and run again "
-    "once; one spoilt twice does not count.",
+    "once; one spoilt twice does not count. Context switches that an arm makes itself, such as by "
+    "a thread in each solve, are named and do not count: one in every other step at least, and "
+    "ten times as many a second as the median arm and the rule allow.",
     "**no_op**, **copy_only**, **busy_wait**: arms of the harness itself, of known cost, by which "
     "it measures its own overhead and shows that it measures right. They answer nothing, are "
     "judged by nobody, and no time is corrected by them.",

@@ -45,25 +45,27 @@ def runs_section(view: View) -> Section:
 def _problems(view: View) -> list[str]:
     """What was run: scenarios by name, random sequences by number."""
     drawn = {str(row["sequence"]) for row in view.random}
-    names = [f"`{scenario}`" for scenario in view.scenarios]
+    slowed = [str(row["scenario"]) for row in view.slowed]
+    names = [f"`{scenario}`" for scenario in dict.fromkeys([*view.scenarios, *slowed])]
     return [*names, plural(len(drawn), "random sequence")] if drawn else names
 
 
 def _effort(view: View) -> str:
     suite = view.suite
     words = []
-    if "rounds" in suite:
+    replayed = any(row["mode"] == "replay" for row in view.every)
+    if "rounds" in suite and replayed:
         rounds = f"each replay has {plural(as_float(suite['rounds']), 'round')}"
         budget_s = as_float(suite.get("replay_budget_s"))
         if budget_s > 0.0:
             fewest = f"{FEWEST_ROUNDS} if those take {significant(budget_s)} s or more"
             rounds += f", but only {fewest}"
         words.append(rounds)
-    if suite.get("warmup_steps"):
+    if suite.get("warmup_steps") and replayed:
         words.append(f"a warm-up of {plural(as_float(suite['warmup_steps']), 'step')}")
     if "cell_limit_s" in suite:
         words.append(f"a cell stops after {significant(as_float(suite['cell_limit_s']))} s")
-    if view.runs:
+    if replayed:
         spoilt = [as_float(row["spoilt_rounds"]) for row in view.select(mode="replay")]
         count = sum(value for value in spoilt if value > 0)
         words.append(f"{plural(count, 'round')} marked as spoilt by a slow machine")

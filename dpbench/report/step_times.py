@@ -21,7 +21,8 @@ class StepTimes:
     Parameters
     ----------
     k : (K,) steps; algo_ns : (K,) minimum over the counting rounds, the algorithmic time.
-    raw_ns : (N,) all samples of the counting rounds.
+    typical_ns : (K,) median over the counting rounds, what a usual round takes.
+    raw_ns : (N,) all samples of the counting rounds; raw_k : (N,) the step of each.
     true : (K,) whether the referee found the answer true in every counting round.
     error : (K,) the accuracy achieved, which is the largest error_move of the counting rounds; inf
         where the step failed or its answer is not true in one of them, 0 where it is true and no
@@ -33,7 +34,9 @@ class StepTimes:
 
     k: NDArray[np.int64]
     algo_ns: Floats
+    typical_ns: Floats
     raw_ns: Floats
+    raw_k: NDArray[np.int64]
     true: NDArray[np.bool_]
     error: Floats
     phase_ns: dict[str, float]
@@ -62,7 +65,9 @@ def step_times_of(steps: pd.DataFrame) -> StepTimes | None:
     return StepTimes(
         k=done,
         algo_ns=best[done],
+        typical_ns=_medians(k, raw, done),
         raw_ns=raw,
+        raw_k=k,
         true=true[done],
         error=error[done],
         phase_ns={phase: _median(counting[f"{phase}_ns"]) for phase in PHASES},
@@ -71,6 +76,15 @@ def step_times_of(steps: pd.DataFrame) -> StepTimes | None:
         else (float(np.nan), float(np.nan), float(np.nan)),
         rounds=int(counting["repeat"].nunique()),
     )
+
+
+def _medians(k: NDArray[np.int64], raw: Floats, wanted: NDArray[np.int64]) -> Floats:
+    """Median of the samples of each wanted step; an arm cut short has fewer of its last ones."""
+    order = np.lexsort((raw, k))
+    steps, times = k[order], raw[order]
+    first, end = (np.searchsorted(steps, wanted, side) for side in ("left", "right"))
+    middle: Floats = 0.5 * (times[(first + end - 1) // 2] + times[(first + end) // 2])
+    return middle
 
 
 def _achieved(steps: pd.DataFrame) -> Floats:

@@ -14,7 +14,7 @@ from dpbench.bench.schema import FORCES
 from dpbench.report.demand import Demand
 from dpbench.report.formats import as_float
 from dpbench.report.growth import Growth, fit_growth
-from dpbench.report.statistics import percentile
+from dpbench.report.statistics import UNKNOWN, Interval, percentile, percentile_interval
 from dpbench.report.step_times import StepTimes
 from dpbench.report.tables_timing import is_right
 from dpbench.report.view import Row, View
@@ -46,6 +46,11 @@ class Point:
     def p99_ns(self) -> float:
         """Its p99; NaN where the steps do not support one."""
         return percentile(self.times.algo_ns, 99) if self.times else math.nan
+
+    @cached_property
+    def p99_interval(self) -> Interval:
+        """It with its bootstrap interval over steps."""
+        return percentile_interval(self.times.algo_ns, 99) if self.times else UNKNOWN
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +90,16 @@ class SweptArm:
         """The largest horizons measured with right answers and a p99 of at most `limit_ns`."""
         fit = [h for h, p in self.timed.items() if p.right and p.p99_ns <= limit_ns]
         return max(fit, key=_by_moves, default=None)
+
+    def settled(self, limit_ns: float) -> bool:
+        """Whether no interval of a p99 of right answers from there on holds `limit_ns`."""
+        largest = self.largest_within(limit_ns)
+        beyond = [
+            point
+            for h, point in self.timed.items()
+            if point.right and (largest is None or _by_moves(h) >= _by_moves(largest))
+        ]
+        return not any(point.p99_interval.spans(limit_ns) for point in beyond)
 
 
 @dataclass(frozen=True, eq=False)

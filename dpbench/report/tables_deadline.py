@@ -34,17 +34,21 @@ COUNTS = (
 )
 
 
-def survival_table(group: SlowedGroup) -> Table:
-    """Per arm the slow-down it survives, and its cost at each, over the exactly solved loop's."""
+def survival_table(group: SlowedGroup, cpu: str) -> Table:
+    """Per arm the slow-down it survives, and its cost at each, over the exactly solved loop's.
+
+    A slow-down of 1 is the computer `cpu`.
+    """
     slowdowns = group.slowdowns
     return Table(
         title=f"What slow-down each solver survives in `{group.scenario}`",
         note=f"{plural(len(group.arms), 'arm')}, {plural(group.steps, 'step')}, a budget of "
-        f"{significant(1e3 * group.deadline_s)} ms a step. Cost over that of the exactly solved "
-        f"loop, in which no answer is late; tinted where it is not {WITHIN}, or the loop was "
-        "not run to its end. Survives: the largest slow-down up to which every loop that was run "
-        f"stays {WITHIN} over the whole of it, without a violated limit. Step time: as measured, "
-        "at the smallest slow-down. Each cell is one run.",
+        f"{significant(1e3 * group.deadline_s)} ms a step; 1 × is this {cpu}. Cost over that of "
+        f"the exactly solved loop, in which no answer is late; tinted where it is not {WITHIN}, "
+        "or the loop was not run to its end. Survives: the largest slow-down up to which every "
+        f"loop that was run stays {WITHIN} over the whole of it, without a violated limit. Step "
+        "time: as measured, at the smallest slow-down. Each cell is one run; another has other "
+        "latencies, so a cost near the margin settles nothing.",
         heads=(
             "solver",
             "survives",
@@ -80,13 +84,21 @@ def _cost(row: Row | None) -> Cell:
     return Cell(significant(ratio), "" if survived(row) else "bad")
 
 
+def _count(row: Row, column: str) -> str:
+    """A count; that of a recovery which never came is `never`."""
+    never = column == "miss_recover_steps_max" and math.isnan(as_float(row[column]))
+    if never and as_float(row["deadline_misses"]) > 0.0:
+        return "never"
+    return count_text(row[column])
+
+
 def misses_table(group: SlowedGroup) -> Table:
     """Every loop with its misses, longest streak, recovery, latencies and cost."""
     rows = [
         row_of(
             arm.name,
             factor_text(slowdown),
-            *(count_text(row[column]) for column, _ in COUNTS),
+            *(_count(row, column) for column, _ in COUNTS),
             *(time_text(as_float(row[f"latency_{of}_ns"])) for of in ("p50", "max")),
             _cost(row),
             significant(as_float(row["dev_position_max_m"])),
@@ -103,11 +115,11 @@ def misses_table(group: SlowedGroup) -> Table:
         title=f"Deadlines missed in `{group.scenario}`",
         note=f"{plural(len(rows), 'loop')}. A miss is a step without an answer in time: its own "
         "came late, or none was begun because the processor was still at an earlier one. "
-        "Recovery: most steps from a miss to the next true answer in time, a dash for none or "
-        "never. Computations: steps in which one was begun. Fallbacks: steps in which neither an "
-        "answer in time nor one that arrived just then steered. Latency: measured step time × "
-        "slow-down; where the kernel interrupted a computation to run others, its processor time "
-        "× slow-down, since it is not this machine that steers.",
+        "Recovery: most steps from a miss to the next true answer in time, a dash where "
+        "none was missed. Computations: steps in which one was begun. Fallbacks: steps in "
+        "which neither an answer in time nor one that arrived just then steered. Latency: "
+        "measured step time × slow-down; where the kernel interrupted a computation to run "
+        "others, its processor time × slow-down, since it is not this machine that steers.",
         heads=(
             "solver",
             "slow-down",

@@ -20,6 +20,8 @@ from dpbench.report.table import Cell, Table, row_of
 
 SPARSE = "sparse"
 LIMITS_MS = (1.0, 10.0, 100.0)
+UNSETTLED = "?"
+"""Beside horizons that another draw of the steps may change."""
 MISSED = "○"
 """Beside a time whose answers miss the demand; such a point is hollow in the figure."""
 
@@ -46,7 +48,7 @@ def growth_table(sweep: Sweep, arms: Sequence[SweptArm], *, every: bool = False)
             "points",
             "line off by",
             *(("sparse undercuts condensed",) if compared else ()),
-            *(f"p99 ≤ {limit:g} ms" for limit in LIMITS_MS),
+            *(f"p99 ≤ {limit:g} ms" for limit in LIMITS_MS if supports(sweep.steps, 99)),
         ),
         rows=tuple(_row(sweep, arm, compared=compared) for arm in arms),
         text_columns=3,
@@ -61,10 +63,13 @@ def _note(sweep: Sweep, rows: int, *, compared: bool) -> str:
         if compared
         else ""
     )
-    thin = (
-        ""
+    fits = (
+        "p99: the largest horizon measured whose answers meet the demand and whose p99 is within "
+        f"the limit; ≥ where none longer was measured, {UNSETTLED} where the 95 % interval of a "
+        "p99 holds the limit."
         if supports(sweep.steps, 99)
-        else f" {plural(sweep.steps, 'step')} do not support a p99 (it takes 1000)."
+        else f"{plural(sweep.steps, 'step')} do not support a p99 (it takes 1000), so what fits a "
+        "deadline is not said here."
     )
     return (
         f"{plural(rows, 'row')}; replay of identical QPs at each of "
@@ -74,8 +79,7 @@ def _note(sweep: Sweep, rows: int, *, compared: bool) -> str:
         "least squares over the points with a time, 95 % interval by block bootstrap over "
         f"steps; none below {LEAST_POINTS} sizes. Line off by: the largest factor between a "
         "point and the fitted line; where it is large, time grows by no single power and the "
-        f"exponent is an average. {meets}p99: the largest horizon measured "
-        f"whose answers meet the demand and whose p99 is within the limit.{thin}"
+        f"exponent is an average. {meets}{fits}"
     )
 
 
@@ -99,7 +103,7 @@ def _row(sweep: Sweep, arm: SweptArm, *, compared: bool) -> tuple[Cell, ...]:
         count_text(len(arm.timed)),
         off,
         *((_undercuts(sweep, arm),) if compared else ()),
-        *(_within(arm, limit) for limit in LIMITS_MS),
+        *(_within(sweep, arm, limit) for limit in LIMITS_MS if supports(sweep.steps, 99)),
     )
 
 
@@ -112,11 +116,15 @@ def _time(point: Point | None) -> Cell:
     return Cell(text) if point.right else Cell(f"{text} {MISSED}", "warn")
 
 
-def _within(arm: SweptArm, limit_ms: float) -> Cell:
+def _within(sweep: Sweep, arm: SweptArm, limit_ms: float) -> Cell:
     if not any(math.isfinite(point.p99_ns) for point in arm.timed.values()):
         return Cell(MISSING, "quiet")
     largest = arm.largest_within(limit_ms * 1e6)
-    return Cell("none", "quiet") if largest is None else Cell(horizons_text(largest))
+    doubt = "" if arm.settled(limit_ms * 1e6) else f" {UNSETTLED}"
+    if largest is None:
+        return Cell(f"none{doubt}", "quiet")
+    least = "≥ " if largest == sweep.horizons[-1] else ""
+    return Cell(f"{least}{horizons_text(largest)}{doubt}")
 
 
 def _undercuts(sweep: Sweep, arm: SweptArm) -> Cell:

@@ -18,7 +18,12 @@ from dpbench.report.formats import (
     plural,
     significant,
 )
-from dpbench.report.statistics import percentile, percentile_interval, supports
+from dpbench.report.statistics import (
+    percentile,
+    percentile_interval,
+    pooled_percentile_intervals,
+    supports,
+)
 from dpbench.report.step_times import StepTimes
 from dpbench.report.table import Cell, Table, row_of
 from dpbench.report.tables_accuracy import settings_without_effect
@@ -67,7 +72,8 @@ def _timing_table(
         title=f"Step times in the replay of `{sequence}`",
         note=(
             f"{_population(view, arms)} Algorithmic time: per step the minimum over the rounds "
-            "(set-up + update + solve + read). Intervals: 95 %, block bootstrap over steps. "
+            "(set-up + update + solve + read). Of medians: the same with the median over the "
+            "rounds, what a usual round takes. Intervals: 95 %, block bootstrap over steps. "
             f"{plural(len(shown), 'arm')} shown here; the section on rankings compares them in "
             f"pairs. {_refused_percentile(arms)}"
         ),
@@ -83,6 +89,9 @@ def _timing_table(
             "p99 [µs]",
             "p99 95 %",
             "max [µs]",
+            "p50 of medians [µs]",
+            "p99 of medians [µs]",
+            "p99 of medians 95 %",
             "steps",
         ),
         rows=tuple(_timing_row(arm, demand) for arm in shown),
@@ -99,6 +108,7 @@ def jitter_table(view: View, sequence: str) -> Table | None:
         title=f"Raw samples and phases in the replay of `{sequence}`",
         note=(
             f"{_population(view, arms)} Raw: all samples pooled, the machine's jitter included. "
+            "Intervals: 95 %, block bootstrap over steps, all samples of a step together. "
             "Phases: median over all samples; on route qpsolvers the solve holds the wrapper "
             "and cannot be split further. Set-up: part of every step under policy fresh on "
             "route native, else done once before the first step. A percentile without ten "
@@ -111,7 +121,9 @@ def jitter_table(view: View, sequence: str) -> Table | None:
             "route",
             "raw p50 [µs]",
             "raw p99 [µs]",
+            "raw p99 95 %",
             "raw p99.9 [µs]",
+            "raw p99.9 95 %",
             "raw max [µs]",
             "set-up [µs]",
             "update [µs]",
@@ -153,6 +165,7 @@ def _timing_row(arm: Arm, demand: Demand) -> tuple[Cell, ...]:
     algo = times.algo_ns
     middle = percentile_interval(algo, 50)
     far = percentile_interval(algo, 99)
+    usual = percentile_interval(times.typical_ns, 99)
     right = is_right(row, demand)
     early = as_float(row["steps_planned"]) > len(algo)
     return row_of(
@@ -167,6 +180,9 @@ def _timing_row(arm: Arm, demand: Demand) -> tuple[Cell, ...]:
         Cell(micro_text(far.value), "bad" if far.value > demand.p99_ns else ""),
         interval_text(far.low, far.high, 1e3),
         micro_text(float(algo.max())),
+        micro_text(percentile(times.typical_ns, 50)),
+        micro_text(usual.value),
+        interval_text(usual.low, usual.high, 1e3),
         Cell(count_text(len(algo)), "bad" if early else ""),
     )
 
@@ -174,6 +190,11 @@ def _timing_row(arm: Arm, demand: Demand) -> tuple[Cell, ...]:
 def _jitter_row(arm: Arm) -> tuple[Cell, ...]:
     row, times = arm
     raw = times.raw_ns
+    tails = [
+        text
+        for found in pooled_percentile_intervals(raw, times.raw_k, (99.0, 99.9))
+        for text in (micro_text(found.value), interval_text(found.low, found.high, 1e3))
+    ]
     phases = dict(times.phase_ns)
     if math.isnan(phases["setup"]):
         once = as_float(row["setup_once_ns"])
@@ -186,8 +207,7 @@ def _jitter_row(arm: Arm) -> tuple[Cell, ...]:
         str(row["policy"]),
         str(row["route"]),
         micro_text(percentile(raw, 50)),
-        micro_text(percentile(raw, 99)),
-        micro_text(percentile(raw, 99.9)),
+        *tails,
         micro_text(float(raw.max())),
         setup,
         *(micro_text(phases[phase]) for phase in ("update", "solve", "read")),

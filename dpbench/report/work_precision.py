@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dpbench.report.statistics import percentile
+from dpbench.report.statistics import percentile, supports
 from dpbench.report.verdict import settings_level
 from dpbench.report.view import Row, View, values
 
@@ -19,8 +19,8 @@ class Rung:
 
     Parameters
     ----------
-    p50_ns, p99_ns : algorithmic step time, each the worst over the sequences; p99 over those that
-        support one, NaN where none does.
+    p50_ns, p99_ns : algorithmic step time, each the worst over the sequences that support a p99,
+        so that both are of the same steps; where none does, p50 over all and p99 NaN.
     error_move : the largest error of the first move, NaN where no optimum is certified.
     failed : failed steps.
     """
@@ -73,11 +73,11 @@ def _rung(view: View, key: tuple[str, str, str, str], rows: Sequence[Row]) -> Ru
     timed = [found.algo_ns for found in times if found is not None]
     if len(timed) < len(rows):
         return None
-    p99 = [percentile(algo, 99) for algo in timed]
+    whole = [algo for algo in timed if supports(len(algo), 99)]
     return Rung(
         *key,
-        p50_ns=max(float(np.median(algo)) for algo in timed),
-        p99_ns=max((value for value in p99 if math.isfinite(value)), default=math.nan),
+        p50_ns=max(float(np.median(algo)) for algo in whole or timed),
+        p99_ns=max((percentile(algo, 99) for algo in whole), default=math.nan),
         error_move=float(np.fmax.reduce(values(rows, "error_move_max"))),
         failed=int(np.nansum(values(rows, "failed_steps"))),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from dpbench import InputError, compare
 from dpbench.bench.schema import SCHEMA_VERSION, as_runs, as_steps
 from dpbench.bench.store import Results, write_results
 from dpbench.cli import main
+from dpbench.report.compare_tables import _together
 
 STEPS, ROUNDS = 100, 8
 ARMS = ("daqp", "quadprog", "piqp", "proxqp", "osqp", "qpalm", "scs", "clarabel")
@@ -126,6 +128,29 @@ def test_planted_ratios_are_found_and_the_others_are_equivalent(make: Make) -> N
     assert row["low"] < 1.3 < row["high"]
     assert found.worse
     assert any("the reference kernel 1.100" in line for line in found.lines)
+
+
+def test_the_verdict_of_a_solver_is_that_of_its_arms(make: Make) -> None:
+    """Who is slower, who is faster, who steers worse: one line each, before any other table."""
+    usual = {"r_rms_m": 0.3}
+    a = make("a", seed=1, loop=usual)
+    slow = {"piqp": 1.3, "scs": 1 / 1.3}
+    b = make("b", seed=2, slow=slow, loop={"r_rms_m": 0.4}, errors={"osqp": 0.5})
+    found = compare(a, b)
+    first = found.tables[0]
+    said = {row[0].text: (row[1].text, row[2].text) for row in first.rows}
+    assert said["piqp"][0] == "slower" and said["scs"][0] == "faster"
+    assert said["osqp"] == ("equivalent", "worse")
+    steered = set(found.answers[found.answers["figure"] == "r_rms_m"]["solver"])
+    assert {solver for solver, words in said.items() if words[1] == "worse"} == steered | {"osqp"}
+
+
+def test_one_arm_slower_and_one_faster_are_both_said() -> None:
+    """A solver that gains in one way and loses in another is called neither."""
+    order = ("slower", "faster", "no difference shown", "equivalent")
+    assert _together(Counter(slower=1, faster=2, equivalent=3), order) == "slower and faster"
+    assert _together(Counter({"no difference shown": 1, "equivalent": 9}), order) == order[2]
+    assert _together(Counter(), order) == "–"
 
 
 def test_what_all_arms_share_is_a_regression_only_beyond_the_kernel(make: Make) -> None:
@@ -284,7 +309,7 @@ def test_exit_codes_and_markdown(
     assert main(["compare", str(b), str(a)]) == 0
     assert main(["compare", str(a), str(b), "--markdown", str(page)]) == 1
     text = page.read_text(encoding="utf-8")
-    (row,) = [line for line in text.splitlines() if line.startswith("| daqp")]
+    (row,) = [line for line in text.splitlines() if line.startswith("| daqp (")]
     assert row.endswith("| slower |")
     capsys.readouterr()
     assert main(["compare", str(a), str(b), "--markdown", "-"]) == 1

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from dpbench.bench.schema import as_steps
 from dpbench.report.demand import Demand
 from dpbench.report.figures_deadline import slowdown_figure
+from dpbench.report.render import render_markdown
 from dpbench.report.section_deadline import deadline_lines, deadline_section
 from dpbench.report.slowed import SlowedGroup, cost_ratio, slowed_groups
 from dpbench.report.style import styled
@@ -79,7 +80,7 @@ def test_a_violated_limit_or_an_early_end_is_no_survival(records: Any) -> None:
 def test_the_table_shows_cost_by_slow_down_best_first(records: Any) -> None:
     """One row an arm, one column a slow-down; a loop that ended early says how."""
     fill(records)
-    table = survival_table(group_of(records))
+    table = survival_table(group_of(records), "a CPU")
     assert column(table, "solver") == ["daqp", "hildreth", "scs"]
     assert column(table, "survives") == ["1\u202f000 ×", "1 ×", "none"]
     assert column(table, "cost at 100 ×") == ["1.00", "1.11", "2.00"]
@@ -96,6 +97,23 @@ def test_the_second_table_has_every_loop(records: Any) -> None:
     assert len(table.rows) == 12
     assert set(column(table, "misses")) == {"7"} and set(column(table, "longest streak")) == {"3"}
     assert column(table, "latency p50")[:4] == ["20.0 µs", "2.00 ms", "20.0 ms", "200 ms"]
+
+
+def test_no_recovery_is_told_from_none_needed(records: Any) -> None:
+    """A loop that missed and never came back says so; one that missed nothing has a dash."""
+    slow(records, "daqp", 1, 100.0, deadline_misses=0, miss_recover_steps_max=None)
+    slow(records, "osqp", 1, 100.0, deadline_misses=3, miss_recover_steps_max=None)
+    table = misses_table(group_of(records))
+    shown = dict(zip(column(table, "solver"), column(table, "recovery [steps]"), strict=True))
+    assert shown == {"daqp": "–", "osqp": "never"}
+
+
+def test_a_suite_of_slow_loops_names_its_scenarios_and_no_rounds(records: Any) -> None:
+    """What was run: the scenario is that of the slow loops, and nothing was replayed."""
+    slow(records, "daqp", 1, 100.0)
+    page = render_markdown(build_page(records.results()))
+    said = next(line for line in page.splitlines() if line.startswith("1 cell with"))
+    assert "in `paper`;" in said and "replay" not in said
 
 
 def test_loops_on_slow_computers_are_in_no_other_section(records: Any) -> None:

@@ -107,6 +107,32 @@ def test_a_quiet_machine_and_a_disturbed_one(records: Any) -> None:
     assert "25 involuntary context switches a second" in line and "5.0 % of the time" in line
 
 
+def _switching(records: Any, solver: str, a_second: float, step_s: float, own: float) -> None:
+    """Three rounds of 100 steps: switches by the machine, and so many of the arm's own a step."""
+    seconds = 300 * step_s
+    columns = {"replay_s": seconds, "involuntary_switches": round(a_second * seconds + own * 300)}
+    records.replay(solver, steps=100, rounds=3, **(QUIET | columns))
+
+
+def test_switches_an_arm_makes_itself_are_not_the_machines(records: Any) -> None:
+    """A thread in each solve puts an arm off its core every step; its neighbours are let alone."""
+    for solver, step_s in (("daqp", 1e-3), ("osqp", 5e-3), ("qtqp", 2e-2)):
+        _switching(records, solver, 2.0, step_s, 0.0)
+    _switching(records, "threads", 2.0, 2e-3, 1.0)
+    view = records.view()
+    assert harness_lines(view) == ["machine: quiet"]
+    page = render_markdown(build_page(records.results()))
+    assert "not counted above | threads (qpsolvers fresh): 1.0 a step |" in page
+
+
+def test_a_busy_machine_hits_every_arm_and_is_told(records: Any) -> None:
+    """At 100 switches a second a step of 20 ms has two, and they are still the machine's."""
+    for solver, step_s in (("daqp", 1e-3), ("osqp", 5e-3), ("qtqp", 2e-2)):
+        _switching(records, solver, 100.0, step_s, 0.0)
+    (line,) = harness_lines(records.view())
+    assert "100 involuntary context switches a second" in line
+
+
 def test_spoilt_rounds_are_part_of_all_rounds(records: Any) -> None:
     """Three rounds count and one is spoilt: one of four."""
     records.replay("daqp", **(QUIET | {"spoilt_rounds": 1}))

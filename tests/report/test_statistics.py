@@ -10,6 +10,7 @@ from dpbench.report.statistics import (
     paired_ratio,
     percentile,
     percentile_interval,
+    pooled_percentile_intervals,
     resampled_means,
     supports,
 )
@@ -53,6 +54,34 @@ def test_blocks_widen_the_interval_of_correlated_steps() -> None:
     blocks = percentile_interval(values, 50, block=20)
     single = percentile_interval(values, 50, block=1)
     assert blocks.high - blocks.low > 2 * (single.high - single.low)
+
+
+def test_interval_of_a_pooled_percentile_covers_the_true_one() -> None:
+    """Steps with a level of their own and five samples each: the true p90 is that of their sum.
+
+    Of 100 intervals of 95 %, the covering ones have a standard deviation of 2.2 %, and 20 blocks
+    cover a little less. Samples of one step resemble each other; an interval that took them for
+    independent would be √5 times narrower and cover 62 %.
+    """
+    rng = np.random.default_rng(3)
+    steps = np.tile(np.arange(400), 5)
+    truth = 1.2815515655446004 * np.sqrt(1.01)  # p90 of N(0, 1) + N(0, 0.1²)
+    covered = 0
+    for _ in range(100):
+        values = np.tile(rng.standard_normal(400), 5) + 0.1 * rng.standard_normal(2000)
+        (found,) = pooled_percentile_intervals(values, steps, [90])
+        assert found.value == np.percentile(values, 90)
+        covered += found.spans(truth)
+    assert covered >= 84
+
+
+def test_pooled_samples_of_one_each_are_those_of_the_steps() -> None:
+    """With one sample a step the pooled interval is that over steps, but for interpolation."""
+    values = np.random.default_rng(4).exponential(size=2000)
+    pooled, refused = pooled_percentile_intervals(values, np.arange(2000), (99, 99.9))
+    over_steps = percentile_interval(values, 99)
+    assert (pooled.low, pooled.high) == pytest.approx((over_steps.low, over_steps.high), rel=0.03)
+    assert refused is UNKNOWN
 
 
 def test_a_constant_ratio_is_found_exactly() -> None:

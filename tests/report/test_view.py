@@ -28,6 +28,20 @@ def test_algorithmic_time_is_the_minimum_over_rounds(records: Any) -> None:
     assert (len(times.raw_ns), times.rounds) == (300, 3)
 
 
+def test_the_median_over_rounds_is_found_step_by_step(records: Any) -> None:
+    """An even count of rounds has the mean of the middle two; a step cut short has its own few."""
+    records.replay("daqp", steps=50, rounds=4)
+    found = records.results()
+    cut = found.steps[~((found.steps["repeat"] == 4) & (found.steps["k"] >= 30))]
+    view = View(Results(found.runs, cut, found.machine, found.suite))
+    times = view.times(view.runs[0])
+    assert times is not None
+    medians = cut[~cut["warmup"]].astype({"total_ns": float}).groupby("k")["total_ns"].median()
+    np.testing.assert_array_equal(times.typical_ns, medians.to_numpy())
+    assert not np.array_equal(times.typical_ns, times.algo_ns)
+    np.testing.assert_array_equal(np.bincount(times.raw_k), [4] * 30 + [3] * 20)
+
+
 def test_spoilt_rounds_do_not_count(records: Any) -> None:
     """A round in which the machine was slowed is left out, unless no other is left."""
     records.replay("daqp", steps=100, rounds=3)

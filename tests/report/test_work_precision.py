@@ -1,5 +1,6 @@
 """Settings ladders against hand-made replays, and the suite that carries them."""
 
+import math
 from typing import Any
 
 import pytest
@@ -14,11 +15,21 @@ BOTH = ("paper", "rough[900:1400]")
 
 
 def test_a_rung_is_the_worst_of_its_sequences(records: Any) -> None:
-    """Worst p50 and p99, largest error; the short sequence supports no p99 and gives none."""
+    """Worst p50 and p99, largest error, of two sequences long enough for a p99."""
+    records.replay("osqp", BOTH[0], median_us=10.0, spread=0.0, error=1e-5)
+    records.replay("osqp", BOTH[1], median_us=30.0, spread=0.0, error=1e-3)
+    (rung,) = usual_ladders(records.view(), BOTH)["osqp"]
+    assert (rung.p50_ns, rung.p99_ns, rung.error_move) == (30e3, 30e3, 1e-3)
+
+
+def test_both_times_of_a_rung_are_of_the_same_steps(records: Any) -> None:
+    """A sequence too short for a p99 gives no p50 either, or that would exceed the p99."""
     records.replay("osqp", BOTH[0], median_us=10.0, spread=0.0, error=1e-5)
     records.replay("osqp", BOTH[1], steps=500, median_us=30.0, spread=0.0, error=1e-3)
     (rung,) = usual_ladders(records.view(), BOTH)["osqp"]
-    assert (rung.p50_ns, rung.p99_ns, rung.error_move) == (30e3, 10e3, 1e-3)
+    assert (rung.p50_ns, rung.p99_ns, rung.error_move) == (10e3, 10e3, 1e-3)
+    (short,) = usual_ladders(records.view(), BOTH[1:])["osqp"]
+    assert short.p50_ns == 30e3 and math.isnan(short.p99_ns)
 
 
 def test_a_ladder_has_its_levels_in_order_and_leaves_out_other_ways(records: Any) -> None:
