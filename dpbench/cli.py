@@ -114,7 +114,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
         return 2
     except KeyboardInterrupt:
-        print("dpbench: interrupted; finished cells are kept, run again to go on", file=sys.stderr)
+        kept = "; finished cells are kept, run again to go on" if arguments.call is _run else ""
+        print(f"dpbench: interrupted{kept}", file=sys.stderr)
         return 130
 
 

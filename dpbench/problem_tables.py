@@ -16,7 +16,6 @@ from dpbench.file_types import (
     Degrees,
     Horizon,
     NotNegative,
-    Number,
     Percent,
     Positive,
     Seconds,
@@ -27,10 +26,8 @@ from dpbench.file_types import (
     ThreeShares,
     Two,
 )
-from dpbench.mpc.reference import ReferenceFilter
+from dpbench.pose_tables import ReferenceTable, StartTable
 from dpbench.problem_files import FileModel
-from dpbench.qp.program import Vector
-from dpbench.ship.froude import Froude
 from dpbench.ship.vessel import Vessel, bis_descaled, bis_descaled_damping
 from dpbench.ship.waves import WaveReflection
 from dpbench.ship.wind import Windage
@@ -113,38 +110,6 @@ class VesselFile(FileModel):
             keys = {"M": f"inertia{bis}", "D": f"damping{bis}", "tau_min, tau_max": "limits"}
             key = keys.get(error.key, error.key)
             raise InputError(where, key, error.found, error.allowed) from error
-
-
-class PoseTable(FileModel):
-    """A position and heading."""
-
-    north_m: Number = 0.0
-    east_m: Number = 0.0
-    heading_deg: Degrees = 0.0
-
-    def pose(self) -> Vector:
-        """[n, e, ψ] in m, m, rad."""
-        return np.array([self.north_m, self.east_m, np.radians(self.heading_deg)])
-
-
-class FilterTable(FileModel):
-    """A third-order reference filter, which starts at rest at the ship's start."""
-
-    period_s: Positive
-    damping: Positive = 1.0
-
-
-class ReferenceTable(PoseTable):
-    """The set-point, whether it is filtered, and whether the controller sees it coming."""
-
-    filter: FilterTable | None = None
-    preview: bool = False
-
-    def smoothed(self, scale: Froude, where: str) -> ReferenceFilter | None:
-        """The filter in SI; None for none."""
-        if self.filter is None:
-            return None
-        return ReferenceFilter(self.filter.period_s * scale.time, self.filter.damping, where)
 
 
 class EstimatorTable(FileModel):
@@ -230,7 +195,7 @@ class ScenarioFile(FileModel):
     duration_s: Seconds
     controller: ControllerTable
     environment: EnvironmentTable
-    start: PoseTable = PoseTable()
+    start: StartTable = StartTable()
     reference: ReferenceTable = ReferenceTable()
     estimator: EstimatorTable = EstimatorTable()
     plant: PlantTable = PlantTable()

@@ -42,6 +42,7 @@ class Scenario:
     environment : the weather; estimation : how the controller gets to know its state.
     steps, sample_s : how many samples of what length [s].
     start, reference : (3,) poses [n, e, ψ] in m, m, rad.
+    velocity : (3,) of the start, [u, v, r] over ground along the ship's axes in m/s, m/s, rad/s.
     smoothed, preview : reference filter, and whether the controller sees the reference coming.
     N_p, N_c, Q, R, psi0_rad : horizons, weights (3, 3) in SI, heading of the model.
     relinearised : whether the model is linearised anew at each step.
@@ -62,6 +63,7 @@ class Scenario:
     steps: int
     sample_s: float
     start: Vector
+    velocity: Vector
     reference: Vector
     smoothed: ReferenceFilter | None
     preview: bool
@@ -82,6 +84,11 @@ class Scenario:
     def du_max(self) -> Vector:
         """Δu_max (3,) [N, N, N·m]."""
         return self.vessel.step_max(self.sample_s)
+
+    @property
+    def first_state(self) -> Vector:
+        """(6,) [u, v, r, n, e, ψ] at the first sample."""
+        return np.concatenate([self.velocity, self.start])
 
     def control_problem(self) -> ControlProblem:
         """What the controller is given: the model at ψ0, horizons, weights, limits."""
@@ -108,7 +115,7 @@ class Scenario:
     def estimator(self) -> Estimator:
         """A new estimator, which starts in the state the run starts in."""
         estimator = self.estimation.make(self.vessel, self.sample_s)
-        estimator.start(np.concatenate([np.zeros(3), self.start]))
+        estimator.start(self.first_state)
         return estimator
 
     def first(self, steps: int) -> Scenario:
@@ -183,6 +190,7 @@ def scenario_of(
         steps=steps,
         sample_s=sample_s,
         start=spec.start.pose() * scale.pose,
+        velocity=spec.start.velocity() * scale.velocity,
         reference=spec.reference.pose() * scale.pose,
         smoothed=spec.reference.smoothed(scale, f"{where}: reference.filter"),
         preview=spec.reference.preview,

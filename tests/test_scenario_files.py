@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 
 from dpbench.errors import InputError, UnknownNameError
 from dpbench.problem_files import problem_names, problems_root
-from dpbench.scenario import load_scenario, load_vessel
+from dpbench.scenario import load_scenario, load_vessel, scenario_of
 
 
 @pytest.fixture
@@ -51,7 +52,44 @@ def test_degrees_and_kilonewtons_in_files_are_radians_and_newtons_in_the_run(
     assert A[3, 0] == pytest.approx(-A[4, 0], rel=1e-12)
 
 
+def test_a_start_under_way_is_in_SI_and_scales_with_the_ship(
+    write: Callable[..., Path],
+) -> None:
+    """Speeds become SI; at 1 : 70 the Froude number u/√(gL) and the turn in a length r·L/u stay."""
+    speeds = "surge_mps = 0.6\nsway_mps = -0.2\nyaw_degps = 0.5\n\n[environment]"
+    path = write("scenarios", "paper", "[environment]", speeds)
+    ship, model = load_scenario(path), load_scenario(f"{path}@cybership2")
+    np.testing.assert_allclose(ship.velocity, [0.6, -0.2, np.pi / 360], rtol=1e-15)
+    np.testing.assert_array_equal(ship.first_state, np.append(ship.velocity, ship.start))
+    np.testing.assert_allclose(model.velocity[:2], ship.velocity[:2] / 70**0.5, rtol=1e-12)
+    turn = ship.velocity[2] / ship.velocity[0]
+    assert model.velocity[2] / 70 / model.velocity[0] == pytest.approx(turn, rel=1e-12)
+    again = scenario_of(json.loads(json.dumps(ship.files)))
+    np.testing.assert_array_equal(again.velocity, ship.velocity)
+
+
+def test_rest_is_not_written() -> None:
+    """Documents of a ship at rest are those of before a start had a speed, and give rest again."""
+    files = load_scenario("paper").files
+    assert files["scenario"]["start"] == {"north_m": 1.2, "east_m": 1.3, "heading_deg": 0.0}
+    np.testing.assert_array_equal(scenario_of(files).velocity, 0.0)
+
+
 BAD_SCENARIOS = {
+    "speed of sound": (
+        "[controller]",
+        "[start]\nsurge_mps = 340.0\n[controller]",
+        "start.surge_mps",
+        "340.0",
+        "less than or equal to 100",
+    ),
+    "misspelled speed": (
+        "[controller]",
+        "[start]\nyaw_dps = 0.5\n[controller]",
+        "start.yaw_dps",
+        "unknown key",
+        "yaw_degps?",
+    ),
     "misspelled key": (
         "ramp_s = 60.0",
         "ramps_s = 60.0",

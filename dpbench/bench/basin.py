@@ -54,7 +54,7 @@ def verdict(scenario: Scenario, offset_m: float) -> Verdict:
     scale = froude_of(scenario)
     start = np.array([0.0, offset_m, 0.0])
     try:
-        state = solve_exactly(replace(scenario, start=start)).state
+        state = solve_exactly(replace(scenario, start=start, velocity=np.zeros(3))).state
     except CertificateError:
         return "undecided"
     tail = round(TAIL_S * scale.time / scenario.sample_s)

@@ -22,6 +22,7 @@ from dpbench.bench.designing import DesignStore, run_designs, work_of_designs
 from dpbench.bench.machine import describe_machine
 from dpbench.bench.plan import plan
 from dpbench.bench.planned import Planned
+from dpbench.bench.recording import read_sequence
 from dpbench.bench.running import (
     HARNESS_VERSION,
     Bench,
@@ -37,6 +38,7 @@ from dpbench.bench.suite import SuiteFile, load_suite, sequence_suite
 from dpbench.bench.supervise import Outcome, template_context
 from dpbench.bench.tabulate import tabulate
 from dpbench.errors import InputError
+from dpbench.problem_files import sequence_path
 from dpbench.solvers.table import available, load_solver_module
 
 
@@ -179,7 +181,8 @@ def _asked(suite: str | Path | None, sequence: str | Path | None) -> tuple[str, 
         path, document = load_suite(suite)
         return path.stem, path.parent, document
     if sequence is not None and suite is None:
-        return f"sequence-{Path(sequence).resolve().stem}", Path(), sequence_suite(sequence)
+        meta = read_sequence(sequence_path(sequence)).sequence.meta
+        return f"sequence-{Path(sequence).resolve().stem}", Path(), sequence_suite(sequence, meta)
     found = "neither" if suite is None else f"suite {suite} and --sequence {sequence}"
     raise InputError("run", "", found, "a suite, or --sequence PATH")
 

@@ -12,15 +12,17 @@ import os
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from dpbench.bench.arms import Arm, module_of, refusal_of
 from dpbench.bench.cell import Cell
 from dpbench.bench.emitter import Emitter
-from dpbench.bench.hunt_goal import GOALS, Goal, Worst
+from dpbench.bench.hunt_goal import Goal, Worst
+from dpbench.bench.hunt_input import check_input, make_room, output_path
 from dpbench.bench.hunt_process import HuntedSolver
 from dpbench.bench.hunt_search import Case, Search
 from dpbench.bench.hunt_space import HuntSpace
+from dpbench.bench.interrupts import one_interrupt
 from dpbench.bench.running import Progress, Silent
 from dpbench.bench.sequence_file import save_sequence
 from dpbench.bench.supervise import template_context
@@ -130,44 +132,15 @@ def hunt(
     """
     if solver_module is not None:
         load_solver_module(solver_module)
-    _check(goal, budget, steps, seed)
-    path = _path(out, solver, goal)
+    check_input(goal, budget, steps, seed)
+    path = output_path(out, solver, goal)
     base = load_scenario(scenario)
     cell = _cell(solver, route, policy, settings, base)
-    shared = Path("/dev/shm")
-    with tempfile.TemporaryDirectory(
-        # A worker that was interrupted as well may write its last file while the folder goes.
-        ignore_cleanup_errors=True,
-        prefix="dpbench-",
-        dir=shared if os.access(shared, os.W_OK) else None,
-    ) as folder:
-        hunted = HuntedSolver(template_context(), Path(folder), cell)
-        try:
-            space = HuntSpace(base, steps, f"{base.name}-hunt-{solver}-{goal}")
-            search = Search(hunted, space, goal, budget, progress or Silent())
-            search.run(base, seed)
-        finally:
-            hunted.close()
-    return _saved(Hunt(goal, cell, search, path, {}), seed)
-
-
-def _check(goal: str, budget: int, steps: int, seed: int) -> None:
-    if goal not in GOALS:
-        raise InputError("--goal", "", repr(goal), " | ".join(GOALS))
-    for option, found, least in (
-        ("--budget", budget, 1),
-        ("--steps", steps, 1),
-        ("--seed", seed, 0),
-    ):
-        if found < least:
-            raise InputError(option, "", found, f"a whole number, {least} or more")
-
-
-def _path(out: str | Path | None, solver: str, goal: Goal) -> Path:
-    path = Path("hunts") / f"{solver}-{goal}.npz" if out is None else Path(out)
-    if path.suffix != ".npz":
-        raise InputError("--out", "", repr(path.name), "a file name that ends in .npz")
-    return path
+    make_room(path)
+    space = HuntSpace(base, steps, f"{base.name}-hunt-{solver}-{goal}")
+    with one_interrupt():
+        search = _searched(cell, space, goal, budget, base, seed, progress or Silent())
+        return _saved(Hunt(goal, cell, search, path, {}), seed)
 
 
 def _cell(solver: str, route: Route | None, policy: Policy, settings: str, base: Scenario) -> Cell:
@@ -179,6 +152,8 @@ def _cell(solver: str, route: Route | None, policy: Policy, settings: str, base:
         raise InputError(
             "--route", "", repr(chosen), f"a route of {solver}: {', '.join(row.policies)}"
         )
+    if policy not in get_args(Policy):
+        raise InputError("--policy", "", repr(policy), " | ".join(get_args(Policy)))
     names = setting_names(solver)
     if settings not in names:
         raise InputError("--settings", "", repr(settings), f"of {solver}: {', '.join(names)}")
@@ -196,6 +171,32 @@ def _cell(solver: str, route: Route | None, policy: Policy, settings: str, base:
         warmup_steps=WARMUP_STEPS,
         solver_module=module_of(solver),
     )
+
+
+def _searched(
+    cell: Cell,
+    space: HuntSpace,
+    goal: Goal,
+    budget: int,
+    base: Scenario,
+    seed: int,
+    progress: Progress,
+) -> Search:
+    """The search, done or interrupted; its solver's process has ended."""
+    shared = Path("/dev/shm")
+    with tempfile.TemporaryDirectory(
+        # A worker that was interrupted as well may write its last file while the folder goes.
+        ignore_cleanup_errors=True,
+        prefix="dpbench-",
+        dir=shared if os.access(shared, os.W_OK) else None,
+    ) as folder:
+        hunted = HuntedSolver(template_context(), Path(folder), cell)
+        try:
+            search = Search(hunted, space, goal, budget, progress)
+            search.run(base, seed)
+        finally:
+            hunted.close()
+    return search
 
 
 def _saved(hunt: Hunt, seed: int) -> Hunt:
@@ -236,6 +237,5 @@ def _write(path: Path, case: Case, facts: dict[str, Any]) -> None:
         }
     horizons = {"N_p": scenario.N_p, "N_c": scenario.N_c}
     sequence = replace(case.sequence, meta=case.sequence.meta | horizons | facts | found)
-    path.parent.mkdir(parents=True, exist_ok=True)
     units = Emitter(scenario, "si").builder.scale
     save_sequence(path, sequence, units=units, documents=scenario.files)

@@ -49,6 +49,8 @@ class Worst:
         if goal == "iterations":
             return f"{self.iterations} iterations ({self.status.name.lower()})"
         claim = "claimed" if self.status is Status.SOLVED else self.status.name.lower()
+        if self.severity < self.error_plan:
+            claim = f"{claim}, which counts as {self.severity:g}"
         near = f", known to {self.bound:.0e}" if self.bound > 0.01 * self.error_plan else ""
         return f"error_plan {self.error_plan:.2e} ({claim}{near})"
 

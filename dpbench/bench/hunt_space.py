@@ -1,18 +1,19 @@
-"""What a hunt may change of a scenario: where the ship starts, and what pushes it.
+"""What a hunt may change of a scenario: how the ship starts, and what pushes it.
 
 A point x in [−1, 1]^d makes a scenario with documents of its own, so that what is found is as
 legitimate as any file under `problems/scenarios/` and can be made again from its documents:
 
     x[0:3]  start, relative to the reference: sign(x)·x²·reach [m, m, rad], so that small offsets
             are looked at as closely as large ones
-    x[3:6]  steady force: x · what the thrusters can hold
-    x[6:9]  force that comes on top of it within one sample and stays: 2 · x · what they can hold,
+    x[3:6]  speed at the start over ground, along the ship's axes: sign(x)·x²·reach [m/s, rad/s]
+    x[6:9]  steady force: x · what the thrusters can hold
+    x[9:12] force that comes on top of it within one sample and stays: 2 · x · what they can hold,
             which is enough to turn the sum about
-    x[9]    when that happens, from the first sample to the last
-    x[10]   when the first fault happens; only where the scenario has faults
+    x[12]   when that happens, from the first sample to the last
+    x[13]   when the first fault happens; only where the scenario has faults
 
-Speed and force of the ship are what comes of it: a run starts at rest with no force (method.md
-section 3), and is long enough for the thrusters to reach their limits.
+The force applied before is what comes of it: a run starts with none (method.md section 3), and is
+long enough for the thrusters to reach their limits.
 """
 
 from __future__ import annotations
@@ -29,6 +30,9 @@ from dpbench.ship.froude import Froude
 REACH = np.array([20.0, 20.0, np.radians(20.0)])
 """Offsets that are looked at in any case [m, m, rad], at full size: those of a large move, within
 the 30° in which a linearised model is fine."""
+SPEED_REACH = np.array([1.0, 1.0, np.radians(1.0)])
+"""Speeds that are looked at in any case [m/s, m/s, rad/s], at full size: those of a ship that comes
+to its station."""
 _PER_KN = 1e-3
 
 
@@ -38,7 +42,7 @@ class HuntSpace:
     Parameters
     ----------
     scenario : whose ship, controller, estimator and weather all variants share; a start further
-        from the reference than `REACH` widens the reach.
+        from the reference than `REACH`, or faster than `SPEED_REACH`, widens the reach.
     steps : length of each variant in samples, whatever the scenario's own.
     name : of the variants.
     """
@@ -49,6 +53,7 @@ class HuntSpace:
         # The documents speak of a full-size ship, the scenario of the one it is run with.
         self._reference = scenario.reference / scale.pose
         self._reach = np.maximum(REACH, np.abs(scenario.start - scenario.reference) / scale.pose)
+        self._fastest = np.maximum(SPEED_REACH, np.abs(scenario.velocity) / scale.velocity)
         vessel = scenario.vessel
         self._force_kN = _PER_KN * np.minimum(-vessel.tau_min, vessel.tau_max) / scale.force
         self._first_fault_s = min((fault["at_s"] for fault in self._table["faults"]), default=None)
@@ -61,7 +66,7 @@ class HuntSpace:
     @property
     def dimensions(self) -> int:
         """d, the length of a point."""
-        return 10 if self._first_fault_s is None else 11
+        return 13 if self._first_fault_s is None else 14
 
     def scenario(self, point: Vector) -> Scenario:
         """The variant at a point (d,) of [−1, 1]^d."""
@@ -70,29 +75,33 @@ class HuntSpace:
         table = files["scenario"]
         sample_s = float(table["sample_s"])
         duration_s = self._steps * sample_s
-        offset = np.sign(point[:3]) * point[:3] ** 2 * self._reach
-        north_m, east_m, heading = self._reference + offset
+        closely = np.sign(point[:6]) * point[:6] ** 2
+        north_m, east_m, heading = self._reference + closely[:3] * self._reach
+        surge_mps, sway_mps, yaw_rate = closely[3:] * self._fastest
         table["duration_s"] = duration_s
         table["start"] = {
             "north_m": float(north_m),
             "east_m": float(east_m),
             "heading_deg": float(np.degrees(heading)),
+            "surge_mps": float(surge_mps),
+            "sway_mps": float(sway_mps),
+            "yaw_degps": float(np.degrees(yaw_rate)),
         }
         weather = table["environment"]
         # A weather that builds up over a minute would not be there yet.
         weather["ramp_s"] = 0.0
-        weather["mean_kN"] = (point[3:6] * self._force_kN).tolist()
+        weather["mean_kN"] = (point[6:9] * self._force_kN).tolist()
         weather["squalls"].append(
             {
-                "start_s": _moment(point[9], duration_s, sample_s),
+                "start_s": _moment(point[12], duration_s, sample_s),
                 "rise_s": sample_s,
                 "hold_until_s": 2.0 * duration_s,
                 "decay_s": sample_s,
-                "force_kN": (2.0 * point[6:9] * self._force_kN).tolist(),
+                "force_kN": (2.0 * point[9:12] * self._force_kN).tolist(),
             }
         )
         if self._first_fault_s is not None:
-            later = _moment(point[10], duration_s, sample_s) - self._first_fault_s
+            later = _moment(point[13], duration_s, sample_s) - self._first_fault_s
             for fault in table["faults"]:
                 fault["at_s"] = max(0.0, fault["at_s"] + later)
         return scenario_of(files, where=f"variant of {self._name}")

@@ -120,10 +120,10 @@ def _steering(
 
 
 def _plant(scenario: Scenario) -> Plant:
-    """The true ship at rest in its start, in this weather, behind these actuators."""
+    """The true ship in its start, in this weather, behind these actuators."""
     return Plant(
         scenario.true_ship,
-        np.concatenate([np.zeros(3), scenario.start]),
+        scenario.first_state,
         scenario.sample_s,
         loads=scenario.environment.load_coefficients(scenario.vessel),
         actuators=scenario.actuators,

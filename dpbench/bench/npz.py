@@ -25,13 +25,17 @@ _DAMAGE = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, RuntimeError, M
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write the arrays to `path` in their order, compressed, whole or not at all."""
     part = path.with_name(path.name + ".part")
-    with zipfile.ZipFile(part, "w") as archive:
-        for name, array in arrays.items():
-            member = io.BytesIO()
-            np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
-            info = zipfile.ZipInfo(f"{name}.npy", FIXED_DATE)
-            archive.writestr(info, member.getvalue(), zipfile.ZIP_DEFLATED, LEVEL)
-    part.replace(path)
+    try:
+        with zipfile.ZipFile(part, "w") as archive:
+            for name, array in arrays.items():
+                member = io.BytesIO()
+                np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
+                info = zipfile.ZipInfo(f"{name}.npy", FIXED_DATE)
+                archive.writestr(info, member.getvalue(), zipfile.ZIP_DEFLATED, LEVEL)
+        part.replace(path)
+    finally:
+        # Still there where the disk is full, or a folder stands in the file's place.
+        part.unlink(missing_ok=True)
 
 
 def read_npz(path: Path, what: str) -> tuple[Arrays, dict[str, bytes]]:

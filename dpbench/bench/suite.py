@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, get_args
 
 from pydantic import AfterValidator, Field
 
@@ -11,6 +12,7 @@ from dpbench.bench.cell import SLOWEST
 from dpbench.bench.horizons import Horizons, different_horizons, parse_horizons
 from dpbench.problem_files import FileModel, problem_path, read_model
 from dpbench.qp.random_recipe import RandomRecipe
+from dpbench.solvers.settings import LADDER
 
 Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
@@ -180,8 +182,25 @@ def load_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
     return path, read_model(path, SuiteFile)
 
 
-def sequence_suite(path: str | Path) -> SuiteFile:
-    """The suite that replays one recorded sequence through every solver, default and high."""
-    table = RecordedTable(sequence=str(path), settings=["default", "high"])
+_WAY: dict[str, Collection[str]] = {
+    "route": get_args(RouteName),
+    "policy": get_args(PolicyName),
+    "settings": tuple(LADDER),
+}
+_TABLE_KEY = {"route": "routes", "policy": "policies", "settings": "settings"}
+
+
+def sequence_suite(path: str | Path, meta: Mapping[str, object] | None = None) -> SuiteFile:
+    """The suite that replays one recorded sequence through every solver, default and high.
+
+    What a hunt found, as `meta` of the sequence says, is replayed in the way its solver was run as
+    well: another route or policy shows other iterations, or none.
+    """
+    ways: list[dict[str, list[str]]] = [{"settings": ["default", "high"]}]
+    hunted = {key: (meta or {}).get(f"hunt_{key}") for key in _WAY}
+    # A file may say anything, and not every solver has the settings one of them has.
+    if all(name in known for name, known in zip(hunted.values(), _WAY.values(), strict=True)):
+        ways.append({_TABLE_KEY[key]: [str(name)] for key, name in hunted.items()})
+    tables = [RecordedTable.model_validate({"sequence": str(path)} | way) for way in ways]
     title = f"Recorded sequence {Path(path).name}"
-    return SuiteFile(title=title, contrast=False, recorded=[table])
+    return SuiteFile(title=title, contrast=False, recorded=tables)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import multiprocessing.forkserver
+import multiprocessing.resource_tracker
 import os
 import signal
 import time
@@ -15,6 +16,7 @@ from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
 from typing import Any, TypeVar
 
+from dpbench.bench.interrupts import interrupts_wait
 from dpbench.bench.machine import THREAD_VARIABLES, pin_threads
 from dpbench.bench.rawlog import RawLog
 
@@ -47,7 +49,11 @@ def template_context() -> ForkServerContext:
     before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
     pin_threads()
     try:
-        multiprocessing.forkserver.ensure_running()
+        # This lets Ctrl-C through when it starts its own process, and does nothing the second time.
+        multiprocessing.resource_tracker.ensure_running()
+        # Until it has loaded, Ctrl-C would end the template with a traceback of its own.
+        with interrupts_wait():
+            multiprocessing.forkserver.ensure_running()
     finally:
         for name, value in before.items():
             if value is None:

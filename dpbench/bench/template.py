@@ -13,6 +13,7 @@ import numpy as np
 
 from dpbench.bench import worker
 from dpbench.bench.actuation import limit_move
+from dpbench.bench.interrupts import forget_interrupts
 from dpbench.bench.replay import probe_ns
 from dpbench.mpc.condense import ControlProblem
 from dpbench.mpc.condensed_qp import CondensedQP
@@ -41,3 +42,5 @@ _prime()
 # A collection in a fork would walk, and thereby copy, the whole heap: 0.2 s of every process.
 gc.collect()
 gc.freeze()
+# From here on the server of the templates minds Ctrl-C itself, and a cell is interrupted by it.
+forget_interrupts()

@@ -55,7 +55,11 @@ class Link:
 
 def settle(noise: Path) -> None:
     """Send what libraries print to a file, ignore warnings and stop the garbage collector."""
-    sink = os.open(noise, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    try:
+        sink = os.open(noise, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    except FileNotFoundError:
+        # Ctrl-C while this process was on its way took its folder along: nobody waits for it.
+        raise SystemExit from None
     os.dup2(sink, 1)
     os.dup2(sink, 2)
     warnings.simplefilter("ignore")

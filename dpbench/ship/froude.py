@@ -37,6 +37,11 @@ class Froude:
         return np.array([self.ratio**-3, self.ratio**-3, self.ratio**-4])
 
     @property
+    def velocity(self) -> Vector:
+        """(3,) of surge and sway speed and yaw rate."""
+        return np.array([self.time, self.time, 1.0 / self.time])
+
+    @property
     def pose(self) -> Vector:
         """(3,) of north, east, heading."""
         return np.array([self.length, self.length, 1.0])

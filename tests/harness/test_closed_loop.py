@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,7 +24,7 @@ from dpbench.bench.rawlog import RawLog, loop_layout
 from dpbench.mpc.law import gains
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
-from dpbench.scenario import Scenario, condense
+from dpbench.scenario import Scenario, condense, scenario_of
 from dpbench.solvers.contract import Workspace
 
 Answer = Callable[[int, QPStep], Solution]
@@ -82,6 +84,32 @@ def test_first_step_sees_no_motion_and_no_force(scenario: Scenario) -> None:
     np.testing.assert_array_equal(log.theta[0, :6], 0.0)
     np.testing.assert_array_equal(log.theta[0, 6:9], [1.2, 1.3, 0.0])
     np.testing.assert_array_equal(log.theta[0, 12:15], 0.0)
+
+
+def test_a_ship_under_way_is_carried_on(scenario: Scenario) -> None:
+    """Without force or weather she goes on straight, as the exact decay of her speed says."""
+    velocity = np.array([0.8, 0.0, 0.0])
+    still = replace(scenario.environment, amplitude=np.zeros(3))
+    moving = replace(scenario, velocity=velocity, environment=still)
+    log, _, _ = run(moving, constant(0.0))
+    ship = moving.vessel
+    t_s, rate = 0.3 * np.arange(41), ship.D[0, 0] / ship.M[0, 0]
+    np.testing.assert_allclose(log.state[:, 0], 0.8 * np.exp(-rate * t_s), rtol=1e-9)
+    ahead = 1.2 + 0.8 * (1.0 - np.exp(-rate * t_s)) / rate
+    np.testing.assert_allclose(log.state[:, 3], ahead, rtol=1e-9)
+    np.testing.assert_array_equal(log.state[:, [1, 2, 5]], 0.0)
+    np.testing.assert_array_equal(log.theta[0, :6], 0.0)
+
+
+@pytest.mark.parametrize("kind", ["measured", "kalman", "passive"])
+def test_an_estimator_knows_how_the_ship_starts(scenario: Scenario, kind: str) -> None:
+    """The first estimate is the state the run starts in, its speed included."""
+    files = copy.deepcopy(scenario.files)
+    files["scenario"]["start"] |= {"surge_mps": 0.8, "sway_mps": -0.3, "yaw_degps": 0.5}
+    files["scenario"]["estimator"] |= {"kind": kind, "peak_period_s": 8.0}
+    moving = scenario_of(files)
+    truth = np.array([0.8, -0.3, np.radians(0.5), 1.2, 1.3, 0.0])
+    np.testing.assert_allclose(moving.estimator().update(truth, np.zeros(3)), truth, atol=1e-12)
 
 
 def test_increments_are_differences_of_the_measured_state(scenario: Scenario) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from multiprocessing import Pipe
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpbench import InputError, load_scenario, load_sequence, open_workspace, replay
+from dpbench import (
+    InputError,
+    load_results,
+    load_scenario,
+    load_sequence,
+    open_workspace,
+    replay,
+)
 from dpbench.bench import hunt_process, hunt_search
 from dpbench.bench.grade import CERTIFICATES, GRADES, Graded
 from dpbench.bench.hunt import hunt
@@ -18,6 +26,7 @@ from dpbench.bench.hunt_goal import worst_of
 from dpbench.bench.hunt_space import HuntSpace
 from dpbench.bench.recording import record
 from dpbench.bench.sequence_file import load_recorded
+from dpbench.bench.suite import sequence_suite
 from dpbench.cli import main
 from dpbench.qp.solution import Status
 from dpbench.scenario import scenario_of
@@ -55,6 +64,33 @@ def test_what_is_found_replays_to_the_same_figures(
     np.testing.assert_allclose(step["error_plan"], saved, rtol=1e-12)
     column = "iterations" if goal == "iterations" else "error_plan"
     assert counting[column].max() == step[column].max()
+
+
+def test_the_command_replays_what_is_found_in_the_way_it_was_found(tmp_path: Path) -> None:
+    """`dpbench run --sequence` shows the hunted count, which the default route does not know."""
+    found, out = tmp_path / "found.npz", tmp_path / "out"
+    hunt("daqp", policy="warm", settings="low", budget=9, steps=12, out=found)
+    command = ["run", "--sequence", str(found), "--solver", "daqp", "--out", str(out)]
+    assert main(command) == 0
+    results, meta = load_results(out), load_sequence(found).meta
+    runs = results.runs.set_index(["route", "policy", "settings"])["run_id"]
+    assert sorted(runs.index)[0] == ("native", "warm", "low") and len(runs) == 3
+    steps = results.steps[(results.steps["k"] == meta["hunt_step"]) & ~results.steps["warmup"]]
+    hunted = steps[steps["run_id"] == runs["native", "warm", "low"]]
+    assert (hunted["iterations"] == meta["hunt_iterations"]).all() and len(hunted) > 0
+    np.testing.assert_allclose(hunted["error_plan"], float(meta["hunt_error_plan"]), rtol=1e-12)
+    plain = steps[steps["run_id"] == runs["qpsolvers", "fresh", "default"]]
+    assert plain["iterations"].isna().all() and len(plain) > 0
+
+
+def test_a_way_that_cannot_be_is_not_replayed() -> None:
+    """What a file says of its hunt may be nonsense; it is replayed like any other then."""
+    plain = sequence_suite("x.npz")
+    assert sequence_suite("x.npz", {"hunt_route": "native"}) == plain
+    for key, nonsense in (("route", "sideways"), ("policy", 3), ("settings", ["best"])):
+        way = {"hunt_route": "native", "hunt_policy": "warm", "hunt_settings": "low"}
+        assert len(sequence_suite("x.npz", way).recorded) == 2
+        assert sequence_suite("x.npz", way | {f"hunt_{key}": nonsense}) == plain
 
 
 def test_the_documents_make_the_same_sequence_again(tmp_path: Path) -> None:
@@ -107,6 +143,18 @@ def test_a_solver_that_dies_or_hangs_does_not_end_the_hunt(
     assert backs_off(found.failures[outcome]) and not backs_off(out)
     assert load_sequence(found.failures[outcome]).meta["hunt_outcome"] == outcome
     assert any(f"in {count} cases" in line for line in found.lines)
+
+
+def test_a_process_that_comes_after_the_hunt_says_nothing(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Ctrl-C while it was on its way took the folder along; it ends without a traceback."""
+    ours, theirs = Pipe()
+    with pytest.raises(SystemExit) as ended:
+        hunt_process.serve("{}", tmp_path / "gone", theirs)
+    assert ended.value.code is None
+    assert not ours.poll()
+    assert capfd.readouterr() == ("", "")
 
 
 class _Interrupts:
@@ -176,6 +224,15 @@ def test_a_lie_is_worse_than_a_refusal_and_a_refusal_worse_than_a_poor_answer() 
         assert np.isfinite(found.score), "a search can climb it"
 
 
+def test_an_error_that_is_not_claimed_says_what_it_counts_as() -> None:
+    """Its own figure may be larger than that of a lie, which is worse."""
+    refused = worst_of(judged((Status.MAX_ITERATIONS, 75.0, False, 9, "linear")), "error")
+    lied = worst_of(judged(WRONG), "error")
+    assert refused is not None and lied is not None and lied.severity > refused.severity
+    assert refused.figure("error").endswith("(max_iterations, which counts as 0.01)")
+    assert lied.figure("error") == "error_plan 5.00e-02 (claimed)"
+
+
 def test_iterations_are_counted_whatever_the_answer() -> None:
     """The busiest step wins, refused or not; without any count there is no figure."""
     found = worst_of(judged(WRONG, DECLINED_BUT_RIGHT, ACCURATE), "iterations")
@@ -188,37 +245,44 @@ def test_iterations_are_counted_whatever_the_answer() -> None:
     assert worst_of(judged((Status.SOLVED, 0.0, True, -1, "linear")), "iterations") is None
 
 
-@given(point=st.lists(st.floats(-1.0, 1.0), min_size=10, max_size=10).map(np.array))
+@given(point=st.lists(st.floats(-1.0, 1.0), min_size=13, max_size=13).map(np.array))
 @settings(max_examples=30, deadline=None)
 def test_a_case_is_what_its_point_says(point: Any) -> None:
-    """Start within reach, a force the ship can hold, then at most twice as much the other way."""
+    """Start and speed within reach, a force the ship can hold, then at most twice that back."""
     own = load_scenario("paper")
     scenario = HuntSpace(own, 20, "case").scenario(point)
     assert (scenario.steps, scenario.N_p, scenario.name) == (20, own.N_p, "case")
     assert (np.abs(scenario.start) <= [20.0, 20.0, np.radians(20.0) + 1e-12]).all()
     np.testing.assert_array_equal(np.sign(scenario.start), np.sign(point[:3] * np.abs(point[:3])))
+    assert (np.abs(scenario.velocity) <= [1.0, 1.0, np.radians(1.0) + 1e-12]).all()
+    np.testing.assert_array_equal(
+        np.sign(scenario.velocity), np.sign(point[3:6] * np.abs(point[3:6]))
+    )
     limit = np.array([980e3, 417e3, 18e6])
     sinusoid = own.environment
-    begins = 0.5 * (1.0 + point[9]) * 19 * 0.3
+    begins = 0.5 * (1.0 + point[12]) * 19 * 0.3
     early, late = (
         scenario.environment.force(t) - sinusoid.force(t) for t in (begins, begins + 0.3)
     )
-    np.testing.assert_allclose(early, point[3:6] * limit, atol=1e-6)
-    np.testing.assert_allclose(late - early, 2.0 * point[6:9] * limit, atol=1e-3)
+    np.testing.assert_allclose(early, point[6:9] * limit, atol=1e-6)
+    np.testing.assert_allclose(late - early, 2.0 * point[9:12] * limit, atol=1e-3)
 
 
 def test_a_fault_of_the_scenario_happens_within_the_case() -> None:
     """A thruster that is lost after two minutes is lost at the moment the last number says."""
     space = HuntSpace(load_scenario("thruster_loss"), 20, "case")
-    assert space.dimensions == 11
-    faults = [space.scenario(np.array([0.0] * 10 + [x])).faults[0][0] for x in (-1.0, 0.0, 1.0)]
+    assert space.dimensions == 14
+    faults = [space.scenario(np.array([0.0] * 13 + [x])).faults[0][0] for x in (-1.0, 0.0, 1.0)]
     assert faults[0] == 0 and faults[1] in (9, 10) and faults[2] == 19
 
 
 def test_a_model_ship_is_pushed_by_what_it_can_hold() -> None:
-    """The documents speak of full size; at 1 : 70 the force is still that of its own thrusters."""
+    """The documents speak of full size; at 1 : 70 the force is still that of its own thrusters,
+    and a start at 1 m/s one at 1/√70 m/s."""
     model = load_scenario("calm@cybership2")
-    scenario = HuntSpace(model, 20, "case").scenario(np.array([0.0] * 3 + [1.0] * 3 + [0.0] * 4))
+    point = np.array([0.0] * 3 + [1.0, 0.0, 0.0] + [1.0] * 3 + [0.0] * 4)
+    scenario = HuntSpace(model, 20, "case").scenario(point)
+    np.testing.assert_allclose(scenario.velocity, [70**-0.5, 0.0, 0.0], rtol=1e-12)
     np.testing.assert_allclose(
         scenario.environment.mean, np.minimum(-model.vessel.tau_min, model.vessel.tau_max)
     )
@@ -231,9 +295,11 @@ def test_a_model_ship_is_pushed_by_what_it_can_hold() -> None:
         (["daqp", "--goal", "speed"], "--goal"),
         (["daqp", "--budget", "0"], "--budget"),
         (["daqp", "--steps", "0"], "--steps"),
+        (["daqp", "--steps", "1000000000"], "--steps"),
         (["daqp", "--seed", "-1"], "--seed"),
         (["daqp", "--route", "sideways"], "--route"),
-        (["daqp", "--policy", "hot"], "policy hot"),
+        (["daqp", "--policy", "hot"], "--policy"),
+        (["quadprog", "--policy", "warm"], "policy warm"),
         (["daqp", "--settings", "best"], "--settings"),
         (["daqp", "--out", "found.txt"], "--out"),
         (["daqp", "--scenario", "nowhere"], "nowhere"),
@@ -246,6 +312,24 @@ def test_bad_input_is_one_line(
     assert main(["hunt", *arguments]) == 2
     said = capsys.readouterr().err.strip()
     assert named in said and len(said.splitlines()) == 1
+
+
+@pytest.mark.parametrize("place", ["a_folder.npz", "a_file/found.npz"])
+def test_where_nothing_can_be_written_nothing_is_hunted(
+    place: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A folder in the file's place, a file in the folder's: said before the search, not after."""
+    monkeypatch.setattr(hunt_search.Search, "run", None)
+    (tmp_path / "a_folder.npz").mkdir()
+    (tmp_path / "a_file").write_text("mine", encoding="utf-8")
+    before = sorted(tmp_path.rglob("*"))
+    assert main(["hunt", "daqp", "--out", str(tmp_path / place)]) == 2
+    said = capsys.readouterr().err.strip()
+    assert "--out" in said and place.rpartition("/")[2] in said and len(said.splitlines()) == 1
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_iterations_of_a_solver_that_counts_none_are_refused(

@@ -236,3 +236,12 @@ def test_python_objects_are_refused(file: Path, tmp_path: Path) -> None:
     np.savez(bad, **(arrays_of(file) | {"name": np.array({"a": 1}, dtype=object)}))
     with pytest.raises(InputError, match="Python objects"):
         load_sequence(bad)
+
+
+def test_what_cannot_be_put_in_its_place_leaves_nothing_behind(tmp_path: Path) -> None:
+    """A folder stands where the file should be: an error, and no half of a file beside it."""
+    place = tmp_path / "taken.npz"
+    place.mkdir()
+    with pytest.raises(OSError):
+        write_npz(place, {"x": np.zeros(3)})
+    assert list(tmp_path.iterdir()) == [place]
