@@ -96,9 +96,16 @@ def module_of(solver: str) -> str:
 def arms_of(solvers: Sequence[str], table: Table) -> list[Arm]:
     """The arms of one table of a suite; a solver is left out of a route it does not have.
 
+    A replay may name solvers of its own: those of them that the suite has, too, take part.
+
     The harness's own arms have one way to run, whatever the table asks for, and take part in timed
     replays alone.
     """
+    if isinstance(table, ReplayTable) and table.solvers:
+        named = _named(table.solvers)
+        solvers = [solver for solver in solvers if solver in named]
+        if not solvers:
+            return []
     known = [name for solver in solvers for name in setting_names(solver)]
     for name in table.settings:
         if name not in known:

@@ -17,7 +17,7 @@ from dpbench.bench.cell import Cell
 from dpbench.bench.emitter import Emitter
 from dpbench.bench.exact import ExactLoop, base_problem, brings_other_matrices
 from dpbench.bench.metrics import control_metrics
-from dpbench.bench.rawlog import TIMES, RawLog
+from dpbench.bench.rawlog import COUNTERS, TIMES, RawLog
 from dpbench.qp.certify import Optimum, Referee, error_of
 from dpbench.qp.claims import judge_claim
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Units
@@ -207,6 +207,7 @@ def grade_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Graded:
             (exact.state, exact.tau),
         )
         metrics["matrix_steps"] = float(matrix_steps)
+        metrics |= dict(zip(COUNTERS, log.counters[0].tolist(), strict=True))
     return Graded(columns, metrics)
 
 

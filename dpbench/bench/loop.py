@@ -69,6 +69,7 @@ def closed_loop(voyage: Voyage) -> bool:
     state, reference = plant.state, emitter.reference
     x, u = np.zeros(9), np.zeros(3)
     sense, estimate = sensors.sense, estimator.update
+    log.counters[:] = np.nan
     log.setup_once_ns[0] = port.prepare()
     log.theta[:, 9:12], log.theta[:, 15] = reference[:steps], 1.0
     log.state[0] = state

@@ -25,7 +25,8 @@ COUNTERS = (
     "steal_s",
     "throttle_events",
 )
-"""What `RawLog.counters` holds of a round (`disturbance.py`); NaN where the kernel hides it."""
+"""What `RawLog.counters` holds of a round, or of a closed loop (`disturbance.py`); NaN where the
+kernel hides it."""
 FOOTPRINT = (
     "peak_rss_bytes",
     "os_threads",
@@ -46,6 +47,7 @@ def loop_layout(steps: int, n: int, m: int, n_theta: int) -> dict[str, tuple[str
         "command": ("f8", (steps, 3)),
         "flags": ("u1", (steps, 3)),
         "latency_ns": ("i8", (steps,)),
+        "counters": ("f8", (1, len(COUNTERS))),
     }
 
 

@@ -154,7 +154,10 @@ TIMING_COLUMNS: Columns = {
 }
 
 MACHINE_COLUMNS: Columns = {
-    "replay_s": ("float64", "wall time of the rounds of a replay, with all that is between steps"),
+    "replay_s": (
+        "float64",
+        "wall time of the rounds of a replay, or of a closed loop, with all between steps",
+    ),
     "voluntary_switches": ("Int64", "context switches over them in which the worker waited"),
     "involuntary_switches": ("Int64", "context switches over them against the worker's will"),
     "steal_s": ("float64", "time the host of a virtual machine took from the worker's core"),

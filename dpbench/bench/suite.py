@@ -77,9 +77,11 @@ class ReplayTable(FileModel):
     """Identical QPs, recorded along the exactly solved loop, through every solver.
 
     With `horizons` ("30/5") the scenario is run under each of them instead of those of its tuning.
+    With `solvers` only those of the suite take part that are named here.
     """
 
     scenario: str
+    solvers: list[str] = []
     horizons: Annotated[list[str], AfterValidator(different_horizons)] = []
     first: Count = 0
     steps: Count = 0

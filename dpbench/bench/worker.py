@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from dpbench.bench.cell import Cell
+from dpbench.bench.disturbance import counters
 from dpbench.bench.emitter import Emitter
 from dpbench.bench.exact import ExactLoop, base_problem
 from dpbench.bench.footprint import MemoryWatch, affordable_steps, measure_steps, threads
@@ -129,7 +130,9 @@ def run_closed_loop_cell(text: str, folder: Path, name: str, core: int) -> None:
     voyage = Voyage(
         scenario, emitter, port, log, cell.fallback, limit_ns, clock, pace, usage_of_process
     )
+    before = counters()
     complete = closed_loop(voyage)
+    np.subtract(counters(), before, out=log.counters[0])
     detail = _worst_detail(port)
     if not complete:
         stop = f"stopped after {cell.limit_s:g} s with {int(log.done[0])} steps"

@@ -35,13 +35,22 @@ def timed_runs(view: View) -> list[Row]:
     The involuntary switches that an arm makes itself stand in `own_switches_a_step`, and are NaN
     among those that the machine is judged by.
     """
-    rows = _once_each(view)
+    return _own_apart(_once_each(view))
+
+
+def slowed_runs(view: View) -> list[Row]:
+    """Every loop on a slow computer that left a step, switches of its own doing told apart."""
+    return _own_apart([row for row in view.slowed if has_steps(row)])
+
+
+def _own_apart(rows: Sequence[Row]) -> list[Row]:
     rates = np.array([as_float(row[SWITCHES]) / as_float(row["replay_s"]) for row in rows])
     seen = rates[np.isfinite(rates)]
     usual = max(float(np.median(seen)), MAX_SWITCHES_PER_S) if len(seen) else np.inf
     found: list[Row] = []
     for row, rate in zip(rows, rates, strict=True):
-        a_step = as_float(row[SWITCHES]) / (as_float(row["rounds"]) * as_float(row["steps_done"]))
+        rounds = 1.0 if row["mode"] == "closed_loop" else as_float(row["rounds"])
+        a_step = as_float(row[SWITCHES]) / (rounds * as_float(row["steps_done"]))
         own = a_step >= OWN_A_STEP and rate > OWN_TIMES * usual
         found.append({**row, SWITCHES: np.nan, "own_switches_a_step": a_step} if own else row)
     return found

@@ -7,6 +7,7 @@ import math
 from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular, missing
 from dpbench.report.figures_deadline import slowdown_figure
 from dpbench.report.formats import and_list, plural
+from dpbench.report.machine_verdict import disturbance_of, slowed_runs, verdict_text
 from dpbench.report.slowed import SlowedGroup, cost_ratio, factor_text, slowed_groups
 from dpbench.report.tables_deadline import WITHIN, misses_table, survival_table
 from dpbench.report.view import View
@@ -28,6 +29,9 @@ def deadline_section(view: View) -> Section | None:
         return None
     section = Section("deadline", "Slow computers and late answers")
     section.add(Paragraph(INTRODUCTION))
+    found = disturbance_of(slowed_runs(view))
+    if found.seconds > 0:
+        section.add(Paragraph(f"**While the loops ran the machine was {verdict_text(found)}.**"))
     for i, group in enumerate(groups):
         section.add(*_blocks(i, group, view))
     return section

@@ -7,6 +7,7 @@ import pytest
 from dpbench.bench.cell import Cell
 from dpbench.bench.plan import plan
 from dpbench.bench.suite import ClosedLoopTable, ReplayTable, SuiteFile, load_suite
+from dpbench.errors import UnknownNameError
 from dpbench.solvers.calibration import CALIBRATION
 
 
@@ -76,3 +77,18 @@ def test_the_harness_own_arms_run_once_per_timed_sequence_and_never_steer() -> N
     # A millisecond of waiting, five steps, five rounds and a warm-up, each run twice.
     limits = {cell.solver: cell.limit_s for cell in arms}
     assert limits["busy_wait_1000us"] - limits["no_op"] == pytest.approx(0.06)
+
+
+def test_a_replay_may_ask_only_some_solvers_of_its_suite() -> None:
+    """Those named by the table and by the suite take part; a name that is none is refused."""
+
+    def solvers_of(*names: str) -> list[str]:
+        table = ReplayTable(scenario="paper", steps=5, solvers=list(names))
+        suite = SuiteFile(title="x", solvers=["daqp", "osqp"], contrast=False, replay=[table])
+        return [planned.cell.solver for planned in plan(suite)]
+
+    assert solvers_of() == ["daqp", "osqp"]
+    assert solvers_of("osqp", "piqp") == ["osqp"]
+    assert solvers_of("piqp") == []
+    with pytest.raises(UnknownNameError, match="nobody"):
+        solvers_of("nobody")
