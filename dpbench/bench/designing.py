@@ -11,6 +11,7 @@ from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 from dpbench.bench.basin import DURATION_S, OFFSETS_M, TAIL_S, TOLERANCE_M, WIDTH
+from dpbench.bench.cell_process import pin, settle, verdict_of
 from dpbench.bench.design import Design, design_record
 from dpbench.bench.design_file import (
     DESIGN_SCHEMA,
@@ -22,7 +23,6 @@ from dpbench.bench.design_file import (
 from dpbench.bench.running import HARNESS_VERSION, Progress
 from dpbench.bench.store import write_json
 from dpbench.bench.supervise import POLL_S, Child
-from dpbench.bench.worker import pin, settle, verdict_of
 from dpbench.errors import ResultsError
 
 LIMIT_S = 600.0

@@ -16,6 +16,7 @@ from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 from dpbench.bench.cell import Cell
+from dpbench.bench.cell_process import settle
 from dpbench.bench.formulation import in_replay
 from dpbench.bench.grade import Graded
 from dpbench.bench.grade_replay import grade_sequence
@@ -23,7 +24,6 @@ from dpbench.bench.port import SolverPort
 from dpbench.bench.rawlog import RawLog, replay_layout
 from dpbench.bench.replay import ReplayArm
 from dpbench.bench.supervise import GRACE_S, START_ALLOWANCE_S, Child, Outcome
-from dpbench.bench.worker import settle
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence
 from dpbench.solvers.contract import Workspace

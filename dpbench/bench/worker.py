@@ -7,10 +7,7 @@ Every function here is the target of a process forked from a template that has n
 from __future__ import annotations
 
 import gc
-import json
-import os
 import time
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -20,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from dpbench.bench.cell import Cell
+from dpbench.bench.cell_process import pin, settle, verdict_of, write_verdict
 from dpbench.bench.disturbance import counters
 from dpbench.bench.emitter import Emitter
 from dpbench.bench.exact import ExactLoop, base_problem
@@ -52,41 +50,6 @@ class Link:
     cell: str
     source: Path
     graded: Path
-
-
-def settle(noise: Path) -> None:
-    """Send what libraries print to a file, ignore warnings and stop the garbage collector."""
-    try:
-        sink = os.open(noise, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-    except FileNotFoundError:
-        # Ctrl-C while this process was on its way took its folder along: nobody waits for it.
-        raise SystemExit from None
-    os.dup2(sink, 1)
-    os.dup2(sink, 2)
-    warnings.simplefilter("ignore")
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-
-
-def pin(core: int) -> None:
-    """Stay on one core from now on."""
-    os.sched_setaffinity(0, {core})
-
-
-def write_verdict(path: Path, verdict: dict[str, Any]) -> None:
-    """Leave a JSON verdict at `path`, whole or not at all."""
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps(verdict), encoding="utf-8")
-    part.replace(path)
-
-
-def verdict_of(
-    outcome: str, detail: str, form: str = "", size: tuple[int, int] | None = None
-) -> dict[str, Any]:
-    """A verdict in the words that the supervisor reads; `size` is n and m of the solver's QP."""
-    n, m = size or (None, None)
-    return {"outcome": outcome, "detail": detail, "form": form, "n": n, "m": m}
 
 
 def _open(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Workspace | None:

@@ -37,7 +37,9 @@ DEFINITIONS = (
     "arithmetic mean. **Performance profile**: the share of steps solved within so many times the "
     "fastest solver's time on the same step.",
     "**unsolved step** of a ranking at an accuracy: it failed, its answer is not **true**, or its "
-    "error_move is larger than the accuracy. **flips**: other places that another penalty, "
+    "error_move is larger than the accuracy. To meet the demand asks for error_move and failed "
+    "steps alone, so an arm whose later moves are off may meet it and still have unsolved steps. "
+    "**flips**: other places that another penalty, "
     "another shift or the loss of one sequence leads to.",
     "**the machine was quiet** or **disturbed**: judged by a rule stated beside it, from what the "
     "kernel counts around every replay round and from a reference kernel timed before and after "

@@ -91,6 +91,11 @@ class SweptArm:
         fit = [h for h, p in self.timed.items() if p.right and p.p99_ns <= limit_ns]
         return max(fit, key=_by_moves, default=None)
 
+    def measured_beyond(self, horizons: Horizons) -> bool:
+        """Whether longer horizons have a p99, be their answers right or not."""
+        beyond = (p for h, p in self.timed.items() if _by_moves(h) > _by_moves(horizons))
+        return any(math.isfinite(point.p99_ns) for point in beyond)
+
     def settled(self, limit_ns: float) -> bool:
         """Whether no interval of a p99 of right answers from there on holds `limit_ns`."""
         largest = self.largest_within(limit_ns)

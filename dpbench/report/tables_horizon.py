@@ -65,8 +65,8 @@ def _note(sweep: Sweep, rows: int, *, compared: bool) -> str:
     )
     fits = (
         "p99: the largest horizon measured whose answers meet the demand and whose p99 is within "
-        f"the limit; ≥ where none longer was measured, {UNSETTLED} where the 95 % interval of a "
-        "p99 holds the limit."
+        "the limit; ≥ where none longer was measured to its end, "
+        f"{UNSETTLED} where the 95 % interval of a p99 holds the limit."
         if supports(sweep.steps, 99)
         else f"{plural(sweep.steps, 'step')} do not support a p99 (it takes 1000), so what fits a "
         "deadline is not said here."
@@ -103,7 +103,7 @@ def _row(sweep: Sweep, arm: SweptArm, *, compared: bool) -> tuple[Cell, ...]:
         count_text(len(arm.timed)),
         off,
         *((_undercuts(sweep, arm),) if compared else ()),
-        *(_within(sweep, arm, limit) for limit in LIMITS_MS if supports(sweep.steps, 99)),
+        *(_within(arm, limit) for limit in LIMITS_MS if supports(sweep.steps, 99)),
     )
 
 
@@ -116,14 +116,14 @@ def _time(point: Point | None) -> Cell:
     return Cell(text) if point.right else Cell(f"{text} {MISSED}", "warn")
 
 
-def _within(sweep: Sweep, arm: SweptArm, limit_ms: float) -> Cell:
+def _within(arm: SweptArm, limit_ms: float) -> Cell:
     if not any(math.isfinite(point.p99_ns) for point in arm.timed.values()):
         return Cell(MISSING, "quiet")
     largest = arm.largest_within(limit_ms * 1e6)
     doubt = "" if arm.settled(limit_ms * 1e6) else f" {UNSETTLED}"
     if largest is None:
         return Cell(f"none{doubt}", "quiet")
-    least = "≥ " if largest == sweep.horizons[-1] else ""
+    least = "" if arm.measured_beyond(largest) else "≥ "
     return Cell(f"{least}{horizons_text(largest)}{doubt}")
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dpbench import load_scenario, open_workspace, record_sequence, replay, run_closed_loop
-from dpbench.bench.assemble import probe_median
+from dpbench.bench.timing_columns import probe_median
 
 
 def test_the_reference_kernel_is_the_better_probe_of_each_round() -> None:

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from dpbench.bench import supervise
+from dpbench.bench.cell_process import verdict_of, write_verdict
 from dpbench.bench.rawlog import RawLog, replay_layout
 from dpbench.bench.supervise import Child, template_context
-from dpbench.bench.worker import verdict_of, write_verdict
 
 
 @pytest.fixture(scope="module")

@@ -157,7 +157,8 @@ def test_growth_and_crossover_of_two_formulations_stand_in_the_table(records: An
 def test_the_largest_horizon_within_a_limit_needs_right_answers_and_enough_steps(
     records: Any,
 ) -> None:
-    """Medians of 150, 300, 600 and 1200 µs: 100/20 fits 1 ms; a wrong one there leaves 60/10.
+    """Medians of 150, 300, 600 and 1200 µs: 100/20 fits 1 ms; a wrong one there leaves 60/10,
+    and none there and beyond leaves open whether more would fit.
 
     Without spread p99 is the median. 999 steps do not support a p99.
     """
@@ -173,10 +174,13 @@ def test_the_largest_horizon_within_a_limit_needs_right_answers_and_enough_steps
             rounds=1,
             error=0.4 if wrong else 1e-9,
         )
+    for pair in PAIRS[:2]:
+        _replay(records, "piqp", pair, median_us=30.0 * pair[1], spread=0.0, rounds=1)
     table = _best_table(records.view())
     form = "condensed box"
     within = _column(table, "p99 ≤ 1 ms")
     assert (within["daqp", form], within["osqp", form]) == ("100/20", "60/10")
+    assert within["piqp", form] == "≥ 60/10"
     assert _column(table, "p99 ≤ 10 ms")["daqp", form] == "≥ 200/40"
     assert _column(table, "n = 60 (100/20) [µs]")["osqp", form] == "600 ○"
 

@@ -1,0 +1,111 @@
+"""The arguments of the command line: one function per command."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping
+from importlib.metadata import version
+from typing import Any, NoReturn
+
+Commands = Any
+"""What `add_subparsers` gives, which argparse has no public name for."""
+
+
+class _Parser(argparse.ArgumentParser):
+    """An argument parser whose complaints are one line, like every other complaint."""
+
+    def error(self, message: str) -> NoReturn:
+        print(f"dpbench: {message} (see dpbench --help)", file=sys.stderr)
+        raise SystemExit(2)
+
+
+def parser(
+    calls: Mapping[str, Callable[[argparse.Namespace], int]],
+) -> argparse.ArgumentParser:
+    """The parser; `calls` has for every command what is called with its arguments, as `call`."""
+    whole = _Parser(prog="dpbench", description="Benchmark QP solvers inside a ship's DP MPC.")
+    whole.add_argument("--version", action="version", version=f"dpbench {version('dpbench')}")
+    commands = whole.add_subparsers(dest="command", required=True, parser_class=_Parser)
+    for add in (_run, _report, _compare, _export, _hunt, _list, _check, _doctor):
+        add(commands)
+    for name, command in commands.choices.items():
+        command.set_defaults(call=calls[name])
+    return whole
+
+
+def _run(commands: Commands) -> None:
+    run = commands.add_parser("run", help="run a suite and write its report")
+    run.add_argument("suite", nargs="?", help="a suite by name, or a TOML file")
+    run.add_argument(
+        "--sequence",
+        metavar="S",
+        help="instead: a stored sequence, a .npz, or a folder",
+    )
+    run.add_argument("--out", help="result folder (default: results/<suite>)")
+    run.add_argument("--solver", action="append", metavar="S", help="only this solver; repeatable")
+    run.add_argument("--scenario", action="append", metavar="N", help="only this scenario")
+    run.add_argument("--jobs", type=int, metavar="J", help="loops or random arms at a time")
+    run.add_argument("--solver-module", metavar="FILE.py", help="a plug-in that brings a solver")
+    run.add_argument("--fresh", action="store_true", help="run finished cells again too")
+
+
+def _report(commands: Commands) -> None:
+    report = commands.add_parser("report", help="write the report of a result folder again")
+    report.add_argument("dir", help="a folder written by `dpbench run`")
+    report.add_argument("--baseline", metavar="S", help="compare step times with this solver's")
+
+
+def _compare(commands: Commands) -> None:
+    compare = commands.add_parser("compare", help="what became slower or worse from A to B")
+    compare.add_argument("a", metavar="A", help="a result folder, the baseline")
+    compare.add_argument("b", metavar="B", help="another one of the same suite")
+    compare.add_argument("--any-machine", action="store_true", help="also of another machine")
+    compare.add_argument("--margin", type=float, default=0.05, help="what is no difference (0.05)")
+    compare.add_argument("--alpha", type=float, default=0.05, help="family-wise error (0.05)")
+    compare.add_argument("--markdown", metavar="FILE", help="write Markdown; - for the screen")
+
+
+def _export(commands: Commands) -> None:
+    export = commands.add_parser("export", help="write QPs with certified optima for others")
+    export.add_argument(
+        "what", nargs="?", help="a scenario, a sequence (by name or .npz) or a folder of problems"
+    )
+    export.add_argument("--all", action="store_true", help="instead: all stored sequences anew")
+    export.add_argument("--format", default="npz", help="npz (default) or qpbenchmark")
+    export.add_argument(
+        "--out", metavar="PATH", help="the file to write; of --all a folder (results/sequences)"
+    )
+    export.add_argument("--horizons", metavar="N_p/N_c", help="instead of the tuning's")
+    export.add_argument("--steps", type=int, metavar="N", help="only the first N steps")
+    export.add_argument("--every", type=int, default=1, metavar="K", help="each K-th of them")
+
+
+def _hunt(commands: Commands) -> None:
+    hunt = commands.add_parser("hunt", help="search for a solver's slowest or least accurate step")
+    hunt.add_argument("solver", help="the solver to hunt")
+    hunt.add_argument("--goal", default="iterations", help="iterations (default) or error")
+    hunt.add_argument("--scenario", default="paper", metavar="N", help="whose starts are varied")
+    hunt.add_argument("--route", help="native (default where there is one) or qpsolvers")
+    hunt.add_argument("--policy", default="fresh", help="fresh (default), reuse or warm")
+    hunt.add_argument("--settings", default="default", help="default, low, mid or high")
+    hunt.add_argument("--budget", type=int, default=300, metavar="B", help="cases to try (300)")
+    hunt.add_argument("--steps", type=int, default=60, metavar="N", help="length of a case (60)")
+    hunt.add_argument("--seed", type=int, default=1, help="of the search (1)")
+    hunt.add_argument("--out", metavar="FILE.npz", help="default: hunts/<solver>-<goal>.npz")
+    hunt.add_argument("--solver-module", metavar="FILE.py", help="a plug-in that brings the solver")
+
+
+def _list(commands: Commands) -> None:
+    listing = commands.add_parser("list", help="what there is")
+    kinds = ("vessels", "scenarios", "suites", "sequences", "solvers")
+    listing.add_argument("what", choices=kinds)
+
+
+def _check(commands: Commands) -> None:
+    check = commands.add_parser("check", help="check a vessel, scenario, suite or sequence file")
+    check.add_argument("file", help="a TOML file, or a .npz whose every step is certified anew")
+
+
+def _doctor(commands: Commands) -> None:
+    commands.add_parser("doctor", help="is this machine quiet, is the harness right")

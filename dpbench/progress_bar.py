@@ -1,0 +1,46 @@
+"""The progress bar of the command line."""
+
+from __future__ import annotations
+
+import sys
+from types import TracebackType
+
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+
+class Bar:
+    """A progress bar with the time left, fed by the campaign; a transient one leaves no line."""
+
+    def __init__(self, *, transient: bool = False) -> None:
+        self._progress = Progress(
+            TextColumn("{task.description:<44}"),
+            BarColumn(),
+            TextColumn("{task.percentage:3.0f} %"),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            transient=transient,
+            disable=transient and not sys.stdout.isatty(),
+        )
+        self._task = self._progress.add_task("starting", total=None)
+
+    def __enter__(self) -> Bar:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._progress.live.is_started:
+            self._progress.stop()
+
+    def start(self, work: int) -> None:
+        """So much is to be done; until now the input could still be refused, without a bar."""
+        self._progress.start()
+        self._progress.update(self._task, total=work)
+
+    def advance(self, work: int, what: str) -> None:
+        """So much is done now, the last of it on `what`."""
+        self._progress.update(self._task, advance=work, description=what[:44])
