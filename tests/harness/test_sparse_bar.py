@@ -22,7 +22,14 @@ PIQP = {
     "max_iter": 1000,
     "tau": 0.9,
 }
-HPIPM = {**dict.fromkeys(("tol_stat", "tol_eq", "tol_ineq", "tol_comp"), 1e-12), "iter_max": 200}
+HPIPM = {
+    "mode": "BALANCE",
+    **dict.fromkeys(("tol_stat", "tol_eq"), 1e-10),
+    "tol_ineq": 1e-12,
+    # Where a limit is weakly active the error is the root of what is left of λ·slack.
+    "tol_comp": 1e-14,
+    "iter_max": 200,
+}
 SETTINGS: dict[str, Any] = {"piqp_multistage": PIQP, "hpipm_ocp": HPIPM, "hpipm": HPIPM}
 # HPIPM's dense solver factorises all n = 300 variables at once.
 STEPS = {"hpipm": 5}
