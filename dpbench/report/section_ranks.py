@@ -70,7 +70,7 @@ def _precision_pictures(view: View, pooled: Pool, demand: Demand) -> list[Block]
         how = "default route, policy fresh"
         blocks.append(_precision_picture("work_precision", how, pooled, usual, demand))
     if any(rung.policy != "fresh" for rungs in native.values() for rung in rungs):
-        how = "route native, fastest policy by p50"
+        how = "route native, each solver with its fastest policy by p50"
         blocks.append(_precision_picture("work_precision_native", how, pooled, native, demand))
     return blocks
 

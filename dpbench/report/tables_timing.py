@@ -141,7 +141,8 @@ def jitter_table(view: View, sequence: str) -> Table | None:
 
 def _population(view: View, arms: Sequence[Arm]) -> str:
     most = max(len(times.algo_ns) for _, times in arms)
-    rounds = max(times.rounds for _, times in arms)
+    few, many = (of(times.rounds for _, times in arms) for of in (min, max))
+    rounds = plural(many, "round") if few == many else f"{few} to {plural(many, 'round')}"
     same = settings_without_effect([row for row, _ in arms])
     shown = (
         f" Settings have no effect on {', '.join(same)}: one run under all names." if same else ""
@@ -149,7 +150,7 @@ def _population(view: View, arms: Sequence[Arm]) -> str:
     cpu = view.machine.get("cpu_model", "an unnamed CPU")
     return (
         f"Replay of identical QPs in scaled units, {plural(most, 'step')} × "
-        f"{plural(rounds, 'round')}, {plural(len(arms), 'arm')}, {cpu}.{shown}"
+        f"{rounds}, {plural(len(arms), 'arm')}, {cpu}.{shown}"
     )
 
 

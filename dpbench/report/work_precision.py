@@ -43,7 +43,10 @@ def usual_ladders(view: View, sequences: Sequence[str]) -> dict[str, list[Rung]]
 
 
 def native_ladders(view: View, sequences: Sequence[str]) -> dict[str, list[Rung]]:
-    """Per solver its rungs on route native, at each settings level the policy of least p50."""
+    """Per solver its rungs on route native, all with one policy: a line joins settings alone.
+
+    It is the policy of least p50 at the most usual settings.
+    """
     return _ladders(view, sequences, lambda row: row["route"] == "native")
 
 
@@ -55,16 +58,19 @@ def _ladders(
         if wanted(row):
             key = (str(row["solver"]), str(row["route"]), str(row["policy"]), str(row["settings"]))
             arms.setdefault(key, {})[str(row["sequence"])] = row
-    best: dict[tuple[str, str], Rung] = {}
-    for key, rows in arms.items():
-        rung = _rung(view, key, list(rows.values())) if len(rows) == len(sequences) else None
-        if rung is not None:
-            place = (rung.solver, rung.settings)
-            if place not in best or rung.p50_ns < best[place].p50_ns:
-                best[place] = rung
+    rungs = [
+        rung
+        for key, rows in arms.items()
+        if len(rows) == len(sequences)
+        and (rung := _rung(view, key, list(rows.values()))) is not None
+    ]
+    # The first of a solver has its policy: that of least p50 at the most usual settings.
+    rungs.sort(key=lambda r: (settings_level(r.settings), r.p50_ns))
     ladders: dict[str, list[Rung]] = {}
-    for rung in sorted(best.values(), key=lambda r: settings_level(r.settings)):
-        ladders.setdefault(rung.solver, []).append(rung)
+    for rung in rungs:
+        mine = ladders.setdefault(rung.solver, [])
+        if not mine or mine[0].policy == rung.policy:
+            mine.append(rung)
     return ladders
 
 

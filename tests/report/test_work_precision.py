@@ -43,12 +43,17 @@ def test_a_ladder_has_its_levels_in_order_and_leaves_out_other_ways(records: Any
 
 
 def test_a_native_ladder_takes_the_fastest_policy(records: Any) -> None:
-    """At each settings level the policy of least p50."""
+    """One policy for the whole line, that of least p50 at the most usual settings."""
     for policy, us in (("fresh", 20.0), ("warm", 5.0), ("reuse", 8.0)):
-        records.replay("osqp", route="native", policy=policy, median_us=us)
+        records.replay("osqp", route="native", policy=policy, median_us=us, spread=0.0)
+    for policy, us in (("fresh", 30.0), ("warm", 60.0)):
+        way = {"route": "native", "policy": policy, "settings": "high"}
+        records.replay("osqp", **way, median_us=us, spread=0.0)
     records.replay("osqp", median_us=1.0)
-    ((rung,),) = native_ladders(records.view(), BOTH[:1]).values()
-    assert (rung.route, rung.policy) == ("native", "warm")
+    (ladder,) = native_ladders(records.view(), BOTH[:1]).values()
+    found = [(rung.policy, rung.settings, rung.p50_ns) for rung in ladder]
+    assert found == [("warm", "default", 5e3), ("warm", "high", 60e3)]
+    assert {rung.route for rung in ladder} == {"native"}
 
 
 def test_a_solver_on_one_sequence_of_two_has_no_rung(records: Any) -> None:
