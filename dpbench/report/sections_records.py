@@ -64,7 +64,12 @@ def _effort(view: View) -> str:
     if suite.get("warmup_steps") and replayed:
         words.append(f"a warm-up of {plural(as_float(suite['warmup_steps']), 'step')}")
     if "cell_limit_s" in suite:
-        words.append(f"a cell stops after {significant(as_float(suite['cell_limit_s']))} s")
+        own = {table.get("limit_s") for table in suite.get("closed_loop", [])} - {None}
+        others = ", ".join(f"{significant(as_float(limit))} s" for limit in sorted(own))
+        words.append(
+            f"a cell stops after {significant(as_float(suite['cell_limit_s']))} s"
+            + (f" ({others} where a table of closed loops says so)" if own else "")
+        )
     if replayed:
         spoilt = [as_float(row["spoilt_rounds"]) for row in view.select(mode="replay")]
         count = sum(value for value in spoilt if value > 0)
