@@ -7,7 +7,6 @@ loses at most the cells in flight.
 from __future__ import annotations
 
 import os
-import tempfile
 import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from dpbench.bench.accounting import Ledger
+from dpbench.bench.cell_process import scratch_folder
 from dpbench.bench.design import Design, plan_designs
 from dpbench.bench.design_file import write_design
 from dpbench.bench.designing import DesignStore, run_designs, work_of_designs
@@ -86,13 +86,7 @@ class Campaign:
         earlier = len(self.work) - len(pending) - sum(bool(j.planned.refused) for j in self.work)
         work = sum(work_of(job.cell) for job in pending)
         progress.start(work + work_of_designs(self._designs, self._design_store))
-        shared = Path("/dev/shm")
-        with tempfile.TemporaryDirectory(
-            # A worker that was interrupted as well may write its last file while the folder goes.
-            ignore_cleanup_errors=True,
-            prefix="dpbench-",
-            dir=shared if os.access(shared, os.W_OK) else None,
-        ) as folder:
+        with scratch_folder() as folder:
             context = template_context()
             bench = Bench(context, Path(folder), self._store, self._cores, progress)
             self._run_cells(bench, pending)

@@ -1,13 +1,27 @@
-"""What every process of a cell does of itself: keep quiet, stay on its core, leave a verdict."""
+"""Where the processes of cells leave their files, and what each does of itself: keep quiet, stay on
+its core, leave a verdict.
+"""
 
 from __future__ import annotations
 
 import gc
 import json
 import os
+import tempfile
 import warnings
 from pathlib import Path
 from typing import Any
+
+
+def scratch_folder() -> tempfile.TemporaryDirectory[str]:
+    """A folder for what cells leave behind until it is kept, in memory where that can be."""
+    shared = Path("/dev/shm")
+    return tempfile.TemporaryDirectory(
+        # A worker that was interrupted as well may write its last file while the folder goes.
+        ignore_cleanup_errors=True,
+        prefix="dpbench-",
+        dir=shared if os.access(shared, os.W_OK) else None,
+    )
 
 
 def settle(noise: Path) -> None:

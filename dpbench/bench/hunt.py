@@ -8,14 +8,13 @@ Sobol sample climbs it. Chance has a part by the seed only: the same versions fi
 
 from __future__ import annotations
 
-import os
-import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
 from dpbench.bench.arms import Arm, module_of, refusal_of
 from dpbench.bench.cell import Cell
+from dpbench.bench.cell_process import scratch_folder
 from dpbench.bench.emitter import Emitter
 from dpbench.bench.hunt_goal import Goal, Worst
 from dpbench.bench.hunt_input import check_input, make_room, output_path
@@ -183,13 +182,7 @@ def _searched(
     progress: Progress,
 ) -> Search:
     """The search, done or interrupted; its solver's process has ended."""
-    shared = Path("/dev/shm")
-    with tempfile.TemporaryDirectory(
-        # A worker that was interrupted as well may write its last file while the folder goes.
-        ignore_cleanup_errors=True,
-        prefix="dpbench-",
-        dir=shared if os.access(shared, os.W_OK) else None,
-    ) as folder:
+    with scratch_folder() as folder:
         hunted = HuntedSolver(template_context(), Path(folder), cell)
         try:
             search = Search(hunted, space, goal, budget, progress)
