@@ -12,7 +12,7 @@ from rich.text import Text
 from dpbench.bench.plan import plan
 from dpbench.bench.running import Progress
 from dpbench.bench.sequence_file import active_set, load_recorded
-from dpbench.bench.suite import load_suite
+from dpbench.bench.suite import load_suite, naming
 from dpbench.bench.verify import verify_sequence
 from dpbench.errors import InputError
 from dpbench.problem_files import (
@@ -151,7 +151,8 @@ def check_file(path: str, progress: Progress | None = None) -> str:
         return f"{file}: a scenario of {scenario.steps} steps with vessel {scenario.vessel.id}"
     if any(table in document for table in ("closed_loop", "replay", "recorded", "random")):
         suite_path, suite = load_suite(file)
-        return f"{file}: a suite of {len(plan(suite, beside=suite_path.parent))} cells"
+        with naming(suite_path):
+            return f"{file}: a suite of {len(plan(suite, beside=suite_path.parent))} cells"
     raise InputError(
         str(file),
         "",

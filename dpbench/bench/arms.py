@@ -16,7 +16,7 @@ from dpbench.bench.suite import (
     SuiteFile,
     UnitName,
 )
-from dpbench.errors import InputError, SettingsError
+from dpbench.errors import InputError, SettingsError, UnknownNameError
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Policy, Route
 from dpbench.solvers.open import REFUSED_BY_QPSOLVERS
@@ -57,12 +57,15 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
     Raises
     ------
     UnknownNameError : for an unknown solver.
-    InputError : for a baseline of the report that is no solver of the suite.
+    InputError : for a baseline of the report, or solvers of a replay, that the suite has not.
     """
-    named = _named(suite.solvers)
+    named = _asked("solvers", suite.solvers)
+    allowed = f"a solver of the suite: {', '.join(named)}"
+    for table in suite.replay:
+        if table.solvers and not set(_asked("replay.solvers", table.solvers)) & set(named):
+            raise InputError("suite", "replay.solvers", ", ".join(table.solvers), allowed)
     baseline = suite.report.baseline
     if baseline is not None and baseline not in named:
-        allowed = f"a solver of the suite: {', '.join(named)}"
         raise InputError("suite", "report.baseline", repr(baseline), allowed)
     chosen = _named(only) if only else named
     if not only and suite.contrast:
@@ -70,6 +73,14 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
     if not only and suite.calibration:
         chosen += CALIBRATION
     return list(dict.fromkeys(chosen))
+
+
+def _asked(key: str, names: Sequence[str]) -> list[str]:
+    """The solvers that a key of a suite names."""
+    try:
+        return _named(names)
+    except UnknownNameError as error:
+        raise UnknownNameError("suite", key, error.found, error.allowed) from error
 
 
 def _named(names: Sequence[str]) -> list[str]:

@@ -34,7 +34,7 @@ from dpbench.bench.running import (
 )
 from dpbench.bench.source import is_random, source_key
 from dpbench.bench.store import Results, claimed, write_results
-from dpbench.bench.suite import SuiteFile, load_suite, sequence_suite
+from dpbench.bench.suite import SuiteFile, load_suite, naming, sequence_suite
 from dpbench.bench.supervise import Outcome, template_context
 from dpbench.bench.tabulate import tabulate
 from dpbench.errors import InputError
@@ -170,13 +170,14 @@ def _groups(jobs: list[Job]) -> list[list[Job]]:
 
 
 def _asked(suite: str | Path | None, sequence: str | Path | None) -> tuple[str, Path, SuiteFile]:
-    """Name, folder and document of a suite, or of the one that replays a sequence."""
+    """Name, file and document of a suite, or of the one that replays a sequence."""
     if suite is not None and sequence is None:
         path, document = load_suite(suite)
-        return path.stem, path.parent, document
+        return path.stem, path, document
     if sequence is not None and suite is None:
         meta = read_sequence(sequence_path(sequence)).sequence.meta
-        return f"sequence-{Path(sequence).resolve().stem}", Path(), sequence_suite(sequence, meta)
+        name = f"sequence-{Path(sequence).resolve().stem}"
+        return name, Path("suite"), sequence_suite(sequence, meta)
     found = "neither" if suite is None else f"suite {suite} and --sequence {sequence}"
     raise InputError("run", "", found, "a suite, or --sequence PATH")
 
@@ -219,11 +220,12 @@ def run_campaign(
     """
     if solver_module is not None:
         load_solver_module(solver_module)
-    name, beside, document = _asked(suite, sequence)
-    planned = plan(document, solvers=solvers, scenarios=scenarios, beside=beside)
+    name, path, document = _asked(suite, sequence)
     # A part of a suite is about its solvers and runs; no design depends on them.
     whole = document.design is not None and not (solvers or scenarios)
-    designs = plan_designs(document.design, beside) if document.design and whole else []
+    with naming(path):
+        planned = plan(document, solvers=solvers, scenarios=scenarios, beside=path.parent)
+        designs = plan_designs(document.design, path.parent) if document.design and whole else []
     cores = len(os.sched_getaffinity(0))
     if jobs is not None and not 1 <= jobs <= cores:
         raise InputError("--jobs", "", jobs, f"a number from 1 to {cores}, the cores available")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, get_args
 
@@ -10,6 +11,7 @@ from pydantic import AfterValidator, Field
 
 from dpbench.bench.cell import SLOWEST
 from dpbench.bench.horizons import Horizons, different_horizons, parse_horizons
+from dpbench.errors import InputError
 from dpbench.problem_files import FileModel, problem_path, read_model
 from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.solvers.settings import LADDER
@@ -155,8 +157,8 @@ class ReportTable(FileModel):
 class SuiteFile(FileModel):
     """`problems/suites/*.toml`; 0 steps means all steps.
 
-    A replay that has taken `replay_budget_s` gets no further round, once two count; 0 for all of
-    them whatever they take.
+    A replay that has taken `replay_budget_s` gets no further round, once `FEWEST_ROUNDS`
+    (`interleave.py`) count; 0 for all of them whatever they take.
     With `contrast` the clipped unconstrained law steers too; with `calibration` the harness's own
     arms, whose cost is known, take part in every replay.
     """
@@ -176,6 +178,18 @@ class SuiteFile(FileModel):
     replay: list[ReplayTable] = []
     recorded: list[RecordedTable] = []
     random: list[RandomTable] = []
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Complaints about "the suite" name its file."""
+    try:
+        yield
+    except InputError as error:
+        if error.where.split(":")[0] != "suite":
+            raise
+        where = error.where.replace("suite", str(path), 1)
+        raise type(error)(where, error.key, error.found, error.allowed) from error
 
 
 def load_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:

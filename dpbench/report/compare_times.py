@@ -11,7 +11,14 @@ import pandas as pd
 from dpbench.report.compare_pairs import KEY, Pair
 from dpbench.report.evidence import MACHINE_NOISE, Evidence, Judgement, gather, judge
 from dpbench.report.formats import as_float
-from dpbench.report.statistics import BLOCK_STEPS, RESAMPLES, SEED, Floats, resampled_means
+from dpbench.report.statistics import (
+    BLOCK_STEPS,
+    RESAMPLES,
+    SEED,
+    Floats,
+    enough,
+    resampled_means,
+)
 from dpbench.report.view import Row, View
 
 PARTS = 4
@@ -147,7 +154,12 @@ def _timing(pair: Pair, a: pd.DataFrame | None, b: pd.DataFrame | None) -> Timin
     theirs = b[steps].to_numpy(dtype=np.float64)[:rounds]
     best = mine.min(axis=0), theirs.min(axis=0)
     logs = np.log(best[1] / best[0])
-    over_steps = resampled_means(logs, BLOCK_STEPS, RESAMPLES, SEED).std()
+    over_steps = (
+        resampled_means(logs, BLOCK_STEPS, RESAMPLES, SEED).std()
+        if enough(len(logs))
+        # As good as a single step: that all of so few resemble each other cannot be excluded.
+        else logs.std()
+    )
     own = float(np.sqrt(over_steps**2 + _variance(mine) + _variance(theirs)))
     medians = float(np.median(best[0])), float(np.median(best[1]))
     return Timing(pair, float(logs.mean()), own, len(steps), rounds, medians)

@@ -122,15 +122,18 @@ def duel_text(found: Duel) -> str:
     if found.steps == 0:
         return f"{found.second} is second; no step was replayed by both, so they are not compared."
     ratio = significant(found.ratio.value)
+    bounded = math.isfinite(found.ratio.high)
     span = interval_text(found.ratio.low, found.ratio.high)
+    known = f"95 % interval {span}" if bounded else "too few for an interval"
     pair = (
         f"{found.second} takes {ratio} times as long as {found.first} per step "
         f"(geometric mean of the paired ratios of {plural(found.steps, 'step')}, each sequence of "
         "equal weight, "
-        f"95 % interval {span})"
+        f"{known})"
     )
     if found.tied:
-        return f"Caution: {pair}; the interval holds 1, so the two cannot be told apart."
+        why = "the interval holds 1, so" if bounded else "without one"
+        return f"Caution: {pair}; {why} the two cannot be told apart."
     if found.unstable:
         by = {name: f"{found.leaders[name]} by {name}" for name in found.leaders}
         return (

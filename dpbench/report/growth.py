@@ -16,6 +16,7 @@ from dpbench.report.statistics import (
     Floats,
     Interval,
     block_indices,
+    enough,
 )
 
 LEAST_POINTS = 3
@@ -66,8 +67,10 @@ def fit_growth(
     middle = np.log([np.median(t) for t in times])
     slope = float(weights @ middle)
     off = middle - middle.mean() - slope * (x - x.mean())
-    slopes = weights @ _resampled_logs(times, resamples, seed)
-    low, high = np.quantile(slopes, ((1.0 - CONFIDENCE) / 2.0, (1.0 + CONFIDENCE) / 2.0))
+    low, high = -np.inf, np.inf
+    if enough(len(times[0])):
+        slopes = weights @ _resampled_logs(times, resamples, seed)
+        low, high = np.quantile(slopes, ((1.0 - CONFIDENCE) / 2.0, (1.0 + CONFIDENCE) / 2.0))
     return Growth(
         exponent=Interval(slope, float(low), float(high)),
         log_scale=float(middle.mean() - slope * x.mean()),

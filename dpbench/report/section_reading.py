@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dpbench.report.blocks import Bullets, Paragraph, Section
-from dpbench.report.statistics import BLOCK_STEPS, RESAMPLES
+from dpbench.report.statistics import BLOCK_STEPS, LEAST_BLOCKS, RESAMPLES
 
 DEFINITIONS = (
     "**error_move** is the largest distance, over the three axes, of the first move to the "
@@ -77,7 +77,8 @@ def reading_section() -> Section:
             Paragraph(
                 f"Bootstrap intervals draw blocks of {BLOCK_STEPS} consecutive steps, as "
                 f"neighbouring steps resemble each other ({RESAMPLES} resamples for "
-                f"percentiles, {4 * RESAMPLES} for paired ratios; fixed seed)."
+                f"percentiles, {4 * RESAMPLES} for paired ratios; fixed seed). Fewer than "
+                f"{LEAST_BLOCKS * BLOCK_STEPS} steps give none."
             ),
             Paragraph("Traps:"),
             Bullets(TRAPS),

@@ -20,6 +20,8 @@ BEYOND = 10
 """So many samples have to lie beyond a percentile before it is printed."""
 BLOCK_STEPS = 20
 """Length of a bootstrap block: 6 s of the ship, longer than the control horizon of 1.5 or 3 s."""
+LEAST_BLOCKS = 4
+"""With fewer blocks resamples hardly differ, and an interval would be too narrow, or a point."""
 RESAMPLES = 500
 CONFIDENCE = 0.95
 SEED = 20_240_917
@@ -27,7 +29,7 @@ SEED = 20_240_917
 
 @dataclass(frozen=True)
 class Interval:
-    """An estimate with its bootstrap interval."""
+    """An estimate with its bootstrap interval; from -inf, or 0, to inf without blocks enough."""
 
     value: float
     low: float
@@ -44,6 +46,11 @@ UNKNOWN = Interval(np.nan, np.nan, np.nan)
 def supports(samples: int, percent: float) -> bool:
     """Whether `samples` are enough for a percentile: at least `BEYOND` lie beyond it."""
     return samples * (100.0 - percent) / 100.0 >= BEYOND - 1e-9
+
+
+def enough(steps: int, block: int = BLOCK_STEPS) -> bool:
+    """Whether so many steps make blocks enough for an interval."""
+    return steps >= LEAST_BLOCKS * block
 
 
 def percentile(values: Floats, percent: float) -> float:
@@ -65,10 +72,13 @@ def percentile_interval(
     """A percentile over steps with its interval, unknown when the steps do not support it."""
     if not supports(len(values), percent):
         return UNKNOWN
+    value = float(np.percentile(values, percent))
+    if not enough(len(values), block):
+        return Interval(value, 0.0, np.inf)
     draws = block_indices(len(values), block, resamples, seed)
     found = np.percentile(values[draws], percent, axis=1)
     low, high = np.quantile(found, _tails(confidence))
-    return Interval(float(np.percentile(values, percent)), float(low), float(high))
+    return Interval(value, float(low), float(high))
 
 
 def pooled_percentile_intervals(
@@ -87,6 +97,9 @@ def pooled_percentile_intervals(
     if not wanted:
         return [UNKNOWN for _ in percents]
     seen, place = np.unique(steps, return_inverse=True)
+    if not enough(len(seen)):
+        values_of = (float(np.percentile(values, p)) if p in wanted else np.nan for p in percents)
+        return [Interval(v, 0.0, np.inf) if np.isfinite(v) else UNKNOWN for v in values_of]
     order = np.argsort(values)
     ordered, place = values[order], place[order]
     shares = np.array(wanted) / 100.0
@@ -125,6 +138,8 @@ def paired_ratio(
     if len(slower) == 0:
         return UNKNOWN
     logs = np.log(slower / faster)
+    if not enough(len(logs), block):
+        return Interval(float(np.exp(logs.mean())), 0.0, np.inf)
     tails = _tails(1.0 - (1.0 - confidence) / comparisons)
     low, high = np.quantile(resampled_means(logs, block, resamples, seed), tails)
     return Interval(float(np.exp(logs.mean())), float(np.exp(low)), float(np.exp(high)))
@@ -141,10 +156,12 @@ def pooled_mean(logs: Sequence[Floats], comparisons: int = 1) -> Interval:
     if not logs or not all(map(len, logs)):
         return UNKNOWN
     means = np.array([found.mean() for found in logs])
+    middle = float(means.mean())
+    if not all(enough(len(found)) for found in logs):
+        return Interval(float(np.exp(middle)), 0.0, np.inf)
     errors = [
         float(resampled_means(found, BLOCK_STEPS, 4 * RESAMPLES, SEED).std()) for found in logs
     ]
-    middle = float(means.mean())
     spread = float(np.linalg.norm(errors)) / len(logs)
     far = float(norm.isf((1.0 - CONFIDENCE) / (2.0 * comparisons))) * spread
     return Interval(float(np.exp(middle)), float(np.exp(middle - far)), float(np.exp(middle + far)))

@@ -21,6 +21,7 @@ from dpbench.report.statistics import percentile, supports
 from dpbench.report.view import Row, View
 
 Outcome = Literal["meets", "misses", "open", "not run"]
+NO_LOOP = "no closed loop was run"
 NO_REPLAY = "no replay was run, so its time is not judged"
 """The doubt about a solver that has closed loops alone."""
 
@@ -87,7 +88,7 @@ def judge(view: View, solver: str, settings: str, demand: Demand) -> Verdict:
     causes += late
     doubts += unsure
     if not loops:
-        doubts.append("no closed loop was run")
+        doubts.append(NO_LOOP)
     if not replays:
         doubts.append(NO_REPLAY)
     outcome: Outcome = "misses" if causes else "open" if doubts else "meets"

@@ -19,7 +19,7 @@ from dpbench.report.formats import (
     time_text,
 )
 from dpbench.report.ranking import fastest_first
-from dpbench.report.verdict import NO_REPLAY, Outcome, Verdict
+from dpbench.report.verdict import NO_LOOP, NO_REPLAY, Outcome, Verdict
 from dpbench.report.view import Row, View, has_steps, is_contrast
 
 Verdicts = Mapping[str, Sequence[Verdict]]
@@ -59,10 +59,12 @@ def _count_line(run: Sequence[Verdict], good: Sequence[Verdict], level: str) -> 
         return f"No solver ran with settings `{level}`."
     if not good and all(NO_REPLAY in v.doubts for v in run):
         return "Nothing can be judged on time: no replay was run."
-    if not good and _with(run, "open"):
+    unsure = _with(run, "open")
+    if not good and unsure:
+        why = f", as {NO_LOOP}" if all(NO_LOOP in v.doubts for v in unsure) else ""
         return (
             f"Whether a solver meets the demand with settings `{level}` is open: "
-            f"{len(_with(run, 'open'))} of {plural(len(run), 'solver')} that ran cannot be judged."
+            f"{len(unsure)} of {plural(len(run), 'solver')} that ran cannot be judged{why}."
         )
     names = f": {_names(good)}" if good else ""
     return (

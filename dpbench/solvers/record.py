@@ -105,10 +105,8 @@ class SolverRecord:
     @property
     def remedy(self) -> str:
         """The command that installs it."""
-        if self.extra in ("plugin", "qpsolvers"):
-            return f"pip install {self.distribution}" if self.distribution else "install it"
-        extra = "" if self.extra in ("core", "own") else f"[{self.extra}]"
-        return f"pip install dpbench{extra}"
+        # Not through an extra of dpbench: the package index knows another project by that name.
+        return f"pip install {self.distribution}" if self.distribution else "install it"
 
     def on(self, route: Route) -> RouteRecord:
         """What it can do on a route it has; KeyError on one it does not have."""

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
+from dpbench.bench.campaign import run_campaign
 from dpbench.bench.cell import Cell
 from dpbench.bench.plan import plan
 from dpbench.bench.suite import ClosedLoopTable, ReplayTable, SuiteFile, load_suite
-from dpbench.errors import UnknownNameError
+from dpbench.errors import InputError, UnknownNameError
+from dpbench.listing import check_file
 from dpbench.solvers.calibration import CALIBRATION
 
 
@@ -89,6 +93,18 @@ def test_a_replay_may_ask_only_some_solvers_of_its_suite() -> None:
 
     assert solvers_of() == ["daqp", "osqp"]
     assert solvers_of("osqp", "piqp") == ["osqp"]
-    assert solvers_of("piqp") == []
-    with pytest.raises(UnknownNameError, match="nobody"):
+    with pytest.raises(InputError, match=r"replay\.solvers: found piqp; allowed: .*daqp, osqp"):
+        solvers_of("piqp")
+    with pytest.raises(UnknownNameError, match=r"suite: replay\.solvers: found 'nobody'"):
         solvers_of("nobody")
+
+
+def test_a_complaint_about_a_suite_names_its_file(tmp_path: Path) -> None:
+    """Whoever checks or runs it: file, key, what was found and what is allowed."""
+    path = tmp_path / "mine.toml"
+    replay = '[[replay]]\nscenario = "paper"\nsolvers = ["piqp"]\n'
+    path.write_text(f'title = "x"\nsolvers = ["daqp"]\n{replay}', encoding="utf-8")
+    for complain in (lambda: check_file(str(path)), lambda: run_campaign(path, tmp_path / "out")):
+        with pytest.raises(InputError, match=r"mine\.toml: replay\.solvers: found piqp"):
+            complain()
+    assert not (tmp_path / "out").exists()

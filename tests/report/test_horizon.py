@@ -74,7 +74,7 @@ def test_a_pure_power_law_is_found_exactly(power: float, scale: float, sizes: li
     Times of one size are all equal, so every resample has the same medians. Sizes that differ by
     one in 400 leave the slope to rounding of the logarithms over 0.0025: 1e-12 at worst.
     """
-    growth = fit_growth(sizes, [np.full(40, scale * n**power) for n in sizes])
+    growth = fit_growth(sizes, [np.full(80, scale * n**power) for n in sizes])
     assert growth is not None
     assert growth.exponent.value == pytest.approx(power, abs=1e-9)
     assert growth.exponent.low == pytest.approx(power, abs=1e-9)

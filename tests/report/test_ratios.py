@@ -33,9 +33,9 @@ def _arm(solver: str, times: list[float]) -> Arm:
 
 
 def test_sequences_weigh_the_same_in_a_ratio() -> None:
-    """Twice as long on 1000 steps and 8 times on 10 is 4 times, exactly and without doubt."""
-    base, other = _arm("base", [3.0] * 1010), _arm("other", [6.0] * 1000 + [24.0] * 10)
-    pooled = Pool(("a", "b"), np.repeat([0, 1], [1000, 10]), (base, other), 0)
+    """Twice as long on 1000 steps and 8 times on 80 is 4 times, exactly and without doubt."""
+    base, other = _arm("base", [3.0] * 1080), _arm("other", [6.0] * 1000 + [24.0] * 80)
+    pooled = Pool(("a", "b"), np.repeat([0, 1], [1000, 80]), (base, other), 0)
     (found,) = ratios(pooled, base)
     assert found.per_sequence == pytest.approx((2.0, 8.0))
     interval = (found.pooled.value, found.pooled.low, found.pooled.high)

@@ -77,10 +77,9 @@ def test_a_missing_distribution_is_listed_with_reason_and_remedy(monkeypatch):
         raise importlib.metadata.PackageNotFoundError(name)
 
     monkeypatch.setattr(importlib.metadata, "version", missing)
-    assert "pip install dpbench[jax]" in available("qpax").reason
-    assert "pip install dpbench[solvers]" in available("scs").reason
-    assert available("daqp").reason.endswith("pip install dpbench")
-    with pytest.raises(SolverUnavailableError, match=r"qpax is not installed.*dpbench\[jax\]"):
+    assert available("hpipm").reason == "casadi is not installed: pip install casadi"
+    assert available("daqp").reason.endswith("pip install daqp")
+    with pytest.raises(SolverUnavailableError, match=r"qpax is not installed.*pip install qpax"):
         open_workspace("qpax")
 
 
