@@ -71,15 +71,11 @@ def report_and_verdict(out: str | Path, *, baseline: str | None = None) -> tuple
     (folder / "report.md").write_text(render_markdown(page), encoding="utf-8")
     html = folder / "report.html"
     html.write_text(render_html(page, drawn), encoding="utf-8")
-    return html, _verdict(results)
+    return html, verdict_lines(results)
 
 
-def verdict_lines(out: str | Path) -> list[str]:
-    """The verdict on a result folder in a few plain lines."""
-    return _verdict(load_results(out))
-
-
-def _verdict(results: Results) -> list[str]:
+def verdict_lines(results: Results) -> list[str]:
+    """The verdict on results in a few plain lines."""
     view = View(results)
     other = view.random or view.slowed or view.calibration
     judged = _lines(view, Demand.of(results.suite)) if view.runs or not other else []

@@ -100,7 +100,7 @@ def test_the_report_and_the_last_lines_speak_of_them(folder: Path) -> None:
     """A whole page, and one line each on machine and harness."""
     text = write_report(folder).with_suffix(".md").read_text(encoding="utf-8")
     assert "### What the harness itself costs" in text and "### Memory of a worker" in text
-    machine, harness = verdict_lines(folder)[-2:]
+    machine, harness = verdict_lines(load_results(folder))[-2:]
     assert machine.startswith("machine: ") and harness.startswith("harness: ")
 
 

@@ -139,7 +139,7 @@ def test_the_report_shows_who_lied(folder: Path) -> None:
     assert first[6].text == str(2 * STEPS) and first[6].mark == "bad"
     html = (folder / "report.html").read_text(encoding="utf-8")
     assert '<td class="bad">' in html
-    assert verdict_lines(folder)[0].startswith("42 random QPs in 7 sequences")
+    assert verdict_lines(load_results(folder))[0].startswith("42 random QPs in 7 sequences")
 
 
 def test_a_finished_random_cell_is_not_run_again(folder: Path, results: Results) -> None:

@@ -11,6 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from dpbench.bench.schema import as_steps
+from dpbench.bench.store import load_results
 from dpbench.report.demand import Demand
 from dpbench.report.figures_deadline import slowdown_figure
 from dpbench.report.render import render_markdown
@@ -147,7 +148,7 @@ def test_a_suite_of_slow_computers_alone_has_a_report(records: Any, tmp_path: Pa
     out = records.write(tmp_path / "slow")
     html = write_report(out).read_text(encoding="utf-8")
     assert "Missing:" not in html and "slowdown_1" in (out / "report.md").read_text("utf-8")
-    (line,) = verdict_lines(out)
+    (line,) = verdict_lines(load_results(out))
     assert "1\u202f000 ×: daqp; up to 1 ×: hildreth; at no slow-down: scs." in line
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 
 from dpbench.bench.schema import as_steps
-from dpbench.bench.store import Results
+from dpbench.bench.store import Results, load_results
 from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.report.blocks import Tabular
 from dpbench.report.claims_random import RandomClaims
@@ -105,12 +105,12 @@ def test_random_problems_change_nothing_that_is_said_about_the_ship(
     records.loop("daqp", route="native")
     records.replay("daqp", route="native", steps=60)
     records.write(tmp_path)
-    before, lines = _tables(records.results()), verdict_lines(tmp_path)
+    before, lines = _tables(records.results()), verdict_lines(load_results(tmp_path))
     records.replay("daqp", error=1.0, steps=24, route="qpsolvers", **cell())
     write_report(records.write(tmp_path))
     assert _tables(records.results()) == before
-    assert verdict_lines(tmp_path)[: len(lines)] == lines
-    assert "24 random QPs in 1 sequence" in verdict_lines(tmp_path)[len(lines)]
+    assert verdict_lines(load_results(tmp_path))[: len(lines)] == lines
+    assert "24 random QPs in 1 sequence" in verdict_lines(load_results(tmp_path))[len(lines)]
     keys = [section.key for section in build_page(records.results()).sections]
     assert keys.index("random") == keys.index("units") + 1
 

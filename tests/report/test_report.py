@@ -128,7 +128,7 @@ def test_every_table_states_its_population(campaign: Path) -> None:
 
 def test_the_verdict_lines_name_the_fastest(campaign: Path) -> None:
     """The terminal hears who is fastest on default routes, and in which way of all."""
-    text = "\n".join(verdict_lines(campaign))
+    text = "\n".join(verdict_lines(load_results(campaign)))
     assert "The fastest by p99 that meets it on its default route, policy fresh, is daqp" in text
     assert "Fastest by p99 of all ways to run a solver: daqp, route native, policy warm" in text
 
