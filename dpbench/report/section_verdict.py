@@ -1,20 +1,12 @@
-"""The first section: the verdict, in cards, sentences and one table."""
+"""The first section: the recommendation, in cards, sentences and one table."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from dpbench.report.blocks import Bullets, Card, Cards, Paragraph, Section, Tabular, missing
 from dpbench.report.demand import Demand, demand_text
-from dpbench.report.fastest import Candidate, candidates
-from dpbench.report.fastest_text import (
-    fastest_arm,
-    fastest_usual,
-    fastest_way,
-    first_ways,
-    yardstick,
-)
 from dpbench.report.formats import (
     MISSING,
     count_text,
@@ -23,14 +15,21 @@ from dpbench.report.formats import (
     rounded_down,
     time_text,
 )
-from dpbench.report.ranking import Contender, fastest_first
+from dpbench.report.ranking import fastest_first
+from dpbench.report.recommendation import known_record, recommend, why_not_aboard
 from dpbench.report.table import Cell, Mark, Table, row_of
 from dpbench.report.tables_levels import level_tables
-from dpbench.report.verdict import Verdict, judge_all
-from dpbench.report.verdict_text import contrast, elsewhere, sentence, summary
+from dpbench.report.verdict import Verdict, Verdicts, judge_all
+from dpbench.report.verdict_text import (
+    contrast,
+    elsewhere,
+    recommendation,
+    sentence,
+    summary,
+    yardstick,
+)
 from dpbench.report.view import View
 
-Verdicts = Mapping[str, Sequence[Verdict]]
 MARKS: dict[str, Mark] = {"meets": "good", "misses": "bad", "open": "warn", "not run": "quiet"}
 ORDER = tuple(MARKS)
 
@@ -38,149 +37,158 @@ ORDER = tuple(MARKS)
 def verdict_lines(view: View, demand: Demand) -> list[str]:
     """The verdict in a few plain lines without markup, for a terminal."""
     verdicts = judge_all(view, demand)
-    if not verdicts:
-        return summary(verdicts)
-    first = next(iter(verdicts))
-    lines = [
-        *summary(verdicts),
-        *fastest_usual(view, verdicts[first], demand),
-        *fastest_arm(view, candidates(view, demand)),
-    ]
+    lines = summary(verdicts)
+    if verdicts.of:
+        lines += recommendation(view, verdicts)
     return [line.replace("**", "").replace("`", "") for line in lines]
 
 
 def verdict_section(view: View, demand: Demand) -> Section:
-    """Which solvers meet the demand, which do not and why."""
+    """Which configuration to use, which solvers meet the demand, which do not and why."""
     section = Section("verdict", "Verdict")
     verdicts = judge_all(view, demand)
-    if not verdicts:
-        section.add(missing("no solver was run in scaled units, nothing is judged."))
+    if not verdicts.of:
+        nothing = missing("no solver was run in scaled units, nothing is judged.")
+        section.add(nothing, Paragraph(contrast(view)))
         return section
-    first = next(iter(verdicts))
-    ordered = _ordered(verdicts[first])
-    found = candidates(view, demand)
     section.add(
+        Paragraph(" ".join(recommendation(view, verdicts)), lead=True),
         Paragraph(" ".join(summary(verdicts)), lead=True),
-        Paragraph(" ".join(fastest_arm(view, found)), lead=True),
-        Cards(_cards(verdicts, found, demand)),
+        Cards(_cards(verdicts)),
         Paragraph(demand_text(demand)),
-        *(Paragraph(line) for line in fastest_usual(view, verdicts[first], demand)),
-        Tabular(verdict_table(verdicts, demand)),
-        *(Tabular(table) for table in level_tables(view, demand, verdicts[first])),
-        Bullets(
-            tuple(
-                sentence(v, demand) + elsewhere(verdicts, v) + fastest_way(found, v.solver)
-                for v in ordered
-            )
-        ),
+        Tabular(verdict_table(verdicts)),
+        *(Tabular(table) for table in level_tables(view, demand)),
+        Bullets(tuple(sentence(v, demand) + elsewhere(verdicts, v) for v in _ordered(verdicts))),
         Paragraph(contrast(view)),
     )
     return section
 
 
-def _ordered(verdicts: Sequence[Verdict]) -> list[Verdict]:
-    return sorted(fastest_first(verdicts), key=lambda v: ORDER.index(v.outcome))
+def _ordered(verdicts: Verdicts) -> list[Verdict]:
+    """The references: those that meet the demand first, each group by speed."""
+    return sorted(fastest_first(verdicts.references), key=lambda v: ORDER.index(v.outcome))
 
 
-def _cards(verdicts: Verdicts, found: Sequence[Candidate], demand: Demand) -> tuple[Card, ...]:
-    first = next(iter(verdicts))
-    default = verdicts[first]
-    good = fastest_first([v for v in default if v.outcome == "meets"])
-    run = [v for v in default if v.outcome != "not run"]
-    rescued = {
-        v.solver for level in list(verdicts)[1:] for v in verdicts[level] if v.outcome == "meets"
-    } - {v.solver for v in good}
-    cards = [_count_card(run, good, first)]
-    if len(verdicts) > 1:
-        others = ", ".join(sorted(rescued)) or "none"
-        mark: Mark = "warn" if rescued else ""
-        cards.append(Card("only with other settings", str(len(rescued)), others, mark))
-    for arm in first_ways(found)[:1]:
-        words = (
-            f"{arm.route} {arm.policy}, {arm.settings}: {_figure(arm)}, judged on {arm.judged_on}"
+def _cards(verdicts: Verdicts) -> tuple[Card, ...]:
+    references = verdicts.references
+    good = [v for v in references if v.outcome == "meets"]
+    run = [v for v in references if v.outcome != "not run"]
+    cards = [_count_card(run, good)]
+    if len(verdicts.every) > len(references):
+        only = sorted(
+            v.solver
+            for v in run
+            if v.outcome != "meets" and any(o.outcome == "meets" for o in verdicts.of[v.solver])
         )
-        cards.append(Card(f"fastest way of all, by {yardstick(arm)}", arm.solver, words, "good"))
-    return (*cards, *_usual_cards(good, demand))
+        mark: Mark = "warn" if only else ""
+        cards.append(
+            Card("only in another configuration", str(len(only)), ", ".join(only) or "none", mark)
+        )
+    found, demand = recommend(verdicts), verdicts.demand
+    if found.chosen is not None:
+        title = f"fastest that can go aboard, by {yardstick(found.chosen)}"
+        cards.append(Card(title, found.chosen.solver, _way(found.chosen), "good"))
+        cards += _slowdown_cards(found.chosen, demand)
+    if found.faster is not None:
+        words = f"{_way(found.faster)}; {found.because}"
+        cards.append(Card("faster, not to go aboard as it is", found.faster.solver, words))
+    return tuple(cards)
 
 
-def _count_card(run: Sequence[Verdict], good: Sequence[Verdict], level: str) -> Card:
-    title = f"meet the demand, settings {level}"
+def _slowdown_cards(chosen: Verdict, demand: Demand) -> list[Card]:
+    """How slow a computer may be for the configuration that is recommended, named beside it."""
+    stands = f"{chosen.label}: {{}} takes {demand.deadline_ms:g} ms"
+    step = f"its largest algorithmic step, {time_text(chosen.algo_max_ns)},"
+    sample = f"its largest sample, {time_text(chosen.raw_max_ns)},"
+    return [
+        Card("slow-down by step", _times(chosen.slowdown(demand)), stands.format(step)),
+        Card("slow-down by sample", _times(chosen.raw_slowdown(demand)), stands.format(sample)),
+    ]
+
+
+def _count_card(run: Sequence[Verdict], good: Sequence[Verdict]) -> Card:
+    title = "meet the demand by default"
     unsure = sum(v.outcome == "open" for v in run)
     if unsure and not good:
         return Card(title, "open", f"{unsure} of {len(run)} that ran cannot be judged", "warn")
     return Card(title, f"{len(good)} of {len(run)}", "solvers that ran", "good" if good else "bad")
 
 
-def _usual_cards(good: Sequence[Verdict], demand: Demand) -> tuple[Card, ...]:
-    """The fastest solver on its default route, policy fresh, and how slow a computer may be."""
-    if not good:
-        return ()
-    best = good[0]
-    stands = f"before its largest step, {time_text(best.algo_max_ns)}, takes {demand.deadline_ms:g}"
-    return (
-        Card(
-            f"fastest by {yardstick(best)}, default route",
-            best.solver,
-            f"{best.route} fresh: {_figure(best)}",
-            "good",
-        ),
-        Card("slow-down it stands", _slowdown(best, demand), f"{stands} ms"),
+def _way(verdict: Verdict) -> str:
+    figure = (
+        f"p99 {time_text(verdict.p99_ns)}"
+        if math.isfinite(verdict.p99_ns)
+        else f"largest step {time_text(verdict.algo_max_ns)}"
     )
+    return f"{verdict.configuration.way}: {figure}, judged on {verdict.judged_on}"
 
 
-def _figure(arm: Contender) -> str:
-    if math.isfinite(arm.p99_ns):
-        return f"p99 {time_text(arm.p99_ns)}"
-    return f"largest step {time_text(arm.algo_max_ns)}"
-
-
-def verdict_table(verdicts: Verdicts, demand: Demand) -> Table:
-    """One row per solver: outcome at each settings level and the figures behind the first."""
-    first, *others = verdicts
-    rows = []
-    for verdict in _ordered(verdicts[first]):
-        levels = [verdict] + [
-            v for level in others for v in verdicts[level] if v.solver == verdict.solver
-        ]
-        rows.append(
-            row_of(
-                verdict.solver,
-                verdict.route or MISSING,
-                *(Cell(v.outcome, MARKS[v.outcome]) for v in levels),
-                error_text(verdict.error_move),
-                count_text(verdict.failed_steps) if verdict.steps else MISSING,
-                time_text(verdict.p99_ns),
-                time_text(verdict.algo_max_ns),
-                _slowdown(verdict, demand),
-                count_text(verdict.steps) if verdict.steps else MISSING,
-            )
-        )
+def verdict_table(verdicts: Verdicts) -> Table:
+    """One row per solver: outcomes, and the figures of the fastest configuration that is right, or
+    of its reference where none is."""
+    rows = [_verdict_row(verdicts, verdict) for verdict in _ordered(verdicts)]
+    demand = verdicts.demand
     return Table(
         title="Verdict per solver",
         note=(
-            f"Scaled units, default route, policy fresh; figures of settings {first}. Accuracy: "
-            "every step of the longest closed loop per scenario and of the replays. Time: "
-            "algorithmic, from replays alone; p99 is the worst over the sequences that support "
-            f"one. Slow-down: {demand.deadline_ms:g} ms over the largest algorithmic step time, "
-            f"rounded down. {plural(len(rows), 'solver')}."
+            "Outcomes of the default route, policy fresh (or the nearest to it that was run), at "
+            "each settings level; open: not run, or not whole, in every scenario and replay in "
+            "which the default was judged, or not judged there. The figures are those of the "
+            "configuration under *figures of*: the fastest that nothing contradicts, else the "
+            "default. Accuracy: every step of its closed loops and replays. Time: algorithmic, "
+            "from replays alone; p99 is the worst over the sequences that support one. Slow-down: "
+            f"{demand.deadline_ms:g} ms over the largest algorithmic step, and over the largest "
+            "single sample, jitter of this machine included; rounded down. Licence, language and "
+            f"C code as each project states them. {plural(len(rows), 'solver')}."
         ),
         heads=(
             "solver",
-            "route",
-            *(f"settings {level}" for level in verdicts),
+            *(f"settings {level}" for level in verdicts.levels),
+            "figures of",
+            "can go aboard",
+            "licence",
+            "language",
+            "C code",
             "error_move max",
             "failed",
             "p99",
             "largest step",
-            "slow-down",
+            "largest sample",
+            "slow-down by step",
+            "slow-down by sample",
             "judged steps",
         ),
         rows=tuple(rows),
-        text_columns=2 + len(verdicts),
+        text_columns=6 + len(verdicts.levels),
     )
 
 
-def _slowdown(verdict: Verdict, demand: Demand) -> str:
-    if not math.isfinite(verdict.algo_max_ns):
-        return MISSING
-    return f"× {rounded_down(verdict.slowdown(demand))}"
+def _verdict_row(verdicts: Verdicts, reference: Verdict) -> tuple[Cell, ...]:
+    solver, demand = reference.solver, verdicts.demand
+    shown = verdicts.fastest(solver) or reference
+    at = [next(v for v in verdicts.at(level) if v.solver == solver) for level in verdicts.levels]
+    known, why_not = known_record(solver), why_not_aboard(solver)
+    facts = (
+        (known.project.licence.value, known.project.language.value, known.project.c_code.value)
+        if known is not None
+        else (MISSING,) * 3
+    )
+    return row_of(
+        solver,
+        *(Cell(v.outcome, MARKS[v.outcome]) for v in at),
+        shown.configuration.way,
+        Cell(f"no: {why_not}", "warn") if why_not else "yes",
+        *facts,
+        error_text(shown.error_move),
+        count_text(shown.failed_steps) if shown.steps else MISSING,
+        time_text(shown.p99_ns),
+        time_text(shown.algo_max_ns),
+        time_text(shown.raw_max_ns),
+        _times(shown.slowdown(demand)),
+        _times(shown.raw_slowdown(demand)),
+        count_text(shown.steps) if shown.steps else MISSING,
+    )
+
+
+def _times(slowdown: float) -> str:
+    return f"× {rounded_down(slowdown)}" if math.isfinite(slowdown) else MISSING

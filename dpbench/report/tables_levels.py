@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 from dpbench.report.demand import Demand
-from dpbench.report.fastest import ALIKE, Candidate, candidates, fastest_of
-from dpbench.report.fastest_text import first_ways, yardstick
 from dpbench.report.formats import and_list, error_text, interval_text, plural, time_text
 from dpbench.report.statistics import UNKNOWN, Interval, percentile_interval
 from dpbench.report.table import Cell, Table, row_of
-from dpbench.report.verdict import Verdict
+from dpbench.report.verdict import ALIKE, Verdict, Verdicts, judge_all
+from dpbench.report.verdict_text import yardstick
 from dpbench.report.view import View
 
 LEVELS = (1e-2, 1e-4, 1e-6)
@@ -25,7 +23,8 @@ HEADS = (
     "route",
     "policy",
     "settings",
-    "answers judged",
+    "outcome",
+    "judged on",
     "error_move max",
     "p50",
     "p50 95 % [µs]",
@@ -41,27 +40,25 @@ def levels_of(demand: Demand) -> list[float]:
     return sorted({*LEVELS, demand.error_move}, reverse=True)
 
 
-def level_tables(view: View, demand: Demand, verdicts: Sequence[Verdict]) -> list[Table]:
+def level_tables(view: View, demand: Demand) -> list[Table]:
     """The headline table and, folded, the solvers behind the first; none without a right arm."""
-    ran = [verdict.solver for verdict in verdicts if verdict.outcome != "not run"]
-    found: dict[float, list[Candidate]] = {}
-    for level in levels_of(demand):
-        arms = candidates(view, replace(demand, error_move=level))
-        found[level] = [arm for arm in arms if arm.solver in ran]
-    if not any(found.values()):
+    found = {
+        level: judge_all(view, replace(demand, error_move=level)) for level in levels_of(demand)
+    }
+    ways = {level: list(enumerate(v.podium, 1)) for level, v in found.items()}
+    if not any(ways.values()):
         return []
-    ways = {level: list(enumerate(first_ways(arms), 1)) for level, arms in found.items()}
     some = next(way for placed in ways.values() for _, way in placed)
     by = yardstick(some)
     head = Table(
         title=f"Fastest at an accuracy achieved on every step, by {by}",
         note=(
             f"The first {FIRST} solvers at each accuracy of the first move, each in its fastest "
-            f"way. {_population(found, some)} Ordered by {by}; p50 and p99 with bootstrap "
-            "intervals are those of the sequence with the worst p99, the largest step that of all. "
-            "An arm without a closed loop of its own is judged on replays alone; where settings "
-            f"make less than {100 * ALIKE:g} % of difference the more usual ones are named. "
-            f"{_absent(found, ran)}"
+            f"configuration. {_population(found, some)} Ordered by {by}; p50 and p99 with "
+            "bootstrap intervals are those of the sequence with the worst p99, the largest step "
+            "that of all. Only configurations run wherever their solver's default was judged; "
+            f"where settings make less than {100 * ALIKE:g} % of difference the more usual ones "
+            f"are named. {_absent(found)}"
         ),
         heads=HEADS,
         rows=tuple(
@@ -69,7 +66,7 @@ def level_tables(view: View, demand: Demand, verdicts: Sequence[Verdict]) -> lis
             for level, placed in ways.items()
             for place, way in placed[:FIRST]
         ),
-        text_columns=7,
+        text_columns=8,
     )
     rest = tuple(
         _row(view, level, place, way, demand)
@@ -83,28 +80,29 @@ def level_tables(view: View, demand: Demand, verdicts: Sequence[Verdict]) -> lis
     return [head, more]
 
 
-def _population(found: dict[float, list[Candidate]], some: Candidate) -> str:
-    counts = [f"{len(arms)} at {level:g}" for level, arms in found.items()]
+def _population(found: dict[float, Verdicts], some: Verdict) -> str:
+    counts = [f"{len(verdicts.ranked)} at {level:g}" for level, verdicts in found.items()]
     return (
-        f"Arms replayed on {plural(some.sequences, 'sequence')} in scaled units whose every answer "
-        f"is that accurate: {and_list(counts)}."
+        f"Configurations replayed on {plural(some.replays, 'sequence')} in scaled units whose "
+        f"every answer is that accurate: {and_list(counts)}."
     )
 
 
-def _absent(found: dict[float, list[Candidate]], ran: Sequence[str]) -> str:
+def _absent(found: dict[float, Verdicts]) -> str:
     """Who has no way to an accuracy, said once for several accuracies."""
     lines = []
-    for level, arms in found.items():
-        none = [solver for solver in ran if fastest_of(arms, solver) is None]
+    for level, verdicts in found.items():
+        ran = [verdict.solver for verdict in verdicts.references if verdict.outcome != "not run"]
+        none = [solver for solver in ran if verdicts.fastest(solver) is None]
         if none:
             lines.append(f"at {level:g} {and_list(none)}")
     if not lines:
         return ""
-    why = "an answer is less accurate, a step failed, or an arm did not finish"
+    why = "an answer is less accurate, a step failed, or a run is missing or did not finish"
     return f"No such way: {'; '.join(lines)} ({why})."
 
 
-def _row(view: View, level: float, place: int, way: Candidate, demand: Demand) -> tuple[Cell, ...]:
+def _row(view: View, level: float, place: int, way: Verdict, demand: Demand) -> tuple[Cell, ...]:
     p50, p99 = _intervals(view, way)
     return row_of(
         Cell(f"≤ {level:g}", "good" if level == demand.error_move else ""),
@@ -113,21 +111,22 @@ def _row(view: View, level: float, place: int, way: Candidate, demand: Demand) -
         way.route,
         way.policy,
         way.settings,
+        way.outcome,
         way.judged_on,
         error_text(way.error_move),
         time_text(way.p50_ns),
         interval_text(p50.low, p50.high, 1e3),
         Cell(time_text(way.p99_ns), "bad" if way.p99_ns > demand.p99_ns else ""),
         interval_text(p99.low, p99.high, 1e3),
-        f"`{way.where}`",
+        f"`{way.timed_on}`",
         time_text(way.algo_max_ns),
     )
 
 
-def _intervals(view: View, way: Candidate) -> tuple[Interval, Interval]:
+def _intervals(view: View, way: Verdict) -> tuple[Interval, Interval]:
     """Bootstrap intervals of p50 and p99 on the sequence they belong to."""
     arm = {"route": way.route, "policy": way.policy, "settings": way.settings}
-    for row in view.replays(way.where, solver=way.solver, **arm):
+    for row in view.replays(way.timed_on, solver=way.solver, **arm):
         times = view.times(row)
         if times is not None:
             algo = times.algo_ns

@@ -1,9 +1,9 @@
-"""Say the verdict in plain sentences; every number in them comes from rows."""
+"""Say verdicts and recommendation in plain sentences; every number in them comes from rows."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -13,74 +13,78 @@ from dpbench.report.formats import (
     as_float,
     count_text,
     error_text,
+    interval_text,
     plural,
     rounded_down,
     significant,
     time_text,
 )
-from dpbench.report.ranking import fastest_first
-from dpbench.report.verdict import NO_LOOP, NO_REPLAY, Outcome, Verdict
+from dpbench.report.ranking import Contender, Duel, duel, fastest_first
+from dpbench.report.recommendation import Recommendation, known_record, recommend
+from dpbench.report.verdict import NO_LOOP, NO_REPLAY, Outcome, Verdict, Verdicts
 from dpbench.report.view import Row, View, has_steps, is_contrast
-
-Verdicts = Mapping[str, Sequence[Verdict]]
 
 
 def summary(verdicts: Verdicts) -> list[str]:
-    """How many meet the demand, by settings level, and who."""
-    if not any(verdicts.values()):
+    """How many solvers meet the demand in their default configuration, who does so only in
+    another one, who misses it, who is open; every solver once."""
+    references = verdicts.references
+    if not references:
         return ["No solver was run, so there is nothing to judge."]
-    first, *others = verdicts
-    default = verdicts[first]
-    run = [v for v in default if v.outcome != "not run"]
-    good = fastest_first(_with(default, "meets"))
-    lines = [_count_line(run, good, first)]
-    rest = [v for v in run if v.outcome != "meets"]
-    for level in others:
-        won = _solvers(_with(verdicts[level], "meets"))
-        lines += _gained(rest, won, first, level)
-        rest = [v for v in rest if v.solver not in won]
-        lost = [v for v in _with(verdicts[level], "misses") if v.solver in _solvers(good)]
-        if lost:
-            lines.append(f"With settings `{level}` no longer: {_names(lost)}.")
-    missing, unsure = _with(rest, "misses"), _with(rest, "open")
+    run = [v for v in references if v.outcome != "not run"]
+    good = fastest_first(_with(references, "meets"))
+    rescued = [_only(verdicts, v) for v in run if v.outcome != "meets"]
+    only = [v for v in rescued if v is not None]
+    rest = [v for v in run if v.outcome != "meets" and v.solver not in {o.solver for o in only}]
+    lines = [_count_line(run, good)]
+    if only:
+        lines.append(f"Only in another configuration: {_labels(only)}.")
+    lines += _no_longer(verdicts, good)
+    missing = _with(rest, "misses")
     if missing:
         lines.append(f"{_names(missing)} {_verb(missing, 'miss')} it.")
+    unsure = _with(rest, "open")
     if unsure:
         lines.append(f"{_names(unsure)} cannot be judged on these records.")
-    absent = _with(default, "not run")
+    absent = _with(references, "not run")
     if absent:
         lines.append(f"Not run: {_names(absent)}.")
     return lines
 
 
-def _count_line(run: Sequence[Verdict], good: Sequence[Verdict], level: str) -> str:
+def _only(verdicts: Verdicts, reference: Verdict) -> Verdict | None:
+    """The fastest configuration that meets the demand where a solver's reference does not."""
+    return next(iter(fastest_first(_with(verdicts.of[reference.solver], "meets"))), None)
+
+
+def _no_longer(verdicts: Verdicts, good: Sequence[Verdict]) -> list[str]:
+    """Who meets the demand by default and misses it at another level."""
+    lines = []
+    for level in verdicts.levels:
+        lost = [v for v in _with(verdicts.at(level), "misses") if v.solver in _solvers(good)]
+        if lost:
+            lines.append(f"With settings `{level}` no longer: {_names(lost)}.")
+    return lines
+
+
+def _count_line(run: Sequence[Verdict], good: Sequence[Verdict]) -> str:
     """How many meet the demand; that this is open where nobody can be said to."""
     if not run:
-        return f"No solver ran with settings `{level}`."
-    if not good and all(NO_REPLAY in v.doubts for v in run):
+        return "No solver ran."
+    if not good and all(NO_REPLAY in v.open_for for v in run):
         return "Nothing can be judged on time: no replay was run."
     unsure = _with(run, "open")
     if not good and unsure:
-        why = f", as {NO_LOOP}" if all(NO_LOOP in v.doubts for v in unsure) else ""
+        why = f", as {NO_LOOP}" if all(NO_LOOP in v.open_for for v in unsure) else ""
         return (
-            f"Whether a solver meets the demand with settings `{level}` is open: "
+            "Whether a solver meets the demand in its default configuration is open: "
             f"{len(unsure)} of {plural(len(run), 'solver')} that ran cannot be judged{why}."
         )
     names = f": {_names(good)}" if good else ""
     return (
         f"{len(good)} of {plural(len(run), 'solver')} that ran {_verb(good, 'meet')} the demand "
-        f"with settings `{level}`{names}."
+        f"in {'its' if len(good) == 1 else 'their'} default configuration{names}."
     )
-
-
-def _gained(rest: Sequence[Verdict], won: set[str], first: str, level: str) -> list[str]:
-    """Who meets the demand at `level` but not, or not for certain, at the first one."""
-    only = [v for v in _with(rest, "misses") if v.solver in won]
-    also = [v for v in _with(rest, "open") if v.solver in won]
-    lines = [f"Only with settings `{level}`: {_names(only)}."] if only else []
-    if also:
-        lines.append(f"With settings `{level}`, while `{first}` is open: {_names(also)}.")
-    return lines
 
 
 def _verb(subjects: Sequence[Verdict], verb: str) -> str:
@@ -99,29 +103,135 @@ def _names(verdicts: Sequence[Verdict]) -> str:
     return and_list([v.solver for v in verdicts])
 
 
-def sentence(verdict: Verdict, demand: Demand) -> str:
-    """The verdict on one solver in one sentence."""
-    head = f"**{verdict.solver}** "
-    if verdict.outcome == "not run":
-        return f"{head}was not run: {verdict.doubts[0]}."
-    if verdict.outcome == "misses":
-        return f"{head}misses the demand: {'; '.join(verdict.causes)}.{_also(verdict)}"
-    if verdict.outcome == "open":
-        return f"{head}cannot be judged: {'; '.join(verdict.doubts)}.{_so_far(verdict)}"
-    return f"{head}meets the demand: {_figures(verdict)}; {slack_text(verdict, demand)}."
+def _labels(verdicts: Sequence[Verdict]) -> str:
+    return and_list([v.label for v in verdicts])
+
+
+def recommendation(view: View, verdicts: Verdicts) -> list[str]:
+    """What to use, what is faster and cannot go aboard, and how clear the lead is."""
+    found = recommend(verdicts)
+    if found.chosen is None:
+        return [_nobody(view, verdicts, found)]
+    lines = [_use(found.chosen, verdicts.demand)]
+    if found.faster is not None:
+        lines.append(
+            f"Faster: **{found.faster.solver}** ({found.faster.configuration.way}, "
+            f"{figures(found.faster)}), which cannot go aboard as it is: {found.because}."
+        )
+    if found.runner_up is not None:
+        lines.append(duel_text(duel(view, found.chosen, found.runner_up)))
+    return lines
+
+
+def _use(chosen: Verdict, demand: Demand) -> str:
+    if chosen.outcome == "meets":
+        head = f"Use **{chosen.solver}**"
+        right = f"right on every step of {chosen.judged_on}"
+    else:
+        head = f"Nothing contradicts **{chosen.solver}**"
+        right = f"right on every step of {chosen.judged_on}, {and_list(list(chosen.open_for))}"
+    return (
+        f"{head} (route {chosen.route}, policy {chosen.policy}, settings `{chosen.settings}`), the "
+        f"fastest by {yardstick(chosen)} that can go aboard: {right}; {figures(chosen)}; "
+        f"{slack_text(chosen, demand)}. {aboard(chosen.solver)}"
+    )
+
+
+def aboard(solver: str) -> str:
+    """Licence, language and C code of a solver, in a sentence."""
+    known = known_record(solver)
+    if known is None:
+        return "Its licence and language are not known here."
+    project = known.project
+    return (
+        f"Licence: {project.licence.value}; language: {project.language.value}; C code: "
+        f"{project.c_code.value}."
+    )
+
+
+def _nobody(view: View, verdicts: Verdicts, found: Recommendation) -> str:
+    """Why nothing is recommended."""
+    if found.faster is not None:
+        return (
+            f"Nothing that can go aboard meets the demand; {found.faster.label} does, "
+            f"{figures(found.faster)}: {found.because}."
+        )
+    if not any(has_steps(row) for row in view.select(mode="replay", units="scaled")):
+        return "Nothing is recommended, as no replay left a step, so nothing is timed."
+    outcomes = {verdict.outcome for verdict in verdicts.every}
+    if "open" in outcomes:
+        return "Nothing is recommended while it is open whether a solver meets the demand."
+    return "Nothing is recommended: no solver meets the demand in any configuration that was run."
+
+
+def yardstick(arm: Contender) -> str:
+    """What an arm is ranked by: its p99, or its largest step where there is no p99."""
+    return "p99" if math.isfinite(arm.p99_ns) else "largest step"
+
+
+def figures(verdict: Verdict) -> str:
+    """Error and step times of a configuration."""
+    p99 = (
+        f"p99 {time_text(verdict.p99_ns)}"
+        if math.isfinite(verdict.p99_ns)
+        else "too few steps for a p99"
+    )
+    return (
+        f"error_move at most {error_text(verdict.error_move)}, p50 {time_text(verdict.p50_ns)} and "
+        f"{p99} on `{verdict.timed_on}`, largest step {time_text(verdict.algo_max_ns)}"
+    )
 
 
 def slack_text(verdict: Verdict, demand: Demand) -> str:
-    """How much slower a computer may be, as a clause."""
+    """How much slower a computer may be, by the largest algorithmic step and by the largest sample,
+    as a clause."""
     deadline = f"{demand.deadline_ms / 1e3:g} s"
-    if verdict.slowdown(demand) < 1.0:
+    by_step, by_sample = verdict.slowdown(demand), verdict.raw_slowdown(demand)
+    if by_step < 1.0:
         return f"its largest step, {time_text(verdict.algo_max_ns)}, misses the {deadline}"
-    times = rounded_down(verdict.slowdown(demand))
-    return f"a computer {times} times slower would still make the {deadline} deadline"
+    return (
+        f"a computer {rounded_down(by_step)} times slower would still make the {deadline} deadline "
+        f"by its largest algorithmic step, {rounded_down(by_sample)} times by its largest sample "
+        f"({time_text(verdict.raw_max_ns)}, jitter of this machine included)"
+    )
 
 
-def _also(verdict: Verdict) -> str:
-    return f" Besides, {'; '.join(verdict.doubts)}." if verdict.doubts else ""
+def duel_text(found: Duel) -> str:
+    """How the top two compare, with caution where they cannot be told apart."""
+    if found.steps == 0:
+        return f"{found.second} is second; no step was replayed by both, so they are not compared."
+    ratio = significant(found.ratio.value)
+    bounded = math.isfinite(found.ratio.high)
+    span = interval_text(found.ratio.low, found.ratio.high)
+    known = f"95 % interval {span}" if bounded else "too few for an interval"
+    pair = (
+        f"{found.second} takes {ratio} times as long as {found.first} per step "
+        f"(geometric mean of the paired ratios of {plural(found.steps, 'step')}, each sequence of "
+        "equal weight, "
+        f"{known})"
+    )
+    if found.tied:
+        why = "the interval holds 1, so" if bounded else "without one"
+        return f"Caution: {pair}; {why} the two cannot be told apart."
+    if found.unstable:
+        by = {name: f"{found.leaders[name]} by {name}" for name in found.leaders}
+        return (
+            f"Caution: {pair}; the order depends on the yardstick: {and_list(list(by.values()))}."
+        )
+    return f"Second: {pair}."
+
+
+def sentence(verdict: Verdict, demand: Demand) -> str:
+    """The verdict on one configuration in one sentence."""
+    head = f"**{verdict.label}** "
+    if verdict.outcome == "not run":
+        return f"{head}was not run: {verdict.doubts[0]}."
+    if verdict.outcome == "misses":
+        also = f" Besides, {'; '.join(verdict.doubts)}." if verdict.doubts else ""
+        return f"{head}misses the demand: {'; '.join(verdict.causes)}.{also}"
+    if verdict.outcome == "open":
+        return f"{head}is open: {'; '.join(verdict.open_for)}.{_so_far(verdict)}"
+    return f"{head}meets the demand: {figures(verdict)}; {slack_text(verdict, demand)}."
 
 
 def _so_far(verdict: Verdict) -> str:
@@ -134,34 +244,23 @@ def _so_far(verdict: Verdict) -> str:
     )
 
 
-def elsewhere(verdicts: Verdicts, verdict: Verdict) -> str:
-    """What the other settings levels change about a verdict; empty when nothing."""
+def elsewhere(verdicts: Verdicts, reference: Verdict) -> str:
+    """What other configurations of a solver change about its verdict; empty when nothing."""
     text = ""
-    for level in list(verdicts)[1:]:
-        other = next((v for v in verdicts[level] if v.solver == verdict.solver), None)
-        if other is None or other.outcome == "not run" or other.causes == verdict.causes:
+    for level in verdicts.levels:
+        other = next(v for v in verdicts.at(level) if v.solver == reference.solver)
+        if other.configuration == reference.configuration or other.causes == reference.causes:
             continue
         if other.outcome == "misses":
             text += f" With settings `{level}`: {'; '.join(other.causes)}."
         elif other.outcome == "open":
-            text += f" With settings `{level}` it cannot be judged: {'; '.join(other.doubts)}."
-        elif verdict.outcome != "meets":
-            only = "only " if verdict.outcome == "misses" else ""
-            text += f" It meets the demand {only}with settings `{level}`: {_figures(other)}."
-    return text
-
-
-def _figures(verdict: Verdict) -> str:
-    """The figures behind a verdict that meets the demand."""
-    p99 = (
-        f"p99 {time_text(verdict.p99_ns)} on `{verdict.p99_of}`"
-        if math.isfinite(verdict.p99_ns)
-        else f"largest step {time_text(verdict.algo_max_ns)} (too few steps for a p99)"
-    )
-    return (
-        f"error_move at most {error_text(verdict.error_move)} over "
-        f"{plural(verdict.steps, 'judged step')}, {p99}"
-    )
+            text += f" With settings `{level}` it is open: {'; '.join(other.open_for)}."
+        elif other.outcome == "meets":
+            text += f" It meets the demand with settings `{level}`."
+    best = verdicts.fastest(reference.solver)
+    if best is None or best.configuration == reference.configuration:
+        return text
+    return text + f" Fastest way: {best.configuration.way}, {figures(best)} ({best.judged_on})."
 
 
 def contrast(view: View) -> str:

@@ -115,17 +115,6 @@ class View:
         full = self.full_steps(scenario)
         return [row for row in loops if row["steps_planned"] == full]
 
-    def longest_loops(self, solver: str, settings: str, **arm: object) -> list[Row]:
-        """The longest closed loop of an arm in scaled units per scenario."""
-        best: dict[str, Row] = {}
-        for row in self.select(
-            mode="closed_loop", solver=solver, settings=settings, units="scaled", **arm
-        ):
-            name = str(row["scenario"])
-            if name not in best or row["steps_planned"] > best[name]["steps_planned"]:
-                best[name] = row
-        return list(best.values())
-
     @cached_property
     def sequences(self) -> list[str]:
         """Replayed sequences in the order of the suite."""

@@ -108,6 +108,17 @@ class SolverRecord:
         # Not through an extra of dpbench: the package index knows another project by that name.
         return f"pip install {self.distribution}" if self.distribution else "install it"
 
+    @property
+    def why_not_aboard(self) -> str:
+        """Why it cannot be deployed on a ship as it is; "" where it can: a project's own compiled
+        code, whose language its documentation states."""
+        language = self.project.language
+        if self.extra == "own":
+            return f"own code of this benchmark ({language.value})"
+        if not language.source:
+            return "its language is not stated"
+        return f"written in {language.value}" if language.value.startswith("Python") else ""
+
     def on(self, route: Route) -> RouteRecord:
         """What it can do on a route it has; KeyError on one it does not have."""
         if route == "native" and self.native is not None:

@@ -1,4 +1,4 @@
-"""The fastest way to run a solver."""
+"""The fastest configurations that nothing is said against."""
 
 import math
 from typing import Any
@@ -6,17 +6,20 @@ from typing import Any
 import pytest
 
 from dpbench.report.demand import Demand
-from dpbench.report.fastest import candidates, fastest_of
-from dpbench.report.fastest_text import fastest_arm, fastest_way
 from dpbench.report.table import Table
 from dpbench.report.tables_levels import level_tables, levels_of
-from dpbench.report.verdict import judge, judge_all
+from dpbench.report.verdict import Verdicts, judge_all
+from dpbench.report.verdict_text import recommendation
 
 DEMAND = Demand()
 
 
+def _found(records: Any) -> Verdicts:
+    return judge_all(records.view(), DEMAND)
+
+
 def _labels(records: Any) -> list[str]:
-    return [c.label for c in candidates(records.view(), DEMAND)]
+    return [verdict.label for verdict in _found(records).ranked]
 
 
 def test_the_verdict_stays_on_the_default_route(records: Any) -> None:
@@ -25,7 +28,7 @@ def test_the_verdict_stays_on_the_default_route(records: Any) -> None:
     records.loop("osqp", route="native", policy="warm", error=0.5)
     records.replay("osqp", route="native", policy="fresh", median_us=5.0, error=0.5)
     records.replay("osqp", median_us=50.0)
-    verdict = judge(records.view(), "osqp", "default", DEMAND)
+    (verdict,) = _found(records).references
     assert (verdict.outcome, verdict.route) == ("meets", "qpsolvers")
     assert verdict.p99_ns > 40e3
 
@@ -34,7 +37,7 @@ def test_a_solver_without_wrapper_is_judged_natively(records: Any) -> None:
     """A solver that was run on route native only has that as its default route."""
     records.loop("qoco", route="native")
     records.replay("qoco", route="native")
-    verdict = judge(records.view(), "qoco", "default", DEMAND)
+    (verdict,) = _found(records).references
     assert (verdict.outcome, verdict.route) == ("meets", "native")
 
 
@@ -48,7 +51,7 @@ def test_the_fastest_arm_is_one_with_right_answers(records: Any) -> None:
 
 
 def test_a_closed_loop_that_contradicts_an_arm_rules_it_out(records: Any) -> None:
-    """An arm that was right on replays but not in its own closed loop is no candidate."""
+    """An arm that was right on replays but not in its own closed loop is left out."""
     records.replay("scs", route="native", policy="warm")
     assert _labels(records) == ["scs (native warm)"]
     records.loop("scs", route="native", policy="warm", error=0.5)
@@ -56,15 +59,13 @@ def test_a_closed_loop_that_contradicts_an_arm_rules_it_out(records: Any) -> Non
 
 
 def test_accuracy_in_closed_loop_is_claimed_only_where_one_was_run(records: Any) -> None:
-    """An arm with replays alone is said to be judged on replays."""
-    records.loop("daqp")
+    """Where no solver steered a ship, replays rank, and what is open is said."""
     records.replay("daqp", median_us=20.0)
     records.replay("daqp", median_us=5.0, route="native", policy="warm")
-    view = records.view()
-    found = candidates(view, DEMAND)
-    assert [c.judged_on for c in found] == ["replays", "replays and 1 closed loop"]
-    assert "no closed loop was run this way" in fastest_arm(view, found)[0]
-    assert fastest_way(found, "daqp").endswith("(judged on replays).")
+    assert [v.judged_on for v in _found(records).ranked] == ["1 replay", "1 replay"]
+    text = recommendation(records.view(), _found(records))[0]
+    assert text.startswith("Nothing contradicts **daqp** (route native, policy warm")
+    assert "right on every step of 1 replay, no closed loop was run" in text
 
 
 def test_an_arm_has_to_be_right_on_every_sequence(records: Any) -> None:
@@ -83,8 +84,8 @@ def test_figures_come_from_the_sequence_with_the_worst_p99(records: Any) -> None
     """
     records.replay("daqp", steps=1000, median_us=10.0, spread=0.0)
     records.replay("daqp", "rough[900:1100]", steps=200, median_us=30.0, spread=0.0)
-    (found,) = candidates(records.view(), DEMAND)
-    assert (found.p50_ns, found.p99_ns, found.where) == (10e3, 10e3, "paper")
+    (found,) = _found(records).ranked
+    assert (found.p50_ns, found.p99_ns, found.timed_on) == (10e3, 10e3, "paper")
     assert found.algo_max_ns == 30e3
 
 
@@ -92,11 +93,10 @@ def test_short_sequences_have_a_fastest_arm_without_p99(records: Any) -> None:
     """With too few steps for a p99 the largest step ranks, and the text says so."""
     records.replay("slow", steps=100, median_us=40.0)
     records.replay("fast", steps=100, median_us=10.0)
-    view = records.view()
-    found = candidates(view, DEMAND)
-    assert math.isnan(found[0].p99_ns)
-    assert "**fast**" in fastest_arm(view, found)[0]
-    assert "too few steps for a p99" in fastest_arm(view, found)[0]
+    assert [v.solver for v in _found(records).ranked] == ["fast", "slow"]
+    assert math.isnan(_found(records).ranked[0].p99_ns)
+    records.replay("daqp", steps=100, median_us=5.0)
+    assert "too few steps for a p99" in recommendation(records.view(), _found(records))[0]
 
 
 def test_usual_settings_are_named_where_others_are_hardly_faster(records: Any) -> None:
@@ -104,26 +104,24 @@ def test_usual_settings_are_named_where_others_are_hardly_faster(records: Any) -
     for solver, median in (("same", 9.9), ("better", 8.0)):
         for settings, us in (("default", 10.0), ("high", median)):
             records.replay(solver, median_us=us, spread=0.0, settings=settings)
-    found = candidates(records.view(), DEMAND)
-    best = {solver: fastest_of(found, solver) for solver in ("same", "better")}
+    found = _found(records)
+    best = {solver: found.fastest(solver) for solver in ("same", "better")}
     assert {s: c and c.settings for s, c in best.items()} == {"same": "default", "better": "high"}
 
 
 def test_a_headline_that_cannot_be_told_apart_carries_caution(records: Any) -> None:
     """The fastest way of all and the fastest way of another solver are compared in pairs."""
-    for solver in ("a", "b"):
+    for solver in ("daqp", "osqp"):
         records.replay(solver, median_us=10.0, spread=0.1, route="native", policy="warm")
         records.replay(solver, median_us=50.0)
-    view = records.view()
-    _, second = fastest_arm(view, candidates(view, DEMAND))
+    _, second = recommendation(records.view(), _found(records))
     assert second.startswith("Caution: ")
     assert "cannot be told apart" in second
     assert "(native warm)" in second
 
 
 def _headline(records: Any) -> list[Table]:
-    view = records.view()
-    return level_tables(view, DEMAND, judge_all(view, DEMAND)["default"])
+    return level_tables(records.view(), DEMAND)
 
 
 def _places(table: Table) -> list[tuple[str, str, str]]:
@@ -163,7 +161,8 @@ def test_an_accuracy_has_to_be_achieved_on_every_sequence(records: Any) -> None:
         records.replay(solver, "rough[900:1400]", error=error)
     (table,) = _headline(records)
     assert [r[2] for r in _places(table) if r[0] == "≤ 1e-06"] == ["both"]
-    shown = {row[2].text: row[7].text for row in table.rows if row[0].text == "≤ 0.01"}
+    error = table.heads.index("error_move max")
+    shown = {row[2].text: row[error].text for row in table.rows if row[0].text == "≤ 0.01"}
     assert shown == {"once": "1.0e-03", "both": "1.0e-07"}
 
 
@@ -192,15 +191,14 @@ def test_without_a_right_arm_there_is_no_headline(records: Any) -> None:
 @pytest.mark.parametrize(
     ("fill", "says"),
     [
-        (False, "No way to run a solver is timed, as no replay left a step."),
-        (True, "No replayed arm gives answers that meet the demand on every step."),
+        (False, "Nothing is recommended, as no replay left a step, so nothing is timed."),
+        (True, "Nothing is recommended: no solver meets the demand in any configuration that was"),
     ],
 )
 def test_no_candidate_is_said_plainly(records: Any, fill: bool, says: str) -> None:
     """Without any right replay nobody is called fastest, and without any nobody is called wrong."""
+    records.loop("osqp")
     if fill:
         records.replay("osqp", error=0.5)
-    view = records.view()
-    found = candidates(view, DEMAND)
-    assert fastest_arm(view, found) == [says]
-    assert fastest_way(found, "osqp") == ""
+    assert recommendation(records.view(), _found(records))[0].startswith(says)
+    assert _found(records).podium == []

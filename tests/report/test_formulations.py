@@ -5,12 +5,11 @@ from typing import Any
 import pytest
 
 from dpbench.report.demand import Demand
-from dpbench.report.fastest import candidates
 from dpbench.report.formulations import OTHERS, formulation_tables
 from dpbench.report.sections_time import timing_section
 from dpbench.report.table import Table
 from dpbench.report.tables_timing import timed_arms
-from dpbench.report.verdict import judge
+from dpbench.report.verdict import judge_all
 from dpbench.report.ways import ways_of
 
 DEMAND = Demand()
@@ -85,9 +84,8 @@ def test_rankings_and_verdicts_keep_to_the_common_formulation(records: Any) -> N
     records.loop("osqp", route="native")
     before = records.view()
     expected = (
-        candidates(before, DEMAND),
+        judge_all(before, DEMAND).every,
         [w.median_ns(way) for w in ways_of(before, "paper") for way in sorted(w.times)],
-        judge(before, "osqp", "default", DEMAND),
         [row["run_id"] for row, _ in timed_arms(before, "paper")],
     )
     arm = {"route": "native", "formulation": "sparse", "error": 0.7}
@@ -96,9 +94,8 @@ def test_rankings_and_verdicts_keep_to_the_common_formulation(records: Any) -> N
     records.loop("osqp", failed=9, **arm)
     after = records.view()
     found = (
-        candidates(after, DEMAND),
+        judge_all(after, DEMAND).every,
         [w.median_ns(way) for w in ways_of(after, "paper") for way in sorted(w.times)],
-        judge(after, "osqp", "default", DEMAND),
         [row["run_id"] for row, _ in timed_arms(after, "paper")],
     )
     assert found == expected

@@ -127,10 +127,10 @@ def test_every_table_states_its_population(campaign: Path) -> None:
 
 
 def test_the_verdict_lines_name_the_fastest(campaign: Path) -> None:
-    """The terminal hears who is fastest on default routes, and in which way of all."""
+    """The terminal hears what to use, and not of ways that were replayed alone."""
     text = "\n".join(verdict_lines(load_results(campaign)))
-    assert "The fastest by p99 that meets it on its default route, policy fresh, is daqp" in text
-    assert "Fastest by p99 of all ways to run a solver: daqp, route native, policy warm" in text
+    assert "\nUse daqp (route qpsolvers, policy fresh, settings default), the fastest" in text
+    assert "native warm" not in text
 
 
 def _nothing(records: Any) -> None:
@@ -183,7 +183,7 @@ PARTIAL = [
     (_loop_only, "Missing: no replay left a step"),
     (_replay_only, "Missing: no full-length closed loop"),
     (_single_step, "Missing: no closed loop was run in SI units"),
-    (_all_crashed, "crashed: signal 11"),
+    (_all_crashed, "its process ended in `paper`: signal 11"),
     (_all_silent, "it leaves steps without an answer"),
     (_contrast_only, "Contrast"),
     (_si_only, "Missing: no solver was run in scaled units"),

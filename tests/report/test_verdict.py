@@ -8,19 +8,27 @@ import pytest
 
 from dpbench.report.blocks import Cards
 from dpbench.report.demand import Demand, demand_text
-from dpbench.report.fastest_text import duel_text
 from dpbench.report.ranking import duel, fastest_first
+from dpbench.report.recommendation import recommend, why_not_aboard
 from dpbench.report.render import render_markdown
 from dpbench.report.section_verdict import verdict_lines, verdict_section, verdict_table
-from dpbench.report.verdict import judge, judge_all
-from dpbench.report.verdict_text import contrast, elsewhere, sentence, summary
+from dpbench.report.verdict import judge_all
+from dpbench.report.verdict_text import (
+    contrast,
+    duel_text,
+    elsewhere,
+    recommendation,
+    sentence,
+    summary,
+)
 from dpbench.report.write import build_page
 
 DEMAND = Demand()
 
 
 def _verdict(records: Any, solver: str, settings: str = "default") -> Any:
-    return judge(records.view(), solver, settings, DEMAND)
+    verdicts = judge_all(records.view(), DEMAND).at(settings)
+    return next(verdict for verdict in verdicts if verdict.solver == solver)
 
 
 def test_exact_and_fast_meets(records: Any) -> None:
@@ -30,7 +38,9 @@ def test_exact_and_fast_meets(records: Any) -> None:
     verdict = _verdict(records, "daqp")
     assert verdict.outcome == "meets"
     assert verdict.steps == 120 + 1000
-    assert sentence(verdict, DEMAND).startswith("**daqp** meets the demand: error_move at most")
+    assert sentence(verdict, DEMAND).startswith(
+        "**daqp (qpsolvers fresh)** meets the demand: error_move at most"
+    )
 
 
 CAUSES = [
@@ -59,8 +69,8 @@ def test_each_cause_has_its_sentence(
 DOUBTS = [
     ({"outcome": "timed_out", "done": 40}, "`paper` was stopped at its time limit (40 of 120"),
     (
-        {"outcome": "crashed", "outcome_detail": "signal 11", "done": 0},
-        "`paper` crashed: signal 11",
+        {"outcome": "lost", "outcome_detail": "no room for its log", "done": 0},
+        "the harness lost `paper`: no room for its log",
     ),
     ({"uncertified": 2}, "2 steps of `paper` have no certified optimum"),
 ]
@@ -83,6 +93,37 @@ def test_a_replay_cut_after_a_whole_round_still_counts(records: Any) -> None:
     records.loop("daqp")
     records.replay("daqp", rounds=1, stopped=True)
     assert _verdict(records, "daqp").outcome == "meets"
+
+
+@pytest.mark.parametrize(
+    ("outcome", "clause"),
+    [
+        ("crashed", "its process ended in `paper`: killed by SIGSEGV"),
+        ("hung", "it did not return in `paper`: killed by SIGSEGV"),
+    ],
+)
+@pytest.mark.parametrize("mode", ["closed_loop", "replay"])
+def test_who_crashes_or_hangs_misses_with_the_cause(
+    records: Any, outcome: str, clause: str, mode: str
+) -> None:
+    """A process that the solver ended, or a call that never returned, is the solver's own doing."""
+    ended = {"outcome": outcome, "outcome_detail": "killed by SIGSEGV", "done": 0}
+    records.loop("daqp", **(ended if mode == "closed_loop" else {}))
+    records.replay("daqp", **(ended if mode == "replay" else {}))
+    verdict = _verdict(records, "daqp")
+    assert verdict.outcome == "misses"
+    place = "`paper`" if mode == "closed_loop" else "the replay of `paper`"
+    assert clause.replace("`paper`", place) in sentence(verdict, DEMAND)
+
+
+def test_crashes_in_several_places_are_one_clause(records: Any) -> None:
+    """The first is told with its cause, the others by their place."""
+    for scenario in ("paper", "calm", "rough"):
+        records.loop("daqp", scenario, outcome="crashed", outcome_detail="exit code 3", done=0)
+    records.replay("daqp")
+    assert _verdict(records, "daqp").causes == (
+        "its process ended in `paper`: exit code 3 (also in `calm` and `rough`)",
+    )
 
 
 def test_without_replay_time_is_not_judged(records: Any) -> None:
@@ -118,7 +159,7 @@ def test_the_demand_is_read_from_the_suite(records: Any) -> None:
     records.loop("osqp", error=0.05)
     records.replay("osqp")
     looser = Demand.of({"demand": {"error_move": 0.1, "unknown": 1}})
-    assert judge(records.view(), "osqp", "default", looser).outcome == "meets"
+    assert judge_all(records.view(), looser).references[0].outcome == "meets"
     assert _verdict(records, "osqp").outcome == "misses"
     assert "within 0.1 of a rate-limit step" in demand_text(looser)
 
@@ -144,15 +185,151 @@ def test_closed_loop_times_never_enter(records: Any) -> None:
 def test_high_settings_rescue(records: Any) -> None:
     """A solver that is right only at tight tolerances is said to be so, by name."""
     records.loop("osqp", error=0.4)
-    records.loop("osqp", settings="high", steps=60)
+    records.loop("osqp", settings="high")
     records.replay("osqp", error=0.4)
     records.replay("osqp", settings="high")
     verdicts = judge_all(records.view(), DEMAND)
-    assert [v.outcome for level in verdicts.values() for v in level] == ["misses", "meets"]
-    assert "Only with settings `high`: osqp." in summary(verdicts)
-    text = elsewhere(verdicts, verdicts["default"][0])
-    assert text.startswith(" It meets the demand only with settings `high`: error_move at most")
-    assert "1\u202f060 judged steps" in text
+    assert [v.outcome for v in verdicts.every] == ["misses", "meets"]
+    assert "Only in another configuration: osqp (qpsolvers fresh, high)." in summary(verdicts)
+    text = elsewhere(verdicts, verdicts.references[0])
+    assert text.startswith(" It meets the demand with settings `high`. Fastest way: qpsolvers")
+
+
+def _high(records: Any, **columns: Any) -> Any:
+    """A solver that misses the demand in `calm` by default; its verdict with settings high."""
+    for scenario in ("paper", "calm"):
+        records.loop("osqp", scenario, error=0.4)
+    records.replay("osqp", error=0.4)
+    records.loop("osqp", settings="high")
+    records.replay("osqp", settings="high")
+    if columns:
+        records.loop("osqp", "calm", settings="high", **columns)
+    return _verdict(records, "osqp", "high")
+
+
+@pytest.mark.parametrize(
+    ("columns", "clause"),
+    [
+        ({}, "not run in `calm`"),
+        ({"steps": 60}, "not run whole in `calm` (60 of 120 steps)"),
+        ({"outcome": "refused", "outcome_detail": "no model", "done": 0}, "in `calm` (no model)"),
+    ],
+)
+def test_a_level_meets_only_where_it_was_run(
+    records: Any, columns: dict[str, Any], clause: str
+) -> None:
+    """Settings that were not run, or not whole, where the default was judged are open there."""
+    verdict = _high(records, **columns)
+    assert verdict.outcome == "open"
+    assert clause in sentence(verdict, DEMAND)
+    assert summary(judge_all(records.view(), DEMAND))[-1] == "osqp misses it."
+
+
+def test_a_level_that_ran_everywhere_meets(records: Any) -> None:
+    """The same level with the missing loop beside it meets the demand."""
+    assert _high(records, steps=120).outcome == "meets"
+
+
+def test_a_way_meets_only_where_it_was_run(records: Any) -> None:
+    """A route and policy with replays alone is open where its solver's default steered a ship."""
+    records.loop("daqp")
+    records.replay("daqp", median_us=20.0)
+    records.replay("daqp", median_us=5.0, route="native", policy="warm")
+    reference, warm = judge_all(records.view(), DEMAND).of["daqp"]
+    assert (reference.outcome, warm.outcome) == ("meets", "open")
+    assert warm.not_run == ("in `paper`",)
+
+
+WAYS = [("qpsolvers", "warm"), ("native", "reuse"), ("native", "warm"), ("native", "fresh")]
+
+
+@pytest.mark.parametrize(("route", "policy"), WAYS)
+def test_loops_under_any_policy_and_route_count_as_run(
+    records: Any, route: str, policy: str
+) -> None:
+    """A suite that runs its solvers in one way alone has verdicts on that way."""
+    records.loop("daqp", route=route, policy=policy)
+    records.replay("daqp", route=route, policy=policy)
+    records.loop("osqp", route=route, policy=policy, error=0.5)
+    records.replay("osqp", route=route, policy=policy)
+    assert summary(judge_all(records.view(), DEMAND)) == [
+        "1 of 2 solvers that ran meets the demand in its default configuration: daqp.",
+        "osqp misses it.",
+    ]
+
+
+def test_loops_alone_under_a_policy_count_as_run(records: Any) -> None:
+    """Loops that finished were run, whatever is missing beside them."""
+    records.loop("daqp", route="native", policy="reuse")
+    (verdict,) = judge_all(records.view(), DEMAND).references
+    assert (verdict.outcome, verdict.loops) == ("open", 1)
+    assert verdict.open_for == ("no replay was run, so its time is not judged",)
+
+
+def test_two_slowdowns_of_one_configuration(records: Any) -> None:
+    """By the largest algorithmic step and by the largest sample, both of the way beside them.
+
+    Round 1 is the minimum of every step, 20 µs; the largest sample is a slower round's, which the
+    records hold.
+    """
+    records.loop("daqp")
+    records.replay("daqp", median_us=20.0, spread=0.0)
+    (verdict,) = judge_all(records.view(), DEMAND).references
+    samples = records.results().steps.query("not warmup")["total_ns"]
+    samples = samples[records.results().steps["run_id"] == "run0001"]
+    assert verdict.slowdown(DEMAND) == pytest.approx(300e6 / 20e3, rel=1e-4)
+    assert verdict.raw_slowdown(DEMAND) == 300e6 / samples.max()
+    assert verdict.raw_slowdown(DEMAND) < verdict.slowdown(DEMAND)
+
+
+def test_the_recommendation_can_go_aboard(records: Any) -> None:
+    """Code that exists only in this benchmark is named beside it, never recommended by itself."""
+    for solver, median in (("paper_active_set", 5.0), ("daqp", 10.0), ("qtqp", 7.0), ("scs", 90.0)):
+        route = "native" if solver == "paper_active_set" else "qpsolvers"
+        records.loop(solver, route=route)
+        records.replay(solver, route=route, median_us=median)
+    view = records.view()
+    found = recommend(judge_all(view, DEMAND))
+    assert found.chosen is not None and found.runner_up is not None and found.faster is not None
+    names = (found.chosen.solver, found.runner_up.solver, found.faster.solver)
+    assert names == ("daqp", "scs", "paper_active_set")
+    text = " ".join(recommendation(view, judge_all(view, DEMAND)))
+    assert text.startswith("Use **daqp** (route qpsolvers, policy fresh, settings `default`)")
+    assert "Licence: MIT; language: C, library-free; C code: yes, renders a workspace." in text
+    assert "cannot go aboard as it is: own code of this benchmark (Python, compiled by Num" in text
+
+
+def test_nobody_to_go_aboard_is_said(records: Any) -> None:
+    """Where only the benchmark's own code meets the demand, nothing is recommended."""
+    records.loop("hildreth", route="native")
+    records.replay("hildreth", route="native")
+    (text,) = recommendation(records.view(), judge_all(records.view(), DEMAND))
+    assert text.startswith("Nothing that can go aboard meets the demand; hildreth (native fresh)")
+
+
+def test_who_may_go_aboard_is_a_fact_of_its_record() -> None:
+    """Own code, code of Python, and what states no language cannot; compiled projects can."""
+    assert {name: bool(why_not_aboard(name)) for name in ("daqp", "osqp", "clarabel")} == {
+        "daqp": False,
+        "osqp": False,
+        "clarabel": False,
+    }
+    assert why_not_aboard("paper_active_set").startswith("own code of this benchmark")
+    assert why_not_aboard("qtqp") == "written in Python"
+    assert why_not_aboard("never_heard_of").startswith("not in the table")
+
+
+def test_the_table_names_licence_language_and_c_code(records: Any) -> None:
+    """Beside its verdict stands what a solver is made of, and whose figures are shown."""
+    records.loop("daqp")
+    records.replay("daqp")
+    records.loop("daqp", route="native", policy="warm")
+    records.replay("daqp", route="native", policy="warm", median_us=5.0)
+    table = verdict_table(judge_all(records.view(), DEMAND))
+    row = dict(zip(table.heads, (cell.text for cell in table.rows[0]), strict=True))
+    assert row["figures of"] == "native warm"
+    assert (row["can go aboard"], row["licence"]) == ("yes", "MIT")
+    assert (row["language"], row["C code"]) == ("C, library-free", "yes, renders a workspace")
 
 
 def test_summary_counts_everybody_once(records: Any) -> None:
@@ -165,7 +342,7 @@ def test_summary_counts_everybody_once(records: Any) -> None:
     records.refused("qpax", "not installed")
     text = summary(judge_all(records.view(), DEMAND))
     assert text == [
-        "1 of 3 solvers that ran meets the demand with settings `default`: daqp.",
+        "1 of 3 solvers that ran meets the demand in its default configuration: daqp.",
         "osqp misses it.",
         "scs cannot be judged on these records.",
         "Not run: qpax.",
@@ -177,7 +354,7 @@ def test_order_is_by_p99(records: Any) -> None:
     for solver, median in (("slow", 90.0), ("fast", 20.0), ("middle", 40.0)):
         records.loop(solver)
         records.replay(solver, median_us=median)
-    ranked = fastest_first(judge_all(records.view(), DEMAND)["default"])
+    ranked = fastest_first(judge_all(records.view(), DEMAND).references)
     assert [v.solver for v in ranked] == ["fast", "middle", "slow"]
 
 
@@ -186,7 +363,7 @@ def _duel(records: Any, median_us: float) -> Any:
         records.loop(solver)
         records.replay(solver, median_us=median, spread=0.1)
     view = records.view()
-    ranked = fastest_first(judge_all(view, DEMAND)["default"])
+    ranked = fastest_first(judge_all(view, DEMAND).references)
     return duel(view, ranked[0], ranked[1])
 
 
@@ -198,7 +375,7 @@ def test_a_clear_lead_is_called_so(records: Any) -> None:
     found = _duel(records, 40.0)
     assert found.ratio.value == pytest.approx(2.0, rel=0.02)
     assert not found.tied
-    assert duel_text(found).startswith("Second: second takes")
+    assert duel_text(found).startswith("Second: second (qpsolvers fresh) takes")
 
 
 def test_a_tie_is_called_a_tie(records: Any) -> None:
@@ -215,7 +392,7 @@ def test_an_order_that_turns_with_the_yardstick_is_called_unstable(records: Any)
     records.loop("nervous")
     records.replay("nervous", median_us=20.0, spread=0.6)
     view = records.view()
-    ranked = fastest_first(judge_all(view, DEMAND)["default"])
+    ranked = fastest_first(judge_all(view, DEMAND).references)
     assert [v.solver for v in ranked] == ["steady", "nervous"]
     text = duel_text(duel(view, *ranked))
     assert text.startswith("Caution") and "depends on the yardstick" in text
@@ -226,7 +403,7 @@ def test_the_contrast_law_is_never_ranked(records: Any) -> None:
     records.loop("daqp")
     records.loop("unconstrained_clipped", steps=1000, formulation="none", tail_m=9.0, error=1.0)
     verdicts = judge_all(records.view(), DEMAND)
-    assert [v.solver for v in verdicts["default"]] == ["daqp"]
+    assert list(verdicts.of) == ["daqp"]
     assert "9.0 m in `paper`" in contrast(records.view())
 
 
@@ -235,7 +412,7 @@ def test_the_table_names_every_solver_best_first(records: Any) -> None:
     for solver, median, error in (("a", 50.0, 1e-9), ("b", 20.0, 1e-9), ("c", 10.0, 0.5)):
         records.loop(solver, error=error)
         records.replay(solver, median_us=median)
-    table = verdict_table(judge_all(records.view(), DEMAND), DEMAND)
+    table = verdict_table(judge_all(records.view(), DEMAND))
     assert [row[0].text for row in table.rows] == ["b", "a", "c"]
 
 
@@ -269,7 +446,7 @@ def test_one_slowdown_in_every_place(records: Any) -> None:
     told = set(re.findall(r"a computer ([0-9.]+) times slower would still make the 0.3 s", text))
     listed = set(re.findall(r"× ([0-9.]+)", text)) & told
     assert told == listed == {"1420", "997"}
-    assert re.search(r"slow-down it stands: \*\*× 1420\*\*", text)
+    assert re.search(r"slow-down by step: \*\*× 1420\*\* \(daqp \(qpsolvers fresh\): ", text)
     assert "would miss" not in text
 
 
@@ -302,4 +479,4 @@ def test_a_miss_by_all_is_a_miss(records: Any) -> None:
     records.replay("osqp")
     text = "\n".join(verdict_lines(records.view(), DEMAND))
     assert text.startswith("0 of 1 solver that ran meet the demand")
-    assert "No solver meets the demand" in text
+    assert "no solver meets the demand in any configuration" in text
