@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from dpbench.bench.arms import CONTRAST
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.cell import Cell
 from dpbench.bench.plan import plan
@@ -13,6 +14,7 @@ from dpbench.bench.suite import ClosedLoopTable, ReplayTable, SuiteFile, load_su
 from dpbench.errors import InputError, UnknownNameError
 from dpbench.listing import check_file
 from dpbench.solvers.calibration import CALIBRATION
+from dpbench.solvers.table import record
 
 
 def test_a_cell_asked_for_twice_keeps_all_names_of_its_settings() -> None:
@@ -32,6 +34,28 @@ def test_the_standard_suite_has_no_cell_twice() -> None:
     _, suite = load_suite("standard")
     cells = [planned.cell.to_json() for planned in plan(suite)]
     assert len(cells) == len(set(cells))
+
+
+def test_the_standard_suite_runs_what_its_verdict_needs() -> None:
+    """Each level and each kept way of a solver is run wherever its default is, and as far.
+
+    A level or way that was not run somewhere could not be said to meet the demand.
+    """
+    _, suite = load_suite("standard")
+    places: dict[tuple[str, str, str, str], dict[tuple[str, str], int]] = {}
+    for planned in plan(suite):
+        cell = planned.cell
+        if planned.refused or cell.units == "si" or cell.solver in {*CALIBRATION, CONTRAST}:
+            continue
+        for settings in (cell.settings, *planned.alias_settings):
+            key = (cell.solver, cell.route, cell.policy, settings)
+            place = (cell.mode, cell.sequence or cell.scenario_name)
+            places.setdefault(key, {})[place] = cell.steps
+    for (solver, route, policy, settings), found in places.items():
+        default_route = record(solver).default_route
+        if policy != "fresh" or route == default_route:
+            usual = places[solver, default_route, "fresh", "default"]
+            assert found == usual, f"{solver} {route} {policy} {settings}"
 
 
 def test_vessels_multiply_the_scenarios_and_fallbacks_tell_rows_apart() -> None:
