@@ -12,7 +12,13 @@ from markdown_it import MarkdownIt
 
 from dpbench.bench.store import load_results
 from dpbench.report.blocks import Tabular
+from dpbench.report.demand import Demand
+from dpbench.report.formats import rounded_down, time_text
+from dpbench.report.recommendation import recommend
 from dpbench.report.render import inline
+from dpbench.report.section_verdict import verdict_table
+from dpbench.report.verdict import judge_all
+from dpbench.report.view import View
 from dpbench.report.write import build_page, verdict_lines, write_report
 
 VOID = {"meta", "img", "br", "link"}
@@ -131,6 +137,32 @@ def test_the_verdict_lines_name_the_fastest(campaign: Path) -> None:
     text = "\n".join(verdict_lines(load_results(campaign)))
     assert "\nUse daqp (route qpsolvers, policy fresh, settings default), the fastest" in text
     assert "native warm" not in text
+
+
+def test_page_markdown_terminal_and_verdicts_say_the_same(report: Path) -> None:
+    """Who is recommended, in which way, at which p99 and slow-downs is one answer everywhere."""
+    results = load_results(report.parent)
+    view, demand = View(results), Demand.of(results.suite)
+    verdicts = judge_all(view, demand)
+    chosen = recommend(verdicts).chosen
+    assert chosen is not None
+    told = (
+        f"{chosen.solver} (route {chosen.route}, policy {chosen.policy}, settings default)",
+        time_text(chosen.p99_ns),
+        f"{rounded_down(chosen.slowdown(demand))} times slower",
+        f"{rounded_down(chosen.raw_slowdown(demand))} times by its largest sample",
+    )
+    terminal = "\n".join(verdict_lines(results))
+    plain = re.sub(r"[*`]", "", (report.parent / "report.md").read_text(encoding="utf-8"))
+    page = re.sub(r"<[^>]+>", "", report.read_text(encoding="utf-8"))
+    for words in told:
+        assert words in terminal
+        assert words in plain
+        assert words in page
+    rows = {row[0].text: [cell.text for cell in row[1:3]] for row in verdict_table(verdicts).rows}
+    for level, column in (("default", 0), ("high", 1)):
+        for verdict in verdicts.at(level):
+            assert rows[verdict.solver][column] == verdict.outcome
 
 
 def _nothing(records: Any) -> None:
