@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from dpbench.report.formats import plural
-
 
 @dataclass(frozen=True)
 class Demand:
@@ -32,19 +30,3 @@ class Demand:
     def deadline_ns(self) -> float:
         """The deadline of a step [ns]."""
         return self.deadline_ms * 1e6
-
-
-def demand_text(demand: Demand) -> str:
-    """The demand in one sentence."""
-    share = f"{100.0 * demand.p99_ms / demand.deadline_ms:.2g}"
-    failed = (
-        "no failed step"
-        if demand.failed_steps == 0
-        else (f"at most {plural(demand.failed_steps, 'failed step')} a run")
-    )
-    return (
-        f"The demand: on every step the first move within {demand.error_move:g} of "
-        f"a rate-limit step of the certified optimum, {failed}, and a p99 of the algorithmic "
-        f"step time of at most {demand.p99_ms:g} ms ({share} % of the "
-        f"{demand.deadline_ms / 1e3:g} s sample)."
-    )

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from dpbench.report.blocks import Bullets, Card, Cards, Paragraph, Section, Tabular, missing
-from dpbench.report.demand import Demand, demand_text
+from dpbench.report.demand import Demand
 from dpbench.report.formats import (
     MISSING,
     count_text,
@@ -22,7 +22,9 @@ from dpbench.report.tables_levels import level_tables
 from dpbench.report.verdict import Verdict, Verdicts, judge_all
 from dpbench.report.verdict_text import (
     contrast,
+    demand_text,
     elsewhere,
+    judged_on,
     recommendation,
     sentence,
     summary,
@@ -120,7 +122,7 @@ def _way(verdict: Verdict) -> str:
         if math.isfinite(verdict.p99_ns)
         else f"largest step {time_text(verdict.algo_max_ns)}"
     )
-    return f"{verdict.configuration.way}: {figure}, judged on {verdict.judged_on}"
+    return f"{verdict.configuration.way}: {figure}, judged on {judged_on(verdict)}"
 
 
 def verdict_table(verdicts: Verdicts) -> Table:

@@ -9,7 +9,7 @@ from dpbench.report.formats import and_list, error_text, interval_text, plural, 
 from dpbench.report.statistics import UNKNOWN, Interval, percentile_interval
 from dpbench.report.table import Cell, Table, row_of
 from dpbench.report.verdict import ALIKE, Verdict, Verdicts, judge_all
-from dpbench.report.verdict_text import yardstick
+from dpbench.report.verdict_text import judged_on, yardstick
 from dpbench.report.view import View
 
 LEVELS = (1e-2, 1e-4, 1e-6)
@@ -112,7 +112,7 @@ def _row(view: View, level: float, place: int, way: Verdict, demand: Demand) -> 
         way.policy,
         way.settings,
         way.outcome,
-        way.judged_on,
+        judged_on(way),
         error_text(way.error_move),
         time_text(way.p50_ns),
         interval_text(p50.low, p50.high, 1e3),

@@ -19,22 +19,39 @@ from typing import Any, Literal
 import numpy as np
 
 from dpbench.report.demand import Demand
-from dpbench.report.formats import and_list, as_float, count_text, error_text, plural, time_text
+from dpbench.report.formats import as_float
 from dpbench.report.ranking import fastest_first
 from dpbench.report.statistics import percentile, supports
 from dpbench.report.view import Row, View, is_contrast
 
 Outcome = Literal["meets", "misses", "open", "not run"]
-NO_LOOP = "no closed loop was run"
-NO_REPLAY = "no replay was run, so its time is not judged"
 ALIKE = 0.03
 """Settings whose figures differ by less are equally fast: another day may swap them."""
 _POLICIES = ("fresh", "reuse", "warm")
-_UNDONE = {
-    "crashed": "its process ended in {where}: {detail}",
-    "hung": "it did not return in {where}: {detail}",
-}
+Cause = Literal["no answer", "inaccurate", "failed", "crashed", "hung", "p99 late", "p95 late"]
+Doubt = Literal[
+    "stopped", "lost", "ended", "uncertified", "no step", "no p99", "no closed loop", "no replay"
+]
+Gap = Literal["absent", "refused", "short"]
+_OWN_DOING: tuple[Cause, ...] = ("crashed", "hung")
 """Outcomes that are the solver's own doing, and contradict any demand."""
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """Something found against a configuration, or that could not be found out.
+
+    Parameters
+    ----------
+    rows : the runs it was found in, the worst first.
+    value : the figure: an error, a time [ns], or steps where the kind is about steps.
+    steps : the steps the figure is from.
+    """
+
+    kind: Cause | Doubt | Gap
+    rows: tuple[Row, ...] = ()
+    value: float = math.nan
+    steps: int = 0
 
 
 @dataclass(frozen=True)
@@ -69,8 +86,9 @@ class Verdict:
 
     Parameters
     ----------
-    causes : why it misses the demand; doubts : what could not be judged. Plain clauses.
-    not_run : where its solver's reference was judged and this configuration was not, or not whole.
+    causes : why it misses the demand; doubts : what could not be judged.
+    gaps : where its solver's reference was judged and this configuration was not, or not whole.
+    refusal : why it was not run at all.
     loops, replays : how many of its runs were judged; steps : the steps with a judged answer.
     error_move : the largest error of the first move among them.
     p50_ns, p99_ns : algorithmic step time on the sequence `timed_on`, that of the worst p99, or of
@@ -81,9 +99,10 @@ class Verdict:
 
     configuration: Configuration
     outcome: Outcome
-    causes: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
-    not_run: tuple[str, ...] = ()
+    causes: tuple[Finding, ...] = ()
+    doubts: tuple[Finding, ...] = ()
+    gaps: tuple[Finding, ...] = ()
+    refusal: str = ""
     loops: int = 0
     replays: int = 0
     steps: int = 0
@@ -124,25 +143,17 @@ class Verdict:
     def ranks(self) -> bool:
         """Whether nothing is said against it, and it is timed: of what the suite never runs,
         such as closed loops, nobody has to show any."""
-        return not (self.causes or self.doubts or self.not_run) and self.timed_on != ""
+        return not (self.causes or self.doubts or self.gaps) and self.timed_on != ""
 
     @property
-    def judged_on(self) -> str:
-        """What its answers were judged on."""
-        loops = plural(self.loops, "closed loop")
-        replays = plural(self.replays, "replay")
-        return f"{loops} and {replays}" if self.loops else replays
-
-    @property
-    def open_for(self) -> tuple[str, ...]:
-        """Why it is open, in clauses: what could not be judged, where it was not run."""
-        missing = (f"not run {and_list(list(self.not_run))}",) if self.not_run else ()
-        return (*self.doubts, *missing, *self._kinds_missing)
-
-    @property
-    def _kinds_missing(self) -> tuple[str, ...]:
-        kinds = ((self.loops, NO_LOOP), (self.replays, NO_REPLAY))
-        return tuple(text for count, text in kinds if not count)
+    def missing(self) -> tuple[Finding, ...]:
+        """Why it is open: what could not be judged, where it was not run, which kind of run."""
+        kinds: tuple[tuple[int, Doubt], ...] = (
+            (self.loops, "no closed loop"),
+            (self.replays, "no replay"),
+        )
+        absent = tuple(Finding(kind) for count, kind in kinds if not count)
+        return (*self.doubts, *self.gaps, *absent)
 
     def slowdown(self, demand: Demand) -> float:
         """How much slower a computer may be before the largest algorithmic step is too late."""
@@ -186,7 +197,7 @@ class Verdicts:
         for verdict in verdicts:
             if verdict.configuration == wanted:
                 return verdict
-        return Verdict(wanted, "not run", doubts=("the suite does not run it so",))
+        return Verdict(wanted, "not run", refusal="the suite does not run it so")
 
     @cached_property
     def ranked(self) -> list[Verdict]:
@@ -292,14 +303,14 @@ def judge(
     """
     ran = [row for row in rows.values() if row["outcome"] != "refused"]
     if not ran:
-        return Verdict(configuration, "not run", doubts=(_detail(next(iter(rows.values()))),))
+        return Verdict(configuration, "not run", refusal=detail(next(iter(rows.values()))))
     replays = [row for row in ran if row["mode"] == "replay"]
     late, unsure, timing = _timing(view, replays, demand)
-    causes = [*_wrong(ran, demand), *_failing(ran, demand), *_undone(ran), *late]
+    causes = [*_wrong(ran, demand), *_failing(ran, demand), *_own_doing(ran), *late]
     doubts = [*_unfinished(ran), *unsure]
-    not_run = _not_run(rows, asked)
+    gaps = _gaps(rows, asked)
     kinds = len({row["mode"] for row in ran})
-    whole = not (doubts or not_run) and kinds == 2
+    whole = not (doubts or gaps) and kinds == 2
     worst = np.array([as_float(row["error_move_max"]) for row in ran])
     known = worst[~np.isnan(worst)]
     return Verdict(
@@ -307,7 +318,7 @@ def judge(
         "misses" if causes else "meets" if whole else "open",
         tuple(causes),
         tuple(doubts),
-        tuple(not_run),
+        tuple(gaps),
         loops=len(ran) - len(replays),
         replays=len(replays),
         steps=sum(_judged(row) for row in ran),
@@ -317,14 +328,8 @@ def judge(
     )
 
 
-def where(row: Row) -> str:
-    """The place of a run in words."""
-    if row["mode"] == "replay":
-        return f"the replay of `{row['sequence']}`"
-    return f"`{row['scenario']}`"
-
-
-def _detail(row: Row) -> str:
+def detail(row: Row) -> str:
+    """The cause of a run's outcome, in the library's or the harness's words."""
     return str(row["outcome_detail"]).strip().rstrip(".") or "no reason was recorded"
 
 
@@ -337,111 +342,84 @@ def _judged(row: Row) -> int:
     return max(0, _count(row, "steps_done") - _count(row, "uncertified"))
 
 
-def _not_run(rows: Mapping[Place, Row], asked: Sequence[Row]) -> list[str]:
+def _gaps(rows: Mapping[Place, Row], asked: Sequence[Row]) -> list[Finding]:
     """Where the reference was run and these rows were not, or not as far."""
-    absent, short, refused = [], [], []
+    absent: list[Row] = []
+    found: list[Finding] = []
     for row in asked:
         own = rows.get(_place(row))
         if own is None:
             absent.append(row)
         elif own["outcome"] == "refused":
-            refused.append(f"in {where(own)} ({_detail(own)})")
+            found.append(Finding("refused", (own,)))
         elif own["steps_planned"] < row["steps_planned"]:
-            of = f"{count_text(own['steps_planned'])} of {plural(row['steps_planned'], 'step')}"
-            short.append(f"whole in {where(own)} ({of})")
-    return [*([f"in {_places(absent)}"] if absent else []), *refused, *short]
+            found.append(Finding("short", (own,), steps=int(row["steps_planned"])))
+    return [Finding("absent", tuple(absent)), *found] if absent else found
 
 
-def _wrong(rows: Sequence[Row], demand: Demand) -> list[str]:
-    """Clauses about answers too far from the optimum, the worst run first."""
+def _wrong(rows: Sequence[Row], demand: Demand) -> list[Finding]:
+    """Answers too far from the optimum, and steps without one."""
     off = [row for row in rows if as_float(row["error_move_max"]) > demand.error_move]
     silent = [row for row in off if math.isinf(as_float(row["error_move_max"]))]
     wrong = [row for row in off if row not in silent]
-    clauses = []
-    if silent:
-        clauses.append(f"it leaves steps without an answer in {_places(silent)}")
-    if wrong:
-        worst = max(wrong, key=lambda row: as_float(row["error_move_max"]))
-        others = [row for row in wrong if row is not worst]
-        also = f" (over the demand also in {_places(others)})" if others else ""
-        error = error_text(as_float(worst["error_move_max"]))
-        clauses.append(
-            f"its first move is up to {error} of a rate-limit step off the optimum in "
-            f"{where(worst)}{also}"
-        )
-    return clauses
+    found = [Finding("no answer", tuple(silent))] if silent else []
+    return [*found, *_worst_first("inaccurate", wrong, "error_move_max")]
 
 
-def _failing(rows: Sequence[Row], demand: Demand) -> list[str]:
-    failing = [row for row in rows if _count(row, "failed_steps") > demand.failed_steps]
-    if not failing:
+def _worst_first(kind: Cause, rows: Sequence[Row], column: str) -> list[Finding]:
+    """One finding with the worst row by a column in front, the others in their order."""
+    if not rows:
         return []
-    worst = max(failing, key=lambda row: as_float(row["failed_steps"]))
-    rounds = max(1, _count(worst, "rounds"))
-    of = plural(_count(worst, "steps_done") * rounds, "step")
-    others = [row for row in failing if row is not worst]
-    also = f" (some also in {_places(others)})" if others else ""
-    return [f"{_count(worst, 'failed_steps')} of {of} fail in {where(worst)}{also}"]
+    worst = max(rows, key=lambda row: as_float(row[column]))
+    others = (row for row in rows if row is not worst)
+    return [Finding(kind, (worst, *others), as_float(worst[column]))]
 
 
-def _undone(rows: Sequence[Row]) -> list[str]:
-    """Clauses about runs that the solver ended, or never came back from."""
-    clauses = []
-    for outcome, words in _UNDONE.items():
-        ended = [row for row in rows if row["outcome"] == outcome]
-        if ended:
-            clause = words.format(where=where(ended[0]), detail=_detail(ended[0]))
-            also = f" (also in {_places(ended[1:])})" if ended[1:] else ""
-            clauses.append(clause + also)
-    return clauses
+def _failing(rows: Sequence[Row], demand: Demand) -> list[Finding]:
+    failing = [row for row in rows if _count(row, "failed_steps") > demand.failed_steps]
+    return _worst_first("failed", failing, "failed_steps")
 
 
-def _places(rows: Sequence[Row]) -> str:
-    loops = [f"`{row['scenario']}`" for row in rows if row["mode"] != "replay"]
-    replays = [f"`{row['sequence']}`" for row in rows if row["mode"] == "replay"]
-    if replays:
-        word = "replay" if len(replays) == 1 else "replays"
-        loops.append(f"the {word} of {' and '.join(replays)}")
-    return and_list(loops)
+def _own_doing(rows: Sequence[Row]) -> list[Finding]:
+    """Runs that the solver ended, or never came back from."""
+    ended = {kind: tuple(row for row in rows if row["outcome"] == kind) for kind in _OWN_DOING}
+    return [Finding(kind, found) for kind, found in ended.items() if found]
 
 
-def _unfinished(rows: Sequence[Row]) -> list[str]:
-    """Clauses about runs that ended early or could not be judged."""
+def _unfinished(rows: Sequence[Row]) -> list[Finding]:
+    """Runs that ended early or could not be judged."""
     doubts = []
     for row in rows:
         done, asked = _count(row, "steps_done"), _count(row, "steps_planned")
-        if row["outcome"] in _UNDONE:
+        if row["outcome"] in _OWN_DOING:
             continue
         if row["outcome"] == "timed_out" and row["mode"] == "replay" and done >= asked:
             # Every step has an answer and a time; fewer rounds make that time no smaller.
             continue
         if row["outcome"] == "timed_out":
-            doubts.append(
-                f"{where(row)} was stopped at its time limit ({done} of {plural(asked, 'step')})"
-            )
+            doubts.append(Finding("stopped", (row,), value=done, steps=asked))
         elif row["outcome"] == "lost":
-            doubts.append(f"the harness lost {where(row)}: {_detail(row)}")
+            doubts.append(Finding("lost", (row,)))
         elif row["outcome"] != "finished":
-            doubts.append(f"{where(row)} {row['outcome']}: {_detail(row)}")
+            doubts.append(Finding("ended", (row,)))
         elif _count(row, "uncertified"):
-            unsure = plural(_count(row, "uncertified"), "step")
-            doubts.append(f"{unsure} of {where(row)} have no certified optimum")
+            doubts.append(Finding("uncertified", (row,), value=_count(row, "uncertified")))
     return doubts
 
 
 def _timing(
     view: View, replays: Sequence[Row], demand: Demand
-) -> tuple[list[str], list[str], dict[str, Any]]:
-    """Clauses that contradict the time demand, clauses of doubt, and the figures behind."""
-    late: list[str] = []
-    unsure: list[str] = []
+) -> tuple[list[Finding], list[Finding], dict[str, Any]]:
+    """What contradicts the time demand, what is doubtful, and the figures behind."""
+    late: list[Finding] = []
+    unsure: list[Finding] = []
     figures: list[tuple[float, float, str]] = []
     algo_max_ns = raw_max_ns = math.nan
     for row in replays:
         times = view.times(row)
         if times is None:
             if row["outcome"] == "finished":
-                unsure.append(f"{where(row)} left no counting step")
+                unsure.append(Finding("no step", (row,)))
             continue
         algo = times.algo_ns
         algo_max_ns = float(np.fmax(algo_max_ns, algo.max()))
@@ -449,15 +427,11 @@ def _timing(
         p99, p95 = percentile(algo, 99), percentile(algo, 95)
         figures.append((p99, float(np.median(algo)), str(row["sequence"])))
         if p99 > demand.p99_ns:
-            late.append(f"its p99 is {time_text(p99)} in {where(row)}")
+            late.append(Finding("p99 late", (row,), p99))
         elif p95 > demand.p99_ns:
-            late.append(f"its p95 is already {time_text(p95)} in {where(row)}")
+            late.append(Finding("p95 late", (row,), p95))
         elif not supports(len(algo), 99) and algo.max() > demand.p99_ns:
-            steps = plural(len(algo), "step")
-            unsure.append(
-                f"{steps} of {where(row)} do not support a p99, and the slowest takes "
-                f"{time_text(float(algo.max()))}"
-            )
+            unsure.append(Finding("no p99", (row,), float(algo.max()), len(algo)))
     if not figures:
         return late, unsure, {}
     known = [figure for figure in figures if math.isfinite(figure[0])]

@@ -21,8 +21,24 @@ from dpbench.report.formats import (
 )
 from dpbench.report.ranking import Contender, Duel, duel, fastest_first
 from dpbench.report.recommendation import Recommendation, known_record, recommend
-from dpbench.report.verdict import NO_LOOP, NO_REPLAY, Outcome, Verdict, Verdicts
+from dpbench.report.verdict import Finding, Outcome, Verdict, Verdicts, detail
 from dpbench.report.view import Row, View, has_steps, is_contrast
+
+
+def demand_text(demand: Demand) -> str:
+    """The demand in one sentence."""
+    share = f"{100.0 * demand.p99_ms / demand.deadline_ms:.2g}"
+    failed = (
+        "no failed step"
+        if demand.failed_steps == 0
+        else (f"at most {plural(demand.failed_steps, 'failed step')} a run")
+    )
+    return (
+        f"The demand: on every step the first move within {demand.error_move:g} of "
+        f"a rate-limit step of the certified optimum, {failed}, and a p99 of the algorithmic "
+        f"step time of at most {demand.p99_ms:g} ms ({share} % of the "
+        f"{demand.deadline_ms / 1e3:g} s sample)."
+    )
 
 
 def summary(verdicts: Verdicts) -> list[str]:
@@ -71,11 +87,12 @@ def _count_line(run: Sequence[Verdict], good: Sequence[Verdict]) -> str:
     """How many meet the demand; that this is open where nobody can be said to."""
     if not run:
         return "No solver ran."
-    if not good and all(NO_REPLAY in v.open_for for v in run):
+    if not good and all(_lacks(v, "no replay") for v in run):
         return "Nothing can be judged on time: no replay was run."
     unsure = _with(run, "open")
     if not good and unsure:
-        why = f", as {NO_LOOP}" if all(NO_LOOP in v.open_for for v in unsure) else ""
+        loops = not all(_lacks(v, "no closed loop") for v in unsure)
+        why = "" if loops else f", as {_WORDS['no closed loop']}"
         return (
             "Whether a solver meets the demand in its default configuration is open: "
             f"{len(unsure)} of {plural(len(run), 'solver')} that ran cannot be judged{why}."
@@ -85,6 +102,11 @@ def _count_line(run: Sequence[Verdict], good: Sequence[Verdict]) -> str:
         f"{len(good)} of {plural(len(run), 'solver')} that ran {_verb(good, 'meet')} the demand "
         f"in {'its' if len(good) == 1 else 'their'} default configuration{names}."
     )
+
+
+def _lacks(verdict: Verdict, kind: str) -> bool:
+    """Whether a kind of run is missing from a verdict."""
+    return any(finding.kind == kind for finding in verdict.missing)
 
 
 def _verb(subjects: Sequence[Verdict], verb: str) -> str:
@@ -126,10 +148,10 @@ def recommendation(view: View, verdicts: Verdicts) -> list[str]:
 def _use(chosen: Verdict, demand: Demand) -> str:
     if chosen.outcome == "meets":
         head = f"Use **{chosen.solver}**"
-        right = f"right on every step of {chosen.judged_on}"
+        right = f"right on every step of {judged_on(chosen)}"
     else:
         head = f"Nothing contradicts **{chosen.solver}**"
-        right = f"right on every step of {chosen.judged_on}, {and_list(list(chosen.open_for))}"
+        right = f"right on every step of {judged_on(chosen)}, {clauses(chosen.missing)}"
     return (
         f"{head} (route {chosen.route}, policy {chosen.policy}, settings `{chosen.settings}`), the "
         f"fastest by {yardstick(chosen)} that can go aboard: {right}; {figures(chosen)}; "
@@ -225,13 +247,89 @@ def sentence(verdict: Verdict, demand: Demand) -> str:
     """The verdict on one configuration in one sentence."""
     head = f"**{verdict.label}** "
     if verdict.outcome == "not run":
-        return f"{head}was not run: {verdict.doubts[0]}."
+        return f"{head}was not run: {verdict.refusal}."
     if verdict.outcome == "misses":
-        also = f" Besides, {'; '.join(verdict.doubts)}." if verdict.doubts else ""
-        return f"{head}misses the demand: {'; '.join(verdict.causes)}.{also}"
+        also = f" Besides, {clauses(verdict.doubts)}." if verdict.doubts else ""
+        return f"{head}misses the demand: {clauses(verdict.causes)}.{also}"
     if verdict.outcome == "open":
-        return f"{head}is open: {'; '.join(verdict.open_for)}.{_so_far(verdict)}"
+        return f"{head}is open: {clauses(verdict.missing)}.{_so_far(verdict)}"
     return f"{head}meets the demand: {figures(verdict)}; {slack_text(verdict, demand)}."
+
+
+def clauses(findings: Sequence[Finding]) -> str:
+    """What was found, in plain clauses."""
+    return "; ".join(map(clause, findings))
+
+
+_WORDS = {
+    "no answer": "it leaves steps without an answer in {places}",
+    "inaccurate": "its first move is up to {error} of a rate-limit step off the optimum in {where}"
+    "{also_over}",
+    "failed": "{value:.0f} of {of} fail in {where}{some_also}",
+    "crashed": "its process ended in {where}: {detail}{also}",
+    "hung": "it did not return in {where}: {detail}{also}",
+    "p99 late": "its p99 is {time} in {where}",
+    "p95 late": "its p95 is already {time} in {where}",
+    "stopped": "{where} was stopped at its time limit ({value:.0f} of {steps})",
+    "lost": "the harness lost {where}: {detail}",
+    "ended": "{where} {outcome}: {detail}",
+    "uncertified": "{counted} of {where} have no certified optimum",
+    "no step": "{where} left no counting step",
+    "no p99": "{steps} of {where} do not support a p99, and the slowest takes {time}",
+    "no closed loop": "no closed loop was run",
+    "no replay": "no replay was run, so its time is not judged",
+    "absent": "not run in {places}",
+    "refused": "not run in {where} ({detail})",
+    "short": "not run whole in {where} ({planned} of {steps})",
+}
+
+
+def clause(finding: Finding) -> str:
+    """One finding as a plain clause."""
+    words = {"value": finding.value, "steps": plural(finding.steps, "step")}
+    if not finding.rows:
+        return _WORDS[finding.kind].format(**words)
+    first, *others = finding.rows
+    also = _places(others)
+    rounds = as_float(first["rounds"])
+    done = as_float(first["steps_done"]) * (rounds if rounds > 1.0 else 1.0)
+    return _WORDS[finding.kind].format(
+        **words,
+        where=where(first),
+        places=_places(finding.rows),
+        detail=detail(first),
+        outcome=first["outcome"],
+        planned=count_text(first["steps_planned"]),
+        of=plural(done, "step"),
+        counted=plural(finding.value, "step"),
+        error=error_text(finding.value),
+        time=time_text(finding.value),
+        also=f" (also in {also})" if also else "",
+        some_also=f" (some also in {also})" if also else "",
+        also_over=f" (over the demand also in {also})" if also else "",
+    )
+
+
+def where(row: Row) -> str:
+    """The place of a run in words."""
+    if row["mode"] == "replay":
+        return f"the replay of `{row['sequence']}`"
+    return f"`{row['scenario']}`"
+
+
+def _places(rows: Sequence[Row]) -> str:
+    loops = [f"`{row['scenario']}`" for row in rows if row["mode"] != "replay"]
+    replays = [f"`{row['sequence']}`" for row in rows if row["mode"] == "replay"]
+    if replays:
+        word = "replay" if len(replays) == 1 else "replays"
+        loops.append(f"the {word} of {' and '.join(replays)}")
+    return and_list(loops)
+
+
+def judged_on(verdict: Verdict) -> str:
+    """What the answers of a configuration were judged on."""
+    replays = plural(verdict.replays, "replay")
+    return f"{plural(verdict.loops, 'closed loop')} and {replays}" if verdict.loops else replays
 
 
 def _so_far(verdict: Verdict) -> str:
@@ -249,18 +347,18 @@ def elsewhere(verdicts: Verdicts, reference: Verdict) -> str:
     text = ""
     for level in verdicts.levels:
         other = next(v for v in verdicts.at(level) if v.solver == reference.solver)
-        if other.configuration == reference.configuration or other.causes == reference.causes:
+        if other.configuration == reference.configuration:
             continue
-        if other.outcome == "misses":
-            text += f" With settings `{level}`: {'; '.join(other.causes)}."
+        if other.outcome == "misses" and clauses(other.causes) != clauses(reference.causes):
+            text += f" With settings `{level}`: {clauses(other.causes)}."
         elif other.outcome == "open":
-            text += f" With settings `{level}` it is open: {'; '.join(other.open_for)}."
+            text += f" With settings `{level}` it is open: {clauses(other.missing)}."
         elif other.outcome == "meets":
             text += f" It meets the demand with settings `{level}`."
     best = verdicts.fastest(reference.solver)
     if best is None or best.configuration == reference.configuration:
         return text
-    return text + f" Fastest way: {best.configuration.way}, {figures(best)} ({best.judged_on})."
+    return text + f" Fastest way: {best.configuration.way}, {figures(best)} ({judged_on(best)})."
 
 
 def contrast(view: View) -> str:

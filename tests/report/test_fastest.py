@@ -9,7 +9,7 @@ from dpbench.report.demand import Demand
 from dpbench.report.table import Table
 from dpbench.report.tables_levels import level_tables, levels_of
 from dpbench.report.verdict import Verdicts, judge_all
-from dpbench.report.verdict_text import recommendation
+from dpbench.report.verdict_text import judged_on, recommendation
 
 DEMAND = Demand()
 
@@ -62,7 +62,7 @@ def test_accuracy_in_closed_loop_is_claimed_only_where_one_was_run(records: Any)
     """Where no solver steered a ship, replays rank, and what is open is said."""
     records.replay("daqp", median_us=20.0)
     records.replay("daqp", median_us=5.0, route="native", policy="warm")
-    assert [v.judged_on for v in _found(records).ranked] == ["1 replay", "1 replay"]
+    assert [judged_on(v) for v in _found(records).ranked] == ["1 replay", "1 replay"]
     text = recommendation(records.view(), _found(records))[0]
     assert text.startswith("Nothing contradicts **daqp** (route native, policy warm")
     assert "right on every step of 1 replay, no closed loop was run" in text

@@ -7,14 +7,16 @@ from typing import Any
 import pytest
 
 from dpbench.report.blocks import Cards
-from dpbench.report.demand import Demand, demand_text
+from dpbench.report.demand import Demand
 from dpbench.report.ranking import duel, fastest_first
 from dpbench.report.recommendation import recommend, why_not_aboard
 from dpbench.report.render import render_markdown
 from dpbench.report.section_verdict import verdict_lines, verdict_section, verdict_table
 from dpbench.report.verdict import judge_all
 from dpbench.report.verdict_text import (
+    clauses,
     contrast,
+    demand_text,
     duel_text,
     elsewhere,
     recommendation,
@@ -121,8 +123,8 @@ def test_crashes_in_several_places_are_one_clause(records: Any) -> None:
     for scenario in ("paper", "calm", "rough"):
         records.loop("daqp", scenario, outcome="crashed", outcome_detail="exit code 3", done=0)
     records.replay("daqp")
-    assert _verdict(records, "daqp").causes == (
-        "its process ended in `paper`: exit code 3 (also in `calm` and `rough`)",
+    assert clauses(_verdict(records, "daqp").causes) == (
+        "its process ended in `paper`: exit code 3 (also in `calm` and `rough`)"
     )
 
 
@@ -212,7 +214,10 @@ def _high(records: Any, **columns: Any) -> Any:
     [
         ({}, "not run in `calm`"),
         ({"steps": 60}, "not run whole in `calm` (60 of 120 steps)"),
-        ({"outcome": "refused", "outcome_detail": "no model", "done": 0}, "in `calm` (no model)"),
+        (
+            {"outcome": "refused", "outcome_detail": "no model", "done": 0},
+            "not run in `calm` (no model)",
+        ),
     ],
 )
 def test_a_level_meets_only_where_it_was_run(
@@ -237,7 +242,7 @@ def test_a_way_meets_only_where_it_was_run(records: Any) -> None:
     records.replay("daqp", median_us=5.0, route="native", policy="warm")
     reference, warm = judge_all(records.view(), DEMAND).of["daqp"]
     assert (reference.outcome, warm.outcome) == ("meets", "open")
-    assert warm.not_run == ("in `paper`",)
+    assert clauses(warm.gaps) == "not run in `paper`"
 
 
 WAYS = [("qpsolvers", "warm"), ("native", "reuse"), ("native", "warm"), ("native", "fresh")]
@@ -263,7 +268,7 @@ def test_loops_alone_under_a_policy_count_as_run(records: Any) -> None:
     records.loop("daqp", route="native", policy="reuse")
     (verdict,) = judge_all(records.view(), DEMAND).references
     assert (verdict.outcome, verdict.loops) == ("open", 1)
-    assert verdict.open_for == ("no replay was run, so its time is not judged",)
+    assert clauses(verdict.missing) == "no replay was run, so its time is not judged"
 
 
 def test_two_slowdowns_of_one_configuration(records: Any) -> None:
