@@ -84,7 +84,7 @@ def _fastest(best: Sequence[SweptArm], horizons: Horizons) -> str:
     first = min(right, key=lambda arm: arm.timed[horizons].median_ns)
     return (
         f"At {horizons_text(horizons)} (n = {moves_of(horizons)}) the fastest of "
-        f"{plural(len(right), 'arm')} whose answers meet the demand is **{first.solver}** "
+        f"{plural(len(right), 'arm')} whose answers meet the demand there is **{first.solver}** "
         f"({_how(first)}), {time_text(first.timed[horizons].median_ns)}."
     )
 

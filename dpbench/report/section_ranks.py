@@ -122,7 +122,8 @@ def _ratios(pooled: Pool, wanted: str | None) -> list[Block]:
     chosen = wanted == baseline.solver
     why = "the fastest way of the solver chosen" if chosen else "the fastest arm"
     why += " by geometric mean"
-    right = "its answers meet the demand" if baseline.right else "its answers miss the demand"
+    does = "keep to" if baseline.right else "miss"
+    right = f"in these replays its answers {does} the demand's accuracy"
     absent = (
         f" The suite names {wanted} as baseline, which was not replayed here."
         if wanted and not chosen
