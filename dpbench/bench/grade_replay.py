@@ -77,9 +77,9 @@ def _judge_rounds(
             if k >= count:
                 continue
             # Most solvers repeat themselves bit for bit; an identical answer has its judgement.
-            identity = log.z[r, k].tobytes() + log.y[r, k].tobytes() + log.y_box[r, k].tobytes()
+            answer = recorded_answer(log, r, k)
+            identity = answer.identity
             if identity not in seen:
-                answer = recorded_answer(log, r, k)
                 seen[identity] = judge.judge(scaled.step(k), own.step(k), answer, optimum)
             grades[start + k] = seen[identity]
             certificates[start + k] = CERTIFICATES.index(optimum.kind)

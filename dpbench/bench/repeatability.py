@@ -17,9 +17,10 @@ def repeatability(log: RawLog, own_per_scaled: NDArray[np.float64]) -> dict[str,
 
     Returns
     -------
-    Shares of the steps with two rounds or more whose z has the same bits in all of them, and whose
-    count of iterations is the same; the largest difference of a z between two rounds, in scaled
-    units, and of iterations. NaN where no step was repeated, or the solver counts nothing.
+    Shares of the steps with two rounds or more whose status and bits of z are the same in all of
+    them, and whose count of iterations is the same; the largest difference of a z between two
+    rounds, in scaled units, and of iterations. NaN where no step was repeated, or the solver counts
+    nothing.
     """
     z, iterations, done = log.z, log.iterations, log.done
     steps = z.shape[1]
@@ -33,7 +34,8 @@ def repeatability(log: RawLog, own_per_scaled: NDArray[np.float64]) -> dict[str,
     index = np.arange(steps)
     reference = z[first, index]
     # Bits, so that NaN equals NaN and 0.0 is not −0.0.
-    same_bits = (z.view(np.uint64) == reference.view(np.uint64)).all(axis=2) | ~recorded
+    same_bits = (z.view(np.uint64) == reference.view(np.uint64)).all(axis=2)
+    same_answer = (same_bits & (log.status == log.status[first, index])) | ~recorded
     with np.errstate(invalid="ignore"):  # no answer less no answer
         apart = np.abs(z - reference) / own_per_scaled
     spread = np.where(recorded[:, :, None] & np.isfinite(apart), apart, 0.0).max(axis=(0, 2))
@@ -42,7 +44,7 @@ def repeatability(log: RawLog, own_per_scaled: NDArray[np.float64]) -> dict[str,
     most = np.where(counted, iterations, -1).max(axis=0)
     least = np.where(counted, iterations, np.iinfo(np.int64).max).min(axis=0)
     return {
-        "bit_identical_share": float(same_bits.all(axis=0)[repeated].mean()),
+        "bit_identical_share": float(same_answer.all(axis=0)[repeated].mean()),
         "answer_spread_max": float(spread[repeated].max()),
         "iterations_identical_share": (
             float((most == least)[whole].mean()) if whole.any() else nothing

@@ -162,7 +162,10 @@ MACHINE_COLUMNS: Columns = {
     "involuntary_switches": ("Int64", "context switches over them against the worker's will"),
     "steal_s": ("float64", "time the host of a virtual machine took from the worker's core"),
     "throttle_events": ("float64", "thermal throttle events of that core; NaN if not visible"),
-    "bit_identical_share": ("float64", "share of steps with the same bits in z in every round"),
+    "bit_identical_share": (
+        "float64",
+        "share of steps with the same status and the same bits in z in every round",
+    ),
     "answer_spread_max": ("float64", "largest difference of a z between two rounds, scaled units"),
     "iterations_identical_share": ("float64", "share of steps with the same iterations each round"),
     "iterations_spread": ("Int64", "largest difference of a step's iterations between rounds"),

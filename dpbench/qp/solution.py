@@ -90,3 +90,9 @@ class Solution:
     def claimed(self) -> bool:
         """Whether the solver claims to have solved the problem."""
         return self.status is Status.SOLVED
+
+    @property
+    def identity(self) -> bytes:
+        """Equal for answers that are judged alike: the claim and the bits of all numbers."""
+        numbers = (self.z, self.y, self.y_box)
+        return bytes([self.status]) + b"".join(array.tobytes() for array in numbers)

@@ -110,9 +110,9 @@ def determinism_table(rows: Sequence[Row]) -> Table | None:
         title="Arms that do not repeat themselves",
         note=(
             f"{plural(len(found), 'arm')} of {len(audited(rows))}. Over all rounds of a replay: "
-            "share of the steps whose z has the same bits in every round, and the same count of "
-            "iterations; largest difference between two rounds, of z in scaled units (a variable "
-            "of 1 is a whole rate-limit step)."
+            "share of the steps with the same status and bits of z in every round, and the same "
+            "count of iterations; largest difference between two rounds, of z in scaled units (a "
+            "variable of 1 is a whole rate-limit step)."
         ),
         heads=(
             "solver",
