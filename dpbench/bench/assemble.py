@@ -12,10 +12,21 @@ from dpbench.bench.cell import Cell
 from dpbench.bench.deadline import deadline_metrics, late_columns, longest_streak, steps_to_recover
 from dpbench.bench.grade import CERTIFICATES, GRADES, Columns, Graded
 from dpbench.bench.rawlog import TIMES
+from dpbench.bench.rules import (
+    INFEASIBLE,
+    UNDECIDED,
+    WARM_UP,
+    claimed_not_true,
+    counting_rows,
+    decided,
+    failed_steps,
+    true_not_claimed,
+    unusable,
+)
 from dpbench.bench.schema import SCHEMA_VERSION, as_steps
 from dpbench.bench.slow import pace_of
 from dpbench.bench.supervise import Outcome
-from dpbench.bench.timing_columns import spoilt_rounds, timing_metrics
+from dpbench.bench.timing_columns import spoilt_rounds_of, timing_metrics
 from dpbench.qp.solution import Status
 from dpbench.scenario import scenario_of
 from dpbench.solvers.calibration import CALIBRATION
@@ -53,21 +64,16 @@ def step_rows(run_id: str, cell: Cell, graded: Graded) -> pd.DataFrame:
         frame[grade] = values == 1.0 if grade.startswith("true") else values
     frame["n_active"] = np.nan_to_num(frame["n_active"]).astype(np.int32)
     if cell.mode == "replay":
-        frame["warmup"] = frame["repeat"] == 0
-        frame["spoilt"] = np.isin(columns["repeat"], spoilt_rounds(columns))
+        spoilt = np.isin(columns["repeat"], spoilt_rounds_of(columns))
+        frame["warmup"], frame["spoilt"] = frame["repeat"] == WARM_UP, spoilt
+        frame["counts"] = counting_rows(columns["repeat"], spoilt)
         frame["unconverged"] = frame["status"].isin(["INACCURATE", "MAX_ITERATIONS"])
-        frame["fallback"] = _unusable(frame)
+        frame["fallback"] = unusable(frame)
         return as_steps(frame)
+    frame["counts"] = True
     pace = pace_of(cell, scenario_of(cell.scenario).sample_s)
     frame = frame.assign(**late_columns(pace, columns["latency_ns"], frame["total_ns"]))
     return as_steps(pd.concat([frame, _ship_columns(columns)], axis=1))
-
-
-def _unusable(frame: pd.DataFrame) -> pd.Series[bool]:
-    """Steps whose answer is none that a closed loop could apply."""
-    no_use = [status.name for status in Status if not status.usable]
-    unusable: pd.Series[bool] = frame["status"].isin(no_use) | np.isinf(frame["error_plan"])
-    return unusable
 
 
 def _nullable(values: NDArray[Any]) -> pd.arrays.IntegerArray:
@@ -125,9 +131,10 @@ def run_row(
     }
     if graded is None or steps is None or steps.empty:
         return row
-    counting = steps[~steps["warmup"] & ~steps["spoilt"]]
+    counting = steps[steps["counts"]]
     if counting.empty:
-        counting = steps
+        # It ended within its warm-up, which says nothing about it.
+        return row | graded.metrics
     row["steps_done"] = int(counting.groupby("repeat")["k"].count().max())
     judged = _judged(cell, counting)
     row |= graded.metrics | timing_metrics(cell, graded, judged)
@@ -162,33 +169,32 @@ def _judged(cell: Cell, steps: pd.DataFrame) -> pd.DataFrame:
     if cell.slowdown == 0.0:
         return steps
     asked = steps[steps["total_ns"].notna()]
-    return asked.assign(fallback=_unusable(asked))
+    return asked.assign(fallback=unusable(asked))
 
 
 def _accuracy(steps: pd.DataFrame) -> dict[str, Any]:
-    claimed, true = steps["claimed"], steps["true"]
-    moves = steps["error_move"].dropna()
+    known, undecided = steps[decided(steps)], steps["certificate"] == UNDECIDED
+    charged = steps[~undecided]
+    moves = charged["error_move"].dropna()
     iterations = steps["iterations"].dropna().astype(float)
     certified = np.isfinite(steps["optimum_bound"])
-    # A QP without a feasible point has no answer to give; one that is given all the same fails.
-    hopeless = steps["certificate"] == "infeasible"
-    failed = (steps["fallback"] & ~hopeless) | steps["unconverged"]
     return {
-        "claimed_share": claimed.mean(),
-        "true_share": true.mean(),
-        "true_1e4_share": steps["true_1e4"].mean(),
-        "true_1e6_share": steps["true_1e6"].mean(),
-        "claimed_not_true": int((claimed & ~true).sum()),
-        "true_not_claimed": int((true & ~claimed).sum()),
+        "claimed_share": steps["claimed"].mean(),
+        "true_share": known["true"].mean(),
+        "true_1e4_share": known["true_1e4"].mean(),
+        "true_1e6_share": known["true_1e6"].mean(),
+        "claimed_not_true": int(claimed_not_true(steps).sum()),
+        "true_not_claimed": int(true_not_claimed(steps).sum()),
         "error_move_p50": moves.quantile(0.5, interpolation="higher") if len(moves) else np.nan,
         "error_move_max": moves.max(),
-        "error_plan_max": steps["error_plan"].max(),
-        "primal_max": steps["primal"].max(),
-        "dual_max": steps["dual"].max(),
+        "error_plan_max": charged["error_plan"].max(),
+        "primal_max": charged["primal"].max(),
+        "dual_max": charged["dual"].max(),
         "optimum_bound_max": steps["optimum_bound"].where(certified).max(),
-        "uncertified": int((~certified & ~hopeless).sum()),
-        "infeasible_steps": int(hopeless.sum()),
-        "failed_steps": int(failed.sum()),
+        "uncertified": int((~decided(steps) & ~undecided).sum()),
+        "undecided_steps": int(undecided.sum()),
+        "infeasible_steps": int((steps["certificate"] == INFEASIBLE).sum()),
+        "failed_steps": int(failed_steps(steps).sum()),
         "iterations_p50": iterations.median() if len(iterations) else np.nan,
         "iterations_max": iterations.max() if len(iterations) else np.nan,
     }

@@ -13,7 +13,8 @@ from dpbench.bench.disturbance import Disturbance, disturbance_metrics
 from dpbench.bench.formulation import in_replay
 from dpbench.bench.port import SolverPort
 from dpbench.bench.rawlog import RawLog, replay_layout
-from dpbench.bench.replay import SPOILT_FACTOR, ReplayArm
+from dpbench.bench.replay import ReplayArm
+from dpbench.bench.rules import WARM_UP, spoilt_rounds
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.solvers.calibration import CALIBRATION, NO_OP, WAITS_NS, open_calibration
 
@@ -77,7 +78,8 @@ def _replayed(name: str) -> tuple[float, Disturbance]:
     for r in range(_ROUNDS + 1):
         arm.round(r)
     phases = np.maximum(log.times[1:, :, 1:5], 0).sum(axis=2)
-    slowed = log.probe_ns[1:].max(axis=1) > SPOILT_FACTOR * log.probe_ns.min()
+    rounds = np.arange(_ROUNDS + 1, dtype=np.int32)
+    slowed = spoilt_rounds(rounds, log.probe_ns) != WARM_UP
     seen = disturbance_metrics(log)
     return float(np.median(phases)), Disturbance(
         rounds=_ROUNDS,

@@ -43,7 +43,7 @@ GRADES = (
     "true_1e6",
 )
 _NO_ANSWER_CLAIMS = (Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE)
-CERTIFICATES = ("linear", "gap", "rational", "infeasible", "none")
+CERTIFICATES = ("linear", "gap", "rational", "infeasible", "none", "undecided")
 _SOLVE = TIMES.index("solve")
 ACTIVE_MULTIPLIER = 1e-9
 """Scaled multipliers above it count as active limits in `n_active`."""

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from dpbench.bench.grade import CERTIFICATES, GRADES, Graded
+from dpbench.bench.rules import INFEASIBLE, WARM_UP, decided
 from dpbench.qp.solution import Status
 
 Goal = Literal["iterations", "error"]
@@ -64,7 +66,7 @@ def worst_of(graded: Graded, goal: Goal) -> Worst | None:
     "infeasible", and a "solved" of what has no feasible point, count as infinite.
     """
     columns = graded.columns
-    counting = columns["repeat"] > 0
+    counting = columns["repeat"] != WARM_UP
     iterations = columns["iterations"][counting]
     if goal == "iterations":
         if not (iterations >= 0).any():
@@ -98,8 +100,10 @@ def _severity_of_errors(graded: Graded) -> NDArray[np.float64]:
     status, grades = columns["status"], columns["grades"]
     error, true = grades[:, GRADES.index("error_plan")], grades[:, GRADES.index("true")] == 1.0
     solved, empty = status == Status.SOLVED, np.isin(status, _INFEASIBLE_CLAIMS)
-    hopeless = columns["certificate"] == CERTIFICATES.index("infeasible")
+    certificate = pd.DataFrame({"certificate": np.array(CERTIFICATES)[columns["certificate"]]})
+    hopeless = (certificate["certificate"] == INFEASIBLE).to_numpy()
     severity = np.where(solved, error, np.minimum(error, DECLINED))
     severity[(empty & ~true) | (solved & hopeless)] = np.inf
+    severity[~decided(certificate).to_numpy()] = 0.0
     # No optimum to compare with, and nothing false about it.
     return np.nan_to_num(severity, nan=0.0, posinf=np.inf)

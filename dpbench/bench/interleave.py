@@ -16,7 +16,7 @@ from pathlib import Path
 
 from dpbench.bench.cell import Cell
 from dpbench.bench.rawlog import RawLog
-from dpbench.bench.replay import SPOILT_FACTOR
+from dpbench.bench.rules import SPOILT_FACTOR
 from dpbench.bench.supervise import GRACE_S, START_ALLOWANCE_S, Child, Outcome
 from dpbench.bench.worker import run_replay_cell
 

@@ -17,8 +17,6 @@ from dpbench.qp.program import QPSequence
 
 PROBE_REPEATS = 20
 PREROLL = 3
-SPOILT_FACTOR = 1.25
-"""A round whose reference kernel took this much longer than the arm's best is marked spoilt."""
 
 
 @njit(cache=True)

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 
 DType = Literal["str", "bool", "int32", "int64", "Int64", "float64"]
 Columns = dict[str, tuple[DType, str]]
@@ -25,6 +25,7 @@ STEP_COLUMNS: Columns = {
     "repeat": ("int32", "replay round, 0 in closed loop"),
     "warmup": ("bool", "a round recorded before the ones that count"),
     "spoilt": ("bool", "a round in which the reference kernel was slowed"),
+    "counts": ("bool", "the row counts: no warm-up, and no spoilt round unless all are"),
     "k": ("int32", "step"),
     "t_s": ("float64", "time of the step; NaN in a random sequence"),
     "emit_ns": ("Int64", "θ → q, l, u; null in replay"),
@@ -97,7 +98,7 @@ IDENTITY_COLUMNS: Columns = {
     "slowdown": ("float64", "how much slower the ship's computer is; 0: it waits for answers"),
     "deadline_s": ("float64", "budget of a step; NaN in replay"),
     "seed": ("int64", "seed of the order of replay rounds"),
-    "outcome": ("str", "finished | crashed | timed_out | refused | invalid"),
+    "outcome": ("str", "finished | crashed | hung | timed_out | refused | invalid | lost"),
     "outcome_detail": ("str", "cause in the library's or the harness's words"),
     "machine_id": ("str", "hash of the machine description"),
     "schema": ("int64", "version of this schema"),
@@ -108,11 +109,17 @@ IDENTITY_COLUMNS: Columns = {
 
 ACCURACY_COLUMNS: Columns = {
     "claimed_share": ("float64", "share of steps claimed solved"),
-    "true_share": ("float64", "share of steps the referee finds true at 1e-3"),
+    "true_share": (
+        "float64",
+        "of the steps whose right answer is known: share the referee finds true at 1e-3",
+    ),
     "true_1e4_share": ("float64", "at 1e-4"),
     "true_1e6_share": ("float64", "at 1e-6"),
-    "claimed_not_true": ("Int64", "steps claimed solved that are not"),
-    "true_not_claimed": ("Int64", "steps true though not claimed"),
+    "claimed_not_true": (
+        "Int64",
+        "steps claimed solved that are not; without a certificate no claim counts",
+    ),
+    "true_not_claimed": ("Int64", "steps with a true optimum that is not claimed"),
     "error_move_p50": ("float64", "median error of the first move"),
     "error_move_max": ("float64", "largest error of the first move, inf without an answer"),
     "error_plan_max": ("float64", "largest error of the plan"),
@@ -120,6 +127,10 @@ ACCURACY_COLUMNS: Columns = {
     "dual_max": ("float64", "largest stationarity residual"),
     "optimum_bound_max": ("float64", "largest certified bound of the optima"),
     "uncertified": ("Int64", "steps without a certified optimum or proof that there is none"),
+    "undecided_steps": (
+        "Int64",
+        "steps that are feasible or infeasible only by rounding, charged to nobody",
+    ),
     "infeasible_steps": ("Int64", "steps proven to have no feasible point"),
     "failed_steps": (
         "Int64",
@@ -136,7 +147,11 @@ TIMING_COLUMNS: Columns = {
         "updates with which the workspace took over new matrices, in one pass; 0 if set up anew",
     ),
     "rounds": ("Int64", "replay rounds that count"),
-    "spoilt_rounds": ("Int64", "rounds marked as spoilt, whose times do not count"),
+    "spoilt_rounds": ("Int64", "rounds marked as spoilt, which do not count unless all are"),
+    "counting_spoilt": (
+        "Int64",
+        "spoilt rounds among those that count: none, or all of them as nothing better is left",
+    ),
     "rerun_rounds": ("Int64", "rounds run again because they were spoilt; the last attempt counts"),
     "probe_ns": ("float64", "the reference kernel, median over rounds: is the machine slower?"),
     "algo_p50_ns": ("float64", "over steps, of the minimum over rounds: the algorithmic time"),

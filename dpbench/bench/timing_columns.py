@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dpbench.bench.cell import Cell
 from dpbench.bench.grade import Columns, Graded
-from dpbench.bench.replay import SPOILT_FACTOR
+from dpbench.bench.rules import WARM_UP, percentile, spoilt_rounds
 
 
 def timing_metrics(cell: Cell, graded: Graded, counting: pd.DataFrame) -> dict[str, Any]:
@@ -20,9 +20,9 @@ def timing_metrics(cell: Cell, graded: Graded, counting: pd.DataFrame) -> dict[s
     timing: dict[str, Any] = {
         "setup_once_ns": once if once > 0 else np.nan,
         "matrix_updates": int(graded.columns["matrix_updates"].max()),
-        "raw_p50_ns": _percentile(raw, 50),
-        "raw_p99_ns": _percentile(raw, 99),
-        "raw_p999_ns": _percentile(raw, 99.9),
+        "raw_p50_ns": percentile(raw, 50),
+        "raw_p99_ns": percentile(raw, 99),
+        "raw_p999_ns": percentile(raw, 99.9),
         "raw_max_ns": raw.max(),
         "raw_samples": len(raw),
     }
@@ -32,17 +32,17 @@ def timing_metrics(cell: Cell, graded: Graded, counting: pd.DataFrame) -> dict[s
         return timing
     per_step = pd.Series(raw).groupby(counting["k"].to_numpy())
     best = per_step.min().to_numpy()
-    spoilt = spoilt_rounds(graded.columns)
     return timing | {
         "rounds": int(counting["repeat"].nunique()),
         # The warm-up is never run again and never counts, so it is not said to be spoilt either.
-        "spoilt_rounds": int((spoilt > 0).sum()),
+        "spoilt_rounds": int((spoilt_rounds_of(graded.columns) != WARM_UP).sum()),
+        "counting_spoilt": int(counting.loc[counting["spoilt"], "repeat"].nunique()),
         "probe_ns": probe_median(graded.columns),
-        "algo_p50_ns": _percentile(best, 50),
-        "algo_p95_ns": _percentile(best, 95),
-        "algo_p99_ns": _percentile(best, 99),
+        "algo_p50_ns": percentile(best, 50),
+        "algo_p95_ns": percentile(best, 95),
+        "algo_p99_ns": percentile(best, 99),
         "algo_max_ns": best.max(),
-        "algo_median_p50_ns": _percentile(per_step.median().to_numpy(), 50),
+        "algo_median_p50_ns": percentile(per_step.median().to_numpy(), 50),
     }
 
 
@@ -54,20 +54,7 @@ def probe_median(columns: Columns) -> float:
     return float(np.median(known)) if len(known) else np.nan
 
 
-def _percentile(values: NDArray[np.float64], percent: float) -> float:
-    """The percentile, or NaN with fewer than ten samples beyond it (method.md section 2)."""
-    if len(values) * (100 - percent) / 100 < 10 - 1e-9:
-        return np.nan
-    return float(np.percentile(values, percent))
-
-
-def spoilt_rounds(columns: Columns) -> NDArray[np.int32]:
-    """Round numbers in which the reference kernel was slowed by more than `SPOILT_FACTOR`."""
-    probes = columns["probe_ns"].astype(np.float64)
-    seen = np.where(probes > 0, probes, np.nan)
-    if not np.isfinite(seen).any():
-        return np.empty(0, dtype=np.int32)
-    worst = np.nanmax(np.where(np.isnan(seen), -np.inf, seen), axis=1)
+def spoilt_rounds_of(columns: Columns) -> NDArray[np.int32]:
+    """The spoilt rounds of a judged replay."""
     rounds: NDArray[np.int32] = np.unique(columns["repeat"]).astype(np.int32)
-    slowed: NDArray[np.int32] = rounds[worst > SPOILT_FACTOR * np.nanmin(seen)]
-    return slowed
+    return spoilt_rounds(rounds, columns["probe_ns"].astype(np.float64))

@@ -15,11 +15,16 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from dpbench.bench.rules import (
+    NO_ANSWER_CLAIMS,
+    claimed_not_true,
+    decided,
+    true_not_claimed,
+)
 from dpbench.report.formats import as_float
 from dpbench.report.verdict import settings_level
 from dpbench.report.view import Row, View
 
-NONE_SAID = ("PRIMAL_INFEASIBLE", "DUAL_INFEASIBLE")
 ARM = ("solver", "route", "policy", "settings")
 LIMIT = 1e-3
 """Residuals above it make an answer untrue, whatever its distance to the optimum."""
@@ -31,8 +36,8 @@ class Tally:
 
     Parameters
     ----------
-    steps : certified steps that were reached; unknown : reached, but without a certificate;
-    missed : asked for and never reached.
+    steps : certified steps that were reached; unknown : reached, but without a certificate, or
+    undecided at rounding; missed : asked for and never reached.
     told : claimed and true; lies : claimed and not true, at 1e-3, 1e-4 and 1e-6;
     silent : true and not claimed; empty_right, empty_wrong : called infeasible or unbounded,
     rightly and wrongly; nothing : neither a claim nor a true answer.
@@ -129,16 +134,15 @@ def _judged(view: View, rows: Sequence[Row]) -> pd.DataFrame:
     counts = [len(part) for part in parts]
     for name in names:
         steps[name] = np.repeat([str(row[name]) for row in rows], counts)
-    steps = steps[~steps["warmup"]].copy()
-    known = steps["certificate"] != "none"
-    none_said = steps["status"].isin(NONE_SAID)
-    lie, feasible = known & steps["claimed"] & ~steps["true"], steps["error_plan"].notna()
+    steps = steps[steps["counts"]].copy()
+    known, none_said = decided(steps), steps["status"].isin(NO_ANSWER_CLAIMS)
+    lie, feasible = claimed_not_true(steps), steps["error_plan"].notna()
     steps["known"], steps["lie"] = known, lie
     steps["told"] = known & steps["claimed"] & steps["true"]
-    steps["lie_1e4"] = known & steps["claimed"] & ~steps["true_1e4"]
-    steps["lie_1e6"] = known & steps["claimed"] & ~steps["true_1e6"]
+    steps["lie_1e4"] = claimed_not_true(steps, "true_1e4")
+    steps["lie_1e6"] = claimed_not_true(steps, "true_1e6")
     answered = known & ~steps["claimed"] & ~none_said
-    steps["silent"] = answered & steps["true"]
+    steps["silent"] = true_not_claimed(steps)
     steps["nothing"] = answered & ~steps["true"]
     steps["empty_right"] = known & none_said & steps["true"]
     steps["empty_wrong"] = known & none_said & ~steps["true"]

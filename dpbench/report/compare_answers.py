@@ -13,6 +13,7 @@ from typing import Literal
 
 import pandas as pd
 
+from dpbench.bench.rules import decided, failed_steps
 from dpbench.report.compare_pairs import Pair
 from dpbench.report.formats import as_float
 from dpbench.report.view import Row, View, has_steps
@@ -115,13 +116,12 @@ def _change(measure: Measure, a: Range, b: Range, margin: float) -> Change:
 def _accuracy(view: View, row: Row, common: int) -> dict[str, Range]:
     """Least and largest over the counting rounds of each figure, on the first `common` steps."""
     steps = view.steps(row)
-    counting = steps[~steps["warmup"] & ~steps["spoilt"] & (steps["k"] < common)]
+    counting = steps[steps["counts"] & (steps["k"] < common)]
     if counting.empty:
         once = {m.column: as_float(row[m.column]) for m in ACCURACY}
         return {name: (value, value) for name, value in once.items()}
-    hopeless = counting["certificate"] == "infeasible"
-    failed = (counting["fallback"] & ~hopeless) | counting["unconverged"]
-    rounds = counting.assign(failed=failed.astype(float)).groupby("repeat")
+    failed, true = failed_steps(counting), counting["true"].where(decided(counting))
+    rounds = counting.assign(failed=failed.astype(float), true=true.astype(float)).groupby("repeat")
     each = {
         "error_move_max": rounds["error_move"].max(),
         "error_plan_max": rounds["error_plan"].max(),

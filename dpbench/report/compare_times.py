@@ -128,11 +128,9 @@ def _kernel(timings: Sequence[Timing]) -> float:
 
 
 def _rounds(view: View, row: Row) -> pd.DataFrame | None:
-    """(rounds, steps) times [ns] of the rounds that count, calm ones where there are any."""
+    """(rounds, steps) times [ns] of the rounds that count."""
     steps = view.steps(row)
-    counting = steps[~steps["warmup"]]
-    calm = counting[~counting["spoilt"]]
-    counting = calm if len(calm) else counting
+    counting = steps[steps["counts"]]
     if counting.empty:
         return None
     times = counting.assign(total_ns=counting["total_ns"].astype("float64"))

@@ -71,17 +71,17 @@ def disturbance_of(rows: Sequence[Row]) -> Disturbance:
     columns = (
         "rounds",
         "spoilt_rounds",
+        "counting_spoilt",
         "rerun_rounds",
         "replay_s",
         SWITCHES,
         "steal_s",
         "throttle_events",
     )
-    # The rounds that count are those that are not spoilt.
     parts = []
     for row in rows:
-        kept, spoilt, *rest = (as_float(row[name]) for name in columns)
-        parts.append(Disturbance(kept + spoilt, spoilt, *rest))
+        kept, spoilt, both, *rest = (as_float(row[name]) for name in columns)
+        parts.append(Disturbance(kept + spoilt - both, spoilt, *rest))
     return Disturbance.total(parts)
 
 

@@ -74,6 +74,12 @@ def _effort(view: View) -> str:
         spoilt = [as_float(row["spoilt_rounds"]) for row in view.select(mode="replay")]
         count = sum(value for value in spoilt if value > 0)
         words.append(f"{plural(count, 'round')} marked as spoilt by a slow machine")
+        kept = [row for row in view.select(mode="replay") if as_float(row["counting_spoilt"]) > 0]
+        if kept:
+            words.append(
+                f"in {plural(len(kept), 'replay')} every round was, so all of them count but the "
+                "warm-up"
+            )
     if view.calibration:
         words.append(f"{plural(len(view.calibration), 'cell')} more measure the harness itself")
     text = "; ".join(words)

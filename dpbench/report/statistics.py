@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from dpbench.bench.rules import percentile as percentile
+from dpbench.bench.rules import supports as supports
+
 Floats = NDArray[np.float64]
 
-BEYOND = 10
-"""So many samples have to lie beyond a percentile before it is printed."""
 BLOCK_STEPS = 20
 """Length of a bootstrap block: 6 s of the ship, longer than the control horizon of 1.5 or 3 s."""
 LEAST_BLOCKS = 4
@@ -43,21 +44,9 @@ class Interval:
 UNKNOWN = Interval(np.nan, np.nan, np.nan)
 
 
-def supports(samples: int, percent: float) -> bool:
-    """Whether `samples` are enough for a percentile: at least `BEYOND` lie beyond it."""
-    return samples * (100.0 - percent) / 100.0 >= BEYOND - 1e-9
-
-
 def enough(steps: int, block: int = BLOCK_STEPS) -> bool:
     """Whether so many steps make blocks enough for an interval."""
     return steps >= LEAST_BLOCKS * block
-
-
-def percentile(values: Floats, percent: float) -> float:
-    """The percentile, or NaN when the samples do not support it."""
-    if not supports(len(values), percent):
-        return float(np.nan)
-    return float(np.percentile(values, percent))
 
 
 def percentile_interval(

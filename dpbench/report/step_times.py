@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from dpbench.bench.rules import decided, failed_steps
 from dpbench.report.statistics import Floats
 
 PHASES = ("setup", "update", "solve", "read")
@@ -23,9 +24,9 @@ class StepTimes:
     k : (K,) steps; algo_ns : (K,) minimum over the counting rounds, the algorithmic time.
     typical_ns : (K,) median over the counting rounds, what a usual round takes.
     raw_ns : (N,) all samples of the counting rounds; raw_k : (N,) the step of each.
-    true : (K,) whether the referee found the answer true in every counting round.
+    true : (K,) whether the referee found the answer untrue in no counting round.
     error : (K,) the accuracy achieved, which is the largest error_move of the counting rounds; inf
-        where the step failed or its answer is not true in one of them, 0 where it is true and no
+        where the step failed or its answer is untrue in one of them, 0 where it is neither and no
         certified optimum is there to differ from.
     phase_ns : median of each phase over the samples, NaN where it is no part of a step.
     iterations : median, mean and largest count, NaN where the solver gives none.
@@ -46,9 +47,7 @@ class StepTimes:
 
 def step_times_of(steps: pd.DataFrame) -> StepTimes | None:
     """Step times of the rows of one replay; None when no counting round left a step."""
-    counting = steps[~steps["warmup"]]
-    calm = counting[~counting["spoilt"]]
-    counting = calm if len(calm) else counting
+    counting = steps[steps["counts"]]
     if counting.empty:
         return None
     k = counting["k"].to_numpy(dtype=np.int64)
@@ -57,7 +56,8 @@ def step_times_of(steps: pd.DataFrame) -> StepTimes | None:
     np.minimum.at(best, k, raw)
     done = np.flatnonzero(np.isfinite(best))
     true = np.ones(len(best), dtype=np.bool_)
-    np.logical_and.at(true, k, counting["true"].to_numpy(dtype=np.bool_))
+    found_true = counting["true"] | ~decided(counting)
+    np.logical_and.at(true, k, found_true.to_numpy(dtype=np.bool_))
     error = np.zeros(len(best))
     np.maximum.at(error, k, _achieved(counting))
     iterations = counting["iterations"].to_numpy(dtype=np.float64, na_value=np.nan)
@@ -89,13 +89,11 @@ def _medians(k: NDArray[np.int64], raw: Floats, wanted: NDArray[np.int64]) -> Fl
 
 def _achieved(steps: pd.DataFrame) -> Floats:
     """error_move of each row, inf where it failed or is not true; see `StepTimes.error`."""
-    hopeless = steps["certificate"].to_numpy() == "infeasible"
-    flags = {
-        name: steps[name].to_numpy(dtype=np.bool_) for name in ("true", "fallback", "unconverged")
-    }
-    failed = (flags["fallback"] & ~hopeless) | flags["unconverged"]
+    known = decided(steps)
+    lost = (failed_steps(steps) | (known & ~steps["true"])).to_numpy(dtype=np.bool_)
     error = steps["error_move"].to_numpy(dtype=np.float64, na_value=np.nan)
-    return np.where(failed | ~flags["true"], np.inf, np.nan_to_num(error, nan=0.0, posinf=np.inf))
+    error = np.where(known, np.nan_to_num(error, nan=0.0, posinf=np.inf), 0.0)
+    return np.where(lost, np.inf, error)
 
 
 def _median(column: pd.Series[Any]) -> float:

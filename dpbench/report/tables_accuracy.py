@@ -53,6 +53,7 @@ def accuracy_table(view: View, scenario: str, demand: Demand) -> Table | None:
     steps = view.full_steps(scenario)
     bound = np.array([as_float(row["optimum_bound_max"]) for row in rows])
     certified = float(np.nanmax(bound)) if np.isfinite(bound).any() else math.nan
+    undecided = np.nansum([as_float(row["undecided_steps"]) for row in rows])
     return Table(
         title=f"Accuracy in `{scenario}`",
         note=(
@@ -61,6 +62,12 @@ def accuracy_table(view: View, scenario: str, demand: Demand) -> Table | None:
             f"Errors against the certified optimum of the same QP (largest certified bound "
             f"{error_text(certified)}). Failed: the fallback acted or an unfinished iterate was "
             "applied. An infinite error is printed as no answer."
+            + (
+                f" {plural(undecided, 'step')} of them all are feasible or infeasible only by "
+                "rounding: undecided, charged to nobody."
+                if undecided
+                else ""
+            )
         ),
         heads=(
             "solver",

@@ -34,6 +34,7 @@ def replay_rows(
         {
             "run_id": run_id,
             "repeat": np.repeat(np.arange(1, ROUNDS + 1), STEPS),
+            "counts": True,
             "k": k,
             "total_ns": np.round(total).astype(np.int64),
             "true": np.tile(error <= 1e-2, ROUNDS),

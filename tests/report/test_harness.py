@@ -180,3 +180,12 @@ def test_records_without_counters_say_nothing(records: Any) -> None:
     found: Results = records.results()
     assert machine_blocks(View(found)) == [] and repeat_section(View(found)) is None
     assert harness_lines(View(found)) == []
+
+
+def test_replays_of_spoilt_rounds_alone_say_so(records: Any) -> None:
+    """Three rounds count though all are spoilt: three of three, and the page says they count."""
+    records.replay("daqp", **(QUIET | {"spoilt_rounds": 3, "counting_spoilt": 3}))
+    assert "3 of 3 rounds spoilt" in harness_lines(records.view())[0]
+    assert "in 1 replay every round was, so all of them count" in render_markdown(
+        build_page(records.results())
+    )

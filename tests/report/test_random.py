@@ -31,7 +31,7 @@ def cell(recipe: RandomRecipe = RECIPE) -> dict[str, str]:
 def view_of(records: Any, *steps: dict[str, Any], **columns: Any) -> View:
     """A view of one random arm with these steps."""
     usual: dict[str, Any] = {"status": "SOLVED", "claimed": True, "certificate": "linear"}
-    usual |= {"warmup": False, "primal": 0.0}
+    usual |= {"counts": True, "primal": 0.0}
     usual |= {"true": False, "true_1e4": False, "true_1e6": False, "error_plan": 0.0}
     count = {"steps": 1, "rounds": 1, "steps_planned": len(steps), "steps_done": len(steps)}
     records.replay("osqp", **(count | cell() | columns))
@@ -58,12 +58,14 @@ def test_each_step_counts_as_what_it_is(records: Any) -> None:
         true | {"status": "PRIMAL_INFEASIBLE", "claimed": False, "certificate": "infeasible"},
         {"status": "DUAL_INFEASIBLE", "claimed": False, "error_plan": INF},
         {"certificate": "none", "error_plan": NAN},
-        {"warmup": True},
+        {"certificate": "undecided", "error_plan": NAN},
+        true | {"status": "PRIMAL_INFEASIBLE", "claimed": False, "certificate": "undecided"},
+        {"counts": False},
         steps_planned=20,
-        steps_done=12,
+        steps_done=14,
     )
     tally = RandomClaims(view).by("solver")[("osqp",)]
-    assert (tally.steps, tally.unknown, tally.missed) == (11, 1, 8)
+    assert (tally.steps, tally.unknown, tally.missed) == (11, 3, 6)
     assert tally.lies == (5, 5, 6)
     assert (tally.off, tally.outside, tally.dual, tally.empty) == (2, 1, 1, 1)
     assert (tally.told, tally.silent, tally.nothing) == (2, 1, 1)
@@ -79,7 +81,7 @@ def test_settings_without_effect_are_counted_once(records: Any) -> None:
             columns = {"settings": settings, "policy": policy, "raw_max_ns": raw_max_ns}
             records.replay("osqp", steps=1, rounds=1, **columns, **cell())
     results = records.results()
-    rows = [{"run_id": run_id, "k": 0, "warmup": False} | lie for run_id in results.runs["run_id"]]
+    rows = [{"run_id": run_id, "k": 0, "counts": True} | lie for run_id in results.runs["run_id"]]
     claims = RandomClaims(View(Results(results.runs, as_steps(pd.DataFrame(rows)), {}, {})))
     found = {(arm[2], arm[3]): tally.lies[0] for arm, tally in arms_of(claims)}
     assert found == {("fresh", "default, high"): 1, ("warm", "default"): 1, ("warm", "high"): 1}

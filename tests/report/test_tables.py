@@ -136,3 +136,13 @@ def test_every_unfinished_cell_is_counted_with_its_reason(records: Any) -> None:
     assert _column(table, "cells") == ["2", "1"]
     assert _column(table, "reason") == ["it keeps no workspace", "signal 11"]
     assert _column(population_table(records.view()), "finished") == ["1", "0", "0"]
+
+
+def test_steps_undecided_at_rounding_are_said_with_the_accuracy(records: Any) -> None:
+    """Where there are any, their count stands below the title; where not, nothing is said."""
+    records.loop("daqp")
+    table = accuracy_table(records.view(), "paper", DEMAND)
+    assert table is not None and "undecided" not in table.note
+    records.loop("osqp", undecided_steps=6)
+    table = accuracy_table(records.view(), "paper", DEMAND)
+    assert table is not None and "6 steps of them all are feasible or infeasible only" in table.note

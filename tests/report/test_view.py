@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dpbench.bench.rules import counting_rows
 from dpbench.bench.store import Results
 from dpbench.report.view import View
 
@@ -13,6 +14,8 @@ def _spoil(records: Any, rounds: list[int]) -> View:
     found = records.results()
     steps = found.steps.copy()
     steps["spoilt"] = steps["repeat"].isin(rounds)
+    repeat, spoilt = (steps[name].to_numpy() for name in ("repeat", "spoilt"))
+    steps["counts"] = counting_rows(repeat, spoilt)
     return View(Results(found.runs, steps, found.machine, found.suite))
 
 

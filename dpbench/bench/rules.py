@@ -1,0 +1,116 @@
+"""The rules of judging and counting, each of them once (method.md sections 1 and 2).
+
+Which rounds of a replay count, when a percentile is supported, which steps have a right answer that
+is known, what a failed step is, and what a false claim is. The step table has a column `counts`, so
+whoever reads it asks nobody. Tables are those of `assemble.step_rows`, or of `steps.parquet`.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from dpbench.qp.solution import Status
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Level = Literal["true", "true_1e4", "true_1e6"]
+"""Columns that say whether an answer is true: at 1e-3, 1e-4 and 1e-6."""
+
+WARM_UP = 0
+"""The round of a replay that never counts."""
+SPOILT_FACTOR = 1.25
+"""A round whose reference kernel took this much longer than the arm's best is marked spoilt."""
+BEYOND = 10
+"""So many samples have to lie beyond a percentile before it is printed."""
+
+INFEASIBLE, UNDECIDED, UNCERTIFIED = "infeasible", "undecided", "none"
+"""Certificates of steps without an optimum: proven to have no feasible point; feasible or not only
+by rounding, which is charged to nobody; nothing is proven."""
+NO_ANSWER_CLAIMS = ("PRIMAL_INFEASIBLE", "DUAL_INFEASIBLE")
+"""Status names of the claims that there is no optimum."""
+_NO_USE = tuple(status.name for status in Status if not status.usable)
+
+
+def spoilt_rounds(rounds: NDArray[np.int32], probe_ns: Floats) -> NDArray[np.int32]:
+    """The rounds in which the reference kernel was slowed by more than `SPOILT_FACTOR`.
+
+    Parameters
+    ----------
+    rounds : (R,) their numbers; probe_ns : (R, 2) the kernel before and after each [ns], 0 where it
+        was not timed.
+    """
+    seen = probe_ns[probe_ns > 0]
+    if not seen.size:
+        return rounds[:0]
+    # Where it was not timed it is zero, and slower than nothing.
+    slowed: NDArray[np.int32] = rounds[probe_ns.max(axis=1) > SPOILT_FACTOR * seen.min()]
+    return slowed
+
+
+def counting_rows(repeat: NDArray[np.int32], spoilt: Flags) -> Flags:
+    """(N,) which rows of a replay count: never the warm-up, and no spoilt round.
+
+    Where every round is spoilt all of them count but the warm-up, and `counting_spoilt` of
+    `runs.parquet` says so.
+
+    Parameters
+    ----------
+    repeat : (N,) round of each row; spoilt : (N,) whether it is a spoilt one.
+    """
+    rounds: Flags = repeat != WARM_UP
+    calm = rounds & ~spoilt
+    return calm if calm.any() else rounds
+
+
+def supports(samples: int, percent: float) -> bool:
+    """Whether `samples` are enough for a percentile: at least `BEYOND` lie beyond it."""
+    return samples * (100.0 - percent) / 100.0 >= BEYOND - 1e-9
+
+
+def percentile(values: Floats, percent: float) -> float:
+    """The percentile, or NaN when the samples do not support it."""
+    if not supports(len(values), percent):
+        return float(np.nan)
+    return float(np.percentile(values, percent))
+
+
+def decided(steps: pd.DataFrame) -> pd.Series[bool]:
+    """Steps whose right answer is known: an optimum, or that no point is feasible."""
+    known: pd.Series[bool] = ~steps["certificate"].isin((UNCERTIFIED, UNDECIDED))
+    return known
+
+
+def failed_steps(steps: pd.DataFrame) -> pd.Series[bool]:
+    """Steps with a fallback though there was an answer to give, or with an unfinished iterate.
+
+    A QP without a feasible point has no answer to give; an iterate that is given all the same
+    fails. A step that is undecided at rounding never does.
+    """
+    infeasible = steps["certificate"] == INFEASIBLE
+    failed = (steps["fallback"] & ~infeasible) | steps["unconverged"]
+    of_the_solver: pd.Series[bool] = failed & (steps["certificate"] != UNDECIDED)
+    return of_the_solver
+
+
+def claimed_not_true(steps: pd.DataFrame, level: Level = "true") -> pd.Series[bool]:
+    """Steps claimed solved that are not; where the right answer is not known, no claim is false."""
+    false: pd.Series[bool] = steps["claimed"] & ~steps[level] & decided(steps)
+    return false
+
+
+def true_not_claimed(steps: pd.DataFrame) -> pd.Series[bool]:
+    """Steps with a true optimum that its solver did not claim."""
+    said_none = steps["status"].isin(NO_ANSWER_CLAIMS)
+    silent: pd.Series[bool] = steps["true"] & ~steps["claimed"] & ~said_none & decided(steps)
+    return silent
+
+
+def unusable(steps: pd.DataFrame) -> pd.Series[bool]:
+    """Steps whose answer is none that a closed loop could apply: by its status, or not finite."""
+    infinite = np.isinf(steps["error_plan"]) | np.isinf(steps["primal"])
+    useless: pd.Series[bool] = steps["status"].isin(_NO_USE) | infinite
+    return useless
