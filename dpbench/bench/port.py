@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dpbench.bench.formulation import Formulated
 from dpbench.bench.rawlog import RawLog
 from dpbench.qp.program import QPStep
-from dpbench.qp.solution import Solution, Status
+from dpbench.qp.solution import Solution, Status, is_plain, received
 from dpbench.solvers.contract import Workspace
 
 Clock = Callable[[], int]
@@ -24,6 +24,8 @@ class SolverPort:
         self._workspace, self._formulated, self._clock = workspace, formulated, clock
         # An emitted step in the formulation the solver gets; part of emitting it.
         self.formulate = formulated.step
+        # n and m of the QP in that formulation.
+        self.size = formulated.base.n, formulated.base.m
         self.phases_ns = (-1, -1, -1, -1)
         self.details: dict[str, int] = {}
 
@@ -31,11 +33,6 @@ class SolverPort:
     def matrix_updates(self) -> int:
         """Updates so far with which the workspace took over new matrices."""
         return self._workspace.matrix_updates
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """n and m of the QP in the formulation the solver gets."""
-        return self._formulated.base.n, self._formulated.base.m
 
     def prepare(self) -> int:
         """Set up before the first step; the time it took [ns], −1 when steps do it themselves."""
@@ -54,7 +51,10 @@ class SolverPort:
         self.details.clear()
 
     def answer(self, step: QPStep) -> Solution:
-        """Solve one step and map the answer to the condensed QP; never raises for a solver."""
+        """Solve one step and map the answer to the condensed QP; never raises for a solver.
+
+        An answer that is malformed is none, with the status ERROR.
+        """
         workspace, clock, formulated = self._workspace, self._clock, self._formulated
         t1 = t2 = t3 = t0 = -1
         setup_every_step = workspace.setup_every_step
@@ -70,6 +70,10 @@ class SolverPort:
             t2 = clock()
             solution = workspace.read()
             t3 = clock()
+            # Looking at a plain answer is no work of the solver's; what any other does is.
+            if not is_plain(solution, *self.size):
+                solution = received(solution, *self.size)
+                t3 = clock()
         # An adapter that raises is a failed solve of that solver, which is data of the run.
         except Exception as error:
             now = clock()

@@ -6,8 +6,10 @@ stationarity reads P z + q + Aᵀy + y_box = 0.
 
 from __future__ import annotations
 
+import operator
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 
@@ -62,10 +64,12 @@ _USABLE = frozenset({Status.SOLVED, Status.INACCURATE, Status.MAX_ITERATIONS, St
 class Solution:
     """The answer to one QP; arrays are the solution's own memory and NaN where there is none.
 
+    `received` turns an answer that is not so into one that says what is wrong with it.
+
     Parameters
     ----------
     status : the solver's claim.
-    z : (n,) iterate, y : (m,) row multipliers, y_box : (n,) bound multipliers.
+    z : (n,) iterate, y : (m,) row multipliers, y_box : (n,) bound multipliers; of float64.
     iterations : the solver's own count, -1 when it gives none.
     reported_ns : the solver's self-reported time, -1 when it gives none; a second opinion, never
         a substitute for the clock.
@@ -96,3 +100,95 @@ class Solution:
         """Equal for answers that are judged alike: the claim and the bits of all numbers."""
         numbers = (self.z, self.y, self.y_box)
         return bytes([self.status]) + b"".join(array.tobytes() for array in numbers)
+
+
+_FLOAT64 = np.dtype(np.float64)
+_INTEGERS = frozenset((int, np.int64, np.int32))
+_LARGEST = int(np.iinfo(np.int64).max)
+
+
+def is_plain(answer: Any, n: int, m: int) -> bool:
+    """Whether an answer is as `Solution` says, and of nothing but types that cannot compute.
+
+    What is taken from such an answer later is what was there, and taking it is no solver's work.
+    """
+    if type(answer) is not Solution:
+        return False
+    z, y, y_box = answer.z, answer.y, answer.y_box
+    return (
+        type(z) is type(y) is type(y_box) is np.ndarray
+        and z.dtype is y.dtype is y_box.dtype is _FLOAT64
+        and z.shape == y_box.shape == (n,)
+        and y.shape == (m,)
+        and type(answer.status) is Status
+        and type(answer.iterations) in _INTEGERS
+        and type(answer.reported_ns) in _INTEGERS
+        and -_LARGEST <= answer.iterations <= _LARGEST
+        and -_LARGEST <= answer.reported_ns <= _LARGEST
+        and type(answer.detail) is str
+    )
+
+
+def received(answer: Any, n: int, m: int) -> Solution:
+    """`answer` with everything in it taken out, so that nothing of it is computed later.
+
+    Parameters
+    ----------
+    answer : what a solver gave; n, m : variables and rows of its QP.
+
+    Returns
+    -------
+    A plain `Solution`. Of an answer that is malformed: no answer, with the status ERROR and what is
+    wrong in words.
+    """
+    try:
+        return _taken(answer, n, m)
+    except _MalformedError as error:
+        return Solution.missing(n, m, Status.ERROR, f"malformed answer: {error}")
+
+
+class _MalformedError(Exception):
+    """What of an answer is not as the contract says."""
+
+
+def _taken(answer: Any, n: int, m: int) -> Solution:
+    if not isinstance(answer, Solution):
+        raise _MalformedError(f"{_kind(answer)} in place of a Solution")
+    status: Any = answer.status
+    if type(status) is not Status:
+        raise _MalformedError(f"status is {_kind(status)}, not a Status")
+    z = _array("z", answer.z, n)
+    y, y_box = _array("y", answer.y, m), _array("y_box", answer.y_box, n)
+    iterations = _integer("iterations", answer.iterations)
+    reported_ns = _integer("reported_ns", answer.reported_ns)
+    detail: Any = answer.detail
+    if type(detail) is not str:
+        raise _MalformedError(f"detail is {_kind(detail)}, not text")
+    return Solution(status, z, y, y_box, iterations, reported_ns, detail)
+
+
+def _array(name: str, value: Any, size: int) -> Vector:
+    """A float64 array as it lies in memory; whatever else could be made one is none."""
+    if not isinstance(value, np.ndarray):
+        raise _MalformedError(f"{name} is {_kind(value)}, not an array")
+    # Of a subclass the numbers in its memory, and nothing it would do when asked for them.
+    array: Any = np.array(value, subok=False)
+    if array.dtype != _FLOAT64 or array.shape != (size,):
+        found = f"{array.dtype} of shape {array.shape}"
+        raise _MalformedError(f"{name} is {found}, not float64 of shape ({size},)")
+    return np.ascontiguousarray(array, dtype=np.float64)
+
+
+def _integer(name: str, value: Any) -> int:
+    try:
+        number = operator.index(value)
+    except TypeError as error:
+        raise _MalformedError(f"{name} is {_kind(value)}, not an integer") from error
+    if not -_LARGEST <= number <= _LARGEST:
+        raise _MalformedError(f"{name} is beyond 64 bits")
+    return number
+
+
+def _kind(value: Any) -> str:
+    """The type of a value in words."""
+    return "None" if value is None else f"of type {type(value).__name__}"

@@ -10,7 +10,7 @@ from typing import Concatenate
 
 from dpbench.errors import DpbenchError
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
-from dpbench.qp.solution import Solution, Status
+from dpbench.qp.solution import Solution, Status, received
 from dpbench.solvers.contract import Policy, Workspace
 from dpbench.solvers.shapes import check_step, owned
 from dpbench.solvers.through_qpsolvers.adapter import Options
@@ -44,7 +44,9 @@ class FunctionWorkspace(Workspace):
         """Call the function."""
         assert self._qp is not None, "setup comes first"
         try:
-            self._solution = self._function(self._qp, **self._options)
+            found = self._function(self._qp, **self._options)
+            # None stands for no call here, so a function that gives it is answered for.
+            self._solution = received(found, self._qp.n, self._qp.m) if found is None else found
         except Exception as error:
             self._solution = self._missing(f"{type(error).__name__}: {error}")
 
@@ -53,7 +55,12 @@ class FunctionWorkspace(Workspace):
         found = self._solution
         if found is None:
             return self._missing("read before solve")
-        z, y, y_box = found.z.copy(), found.y.copy(), found.y_box.copy()
+        try:
+            z, y, y_box = found.z.copy(), found.y.copy(), found.y_box.copy()
+        except AttributeError:
+            # No solution, or not of arrays: the words for what it is.
+            assert self._qp is not None, "setup comes first"
+            return received(found, self._qp.n, self._qp.m)
         return Solution(
             found.status, z, y, y_box, found.iterations, found.reported_ns, found.detail
         )
