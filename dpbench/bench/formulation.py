@@ -34,7 +34,7 @@ class Formulated(Protocol):
         """What the solver gets of an emitted step; a part of emitting it.
 
         New matrices become those of `base`, so that a later step without any is solved with the
-        same ones.
+        same ones. Of the arrays that go to the solver nobody else keeps any.
         """
 
     def solution(self, answer: Solution) -> Solution:
@@ -51,6 +51,7 @@ class Box:
         """The step itself."""
         if not (step.P is None and step.A is None and step.lb is None and step.ub is None):
             self.base = self.base.at(step)
+            return step.copy()
         return step
 
     def solution(self, answer: Solution) -> Solution:
@@ -70,6 +71,7 @@ class Stacked:
         stacked = stack_step(step, self.base)
         if not (step.P is None and step.A is None and step.lb is None and step.ub is None):
             self.base = self.base.at(stacked)
+            return stacked.copy()
         return stacked
 
     def solution(self, answer: Solution) -> Solution:

@@ -70,8 +70,10 @@ def _judge_rounds(
     judge = StepJudge(scaled.base, own.base, units)
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(int)
     for k in range(max(counts, default=0)):
-        judge.follow(scaled.step(k), own.step(k))
-        optimum = judge.certify(scaled.step(k)) if optima is None else optima[k]
+        step = scaled.step(k)
+        step_own = step if own is scaled else own.step(k)
+        judge.follow(step, step_own)
+        optimum = judge.certify(step) if optima is None else optima[k]
         seen: dict[bytes, tuple[float, ...]] = {}
         for r, start, count in zip(rounds, starts, counts, strict=True):
             if k >= count:
@@ -80,6 +82,6 @@ def _judge_rounds(
             answer = recorded_answer(log, r, k)
             identity = answer.identity
             if identity not in seen:
-                seen[identity] = judge.judge(scaled.step(k), own.step(k), answer, optimum)
+                seen[identity] = judge.judge(step, step_own, answer, optimum)
             grades[start + k] = seen[identity]
             certificates[start + k] = CERTIFICATES.index(optimum.kind)

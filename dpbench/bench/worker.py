@@ -145,9 +145,9 @@ def _replay_arm(
     layout = replay_layout(cell.rounds + 1, len(sequence), sequence.base.n, sequence.base.m)
     log = RawLog.create(raw, layout)
     steps, formulated = in_replay(cell.formulation, sequence)
+    port = SolverPort(workspace, formulated, clock)
     if memory is not None:
         memory.loaded(log)
-    port = SolverPort(workspace, formulated, clock)
     arm = ReplayArm(
         steps,
         port,

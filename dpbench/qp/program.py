@@ -104,6 +104,11 @@ class QuadraticProgram:
         """½ zᵀPz + qᵀz."""
         return float(0.5 * z @ self.P @ z + self.q @ z)
 
+    def copy(self) -> QuadraticProgram:
+        """The same problem in memory that nobody else holds."""
+        step = QPStep(self.q, self.l, self.u, self.P, self.A, self.lb, self.ub)
+        return self.at(step.copy())
+
     def at(self, step: QPStep) -> QuadraticProgram:
         """The problem after `step`: its vectors, and its matrices where it brings any."""
         return QuadraticProgram(
@@ -140,6 +145,11 @@ class QPStep:
         if self.P is None and self.A is None and self.lb is None and self.ub is None:
             return Refresh.VECTORS
         return Refresh.VECTORS | Refresh.MATRICES
+
+    def copy(self) -> QPStep:
+        """The same step in memory that nobody else holds."""
+        P, A, lb, ub = (a if a is None else a.copy() for a in (self.P, self.A, self.lb, self.ub))
+        return QPStep(self.q.copy(), self.l.copy(), self.u.copy(), P, A, lb, ub)
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,10 +211,14 @@ class QPSequence:
         return int(self.q.shape[0])
 
     def step(self, k: int) -> QPStep:
-        """Step k; its arrays are views of the sequence, which nobody may write to."""
-        changed = {name: getattr(self, name) for name in CONSTANT}
-        brought = {name: array[k] for name, array in changed.items() if array is not None}
-        return QPStep(self.q[k], self.l[k], self.u[k], **brought)
+        """Step k in memory of its own: whatever is written there, the sequence stays as it is."""
+        step = QPStep(self.q[k].copy(), self.l[k].copy(), self.u[k].copy())
+        if not (self.P is None and self.A is None and self.lb is None and self.ub is None):
+            for name in CONSTANT:
+                array = getattr(self, name)
+                if array is not None:
+                    setattr(step, name, array[k].copy())
+        return step
 
     def problem(self, k: int) -> QuadraticProgram:
         """The whole problem of step k."""

@@ -117,7 +117,7 @@ def is_plain(answer: Any, n: int, m: int) -> bool:
     z, y, y_box = answer.z, answer.y, answer.y_box
     return (
         type(z) is type(y) is type(y_box) is np.ndarray
-        and z.dtype is y.dtype is y_box.dtype is _FLOAT64
+        and z.dtype == y.dtype == y_box.dtype == _FLOAT64
         and z.shape == y_box.shape == (n,)
         and y.shape == (m,)
         and type(answer.status) is Status

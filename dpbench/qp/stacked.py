@@ -46,7 +46,7 @@ def stack_step(step: QPStep, stacked: QuadraticProgram) -> QPStep:
         np.negative(step.lb, out=gamma[2 * m : 2 * m + n])
     if step.ub is not None:
         gamma[2 * m + n :] = step.ub
-    return QPStep(step.q, stacked.l, gamma, P=step.P, A=M)
+    return QPStep(step.q, stacked.l.copy(), gamma, P=step.P, A=M)
 
 
 def unstack(solution: Solution, m: int) -> Solution:

@@ -7,6 +7,10 @@
 
 The clock stands between these calls, so each must do its own duty only. A workspace turns the
 library's failures into a `Status`; it raises only for a person's mistake.
+
+What the harness hands over is for this workspace alone: answers are judged by other copies of it.
+The vectors of a step stay as they are for ever; where every step is set up, the matrices come in
+the same memory each time, made whole again before.
 """
 
 from __future__ import annotations
