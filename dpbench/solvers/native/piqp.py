@@ -21,7 +21,6 @@ from dpbench.solvers.through_qpsolvers.adapter import Options
 NATIVE = RouteRecord(
     policies=("fresh", "reuse"),
     two_sided=True,
-    detects_infeasibility=False,
     refused={"warm": "PIQP has no interface for a start"},
     faults=NAN_IGNORED,
 )

@@ -18,7 +18,6 @@ RECORD = SolverRecord(
     form="dense",
     box="native",
     policies={"qpsolvers": ("fresh",)},
-    detects_infeasibility=False,
     faults=NAN_IGNORED,
 )
 
