@@ -107,13 +107,16 @@ def _sequences() -> Table:
 
 
 def _solvers() -> Table:
-    table = _table("name", "version", "method", "form", "policies", "installed", "settings")
+    table = _table(
+        "name", "version", "build", "method", "form", "policies", "installed", "settings"
+    )
     for name in solver_names():
         row, found = record(name), available(name)
         policies = "; ".join(f"{route}: {', '.join(p)}" for route, p in row.policies.items())
         table.add_row(
             name,
             found.version or "–",
+            found.build.text or "–",
             row.method,
             row.form,
             policies,

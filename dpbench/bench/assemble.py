@@ -30,6 +30,7 @@ from dpbench.bench.timing_columns import spoilt_rounds_of, timing_metrics
 from dpbench.qp.solution import Status
 from dpbench.scenario import scenario_of
 from dpbench.solvers.calibration import CALIBRATION
+from dpbench.solvers.table import Availability
 
 _STATUS_NAMES = np.array([status.name for status in Status])
 
@@ -98,7 +99,7 @@ def run_row(
     run_id: str,
     cell: Cell,
     outcome: Outcome,
-    solver_version: str,
+    library: Availability,
     machine_id: str,
     graded: Graded | None,
     steps: pd.DataFrame | None,
@@ -110,7 +111,9 @@ def run_row(
         "scenario": cell.scenario_name,
         "sequence": cell.sequence,
         "solver": cell.solver,
-        "solver_version": solver_version,
+        "solver_version": library.version,
+        "build": library.build.text,
+        "generic_build": library.build.generic,
         "route": cell.route,
         "policy": cell.policy,
         "settings": cell.settings,

@@ -61,15 +61,15 @@ class Campaign:
         self._name, self._suite, self._out, self._jobs = name, suite, out, jobs
         self._store = CellStore(out / "cells")
         solvers = {p.cell.solver for p in planned}
-        self._versions = {solver: available(solver).version for solver in solvers}
+        self._libraries = {solver: available(solver) for solver in solvers}
         self.work = [self._job(p) for p in planned]
         self._fresh = fresh
         self._cores = sorted(os.sched_getaffinity(0))
         self._ledger = Ledger()
 
     def _job(self, planned: Planned) -> Job:
-        found = self._versions[planned.cell.solver]
-        run_id = planned.cell.run_id(found, self.machine["id"], HARNESS_VERSION)
+        found = self._libraries[planned.cell.solver]
+        run_id = planned.cell.run_id(found.identity, self.machine["id"], HARNESS_VERSION)
         return Job(planned, run_id, found)
 
     def run(self, progress: Progress) -> Path:

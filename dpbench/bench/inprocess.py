@@ -31,6 +31,7 @@ from dpbench.mpc.condense import UnitSystem
 from dpbench.qp.program import QPSequence
 from dpbench.scenario import Scenario
 from dpbench.solvers.contract import Workspace
+from dpbench.solvers.table import Availability
 
 _NO_LIMIT = 2**62
 _clock = time.perf_counter_ns
@@ -157,5 +158,5 @@ def _check_workspace(found: object) -> None:
 def _run(cell: Cell, workspace: Workspace, port: SolverPort, graded: Graded) -> Run:
     steps = step_rows("in-process", cell, graded)
     outcome = Outcome("finished", "", workspace.form, *port.size)
-    row = run_row("in-process", cell, outcome, "", "", graded, steps)
+    row = run_row("in-process", cell, outcome, Availability(True), "", graded, steps)
     return Run(as_steps(steps), as_runs(pd.DataFrame([row])).iloc[0])

@@ -26,6 +26,7 @@ from dpbench.bench.source import source_key
 from dpbench.bench.store import write_json
 from dpbench.bench.supervise import Child, Outcome, in_slots
 from dpbench.bench.worker import Link, grade_cell, make_source, run_closed_loop_cell
+from dpbench.solvers.table import Availability
 
 HARNESS_VERSION = version("dpbench")
 
@@ -56,7 +57,7 @@ class Job:
 
     planned: Planned
     run_id: str
-    solver_version: str
+    library: Availability
     outcome: Outcome | None = None
 
     @property

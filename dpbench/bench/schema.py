@@ -85,6 +85,8 @@ IDENTITY_COLUMNS: Columns = {
     "sequence": ("str", "recorded or random sequence; empty in closed loop"),
     "solver": ("str", "solver"),
     "solver_version": ("str", "version of its distribution"),
+    "build": ("str", "how its library was built, where that can be read from it; empty else"),
+    "generic_build": ("bool", "its library has vectorised kernels, and this build leaves them out"),
     "route": ("str", "qpsolvers | native"),
     "policy": ("str", "fresh | reuse | warm"),
     "settings": ("str", "name of the settings"),

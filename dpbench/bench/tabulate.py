@@ -30,11 +30,11 @@ def tabulate(
         if graded is not None:
             inside[job.run_id] = time_inside(graded.columns)
         for settings in (job.cell.settings, *job.planned.alias_settings):
-            cell, version = job.cell.with_settings(settings), job.solver_version
-            run_id = cell.run_id(version, machine_id, HARNESS_VERSION)
+            cell, library = job.cell.with_settings(settings), job.library
+            run_id = cell.run_id(library.identity, machine_id, HARNESS_VERSION)
             steps = step_rows(run_id, cell, graded) if graded else None
             if steps is not None:
                 frames.append(steps)
-            rows.append(run_row(run_id, cell, outcome, version, machine_id, graded, steps))
+            rows.append(run_row(run_id, cell, outcome, library, machine_id, graded, steps))
     steps = pd.concat(frames, ignore_index=True) if frames else as_steps(pd.DataFrame())
     return pd.DataFrame(rows), steps, inside

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular
+from dpbench.report.builds import build_legend
 from dpbench.report.demand import Demand
 from dpbench.report.figures_horizon import growth_figure
 from dpbench.report.formats import interval_text, plural, significant, time_text
@@ -74,7 +75,9 @@ def _summary(sweep: Sweep, best: Sequence[SweptArm]) -> list[str]:
             f"{among}, the time grows least with {said[0]}"
             + (f" and most with {said[-1]}." if len(said) > 1 else ".")
         )
-    return [f"Scenario `{sweep.name}`, {plural(sweep.steps, 'step')} a horizon.", *words]
+    legend = build_legend(row for arm in best for row in arm.rows).lstrip()
+    marked = [legend] if legend else []
+    return [f"Scenario `{sweep.name}`, {plural(sweep.steps, 'step')} a horizon.", *words, *marked]
 
 
 def _fastest(best: Sequence[SweptArm], horizons: Horizons) -> str:
@@ -84,7 +87,7 @@ def _fastest(best: Sequence[SweptArm], horizons: Horizons) -> str:
     first = min(right, key=lambda arm: arm.timed[horizons].median_ns)
     return (
         f"At {horizons_text(horizons)} (n = {moves_of(horizons)}) the fastest of "
-        f"{plural(len(right), 'arm')} whose answers meet the demand there is **{first.solver}** "
+        f"{plural(len(right), 'arm')} whose answers meet the demand there is **{first.name}** "
         f"({_how(first)}), {time_text(first.timed[horizons].median_ns)}."
     )
 
@@ -102,4 +105,4 @@ def _growth_text(arm: SweptArm, growth: Growth) -> str:
         else ""
     )
     power = f"like n to the {significant(exponent.value)} {interval}{average}"
-    return f"**{arm.solver}** ({_how(arm)}), {power}"
+    return f"**{arm.name}** ({_how(arm)}), {power}"

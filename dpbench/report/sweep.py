@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from dpbench.bench.schema import FORCES
+from dpbench.report.builds import timed_name
 from dpbench.report.demand import Demand
 from dpbench.report.formats import as_float
 from dpbench.report.growth import Growth, fit_growth
@@ -63,6 +64,16 @@ class SweptArm:
     policy: str
     settings: str
     points: dict[Horizons, Point]
+
+    @property
+    def rows(self) -> list[Row]:
+        """The rows of its points."""
+        return [point.row for point in self.points.values()]
+
+    @property
+    def name(self) -> str:
+        """The solver, with the mark of its build."""
+        return timed_name(self.rows[0])
 
     @property
     def timed(self) -> dict[Horizons, Point]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from dpbench.report.builds import build_legend
 from dpbench.report.formats import (
     MISSING,
     count_text,
@@ -37,7 +38,8 @@ def growth_table(sweep: Sweep, arms: Sequence[SweptArm], *, every: bool = False)
     which = "every way" if every else "the best way of each solver"
     return Table(
         title=f"Growth over the horizons of `{sweep.name}`, {which}",
-        note=_note(sweep, len(arms), compared=compared),
+        note=_note(sweep, len(arms), compared=compared)
+        + build_legend(row for arm in arms for row in arm.rows),
         heads=(
             "solver",
             "formulation",
@@ -95,7 +97,7 @@ def _row(sweep: Sweep, arm: SweptArm, *, compared: bool) -> tuple[Cell, ...]:
             interval_text(found.low, found.high),
         )
     return row_of(
-        arm.solver,
+        arm.name,
         arm.formulation.replace("_", " "),
         arm.way,
         *(_time(arm.points.get(horizons)) for horizons in sweep.horizons),

@@ -31,6 +31,7 @@ def population_table(view: View) -> Table:
             row_of(
                 solver,
                 str(mine[0]["solver_version"]) or MISSING,
+                str(mine[0]["build"]) or MISSING,
                 ", ".join(sorted({str(row["route"]) for row in mine})),
                 _forms(mine),
                 count_text(len(mine)),
@@ -44,10 +45,12 @@ def population_table(view: View) -> Table:
     return Table(
         title="Solvers",
         note=f"{plural(len(view.every), 'cell')}; a cell is one solver in one arm of an "
-        "experiment. Form: what the library was given. Recorded steps include warm-up rounds.",
+        "experiment. Build: as the library itself tells it. Form: what the library was given. "
+        "Recorded steps include warm-up rounds.",
         heads=(
             "solver",
             "version",
+            "build",
             "route",
             "form",
             "cells",
@@ -59,7 +62,7 @@ def population_table(view: View) -> Table:
             "recorded steps",
         ),
         rows=tuple(rows),
-        text_columns=4,
+        text_columns=5,
     )
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from dpbench.report.builds import build_legend, timed_name
 from dpbench.report.demand import Demand
 from dpbench.report.formats import (
     MISSING,
@@ -75,7 +76,7 @@ def _timing_table(
             "(set-up + update + solve + read). Of medians: the same with the median over the "
             "rounds, what a usual round takes. Intervals: 95 %, block bootstrap over steps. "
             f"{plural(len(shown), 'arm')} shown here; the section on rankings compares them in "
-            f"pairs. {_refused_percentile(arms)}"
+            f"pairs. {_refused_percentile(arms)}{build_legend(row for row, _ in shown)}"
         ),
         heads=(
             "solver",
@@ -112,7 +113,7 @@ def jitter_table(view: View, sequence: str) -> Table | None:
             "Phases: median over all samples; on route qpsolvers the solve holds the wrapper "
             "and cannot be split further. Set-up: part of every step under policy fresh on "
             "route native, else done once before the first step. A percentile without ten "
-            "samples beyond it is not printed."
+            f"samples beyond it is not printed.{build_legend(row for row, _ in arms)}"
         ),
         heads=(
             "solver",
@@ -170,7 +171,7 @@ def _timing_row(arm: Arm, demand: Demand) -> tuple[Cell, ...]:
     right = is_right(row, demand)
     early = as_float(row["steps_planned"]) > len(algo)
     return row_of(
-        str(row["solver"]),
+        timed_name(row),
         str(row["settings"]),
         str(row["policy"]),
         str(row["route"]),
@@ -203,7 +204,7 @@ def _jitter_row(arm: Arm) -> tuple[Cell, ...]:
     else:
         setup = micro_text(phases["setup"])
     return row_of(
-        str(row["solver"]),
+        timed_name(row),
         str(row["settings"]),
         str(row["policy"]),
         str(row["route"]),

@@ -6,7 +6,7 @@ conformance tests are generated from them and the report prints them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -22,6 +22,27 @@ Extra = Literal["core", "solvers", "jax", "casadi", "own", "plugin", "qpsolvers"
 # Faults several libraries share. A NaN compares false with everything.
 NAN_ANSWER = {"solved despite a nan in q": "a NaN in q passes its tests of convergence"}
 NAN_IGNORED = {"solved despite a nan in u": "a NaN limit is never violated, so it limits nothing"}
+
+
+@dataclass(frozen=True)
+class Build:
+    """How the library that is installed was built, as read from it.
+
+    Parameters
+    ----------
+    text : in a few words; "" where nothing can be read from it.
+    generic : it has kernels for the vector instructions of processors, and this build has none.
+    """
+
+    text: str = ""
+    generic: bool = False
+
+
+UNREAD = Build()
+
+
+def _unread() -> Build:
+    return UNREAD
 
 
 @dataclass(frozen=True)
@@ -75,6 +96,8 @@ class SolverRecord:
     native : what it can do on route native, where qpsolvers is its default route.
     updates, two_sided, faults : as in `RouteRecord`, of the default route.
     project : what its own documentation says to a controller's author.
+    build : reads from the installed library how it was built, where that can be read and decides
+        how fast it is.
     """
 
     name: str
@@ -96,6 +119,7 @@ class SolverRecord:
     two_sided: bool = False
     faults: Mapping[str, str] = field(default_factory=dict)
     project: Project = NOT_STATED
+    build: Callable[[], Build] = _unread
 
     @property
     def default_route(self) -> Route:

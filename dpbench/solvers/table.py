@@ -14,7 +14,7 @@ from dpbench.solvers.native import NATIVE
 from dpbench.solvers.plugins import entry_point_names, find_plugin, load_file, loaded_names
 from dpbench.solvers.project import NOT_STATED
 from dpbench.solvers.projects import PROJECTS
-from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.record import UNREAD, Build, SolverRecord
 from dpbench.solvers.settings import settings_matter
 from dpbench.solvers.through_qpsolvers import ADAPTERS
 from dpbench.solvers.through_qpsolvers.generic import generic_adapter, is_served
@@ -80,6 +80,12 @@ class Availability:
     ok: bool
     version: str = ""
     reason: str = ""
+    build: Build = UNREAD
+
+    @property
+    def identity(self) -> str:
+        """Version and build: times of another of the two are not those of this library."""
+        return f"{self.version} {self.build.text}".strip()
 
 
 def solver_names() -> tuple[str, ...]:
@@ -145,12 +151,13 @@ def available(name: str) -> Availability:
             # A library that warns on import is available all the same.
             warnings.simplefilter("ignore")
             importlib.import_module(row.module)
+            build = row.build()
     except (KeyboardInterrupt, SystemExit):
         raise
     except BaseException as error:  # a panic of Rust is no Exception
         reason = f"importing {row.module} failed: {type(error).__name__}: {error}"
         return Availability(False, version, " ".join(reason.split()))
-    return Availability(True, version)
+    return Availability(True, version, build=build)
 
 
 def _through_qpsolvers(name: str) -> Availability:

@@ -67,6 +67,8 @@ class Records:
             "mode": mode,
             "solver": solver,
             "solver_version": "1.0",
+            "build": "",
+            "generic_build": False,
             "scenario": scenario,
             "sequence": "",
             "route": "qpsolvers",

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dpbench.report.blocks import Paragraph
 from dpbench.report.demand import Demand
 from dpbench.report.figures_horizon import growth_figure
 from dpbench.report.growth import Growth, crossover, fit_growth
@@ -281,3 +282,19 @@ def test_names_are_kept_apart_and_in_order(places: list[float], gap: float) -> N
     assert found.mean() == pytest.approx(wanted.mean(), abs=1e-6)
     if (np.diff(wanted) >= gap).all():
         np.testing.assert_allclose(found, wanted, atol=1e-9)
+
+
+def test_a_generic_build_is_marked_at_its_horizons_and_crossovers(records: Any) -> None:
+    """Rows, the sparse crossover among their cells, and sentences name the solver with the mark."""
+    build = {"build": "BLASFEO generic", "generic_build": True}
+    _law(records, "hpipm", 0.01, 3.0, **build)
+    _law(records, "hpipm", 9.0, 1.0, formulation="sparse", **build)
+    _law(records, "osqp", 90.0, 1.0)
+    table = _best_table(records.view())
+    assert {row[0].text for row in table.rows} == {"hpipm †", "osqp"}
+    assert table.note.count("†: BLASFEO generic:") == 1
+    section = horizon_section(records.view(), DEMAND)
+    assert section is not None
+    texts = [block.text for block in section.blocks if isinstance(block, Paragraph)]
+    (words,) = (text for text in texts if "fastest of" in text)
+    assert "**hpipm †**" in words and "†: BLASFEO generic:" in words

@@ -146,3 +146,24 @@ def test_steps_undecided_at_rounding_are_said_with_the_accuracy(records: Any) ->
     records.loop("osqp", undecided_steps=6)
     table = accuracy_table(records.view(), "paper", DEMAND)
     assert table is not None and "6 steps of them all are feasible or infeasible only" in table.note
+
+
+def test_a_generic_build_is_marked_beside_its_times(records: Any) -> None:
+    """Each row of a solver on a generic build has the mark, and one sentence says which build."""
+    records.replay("hpipm", median_us=30.0, build="BLASFEO generic", generic_build=True)
+    records.replay("piqp", median_us=50.0, build="AVX2", generic_build=False)
+    view = records.view()
+    (times,), raw = timing_tables(view, "paper", DEMAND), jitter_table(view, "paper")
+    assert raw is not None
+    for table in (times, raw):
+        assert _column(table, "solver") == ["hpipm †", "piqp"]
+        assert table.note.count("†: BLASFEO generic:") == 1
+        assert "AVX2" not in table.note
+    assert _column(population_table(view), "build") == ["BLASFEO generic", "AVX2"]
+
+
+def test_without_a_generic_build_there_is_no_mark(records: Any) -> None:
+    """Records without one say nothing of builds beside times."""
+    records.replay("piqp", median_us=50.0, build="AVX2", generic_build=False)
+    (times,) = timing_tables(records.view(), "paper", DEMAND)
+    assert "†" not in times.note and _column(times, "solver") == ["piqp"]

@@ -1,6 +1,5 @@
 """HPIPM's dense solver through ctypes, on the library in the casadi wheel: two-sided, start primal.
 
-The wheel's BLASFEO is built for a generic target, so its kernels are not those of this machine.
 HPIPM takes an infinite side as one that is masked out, and l = u as an equality of its own.
 """
 
@@ -21,6 +20,7 @@ from dpbench.solvers.native.hpipm_parts import (
     OPTION_NAMES,
     Limits,
     Structures,
+    blasfeo_build,
     load_library,
     pattern,
     pointer,
@@ -32,7 +32,7 @@ RECORD = SolverRecord(
     name="hpipm",
     distribution="casadi",
     module="casadi",
-    method="primal-dual interior point, dense; BLASFEO is the casadi wheel's generic build",
+    method="primal-dual interior point, dense",
     extra="casadi",
     form="dense",
     box="native",
@@ -41,6 +41,7 @@ RECORD = SolverRecord(
     detects_infeasibility=False,
     updates="vectors",
     two_sided=True,
+    build=blasfeo_build,
 )
 
 

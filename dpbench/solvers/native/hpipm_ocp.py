@@ -32,8 +32,7 @@ from dpbench.solvers.through_qpsolvers.adapter import Options
 RECORD = replace(
     hpipm.RECORD,
     name="hpipm_ocp",
-    method="primal-dual interior point, factorised stage by stage; BLASFEO is the casadi wheel's "
-    "generic build",
+    method="primal-dual interior point, factorised stage by stage",
     form="csc",
 )
 

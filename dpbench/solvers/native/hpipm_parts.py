@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from dpbench.qp.program import Vector
 from dpbench.qp.solution import Status
+from dpbench.solvers.record import Build
 from dpbench.solvers.through_qpsolvers.adapter import Options
 
 MODES = ("SPEED_ABS", "SPEED", "BALANCE", "ROBUST")
@@ -29,13 +30,44 @@ STATUS = {
 }
 
 
+TEXT_BYTES = 256
+"""More than BLASFEO writes: names of four vector instructions at most."""
+
+
 def load_library() -> ctypes.CDLL:
     """HPIPM's library of the casadi wheel."""
-    folder = Path(str(import_module("casadi").__file__)).parent
     # Whoever loads libhpipm needs libblasfeo first. Its names stay its own: PIQP's factorisation by
     # stages brings another BLASFEO of the same names, and would call this one and corrupt memory.
-    ctypes.CDLL(str(folder / "libblasfeo.so"))
-    return ctypes.CDLL(str(folder / "libhpipm.so"))
+    _load_blasfeo()
+    return ctypes.CDLL(str(_folder() / "libhpipm.so"))
+
+
+def _folder() -> Path:
+    return Path(str(import_module("casadi").__file__)).parent
+
+
+def _load_blasfeo() -> ctypes.CDLL:
+    return ctypes.CDLL(str(_folder() / "libblasfeo.so"))
+
+
+def blasfeo_build() -> Build:
+    """The vector instructions that HPIPM's linear algebra was compiled for, as it says itself.
+
+    Every target of BLASFEO but the generic one needs some.
+    """
+    return build_of(_load_blasfeo())
+
+
+def build_of(library: Any) -> Build:
+    """The build of a BLASFEO that is loaded; one that does not say is not called anything."""
+    if not hasattr(library, "blasfeo_processor_library_features"):
+        return Build()
+    features, text = ctypes.c_int(), ctypes.create_string_buffer(TEXT_BYTES)
+    library.blasfeo_processor_library_features(ctypes.byref(features))
+    if features.value == 0:
+        return Build("BLASFEO generic", generic=True)
+    library.blasfeo_processor_library_string(text)
+    return Build(f"BLASFEO {' '.join(text.value.decode('ascii').split())}")
 
 
 class Structures:

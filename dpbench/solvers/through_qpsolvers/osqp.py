@@ -6,8 +6,14 @@ from importlib import import_module
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.record import Build, SolverRecord
 from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict, attributes
+
+
+def build() -> Build:
+    """The linear algebra it takes when none is asked for."""
+    return Build(f"algebra {import_module('osqp').default_algebra()}")
+
 
 RECORD = SolverRecord(
     name="osqp",
@@ -19,6 +25,7 @@ RECORD = SolverRecord(
     box="rows",
     policies={"qpsolvers": ("fresh", "warm")},
     start="primal",
+    build=build,
 )
 
 STATUS = {

@@ -6,8 +6,15 @@ from importlib import import_module
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.record import NAN_IGNORED, SolverRecord
+from dpbench.solvers.record import NAN_IGNORED, Build, SolverRecord
 from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict, attributes
+from dpbench.solvers.through_qpsolvers.vectorised import vectorised_build
+
+
+def build() -> Build:
+    """Which of its modules PIQP chose for this processor."""
+    return vectorised_build("piqp.piqp_python")
+
 
 RECORD = SolverRecord(
     name="piqp",
@@ -19,6 +26,7 @@ RECORD = SolverRecord(
     box="native",
     policies={"qpsolvers": ("fresh",)},
     faults=NAN_IGNORED,
+    build=build,
 )
 
 STATUS = {

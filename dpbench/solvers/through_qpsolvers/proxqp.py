@@ -7,8 +7,15 @@ from importlib import import_module
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.record import NAN_IGNORED, SolverRecord
+from dpbench.solvers.record import NAN_IGNORED, Build, SolverRecord
 from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict
+from dpbench.solvers.through_qpsolvers.vectorised import vectorised_build
+
+
+def build() -> Build:
+    """Which of its modules ProxSuite chose for this processor."""
+    return vectorised_build("proxsuite.proxsuite_pywrap")
+
 
 RECORD = SolverRecord(
     name="proxqp",
@@ -21,6 +28,7 @@ RECORD = SolverRecord(
     policies={"qpsolvers": ("fresh", "warm")},
     start="primal",
     faults=NAN_IGNORED,
+    build=build,
 )
 
 # "Closest feasible" means that the problem has no feasible point and a shifted one was solved.

@@ -1,0 +1,86 @@
+"""How a library was built is read from the library, not asserted."""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from dpbench.solvers.native.hpipm_parts import build_of
+from dpbench.solvers.record import Build
+from dpbench.solvers.table import Availability, available
+from dpbench.solvers.through_qpsolvers.vectorised import vectorised_build
+
+AVX2, FMA = 0x2, 0x4
+
+
+class Blasfeo:
+    """A BLASFEO compiled for a target, by the functions of `blasfeo_processor_features.h`."""
+
+    def __init__(self, features: int, text: bytes) -> None:
+        self._features, self._text = features, text
+
+    def blasfeo_processor_library_features(self, target: object) -> None:
+        ctypes.cast(target, ctypes.POINTER(ctypes.c_int))[0] = self._features  # type: ignore[arg-type] # a reference
+
+    def blasfeo_processor_library_string(self, target: ctypes.Array[ctypes.c_char]) -> None:
+        target.value = self._text
+
+
+@pytest.mark.parametrize(
+    ("library", "build"),
+    [
+        (Blasfeo(0, b""), Build("BLASFEO generic", generic=True)),
+        (Blasfeo(AVX2 | FMA, b" AVX2 FMA"), Build("BLASFEO AVX2 FMA")),
+        (object(), Build()),
+    ],
+    ids=["generic", "haswell", "silent"],
+)
+def test_a_blasfeo_is_generic_where_it_needs_no_vector_instruction(
+    library: object, build: Build
+) -> None:
+    """A target with vector instructions is named by them; a library that does not say is not."""
+    assert build_of(library) == build
+
+
+@pytest.mark.skipif(not available("hpipm").ok, reason="casadi is not installed")
+@pytest.mark.parametrize("solver", ["hpipm", "hpipm_ocp"])
+def test_the_build_of_hpipm_is_that_of_the_headers_beside_it(solver: str) -> None:
+    """The library says generic exactly where the header it was installed with has that target."""
+    header = Path(str(import_module("casadi").__file__)).parent / "include" / "blasfeo_target.h"
+    target = "#define TARGET_GENERIC" in header.read_text(encoding="utf-8")
+    assert available(solver).build.generic is target
+    assert not available("qpoases").build.generic
+
+
+@pytest.mark.parametrize(
+    ("solver", "loaded"), [("piqp", "piqp_python"), ("proxqp", "proxsuite_pywrap")]
+)
+def test_a_build_chosen_at_import_is_the_one_in_memory(solver: str, loaded: str) -> None:
+    """What is said is compiled into the one file of the library that this process has mapped."""
+    text = available(solver).build.text
+    end = {"AVX-512": "_avx512", "AVX2": "_avx2", "no AVX": ""}[text]
+    maps = Path("/proc/self/maps").read_text(encoding="utf-8")
+    mapped = {Path(line.split()[-1]).name for line in maps.splitlines()}
+    assert {name.partition(".")[0] for name in mapped if loaded in name} == {loaded + end}
+
+
+@pytest.mark.parametrize(("end", "text"), [("_avx2", "AVX2"), ("", "no AVX")])
+def test_a_lesser_processor_has_a_lesser_build(
+    end: str, text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The module that was imported tells the build; none imported tells nothing."""
+    assert vectorised_build("absent.library") == Build()
+    monkeypatch.setitem(sys.modules, f"absent.library{end}", ModuleType("library"))
+    assert vectorised_build("absent.library") == Build(text)
+
+
+def test_results_of_one_build_are_not_those_of_another() -> None:
+    """Version and build together name a library; without a build the version does."""
+    versions = [Availability(True, "1.0", build=Build(text)) for text in ("", "AVX2", "AVX-512")]
+    assert len({found.identity for found in versions}) == 3
+    assert versions[0].identity == "1.0"
