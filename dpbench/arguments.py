@@ -40,7 +40,7 @@ def _run(commands: Commands) -> None:
     run.add_argument(
         "--sequence",
         metavar="S",
-        help="instead: a stored sequence, a .npz, or a folder",
+        help="instead: a stored sequence, a .npz, or a folder of them by qpsolvers",
     )
     run.add_argument("--out", help="result folder (default: results/<suite>)")
     run.add_argument("--solver", action="append", metavar="S", help="only this solver; repeatable")
@@ -103,8 +103,12 @@ def _list(commands: Commands) -> None:
 
 
 def _check(commands: Commands) -> None:
-    check = commands.add_parser("check", help="check a vessel, scenario, suite or sequence file")
-    check.add_argument("file", help="a TOML file, or a .npz whose every step is certified anew")
+    check = commands.add_parser("check", help="check a vessel, scenario, suite or sequence")
+    check.add_argument(
+        "file",
+        help="a name, scenario@vessel, a TOML file, or a .npz or folder of problems, whose every "
+        "step is certified anew",
+    )
 
 
 def _doctor(commands: Commands) -> None:

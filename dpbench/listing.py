@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import difflib
+import os
 from pathlib import Path
 
 import numpy as np
@@ -25,9 +27,15 @@ from dpbench.problem_files import (
     sequence_path,
 )
 from dpbench.report.table import Table as ReportTable
-from dpbench.scenario import load_scenario, load_vessel
+from dpbench.scenario import Scenario, load_scenario, load_vessel
 from dpbench.solvers.settings import describe_ladder
 from dpbench.solvers.table import available, record, solver_names
+
+CHECKED = (
+    "a vessel, scenario, scenario@vessel, suite or sequence by name, a TOML file, "
+    "a .npz or a folder of problems by qpsolvers"
+)
+"""What `dpbench check` takes."""
 
 
 def listing(what: str) -> Table:
@@ -126,32 +134,54 @@ def _solvers() -> Table:
     return table
 
 
-def check_file(path: str, progress: Progress | None = None) -> str:
-    """Check a TOML file as what it is, by its tables, or a sequence; one line of what it describes.
+def check_file(asked: str, progress: Progress | None = None) -> str:
+    """Check what `run` takes, by its name or path; one line of what it is.
 
-    Every optimum of a sequence is certified anew, which may take a while.
+    That is a vessel, scenario (`rough`, `rough@osv`) or suite, a sequence, or a problem or a folder
+    of problems by qpsolvers. Every optimum is certified, which may take a while.
 
     Raises
     ------
     InputError : naming file, key, what was found and what is allowed.
     """
-    if path.endswith(".npz") or is_stored(path):
-        return verify_sequence(sequence_path(path), progress)
-    file = Path(path)
+    if is_stored(asked):
+        return verify_sequence(sequence_path(asked), progress)
     for kind in KINDS:
-        if path in problem_names(kind):
-            file = problem_path(kind, path)
-    if not file.is_file():
-        found = "a folder" if file.is_dir() else "no such file"
-        allowed = "a vessel, scenario or suite file in TOML, or a sequence (.npz)"
-        raise InputError(path, "", found, allowed)
+        if asked in problem_names(kind):
+            return _check_document(problem_path(kind, asked))
+    # Unlike Path.exists, these are False for a name that is too long to exist.
+    if os.path.isdir(asked) or asked.endswith(".npz"):
+        return verify_sequence(Path(asked), progress)
+    if os.path.isfile(asked):
+        return _check_document(Path(asked))
+    if "@" in asked:
+        return _scenario_text(asked, load_scenario(asked))
+    if asked.endswith(".toml") or "/" in asked:
+        raise InputError(asked, "", "no such file or folder", CHECKED)
+    raise _unknown(asked)
+
+
+def _unknown(asked: str) -> InputError:
+    """The error of a name that nothing has, with the nearest names of all kinds."""
+    names = [name for kind in (*KINDS, SEQUENCES) for name in problem_names(kind)]
+    near = difflib.get_close_matches(asked, names, n=3)
+    hint = f"e.g. {', '.join(near)}; " if near else ""
+    shown = repr(asked if len(asked) <= 80 else f"{asked[:77]}...")
+    return InputError("check", "", shown, f"{hint}{CHECKED}; `dpbench list` has the names")
+
+
+def _scenario_text(name: str | Path, scenario: Scenario) -> str:
+    return f"{name}: a scenario of {scenario.steps} steps with vessel {scenario.vessel.id}"
+
+
+def _check_document(file: Path) -> str:
+    """A TOML file, recognised by its tables."""
     document = read_toml(file)
     if "limits" in document:
         vessel = load_vessel(file)
         return f"{file}: a vessel, {vessel.title}"
     if "controller" in document or "environment" in document:
-        scenario = load_scenario(file)
-        return f"{file}: a scenario of {scenario.steps} steps with vessel {scenario.vessel.id}"
+        return _scenario_text(file, load_scenario(file))
     if any(table in document for table in ("closed_loop", "replay", "recorded", "random")):
         suite_path, suite = load_suite(file)
         with naming(suite_path):

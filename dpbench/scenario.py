@@ -135,10 +135,10 @@ def load_scenario(name_or_path: str | Path, *, beside: Path | None = None) -> Sc
     ------
     InputError : one line naming file, key, what was found and what is allowed.
     """
-    name, _, other = str(name_or_path).partition("@")
+    name, at, other = str(name_or_path).partition("@")
     path = problem_path("scenarios", name, beside)
     scenario = read_model(path, ScenarioFile)
-    vessel = other or scenario.vessel
+    vessel = other if at else scenario.vessel
     try:
         vessel_path = problem_path("vessels", vessel, beside=path.parent)
     except InputError as error:

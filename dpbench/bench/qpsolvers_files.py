@@ -1,4 +1,4 @@
-"""Problems that others recorded: a folder of `.npz` as `qpsolvers.Problem.save` writes them.
+"""Problems that others recorded: `.npz` of `qpsolvers.Problem.save`, one file or a folder of them.
 
     minimise ½ xᵀP x + qᵀx   subject to   G x ≤ h,  A x = b,  lb ≤ x ≤ ub
 
@@ -9,6 +9,7 @@ those of A with both limits at b.
 from __future__ import annotations
 
 import re
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -43,14 +44,24 @@ def _parts(text: str) -> list[tuple[int, int, str]]:
     return [(1, int(part), "") if i % 2 else (0, 0, part) for i, part in enumerate(parts)]
 
 
-def read_folder(folder: Path) -> QPSequence:
-    """The problems of a folder as a sequence in the units they have.
+def is_problem(path: Path) -> bool:
+    """Whether a file has the arrays of one problem, and no array that says it is anything else."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = {name.removesuffix(".npy") for name in archive.namelist()}
+    except (OSError, zipfile.BadZipFile):
+        return False
+    return bool(names & {"P", "q"}) and "format" not in names
+
+
+def read_folder(place: Path) -> QPSequence:
+    """The problems of a folder, or the one of a file, as a sequence in the units they have.
 
     Raises
     ------
     InputError : naming file, array, what was found and what is allowed.
     """
-    files = natural_order(folder)
+    files = natural_order(place) if place.is_dir() else [place]
     problems = [read_problem(path) for path in files]
     base = problems[0]
     for path, qp in zip(files, problems, strict=True):
@@ -67,7 +78,8 @@ def read_folder(folder: Path) -> QPSequence:
         if not all(np.array_equal(getattr(qp, name), first) for qp in problems):
             changed[name] = np.array([getattr(qp, name) for qp in problems])
     meta: dict[str, str | float | int] = {"first_file": files[0].name, "last_file": files[-1].name}
-    return QPSequence(folder.resolve().name, base, **vectors, **changed, meta=meta)
+    name = place.resolve().name if place.is_dir() else place.stem
+    return QPSequence(name, base, **vectors, **changed, meta=meta)
 
 
 def read_problem(path: Path) -> QuadraticProgram:

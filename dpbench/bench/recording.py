@@ -15,14 +15,14 @@ import numpy as np
 from dpbench.bench.certifying import certified
 from dpbench.bench.emitter import Emitter
 from dpbench.bench.exact import sequence_of, solve_exactly
-from dpbench.bench.qpsolvers_files import natural_order, read_folder
+from dpbench.bench.qpsolvers_files import is_problem, natural_order, read_folder
 from dpbench.bench.sequence_file import Recorded, load_recorded
 from dpbench.errors import InputError
 from dpbench.qp.certify import Optimum
 from dpbench.qp.program import CONSTANT, QPSequence
 from dpbench.scenario import Scenario, scenario_of
 
-WHAT = "a sequence by `dpbench export` (.npz), or a folder of problems by qpsolvers"
+WHAT = "a sequence by `dpbench export` (.npz), or a problem (.npz) or folder of them by qpsolvers"
 
 
 def record(
@@ -101,13 +101,13 @@ def described(sequence: QPSequence, optima: Sequence[Optimum]) -> str:
 
 
 def read_sequence(path: Path) -> Recorded:
-    """What stands at `path`: our own `.npz`, or a folder of problems; optima None for a folder.
+    """What stands at `path`: our own `.npz`, or problems by qpsolvers, which come without optima.
 
     Raises
     ------
     InputError : naming file, array, what was found and what is allowed.
     """
-    if path.is_dir():
+    if path.is_dir() or is_problem(path):
         return Recorded(read_folder(path), None)
     if not path.is_file():
         raise InputError(str(path), "", "no such file or folder", WHAT)

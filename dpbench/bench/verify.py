@@ -1,4 +1,4 @@
-"""Check a sequence file: every optimum it claims is certified again, and compared."""
+"""Check a sequence: every optimum is certified, and compared with the one that a file claims."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 
 from dpbench.bench.certifying import each_certified
 from dpbench.bench.npz import read_npz
-from dpbench.bench.recording import described
+from dpbench.bench.recording import described, read_sequence
 from dpbench.bench.running import Progress, Silent
-from dpbench.bench.sequence_file import WHAT, active_set, load_recorded
+from dpbench.bench.sequence_file import WHAT, active_set
 from dpbench.errors import InputError
 from dpbench.qp.certify import Optimum
 from dpbench.qp.farkas import farkas_valid
@@ -25,22 +25,26 @@ ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
 
 
 def verify_sequence(path: Path, progress: Progress | None = None) -> str:
-    """Certify every step of a sequence file anew; one line of what it holds.
+    """Certify every step of a sequence, or of problems by qpsolvers; one line of what it holds.
 
     Raises
     ------
-    InputError : for a damaged file, or the first step whose stored optimum, multipliers, active
-        set or proof of infeasibility are not what they claim to be.
+    InputError : for a damaged file or problem, or the first step whose stored optimum, multipliers,
+        active set or proof of infeasibility are not what they claim to be.
     """
     where, shown = str(path), progress or Silent()
-    recorded = load_recorded(path)
-    sequence, claims = recorded.sequence, recorded.optima or []
-    _check_active(path, claims)
+    recorded = read_sequence(path)
+    sequence, claims = recorded.sequence, recorded.optima
+    if claims is not None:
+        _check_active(path, claims)
     shown.start(len(sequence))
+    found = []
     for k, optimum in enumerate(each_certified(sequence)):
-        _check_step(where, k, sequence, claims[k], optimum)
+        if claims is not None:
+            _check_step(where, k, sequence, claims[k], optimum)
+        found.append(optimum)
         shown.advance(1, path.stem)
-    return f"{where}: {described(sequence, claims)}"
+    return f"{where}: {described(sequence, found if claims is None else claims)}"
 
 
 def _check_active(path: Path, claims: list[Optimum]) -> None:
