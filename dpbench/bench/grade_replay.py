@@ -17,6 +17,7 @@ from dpbench.bench.grade import (
     common_columns,
     recorded_answer,
 )
+from dpbench.bench.memory_of_answers import memory_metrics
 from dpbench.bench.rawlog import RawLog
 from dpbench.bench.repeatability import repeatability
 from dpbench.qp.certify import Optimum
@@ -47,6 +48,7 @@ def grade_sequence(
     columns["t_s"] = (first + every * columns["k"]) * sample_s
     columns["probe_ns"] = log.probe_ns[rounds].copy()
     metrics = repeatability(log, units.z) | disturbance_metrics(log) | footprint_metrics(log)
+    metrics |= memory_metrics(log)
     return Graded(columns, metrics)
 
 

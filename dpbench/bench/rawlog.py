@@ -58,6 +58,8 @@ def replay_layout(
     return _answers(rounds, steps, n, m) | {
         "probe_ns": ("f8", (rounds, 2)),
         "attempts": ("i8", (rounds,)),
+        "first_ns": ("i8", (steps,)),
+        "first_probe_ns": ("f8", (rounds,)),
         "counters": ("f8", (rounds, len(COUNTERS))),
         "footprint": ("f8", (len(FOOTPRINT),)),
     }
@@ -84,7 +86,9 @@ class RawLog:
 
     `done[r]` counts the completed steps of round r and is written last, so whatever it covers is
     whole. `flags` (steps, 3) holds fallback, unconverged, clipped; `attempts[r]` how often round r
-    was begun; `latency_ns` (steps,) what `slow.py` writes, nothing in other loops.
+    was begun; `first_ns` (steps,) the time of the first visit of each step, −1 where it had no
+    record, and `first_probe_ns[r]` the larger reference time around the first attempt of round r;
+    `latency_ns` (steps,) what `slow.py` writes, nothing in other loops.
     """
 
     done: NDArray[np.int64]
@@ -106,6 +110,8 @@ class RawLog:
     latency_ns: NDArray[np.int64]
     probe_ns: NDArray[np.float64]
     attempts: NDArray[np.int64]
+    first_ns: NDArray[np.int64]
+    first_probe_ns: NDArray[np.float64]
     counters: NDArray[np.float64]
     footprint: NDArray[np.float64]
 

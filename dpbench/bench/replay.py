@@ -91,6 +91,8 @@ class ReplayArm:
         began = clock()
         for k in range(min(self._preroll, steps)):
             port.answer(port.formulate(sequence.step(k)))
+            # Whoever remembers answers has seen this step now, and its time is in no row.
+            log.first_ns[k] = log.first_ns[k] or -1
         port.reset()
         updates_before = port.matrix_updates
         for k in range(steps):
@@ -100,11 +102,15 @@ class ReplayArm:
             if not solution.status.usable:
                 port.reset()
             times[k] = (-1, *port.phases_ns, -1)
+            if log.first_ns[k] == 0:
+                log.first_ns[k] = sum(ns for ns in port.phases_ns if ns > 0)
             log.matrix_updates[r] = port.matrix_updates - updates_before
             log.done[r] = k + 1
             if clock() - began > limit_ns:
                 return False
         self._spent_ns[r] = clock() - began
         log.probe_ns[r, 1] = probe_ns(clock)
+        if log.attempts[r] == 1:
+            log.first_probe_ns[r] = log.probe_ns[r].max()
         np.subtract(counters(), before, out=log.counters[r])
         return True

@@ -166,6 +166,15 @@ TIMING_COLUMNS: Columns = {
     "raw_p999_ns": ("float64", "the same, 99.9 %; NaN below 10 000 samples"),
     "raw_max_ns": ("float64", "the same, largest"),
     "raw_samples": ("Int64", "how many samples are pooled"),
+    "first_visit_ratio": (
+        "float64",
+        "a step's first visit over its shortest later one, median: of remembered answers it is "
+        "large; NaN with too few first visits",
+    ),
+    "loop_ratio": (
+        "float64",
+        "median step of the same configuration's closed loop over that of the replay; NaN without",
+    ),
     "emit_p50_ns": ("float64", "median of emit_ns"),
     "overhead_p50_ns": ("float64", "median of overhead_ns"),
 }

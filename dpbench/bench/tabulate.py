@@ -8,6 +8,7 @@ import pandas as pd
 
 from dpbench.bench.accounting import time_inside
 from dpbench.bench.assemble import run_row, step_rows
+from dpbench.bench.memory_of_answers import with_loop_ratio
 from dpbench.bench.running import HARNESS_VERSION, CellStore, Job
 from dpbench.bench.schema import as_steps
 from dpbench.bench.supervise import Outcome
@@ -37,4 +38,4 @@ def tabulate(
                 frames.append(steps)
             rows.append(run_row(run_id, cell, outcome, library, machine_id, graded, steps))
     steps = pd.concat(frames, ignore_index=True) if frames else as_steps(pd.DataFrame())
-    return pd.DataFrame(rows), steps, inside
+    return with_loop_ratio(pd.DataFrame(rows)), steps, inside

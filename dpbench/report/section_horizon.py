@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular
-from dpbench.report.builds import build_legend
 from dpbench.report.demand import Demand
 from dpbench.report.figures_horizon import growth_figure
 from dpbench.report.formats import interval_text, plural, significant, time_text
 from dpbench.report.growth import Growth
 from dpbench.report.sweep import Horizons, Sweep, SweptArm, moves_of, sweeps
 from dpbench.report.tables_horizon import growth_table, horizons_text
+from dpbench.report.time_marks import marks_legend
 from dpbench.report.view import View
 
 INTRODUCTION = (
@@ -75,7 +75,7 @@ def _summary(sweep: Sweep, best: Sequence[SweptArm]) -> list[str]:
             f"{among}, the time grows least with {said[0]}"
             + (f" and most with {said[-1]}." if len(said) > 1 else ".")
         )
-    legend = build_legend(row for arm in best for row in arm.rows).lstrip()
+    legend = marks_legend(row for arm in best for row in arm.rows).lstrip()
     marked = [legend] if legend else []
     return [f"Scenario `{sweep.name}`, {plural(sweep.steps, 'step')} a horizon.", *words, *marked]
 

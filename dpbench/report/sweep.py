@@ -11,13 +11,13 @@ from functools import cached_property
 import numpy as np
 
 from dpbench.bench.schema import FORCES
-from dpbench.report.builds import timed_name
 from dpbench.report.demand import Demand
 from dpbench.report.formats import as_float
 from dpbench.report.growth import Growth, fit_growth
 from dpbench.report.statistics import UNKNOWN, Interval, percentile, percentile_interval
 from dpbench.report.step_times import StepTimes
 from dpbench.report.tables_timing import is_right
+from dpbench.report.time_marks import timed_name
 from dpbench.report.view import Row, View
 
 Horizons = tuple[int, int]

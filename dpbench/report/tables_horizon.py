@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from dpbench.report.builds import build_legend
 from dpbench.report.formats import (
     MISSING,
     count_text,
@@ -18,6 +17,7 @@ from dpbench.report.growth import LEAST_POINTS, Crossover, crossover
 from dpbench.report.statistics import supports
 from dpbench.report.sweep import Horizons, Point, Sweep, SweptArm, moves_of
 from dpbench.report.table import Cell, Table, row_of
+from dpbench.report.time_marks import marks_legend
 
 SPARSE = "sparse"
 LIMITS_MS = (1.0, 10.0, 100.0)
@@ -39,7 +39,7 @@ def growth_table(sweep: Sweep, arms: Sequence[SweptArm], *, every: bool = False)
     return Table(
         title=f"Growth over the horizons of `{sweep.name}`, {which}",
         note=_note(sweep, len(arms), compared=compared)
-        + build_legend(row for arm in arms for row in arm.rows),
+        + marks_legend(row for arm in arms for row in arm.rows),
         heads=(
             "solver",
             "formulation",

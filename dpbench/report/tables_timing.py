@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from dpbench.report.builds import build_legend, timed_name
 from dpbench.report.demand import Demand
 from dpbench.report.formats import (
     MISSING,
@@ -28,6 +27,7 @@ from dpbench.report.statistics import (
 from dpbench.report.step_times import StepTimes
 from dpbench.report.table import Cell, Table, row_of
 from dpbench.report.tables_accuracy import settings_without_effect
+from dpbench.report.time_marks import marks_legend, timed_name
 from dpbench.report.view import Row, View
 
 Arm = tuple[Row, StepTimes]
@@ -76,7 +76,7 @@ def _timing_table(
             "(set-up + update + solve + read). Of medians: the same with the median over the "
             "rounds, what a usual round takes. Intervals: 95 %, block bootstrap over steps. "
             f"{plural(len(shown), 'arm')} shown here; the section on rankings compares them in "
-            f"pairs. {_refused_percentile(arms)}{build_legend(row for row, _ in shown)}"
+            f"pairs. {_refused_percentile(arms)}{marks_legend(row for row, _ in shown)}"
         ),
         heads=(
             "solver",
@@ -113,7 +113,7 @@ def jitter_table(view: View, sequence: str) -> Table | None:
             "Phases: median over all samples; on route qpsolvers the solve holds the wrapper "
             "and cannot be split further. Set-up: part of every step under policy fresh on "
             "route native, else done once before the first step. A percentile without ten "
-            f"samples beyond it is not printed.{build_legend(row for row, _ in arms)}"
+            f"samples beyond it is not printed.{marks_legend(row for row, _ in arms)}"
         ),
         heads=(
             "solver",

@@ -167,3 +167,13 @@ def test_without_a_generic_build_there_is_no_mark(records: Any) -> None:
     records.replay("piqp", median_us=50.0, build="AVX2", generic_build=False)
     (times,) = timing_tables(records.view(), "paper", DEMAND)
     assert "†" not in times.note and _column(times, "solver") == ["piqp"]
+
+
+def test_remembered_answers_are_marked_beside_their_times(records: Any) -> None:
+    """Either witness marks a row: its first visits, or its own closed loop; no other is."""
+    records.replay("by_first", median_us=14.0, first_visit_ratio=140.0)
+    records.replay("by_loop", median_us=15.0, first_visit_ratio=1.0, loop_ratio=140.0)
+    records.replay("honest", median_us=30.0, first_visit_ratio=1.1, loop_ratio=1.5)
+    (times,) = timing_tables(records.view(), "paper", DEMAND)
+    assert _column(times, "solver") == ["by_first ‡", "by_loop ‡", "honest"]
+    assert times.note.count("‡: it remembers answers") == 1
