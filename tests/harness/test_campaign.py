@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import osqp
 import pandas as pd
 import pytest
 
@@ -58,6 +59,14 @@ def test_tables_have_exactly_the_columns_of_the_schema(results: Results) -> None
     """runs.parquet and steps.parquet carry the columns of the schema, in its order."""
     assert list(results.runs.columns) == list(RUN_COLUMNS)
     assert list(results.steps.columns) == list(STEP_COLUMNS)
+
+
+def test_rows_tell_how_their_library_was_built(results: Results) -> None:
+    """Finished and refused rows alike say what the library says; none of these is generic."""
+    builds = results.runs.groupby("solver")["build"].unique()
+    assert list(builds["osqp"]) == [f"algebra {osqp.default_algebra()}"]
+    assert list(builds["quadprog"]) == [""]
+    assert not results.runs["generic_build"].any()
 
 
 def test_every_planned_cell_is_a_row(results: Results) -> None:
