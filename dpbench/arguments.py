@@ -35,7 +35,12 @@ def parser(
 
 
 def _run(commands: Commands) -> None:
-    run = commands.add_parser("run", help="run a suite and write its report")
+    run = commands.add_parser(
+        "run",
+        help="run a suite and write its report",
+        epilog="Exit code: 0 done (a solver's failure is data); 1 cells were lost by the benchmark "
+        "itself, give the same command again; 2 bad input.",
+    )
     run.add_argument("suite", nargs="?", help="a suite by name, or a TOML file")
     run.add_argument(
         "--sequence",

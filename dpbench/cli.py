@@ -1,7 +1,8 @@
 """The command line: parse arguments, call one public function, choose the exit code.
 
-Exit 0: done (a solver's failure is data). 1: a comparison shows a regression. 2: bad input, said
-in one line. What is printed is printed here.
+Exit 0: done (a solver's failure is data). 1: a comparison shows a regression, or the benchmark lost
+cells of a run by an accident of its own. 2: bad input, said in one line. What is printed is printed
+here.
 """
 
 from __future__ import annotations
@@ -44,6 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(arguments: argparse.Namespace) -> int:
     from dpbench.bench.campaign import run_campaign
+    from dpbench.bench.store import accidents
     from dpbench.progress_bar import Bar
     from dpbench.report.write import report_and_verdict
 
@@ -62,7 +64,10 @@ def _run(arguments: argparse.Namespace) -> int:
         bar.advance(0, "writing the report")
         found = report_and_verdict(out)
     _say_verdict(*found)
-    return 0
+    lost, remarks = accidents(out)
+    for line in remarks:
+        print(f"dpbench: {line}", file=sys.stderr)
+    return int(lost > 0)
 
 
 def _report(arguments: argparse.Namespace) -> int:

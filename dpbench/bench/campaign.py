@@ -14,8 +14,9 @@ from multiprocessing.context import ForkServerContext
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from dpbench.bench.accounting import Ledger
-from dpbench.bench.cell_process import scratch_folder
 from dpbench.bench.design import Design, plan_designs
 from dpbench.bench.design_file import write_design
 from dpbench.bench.designing import DesignStore, run_designs, work_of_designs
@@ -32,7 +33,8 @@ from dpbench.bench.running import (
     Silent,
     work_of,
 )
-from dpbench.bench.source import is_random, source_key
+from dpbench.bench.scratch import Scratch
+from dpbench.bench.source import is_random, is_sound, source_key
 from dpbench.bench.store import Results, claimed, write_results
 from dpbench.bench.suite import SuiteFile, load_suite, naming, sequence_suite
 from dpbench.bench.supervise import Outcome, template_context
@@ -86,12 +88,13 @@ class Campaign:
         earlier = len(self.work) - len(pending) - sum(bool(j.planned.refused) for j in self.work)
         work = sum(work_of(job.cell) for job in pending)
         progress.start(work + work_of_designs(self._designs, self._design_store))
-        with scratch_folder() as folder:
+        with Scratch(self._store.folder) as scratch:
             context = template_context()
-            bench = Bench(context, Path(folder), self._store, self._cores, progress)
+            bench = Bench(context, scratch, self._store, self._cores, progress)
             self._run_cells(bench, pending)
-            self._look_into_designs(context, Path(folder), progress)
-        self._write(started, time.monotonic() - began, earlier)
+            self._again_with_sound_sources(bench, pending)
+            self._look_into_designs(context, scratch, progress)
+        self._write(started, time.monotonic() - began, earlier, scratch.remarks)
         return self._out
 
     def _run_cells(self, bench: Bench, pending: list[Job]) -> None:
@@ -110,8 +113,22 @@ class Campaign:
         with stage("random problems", drawn, slots=slots, judges=slots):
             bench.random(drawn, exact, slots)
 
+    def _again_with_sound_sources(self, bench: Bench, pending: list[Job]) -> None:
+        """Run what was lost by a source that was damaged since it was looked at, once again."""
+        lost = [job for job in pending if job.outcome and job.outcome.outcome == "lost"]
+        cells = {_key(job): job.cell for job in lost}
+        sound = {key: is_sound(cell, self._source_path(key)) for key, cell in cells.items()}
+        again = [job for job in lost if not sound[_key(job)]]
+        for job in again:
+            job.outcome = None
+        if again:
+            self._run_cells(bench, again)
+
+    def _source_path(self, key: str) -> Path:
+        return self._store.folder / f"exact-{key}.npz"
+
     def _look_into_designs(
-        self, context: ForkServerContext, folder: Path, progress: Progress
+        self, context: ForkServerContext, scratch: Scratch, progress: Progress
     ) -> None:
         """The designs of the suite, in a file of their own; none leaves no file of another run."""
         found = None
@@ -120,7 +137,7 @@ class Campaign:
                 self._designs,
                 self._design_store,
                 context=context,
-                folder=folder,
+                folder=scratch.folder(),
                 cores=self._cores,
                 progress=progress,
             )
@@ -131,19 +148,26 @@ class Campaign:
         paths: dict[str, Path] = {}
         by_key = {_key(job): job.cell for job in pending}
         for key, cell in by_key.items():
-            path = self._store.folder / f"exact-{key}.npz"
-            if self._fresh or not path.exists():
+            path = self._source_path(key)
+            if self._fresh or not is_sound(cell, path):
                 outcome = bench.source(cell, path)
                 if outcome.outcome != "finished":
-                    what = "sequence" if cell.source else "exactly solved loop"
-                    detail = f"the {what} failed: {outcome.detail}"
-                    for job in pending:
-                        if _key(job) == key:
-                            job.outcome = Outcome("invalid", detail)
+                    self._without_source([job for job in pending if _key(job) == key], outcome)
             paths[key] = path
         return paths
 
-    def _write(self, started: datetime, wall_s: float, earlier: int) -> None:
+    def _without_source(self, jobs: list[Job], outcome: Outcome) -> None:
+        """Cells whose QPs could not be made: by their nature, or by an accident of the harness."""
+        what = "sequence" if jobs[0].cell.source else "exactly solved loop"
+        became = "lost" if outcome.outcome == "lost" else "invalid"
+        for job in jobs:
+            job.outcome = Outcome(became, f"the {what} failed: {outcome.detail}")
+            if became == "lost":
+                self._store.finish(job, job.outcome)
+
+    def _write(
+        self, started: datetime, wall_s: float, earlier: int, remarks: Sequence[str]
+    ) -> None:
         runs, steps, inside = tabulate(self.work, self._store, self.machine["id"])
         suite: dict[str, Any] = {
             "name": self._name,
@@ -153,8 +177,26 @@ class Campaign:
             "wall_s": round(wall_s, 1),
             "earlier_cells": earlier,
             "spent": self._ledger.entries(inside),
+            **_accidents(runs, remarks),
         }
         write_results(self._out, Results(runs, steps, self.machine, suite))
+
+
+def _accidents(runs: pd.DataFrame, remarks: Sequence[str]) -> dict[str, Any]:
+    """What of `suite.json` is about the harness's own accidents.
+
+    `lost_cells` counts rows; `remarks` are lines for whoever gave the command.
+    """
+    causes = runs.loc[runs["outcome"] == "lost", "outcome_detail"]
+    if causes.empty:
+        return {"lost_cells": 0, "remarks": [*remarks]}
+    counts = causes.value_counts()
+    rest = f" ({len(causes) - counts.iloc[0]} by something else)" if len(counts) > 1 else ""
+    line = (
+        f"{len(causes)} of {len(runs)} cells were lost by the benchmark, not by their solvers: "
+        f"{counts.index[0]}{rest}; when that is mended, the same command runs them again"
+    )
+    return {"lost_cells": len(causes), "remarks": [*remarks, line]}
 
 
 def _key(job: Job) -> str:

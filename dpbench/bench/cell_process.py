@@ -1,27 +1,13 @@
-"""Where the processes of cells leave their files, and what each does of itself: keep quiet, stay on
-its core, leave a verdict.
-"""
+"""What the process of a cell does of itself: keep quiet, stay on its core, leave a verdict."""
 
 from __future__ import annotations
 
 import gc
 import json
 import os
-import tempfile
 import warnings
 from pathlib import Path
 from typing import Any
-
-
-def scratch_folder() -> tempfile.TemporaryDirectory[str]:
-    """A folder for what cells leave behind until it is kept, in memory where that can be."""
-    shared = Path("/dev/shm")
-    return tempfile.TemporaryDirectory(
-        # A worker that was interrupted as well may write its last file while the folder goes.
-        ignore_cleanup_errors=True,
-        prefix="dpbench-",
-        dir=shared if os.access(shared, os.W_OK) else None,
-    )
 
 
 def settle(noise: Path) -> None:
@@ -29,7 +15,8 @@ def settle(noise: Path) -> None:
     try:
         sink = os.open(noise, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     except FileNotFoundError:
-        # Ctrl-C while this process was on its way took its folder along: nobody waits for it.
+        # Ctrl-C while this process was on its way took its folder along, and nobody waits for it;
+        # or somebody else removed the folder, which the supervisor sees for itself.
         raise SystemExit from None
     os.dup2(sink, 1)
     os.dup2(sink, 2)

@@ -13,7 +13,7 @@ from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 from dpbench.bench.cell import Cell
-from dpbench.bench.supervise import Child, Outcome
+from dpbench.bench.supervise import Child, Outcome, with_log
 from dpbench.bench.worker import Link, grade_chain, run_replay_chain
 
 GRADING_LIMIT_S = 600.0
@@ -35,6 +35,8 @@ class _Run(Child):
     ) -> None:
         self._links, self._suffix, self._at = list(links), verdict, 0
         args = (tuple(links), folder, core)
+        for link in links:
+            (folder / f"{link.name}.{verdict}").unlink(missing_ok=True)
         super().__init__(
             context, target, args, folder, links[0].name, limit_s=limit_s, verdict=verdict
         )
@@ -59,8 +61,10 @@ class _Run(Child):
         found = {}
         for link in self._links[: self._at]:
             found[link.name] = self.verdict_of(self.folder / f"{link.name}.{self._suffix}")
-        if self._at == len(self._links):
-            return found, []
+        # A library may bring its process down when it is let go, between two cells.
+        not_begun = self._at > 0 and self.notice.link < self._at
+        if not_begun or self._at == len(self._links):
+            return found, self._links[self._at :]
         found[self.name] = self.outcome()
         return found, self._links[self._at + 1 :]
 
@@ -99,16 +103,20 @@ class Chain:
             if rest:
                 return self._replay(rest, core)
             self._judging = True
+            for link in self._links:
+                self.outcomes[link.name] = with_log(self.outcomes[link.name], self._raw(link))
             rest = [link for link in self._links if self._left_steps(link)]
         else:
             for name, verdict in found.items():
                 if verdict.outcome != "finished":
-                    detail = f"the referee failed on it: {verdict.detail}"
-                    self.outcomes[name] = Outcome("invalid", detail)
+                    self.outcomes[name] = not_judged(verdict)
         return self._judge(rest, core) if rest else None
 
+    def _raw(self, link: Link) -> Path:
+        return self._folder / f"{link.name}.raw"
+
     def _left_steps(self, link: Link) -> bool:
-        return (self._folder / f"{link.name}.raw").exists()
+        return self.outcomes[link.name].outcome != "lost" and self._raw(link).exists()
 
     def _replay(self, links: Sequence[Link], core: int) -> Child:
         return _Run(
@@ -131,6 +139,11 @@ class Chain:
             limit_s=GRADING_LIMIT_S,
             verdict="graded.json",
         )
+
+
+def not_judged(found: Outcome) -> Outcome:
+    """What becomes of a cell on which the referee's process ended so."""
+    return Outcome("lost", f"the referee failed on it: {found.detail}")
 
 
 def arm_of(cell: Cell) -> tuple[str, ...]:

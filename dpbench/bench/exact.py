@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from dpbench.bench.emitter import Emitter
 from dpbench.bench.formulation import Box
 from dpbench.bench.loop import Voyage, closed_loop
+from dpbench.bench.npz import DAMAGE
 from dpbench.bench.port import SolverPort
 from dpbench.bench.rawlog import RawLog, loop_layout
 from dpbench.errors import CertificateError, ResultsError
@@ -116,15 +117,29 @@ class ExactLoop:
 
     @classmethod
     def load(cls, path: Path) -> ExactLoop:
-        """Read what `save` wrote."""
-        with np.load(path, allow_pickle=False) as data:
-            z, y, y_box, bound, kind = (data[f"optimum_{name}"] for name in _OF_OPTIMUM)
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        ResultsError : it is damaged, or gone.
+        """
+        try:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
+                z, y, y_box, bound, kind = (data[f"optimum_{name}"] for name in _OF_OPTIMUM)
+                arrays = {name: data[name] for name in ("theta", "state", "tau", "z")}
             optima = [
                 Optimum(z[k], y[k], y_box[k], float(bound[k]), cast(Kind, str(kind[k])))
-                for k in range(len(bound))
+                for k in range(len(arrays["z"]))
             ]
-            arrays = {name: data[name] for name in ("theta", "state", "tau", "z")}
+        except (*DAMAGE, OSError, KeyError, IndexError) as error:
+            raise damaged(path, error) from error
         return cls(**arrays, optima=optima)
+
+
+def damaged(path: Path, error: Exception) -> ResultsError:
+    """What is said of a file in a result folder that cannot be read."""
+    found = f"a damaged file ({type(error).__name__}: {str(error)[:120]})"
+    return ResultsError(str(path), "", found, "what the campaign wrote there; run again")
 
 
 def solve_exactly(scenario: Scenario) -> ExactLoop:

@@ -68,7 +68,7 @@ class Graded:
     @classmethod
     def load(cls, path: Path) -> Graded:
         """Read what `save` wrote."""
-        with np.load(path, allow_pickle=False) as data:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
             columns = {name[2:]: data[name] for name in data.files if name.startswith("c_")}
             metrics = dict(
                 zip(data["metric_names"].tolist(), data["metric_values"].tolist(), strict=True)

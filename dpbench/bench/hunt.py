@@ -14,7 +14,6 @@ from typing import Any, get_args
 
 from dpbench.bench.arms import Arm, module_of, refusal_of
 from dpbench.bench.cell import Cell
-from dpbench.bench.cell_process import scratch_folder
 from dpbench.bench.emitter import Emitter
 from dpbench.bench.hunt_goal import Goal, Worst
 from dpbench.bench.hunt_input import check_input, make_room, output_path
@@ -23,6 +22,7 @@ from dpbench.bench.hunt_search import Case, Search
 from dpbench.bench.hunt_space import HuntSpace
 from dpbench.bench.interrupts import one_interrupt
 from dpbench.bench.running import Progress, Silent
+from dpbench.bench.scratch import scratch_folder
 from dpbench.bench.sequence_file import save_sequence
 from dpbench.bench.supervise import template_context
 from dpbench.errors import InputError
@@ -36,7 +36,7 @@ STEPS = 60
 """Of a case: 18 s of the paper's ship, in which its slowest thruster reaches its limit."""
 WARMUP_STEPS = 50
 """As in `inprocess.replay` and a suite."""
-_WORDS = {"timed_out": "hung", "crashed": "crashed"}
+_WORDS = {"timed_out": "slow"}
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ from dpbench.bench.cell_process import settle
 from dpbench.bench.formulation import in_replay
 from dpbench.bench.grade import Graded
 from dpbench.bench.grade_replay import grade_sequence
+from dpbench.bench.notice import AtWork, post
 from dpbench.bench.port import SolverPort
 from dpbench.bench.rawlog import RawLog, replay_layout
 from dpbench.bench.replay import ReplayArm
@@ -72,8 +73,8 @@ class HuntedSolver:
 
         Returns
         -------
-        What became of the process (`finished`, `crashed` or `timed_out`), and the judged columns
-        of the steps it came to, None where there are none.
+        What became of the process (`finished`, `timed_out`, `hung`, `crashed` or `lost`), and the
+        judged columns of the steps it came to, None where there are none.
         """
         raw = self._folder / f"{_NAME}.raw"
         raw.unlink(missing_ok=True)
@@ -118,6 +119,7 @@ def serve(text: str, folder: Path, orders: Connection) -> None:
     """Open the arm of a cell and answer sequences until None is ordered; a process's target."""
     settle(folder / f"{_NAME}.noise")
     cell = Cell.from_json(text)
+    post(AtWork.OPENING)
     try:
         if cell.solver_module:
             load_solver_module(cell.solver_module)
@@ -140,8 +142,10 @@ def _open(cell: Cell) -> Workspace:
 
 def _answer(cell: Cell, sequence: QPSequence, limit_s: float, raw: Path) -> bool:
     base, steps, clock = sequence.base, len(sequence), time.perf_counter_ns
+    post(AtWork.HARNESS)
     log = RawLog.create(raw, replay_layout(ROUNDS, steps, base.n, base.m))
     made, formulated = in_replay(cell.formulation, sequence)
+    post(AtWork.SOLVER)
     port = SolverPort(_open(cell), formulated, clock)
     arm = ReplayArm(
         made,

@@ -139,6 +139,10 @@ class Search:
             # It ran before, so nobody's input is to blame; what was found so far is kept.
             self.stopped = f"stopped: {error}"
             raise _BudgetError from error
+        if outcome.outcome == "lost":
+            # No failure of the solver, and the next case would fare no better.
+            self.stopped = f"stopped: {outcome.detail}"
+            raise _BudgetError
         if outcome.outcome != "finished" or graded is None:
             case = Case(scenario, sequence, outcome, None)
             count, first = self.failures.get(outcome.outcome, (0, case))

@@ -42,15 +42,21 @@ class _Arm:
         budget_s = self.cell.budget_s
         return 0.0 < budget_s <= self.spent_s and self.clean_rounds >= FEWEST_ROUNDS
 
-    def wait(self, limit_s: float) -> object:
-        """The worker's next word; None when it died, hung (and was killed) or refused."""
+    def wait(self, limit_s: float, late: str = "") -> object:
+        """The worker's next word; None when it died, hung (killed as `late` says) or refused."""
         try:
             if self.orders.poll(limit_s):
                 return self.orders.recv()
         except (EOFError, OSError):
             return None
-        self.child.kill(f"one call ran beyond the limit of {self.cell.limit_s:g} s and was killed")
+        beyond = f"one call ran beyond the limit of {self.cell.limit_s:g} s"
+        self.child.kill(f"{late or beyond} and was killed")
         return None
+
+    def order(self, r: int) -> None:
+        """Ask for round r; of a worker that died meanwhile `wait` knows."""
+        with suppress(OSError):
+            self.orders.send(r)
 
 
 class ReplayGroup:
@@ -80,11 +86,12 @@ class ReplayGroup:
         arms: list[_Arm] = []
         try:
             # Importing a library takes a second, so a few workers start side by side.
+            late = f"did not start within {START_ALLOWANCE_S:g} s"
             for i in range(0, len(self._cells), STARTED_TOGETHER):
                 batch = [self._start(*entry) for entry in self._cells[i : i + STARTED_TOGETHER]]
                 arms += batch
                 for arm in batch:
-                    arm.serving = arm.wait(START_ALLOWANCE_S) is True
+                    arm.serving = arm.wait(START_ALLOWANCE_S, late) is True
             rounds = max(cell.rounds for _, cell in self._cells)
             order = random.Random(self._cells[0][1].seed)
             for r in range(rounds + 1):
@@ -107,7 +114,7 @@ class ReplayGroup:
 
     def _serve(self, arm: _Arm, r: int) -> None:
         for _ in range(SPOILT_RETRIES + 1):
-            arm.orders.send(r)
+            arm.order(r)
             started = time.monotonic()
             done = arm.wait(arm.cell.limit_s + GRACE_S)
             arm.spent_s += time.monotonic() - started
@@ -122,7 +129,11 @@ class ReplayGroup:
 
     def _spoilt(self, arm: _Arm, r: int) -> bool:
         """Whether the reference kernel around round r was slow against the arm's other rounds."""
-        probes = RawLog.open(self._folder / f"{arm.run_id}.raw").probe_ns
+        try:
+            probes = RawLog.open(self._folder / f"{arm.run_id}.raw").probe_ns
+        except (OSError, ValueError):
+            # Somebody removed the log; it is lost when it is to be judged.
+            return False
         seen = probes[probes > 0]
         return bool(probes[r].max() > SPOILT_FACTOR * seen.min())
 

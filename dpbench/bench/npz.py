@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -19,7 +20,16 @@ FIXED_DATE = (1980, 1, 1, 0, 0, 0)
 """The date of every member, the earliest a zip file knows; a real one would change the bytes."""
 LEVEL = 9
 """Of the deflate compression. The same zlib makes the same bytes of the same array at it."""
-_DAMAGE = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, RuntimeError, MemoryError)
+DAMAGE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    ValueError,
+    EOFError,
+    RuntimeError,
+    MemoryError,
+)
+"""What reading a damaged file raises, be it a zip file inside or not."""
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -66,7 +76,7 @@ def read_npz(path: Path, what: str) -> tuple[Arrays, dict[str, bytes]]:
                     arrays[key] = np.lib.format.read_array(member, allow_pickle=False)
                     if member.read(1):
                         raise ValueError(f"{name} goes on after its array")
-    except _DAMAGE as error:
+    except DAMAGE as error:
         found = f"a damaged file ({str(error)[:120]})"
         raise InputError(where, "", found, what) from error
     except OSError as error:

@@ -6,8 +6,10 @@ same file and finds every step that was completed.
 
 from __future__ import annotations
 
+import errno
 import json
 import mmap
+import os
 from pathlib import Path
 from typing import Any
 
@@ -126,18 +128,25 @@ class RawLog:
     @classmethod
     def in_memory(cls, layout: dict[str, tuple[str, tuple[int, ...]]]) -> RawLog:
         """A log for a run in this process."""
-        return cls(layout, bytearray(_size(layout)))
+        return cls(layout, bytearray(log_bytes(layout)))
 
     @classmethod
     def create(cls, path: Path, layout: dict[str, tuple[str, tuple[int, ...]]]) -> RawLog:
         """A new log file at `path`, with its layout beside it; all pages touched beforehand.
 
         It appears at `path` whole or not at all: the supervisor may look at any moment.
+
+        Raises
+        ------
+        OSError : there is no room for it. Later a step that finds none would die by SIGBUS.
         """
         path.with_suffix(".layout").write_text(json.dumps(layout), encoding="ascii")
         blank = path.with_suffix(".blank")
-        blank.write_bytes(bytes(_size(layout)))
-        blank.replace(path)
+        try:
+            _fill(blank, log_bytes(layout))
+            blank.replace(path)
+        finally:
+            blank.unlink(missing_ok=True)
         return cls.open(path)
 
     @classmethod
@@ -151,9 +160,41 @@ class RawLog:
         np.frombuffer(self._buffer, np.uint8)[:: mmap.PAGESIZE].max(initial=0)
 
 
-def _size(layout: dict[str, tuple[str, tuple[int, ...]]]) -> int:
+def log_bytes(layout: dict[str, tuple[str, tuple[int, ...]]]) -> int:
+    """Size of a log of that layout."""
     sizes = [int(np.prod(shape)) * np.dtype(dtype).itemsize for dtype, shape in layout.values()]
     return sum(-(-size // _ALIGN) * _ALIGN for size in sizes)
+
+
+def _fill(path: Path, size: int) -> None:
+    """Make a file of zeros whose every block the file system has given away."""
+    with path.open("wb") as file:
+        # A disk that allocates late says only now what it has no room for; some cannot say it.
+        try:
+            os.posix_fallocate(file.fileno(), 0, size)
+        except OSError as error:
+            if error.errno not in (errno.EOPNOTSUPP, errno.EINVAL):
+                raise
+        file.write(bytes(size))
+
+
+def is_whole(path: Path) -> bool:
+    """Whether a log has all its bytes and each page can be written.
+
+    Where not, whoever writes there through memory dies by SIGBUS. A file system that copies on
+    write shows a lack of room only when asked, so a byte of each page is written as it is.
+    """
+    try:
+        layout = json.loads(path.with_suffix(".layout").read_text(encoding="ascii"))
+        with path.open("r+b", buffering=0) as file:
+            size = log_bytes(layout)
+            if os.fstat(file.fileno()).st_size != size:
+                return False
+            for at in range(0, size, mmap.PAGESIZE):
+                os.pwrite(file.fileno(), os.pread(file.fileno(), 1, at), at)
+    except (OSError, ValueError):
+        return False
+    return True
 
 
 def discard(path: Path) -> None:

@@ -10,22 +10,25 @@ import json
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.metadata import version
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 from typing import Protocol
 
 from dpbench.bench.cell import Cell
-from dpbench.bench.chain import GRADING_LIMIT_S, Chain, arm_of
+from dpbench.bench.chain import GRADING_LIMIT_S, Chain, arm_of, not_judged
 from dpbench.bench.grade import Graded
 from dpbench.bench.interleave import ReplayGroup
+from dpbench.bench.npz import DAMAGE
 from dpbench.bench.planned import Planned
 from dpbench.bench.rawlog import discard
-from dpbench.bench.source import source_key
+from dpbench.bench.scratch import NoRoomError, Scratch
+from dpbench.bench.source import log_size, source_key
 from dpbench.bench.store import write_json
-from dpbench.bench.supervise import Child, Outcome, in_slots
+from dpbench.bench.supervise import OUTCOMES, Child, Outcome, in_slots, with_log
 from dpbench.bench.worker import Link, grade_cell, make_source, run_closed_loop_cell
+from dpbench.errors import InputError
 from dpbench.solvers.table import Availability
 
 HARNESS_VERSION = version("dpbench")
@@ -78,24 +81,40 @@ class CellStore:
         return self.folder / f"{job.run_id}.npz"
 
     def finished(self, job: Job) -> Outcome | None:
-        """The outcome of a cell that was finished earlier, None if there is none."""
-        path = self.folder / f"{job.run_id}.json"
-        if not path.exists():
-            return None
-        try:
-            return Outcome(**json.loads(path.read_text(encoding="utf-8")))
-        except (ValueError, TypeError):
-            return None
+        """The outcome of a cell that was finished earlier, None if there is none to rely on.
 
-    def finish(self, job: Job, outcome: Outcome) -> None:
-        """Keep a cell's outcome; its columns were written before."""
+        None is that of a cell that was lost, or of which something is damaged or gone.
+        """
+        try:
+            text = (self.folder / f"{job.run_id}.json").read_text(encoding="utf-8")
+            found = json.loads(text)
+            with_steps = found.pop("with_steps")
+            outcome = Outcome(**found)
+        except (OSError, ValueError, TypeError, AttributeError, KeyError):
+            return None
+        if outcome.outcome not in OUTCOMES or outcome.outcome == "lost":
+            return None
+        sound = (self.graded(job) is not None) == with_steps
+        return outcome if sound else None
+
+    def finish(self, job: Job, outcome: Outcome, *, judged: bool = False) -> None:
+        """Keep a cell's outcome; its columns were written before if it was `judged`.
+
+        Columns of an earlier time do not stay beside the outcome of this one.
+        """
         job.outcome = outcome
-        write_json(self.folder / f"{job.run_id}.json", outcome.__dict__)
+        with_steps = judged and outcome.outcome != "lost"
+        if not with_steps:
+            self.graded_path(job).unlink(missing_ok=True)
+        found = outcome.__dict__ | {"with_steps": with_steps}
+        write_json(self.folder / f"{job.run_id}.json", found)
 
     def graded(self, job: Job) -> Graded | None:
-        """The judged columns of a cell, None if it left no steps."""
-        path = self.graded_path(job)
-        return Graded.load(path) if path.exists() else None
+        """The judged columns of a cell, None if it left no steps, or they are damaged."""
+        try:
+            return Graded.load(self.graded_path(job))
+        except (*DAMAGE, OSError, KeyError):
+            return None
 
 
 def work_of(cell: Cell) -> int:
@@ -120,37 +139,72 @@ class Bench:
     def __init__(
         self,
         context: ForkServerContext,
-        folder: Path,
+        scratch: Scratch,
         store: CellStore,
         cores: list[int],
         progress: Progress,
     ) -> None:
-        self._context, self._folder, self._store = context, folder, store
+        self._context, self._scratch, self._store = context, scratch, store
         self._cores, self._progress = cores, progress
+        self._folder = store.folder  # that of the logs at hand, see `_room_for`
 
     def source(self, cell: Cell, path: Path) -> Outcome:
         """Make the file behind a cell's QPs at `path`: an exactly solved loop, certified optima."""
         name = f"exact-{path.stem}"
-        args = (cell.to_json(), self._folder, name, self._cores[-1])
-        child = Child(self._context, make_source, args, self._folder, name, limit_s=GRADING_LIMIT_S)
-        outcome = child.outcome()
-        if outcome.outcome == "finished":
-            (path.with_suffix(".part")).write_bytes((self._folder / f"{name}.npz").read_bytes())
-            path.with_suffix(".part").replace(path)
-        return outcome
+        try:
+            folder = self._scratch.folder()
+        except NoRoomError as error:
+            return Outcome("lost", str(error))
+        args = (cell.to_json(), folder, name, self._cores[-1], path)
+        child = Child(self._context, make_source, args, folder, name, limit_s=GRADING_LIMIT_S)
+        return child.outcome()
 
     def _slots(self, count: int) -> list[int]:
         """The core of each of so many slots."""
         return [self._cores[i % len(self._cores)] for i in range(count)]
 
+    def _room_for(self, jobs: Sequence[Job], sizes: Sequence[int], what: str) -> bool:
+        """Choose where the logs of `jobs` lie; without room for `sizes` [B] they are lost."""
+        try:
+            self._folder = self._scratch.folder(sum(sizes), what)
+        except NoRoomError as error:
+            for job in jobs:
+                self._lose(job, str(error))
+            return False
+        return True
+
+    def _sized(
+        self, jobs: Sequence[Job], sources: dict[str, Path]
+    ) -> tuple[list[Job], dict[str, int]]:
+        """The jobs whose source can be read, and what each of their logs takes [B]."""
+        sound, sizes = [], {}
+        for job in jobs:
+            try:
+                path = sources[source_key(job.cell, HARNESS_VERSION)]
+                sizes[job.run_id] = log_size(job.cell, path)
+            except InputError as error:
+                self._lose(job, str(error))
+                continue
+            sound.append(job)
+        return sound, sizes
+
+    def _lose(self, job: Job, cause: str) -> None:
+        self._store.finish(job, Outcome("lost", cause))
+        self._progress.advance(work_of(job.cell), "lost")
+
     def closed_loops(self, jobs: Sequence[Job], exact: dict[str, Path], slots: int) -> None:
         """Run closed-loop cells on up to `slots` cores, each judged right after it ran."""
+        jobs, sizes = self._sized(jobs, exact)
+        if not jobs or not self._room_for(jobs, sorted(sizes.values())[-slots:], "closed loops"):
+            return
 
         def ended(job: Job, child: Child, core: int) -> Child | None:
             if job.outcome is None:
-                job.outcome = child.outcome()
-                if child.raw_path.exists():
+                job.outcome = with_log(child.outcome(), child.raw_path)
+                if job.outcome.outcome != "lost" and child.raw_path.exists():
                     return self._grade(job, exact[source_key(job.cell, HARNESS_VERSION)], core)
+            elif not child.has_verdict:
+                job.outcome = not_judged(child.outcome())
             self._finish(job)
             return None
 
@@ -183,22 +237,25 @@ class Bench:
         )
 
     def _finish(self, job: Job) -> None:
-        """Keep the outcome of a cell and drop its raw log."""
-        assert job.outcome is not None, "a cell is finished after its process ended"
-        outcome = job.outcome
-        verdict = self._folder / f"{job.run_id}.graded.json"
-        raw = self._folder / f"{job.run_id}.raw"
-        if raw.exists() and not verdict.exists():
-            outcome = replace(
-                outcome, outcome="invalid", detail=f"the referee failed on it; {outcome.detail}"
-            )
-        self._store.finish(job, outcome)
-        discard(raw)
+        """Keep the outcome of a cell and drop what it left behind."""
+        self._put_away(job)
         what = job.cell.scenario_name or job.cell.sequence
         self._progress.advance(work_of(job.cell), f"{job.cell.solver} {what}")
 
+    def _put_away(self, job: Job) -> None:
+        judged = (self._folder / f"{job.run_id}.graded.json").exists()
+        outcome = job.outcome or Outcome("lost", "it was not run")
+        self._store.finish(job, outcome, judged=judged)
+        discard(self._folder / f"{job.run_id}.raw")
+        for suffix in ("json", "graded.json", "noise"):
+            (self._folder / f"{job.run_id}.{suffix}").unlink(missing_ok=True)
+
     def replays(self, jobs: Sequence[Job], exact: Path) -> None:
         """Replay one sequence through all its arms, interleaved, then judge them all."""
+        name = jobs[0].cell.sequence
+        jobs, sizes = self._sized(jobs, {source_key(j.cell, HARNESS_VERSION): exact for j in jobs})
+        if not jobs or not self._room_for(jobs, [*sizes.values()], f"the replays of {name}"):
+            return
         group = ReplayGroup(
             self._context, self._folder, exact, self._cores[-1], [(j.run_id, j.cell) for j in jobs]
         )
@@ -206,13 +263,14 @@ class Bench:
         share = sum(work_of(job.cell) for job in jobs) // (rounds + 1)
         with _away_from(self._cores[-1]):
             for r in group.run():
-                self._progress.advance(share, f"replay {jobs[0].cell.sequence}, round {r}")
+                self._progress.advance(share, f"replay {name}, round {r}")
+        raws = {job.run_id: self._folder / f"{job.run_id}.raw" for job in jobs}
         for job in jobs:
-            job.outcome = group.outcomes[job.run_id]
-        self._judge_all([j for j in jobs if (self._folder / f"{j.run_id}.raw").exists()], exact)
+            job.outcome = with_log(group.outcomes[job.run_id], raws[job.run_id])
+        stepped = [j for j in jobs if j.outcome and j.outcome.outcome != "lost"]
+        self._judge_all([j for j in stepped if raws[j.run_id].exists()], exact)
         for job in jobs:
-            self._store.finish(job, job.outcome or Outcome("invalid", "not run"))
-            discard(self._folder / f"{job.run_id}.raw")
+            self._put_away(job)
 
     def _judge_all(self, jobs: Sequence[Job], exact: Path) -> None:
         """Judge what was replayed, on every core some of it."""
@@ -222,14 +280,19 @@ class Bench:
         chains = [self._chain(share, sources) for share in shares if share]
         in_slots(chains, self._cores, Chain.judge, Chain.follow)
         for chain in chains:
-            for run_id, invalid in chain.outcomes.items():
-                by_id[run_id].outcome = invalid
+            for run_id, lost in chain.outcomes.items():
+                by_id[run_id].outcome = lost
 
     def random(self, jobs: Sequence[Job], sources: dict[str, Path], slots: int) -> None:
         """Replay random sequences arm by arm, up to `slots` arms at a time, and judge them."""
+        jobs, sizes = self._sized(jobs, sources)
         arms: dict[tuple[str, ...], list[Job]] = {}
         for job in jobs:
             arms.setdefault(arm_of(job.cell), []).append(job)
+        # An arm keeps the logs of all its cells until they are judged.
+        needs = sorted(sum(sizes[job.run_id] for job in mine) for mine in arms.values())
+        if not jobs or not self._room_for(jobs, needs[-slots:], "random problems"):
+            return
         chains = [(self._chain(mine, sources), mine) for mine in arms.values()]
 
         def ended(task: tuple[Chain, list[Job]], child: Child, core: int) -> Child | None:

@@ -13,9 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+
 from dpbench.bench.cell import Cell
 from dpbench.bench.certifying import certified
-from dpbench.bench.exact import ExactLoop, sequence_of, solve_exactly
+from dpbench.bench.exact import ExactLoop, damaged, sequence_of, solve_exactly
+from dpbench.bench.npz import DAMAGE
+from dpbench.bench.rawlog import log_bytes, loop_layout, replay_layout
 from dpbench.bench.recording import digest, read_sequence
 from dpbench.bench.schema import SCHEMA_VERSION
 from dpbench.bench.sequence_file import load_recorded, save_sequence
@@ -51,6 +55,9 @@ class Source(Protocol):
     def load(self, cell: Cell, path: Path) -> Replayed:
         """The QPs of a cell, from what `make` left at `path`."""
 
+    def check(self, path: Path) -> None:
+        """Read all of what `make` left; ResultsError or InputError where it is damaged or gone."""
+
 
 def source_of(cell: Cell) -> Source:
     """The source of a cell's QPs; InputError for a kind that is not known."""
@@ -70,6 +77,36 @@ def source_key(cell: Cell, harness_version: str) -> str:
         [cell.source or cell.scenario, harness_version, SCHEMA_VERSION], sort_keys=True
     )
     return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def is_sound(cell: Cell, path: Path) -> bool:
+    """Whether the file behind a cell's QPs can be read to its end."""
+    try:
+        source_of(cell).check(path)
+    except InputError:
+        return False
+    return True
+
+
+def log_size(cell: Cell, path: Path) -> int:
+    """Bytes of the raw log of a cell, by the sizes in the file behind its QPs.
+
+    Raises
+    ------
+    ResultsError : the file is damaged or gone.
+    """
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
+            if cell.source:
+                n, m, n_theta = data["q"].shape[1], data["A"].shape[0], 0
+            else:
+                n, m = data["z"].shape[1], data["optimum_y"].shape[1]
+                n_theta = data["theta"].shape[1]
+    except (*DAMAGE, OSError, KeyError, IndexError) as error:
+        raise damaged(path, error) from error
+    if cell.mode == "closed_loop":
+        return log_bytes(loop_layout(cell.steps, n, m, n_theta))
+    return log_bytes(replay_layout(cell.rounds + 1, cell.steps, n, m))
 
 
 def is_random(cell: Cell) -> bool:
@@ -109,6 +146,9 @@ class _Loop:
         last = cell.first + cell.steps
         return Replayed(sequence, scenario.sample_s, exact.optima[cell.first : last])
 
+    def check(self, path: Path) -> None:
+        ExactLoop.load(path)
+
 
 @dataclass(frozen=True, eq=False)
 class _Random:
@@ -124,6 +164,9 @@ class _Random:
         found = load_recorded(path)
         # Its QPs follow each other by no known time.
         return Replayed(found.sequence, float("nan"), found.optima)
+
+    def check(self, path: Path) -> None:
+        load_recorded(path)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,3 +188,6 @@ class _Recorded:
         found = load_recorded(path)
         sample_s = float(found.sequence.meta.get("sample_s", float("nan")))
         return Replayed(found.sequence, sample_s, found.optima)
+
+    def check(self, path: Path) -> None:
+        load_recorded(path)

@@ -83,6 +83,17 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
     part.replace(path)
 
 
+def accidents(out: Path) -> tuple[int, list[str]]:
+    """How many cells of a result folder the benchmark lost itself, and what is to be said of it.
+
+    Raises
+    ------
+    ResultsError : `suite.json` is missing or damaged.
+    """
+    suite = _read_json(out / "suite.json")
+    return int(suite.get("lost_cells", 0)), [str(line) for line in suite.get("remarks", [])]
+
+
 def load_results(out: str | Path) -> Results:
     """Read a result folder.
 

@@ -16,15 +16,20 @@ from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
 from typing import Any, TypeVar
 
+from dpbench.bench import notice
 from dpbench.bench.interrupts import interrupts_wait
 from dpbench.bench.machine import THREAD_VARIABLES, pin_threads
-from dpbench.bench.rawlog import RawLog
+from dpbench.bench.notice import AtWork, Notice
+from dpbench.bench.rawlog import RawLog, is_whole
 
 START_ALLOWANCE_S = 60.0
 """For importing a library; after it a cell that has not started its loop is killed."""
 GRACE_S = 3.0
 """Beyond a cell's own limit, for one call that does not return."""
 POLL_S = 0.02
+OUTCOMES = ("finished", "crashed", "hung", "timed_out", "refused", "invalid", "lost")
+"""What may become of a cell; `lost` is an accident of the harness, and never the last word."""
+_BY_MEMORY = "killed by SIGKILL, as by the out-of-memory killer"
 Task = TypeVar("Task")
 
 
@@ -40,6 +45,13 @@ class Outcome:
     form: str = ""
     n: int | None = None
     m: int | None = None
+
+
+def with_log(outcome: Outcome, raw: Path) -> Outcome:
+    """The outcome of a cell; one that made its steps and whose log is gone was lost."""
+    if outcome.outcome in ("finished", "timed_out") and not raw.exists():
+        return Outcome("lost", "its log went away before it was judged")
+    return outcome
 
 
 def template_context() -> ForkServerContext:
@@ -68,7 +80,9 @@ class Child:
 
     Parameters
     ----------
-    target, args : called in the process as target(*args); it writes `verdict` before it ends.
+    target, args : called in the process as target(*args); it writes `verdict` before it ends, and
+        says in `notice.py` when its solver is at work. Whoever is at work when it ends without a
+        verdict has ended it.
     folder, name : where its raw log, noise and verdict appear.
     limit_s : own run time allowed once its log says it started; None for none.
     """
@@ -85,13 +99,20 @@ class Child:
         verdict: str = "json",
     ) -> None:
         self.folder, self.name = folder, name
+        # Somebody else may have removed the folder, which costs those that had files in it.
+        folder.mkdir(0o700, parents=True, exist_ok=True)
         self._verdict, self._noise = folder / f"{name}.{verdict}", folder / f"{name}.noise"
+        self._verdict.unlink(missing_ok=True)
         self._limit_s = limit_s
-        self._born = time.monotonic()
+        self._born, self._memory_kills = time.monotonic(), _memory_kills()
         self._running_since: float | None = None
         self._killed_for = ""
-        self.process: ForkServerProcess = context.Process(target=target, args=args, daemon=True)
+        self.notice = Notice()
+        self.process: ForkServerProcess = context.Process(
+            target=notice.run, args=(self.notice, target, args), daemon=True
+        )
         self.process.start()
+        self.notice.handed_over()
 
     @property
     def raw_path(self) -> Path:
@@ -123,30 +144,76 @@ class Child:
         return True
 
     def _has_started(self) -> bool:
-        return self.raw_path.exists() and bool(RawLog.open(self.raw_path).started[0])
+        try:
+            return bool(RawLog.open(self.raw_path).started[0])
+        except (OSError, ValueError):
+            return False
 
     def outcome(self) -> Outcome:
         """What became of it, once it ended."""
         self.process.join()
-        if self._killed_for:
-            return Outcome("timed_out", self._killed_for)
-        code = self.process.exitcode
         if self.has_verdict:
             return self.verdict_of(self._verdict)
-        if code is not None and code < 0:
-            return Outcome("crashed", f"killed by {signal.Signals(-code).name}")
-        return Outcome("crashed", f"exit code {code}: {self._last_words()}")
+        by_solver = self.notice.who.blames_solver
+        if self._killed_for:
+            return Outcome("hung" if by_solver else "lost", self._killed_for)
+        code = self.process.exitcode or 0
+        if -code == signal.SIGKILL and self._memory_ran_out():
+            return Outcome("lost", _BY_MEMORY)
+        if -code == signal.SIGBUS and self.raw_path.exists() and not is_whole(self.raw_path):
+            return Outcome("lost", "killed by SIGBUS: its log lost its room on the file system")
+        if by_solver:
+            return Outcome("crashed", self._cause(code))
+        if not self.folder.exists():
+            return Outcome("lost", f"its scratch folder {self.folder} went away")
+        return Outcome("lost", self._cause(code))
+
+    def _memory_ran_out(self) -> bool:
+        """Whether the kernel killed for want of memory while the process ran, or does not tell."""
+        now = _memory_kills()
+        return now is None or now != self._memory_kills
+
+    def _cause(self, code: int) -> str:
+        """Why it ended without a verdict, in words."""
+        if code < 0:
+            return f"killed by {_signal_name(-code)}"
+        words = self.notice.words
+        if not words:
+            words = f"its process left with exit code {code}: {self._last_words()}"
+        where = " while it was opened" if self.notice.who is AtWork.OPENING else ""
+        return f"{words}{where}"
 
     @staticmethod
     def verdict_of(path: Path) -> Outcome:
         """What the process wrote about a cell."""
-        return Outcome(**json.loads(path.read_text(encoding="utf-8")))
+        try:
+            return Outcome(**json.loads(path.read_text(encoding="utf-8")))
+        except (OSError, ValueError) as error:
+            return Outcome("lost", f"its verdict cannot be read: {error}")
 
     def _last_words(self) -> str:
-        if not self._noise.exists():
+        try:
+            text = self._noise.read_text(encoding="utf-8", errors="replace")
+        except OSError:
             return "no output"
-        lines = self._noise.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        lines = text.strip().splitlines()
         return lines[-1][:300] if lines else "no output"
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
+def _memory_kills() -> int | None:
+    """How often the kernel killed a process for want of memory since it started; None if unseen."""
+    try:
+        lines = Path("/proc/vmstat").read_text(encoding="ascii").splitlines()
+    except OSError:
+        return None
+    return next((int(line.split()[1]) for line in lines if line.startswith("oom_kill ")), None)
 
 
 def in_slots(

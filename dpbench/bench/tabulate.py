@@ -26,8 +26,10 @@ def tabulate(
     """
     rows, frames, inside = [], [], {}
     for job in work:
-        graded = None if job.planned.refused else store.graded(job)
-        outcome = job.outcome or Outcome("invalid", "not run")
+        outcome = job.outcome or Outcome("lost", "it was not run")
+        graded = None if outcome.outcome in ("refused", "lost") else store.graded(job)
+        if outcome.outcome == "finished" and graded is None:
+            outcome = Outcome("lost", f"{store.graded_path(job)} is damaged or gone")
         if graded is not None:
             inside[job.run_id] = time_inside(graded.columns)
         for settings in (job.cell.settings, *job.planned.alias_settings):

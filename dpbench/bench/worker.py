@@ -26,6 +26,7 @@ from dpbench.bench.formulation import in_loop, in_replay
 from dpbench.bench.grade import Graded, grade_log
 from dpbench.bench.grade_replay import grade_sequence
 from dpbench.bench.loop import Voyage, closed_loop
+from dpbench.bench.notice import AtWork, post
 from dpbench.bench.port import SolverPort
 from dpbench.bench.rawlog import RawLog, loop_layout, replay_layout
 from dpbench.bench.replay import PREROLL, ReplayArm
@@ -54,18 +55,23 @@ class Link:
 
 def _open(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Workspace | None:
     """Settle the process and open the cell's solver in it; None leaves a verdict `refused`."""
+    if not settled:
+        settle(folder / f"{name}.noise")
+    post(AtWork.OPENING)
     try:
         if not settled:
-            settle(folder / f"{name}.noise")
             if cell.solver_module:
                 load_solver_module(cell.solver_module)
             isolate(cell.solver)
-        return open_workspace(
+        workspace = open_workspace(
             cell.solver, route=cell.route, policy=cell.policy, settings=cell.settings
         )
     except InputError as error:
+        post(AtWork.HARNESS)
         write_verdict(folder / f"{name}.json", verdict_of("refused", str(error)))
         return None
+    post(AtWork.HARNESS)
+    return workspace
 
 
 def _worst_detail(port: SolverPort) -> str:
@@ -94,7 +100,9 @@ def run_closed_loop_cell(text: str, folder: Path, name: str, core: int) -> None:
         scenario, emitter, port, log, cell.fallback, limit_ns, clock, pace, usage_of_process
     )
     before = counters()
+    post(AtWork.SOLVER)
     complete = closed_loop(voyage)
+    post(AtWork.HARNESS)
     np.subtract(counters(), before, out=log.counters[0])
     detail = _worst_detail(port)
     if not complete:
@@ -125,6 +133,7 @@ def run_replay_cell(
     while (r := orders.recv()) is not None:
         complete = arm.round(r)
         orders.send(complete)
+    post(AtWork.HARNESS)
     log.footprint[:3] = (memory.peak_bytes(), *threads())
     write_verdict(folder / f"{name}.json", _replay_verdict(cell, workspace, port, log, complete))
     # The verdict stands: what happens from here on is no part of the replay.
@@ -148,6 +157,7 @@ def _replay_arm(
     port = SolverPort(workspace, formulated, clock)
     if memory is not None:
         memory.loaded(log)
+    post(AtWork.SOLVER)
     arm = ReplayArm(
         steps,
         port,
@@ -175,6 +185,7 @@ def run_replay_chain(links: Sequence[Link], folder: Path, core: int) -> None:
     """Replay the cells of one arm, each with a raw log and a verdict of its own."""
     pin(core)
     for i, link in enumerate(links):
+        post(AtWork.HARNESS, i)
         cell = Cell.from_json(link.cell)
         workspace = _open(cell, folder, link.name, settled=i > 0)
         if workspace is None:
@@ -183,6 +194,7 @@ def run_replay_chain(links: Sequence[Link], folder: Path, core: int) -> None:
         # Without a time to take, cold caches do no harm, and a step that hangs should be recorded.
         arm, port, log = _replay_arm(cell, workspace, raw, link.source, preroll=0)
         complete = all(arm.round(r) for r in range(cell.rounds + 1))
+        post(AtWork.HARNESS)
         verdict = _replay_verdict(cell, workspace, port, log, complete)
         write_verdict(folder / f"{link.name}.json", verdict)
         # The collector is off while a solver works.
@@ -190,15 +202,19 @@ def run_replay_chain(links: Sequence[Link], folder: Path, core: int) -> None:
         gc.collect()
 
 
-def make_source(text: str, folder: Path, name: str, core: int) -> None:
-    """Make the file behind a cell's QPs; `name`.npz and a verdict appear in `folder`."""
+def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> None:
+    """Make the file behind a cell's QPs at `path` (.npz); a verdict appears in `folder`."""
     pin(core)
     settle(folder / f"{name}.noise")
+    part = path.with_suffix(".part.npz")
     try:
-        source_of(Cell.from_json(text)).make(folder / f"{name}.npz")
+        source_of(Cell.from_json(text)).make(part)
+        part.replace(path)
     except (CertificateError, InputError) as error:
         write_verdict(folder / f"{name}.json", verdict_of("invalid", str(error)))
         return
+    finally:
+        part.unlink(missing_ok=True)
     write_verdict(folder / f"{name}.json", verdict_of("finished", ""))
 
 
@@ -214,7 +230,8 @@ def grade_chain(links: Sequence[Link], folder: Path, core: int) -> None:
     """As `grade_cell`, for several cells one after the other."""
     pin(core)
     settle(folder / f"{links[0].name}.noise")
-    for link in links:
+    for i, link in enumerate(links):
+        post(AtWork.HARNESS, i)
         log, began = RawLog.open(folder / f"{link.name}.raw"), clock()
         graded = _grade(link, log)
         graded.columns["referee_ns"] = np.array([clock() - began])

@@ -13,9 +13,11 @@ from dpbench.report.view import COMMON, Row, View
 TINTS: dict[str, Mark] = {
     "finished": "",
     "timed_out": "bad",
+    "hung": "bad",
     "crashed": "bad",
     "refused": "warn",
     "invalid": "bad",
+    "lost": "warn",
 }
 OUTCOMES = tuple(TINTS)
 
@@ -54,11 +56,7 @@ def population_table(view: View) -> Table:
             "route",
             "form",
             "cells",
-            "finished",
-            "timed out",
-            "crashed",
-            "refused",
-            "invalid",
+            *(name.replace("_", " ") for name in OUTCOMES),
             "recorded steps",
         ),
         rows=tuple(rows),

@@ -122,7 +122,7 @@ def backs_off(path: Path) -> bool:
     return any(optimum.z[0] < -0.99 for optimum in optima)
 
 
-@pytest.mark.parametrize(("mode", "outcome"), [("crash", "crashed"), ("hang", "timed_out")])
+@pytest.mark.parametrize(("mode", "outcome"), [("crash", "crashed"), ("hang", "hung")])
 def test_a_solver_that_dies_or_hangs_does_not_end_the_hunt(
     mode: str,
     outcome: str,

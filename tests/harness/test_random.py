@@ -110,7 +110,7 @@ def test_a_crash_or_a_hang_costs_only_its_own_cell(results: Results) -> None:
         4: "finished",
         5: "finished",
         6: "crashed",
-        7: "timed_out",
+        7: "hung",
         8: "finished",
     }
 

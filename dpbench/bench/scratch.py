@@ -1,0 +1,123 @@
+"""Where the raw logs of cells lie while they are written, and whether there is room for them.
+
+In memory where that can be, so that no write-back of a disk disturbs a step. A container has some
+64 MB of it where the replays of a suite can need 200, so the room is computed beforehand, and the
+next place is taken where it is short.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+
+import psutil
+
+from dpbench.errors import DpbenchError
+
+MEMORY = Path("/dev/shm")
+"""The file system in memory that every Linux has, of whatever size."""
+MARGIN_BYTES = 2**21
+"""For what lies beside the logs: verdicts, and what libraries print."""
+
+
+class NoRoomError(DpbenchError):
+    """No place has room enough."""
+
+
+def scratch_folder(place: Path | None = None) -> tempfile.TemporaryDirectory[str]:
+    """A folder for what processes leave behind until it is kept; in memory where that can be."""
+    if place is None and os.access(MEMORY, os.W_OK):
+        place = MEMORY
+    return tempfile.TemporaryDirectory(
+        # A worker that was interrupted as well may write its last file while the folder goes.
+        ignore_cleanup_errors=True,
+        prefix="dpbench-",
+        dir=place,
+    )
+
+
+def free_bytes(place: Path) -> int:
+    """What can be written at a place; in memory no more than there is of that."""
+    found = os.statvfs(place)
+    # A tmpfs without a limit says that it has no blocks at all.
+    free = found.f_bavail * found.f_frsize if found.f_blocks else sys.maxsize
+    return min(free, int(psutil.virtual_memory().available)) if place == MEMORY else free
+
+
+class Scratch:
+    """Scratch folders of one campaign, each made when it is needed, all gone at the end.
+
+    Parameters
+    ----------
+    beside : a folder on the disk of the results, the last resort.
+    """
+
+    def __init__(self, beside: Path) -> None:
+        self._places = _apart([MEMORY, Path(tempfile.gettempdir()), beside])
+        self._made: dict[Path, tempfile.TemporaryDirectory[str]] = {}
+        self._elsewhere: dict[Path, list[tuple[int, str]]] = {}
+
+    def __enter__(self) -> Scratch:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for folder in self._made.values():
+            folder.cleanup()
+
+    @property
+    def remarks(self) -> list[str]:
+        """Which logs did not lie where they should; a line for each other place."""
+        lines = []
+        for place, parts in self._elsewhere.items():
+            _, largest = max(parts)
+            many = f"logs of {len(parts)} part{'s' if len(parts) > 1 else ''} of the campaign"
+            lines.append(f"{many} lay in {place}: {largest}")
+        return lines
+
+    def folder(self, need: int = 0, what: str = "a process") -> Path:
+        """A folder with room for `need` bytes of logs of `what`.
+
+        Raises
+        ------
+        NoRoomError : there is none; says what there is.
+        """
+        short: list[str] = []
+        for place in self._places:
+            free = free_bytes(place)
+            if free < need + MARGIN_BYTES:
+                short.append(f"{place} has {_megabytes(free)}")
+                continue
+            if short and need:
+                words = f"{what} took {_megabytes(need)} where {' and '.join(short)} free"
+                self._elsewhere.setdefault(place, []).append((need, words))
+            return self._folder(place)
+        raise NoRoomError(
+            f"no room for the logs of {what} ({_megabytes(need)}): {' and '.join(short)} free"
+        )
+
+    def _folder(self, place: Path) -> Path:
+        if place not in self._made:
+            self._made[place] = scratch_folder(place)
+        return Path(self._made[place].name)
+
+
+def _apart(places: Sequence[Path]) -> list[Path]:
+    """Of places that can be written to, one on each file system."""
+    found: dict[int, Path] = {}
+    for place in places:
+        if os.access(place, os.W_OK):
+            found.setdefault(place.stat().st_dev, place)
+    return list(found.values())
+
+
+def _megabytes(size: int) -> str:
+    return f"{size / 1e6:.1f} MB"
