@@ -8,7 +8,7 @@ Nobody's word is taken for anything: every certificate stands on its own.
 from __future__ import annotations
 
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from dpbench.qp.oracle import guesses
 from dpbench.qp.program import Matrix, QuadraticProgram, Vector
 from dpbench.qp.rational import rational_certificate
 from dpbench.qp.residuals import best_multipliers
+from dpbench.qp.rounding import least_violation, refute
 
 WANTED = 1e-10
 """A bound above it sends the problem to the next, costlier certificate."""
@@ -43,7 +44,8 @@ class Optimum:
     z : (n,), y : (m,), y_box : (n,) optimum and its multipliers; of an infeasible problem z is
         NaN and (y, y_box) the Farkas vector; NaN where nothing could be certified.
     bound : rigorous bound of max_i |z_i − z*_i|; inf unless there is an optimum.
-    kind : the certificate; "none" claims nothing at all.
+    kind : the certificate; "undecided" for a problem that is infeasible by no more than rounding,
+        with a Farkas vector that `rounding.least_violation` weighs; "none" claims nothing at all.
     """
 
     z: Vector
@@ -118,7 +120,7 @@ class Referee:
         if best is None or best.bound > WANTED:
             best = self._closer(posed, tried, best)
         if best is None:
-            return self._infeasible(problem) or self._nothing()
+            return self._infeasible(problem, closely=True) or self._nothing()
         if best.kind == "infeasible":
             return self._infeasible(problem) or self._empty(problem, best.y)
         return self._optimum(best) if fixed is None else self._explained(problem, best)
@@ -191,20 +193,32 @@ class Referee:
         y, y_box = proof.y[: self._m], proof.y[self._m :]
         return Optimum(proof.z, y, y_box, proof.bound, proof.kind)
 
-    def _infeasible(self, problem: JointQP) -> Optimum | None:
-        """The verdict "infeasible" with a verified vector, if there is one."""
-        found = certify_infeasible(self._program(problem))
-        if found is None:
-            return None
-        return Optimum(np.full(len(problem.q), np.nan), *found, np.inf, "infeasible")
+    def _infeasible(self, problem: JointQP, *, closely: bool = False) -> Optimum | None:
+        """The verdict "infeasible" or "undecided" with a verified vector, if there is one."""
+        qp = self._program(problem)
+        found = certify_infeasible(qp)
+        if found is None and closely:
+            found = refute(qp)
+        return None if found is None else self._refuted(problem, *found)
+
+    def _refuted(self, problem: JointQP, y: Vector, y_box: Vector) -> Optimum:
+        """The verdict on a problem that (y, y_box) proves to have no feasible point."""
+        least = least_violation(self._program(problem), np.concatenate((y, y_box)))
+        kind: Kind = "undecided" if least.undecided else "infeasible"
+        return Optimum(np.full(len(problem.q), np.nan), y, y_box, np.inf, kind)
 
     def _empty(self, problem: JointQP, multipliers: Vector) -> Optimum:
-        """The verdict by the exact multipliers, if they still prove it once rounded."""
+        """The verdict by the exact multipliers, if they still prove it once rounded.
+
+        Where they do not, the least violation may still be seen to be rounding.
+        """
         y = multipliers[: self._m]
         y_box = -(y @ self._A)
-        if not farkas_valid(self._program(problem), y, y_box):
-            return self._nothing()
-        return Optimum(np.full(len(problem.q), np.nan), y, y_box, np.inf, "infeasible")
+        if farkas_valid(self._program(problem), y, y_box):
+            return self._refuted(problem, y, y_box)
+        if least_violation(self._program(problem)).undecided:
+            return replace(self._nothing(), kind="undecided")
+        return self._nothing()
 
     def _nothing(self) -> Optimum:
         n, nan = len(self._lb), np.nan

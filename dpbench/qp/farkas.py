@@ -98,10 +98,11 @@ def certify_infeasible(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
     both = np.zeros(len(problem.L))
     np.add.at(both, upper, answer.x[: len(upper)])
     np.subtract.at(both, lower, answer.x[len(upper) :])
-    return _first_valid(qp, both)
+    return first_valid(qp, both)
 
 
-def _first_valid(qp: QuadraticProgram, both: Vector) -> tuple[Vector, Vector] | None:
+def first_valid(qp: QuadraticProgram, both: Vector) -> tuple[Vector, Vector] | None:
+    """A valid Farkas vector (y, y_box) near the one in `both` (m + n,), if there is one."""
     for y in (both[: qp.m], *_fractions(both[: qp.m])):
         y_box = -(y @ qp.A)
         if farkas_valid(qp, y, y_box):

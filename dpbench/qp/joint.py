@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dpbench.qp.dyadic import Dyadic
 from dpbench.qp.program import Matrix, QuadraticProgram, Vector
 
-Kind = Literal["linear", "gap", "rational", "infeasible", "none"]
+Kind = Literal["linear", "gap", "rational", "infeasible", "none", "undecided"]
 Signs = NDArray[np.int8]
 """One entry per row of C: +1 active at its upper limit, −1 at its lower one, 0 inactive."""
 

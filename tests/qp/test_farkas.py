@@ -115,16 +115,19 @@ def test_infinite_limits_cannot_be_named() -> None:
 
 @pytest.mark.parametrize("limit", [0.3, 1.0, 7.7])
 def test_feasible_by_one_point_and_infeasible_by_one_bit(limit: float) -> None:
-    """A row that meets a bound in one point leaves a feasible problem; one bit less does not."""
-    below = np.nextafter(limit, 0.0)
+    """A row that meets a bound in one point leaves a feasible problem; one bit less does not.
+
+    Nobody is charged for the one bit: it is what rounding can make of a feasible problem.
+    """
     qps = [
         QuadraticProgram(np.eye(1), [1.0], np.eye(1), [limit], [INF], [-10.0], [upper])
-        for upper in (limit, below)
+        for upper in (limit, np.nextafter(limit, 0.0), limit * (1.0 - 1e-13))
     ]
-    feasible, empty = (certify(qp) for qp in qps)
+    feasible, rounded, empty = (certify(qp) for qp in qps)
     assert abs(feasible.z[0] - limit) <= feasible.bound <= 1e-12
-    assert empty.kind == "infeasible"
-    assert farkas_valid(qps[1], empty.y, empty.y_box)
+    assert (rounded.kind, empty.kind) == ("undecided", "infeasible")
+    assert farkas_valid(qps[1], rounded.y, rounded.y_box)
+    assert farkas_valid(qps[2], empty.y, empty.y_box)
 
 
 @pytest.mark.parametrize("row", [True, False])
