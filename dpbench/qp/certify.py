@@ -1,7 +1,8 @@
 """The referee: certified optima of QPs that share P and A, with a rigorous bound beside each.
 
 In order: the linear certificate with the active set of the step before, then with those that others
-guess; the gap certificate where rows are weakly active; the rational one as the last resort.
+guess; the gap certificate where rows are weakly active; the rational one for small problems; all
+of it again in other units, with equality rows enclosed, as the last resort (`last_resort`).
 Nobody's word is taken for anything: every certificate stands on its own.
 """
 
@@ -12,12 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dpbench.qp.dyadic import semidefinite
+from dpbench.qp.dyadic import Dyadic, semidefinite
 from dpbench.qp.farkas import certify_infeasible, farkas_valid
 from dpbench.qp.forced import fix_forced
 from dpbench.qp.gap import gap_certificate, independent, met
 from dpbench.qp.joint import ExactMatrices, JointQP, Kind, Proof, Signs
 from dpbench.qp.kkt import KKTSystem, positive_definite
+from dpbench.qp.last_resort import LastResort
 from dpbench.qp.linear import Geometry, linear_certificate
 from dpbench.qp.oracle import guesses
 from dpbench.qp.program import Matrix, QuadraticProgram, Vector
@@ -32,7 +34,7 @@ REMEMBERED = 128
 EXACT_SIZE = 40
 """Largest n for the rational certificate, whose cost grows like n⁴: 0.3 s at n = 30."""
 SEMIDEFINITE_SIZE = 100
-"""Largest n for the exact test of semidefiniteness, done once per referee."""
+"""Most variables in P for the exact test of semidefiniteness, done once per referee."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,9 +61,11 @@ class Referee:
     """Certifies the QPs of one P, A, lb, ub; not to be shared between threads.
 
     P counts by its symmetric part, rounded once if P is not symmetric to the last bit. For P proven
-    positive definite all certificates are open. For P that is exactly semidefinite (decided for
-    n ≤ `SEMIDEFINITE_SIZE`) only the linear one is, which proves that the optimum is the only one.
-    For any other P nothing but infeasibility is certified.
+    positive definite all certificates are open. For P that is exactly semidefinite (decided for up
+    to `SEMIDEFINITE_SIZE` variables with quadratic cost) the linear one is, which proves that the
+    optimum is the only one, and the enclosure of the last resort, which bounds all minimisers. That
+    one is open too where P is definite on the directions that the equality rows leave. For any
+    other P nothing but infeasibility is certified.
     """
 
     def __init__(self, P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> None:
@@ -75,12 +79,16 @@ class Referee:
         self._last: Signs = np.zeros(self._m + n, dtype=np.int8)
         self._inverse: Matrix | None = None
         self._exact: ExactMatrices | None = None
+        self._last_resort: LastResort | None = None
         self._finite = bool(np.isfinite(P).all() and np.isfinite(A).all())
         self._definite = self._finite and positive_definite(self._P)
         self._convex = self._definite or (self._finite and self._semidefinite())
 
     def _semidefinite(self) -> bool:
-        return len(self._P) <= SEMIDEFINITE_SIZE and semidefinite(self._exactly().P.whole)
+        used = np.flatnonzero(self._P.any(axis=0))
+        if len(used) > SEMIDEFINITE_SIZE or (np.diagonal(self._P) < 0.0).any():
+            return False
+        return semidefinite(Dyadic.of(self._P[np.ix_(used, used)]).whole)
 
     def _exactly(self) -> ExactMatrices:
         if self._exact is None:
@@ -119,15 +127,38 @@ class Referee:
                 break
         if best is None or best.bound > WANTED:
             best = self._closer(posed, tried, best)
-        if best is None:
-            return self._infeasible(problem, closely=True) or self._nothing()
+        if best is None or WANTED < best.bound < np.inf:
+            return self._resort(problem, posed, best)
         if best.kind == "infeasible":
             return self._infeasible(problem) or self._empty(problem, best.y)
         return self._optimum(best) if fixed is None else self._explained(problem, best)
 
+    def _resort(self, problem: JointQP, posed: JointQP, known: Proof | None) -> Optimum:
+        """What is left where the other certificates gave nothing better than `known`."""
+        if known is None:
+            empty = self._infeasible(problem)
+            if empty is not None:
+                return empty
+        if self._last_resort is None:
+            self._last_resort = LastResort(
+                self._P, self._C, convex=self._convex, definite=self._definite
+            )
+        found = self._last_resort.certify(posed)
+        if found is not None and (known is None or found.bound < known.bound):
+            return self._explained(problem, found)
+        if known is not None:
+            return self._optimum(known) if posed is problem else self._explained(problem, known)
+        refuted = refute(self._program(problem))
+        return self._nothing() if refuted is None else self._refuted(problem, *refuted)
+
     def _explained(self, problem: JointQP, proof: Proof) -> Optimum:
-        """The optimum of a problem with fixed variables, with multipliers its own limits allow."""
-        y, y_box = best_multipliers(self._program(problem), proof.z, 1e-9)
+        """The optimum of a problem that was changed, with multipliers its own limits allow."""
+        try:
+            y, y_box = best_multipliers(self._program(problem), proof.z, 1e-9)
+        except RuntimeError:
+            # Non-negative least squares gave up: the optimum stands without them.
+            nothing = self._nothing()
+            y, y_box = nothing.y, nothing.y_box
         return Optimum(proof.z, y, y_box, proof.bound, proof.kind)
 
     def _linear(self, problem: JointQP, signs: Signs, *, guess: bool) -> Proof | None:
@@ -193,12 +224,9 @@ class Referee:
         y, y_box = proof.y[: self._m], proof.y[self._m :]
         return Optimum(proof.z, y, y_box, proof.bound, proof.kind)
 
-    def _infeasible(self, problem: JointQP, *, closely: bool = False) -> Optimum | None:
+    def _infeasible(self, problem: JointQP) -> Optimum | None:
         """The verdict "infeasible" or "undecided" with a verified vector, if there is one."""
-        qp = self._program(problem)
-        found = certify_infeasible(qp)
-        if found is None and closely:
-            found = refute(qp)
+        found = certify_infeasible(self._program(problem))
         return None if found is None else self._refuted(problem, *found)
 
     def _refuted(self, problem: JointQP, y: Vector, y_box: Vector) -> Optimum:

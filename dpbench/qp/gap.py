@@ -77,7 +77,7 @@ def gap_certificate(
     limits = np.concatenate((problem.U, problem.L))[system.limits]
     inward = Dyadic(np.array([-int(s) for s in system.signs], dtype=object), TAU_EXPONENT)
     target = Dyadic.of(limits) + inward
-    refined = _refine(problem, exact, system, target)
+    refined = refine(problem, exact, system, target)
     if refined is None:
         return None
     z, lam = refined
@@ -99,7 +99,7 @@ def gap_certificate(
     return Proof(nearest, y, (radius + rounding) * OUTWARD, "gap")
 
 
-def _refine(
+def refine(
     problem: JointQP, exact: ExactMatrices, system: KKTSystem, target: Dyadic
 ) -> tuple[Dyadic, Dyadic] | None:
     """K_W [z; λ] = [−q; target] to within some units of 2^LAST_BIT, or None."""

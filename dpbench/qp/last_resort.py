@@ -1,0 +1,197 @@
+"""Where every certificate in the units of the problem as posed has failed.
+
+The problem is equilibrated by powers of two, the active set guessed anew in those units (with a
+proximal term where P is singular), completed by the rows that are weakly active, and certified by
+the linear certificate or by the enclosure of a feasible point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import linprog, nnls
+
+from dpbench.qp.enclosure import enclosure_certificate
+from dpbench.qp.equilibrated import Scales, safe
+from dpbench.qp.gap import independent, met
+from dpbench.qp.implied import with_implied, without_empty
+from dpbench.qp.joint import ExactMatrices, JointQP, Kind, Proof, Signs
+from dpbench.qp.kkt import OUTWARD, KKTSystem
+from dpbench.qp.linear import Geometry, linear_certificate
+from dpbench.qp.oracle import guesses
+from dpbench.qp.program import Matrix, Vector
+
+PROXIMAL = 1e-4
+"""Weight of the proximal term, of the largest entry of P, where P is singular."""
+PROXIMAL_STEPS = 60
+SETTLED = 1e-9
+"""Relative change of the proximal point at which its active set is taken."""
+ENOUGH = 1e-10
+"""A bound no better than it asks for another guess."""
+LARGEST = 1e6
+"""Inward amounts beyond it would need more room than the limits moved by τ leave."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Guess:
+    """An active set, and the point it is from where that is not the one of its KKT system."""
+
+    signs: Signs
+    z: Vector | None
+
+
+class LastResort:
+    """For the QPs of one P and C = [A; I]; not to be shared between threads."""
+
+    def __init__(self, P: Matrix, C: Matrix, *, convex: bool, definite: bool) -> None:
+        self._scales = Scales.of(P, C)
+        self._safe = safe(P, C)
+        self._P, self._C = self._scales.cost_matrix(P), self._scales.rows(C)
+        self._convex, self._definite = convex, definite
+        self._geometry = Geometry(self._C)
+        self._exact: ExactMatrices | None = None
+
+    def certify(self, problem: JointQP) -> Proof | None:
+        """The optimum of `problem`, in its own units, or None.
+
+        Its multipliers are NaN where implied limits took part: those of the equality rows that
+        stand for them say nothing of the problem as posed.
+        """
+        if not (self._safe and safe(problem.q, problem.L, problem.U)):
+            return None
+        if self._exact is None:
+            self._exact = ExactMatrices.of(self._P, self._C)
+        problem = without_empty(problem)
+        best: Proof | None = None
+        posed: list[JointQP] = [problem]
+        for at in posed:
+            scaled = self._scales.problem(at, self._P, self._C)
+            for guess in self._guesses(scaled):
+                proof, touched = self._proof(scaled, guess)
+                if proof is not None and len(posed) > 1:
+                    proof = replace(proof, y=np.full(len(proof.y), np.nan))
+                if proof is not None and (best is None or proof.bound < best.bound):
+                    best = proof
+                if best is not None and best.bound <= ENOUGH:
+                    return best
+                if len(posed) == 1 and touched is not None:
+                    tighter = with_implied(at, touched)
+                    if tighter is not None:
+                        posed.append(tighter)
+                        break
+        return best
+
+    def _guesses(self, problem: JointQP) -> Iterator[_Guess]:
+        """Active sets in the new units, best first."""
+        if self._definite:
+            for signs in guesses(problem):
+                if signs is not None:
+                    yield _Guess(signs, None)
+        else:
+            yield from self._proximal(problem)
+
+    def _proximal(self, problem: JointQP) -> Iterator[_Guess]:
+        """Where the proximal point method ends (Rockafellar, SIAM J. Control 14, 1976)."""
+        n = len(problem.q)
+        z, signs = np.zeros(n), None
+        P = problem.P + PROXIMAL * np.eye(n)
+        for _ in range(PROXIMAL_STEPS):
+            at = replace(problem, P=P, q=problem.q - PROXIMAL * z)
+            signs = next(guesses(at), None)
+            if signs is None:
+                return
+            held = independent(problem.C, signs, signs)
+            system = KKTSystem(P, problem.C, held)
+            if not system.proven:
+                return
+            before, z = z, (system.X @ system.rhs(at.q, at.L, at.U))[:n]
+            if np.abs(z - before).max() <= SETTLED * (1.0 + np.abs(z).max()):
+                break
+        if signs is not None:
+            yield _Guess(signs, z)
+            yield _Guess(self._explaining(problem, z), z)
+
+    def _explaining(self, problem: JointQP, z: Vector) -> Signs:
+        """The touched limits whose multipliers explain z: independent ones, of the right sign."""
+        touched = met(problem, z)
+        equal = problem.L == problem.U
+        rows = np.flatnonzero(np.where(equal, 0, touched))
+        columns = (touched[rows, np.newaxis] * problem.C[rows]).T
+        free = problem.C[equal].T
+        gradient = -(problem.P @ z + problem.q)
+        weights, _ = nnls(np.hstack((columns, free, -free)), gradient, maxiter=30 * len(touched))
+        signs = np.zeros_like(touched)
+        used = rows[weights[: len(rows)] > 0.0]
+        signs[used] = touched[used]
+        signs[equal] = 1
+        return signs
+
+    def _proof(self, problem: JointQP, guess: _Guess) -> tuple[Proof | None, Signs | None]:
+        """The proof from one guess; without one, the touched limits if they leave no interior."""
+        assert self._exact is not None, "made before any guess is asked for"
+        equal = np.where(problem.L == problem.U, 1, 0).astype(np.int8)
+        held = independent(problem.C, np.where(equal, equal, guess.signs), equal)
+        system = KKTSystem(problem.P, problem.C, held)
+        z = guess.z
+        if system.proven:
+            proof = linear_certificate(problem, self._geometry, system, guess=False)
+            if proof is not None and self._convex:
+                bound = np.full(len(proof.z), proof.bound)
+                return self._back(proof.z, proof.y, bound, "linear"), None
+            z = system.X @ system.rhs(problem.q, problem.L, problem.U)
+        if z is None:
+            return None, None
+        touched = np.where(equal, equal, met(problem, z))
+        all_held = independent(problem.C, np.where(held, held, touched), held)
+        system = KKTSystem(problem.P, problem.C, all_held)
+        inward = _inward(problem, system, touched)
+        if inward is None:
+            return None, touched
+        if not system.proven:
+            return None, None
+        found = enclosure_certificate(problem, self._exact, system, inward, convex=self._convex)
+        if found is None:
+            return None, None
+        return self._back(found.z, found.y, found.bound, "gap"), None
+
+    def _back(self, z: Vector, y: Vector, bound: Vector, kind: Kind) -> Proof:
+        """The proof in the units of the problem as posed."""
+        D = self._scales.D
+        worst = float((D * bound).max()) * OUTWARD
+        return Proof(D * z, self._scales.multipliers(y), worst, kind)
+
+
+def _inward(problem: JointQP, system: KKTSystem, touched: Signs) -> Vector | None:
+    """How far to hold the rows of `system` inside their limits, so that all touched limits are met.
+
+    1 for inequality rows where no other row is touched; else by a direction that leads inside all
+    of them; None where there is no such direction.
+    """
+    equal = problem.L == problem.U
+    amounts = np.where(equal[system.rows], 0.0, 1.0)
+    others = np.zeros(len(equal), dtype=bool)
+    others[touched != 0] = True
+    others[system.rows] = False
+    if (others & equal).any():
+        return None
+    if not others.any():
+        return amounts
+    own = ~equal[system.rows]
+    G = system.signs[own, np.newaxis] * problem.C[system.rows[own]]
+    inside = np.vstack((G, touched[others, np.newaxis] * problem.C[others]))
+    n, k = inside.shape[1], len(inside)
+    E = problem.C[system.rows[~own]]
+    answer = linprog(
+        np.append(np.zeros(n), 1.0),
+        A_ub=np.block([[inside, np.zeros((k, 1))], [-inside, -np.ones((k, 1))]]),
+        b_ub=np.concatenate((-np.ones(k), np.zeros(k))),
+        A_eq=np.column_stack((E, np.zeros(len(E)))) if len(E) else None,
+        b_eq=np.zeros(len(E)) if len(E) else None,
+        bounds=[(None, None)] * n + [(0.0, LARGEST)],
+    )
+    if answer.x is None:
+        return None
+    amounts[own] = -(G @ answer.x[:n])
+    return amounts
