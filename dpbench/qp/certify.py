@@ -12,6 +12,7 @@ from collections import OrderedDict
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from dpbench.qp.dyadic import Dyadic, semidefinite
 from dpbench.qp.farkas import certify_infeasible, farkas_valid
@@ -34,7 +35,7 @@ REMEMBERED = 128
 EXACT_SIZE = 40
 """Largest n for the rational certificate, whose cost grows like n⁴: 0.3 s at n = 30."""
 SEMIDEFINITE_SIZE = 100
-"""Most variables in P for the exact test of semidefiniteness, done once per referee."""
+"""Largest block of P for the exact test of semidefiniteness, done once per referee."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,11 +62,11 @@ class Referee:
     """Certifies the QPs of one P, A, lb, ub; not to be shared between threads.
 
     P counts by its symmetric part, rounded once if P is not symmetric to the last bit. For P proven
-    positive definite all certificates are open. For P that is exactly semidefinite (decided for up
-    to `SEMIDEFINITE_SIZE` variables with quadratic cost) the linear one is, which proves that the
-    optimum is the only one, and the enclosure of the last resort, which bounds all minimisers. That
-    one is open too where P is definite on the directions that the equality rows leave. For any
-    other P nothing but infeasibility is certified.
+    positive definite all certificates are open. For P that is exactly semidefinite (decided for
+    blocks of up to `SEMIDEFINITE_SIZE` variables) the linear one is, which proves that the optimum
+    is the only one, and the enclosure of the last resort, which bounds all minimisers. The latter
+    is open too where P is definite on the directions that the equality rows leave. For any other P
+    nothing but infeasibility is certified.
     """
 
     def __init__(self, P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> None:
@@ -85,10 +86,14 @@ class Referee:
         self._convex = self._definite or (self._finite and self._semidefinite())
 
     def _semidefinite(self) -> bool:
-        used = np.flatnonzero(self._P.any(axis=0))
-        if len(used) > SEMIDEFINITE_SIZE or (np.diagonal(self._P) < 0.0).any():
+        if (np.diagonal(self._P) < 0.0).any():
             return False
-        return semidefinite(Dyadic.of(self._P[np.ix_(used, used)]).whole)
+        count, part = connected_components(self._P != 0.0, directed=False)
+        blocks = [np.flatnonzero(part == i) for i in range(count)]
+        if max(len(block) for block in blocks) > SEMIDEFINITE_SIZE:
+            return False
+        whole = (Dyadic.of(self._P[np.ix_(block, block)]).whole for block in blocks)
+        return all(semidefinite(block) for block in whole)
 
     def _exactly(self) -> ExactMatrices:
         if self._exact is None:

@@ -29,6 +29,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dpbench.qp.dyadic import Dyadic
 from dpbench.qp.gap import TAU_EXPONENT, refine
@@ -38,8 +39,15 @@ from dpbench.qp.program import Matrix, Vector
 
 NO_MULTIPLIER = 1e-12
 """A multiplier of less than this share of the largest one is no support for M."""
+LEAST_MULTIPLIER = 2.0 ** (TAU_EXPONENT // 2)
+"""Nor is one that moving limits by τ may have made: it is of the size of √τ at most."""
+WEIGHT = 4.0
+"""w of every row, of the largest diagonal entry of P."""
 AMOUNT_BITS = 20
 """Inward amounts are multiples of 2^−AMOUNT_BITS·τ."""
+
+
+Among = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,10 +90,10 @@ def enclosure_certificate(
     keep = equal | (found.lam.signs() == system.signs)
     lam = Dyadic(np.where(keep, found.lam.whole, 0), found.lam.exponent)
     size = np.abs(lam.floats())
-    support = equal | (size > NO_MULTIPLIER * size.max(initial=0.0))
+    support = equal | (size > max(NO_MULTIPLIER * size.max(initial=0.0), LEAST_MULTIPLIER))
     M = _raised(problem.P, problem.C[rows[support]])
-    base = convex or _definite(_raised(problem.P, problem.C[rows[equal]]))
-    inverse = _inverse(M, n) if base and _definite(M) else None
+    base = convex or positive_definite(_raised(problem.P, problem.C[rows[equal]]))
+    inverse = _inverse(M, n) if base and positive_definite(M) else None
     if inverse is None:
         return None
     weight = _weight(problem.P)
@@ -143,11 +151,12 @@ def _distance(C: Matrix, B: Matrix, residual: Vector) -> Vector | None:
     if not alpha < 0.5:
         return None
     size = np.abs(residual) * OUTWARD
-    return np.abs(B) @ (size + alpha / (1.0 - alpha) * size.max()) * OUTWARD
+    e: Vector = np.abs(B) @ (size + alpha / (1.0 - alpha) * size.max()) * OUTWARD
+    return e
 
 
-def _inside(problem: JointQP, value: Dyadic, doubt: Vector, rows: np.ndarray) -> bool:
-    """Whether the values of these rows of C satisfy their limits with slacks of at least `doubt`."""
+def _inside(problem: JointQP, value: Dyadic, doubt: Vector, rows: Among) -> bool:
+    """Whether the values of these rows of C satisfy their limits with slacks of at least doubt."""
     for limit, sign in ((problem.U, 1), (problem.L, -1)):
         there = np.flatnonzero(rows & np.isfinite(limit))
         slack = Dyadic.of(limit[there]) - value[there]
@@ -159,7 +168,7 @@ def _inside(problem: JointQP, value: Dyadic, doubt: Vector, rows: np.ndarray) ->
 
 def _weight(P: Matrix) -> float:
     """What a row of size 1 counts in M."""
-    return float(np.abs(np.diagonal(P)).max(initial=0.0)) or 1.0
+    return WEIGHT * (float(np.abs(np.diagonal(P)).max(initial=0.0)) or 1.0)
 
 
 def _raised(P: Matrix, C: Matrix) -> Matrix:
@@ -170,10 +179,6 @@ def _raised(P: Matrix, C: Matrix) -> Matrix:
     lost = gamma(len(C) + 4) * float(size.sum(axis=1).max())
     M = 0.5 * (M + M.T)
     return np.asarray(M - (2.0 * lost + UNIT * np.abs(M).max()) * np.eye(len(P)), dtype=np.float64)
-
-
-def _definite(M: Matrix) -> bool:
-    return positive_definite(M)
 
 
 def _inverse(M: Matrix, n: int) -> Matrix | None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import linprog, nnls
 
-from dpbench.qp.enclosure import enclosure_certificate
+from dpbench.qp.enclosure import WEIGHT, enclosure_certificate
 from dpbench.qp.equilibrated import Scales, safe
 from dpbench.qp.gap import independent, met
 from dpbench.qp.implied import with_implied, without_empty
@@ -23,13 +23,16 @@ from dpbench.qp.linear import Geometry, linear_certificate
 from dpbench.qp.oracle import guesses
 from dpbench.qp.program import Matrix, Vector
 
-PROXIMAL = 1e-4
-"""Weight of the proximal term, of the largest entry of P, where P is singular."""
-PROXIMAL_STEPS = 60
+PROXIMAL = 10.0 ** -np.arange(4.0, 9.0)
+"""Weights of the proximal term where P is singular, of its largest entry, one after another."""
+PROXIMAL_STEPS = 6
+"""With each of them."""
 SETTLED = 1e-9
 """Relative change of the proximal point at which its active set is taken."""
 ENOUGH = 1e-10
 """A bound no better than it asks for another guess."""
+USEFUL = 1e-6
+"""A bound above it, of the size of the optimum, is no optimum to judge anybody by."""
 LARGEST = 1e6
 """Inward amounts beyond it would need more room than the limits moved by τ leave."""
 
@@ -63,24 +66,23 @@ class LastResort:
             return None
         if self._exact is None:
             self._exact = ExactMatrices.of(self._P, self._C)
-        problem = without_empty(problem)
         best: Proof | None = None
-        posed: list[JointQP] = [problem]
+        posed = [without_empty(problem)]
         for at in posed:
             scaled = self._scales.problem(at, self._P, self._C)
             for guess in self._guesses(scaled):
                 proof, touched = self._proof(scaled, guess)
-                if proof is not None and len(posed) > 1:
-                    proof = replace(proof, y=np.full(len(proof.y), np.nan))
                 if proof is not None and (best is None or proof.bound < best.bound):
-                    best = proof
+                    implied = at is not posed[0]
+                    best = replace(proof, y=np.full_like(proof.y, np.nan)) if implied else proof
                 if best is not None and best.bound <= ENOUGH:
                     return best
-                if len(posed) == 1 and touched is not None:
-                    tighter = with_implied(at, touched)
-                    if tighter is not None:
-                        posed.append(tighter)
-                        break
+                tighter = None if touched is None or len(posed) > 1 else with_implied(at, touched)
+                if tighter is not None:
+                    posed.append(tighter)
+                    break
+        if best is None or best.bound > USEFUL * max(1.0, float(np.abs(best.z).max())):
+            return None
         return best
 
     def _guesses(self, problem: JointQP) -> Iterator[_Guess]:
@@ -95,38 +97,25 @@ class LastResort:
     def _proximal(self, problem: JointQP) -> Iterator[_Guess]:
         """Where the proximal point method ends (Rockafellar, SIAM J. Control 14, 1976)."""
         n = len(problem.q)
+        # On the feasible set the squares of equality rows are constant, whatever P is across it.
+        E = problem.C[problem.L == problem.U]
+        b = problem.U[problem.L == problem.U]
+        P_E, q_E = problem.P + WEIGHT * E.T @ E, problem.q - WEIGHT * E.T @ b
         z, signs = np.zeros(n), None
-        P = problem.P + PROXIMAL * np.eye(n)
-        for _ in range(PROXIMAL_STEPS):
-            at = replace(problem, P=P, q=problem.q - PROXIMAL * z)
-            signs = next(guesses(at), None)
-            if signs is None:
-                return
-            held = independent(problem.C, signs, signs)
-            system = KKTSystem(P, problem.C, held)
-            if not system.proven:
-                return
-            before, z = z, (system.X @ system.rhs(at.q, at.L, at.U))[:n]
+        for weight in np.repeat(PROXIMAL, PROXIMAL_STEPS):
+            at = replace(problem, P=P_E + weight * np.eye(n), q=q_E - weight * z)
+            answer = next(guesses(at), None)
+            moved = None if answer is None else _point(at, answer)
+            if moved is None:
+                break
+            before, z, signs = z, moved, answer
             if np.abs(z - before).max() <= SETTLED * (1.0 + np.abs(z).max()):
                 break
         if signs is not None:
             yield _Guess(signs, z)
-            yield _Guess(self._explaining(problem, z), z)
-
-    def _explaining(self, problem: JointQP, z: Vector) -> Signs:
-        """The touched limits whose multipliers explain z: independent ones, of the right sign."""
-        touched = met(problem, z)
-        equal = problem.L == problem.U
-        rows = np.flatnonzero(np.where(equal, 0, touched))
-        columns = (touched[rows, np.newaxis] * problem.C[rows]).T
-        free = problem.C[equal].T
-        gradient = -(problem.P @ z + problem.q)
-        weights, _ = nnls(np.hstack((columns, free, -free)), gradient, maxiter=30 * len(touched))
-        signs = np.zeros_like(touched)
-        used = rows[weights[: len(rows)] > 0.0]
-        signs[used] = touched[used]
-        signs[equal] = 1
-        return signs
+            explaining = _explaining(problem, z)
+            if explaining is not None:
+                yield _Guess(explaining, z)
 
     def _proof(self, problem: JointQP, guess: _Guess) -> tuple[Proof | None, Signs | None]:
         """The proof from one guess; without one, the touched limits if they leave no interior."""
@@ -161,6 +150,40 @@ class LastResort:
         D = self._scales.D
         worst = float((D * bound).max()) * OUTWARD
         return Proof(D * z, self._scales.multipliers(y), worst, kind)
+
+
+def _explaining(problem: JointQP, z: Vector) -> Signs | None:
+    """The touched limits whose multipliers explain z: independent ones, of the right sign."""
+    touched = met(problem, z)
+    equal = problem.L == problem.U
+    rows = np.flatnonzero(np.where(equal, 0, touched))
+    free = problem.C[equal].T
+    columns = np.hstack(((touched[rows, np.newaxis] * problem.C[rows]).T, free, -free))
+    # Without a column the library reads what is not there.
+    if not columns.shape[1]:
+        return None
+    try:
+        weights, _ = nnls(columns, -(problem.P @ z + problem.q), maxiter=30 * len(touched))
+    except RuntimeError:
+        return None
+    signs: Signs = equal.astype(np.int8)
+    used = rows[weights[: len(rows)] > 0.0]
+    signs[used] = touched[used]
+    return signs
+
+
+def _point(problem: JointQP, signs: Signs) -> Vector | None:
+    """The point of an active set, unproven."""
+    held = independent(problem.C, signs, signs)
+    rows, n = np.flatnonzero(held), len(problem.q)
+    G = problem.C[rows]
+    K = np.block([[problem.P, G.T], [G, np.zeros((len(rows), len(rows)))]])
+    limits = np.where(held > 0, problem.U, problem.L)[rows]
+    try:
+        z = np.linalg.solve(K, np.concatenate((-problem.q, limits)))[:n]
+    except np.linalg.LinAlgError:
+        return None
+    return np.asarray(z) if np.isfinite(z).all() else None
 
 
 def _inward(problem: JointQP, system: KKTSystem, touched: Signs) -> Vector | None:
