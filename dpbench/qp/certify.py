@@ -15,6 +15,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from dpbench.qp.dyadic import Dyadic, semidefinite
+from dpbench.qp.equilibrated import alike, safe
 from dpbench.qp.farkas import certify_infeasible, farkas_valid
 from dpbench.qp.forced import fix_forced
 from dpbench.qp.gap import gap_certificate, independent, met
@@ -83,17 +84,20 @@ class Referee:
         self._last_resort: LastResort | None = None
         self._finite = bool(np.isfinite(P).all() and np.isfinite(A).all())
         self._definite = self._finite and positive_definite(self._P)
-        self._convex = self._definite or (self._finite and self._semidefinite())
+        self._convex = self._definite or (self._finite and self._proven_convex())
 
-    def _semidefinite(self) -> bool:
-        if (np.diagonal(self._P) < 0.0).any():
+    def _proven_convex(self) -> bool:
+        """Whether P is positive semidefinite: definite in other units, or exactly so by blocks."""
+        P = self._P
+        if (np.diagonal(P) < 0.0).any():
             return False
-        count, part = connected_components(self._P != 0.0, directed=False)
+        if safe(P) and positive_definite(alike(P)):
+            return True
+        count, part = connected_components(P != 0.0, directed=False)
         blocks = [np.flatnonzero(part == i) for i in range(count)]
         if max(len(block) for block in blocks) > SEMIDEFINITE_SIZE:
             return False
-        whole = (Dyadic.of(self._P[np.ix_(block, block)]).whole for block in blocks)
-        return all(semidefinite(block) for block in whole)
+        return all(semidefinite(Dyadic.of(P[np.ix_(block, block)]).whole) for block in blocks)
 
     def _exactly(self) -> ExactMatrices:
         if self._exact is None:
@@ -145,9 +149,7 @@ class Referee:
             if empty is not None:
                 return empty
         if self._last_resort is None:
-            self._last_resort = LastResort(
-                self._P, self._C, convex=self._convex, definite=self._definite
-            )
+            self._last_resort = LastResort(self._P, self._C, convex=self._convex)
         found = self._last_resort.certify(posed)
         if found is not None and (known is None or found.bound < known.bound):
             return self._explained(problem, found)

@@ -67,6 +67,12 @@ def safe(*arrays: Matrix) -> bool:
     return not len(sizes) or bool(sizes.max() < RANGE and sizes.min() > 1.0 / RANGE)
 
 
+def alike(P: Matrix) -> Matrix:
+    """D P D with a diagonal of about 1, definite where P (n, n) is and nowhere else."""
+    D = _power(1.0 / _root(np.diagonal(P)))
+    return np.asarray(P * D[:, np.newaxis] * D, dtype=np.float64)
+
+
 def _root(size: Vector) -> Vector:
     return np.sqrt(np.where(size > 0.0, size, 1.0))
 

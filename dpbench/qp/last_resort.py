@@ -18,7 +18,7 @@ from dpbench.qp.equilibrated import Scales, safe
 from dpbench.qp.gap import independent, met
 from dpbench.qp.implied import with_implied, without_empty
 from dpbench.qp.joint import ExactMatrices, JointQP, Kind, Proof, Signs
-from dpbench.qp.kkt import OUTWARD, KKTSystem
+from dpbench.qp.kkt import OUTWARD, KKTSystem, positive_definite
 from dpbench.qp.linear import Geometry, linear_certificate
 from dpbench.qp.oracle import guesses
 from dpbench.qp.program import Matrix, Vector
@@ -48,11 +48,13 @@ class _Guess:
 class LastResort:
     """For the QPs of one P and C = [A; I]; not to be shared between threads."""
 
-    def __init__(self, P: Matrix, C: Matrix, *, convex: bool, definite: bool) -> None:
+    def __init__(self, P: Matrix, C: Matrix, *, convex: bool) -> None:
         self._scales = Scales.of(P, C)
         self._safe = safe(P, C)
         self._P, self._C = self._scales.cost_matrix(P), self._scales.rows(C)
-        self._convex, self._definite = convex, definite
+        # In these units it may be seen to be definite where in those it was not.
+        self._definite = positive_definite(self._P)
+        self._convex = convex or self._definite
         self._geometry = Geometry(self._C)
         self._exact: ExactMatrices | None = None
 
