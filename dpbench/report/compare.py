@@ -15,7 +15,13 @@ from dpbench.errors import InputError
 from dpbench.report.compare_answers import Answer, compare_answers
 from dpbench.report.compare_pairs import KEY, Pairs, check_machines, pair_cells
 from dpbench.report.compare_tables import answers_table, shared_line, solvers_table, times_table
-from dpbench.report.compare_times import Compared, Shared, compare_times, time_pairs
+from dpbench.report.compare_times import (
+    Compared,
+    Shared,
+    compare_times,
+    time_pairs,
+    why_unjudged,
+)
 from dpbench.report.formats import plural
 from dpbench.report.machine_verdict import disturbance_of, timed_runs, verdict_text
 from dpbench.report.table import Table, markdown
@@ -102,7 +108,8 @@ def compare(
     pairs = pair_cells(*views, names=(str(a), str(b)))
     same = results[0].machine["id"] == results[1].machine["id"]
     timings = time_pairs(*views, pairs.pairs)
-    compared, shared = compare_times(timings, margin, alpha, same_machine=same)
+    unjudged = why_unjudged(*views, timings, same_machine=same)
+    compared, shared = compare_times(timings, margin, alpha, unjudged)
     found = compare_answers(*views, pairs.pairs, margin)
     lines = [f"A: {a}{_machine(views[0])}"]
     lines += [f"B: {b}{_machine(views[1])}{'' if same else ' (another machine)'}"]

@@ -70,9 +70,9 @@ def times_table(compared: Sequence[Compared], margin: float, alpha: float) -> Ta
         note=(
             "B/A: geometric mean over the steps of the ratio of algorithmic times (minimum over "
             "as many rounds of either run). Machine: the median of that ratio over the other "
-            "arms of the sequence (of the reference kernel below four), taken out of the next. Its "
-            "interval holds for all rows together and counts the noise between two runs. Slower "
-            f"or faster: by more than {percent}; equivalent: within {percent}; each kind of claim "
+            "arms of the sequence (below four of the reference kernel, if both runs were quiet), "
+            "taken out of the next. Its interval holds for all rows together and counts the noise "
+            f"between two runs. Slower or faster: by more than {percent}; equivalent: within {percent}; each kind of claim "
             f"with a family-wise error of {100 * alpha:g} % (Holm)."
         ),
         heads=(
@@ -110,11 +110,13 @@ def _time_row(compared: Compared) -> tuple[Cell, ...]:
 
 def shared_line(shared: Shared) -> str:
     """What all arms of a sequence have in common, and whether that is the machine."""
-    said = f"`{shared.sequence}`: {plural(shared.arms, 'arm')} together {shared.factor:.3f}"
+    moved = "rose" if shared.factor >= 1.0 else "fell"
+    said = f"`{shared.sequence}`: step times of {plural(shared.arms, 'arm')} {moved} together by "
+    said += f"a factor {shared.factor:.3f}"
     if shared.kernel == shared.kernel:
-        said += f", the reference kernel {shared.kernel:.3f}"
+        said += f", by {shared.kernel:.3f} the reference kernel"
     if shared.judgement is None:
-        return said + "; not judged"
+        return f"{said}; {shared.unjudged}, so this is not judged"
     verdict = shared.judgement.verdict
     cause = " in a part that all arms share" if verdict in ("slower", "faster") else ""
     return f"{said}: {verdict}{cause}"

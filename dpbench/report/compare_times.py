@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ import pandas as pd
 from dpbench.report.compare_pairs import KEY, Pair
 from dpbench.report.evidence import MACHINE_NOISE, Evidence, Judgement, gather, judge
 from dpbench.report.formats import as_float
+from dpbench.report.machine_verdict import disturbed_sequences
 from dpbench.report.statistics import (
     BLOCK_STEPS,
     RESAMPLES,
@@ -52,7 +53,8 @@ class Shared:
     Parameters
     ----------
     factor : median over the arms of B/A; kernel : the same of the reference kernel, NaN where a
-        folder does not have it; judgement : on factor / kernel, None where it cannot be judged.
+        folder does not have it.
+    judgement : on factor / kernel; None where it cannot be judged, for the reason `unjudged`.
     """
 
     sequence: str
@@ -60,6 +62,7 @@ class Shared:
     kernel: float
     arms: int
     judgement: Judgement | None
+    unjudged: str
 
 
 def time_pairs(a: View, b: View, pairs: Sequence[Pair]) -> list[Timing]:
@@ -75,15 +78,52 @@ def time_pairs(a: View, b: View, pairs: Sequence[Pair]) -> list[Timing]:
     return list(once.values())
 
 
+def why_unjudged(
+    a: View, b: View, timings: Sequence[Timing], *, same_machine: bool
+) -> dict[str, str]:
+    """Why the reference kernel cannot stand for the machine, by sequence; "" where it can.
+
+    A kernel feels only some of what a solver feels of a busy machine, so both runs must have
+    called theirs quiet while they timed the sequence.
+    """
+    known = disturbed_sequences(a), disturbed_sequences(b)
+    reasons = {}
+    for name in dict.fromkeys(t.pair.problem for t in timings):
+        found = [one.get(name) for one in known]
+        hidden = [one is None for one in found]
+        disturbed = [one is not None and bool(one.complaints()) for one in found]
+        if not same_machine:
+            reasons[name] = "they are two machines"
+        elif not np.isfinite(_kernel([t for t in timings if t.pair.problem == name])):
+            reasons[name] = "the reference kernel was not timed"
+        elif any(disturbed):
+            reasons[name] = f"{_which(disturbed)} disturbed"
+        elif any(hidden):
+            reasons[name] = f"nothing tells how quiet {_which(hidden)}"
+        else:
+            reasons[name] = ""
+    return reasons
+
+
+def _which(of: Sequence[bool]) -> str:
+    """Which of two runs, with its verb."""
+    return "both runs were" if all(of) else f"run {'AB'[list(of).index(True)]} was"
+
+
 def compare_times(
-    timings: Sequence[Timing], margin: float, alpha: float, *, same_machine: bool
+    timings: Sequence[Timing], margin: float, alpha: float, unjudged: Mapping[str, str]
 ) -> tuple[list[Compared], list[Shared]]:
-    """Verdicts on the arms and, on one machine, on what they share: one family of claims."""
+    """Verdicts on the arms and on what they share: one family of claims.
+
+    `unjudged` says of each sequence why the reference kernel cannot stand for the machine; then
+    what the arms share is not judged, nor are arms that have only that kernel to be held against.
+    """
     logs = np.array([t.log for t in timings])
     own = np.array([t.own for t in timings])
     groups = [t.pair.problem for t in timings]
     kernels = {n: _kernel([t for t in timings if t.pair.problem == n]) for n in groups}
-    arms = gather(logs, own, groups, kernel=np.array([kernels[name] for name in groups]))
+    fit = np.array([np.nan if unjudged[name] else kernels[name] for name in groups])
+    arms = gather(logs, own, groups, kernel=fit)
     labels = np.asarray(groups)
     shared: list[tuple[str, float, float, int]] = []
     effects, errors = [], []
@@ -91,7 +131,7 @@ def compare_times(
         inside = labels == name
         factor = float(np.median(logs[inside]))
         shared.append((name, factor, kernel, int(inside.sum())))
-        if same_machine and np.isfinite(kernel):
+        if not unjudged[name]:
             effects.append(factor - kernel)
             spread = float(np.median(arms.error[inside]) ** 2) / inside.sum()
             errors.append(np.sqrt(MACHINE_NOISE.sd**2 + np.pi / 2 * spread))
@@ -111,7 +151,8 @@ def compare_times(
             float(np.exp(factor)),
             float(np.exp(kernel)),
             arms_,
-            next(rest) if same_machine and np.isfinite(kernel) else None,
+            None if unjudged[name] else next(rest),
+            unjudged[name],
         )
         for name, factor, kernel, arms_ in shared
     ]

@@ -102,8 +102,9 @@ def gather(
     logs : (N,) measured; own : (N,) standard errors from inside the two runs.
     groups : (N,) which ratios share a machine factor: the sequence they were measured on.
     prior : of the noise between runs.
-    kernel : (N,) log ratios of a reference kernel, NaN where unknown: the machine factor where
-        a group has too few arms to tell.
+    kernel : (N,) log ratios of a reference kernel: the machine factor where a group has too few
+        arms to tell; NaN where no kernel tells it either, which leaves nothing known of the arm.
+        None for a machine that has no such factor.
     """
     labels = np.asarray(groups)
     centre, error, df = np.zeros(len(logs)), np.empty(len(logs)), np.empty(len(logs))
@@ -116,8 +117,9 @@ def gather(
             centre[i] = np.median(others)
             unknown = spread2 * _MEDIAN_VARIANCE / len(others)
         else:
-            unknown = MACHINE_NOISE.sd**2
-            centre[i] = 0.0 if kernel is None else np.nan_to_num(kernel[i])
+            known = 0.0 if kernel is None else float(kernel[i])
+            unknown = MACHINE_NOISE.sd**2 if np.isfinite(known) else np.inf
+            centre[i] = np.nan_to_num(known)
         error[i] = np.sqrt(spread2 + unknown + own[i] ** 2)
     return Evidence(logs - centre, centre, error, df)
 

@@ -85,6 +85,18 @@ def disturbance_of(rows: Sequence[Row]) -> Disturbance:
     return Disturbance.total(parts)
 
 
+def disturbed_sequences(view: View) -> dict[str, Disturbance]:
+    """What disturbed the timed replays of each sequence; one that nothing is known of is left out.
+
+    Random problems, which are not timed alone, are none of them.
+    """
+    rows: dict[str, list[Row]] = {}
+    for row in timed_runs(view):
+        rows.setdefault(str(row["sequence"]), []).append(row)
+    found = {sequence: disturbance_of(mine) for sequence, mine in rows.items()}
+    return {sequence: one for sequence, one in found.items() if one.seconds > 0}
+
+
 def verdict_text(found: Disturbance) -> str:
     """ "quiet", or "disturbed" and by what."""
     complaints = found.complaints()

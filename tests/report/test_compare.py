@@ -64,6 +64,12 @@ def identity(mode: str, solver: str, columns: Mapping[str, Any]) -> dict[str, An
         "steps_planned": STEPS,
         "steps_done": STEPS,
         "probe_ns": 5e4,
+        "rounds": ROUNDS,
+        "spoilt_rounds": 0,
+        "rerun_rounds": 0,
+        "replay_s": 1.0,
+        "involuntary_switches": 0.0,
+        "steal_s": 0.0,
         **columns,
     }
 
@@ -128,7 +134,7 @@ def test_planted_ratios_are_found_and_the_others_are_equivalent(make: Make) -> N
     assert row["machine"] == pytest.approx(1.1, rel=0.02)
     assert row["low"] < 1.3 < row["high"]
     assert found.worse
-    assert any("the reference kernel 1.100" in line for line in found.lines)
+    assert any("by 1.100 the reference kernel" in line for line in found.lines)
 
 
 def test_the_verdict_of_a_solver_is_that_of_its_arms(make: Make) -> None:
@@ -164,6 +170,57 @@ def test_what_all_arms_share_is_a_regression_only_beyond_the_kernel(make: Make) 
     assert set(code.times["verdict"]) == {"equivalent"}
     (line,) = [line for line in code.lines if line.startswith("`paper`")]
     assert line.endswith("slower in a part that all arms share")
+
+
+STOLEN = {"steal_s": 0.08}
+HIDDEN: dict[str, Any] = {"steal_s": np.nan, "replay_s": np.nan, "involuntary_switches": np.nan}
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "reason"),
+    [
+        (STOLEN, STOLEN, "both runs were disturbed"),
+        ({}, STOLEN, "run B was disturbed"),
+        (STOLEN, {}, "run A was disturbed"),
+        ({"spoilt_rounds": 1}, {}, "run A was disturbed"),
+        ({}, {"involuntary_switches": 11.0}, "run B was disturbed"),
+        (HIDDEN, {}, "nothing tells how quiet run A was"),
+        ({}, {"probe_ns": np.nan}, "the reference kernel was not timed"),
+    ],
+)
+def test_what_all_arms_share_is_judged_on_a_quiet_machine_alone(
+    make: Make,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    before: Any,
+    after: Any,
+    reason: str,
+) -> None:
+    """1.496 in all arms, 1.025 in the kernel: said on the screen and the page alike, exit 0."""
+    a = make("a", seed=1, **before)
+    b = make("b", seed=2, machine=1.496, **({"probe_ns": 1.025 * 5e4} | after))
+    page = tmp_path / "compare.md"
+    assert main(["compare", str(a), str(b), "--markdown", str(page)]) == 0
+    said = f"{reason}, so this is not judged"
+    text = capsys.readouterr().out
+    for lines in (text.splitlines(), page.read_text(encoding="utf-8").splitlines()):
+        (line,) = [line for line in lines if line.endswith(said)]
+        assert "rose together by a factor 1.49" in line
+    (shared,) = compare(a, b).shared
+    assert shared.judgement is None
+    assert set(compare(a, b).times["verdict"]) == {"equivalent"}
+
+
+def test_a_disturbed_kernel_stands_for_no_machine(make: Make) -> None:
+    """Two arms, both 1.5 times as slow while a disturbed kernel says 1.0, are not called slower."""
+    both = ("daqp", "piqp")
+    a = make("a", seed=1, arms=both, **STOLEN)
+    found = compare(a, make("b", seed=2, arms=both, machine=1.5, **STOLEN))
+    assert set(found.times["verdict"]) == {"no difference shown"}
+    assert found.times["machine"].tolist() == [1.0, 1.0]
+    assert not found.worse
+    quiet = make("c", seed=1, arms=both), make("d", seed=2, arms=both, machine=1.5)
+    assert set(compare(*quiet).times["verdict"]) == {"slower"}
 
 
 def test_few_arms_are_held_against_the_kernel(make: Make) -> None:
