@@ -16,7 +16,7 @@ FORMULATIONS: tuple[Formulation, ...] = ("condensed_box", "condensed_stacked", "
 FALLBACKS: tuple[Fallback, ...] = ("shifted_plan", "hold", "clip")
 SLOWEST = 1e9
 """Largest slow-down: with it a latency of some seconds still is a 64-bit integer [ns]."""
-_OPTIONAL = ("source", "slowdown", "deadline_s", "budget_s")
+_OPTIONAL = ("source", "slowdown", "deadline_s", "budget_s", "repeat_budget_s")
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,7 @@ class Cell:
     limit_s : the cell's own run time after which it stops.
     budget_s : replay only: run time after which the rounds that are left are left out, once
         `FEWEST_ROUNDS` count (`interleave.py`); 0 for none.
+    repeat_budget_s : replay only: run time for rounds that were robbed, again (`robbed.py`).
     fallback : what acts when there is no usable answer.
     slowdown, deadline_s : closed loop only: how much slower than this machine the ship's computer
         is, ≥ 1, and what a step may take of its time; 0 for a loop that waits for every answer,
@@ -63,6 +64,7 @@ class Cell:
     slowdown: float = 0.0
     deadline_s: float = 0.0
     budget_s: float = 0.0
+    repeat_budget_s: float = 0.0
 
     @property
     def scenario_name(self) -> str:

@@ -47,6 +47,7 @@ def grade_sequence(
     first, every = int(own.meta.get("first", 0)), int(own.meta.get("every", 1))
     columns["t_s"] = (first + every * columns["k"]) * sample_s
     columns["probe_ns"] = log.probe_ns[rounds].copy()
+    columns["load_ns"] = log.load_ns[rounds].copy()
     metrics = repeatability(log, units.z) | disturbance_metrics(log) | footprint_metrics(log)
     metrics |= memory_metrics(log)
     return Graded(columns, metrics)

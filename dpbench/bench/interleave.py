@@ -16,6 +16,7 @@ from pathlib import Path
 
 from dpbench.bench.cell import Cell
 from dpbench.bench.rawlog import RawLog
+from dpbench.bench.robbed import repeat_robbed
 from dpbench.bench.rules import SPOILT_FACTOR
 from dpbench.bench.supervise import GRACE_S, START_ALLOWANCE_S, Child, Outcome
 from dpbench.bench.worker import run_replay_cell
@@ -99,9 +100,19 @@ class ReplayGroup:
                     if arm.serving and r <= arm.cell.rounds and not arm.sated:
                         self._serve(arm, r)
                 yield r
+            self._repeat_robbed(arms, order)
         finally:
             for arm in arms:
                 self._close(arm)
+
+    def _repeat_robbed(self, arms: list[_Arm], order: random.Random) -> None:
+        """Run robbed rounds again; of arms whose log somebody removed there are none to tell."""
+        logs: dict[str, RawLog] = {}
+        for arm in arms:
+            if arm.serving:
+                with suppress(OSError, ValueError):
+                    logs[arm.run_id] = self._log(arm)
+        repeat_robbed([arm for arm in arms if arm.run_id in logs], logs, self._serve, order)
 
     def _start(self, run_id: str, cell: Cell) -> _Arm:
         ours, theirs = self._context.Pipe()
@@ -130,12 +141,16 @@ class ReplayGroup:
     def _spoilt(self, arm: _Arm, r: int) -> bool:
         """Whether the reference kernel around round r was slow against the arm's other rounds."""
         try:
-            probes = RawLog.open(self._folder / f"{arm.run_id}.raw").probe_ns
+            probes = self._log(arm).probe_ns
         except (OSError, ValueError):
             # Somebody removed the log; it is lost when it is to be judged.
             return False
         seen = probes[probes > 0]
         return bool(probes[r].max() > SPOILT_FACTOR * seen.min())
+
+    def _log(self, arm: _Arm) -> RawLog:
+        """What the arm has recorded so far."""
+        return RawLog.open(self._folder / f"{arm.run_id}.raw")
 
     def _close(self, arm: _Arm) -> None:
         with suppress(OSError):

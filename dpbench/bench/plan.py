@@ -141,6 +141,7 @@ def _replay_cells(
             rounds=suite.rounds,
             warmup_steps=min(suite.warmup_steps, steps),
             budget_s=suite.replay_budget_s,
+            repeat_budget_s=suite.repeat_budget_s,
         )
         for arm in arms_of(solvers, table)
         if arm.solver != CONTRAST

@@ -123,6 +123,7 @@ def _of_sequence(
             rounds=suite.rounds,
             warmup_steps=min(suite.warmup_steps, len(sequence)),
             budget_s=suite.replay_budget_s,
+            repeat_budget_s=suite.repeat_budget_s,
             source=source,
         )
         for arm in arms_of(solvers, table)

@@ -20,6 +20,8 @@ _ALIGN = 64
 TIMES = ("emit", "setup", "update", "solve", "read", "overhead")
 """Order of the phases in `RawLog.times`; −1 where a phase did not take place."""
 
+LOAD_PASSES = 4
+"""Timings of the load kernel before a round, and as many after it (`replay.py`)."""
 COUNTERS = (
     "replay_s",
     "voluntary_switches",
@@ -59,6 +61,7 @@ def replay_layout(
     """Arrays of a replay log: round 0 is the warm-up."""
     return _answers(rounds, steps, n, m) | {
         "probe_ns": ("f8", (rounds, 2)),
+        "load_ns": ("f8", (rounds, 2, LOAD_PASSES)),
         "attempts": ("i8", (rounds,)),
         "first_ns": ("i8", (steps,)),
         "first_probe_ns": ("f8", (rounds,)),
@@ -111,6 +114,7 @@ class RawLog:
     flags: NDArray[np.uint8]
     latency_ns: NDArray[np.int64]
     probe_ns: NDArray[np.float64]
+    load_ns: NDArray[np.float64]
     attempts: NDArray[np.int64]
     first_ns: NDArray[np.int64]
     first_probe_ns: NDArray[np.float64]

@@ -154,8 +154,15 @@ TIMING_COLUMNS: Columns = {
         "Int64",
         "spoilt rounds among those that count: none, or all of them as nothing better is left",
     ),
-    "rerun_rounds": ("Int64", "rounds run again because they were spoilt; the last attempt counts"),
+    "rerun_rounds": (
+        "Int64",
+        "rounds run again because the machine was busy; the last attempt counts",
+    ),
     "probe_ns": ("float64", "the reference kernel, median over rounds: is the machine slower?"),
+    "load_ns": (
+        "float64",
+        "the load kernel, timed as a step is: what else ran on the machine? (minimum over rounds)",
+    ),
     "algo_p50_ns": ("float64", "over steps, of the minimum over rounds: the algorithmic time"),
     "algo_p95_ns": ("float64", "the same, 95 %"),
     "algo_p99_ns": ("float64", "the same, 99 %; NaN below 1000 steps"),

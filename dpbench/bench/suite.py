@@ -158,7 +158,8 @@ class SuiteFile(FileModel):
     """`problems/suites/*.toml`; 0 steps means all steps.
 
     A replay that has taken `replay_budget_s` gets no further round, once `FEWEST_ROUNDS`
-    (`interleave.py`) count; 0 for all of them whatever they take.
+    (`interleave.py`) count; 0 for all of them whatever they take. Rounds in which other work slowed
+    the load kernel run again, for up to `repeat_budget_s` of each replay (`robbed.py`).
     With `contrast` the clipped unconstrained law steers too; with `calibration` the harness's own
     arms, whose cost is known, take part in every replay.
     """
@@ -169,6 +170,7 @@ class SuiteFile(FileModel):
     calibration: bool = False
     cell_limit_s: Positive = 5.0
     replay_budget_s: Annotated[float, Field(ge=0)] = 0.0
+    repeat_budget_s: NotNegative = 0.25
     rounds: Annotated[int, Field(ge=1)] = 5
     warmup_steps: Count = 50
     demand: DemandTable = DemandTable()

@@ -38,6 +38,7 @@ def timing_metrics(cell: Cell, graded: Graded, counting: pd.DataFrame) -> dict[s
         "spoilt_rounds": int((spoilt_rounds_of(graded.columns) != WARM_UP).sum()),
         "counting_spoilt": int(counting.loc[counting["spoilt"], "repeat"].nunique()),
         "probe_ns": probe_median(graded.columns),
+        "load_ns": load_time(graded.columns, counting["repeat"].unique()),
         "algo_p50_ns": percentile(best, 50),
         "algo_p95_ns": percentile(best, 95),
         "algo_p99_ns": percentile(best, 99),
@@ -52,6 +53,18 @@ def probe_median(columns: Columns) -> float:
     best = np.where(probes > 0, probes, np.inf).min(axis=1)
     known = best[np.isfinite(best)]
     return float(np.median(known)) if len(known) else np.nan
+
+
+def load_time(columns: Columns, counting: NDArray[np.int32]) -> float:
+    """The load kernel as a step is timed [ns]: per pass the minimum over the rounds that count.
+
+    Of the passes before and after a round the geometric mean.
+    """
+    rounds = np.unique(columns["repeat"])
+    passes = columns["load_ns"].astype(np.float64)[np.isin(rounds, counting)]
+    passes = np.where(passes > 0, passes, np.nan)
+    whole = passes[np.isfinite(passes).all(axis=(1, 2))]
+    return float(np.exp(np.log(whole.min(axis=0)).mean())) if len(whole) else float(np.nan)
 
 
 def spoilt_rounds_of(columns: Columns) -> NDArray[np.int32]:

@@ -72,8 +72,8 @@ def times_table(compared: Sequence[Compared], margin: float, alpha: float) -> Ta
             "as many rounds of either run). Machine: the median of that ratio over the other "
             "arms of the sequence (below four of the reference kernel, if both runs were quiet), "
             "taken out of the next. Its interval holds for all rows together and counts the noise "
-            f"between two runs. Slower or faster: by more than {percent}; equivalent: within {percent}; each kind of claim "
-            f"with a family-wise error of {100 * alpha:g} % (Holm)."
+            f"between two runs. Slower or faster: by more than {percent}; equivalent: within "
+            f"{percent}; each kind of claim with a family-wise error of {100 * alpha:g} % (Holm)."
         ),
         heads=(
             "arm",
