@@ -115,6 +115,8 @@ def shared_line(shared: Shared) -> str:
     said += f"a factor {shared.factor:.3f}"
     if shared.kernel == shared.kernel:
         said += f", by {shared.kernel:.3f} the reference kernel"
+    if shared.load == shared.load:
+        said += f", by {shared.load:.3f} the load kernel"
     if shared.judgement is None:
         return f"{said}; {shared.unjudged}, so this is not judged"
     verdict = shared.judgement.verdict

@@ -5,7 +5,8 @@ A factor of that kind holds for a whole run, so no resampling of steps or rounds
 common to all arms of a sequence is the machine factor, taken as the median over the *other* arms,
 and stated wherever it is taken out; the spread of the arms around it is the noise between runs
 that remains. That spread is estimated robustly from few arms and moderated by a prior, as in the
-moderated t-statistic (Smyth 2004, Stat. Appl. Genet. Mol. Biol. 3(1), article 3).
+moderated t-statistic (Smyth 2004, Stat. Appl. Genet. Mol. Biol. 3(1), article 3). Errors from
+inside the runs are part of that spread, so a ratio's own counts as far as it exceeds the usual one.
 """
 
 from __future__ import annotations
@@ -111,7 +112,8 @@ def gather(
     for i in range(len(logs)):
         # What an arm is judged by must not come from that arm: its own slow-down would count.
         keep = np.arange(len(logs)) != i
-        spread2, df[i] = _spread(logs[keep], labels[keep], prior)
+        inside2 = float(np.median(own[keep] ** 2)) if keep.any() else 0.0
+        spread2, df[i] = _spread(logs[keep], labels[keep], prior, inside2)
         others = logs[keep & (labels == labels[i])]
         if len(others) >= MIN_OTHERS:
             centre[i] = np.median(others)
@@ -120,23 +122,30 @@ def gather(
             known = 0.0 if kernel is None else float(kernel[i])
             unknown = MACHINE_NOISE.sd**2 if np.isfinite(known) else np.inf
             centre[i] = np.nan_to_num(known)
-        error[i] = np.sqrt(spread2 + unknown + own[i] ** 2)
+        error[i] = np.sqrt(spread2 + unknown + max(0.0, own[i] ** 2 - inside2))
     return Evidence(logs - centre, centre, error, df)
 
 
-def _spread(logs: Floats, labels: NDArray[np.str_], prior: Prior) -> tuple[float, float]:
-    """Variance of the arms around the median of their group, moderated, and its df."""
+def _spread(
+    logs: Floats, labels: NDArray[np.str_], prior: Prior, inside2: float
+) -> tuple[float, float]:
+    """Variance of the arms around the median of their group, moderated, and its df.
+
+    Moderation never makes it smaller than it is found: too quiet a prior would make claims.
+    `inside2` is the variance that errors from inside the runs lead to expect beside the prior's.
+    """
+    expected = prior.sd**2 + inside2
     parts = [logs[labels == label] for label in np.unique(labels)]
     parts = [part for part in parts if len(part) >= 2]
     if not parts:
-        return prior.sd**2, prior.df
+        return expected, prior.df
     rest = np.concatenate([part - np.median(part) for part in parts])
     n = len(rest)
     small = _MAD_SMALL[n - 2] if n - 2 < len(_MAD_SMALL) else n / (n - 0.8)
     found = small * float(np.median(np.abs(rest)) / stats.norm.ppf(0.75))
     df = MAD_EFFICIENCY * (n - len(parts))
-    variance = (prior.df * prior.sd**2 + df * found**2) / (prior.df + df)
-    return variance, prior.df + df
+    variance = (prior.df * expected + df * found**2) / (prior.df + df)
+    return max(variance, found**2), prior.df + df
 
 
 def judge(found: Evidence, margin: float, alpha: float) -> list[Judgement]:

@@ -389,3 +389,28 @@ def test_settings_without_effect_are_one_piece_of_evidence(make: Make) -> None:
     found = compare(*folders)
     assert len(found.pairs.pairs) == len(ARMS) + 1
     assert len(found.times) == len(ARMS)
+
+
+def test_a_load_that_the_reference_kernel_does_not_feel_is_the_machine(make: Make) -> None:
+    """1.4 in all arms and in the load kernel, none in the other: no regression; without it, one."""
+    a = make("a", seed=1, load_ns=6e4)
+    loaded = compare(a, make("b", seed=2, machine=1.4, load_ns=1.4 * 6e4))
+    assert not loaded.worse
+    (line,) = [line for line in loaded.lines if line.startswith("`paper`")]
+    assert "by 1.400 the load kernel" in line
+    assert compare(a, make("c", seed=2, machine=1.4, load_ns=6e4)).worse
+
+
+def test_an_arm_that_met_another_neighbour_is_not_blamed_for_it(make: Make) -> None:
+    """One arm 1.1 times as slow whose load kernel is 1.2 times as slow as the others'."""
+    plain = compare(make("a", seed=1), make("b", seed=2, slow={"piqp": 1.1}))
+    assert verdicts(plain.times)["piqp"] == "slower"
+    a = make("c", seed=1, load_ns=6e4)
+    b = make("d", seed=2, slow={"piqp": 1.1}, load_ns=6e4)
+    runs = pd.read_parquet(b / "runs.parquet")
+    runs.loc[runs["solver"] == "piqp", "load_ns"] *= 1.2
+    runs.to_parquet(b / "runs.parquet", index=False)
+    found = compare(a, b).times.set_index("solver")
+    assert found.loc["piqp", "verdict"] == "no difference shown"
+    assert found.loc["piqp", "machine"] == pytest.approx(1.2**0.5, rel=0.02)
+    assert found.loc["piqp", "raw"] == pytest.approx(1.1, rel=0.02)
