@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from dpbench.bench.memory_of_answers import remembers
 from dpbench.report.demand import Demand
 from dpbench.report.formats import (
     MISSING,
@@ -41,12 +42,13 @@ def timed_arms(view: View, sequence: str) -> list[Arm]:
 
 
 def is_right(row: Row, demand: Demand) -> bool:
-    """Whether the arm's answers meet the demand on every replayed step.
+    """Whether the arm's answers meet the demand on every replayed step, and are not remembered.
 
     An arm that its time limit stopped counts if it had done every step at least once by then.
     """
     return (
         row["outcome"] in ("finished", "timed_out")
+        and not remembers(row)
         and row["steps_done"] == row["steps_planned"]
         and as_float(row["error_move_max"]) <= demand.error_move
         and as_float(row["failed_steps"]) <= demand.failed_steps

@@ -18,6 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from dpbench.bench.memory_of_answers import remembers
 from dpbench.report.demand import Demand
 from dpbench.report.formats import as_float
 from dpbench.report.ranking import fastest_first
@@ -30,7 +31,15 @@ ALIKE = 0.03
 _POLICIES = ("fresh", "reuse", "warm")
 Cause = Literal["no answer", "inaccurate", "failed", "crashed", "hung", "p99 late", "p95 late"]
 Doubt = Literal[
-    "stopped", "lost", "ended", "uncertified", "no step", "no p99", "no closed loop", "no replay"
+    "stopped",
+    "lost",
+    "ended",
+    "uncertified",
+    "remembered",
+    "no step",
+    "no p99",
+    "no closed loop",
+    "no replay",
 ]
 Gap = Literal["absent", "refused", "short"]
 _OWN_DOING: tuple[Cause, ...] = ("crashed", "hung")
@@ -416,6 +425,8 @@ def _timing(
     figures: list[tuple[float, float, str]] = []
     algo_max_ns = raw_max_ns = math.nan
     for row in replays:
+        if remembers(row):
+            unsure.append(Finding("remembered", (row,)))
         times = view.times(row)
         if times is None:
             if row["outcome"] == "finished":

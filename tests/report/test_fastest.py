@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from dpbench.report.demand import Demand
+from dpbench.report.pooled import pool
 from dpbench.report.table import Table
 from dpbench.report.tables_levels import level_tables, levels_of
 from dpbench.report.verdict import Verdicts, judge_all
@@ -66,6 +67,22 @@ def test_accuracy_in_closed_loop_is_claimed_only_where_one_was_run(records: Any)
     text = recommendation(records.view(), _found(records))[0]
     assert text.startswith("Nothing contradicts **daqp** (route native, policy warm")
     assert "right on every step of 1 replay, no closed loop was run" in text
+
+
+@pytest.mark.parametrize("witness", [{"first_visit_ratio": 40.0}, {"loop_ratio": 40.0}])
+def test_who_remembers_answers_is_never_the_fastest(
+    records: Any, witness: dict[str, float]
+) -> None:
+    """Times of remembered answers leave the verdict open, and win no place."""
+    for solver, median in (("table", 1.0), ("daqp", 20.0)):
+        records.loop(solver)
+        records.replay(solver, median_us=median, **(witness if solver == "table" else {}))
+    found = _found(records)
+    assert {v.solver: v.outcome for v in found.references} == {"table": "open", "daqp": "meets"}
+    assert _labels(records) == ["daqp (qpsolvers fresh)"]
+    pooled = pool(records.view(), DEMAND)
+    assert pooled is not None
+    assert {arm.solver: arm.right for arm in pooled.arms} == {"table": False, "daqp": True}
 
 
 def test_an_arm_has_to_be_right_on_every_sequence(records: Any) -> None:
