@@ -274,8 +274,8 @@ _WORDS = {
     "lost": "the harness lost {where}: {detail}",
     "ended": "{where} {outcome}: {detail}",
     "uncertified": "{counted} of {where} have no certified optimum",
-    "remembered": "in {where} it answers a step faster that it has seen before than warming explains, "
-    "so its times there are of remembered answers",
+    "remembered": "in {where} it answers a step that it has seen before faster than warming "
+    "explains, so its times there are of remembered answers",
     "no step": "{where} left no counting step",
     "no p99": "{steps} of {where} do not support a p99, and the slowest takes {time}",
     "no closed loop": "no closed loop was run",
