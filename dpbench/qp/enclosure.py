@@ -26,6 +26,7 @@ multipliers take its place: a vertex of a linear program is certified too.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +49,7 @@ AMOUNT_BITS = 20
 
 
 Among = NDArray[np.bool_]
+Rows = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,32 +86,28 @@ def enclosure_certificate(
     found = _feasible(problem, exact, system, inward)
     if found is None:
         return None
-    rows, n = system.rows, system.n
+    rows = system.rows
     equal = problem.L[rows] == problem.U[rows]
     # A multiplier of the wrong sign is zero here and its row becomes part of r.
     keep = equal | (found.lam.signs() == system.signs)
     lam = Dyadic(np.where(keep, found.lam.whole, 0), found.lam.exponent)
     size = np.abs(lam.floats())
     support = equal | (size > max(NO_MULTIPLIER * size.max(initial=0.0), LEAST_MULTIPLIER))
-    M = _raised(problem.P, problem.C[rows[support]])
-    base = convex or positive_definite(_raised(problem.P, problem.C[rows[equal]]))
-    inverse = _inverse(M, n) if base and positive_definite(M) else None
+    inverse = _inverse(problem, rows[support], rows[equal], convex=convex)
     if inverse is None:
         return None
     weight = _weight(problem.P)
     omega = float((weight / size[support & ~equal] ** 2).sum()) * OUTWARD
-    C_abs = np.abs(problem.C[rows])
-    slack = np.abs(found.slack.floats()) + C_abs @ found.e
+    slack = np.abs(found.slack.floats()) + np.abs(problem.C[rows]) @ found.e
     gap = float((size * slack)[~equal].sum()) * OUTWARD
     r = exact.P @ found.z + Dyadic.of(problem.q) + exact.C[rows].T @ lam
     r_abs = (np.abs(r.floats()) + np.abs(problem.P) @ found.e) * OUTWARD
-    rho = float(np.sqrt(r_abs @ inverse @ r_abs)) * OUTWARD
-    if not omega * rho**2 * OUTWARD <= 0.25:
+    x = _radius(float(np.sqrt(r_abs @ inverse @ r_abs)) * OUTWARD, gap, omega)
+    if x is None:
         return None
-    x = 2.0 * rho + np.sqrt(4.0 * rho**2 + 4.0 * gap + 4.0 * omega * gap**2)
     z = found.z.floats()
     # z.floats() is off by half a unit in the last place at most.
-    bound = x * OUTWARD * np.sqrt(np.diagonal(inverse)) + found.e + np.spacing(np.abs(z))
+    bound = x * np.sqrt(np.diagonal(inverse)) + found.e + np.spacing(np.abs(z))
     y = np.zeros(len(problem.L))
     y[rows] = lam.floats()
     return Enclosed(z, y, np.asarray(bound * OUTWARD, dtype=np.float64))
@@ -181,7 +179,21 @@ def _raised(P: Matrix, C: Matrix) -> Matrix:
     return np.asarray(M - (2.0 * lost + UNIT * np.abs(M).max()) * np.eye(len(P)), dtype=np.float64)
 
 
-def _inverse(M: Matrix, n: int) -> Matrix | None:
-    """Entrywise upper bounds of |M⁻¹|."""
+def _inverse(problem: JointQP, support: Rows, equal: Rows, *, convex: bool) -> Matrix | None:
+    """Entrywise upper bounds of |M⁻¹| with the rows `support` in M, if all is proven of it."""
+    P, C = problem.P, problem.C
+    if not convex and not positive_definite(_raised(P, C[equal])):
+        return None
+    M = _raised(P, C[support])
+    if not positive_definite(M):
+        return None
+    n = len(P)
     system = KKTSystem(M, np.zeros((0, n)), np.zeros(0, dtype=np.int8))
     return system.inverse_bounds() if system.proven else None
+
+
+def _radius(rho: float, gap: float, omega: float) -> float | None:
+    """x, where ωρ² ≤ ¼."""
+    if not omega * rho**2 * OUTWARD <= 0.25:
+        return None
+    return (2.0 * rho + math.sqrt(4.0 * (rho**2 + gap + omega * gap**2))) * OUTWARD
