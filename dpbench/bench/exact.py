@@ -68,7 +68,7 @@ class ExactWorkspace(Workspace):
         """The certified optimum, or the proof that there is none; without either an error."""
         assert self.optima, "solve comes first"
         optimum = self.optima[-1]
-        if optimum.kind == "infeasible":
+        if optimum.kind in ("infeasible", "undecided"):
             return Solution(Status.PRIMAL_INFEASIBLE, optimum.z, optimum.y, optimum.y_box, 0)
         if not np.isfinite(optimum.bound):
             raise CertificateError(f"no certified optimum ({optimum.kind})")
