@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ from dpbench import (
 )
 from dpbench.bench.npz import write_npz
 from dpbench.bench.sequence_file import certified, load_recorded, save_sequence
+from dpbench.bench.verify import _check_step
+from dpbench.qp.certify import certify
 from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.qp.random_sequence import random_sequence
 
@@ -245,3 +248,19 @@ def test_what_cannot_be_put_in_its_place_leaves_nothing_behind(tmp_path: Path) -
     with pytest.raises(OSError):
         write_npz(place, {"x": np.zeros(3)})
     assert list(tmp_path.iterdir()) == [place]
+
+
+def test_a_file_may_call_infeasible_what_is_so_by_rounding_only() -> None:
+    """A step refuted by one bit is undecided today; a file that calls it infeasible still holds.
+
+    0 ≤ z ≤ 1 and z ≥ 1 + 2⁻⁵²: no point, by less than the rounding of its numbers.
+    """
+    one, above = np.ones(1), np.array([1.0 + 2.0**-52])
+    base = QuadraticProgram(np.eye(1), np.zeros(1), np.eye(1), above, above + 1.0, 0.0 * one, one)
+    sequence = QPSequence("thin", base, base.q[None], base.l[None], base.u[None])
+    optimum = certify(base)
+    assert optimum.kind == "undecided"
+    for kind in ("infeasible", "undecided"):
+        _check_step("file", 0, sequence, replace(optimum, kind=kind), optimum)
+    with pytest.raises(InputError, match="certificate"):
+        _check_step("file", 0, sequence, replace(optimum, kind="linear"), optimum)
