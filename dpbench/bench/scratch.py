@@ -83,8 +83,8 @@ class Scratch:
             lines.append(f"{many} lay in {place}: {largest}")
         return lines
 
-    def folder(self, need: int = 0, what: str = "a process") -> Path:
-        """A folder with room for `need` bytes of logs of `what`.
+    def folder(self, need: int = 0, what: str = "") -> Path:
+        """A folder with room for `need` bytes of logs of `what`; some folder where it needs none.
 
         Raises
         ------
@@ -100,6 +100,8 @@ class Scratch:
                 words = f"{what} took {_megabytes(need)} where {' and '.join(short)} free"
                 self._elsewhere.setdefault(place, []).append((need, words))
             return self._folder(place)
+        if not need:
+            return self._folder(self._places[-1])
         raise NoRoomError(
             f"no room for the logs of {what} ({_megabytes(need)}): {' and '.join(short)} free"
         )

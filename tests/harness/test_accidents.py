@@ -8,8 +8,10 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from multiprocessing import Pipe
 from pathlib import Path
-from typing import cast
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pandas as pd
 import pytest
@@ -175,6 +177,41 @@ def open(policy, options):
         os._exit(0)
     return opened(policy, options)
 """
+
+
+PARTING = """
+import weakref
+opened = open
+def open(policy, options):
+    workspace = opened(policy, options)
+    weakref.finalize(workspace, os._exit, 0).atexit = False
+    return workspace
+"""
+
+
+def test_a_library_that_dies_when_it_is_let_go_costs_no_cell(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What happens between two cells of one process is charged to neither."""
+    monkeypatch.setattr(plugins, "_LOADED", {})
+    path, module = tmp_path / "tiny.toml", tmp_path / "parting.py"
+    head = SUITE.split("[[closed_loop]]")[0].replace("quadprog", "leaving")
+    path.write_text(head + RANDOM, encoding="utf-8")
+    module.write_text(LEAVING.read_text(encoding="utf-8").replace("== 6", "== 0") + PARTING)
+    out = run_campaign(path, tmp_path / "out", solver_module=module, solvers=["leaving"])
+    runs = load_results(out).runs
+    assert list(runs["outcome"]) == ["finished"] * 2, list(runs["outcome_detail"])
+
+
+def test_a_worker_that_died_between_rounds_ends_no_campaign(tmp_path: Path) -> None:
+    """Nobody is at the other end when the next round is asked for: that arm serves no more."""
+    ours, theirs = Pipe()
+    theirs.close()
+    cell = cast(Cell, SimpleNamespace(limit_s=1.0))
+    arm = interleave._Arm("a", cell, cast(supervise.Child, None), ours)
+    group = interleave.ReplayGroup(cast(Any, None), tmp_path, tmp_path, 0, [])
+    group._serve(arm, 1)
+    assert not arm.serving
 
 
 def mounted(size: str) -> list[str]:
