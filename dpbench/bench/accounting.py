@@ -53,6 +53,9 @@ class Ledger:
         """
         entries = []
         for stage in self._stages:
+            if not round(stage.wall_s, 2):
+                # All of its cells were lost at once, and nothing was run.
+                continue
             both = [spent.get(job.run_id, (0.0, 0.0)) for job in stage.jobs]
             entries.append(
                 {

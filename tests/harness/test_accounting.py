@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 
 from dpbench import load_scenario, record_sequence
+from dpbench.bench.accounting import Ledger
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.formulation import in_replay
 from dpbench.bench.interleave import FEWEST_ROUNDS
@@ -79,6 +81,15 @@ def test_a_slow_arm_has_fewer_rounds_and_is_finished(results: Results) -> None:
     seen, spoilt = steps["repeat"].max(), slow["spoilt_rounds"] + slow["rerun_rounds"]
     assert FEWEST_ROUNDS <= seen <= FEWEST_ROUNDS + spoilt
     assert (steps.groupby("repeat").size()[1:] == STEPS).all()
+
+
+def test_a_stage_that_ran_nothing_is_none() -> None:
+    """Where all cells are lost before one starts there is no time whose shares could be told."""
+    ledger = Ledger()
+    job = cast(Any, None)
+    with ledger.stage("closed loop", [job]):
+        pass
+    assert ledger.entries({}) == []
 
 
 def test_a_sitting_that_finds_everything_done_has_no_stage(folder: Path) -> None:
