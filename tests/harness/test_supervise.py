@@ -75,7 +75,11 @@ def test_what_the_harness_raises_is_not_charged_to_the_solver(
         "from dpbench.bench.port import SolverPort\n"
         "def setup(qp): raise ValueError('bad matrix')\n"
         "work = N(setup_every_step=False, setup=setup)\n"
-        "SolverPort(work, N(step=None, base=None), time.perf_counter_ns).prepare()"
+        "import numpy as np\n"
+        "from dpbench.qp.program import QuadraticProgram\n"
+        "one = np.ones(1)\n"
+        "base = QuadraticProgram(np.eye(1), one, np.eye(1), -one, one, -one, one)\n"
+        "SolverPort(work, N(step=None, base=base), time.perf_counter_ns).prepare()"
     )
     assert ended(context, tmp_path, SOLVER + through) == ("crashed", "ValueError: bad matrix")
 
