@@ -244,10 +244,12 @@ def test_too_few_first_visits_say_nothing(sequence: QPSequence) -> None:
 def test_a_table_from_disk_is_told_by_the_loop_it_steers() -> None:
     """Who knows the replay beforehand still has to solve when it steers: its loop is far slower.
 
-    The longest loop of the same configuration and scenario counts, at the ship's own pace.
+    The longest loop of the same configuration and scenario counts, without a failure and on a
+    computer that is not slowed.
     """
     arm = {"scenario": "paper", "route": "native", "policy": "fresh", "settings": "default"}
     arm |= {"formulation": "condensed_box", "units": "scaled", "slowdown": 0.0}
+    arm |= {"outcome": "finished", "failed_steps": 0}
     loop = arm | {"mode": "closed_loop"}
     runs = pd.DataFrame(
         [
@@ -255,17 +257,21 @@ def test_a_table_from_disk_is_told_by_the_loop_it_steers() -> None:
             loop | {"solver": "table", "steps_done": 100, "raw_p50_ns": 1.0},
             loop | {"solver": "table", "steps_done": 900, "raw_p50_ns": 1.0, "slowdown": 9.0},
             loop | {"solver": "honest", "steps_done": 400, "raw_p50_ns": 3e4},
+            loop | {"solver": "lost", "steps_done": 400, "raw_p50_ns": 9e9, "failed_steps": 1},
+            loop | {"solver": "lost", "steps_done": 9, "raw_p50_ns": 9e9, "outcome": "timed_out"},
             arm | {"mode": "replay", "solver": "table", "steps_done": 400, "raw_p50_ns": 14e3},
             arm | {"mode": "replay", "solver": "honest", "steps_done": 400, "raw_p50_ns": 2e4},
             arm | {"mode": "replay", "solver": "alone", "steps_done": 400, "raw_p50_ns": 2e4},
+            arm | {"mode": "replay", "solver": "lost", "steps_done": 400, "raw_p50_ns": 2e4},
         ]
     ).assign(first_visit_ratio=1.0)
     found = with_loop_ratio(runs)
-    assert found["loop_ratio"][:4].isna().all()
-    table, honest, alone = (found.iloc[i].to_dict() for i in (4, 5, 6))
+    assert found["loop_ratio"][:6].isna().all()
+    table, honest, alone, lost = (found.iloc[i].to_dict() for i in range(6, 10))
     assert table["loop_ratio"] == pytest.approx(2e6 / 14e3) and remembers(table)
     assert honest["loop_ratio"] == pytest.approx(1.5) and not remembers(honest)
-    assert np.isnan(alone["loop_ratio"]) and not remembers(alone)
+    for unknown in (alone, lost):
+        assert np.isnan(unknown["loop_ratio"]) and not remembers(unknown)
 
 
 PLUGIN = """
