@@ -38,9 +38,9 @@ class Pair:
 
     @property
     def label(self) -> str:
-        """The arm, with both versions of its solver where they differ."""
+        """The arm, with both versions and builds of its solver where one of them differs."""
         row = self.a
-        old, new = str(row["solver_version"]), str(self.b["solver_version"])
+        old, new = (f"{of['solver_version']} {of['build']}".strip() for of in (row, self.b))
         versions = "" if old == new else f" {old} → {new}"
         units = "" if row["units"] == "scaled" else f", {row['units']}"
         named = "" if row["formulation"] in (COMMON, "none") else f", {row['formulation']}"

@@ -16,6 +16,7 @@ from dpbench import InputError, compare
 from dpbench.bench.schema import SCHEMA_VERSION, as_runs, as_steps
 from dpbench.bench.store import Results, write_results
 from dpbench.cli import main
+from dpbench.report.compare_pairs import Pair
 from dpbench.report.compare_tables import _together
 
 STEPS, ROUNDS = 100, 8
@@ -414,3 +415,12 @@ def test_an_arm_that_met_another_neighbour_is_not_blamed_for_it(make: Make) -> N
     assert found.loc["piqp", "verdict"] == "no difference shown"
     assert found.loc["piqp", "machine"] == pytest.approx(1.2**0.5, rel=0.02)
     assert found.loc["piqp", "raw"] == pytest.approx(1.1, rel=0.02)
+
+
+def test_another_build_of_the_same_version_is_said() -> None:
+    """Times of two builds of one version are not those of one library."""
+    row = identity("replay", "hpipm", {}) | {"units": "scaled", "formulation": "condensed_box"}
+    generic, fast = (row | {"build": build} for build in ("BLASFEO generic", "BLASFEO AVX2 FMA"))
+    assert Pair(generic, generic).label.startswith("hpipm (")
+    said = "hpipm 1.0 BLASFEO generic → 1.0 BLASFEO AVX2 FMA ("
+    assert Pair(generic, fast).label.startswith(said)
