@@ -65,7 +65,10 @@ class ExactWorkspace(Workspace):
         self.optima.append(self._referee.certify(step.q, step.l, step.u))
 
     def read(self) -> Solution:
-        """The certified optimum, or the proof that there is none; without either an error."""
+        """The certified optimum, or the proof that there is none; without either an error.
+
+        A step that is undecided at rounding has no answer either.
+        """
         assert self.optima, "solve comes first"
         optimum = self.optima[-1]
         if optimum.kind in ("infeasible", "undecided"):

@@ -17,7 +17,7 @@ from pathlib import Path
 from dpbench.bench.cell import Cell
 from dpbench.bench.rawlog import RawLog
 from dpbench.bench.robbed import repeat_robbed
-from dpbench.bench.rules import SPOILT_FACTOR
+from dpbench.bench.rules import is_spoilt
 from dpbench.bench.supervise import GRACE_S, START_ALLOWANCE_S, Child, Outcome
 from dpbench.bench.worker import run_replay_cell
 
@@ -145,8 +145,7 @@ class ReplayGroup:
         except (OSError, ValueError):
             # Somebody removed the log; it is lost when it is to be judged.
             return False
-        seen = probes[probes > 0]
-        return bool(probes[r].max() > SPOILT_FACTOR * seen.min())
+        return bool(is_spoilt(probes)[r])
 
     def _log(self, arm: _Arm) -> RawLog:
         """What the arm has recorded so far."""

@@ -35,20 +35,23 @@ NO_ANSWER_CLAIMS = ("PRIMAL_INFEASIBLE", "DUAL_INFEASIBLE")
 _NO_USE = tuple(status.name for status in Status if not status.usable)
 
 
-def spoilt_rounds(rounds: NDArray[np.int32], probe_ns: Floats) -> NDArray[np.int32]:
-    """The rounds in which the reference kernel was slowed by more than `SPOILT_FACTOR`.
+def is_spoilt(probe_ns: Floats) -> Flags:
+    """(R,) in which rounds the reference kernel was slowed by more than `SPOILT_FACTOR`.
 
     Parameters
     ----------
-    rounds : (R,) their numbers; probe_ns : (R, 2) the kernel before and after each [ns], 0 where it
-        was not timed.
+    probe_ns : (R, 2) the kernel before and after each round [ns], 0 where it was not timed.
     """
     seen = probe_ns[probe_ns > 0]
-    if not seen.size:
-        return rounds[:0]
+    best = seen.min() if seen.size else np.inf
     # Where it was not timed it is zero, and slower than nothing.
-    slowed: NDArray[np.int32] = rounds[probe_ns.max(axis=1) > SPOILT_FACTOR * seen.min()]
+    slowed: Flags = probe_ns.max(axis=1) > SPOILT_FACTOR * best
     return slowed
+
+
+def spoilt_rounds(rounds: NDArray[np.int32], probe_ns: Floats) -> NDArray[np.int32]:
+    """Of `rounds` (R,) those that are spoilt, by their `probe_ns` (R, 2); see `is_spoilt`."""
+    return rounds[is_spoilt(probe_ns)]
 
 
 def counting_rows(repeat: NDArray[np.int32], spoilt: Flags) -> Flags:

@@ -42,12 +42,12 @@ def step_times(arms: Sequence[Arm], demand: Demand) -> Figure:
     for i, (row, times) in enumerate(arms):
         colour = colour_of(str(row["solver"]))
         raw, algo = times.raw_ns / 1e3, times.algo_ns / 1e3
-        low, middle, high = np.percentile(algo, (5, 50, 95))
+        low, middle, high = (percentile(algo, percent) for percent in (5, 50, 95))
         ax.plot([raw.min(), raw.max()], [i, i], color=PALE, lw=5, solid_capstyle="butt", zorder=1)
         ax.plot([low, high], [i, i], color=colour, lw=5, solid_capstyle="butt", alpha=0.75)
         ax.plot([algo.min(), algo.max()], [i, i], color=colour, lw=1)
         ax.plot(middle, i, "o", color="white", mec=colour, ms=5, zorder=4)
-        ax.plot(np.percentile(times.typical_ns, 95) / 1e3, i, "|", color=INK, ms=9, zorder=5)
+        ax.plot(percentile(times.typical_ns, 95) / 1e3, i, "|", color=INK, ms=9, zorder=5)
         ax.plot(percentile(raw, 99), i, "d", color=GREY, ms=3.5, zorder=5)
     ax.axvline(demand.p99_ms * 1e3, color=INK, ls="--", lw=0.9)
     log_time(ax)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from dpbench.bench.assemble import run_row, step_rows
 from dpbench.bench.cell import Cell
+from dpbench.bench.exact import ExactWorkspace
 from dpbench.bench.grade import CERTIFICATES, GRADES, Graded
 from dpbench.bench.grade_replay import grade_sequence
 from dpbench.bench.hunt_goal import worst_of
@@ -20,6 +22,7 @@ from dpbench.bench.supervise import Outcome
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.solution import Status
 from dpbench.report.step_times import step_times_of
+from dpbench.solvers.table import Availability
 
 WARM_UP_STEPS, STEPS, N = 50, 120, 2
 CALM, SLOWED = 5e4, 9e4
@@ -51,7 +54,8 @@ def _tables(graded: Graded) -> tuple[pd.DataFrame, Any]:
     arm = {"solver": "planted", "route": "native", "policy": "fresh", "settings": "default"}
     cell = Cell(mode="replay", scenario=scenario, steps=STEPS, rounds=3, **arm)
     steps = step_rows("planted", cell, graded)
-    row = run_row("planted", cell, Outcome("finished", ""), "", "", graded, steps)
+    outcome, library = Outcome("finished", ""), Availability(True)
+    row = run_row("planted", cell, outcome, library, "", graded, steps)
     return steps, as_runs(pd.DataFrame([row])).iloc[0]
 
 
@@ -160,3 +164,22 @@ def test_a_percentile_needs_ten_samples_beyond_it(percent: float, needed: int) -
     assert supports(needed, percent) and not supports(needed - 1, percent)
     assert np.isfinite(percentile(np.arange(float(needed)), percent))
     assert np.isnan(percentile(np.arange(needed - 1.0), percent))
+
+
+def test_a_limit_violated_by_rounding_is_charged_to_nobody() -> None:
+    """0 ≥ z ≥ 1e-17 is decided by nobody: neither who solves it nor who calls it infeasible errs,
+    and the exactly solved loop goes on."""
+    sequence = _sequence()
+    low = np.zeros((STEPS, N))
+    low[:6], high = 1e-17, np.zeros(N)
+    base = replace(sequence.base, lb=low[0], ub=high)
+    sequence = replace(sequence, base=base, lb=low, ub=np.zeros((STEPS, N)))
+    for status in (Status.SOLVED, Status.PRIMAL_INFEASIBLE):
+        _, run = _tables(grade_sequence(_log([CALM] * 3, [status] * 6), sequence, 0.3))
+        assert (run["undecided_steps"], run["uncertified"], run["infeasible_steps"]) == (12, 0, 0)
+        assert (run["claimed_not_true"], run["failed_steps"], run["true_share"]) == (0, 0, 1.0)
+    exact = ExactWorkspace()
+    exact.setup(sequence.problem(0))
+    exact.solve()
+    assert exact.read().status is Status.PRIMAL_INFEASIBLE
+    assert exact.optima[-1].kind == "undecided"
