@@ -70,7 +70,8 @@ def repeat_robbed(
     logs : the raw log of each arm; serve : runs a round of an arm into it.
     order : of the arms within a turn.
     """
-    end_s = {arm.run_id: arm.spent_s + arm.cell.repeat_budget_s for arm in arms}
+    # Within its own limit too: a repetition must not end an arm that had done its work.
+    end_s = {a.run_id: min(a.spent_s + a.cell.repeat_budget_s, a.cell.limit_s) for a in arms}
     while True:
         serving = [arm for arm in arms if arm.serving]
         levels = {arm.run_id: load_levels(logs[arm.run_id]) for arm in serving}

@@ -130,46 +130,42 @@ def compare_times(
     `unjudged` says of each sequence why the reference kernel cannot stand for the machine; then
     what the arms share is not judged, nor are arms that have only that kernel to be held against.
     """
-    logs = np.array([t.log for t in timings])
-    own = np.array([t.own for t in timings])
     groups = [t.pair.problem for t in timings]
+    labels = np.asarray(groups)
     machines = {n: _machine([t for t in timings if t.pair.problem == n]) for n in groups}
     fit = np.array([np.nan if unjudged[name] else machines[name].expected for name in groups])
-    labels = np.asarray(groups)
+    logs = np.array([t.log for t in timings])
     met = _load_met(timings, labels)
-    own = np.hypot(own, LOAD_ERROR * np.abs(met))
+    own = np.hypot([t.own for t in timings], LOAD_ERROR * np.abs(met))
     arms = gather(logs - LOAD_SHARE * met, own, groups, kernel=fit)
-    factors, effects, errors = {}, [], []
-    for name, machine in machines.items():
-        inside = labels == name
-        factors[name] = float(np.median(logs[inside])), int(inside.sum())
-        if not unjudged[name]:
-            effects.append(factors[name][0] - machine.expected)
-            spread = float(np.median(arms.error[inside]) ** 2) / inside.sum()
-            errors.append(np.sqrt(MACHINE_NOISE.sd**2 + machine.error**2 + np.pi / 2 * spread))
-    count = len(effects)
+    factors = {name: float(np.median(logs[labels == name])) for name in machines}
+    together = [
+        (factors[name] - machine.expected, machine.error_of(arms.error[labels == name]))
+        for name, machine in machines.items()
+        if not unjudged[name]
+    ]
     family = Evidence(
-        np.concatenate([arms.effect, effects]),
-        np.concatenate([arms.machine + LOAD_SHARE * met, np.zeros(count)]),
-        np.concatenate([arms.error, errors]),
-        np.concatenate([arms.df, np.full(count, MACHINE_NOISE.df)]),
+        np.concatenate([arms.effect, [effect for effect, _ in together]]),
+        np.concatenate([arms.machine + LOAD_SHARE * met, np.zeros(len(together))]),
+        np.concatenate([arms.error, [error for _, error in together]]),
+        np.concatenate([arms.df, np.full(len(together), MACHINE_NOISE.df)]),
     )
     judged = judge(family, margin, alpha)
-    rest = iter(judged[len(timings) :])
     compared = [Compared(*both) for both in zip(timings, judged, strict=False)]
-    together = [
+    rest = iter(judged[len(timings) :])
+    shared = [
         Shared(
             name,
-            float(np.exp(factors[name][0])),
+            float(np.exp(factors[name])),
             float(np.exp(machine.kernel)),
             float(np.exp(machine.load)),
-            factors[name][1],
+            groups.count(name),
             None if unjudged[name] else next(rest),
             unjudged[name],
         )
         for name, machine in machines.items()
     ]
-    return compared, together
+    return compared, shared
 
 
 @dataclass(frozen=True)
@@ -189,10 +185,12 @@ class _Machine:
         """The factor of the step times they lead to expect."""
         return self.kernel + LOAD_WEIGHT * self.beyond
 
-    @property
-    def error(self) -> float:
-        """How far that may be off for what solvers feel of a load."""
-        return LOAD_WEIGHT_ERROR * abs(self.beyond)
+    def error_of(self, arms: Floats) -> float:
+        """How far that may be off the median of arms that have the errors `arms`."""
+        median2 = np.pi / 2 * float(np.median(arms)) ** 2 / len(arms)
+        return float(
+            np.sqrt(MACHINE_NOISE.sd**2 + (LOAD_WEIGHT_ERROR * self.beyond) ** 2 + median2)
+        )
 
 
 def _load_met(timings: Sequence[Timing], labels: NDArray[np.str_]) -> Floats:

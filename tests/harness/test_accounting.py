@@ -131,6 +131,21 @@ def test_a_table_may_have_a_limit_of_its_own() -> None:
     assert [planned.cell.limit_s for planned in plan(suite)] == [1.5, 7.0]
 
 
+def test_both_kernels_are_timed_around_every_round() -> None:
+    """By the clock of the harness, each pass of the load kernel for itself."""
+    sequence = record_sequence(load_scenario("paper").first(3))
+    now = iter(range(10**9))
+    log = RawLog.in_memory(replay_layout(3, 3, sequence.base.n, sequence.base.m))
+    made, formulated = in_replay("condensed_box", sequence)
+    port = SolverPort(open_calibration(NO_OP), formulated, lambda: next(now))
+    arm = ReplayArm(
+        made, port, log, warmup_steps=1, limit_ns=10**9, clock=lambda: next(now), preroll=0
+    )
+    assert arm.round(1)
+    assert (log.probe_ns[1] == 1).all() and (log.load_ns[1] == 1).all()
+    assert not log.probe_ns[2].any() and not log.load_ns[2].any()
+
+
 def test_a_round_that_is_run_again_costs_an_arm_nothing() -> None:
     """The limit is of the rounds that are kept: of two attempts the last counts."""
     sequence = record_sequence(load_scenario("paper").first(3))
