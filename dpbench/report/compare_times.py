@@ -27,7 +27,8 @@ PARTS = 4
 """A run's rounds are cut into so many consecutive parts, each left out in turn."""
 JACKKNIFE_SHARE = 0.25
 """Of the jackknife's variance of a minimum, which it overstates: what the scatter of 14 arms shows
-between 40 runs of unchanged code, 0.18 to 0.4 with 5 to 36 rounds."""
+between 40 runs of unchanged code, 0.18 to 0.4 with 5 to 36 rounds. Where an arm's own is beyond
+the usual one it counts in full: such an arm may have met a neighbour in every round."""
 LOAD_SHARE, LOAD_ERROR = 0.5, 0.3
 """Of what the load kernel of an arm differs from that of the others, the part its step times feel,
 measured in the same runs (0.5 to 0.6), and how far that differs from arm to arm."""
@@ -137,7 +138,8 @@ def compare_times(
     logs = np.array([t.log for t in timings])
     met = _load_met(timings, labels)
     own = np.hypot([t.own for t in timings], LOAD_ERROR * np.abs(met))
-    arms = gather(logs - LOAD_SHARE * met, own, groups, kernel=fit)
+    less = logs - LOAD_SHARE * met
+    arms = gather(less, own, groups, kernel=fit, own_share=JACKKNIFE_SHARE)
     factors = {name: float(np.median(logs[labels == name])) for name in machines}
     together = [
         (factors[name] - machine.expected, machine.error_of(arms.error[labels == name]))
@@ -253,8 +255,7 @@ def _timing(pair: Pair, a: pd.DataFrame | None, b: pd.DataFrame | None) -> Timin
         # As good as a single step: that all of so few resemble each other cannot be excluded.
         else logs.std()
     )
-    inside = JACKKNIFE_SHARE * (_variance(mine) + _variance(theirs))
-    own = float(np.sqrt(over_steps**2 + inside))
+    own = float(np.sqrt(over_steps**2 + _variance(mine) + _variance(theirs)))
     medians = float(np.median(best[0])), float(np.median(best[1]))
     return Timing(pair, float(logs.mean()), own, len(steps), rounds, medians)
 

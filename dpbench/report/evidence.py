@@ -95,6 +95,7 @@ def gather(
     groups: Sequence[str],
     prior: Prior = ARM_NOISE,
     kernel: Floats | None = None,
+    own_share: float = 1.0,
 ) -> Evidence:
     """The evidence on each of N log ratios.
 
@@ -106,14 +107,15 @@ def gather(
     kernel : (N,) log ratios of a reference kernel: the machine factor where a group has too few
         arms to tell; NaN where no kernel tells it either, which leaves nothing known of the arm.
         None for a machine that has no such factor.
+    own_share : of the usual variance from inside the runs, what the scatter of the arms shows.
     """
     labels = np.asarray(groups)
     centre, error, df = np.zeros(len(logs)), np.empty(len(logs)), np.empty(len(logs))
     for i in range(len(logs)):
         # What an arm is judged by must not come from that arm: its own slow-down would count.
         keep = np.arange(len(logs)) != i
-        inside2 = float(np.median(own[keep] ** 2)) if keep.any() else 0.0
-        spread2, df[i] = _spread(logs[keep], labels[keep], prior, inside2)
+        usual2 = float(np.median(own[keep] ** 2)) if keep.any() else 0.0
+        spread2, df[i] = _spread(logs[keep], labels[keep], prior, own_share * usual2)
         others = logs[keep & (labels == labels[i])]
         if len(others) >= MIN_OTHERS:
             centre[i] = np.median(others)
@@ -122,7 +124,7 @@ def gather(
             known = 0.0 if kernel is None else float(kernel[i])
             unknown = MACHINE_NOISE.sd**2 if np.isfinite(known) else np.inf
             centre[i] = np.nan_to_num(known)
-        error[i] = np.sqrt(spread2 + unknown + max(0.0, own[i] ** 2 - inside2))
+        error[i] = np.sqrt(spread2 + unknown + max(0.0, own[i] ** 2 - usual2))
     return Evidence(logs - centre, centre, error, df)
 
 
