@@ -8,6 +8,8 @@ the load kernel what else runs on the machine.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -134,7 +136,7 @@ class ReplayArm:
             step = port.formulate(sequence.step(k))
             solution = port.answer(step)
             record_answer(log, r, k, solution)
-            if not solution.status.usable:
+            if not (solution.status.usable and math.isfinite(solution.z.sum())):
                 port.reset()
             times[k] = (-1, *port.phases_ns, -1)
             if log.first_ns[k] == 0:

@@ -144,6 +144,7 @@ def _lines(
         ("only in A", pairs.only_a),
         ("only in B", pairs.only_b),
         ("another problem under the same name", pairs.changed),
+        ("lost by the harness", pairs.lost),
     ):
         if cells:
             more = f" and {len(cells) - LISTED} more" if len(cells) > LISTED else ""

@@ -25,7 +25,7 @@ ERROR_FLOOR = 1e-9
 """Errors below it are rounding: an active-set solver's 1e-15 may become 1e-13."""
 CONTROL_FLOOR = 1e-12
 """Control figures below it are zero [m, deg, 1]."""
-ORDER = ("finished", "timed_out", "invalid", "refused", "lost", "hung", "crashed")
+ORDER = ("finished", "timed_out", "invalid", "refused", "hung", "crashed")
 """Outcomes, best first."""
 
 

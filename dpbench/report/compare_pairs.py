@@ -56,12 +56,14 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """The pairs of two folders, and the cells that have no partner, as text."""
+    """The pairs of two folders, and as text the cells without a partner, those whose problem
+    changed, and those that the harness lost in either."""
 
     pairs: list[Pair]
     only_a: list[str]
     only_b: list[str]
     changed: list[str]
+    lost: list[str]
 
 
 def check_machines(a: Results, b: Results, where: str) -> None:
@@ -89,21 +91,23 @@ def pair_cells(a: View, b: View, names: tuple[str, str]) -> Pairs:
     ResultsError : when no cell of one folder has a partner in the other.
     """
     mine, theirs = _by_key(a), _by_key(b)
-    pairs, changed = [], []
+    pairs, changed, lost = [], [], []
     for key, row in mine.items():
         other = theirs.get(key)
         if other is None:
             continue
         if _problem(row) != _problem(other):
             changed.append(_name(key))
+        elif "lost" in (row["outcome"], other["outcome"]):
+            lost.append(_name(key))
         elif not row["outcome"] == other["outcome"] == "refused":
             pairs.append(Pair(row, other))
-    if not pairs:
+    if not pairs and not lost:
         found = "no cell that the first folder has too, of the same problem"
         raise ResultsError(names[1], "", found, f"results of the suite of {names[0]}")
     only_a = [_name(key) for key in mine if key not in theirs]
     only_b = [_name(key) for key in theirs if key not in mine]
-    return Pairs(pairs, only_a, only_b, changed)
+    return Pairs(pairs, only_a, only_b, changed, lost)
 
 
 def _by_key(view: View) -> dict[tuple[str, ...], Row]:

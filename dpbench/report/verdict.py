@@ -348,7 +348,9 @@ def _count(row: Row, column: str) -> int:
 
 
 def _judged(row: Row) -> int:
-    return max(0, _count(row, "steps_done") - _count(row, "uncertified"))
+    """Steps with a judged answer; a replay counts those without in each of its rounds."""
+    without = _count(row, "uncertified") + _count(row, "undecided_steps")
+    return max(0, _count(row, "steps_done") - without // max(1, _count(row, "rounds")))
 
 
 def _gaps(rows: Mapping[Place, Row], asked: Sequence[Row]) -> list[Finding]:

@@ -67,6 +67,7 @@ def identity(mode: str, solver: str, columns: Mapping[str, Any]) -> dict[str, An
         "probe_ns": 5e4,
         "rounds": ROUNDS,
         "spoilt_rounds": 0,
+        "counting_spoilt": 0,
         "rerun_rounds": 0,
         "replay_s": 1.0,
         "involuntary_switches": 0.0,
@@ -171,6 +172,15 @@ def test_what_all_arms_share_is_a_regression_only_beyond_the_kernel(make: Make) 
     assert set(code.times["verdict"]) == {"equivalent"}
     (line,) = [line for line in code.lines if line.startswith("`paper`")]
     assert line.endswith("slower in a part that all arms share")
+
+
+def test_what_the_harness_lost_is_no_regression(make: Make) -> None:
+    """A cell that was lost in either run is named, and compared with nothing."""
+    a = make("a", seed=1)
+    for folders in ((a, make("b", seed=2, outcome="lost")), (make("c", seed=2, outcome="lost"), a)):
+        found = compare(*folders)
+        assert not found.worse and not found.pairs.pairs
+        assert any(line.startswith("lost by the harness, not compared: ") for line in found.lines)
 
 
 STOLEN = {"steal_s": 0.08}
