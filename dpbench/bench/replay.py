@@ -19,7 +19,7 @@ from dpbench.bench.port import Clock, SolverPort, record_answer
 from dpbench.bench.rawlog import RawLog
 from dpbench.qp.program import QPSequence
 
-PROBE_REPEATS = 16
+PROBE_REPEATS = 12
 PREROLL = 3
 
 
@@ -34,8 +34,6 @@ def _reference_kernel(v):  # type: ignore[no-untyped-def] # compiled by numba
 
 
 _PROBE_DATA = np.linspace(0.0, 1.0, 256)
-
-
 _LOAD_MATRIX = np.eye(40) + 0.01
 _LOAD_VECTOR = np.linspace(0.0, 1.0, 40)
 _LOAD_RESULT = np.empty(40)
@@ -46,12 +44,12 @@ def _next(value: int) -> int:
 
 
 def _load_kernel() -> None:
-    """Python calls, small NumPy calls, a LAPACK inverse: some 60 µs of what a step is made of.
+    """Python calls, small NumPy calls, a LAPACK inverse: some 60 µs of what steps are made of.
 
-    A neighbour on the same physical core halves the instructions a cycle, which a dependent chain
-    does not notice. Over 40 runs on a machine shared with other work the factor that 14 arms had in
-    common went with this kernel's (correlation 0.98), not with the reference kernel's (0.6 to 0.7)
-    nor with that of a walk through memory.
+    Other work on a machine may slow all of it by a factor of two, which the dependent chain hardly
+    notices. Over 40 runs on such a machine the factor that 14 arms had in common correlated at 0.98
+    with that of these three parts, at 0.7 with that of the reference kernel, and at 0.6 to 0.9 with
+    those of walks through 256 kB and 1 MB.
     """
     value = 0
     for _ in range(100):

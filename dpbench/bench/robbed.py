@@ -1,7 +1,7 @@
 """Rounds that other work on the machine robbed of speed: which, and again within a budget.
 
-A neighbour on the same physical core slows every step of a round by up to a factor of two, for
-milliseconds or minutes. The counters do not show it: over 14 runs of 14 arms on a shared machine
+A neighbour may slow every step of a round by up to a factor of two, for milliseconds or for
+minutes. The counters do not show it: over 14 runs of 14 arms on a shared machine
 the slow-down of a round correlated with the load kernel around it at 0.8, with steal time at 0.2
 and with involuntary switches at 0.3. What those two take hits few steps of a round, and the
 minimum over the rounds passes over them.
