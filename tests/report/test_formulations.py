@@ -10,6 +10,7 @@ from dpbench.report.sections_time import timing_section
 from dpbench.report.table import Table
 from dpbench.report.tables_timing import timed_arms
 from dpbench.report.verdict import judge_all
+from dpbench.report.verdict_text import sentence
 from dpbench.report.ways import ways_of
 
 DEMAND = Demand()
@@ -84,7 +85,7 @@ def test_rankings_and_verdicts_keep_to_the_common_formulation(records: Any) -> N
     records.loop("osqp", route="native")
     before = records.view()
     expected = (
-        judge_all(before, DEMAND).every,
+        [sentence(v, DEMAND) for v in judge_all(before, DEMAND).every],
         [w.median_ns(way) for w in ways_of(before, "paper") for way in sorted(w.times)],
         [row["run_id"] for row, _ in timed_arms(before, "paper")],
     )
@@ -94,7 +95,7 @@ def test_rankings_and_verdicts_keep_to_the_common_formulation(records: Any) -> N
     records.loop("osqp", failed=9, **arm)
     after = records.view()
     found = (
-        judge_all(after, DEMAND).every,
+        [sentence(v, DEMAND) for v in judge_all(after, DEMAND).every],
         [w.median_ns(way) for w in ways_of(after, "paper") for way in sorted(w.times)],
         [row["run_id"] for row, _ in timed_arms(after, "paper")],
     )
