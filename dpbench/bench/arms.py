@@ -61,9 +61,11 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
     """
     named = _asked("solvers", suite.solvers)
     allowed = f"a solver of the suite: {', '.join(named)}"
-    for table in suite.replay:
-        if table.solvers and not set(_asked("replay.solvers", table.solvers)) & set(named):
-            raise InputError("suite", "replay.solvers", ", ".join(table.solvers), allowed)
+    for kind, tables in (("closed_loop", suite.closed_loop), ("replay", suite.replay)):
+        key = f"{kind}.solvers"
+        for table in tables:
+            if table.solvers and not set(_asked(key, table.solvers)) & set(named):
+                raise InputError("suite", key, ", ".join(table.solvers), allowed)
     baseline = suite.report.baseline
     if baseline is not None and baseline not in named:
         raise InputError("suite", "report.baseline", repr(baseline), allowed)
@@ -107,16 +109,14 @@ def module_of(solver: str) -> str:
 def arms_of(solvers: Sequence[str], table: Table) -> list[Arm]:
     """The arms of one table of a suite; a solver is left out of a route it does not have.
 
-    A replay may name solvers of its own: those of them that the suite has, too, take part.
+    A table may name solvers of its own: those of them that the suite has, too, take part.
 
     The harness's own arms have one way to run, whatever the table asks for, and take part in timed
     replays alone.
     """
-    if isinstance(table, ReplayTable) and table.solvers:
-        named = _named(table.solvers)
-        solvers = [solver for solver in solvers if solver in named]
-        if not solvers:
-            return []
+    solvers = _taking_part(solvers, table)
+    if not solvers:
+        return []
     known = [name for solver in solvers for name in setting_names(solver)]
     for name in table.settings:
         if name not in known:
@@ -139,6 +139,15 @@ def arms_of(solvers: Sequence[str], table: Table) -> list[Arm]:
             arms.append(Arm(solver, route, policy, units, names[0], formulation, alias))
     timed = isinstance(table, ReplayTable | RecordedTable)
     return arms + [Arm(name, "native", "reuse", "scaled", "default") for name in own if timed]
+
+
+def _taking_part(solvers: Sequence[str], table: Table) -> list[str]:
+    """Those of the suite's solvers that a table means."""
+    if not isinstance(table, ClosedLoopTable | ReplayTable):
+        return list(solvers)
+    named = _named(table.solvers) if table.solvers else solvers
+    without = _named(table.without) if isinstance(table, ClosedLoopTable) else []
+    return [name for name in solvers if name in named and name not in without]
 
 
 def refusal_of(arm: Arm) -> str:

@@ -51,10 +51,13 @@ class ClosedLoopTable(FileModel):
     With `vessels` every scenario is run with each of them instead of its own. `slowdowns` says how
     much slower than this machine the ship's computer is (≥ 1), 0 that the ship waits for every
     answer; `deadline_s` what a step may take of its time, 0 the whole sample. `limit_s` is the
-    limit of a cell here, where it is not that of the suite.
+    limit of a cell here, where it is not that of the suite. With `solvers` only those of the suite
+    take part that are named here, and none of `without`.
     """
 
     scenarios: list[str]
+    solvers: list[str] = []
+    without: list[str] = []
     vessels: list[str] = []
     units: list[UnitName] = ["scaled"]
     settings: list[str] = ["default"]

@@ -37,25 +37,42 @@ def test_the_standard_suite_has_no_cell_twice() -> None:
 
 
 def test_the_standard_suite_runs_what_its_verdict_needs() -> None:
-    """Each level and each kept way of a solver is run wherever its default is, and as far.
+    """Each level, and one kept way of each solver that has any, is run wherever its default is.
 
-    A level or way that was not run somewhere could not be said to meet the demand.
+    A level or way that was not run somewhere, or not as far, could not be said to meet the demand.
     """
     _, suite = load_suite("standard")
-    places: dict[tuple[str, str, str, str], dict[tuple[str, str], int]] = {}
+    places: dict[str, dict[tuple[str, str, str], dict[tuple[str, str], int]]] = {}
     for planned in plan(suite):
         cell = planned.cell
         if planned.refused or cell.units == "si" or cell.solver in {*CALIBRATION, CONTRAST}:
             continue
         for settings in (cell.settings, *planned.alias_settings):
-            key = (cell.solver, cell.route, cell.policy, settings)
             place = (cell.mode, cell.sequence or cell.scenario_name)
-            places.setdefault(key, {})[place] = cell.steps
-    for (solver, route, policy, settings), found in places.items():
-        default_route = record(solver).default_route
-        if policy != "fresh" or route == default_route:
-            usual = places[solver, default_route, "fresh", "default"]
-            assert found == usual, f"{solver} {route} {policy} {settings}"
+            ways = places.setdefault(cell.solver, {})
+            ways.setdefault((cell.route, cell.policy, settings), {})[place] = cell.steps
+    for solver, ways in places.items():
+        row = record(solver)
+        usual = ways[row.default_route, "fresh", "default"]
+        assert ways[row.default_route, "fresh", "high"] == usual, solver
+        kept = {policy for policy in ("reuse", "warm") if policy in row.policies.get("native", ())}
+        for settings in ("default", "high"):
+            whole = [p for p in kept if ways["native", p, settings] == usual]
+            assert bool(whole) == bool(kept), (solver, settings)
+
+
+def test_a_table_of_loops_may_ask_only_some_solvers_of_its_suite() -> None:
+    """`solvers` are those it means, `without` those it does not."""
+    tables = [
+        ClosedLoopTable(scenarios=["calm"], steps=5, solvers=["daqp"]),
+        ClosedLoopTable(scenarios=["rough"], steps=5, without=["daqp"]),
+    ]
+    suite = SuiteFile(title="x", solvers=["daqp", "osqp"], contrast=False, closed_loop=tables)
+    cells = [(p.cell.scenario_name, p.cell.solver) for p in plan(suite)]
+    assert cells == [("calm", "daqp"), ("rough", "osqp")]
+    wrong = SuiteFile(title="x", solvers=["osqp"], contrast=False, closed_loop=tables)
+    with pytest.raises(InputError, match=r"closed_loop\.solvers"):
+        plan(wrong)
 
 
 def test_vessels_multiply_the_scenarios_and_fallbacks_tell_rows_apart() -> None:
