@@ -35,7 +35,7 @@ test: setup ## run the tests
 
 test-casadi: setup ## run the tests of the solvers whose library is an extra (HPIPM, qpOASES)
 	$(BIN)/python -m pip install --quiet --no-deps --upgrade --target $(CASADI) 'casadi>=3.7'
-	PYTHONPATH=$(CASADI) $(BIN)/python -m pytest tests/solvers tests/harness/test_sparse_bar.py \
+	PYTHONPATH=$(CASADI) $(BIN)/python -m pytest tests/solvers tests/bench/test_sparse_bar.py \
 	    -k "hpipm or qpoases"
 
 lint: setup ## ruff, mypy --strict, import floors
@@ -46,12 +46,12 @@ lint: setup ## ruff, mypy --strict, import floors
 
 bench-ci: setup ## pytest-benchmark of the parts; writes results/bench-ci.json
 	mkdir -p results
-	$(BIN)/python -m pytest tests/bench --override-ini addopts='--import-mode=importlib' \
+	$(BIN)/python -m pytest benchmarks --override-ini addopts='--import-mode=importlib' \
 	    --benchmark-json=results/bench-ci.json --benchmark-columns=min,median,max,rounds
 
 bench-compare: setup ## compare it with this machine's baseline, RENEW=--renew to replace that
 	test -s results/bench-ci.json || $(MAKE) bench-ci
-	$(BIN)/python tests/bench/gate.py results/bench-ci.json results/baseline $(RENEW)
+	$(BIN)/python benchmarks/gate.py results/bench-ci.json results/baseline $(RENEW)
 
 report: setup ## write the report of the last standard run again
 	$(BIN)/dpbench report $(OUT)

@@ -11,19 +11,19 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dpbench.bench.campaign import run_campaign
-    from dpbench.bench.exact import record_sequence
-    from dpbench.bench.inprocess import Run, replay, run_closed_loop
-    from dpbench.bench.sequence_file import load_sequence, save_sequence
-    from dpbench.bench.store import load_results
+    from dpbench.bench.in_process import Run, replay, run_closed_loop
+    from dpbench.bench.record.result_folder import load_results
+    from dpbench.bench.run.exact_loop import record_sequence
+    from dpbench.bench.sequences.sequence_file import load_sequence, save_sequence
     from dpbench.errors import DpbenchError, InputError
     from dpbench.mpc.condensed_qp import CondensedQP
-    from dpbench.qp.certify import Optimum, certify
     from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, Refresh
+    from dpbench.qp.referee.referee import Optimum, certify
     from dpbench.qp.residuals import Residuals, residuals
     from dpbench.qp.solution import Solution, Status
     from dpbench.report.compare import Comparison, compare
     from dpbench.report.write import write_report
-    from dpbench.scenario import Scenario, condense, load_scenario
+    from dpbench.scenario.scenario import Scenario, condense, load_scenario
     from dpbench.solvers.contract import Workspace
     from dpbench.solvers.open import open_workspace
 
@@ -32,30 +32,30 @@ _HOMES = {
     "CondensedQP": "mpc.condensed_qp",
     "DpbenchError": "errors",
     "InputError": "errors",
-    "Optimum": "qp.certify",
+    "Optimum": "qp.referee.referee",
     "QPSequence": "qp.program",
     "QPStep": "qp.program",
     "QuadraticProgram": "qp.program",
     "Refresh": "qp.program",
     "Residuals": "qp.residuals",
-    "Run": "bench.inprocess",
-    "Scenario": "scenario",
+    "Run": "bench.in_process",
+    "Scenario": "scenario.scenario",
     "Solution": "qp.solution",
     "Status": "qp.solution",
     "Workspace": "solvers.contract",
-    "certify": "qp.certify",
+    "certify": "qp.referee.referee",
     "compare": "report.compare",
-    "condense": "scenario",
-    "load_results": "bench.store",
-    "load_scenario": "scenario",
-    "load_sequence": "bench.sequence_file",
+    "condense": "scenario.scenario",
+    "load_results": "bench.record.result_folder",
+    "load_scenario": "scenario.scenario",
+    "load_sequence": "bench.sequences.sequence_file",
     "open_workspace": "solvers.open",
-    "record_sequence": "bench.exact",
-    "replay": "bench.inprocess",
+    "record_sequence": "bench.run.exact_loop",
+    "replay": "bench.in_process",
     "residuals": "qp.residuals",
     "run_campaign": "bench.campaign",
-    "run_closed_loop": "bench.inprocess",
-    "save_sequence": "bench.sequence_file",
+    "run_closed_loop": "bench.in_process",
+    "save_sequence": "bench.sequences.sequence_file",
     "write_report": "report.write",
 }
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dpbench import load_results, run_campaign
-from dpbench.cli import main
+from dpbench.cli.main import main
 from dpbench.solvers import plugins
 
 README = Path(__file__).parents[1] / "README.md"

@@ -20,7 +20,7 @@ def test_names_resolve_from_a_wheel_in_an_empty_folder(tmp_path: Path) -> None:
     empty.mkdir()
     zipfile.ZipFile(wheel).extractall(site)
     script = (
-        "import dpbench, dpbench.report.write as w; from dpbench.cli import main;"
+        "import dpbench, dpbench.report.write as w; from dpbench.cli.main import main;"
         "print(dpbench.__file__, dpbench.load_scenario('rough').steps,"
         " dpbench.load_sequence('rough-60-10').base.n);"
         "raise SystemExit(main(['list', 'scenarios']))"

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.bench.grade import Columns
-from dpbench.bench.rawlog import TIMES
-from dpbench.bench.running import Job
+from dpbench.bench.judge.closed_loop import Columns
+from dpbench.bench.record.raw_log import TIMES
+from dpbench.bench.workers.executor import Job
 
 _PHASES = len(TIMES) - 1  # all but the overhead
 

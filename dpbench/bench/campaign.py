@@ -17,14 +17,19 @@ from typing import Any
 import pandas as pd
 
 from dpbench.bench.accounting import Ledger
-from dpbench.bench.design import Design, plan_designs
-from dpbench.bench.design_file import write_design
-from dpbench.bench.designing import DesignStore, run_designs, work_of_designs
-from dpbench.bench.machine import describe_machine
-from dpbench.bench.plan import plan
-from dpbench.bench.planned import Planned
-from dpbench.bench.recording import read_sequence
-from dpbench.bench.running import (
+from dpbench.bench.design.design import Design, plan_designs
+from dpbench.bench.design.design_file import write_design
+from dpbench.bench.design.run_designs import DesignStore, run_designs, work_of_designs
+from dpbench.bench.plan.cells import Planned
+from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.suite import SuiteFile, load_suite, naming, sequence_suite
+from dpbench.bench.record.machine import describe_machine
+from dpbench.bench.record.result_folder import Results, claimed, write_results
+from dpbench.bench.sequences.recording import read_sequence
+from dpbench.bench.sequences.source import is_random, is_sound, source_key
+from dpbench.bench.tabulate import tabulate
+from dpbench.bench.workers.child import Outcome, template_context
+from dpbench.bench.workers.executor import (
     HARNESS_VERSION,
     Bench,
     CellStore,
@@ -33,14 +38,9 @@ from dpbench.bench.running import (
     Silent,
     work_of,
 )
-from dpbench.bench.scratch import Scratch
-from dpbench.bench.source import is_random, is_sound, source_key
-from dpbench.bench.store import Results, claimed, write_results
-from dpbench.bench.suite import SuiteFile, load_suite, naming, sequence_suite
-from dpbench.bench.supervise import Outcome, template_context
-from dpbench.bench.tabulate import tabulate
+from dpbench.bench.workers.scratch import Scratch
 from dpbench.errors import InputError
-from dpbench.problem_files import sequence_path
+from dpbench.scenario.problem_files import sequence_path
 from dpbench.solvers.table import available, load_solver_module
 
 

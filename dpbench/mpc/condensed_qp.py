@@ -19,8 +19,8 @@ from dpbench.mpc.condense import (
     condense_matrices,
     summed_moves,
 )
-from dpbench.mpc.layers import Penalty, amplitude_layer, lay
 from dpbench.mpc.outputs import OutputBounds, instants, output_layers
+from dpbench.mpc.soft_limits import Penalty, amplitude_layer, lay
 from dpbench.qp.program import Matrix, QPStep, QuadraticProgram, Units, Vector
 from dpbench.qp.solution import Solution
 

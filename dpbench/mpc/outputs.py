@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dpbench.errors import InputError, ShapeError
 from dpbench.mpc.condense import CondensedMatrices, ControlProblem
-from dpbench.mpc.layers import Layer, unlimited
+from dpbench.mpc.soft_limits import Layer, unlimited
 from dpbench.qp.program import Matrix, Vector
 
 

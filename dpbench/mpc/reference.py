@@ -14,7 +14,7 @@ import scipy.linalg
 
 from dpbench.errors import InputError
 from dpbench.qp.program import Matrix, Vector
-from dpbench.ship.estimator import nearest_turn
+from dpbench.ship.estimation.estimator import nearest_turn
 
 
 @dataclass(frozen=True)

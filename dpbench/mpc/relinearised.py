@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from dpbench.errors import InputError
 from dpbench.mpc.condense import CondensedMatrices, ControlProblem, UnitSystem, condense_matrices
 from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
-from dpbench.mpc.layers import Penalty
 from dpbench.mpc.outputs import OutputBounds
+from dpbench.mpc.soft_limits import Penalty
 from dpbench.qp.program import Matrix, QPStep, Vector
 
 _TURNS = 2.0 * np.pi * np.arange(5) / 5

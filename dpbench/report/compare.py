@@ -10,22 +10,22 @@ from typing import Any
 
 import pandas as pd
 
-from dpbench.bench.store import load_results
-from dpbench.errors import InputError
-from dpbench.report.compare_answers import Answer, compare_answers
-from dpbench.report.compare_pairs import KEY, Pairs, check_machines, pair_cells
-from dpbench.report.compare_tables import answers_table, shared_line, solvers_table, times_table
-from dpbench.report.compare_times import (
+from dpbench.analysis.compare.answers import Answer, compare_answers
+from dpbench.analysis.compare.pairs import KEY, Pairs, check_machines, pair_cells
+from dpbench.analysis.compare.times import (
     Compared,
     Shared,
     compare_times,
     time_pairs,
     why_unjudged,
 )
+from dpbench.analysis.records import View
+from dpbench.bench.record.result_folder import load_results
+from dpbench.errors import InputError
+from dpbench.report.compare_tables import answers_table, shared_line, solvers_table, times_table
 from dpbench.report.formats import plural
 from dpbench.report.machine_verdict import disturbance_of, timed_runs, verdict_text
 from dpbench.report.table import Table, markdown
-from dpbench.report.view import View
 
 LISTED = 5
 """So many cells without a partner are named."""

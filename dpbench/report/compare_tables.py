@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
-from dpbench.report.compare_answers import ORDER, Answer, Range
-from dpbench.report.compare_times import Compared, Shared
+from dpbench.analysis.compare.answers import ORDER, Answer, Range
+from dpbench.analysis.compare.times import Compared, Shared
 from dpbench.report.formats import (
     MISSING,
     count_text,

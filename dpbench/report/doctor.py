@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dpbench.bench.calibrating import calibrate
-from dpbench.bench.disturbance import RULE
-from dpbench.bench.machine import describe_machine
+from dpbench.bench.judge.calibration import calibrate
+from dpbench.bench.record.disturbance import RULE
+from dpbench.bench.record.machine import describe_machine
 from dpbench.report.formats import MISSING
 from dpbench.report.machine_verdict import disturbance_facts, machine_facts, verdict_text
 from dpbench.report.section_harness import calibration_line

@@ -12,9 +12,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FuncFormatter
 
-from dpbench.report.demand import Demand
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.records import Row, is_contrast
+from dpbench.analysis.statistics import percentile
 from dpbench.report.formats import as_float, count_text, error_text, plural, share_text
-from dpbench.report.statistics import percentile
 from dpbench.report.style import (
     FAMILY_COLOURS,
     GREY,
@@ -30,7 +31,6 @@ from dpbench.report.style import (
 )
 from dpbench.report.tables_accuracy import UnitsCell, UnitsMatrix, arm_name, name_of
 from dpbench.report.tables_timing import Arm
-from dpbench.report.view import Row, is_contrast
 
 EXACT = 1e-15
 """Errors below it are drawn at it: the optimum itself is not known better."""

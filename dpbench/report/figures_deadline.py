@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, NullLocator
 
+from dpbench.analysis.slowdown import MARGIN, SlowedArm, SlowedGroup, cost_ratio, survived
 from dpbench.report.labels import name_ends
-from dpbench.report.slowed import MARGIN, SlowedArm, SlowedGroup, cost_ratio, survived
 from dpbench.report.style import (
     FAMILY_COLOURS,
     GREY,

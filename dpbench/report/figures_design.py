@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from dpbench.bench.design_file import DesignRecord
+from dpbench.bench.design.design_file import DesignRecord
 from dpbench.report.style import (
     BLUE,
     GREEN,

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, NullLocator
 
+from dpbench.analysis.times.horizon_sweep import Horizons, Sweep, SweptArm, moves_of
 from dpbench.report.labels import name_ends
 from dpbench.report.style import (
     FAMILY_COLOURS,
@@ -18,7 +19,6 @@ from dpbench.report.style import (
     log_time_y,
     new_figure,
 )
-from dpbench.report.sweep import Horizons, Sweep, SweptArm, moves_of
 
 ROOM = 1.9
 """So many times the largest n fits on the axis, for the names at the ends of the lines."""

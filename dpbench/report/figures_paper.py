@@ -11,10 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from dpbench.analysis.records import View
 from dpbench.report.reproduced import CIRCLE_M, pair_of
 from dpbench.report.style import CLIPPED, CONSTRAINED, GREY, LIMIT, log_y, new_figure, one_axes
-from dpbench.report.view import View
-from dpbench.scenario import Scenario
+from dpbench.scenario.scenario import Scenario
 
 AXES = (
     ("surge", "x", "N", 1e3, "kN"),

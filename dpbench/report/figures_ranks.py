@@ -10,11 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from dpbench.report.demand import Demand
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.times.pooled import Arm, Pool
+from dpbench.analysis.times.ranks import Ranking, profiles
+from dpbench.analysis.times.work_precision import Rung
 from dpbench.report.figures import EXACT
 from dpbench.report.labels import label_points
-from dpbench.report.pooled import Arm, Pool
-from dpbench.report.rank_stability import Ranking, profiles
 from dpbench.report.style import (
     BLUE,
     GREEN,
@@ -29,7 +30,6 @@ from dpbench.report.style import (
     log_y,
     new_figure,
 )
-from dpbench.report.work_precision import Rung
 
 COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
 MARKERS = {"default": "o", "low": "v", "mid": "s", "high": "D"}

@@ -20,7 +20,7 @@ from dpbench.report.figures_paper import (
 )
 from dpbench.report.reproduced import CIRCLE_M
 from dpbench.report.style import LIMIT, log_y, new_figure
-from dpbench.scenario import Scenario
+from dpbench.scenario.scenario import Scenario
 
 COLUMNS = ("error", "force", "change")
 PLACES: dict[str, tuple[int | slice, int]] = {

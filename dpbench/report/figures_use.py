@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from dpbench.analysis.times.routes import KEPT, LADDER, NATIVE, WARM, WRAPPED, Way, Ways, way_text
 from dpbench.report.style import BLUE, GREY, PALE, SKY, VERMILLION, log_time, one_axes
-from dpbench.report.ways import KEPT, LADDER, NATIVE, WARM, WRAPPED, Way, Ways, way_text
 
 COLOURS: dict[Way, str] = {WRAPPED: GREY, NATIVE: SKY, KEPT: BLUE, WARM: VERMILLION}
 MARKERS: dict[Way, str] = {WRAPPED: "s", NATIVE: "o", KEPT: "D", WARM: "v"}

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.bench.disturbance import MAX_SWITCHES_PER_S, RULE, Disturbance
+from dpbench.analysis.records import Row, View, has_steps
+from dpbench.bench.record.disturbance import MAX_SWITCHES_PER_S, RULE, Disturbance
 from dpbench.report.formats import (
     MISSING,
     and_list,
@@ -18,7 +19,6 @@ from dpbench.report.formats import (
     significant,
 )
 from dpbench.report.table import Table, row_of
-from dpbench.report.view import Row, View, has_steps
 
 FOLD_ABOVE = 8
 """Rows above which a table is folded."""

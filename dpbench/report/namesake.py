@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 
-from dpbench.report.view import View
-from dpbench.scenario import Scenario, load_scenario
+from dpbench.analysis.records import View
+from dpbench.scenario.scenario import Scenario, load_scenario
 
 OF_PAPER = ("paper", "paper_tight")
 """Scenarios that restate the paper's case."""

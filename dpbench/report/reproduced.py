@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
+from dpbench.analysis.records import Row, View, has_steps, is_contrast
 from dpbench.report.formats import (
     as_float,
     count_text,
@@ -21,7 +22,6 @@ from dpbench.report.formats import (
     significant,
 )
 from dpbench.report.namesake import OF_PAPER, is_of_paper
-from dpbench.report.view import Row, View, has_steps, is_contrast
 
 State = Literal["reproduced", "not reproduced", "not measured"]
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
+from dpbench.analysis.records import View
+from dpbench.analysis.slowdown import SlowedGroup, cost_ratio, factor_text, slowed_groups
 from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular, missing
 from dpbench.report.figures_deadline import slowdown_figure
 from dpbench.report.formats import and_list, plural
 from dpbench.report.machine_verdict import disturbance_of, slowed_runs, verdict_text
-from dpbench.report.slowed import SlowedGroup, cost_ratio, factor_text, slowed_groups
 from dpbench.report.tables_deadline import WITHIN, misses_table, survival_table
-from dpbench.report.view import View
 
 INTRODUCTION = (
     "The ship's computer is so many times slower than this machine: the measured time of a step "

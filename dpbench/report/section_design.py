@@ -4,8 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dpbench.bench.basin import DURATION_S, OFFSETS_M, TAIL_S, TOLERANCE_M, WIDTH
-from dpbench.bench.design_file import DesignRecord, Designs
+from dpbench.bench.design.design_file import DesignRecord, Designs
+from dpbench.bench.design.region_of_attraction import (
+    DURATION_S,
+    OFFSETS_M,
+    TAIL_S,
+    TOLERANCE_M,
+    WIDTH,
+)
 from dpbench.report.blocks import Bullets, Paragraph, Picture, Section, Tabular
 from dpbench.report.figures_design import basins, eigenvalues
 from dpbench.report.formats import and_list, plural

@@ -4,7 +4,8 @@ section on what repeats itself and what memory it takes.
 
 from __future__ import annotations
 
-from dpbench.bench.calibrating import within_bar
+from dpbench.analysis.records import View, has_steps
+from dpbench.bench.judge.calibration import within_bar
 from dpbench.report.blocks import Block, Paragraph, Section, Tabular
 from dpbench.report.formats import and_list, as_float, plural, time_text
 from dpbench.report.machine_verdict import (
@@ -22,7 +23,6 @@ from dpbench.report.tables_harness import (
     differs,
     memory_table,
 )
-from dpbench.report.view import View, has_steps
 
 
 def machine_blocks(view: View) -> list[Block]:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.records import View
+from dpbench.analysis.times.growth import Growth
+from dpbench.analysis.times.horizon_sweep import Horizons, Sweep, SweptArm, moves_of, sweeps
 from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular
-from dpbench.report.demand import Demand
 from dpbench.report.figures_horizon import growth_figure
 from dpbench.report.formats import interval_text, plural, significant, time_text
-from dpbench.report.growth import Growth
-from dpbench.report.sweep import Horizons, Sweep, SweptArm, moves_of, sweeps
 from dpbench.report.tables_horizon import growth_table, horizons_text
 from dpbench.report.time_marks import marks_legend
-from dpbench.report.view import View
 
 INTRODUCTION = (
     "The same scenario under longer and longer horizons: a plan of N_c moves has n = 3 N_c "

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from dpbench.analysis.random_claims import RandomClaims
+from dpbench.analysis.records import View
 from dpbench.report.blocks import Block, Card, Cards, Paragraph, Section, Tabular
-from dpbench.report.claims_random import RandomClaims
 from dpbench.report.formats import and_list, count_text, plural
 from dpbench.report.tables_random import arm_tables, arms_of, family_table, where_table
-from dpbench.report.view import View
 
 INTRODUCTION = (
     "Every QP here is random, with an optimum that was planted: chosen first, and the cost and the "

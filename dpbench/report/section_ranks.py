@@ -7,9 +7,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.records import View
+from dpbench.analysis.statistics import supports
+from dpbench.analysis.times.pooled import Pool, pool
+from dpbench.analysis.times.ranks import Ranking, rank
+from dpbench.analysis.times.ratios import baseline_of, ratios
+from dpbench.analysis.times.work_precision import Rung, fastest_at, native_ladders, usual_ladders
 from dpbench.errors import InputError
 from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular, missing
-from dpbench.report.demand import Demand
 from dpbench.report.figures_ranks import (
     FARTHEST,
     OF_EACH,
@@ -18,14 +24,8 @@ from dpbench.report.figures_ranks import (
     work_precision,
 )
 from dpbench.report.formats import and_list, plural
-from dpbench.report.pooled import Pool, pool
-from dpbench.report.rank_stability import Ranking, rank
-from dpbench.report.ratios import baseline_of, ratios
-from dpbench.report.statistics import supports
 from dpbench.report.tables_levels import levels_of
 from dpbench.report.tables_ranks import rank_table, ratio_tables
-from dpbench.report.view import View
-from dpbench.report.work_precision import Rung, fastest_at, native_ladders, usual_ladders
 
 
 def check_baseline(view: View, demand: Demand, solver: str) -> None:

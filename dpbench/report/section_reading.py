@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from dpbench.analysis.statistics import BLOCK_STEPS, LEAST_BLOCKS, RESAMPLES
 from dpbench.report.blocks import Bullets, Paragraph, Section
-from dpbench.report.statistics import BLOCK_STEPS, LEAST_BLOCKS, RESAMPLES
 
 DEFINITIONS = (
     "**error_move** is the largest distance, over the three axes, of the first move to the "

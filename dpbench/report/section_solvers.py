@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from dpbench.analysis.records import View
 from dpbench.errors import UnknownNameError
 from dpbench.report.blocks import Block, Paragraph, Section, Tabular, missing
 from dpbench.report.formats import MISSING, and_list, plural
 from dpbench.report.table import Cell, Table, row_of
-from dpbench.report.view import View
 from dpbench.solvers.contract import Policy, Route
 from dpbench.solvers.open import REFUSED_BY_QPSOLVERS
 from dpbench.solvers.project import Fact

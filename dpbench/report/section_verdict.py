@@ -5,8 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.recommendation import known_record, recommend, why_not_aboard
+from dpbench.analysis.records import View
+from dpbench.analysis.times.pairs import fastest_first
+from dpbench.analysis.verdict import Verdict, Verdicts, judge_all
 from dpbench.report.blocks import Bullets, Card, Cards, Paragraph, Section, Tabular, missing
-from dpbench.report.demand import Demand
 from dpbench.report.formats import (
     MISSING,
     count_text,
@@ -15,11 +19,8 @@ from dpbench.report.formats import (
     rounded_down,
     time_text,
 )
-from dpbench.report.ranking import fastest_first
-from dpbench.report.recommendation import known_record, recommend, why_not_aboard
 from dpbench.report.table import Cell, Mark, Table, row_of
 from dpbench.report.tables_levels import level_tables
-from dpbench.report.verdict import Verdict, Verdicts, judge_all
 from dpbench.report.verdict_text import (
     contrast,
     demand_text,
@@ -30,7 +31,6 @@ from dpbench.report.verdict_text import (
     summary,
     yardstick,
 )
-from dpbench.report.view import View
 
 MARKS: dict[str, Mark] = {"meets": "good", "misses": "bad", "open": "warn", "not run": "quiet"}
 ORDER = tuple(MARKS)

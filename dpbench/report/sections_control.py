@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence, Sized
 
 from matplotlib.figure import Figure
 
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.records import View, has_steps
 from dpbench.report.blocks import (
     Block,
     Bullets,
@@ -15,7 +17,6 @@ from dpbench.report.blocks import (
     Tabular,
     missing,
 )
-from dpbench.report.demand import Demand
 from dpbench.report.figures import deviations
 from dpbench.report.figures_paper import (
     Law,
@@ -40,8 +41,7 @@ from dpbench.report.reproduced import (
 from dpbench.report.sections_time import timing_pictures
 from dpbench.report.table import Cell, Mark, Table, row_of
 from dpbench.report.tables_control import control_tables
-from dpbench.report.view import View, has_steps
-from dpbench.scenario import Scenario
+from dpbench.scenario.scenario import Scenario
 
 Draw = Callable[[Sequence[Law], Scenario], Figure]
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.records import View
+from dpbench.analysis.times.horizon_sweep import between_ends, sweeps
 from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular, missing
-from dpbench.report.demand import Demand
 from dpbench.report.figures import step_times
 from dpbench.report.formats import plural
 from dpbench.report.formulations import OTHERS, formulation_tables
 from dpbench.report.section_harness import machine_blocks
-from dpbench.report.sweep import between_ends, sweeps
 from dpbench.report.tables_timing import Arm, jitter_table, timed_arms, timing_tables
-from dpbench.report.view import View
 
 ENDS_ONLY = (
     "Of a horizon sweep the shortest and the longest horizons stand here in full and those between "

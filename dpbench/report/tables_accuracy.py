@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dpbench.report.demand import Demand
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.records import Row, View, has_steps, is_contrast
 from dpbench.report.formats import (
     MISSING,
     as_float,
@@ -18,7 +19,6 @@ from dpbench.report.formats import (
     share_text,
 )
 from dpbench.report.table import Cell, Table, good_if, row_of
-from dpbench.report.view import Row, View, has_steps, is_contrast
 
 ARMS = (("scaled", "default"), ("scaled", "high"), ("si", "default"), ("si", "high"))
 """Units and settings of the units table, in its column order."""

@@ -7,8 +7,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from dpbench.bench.deadline import longest_streak
-from dpbench.report.demand import Demand
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.records import Row, View, has_steps, is_contrast
+from dpbench.bench.judge.deadlines import longest_streak
 from dpbench.report.formats import (
     MISSING,
     as_float,
@@ -21,7 +22,6 @@ from dpbench.report.formats import (
 )
 from dpbench.report.table import Cell, Table, row_of
 from dpbench.report.tables_accuracy import name_of
-from dpbench.report.view import Row, View, has_steps, is_contrast
 
 Writer = Callable[[float], str]
 

@@ -4,6 +4,15 @@ from __future__ import annotations
 
 import math
 
+from dpbench.analysis.records import Row
+from dpbench.analysis.slowdown import (
+    MARGIN,
+    SlowedArm,
+    SlowedGroup,
+    cost_ratio,
+    factor_text,
+    survived,
+)
 from dpbench.report.formats import (
     MISSING,
     as_float,
@@ -12,16 +21,7 @@ from dpbench.report.formats import (
     significant,
     time_text,
 )
-from dpbench.report.slowed import (
-    MARGIN,
-    SlowedArm,
-    SlowedGroup,
-    cost_ratio,
-    factor_text,
-    survived,
-)
 from dpbench.report.table import Cell, Table, row_of
-from dpbench.report.view import Row
 
 WITHIN = f"within {100 * MARGIN:g} %"
 COUNTS = (

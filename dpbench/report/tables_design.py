@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from dpbench.bench.basin import Basin
-from dpbench.bench.bracket import Trial
-from dpbench.bench.design_file import DesignRecord
+from dpbench.bench.design.bracket import Trial
+from dpbench.bench.design.design_file import DesignRecord
+from dpbench.bench.design.region_of_attraction import Basin
 from dpbench.report.formats import MISSING, and_list, plural, rounded_down, rounded_up, significant
 from dpbench.report.table import Cell, Table, row_of
 

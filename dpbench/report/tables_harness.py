@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from dpbench.bench.calibrating import off_by_ns, within_bar
+from dpbench.analysis.records import Row, View
+from dpbench.bench.judge.calibration import off_by_ns, within_bar
 from dpbench.report.formats import (
     MISSING,
     as_float,
@@ -18,7 +19,6 @@ from dpbench.report.formats import (
 )
 from dpbench.report.machine_verdict import FOLD_ABOVE
 from dpbench.report.table import Cell, Mark, Table, row_of
-from dpbench.report.view import Row, View
 from dpbench.solvers.calibration import CALIBRATION, COPY_ONLY, NO_OP, WAITS_NS
 
 MEGABYTE = 1e6

@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from dpbench.analysis.statistics import supports
+from dpbench.analysis.times.growth import LEAST_POINTS, Crossover, crossover
+from dpbench.analysis.times.horizon_sweep import Horizons, Point, Sweep, SweptArm, moves_of
 from dpbench.report.formats import (
     MISSING,
     count_text,
@@ -13,9 +16,6 @@ from dpbench.report.formats import (
     plural,
     significant,
 )
-from dpbench.report.growth import LEAST_POINTS, Crossover, crossover
-from dpbench.report.statistics import supports
-from dpbench.report.sweep import Horizons, Point, Sweep, SweptArm, moves_of
 from dpbench.report.table import Cell, Table, row_of
 from dpbench.report.time_marks import marks_legend
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from dpbench.report.demand import Demand
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.records import View
+from dpbench.analysis.statistics import UNKNOWN, Interval, percentile_interval
+from dpbench.analysis.verdict import ALIKE, Verdict, Verdicts, judge_all
 from dpbench.report.formats import and_list, error_text, interval_text, plural, time_text
-from dpbench.report.statistics import UNKNOWN, Interval, percentile_interval
 from dpbench.report.table import Cell, Table, row_of
-from dpbench.report.verdict import ALIKE, Verdict, Verdicts, judge_all
 from dpbench.report.verdict_text import judged_on, yardstick
-from dpbench.report.view import View
 
 LEVELS = (1e-2, 1e-4, 1e-6)
 """Accuracies of the first move that are asked for, in rate-limit steps."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from dpbench.qp.random_recipe import FAMILIES
-from dpbench.report.claims_random import ARM, RandomClaims, Tally
+from dpbench.analysis.random_claims import ARM, RandomClaims, Tally
+from dpbench.qp.random.recipe import FAMILIES
 from dpbench.report.formats import MISSING, count_text, error_text, plural
 from dpbench.report.table import Cell, Table, good_if, row_of
 

@@ -6,6 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dpbench.analysis.times.pooled import Arm, Pool
+from dpbench.analysis.times.ranks import Placed, Ranking
+from dpbench.analysis.times.ratios import Ratio
 from dpbench.report.formats import (
     and_list,
     count_text,
@@ -16,9 +19,6 @@ from dpbench.report.formats import (
     significant,
     time_text,
 )
-from dpbench.report.pooled import Arm, Pool
-from dpbench.report.rank_stability import Placed, Ranking
-from dpbench.report.ratios import Ratio
 from dpbench.report.table import Cell, Table, row_of
 
 COLUMNS = 4

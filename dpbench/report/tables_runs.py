@@ -6,9 +6,9 @@ from collections import Counter
 from collections.abc import Sequence
 from math import isfinite, nan
 
+from dpbench.analysis.records import COMMON, Row, View
 from dpbench.report.formats import MISSING, as_float, count_text, plural
 from dpbench.report.table import Cell, Mark, Table, row_of
-from dpbench.report.view import COMMON, Row, View
 
 TINTS: dict[str, Mark] = {
     "finished": "",

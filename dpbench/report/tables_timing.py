@@ -8,8 +8,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from dpbench.bench.memory_of_answers import remembers
-from dpbench.report.demand import Demand
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.records import Row, View
+from dpbench.analysis.statistics import (
+    percentile,
+    percentile_interval,
+    pooled_percentile_intervals,
+    supports,
+)
+from dpbench.analysis.step_times import StepTimes
+from dpbench.bench.judge.memory_of_answers import remembers
 from dpbench.report.formats import (
     MISSING,
     as_float,
@@ -19,17 +27,9 @@ from dpbench.report.formats import (
     plural,
     significant,
 )
-from dpbench.report.statistics import (
-    percentile,
-    percentile_interval,
-    pooled_percentile_intervals,
-    supports,
-)
-from dpbench.report.step_times import StepTimes
 from dpbench.report.table import Cell, Table, row_of
 from dpbench.report.tables_accuracy import settings_without_effect
 from dpbench.report.time_marks import marks_legend, timed_name
-from dpbench.report.view import Row, View
 
 Arm = tuple[Row, StepTimes]
 

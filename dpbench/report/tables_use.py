@@ -4,17 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from dpbench.report.formats import (
-    MISSING,
-    count_text,
-    interval_text,
-    micro_text,
-    plural,
-    share_text,
-    significant,
-)
-from dpbench.report.table import Cell, Table, row_of
-from dpbench.report.ways import (
+from dpbench.analysis.times.routes import (
     ABOVE,
     KEPT,
     LADDER,
@@ -28,6 +18,16 @@ from dpbench.report.ways import (
     Ways,
     way_text,
 )
+from dpbench.report.formats import (
+    MISSING,
+    count_text,
+    interval_text,
+    micro_text,
+    plural,
+    share_text,
+    significant,
+)
+from dpbench.report.table import Cell, Table, row_of
 
 SLOWER = (
     f"A step counts as slower when it takes more than {100 * SLOWER_SHARE:g} % and more than "

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from dpbench.bench.memory_of_answers import remembers
-from dpbench.report.view import Row
+from dpbench.analysis.records import Row
+from dpbench.bench.judge.memory_of_answers import remembers
 
 GENERIC = "†"
 REMEMBERS = "‡"

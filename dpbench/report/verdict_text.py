@@ -7,7 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dpbench.report.demand import Demand
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.recommendation import Recommendation, known_record, recommend
+from dpbench.analysis.records import Row, View, has_steps, is_contrast
+from dpbench.analysis.times.pairs import Contender, Duel, duel, fastest_first
+from dpbench.analysis.verdict import Finding, Outcome, Verdict, Verdicts, detail
 from dpbench.report.formats import (
     and_list,
     as_float,
@@ -19,10 +23,6 @@ from dpbench.report.formats import (
     significant,
     time_text,
 )
-from dpbench.report.ranking import Contender, Duel, duel, fastest_first
-from dpbench.report.recommendation import Recommendation, known_record, recommend
-from dpbench.report.verdict import Finding, Outcome, Verdict, Verdicts, detail
-from dpbench.report.view import Row, View, has_steps, is_contrast
 
 
 def demand_text(demand: Demand) -> str:

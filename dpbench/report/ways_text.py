@@ -5,18 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from dpbench.errors import UnknownNameError
-from dpbench.report.formats import (
-    and_list,
-    count_text,
-    interval_text,
-    plural,
-    share_text,
-    significant,
-    time_text,
-)
-from dpbench.report.step_times import StepTimes
-from dpbench.report.ways import (
+from dpbench.analysis.step_times import StepTimes
+from dpbench.analysis.times.routes import (
     KEPT,
     NATIVE,
     SLOWER_SHARE,
@@ -27,6 +17,16 @@ from dpbench.report.ways import (
     Way,
     Ways,
     way_text,
+)
+from dpbench.errors import UnknownNameError
+from dpbench.report.formats import (
+    and_list,
+    count_text,
+    interval_text,
+    plural,
+    share_text,
+    significant,
+    time_text,
 )
 from dpbench.solvers.table import record
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from dpbench.bench.design_file import Designs, load_design
-from dpbench.bench.store import Results, load_results
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.records import View
+from dpbench.bench.design.design_file import Designs, load_design
+from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.report.blocks import Page, Section
-from dpbench.report.demand import Demand
 from dpbench.report.formats import as_float, time_text
 from dpbench.report.render import render_html, render_markdown
 from dpbench.report.section_deadline import deadline_lines, deadline_section
@@ -30,7 +31,6 @@ from dpbench.report.sections_control import (
 from dpbench.report.sections_records import accuracy_section, runs_section, units_section
 from dpbench.report.sections_time import timing_section
 from dpbench.report.style import save, styled
-from dpbench.report.view import View
 
 
 def write_report(out: str | Path, *, baseline: str | None = None) -> Path:

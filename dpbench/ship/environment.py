@@ -18,13 +18,13 @@ from numpy.typing import ArrayLike
 
 from dpbench.errors import InputError
 from dpbench.qp.program import Matrix, Vector
-from dpbench.ship.current import Current
 from dpbench.ship.sensors import SensorNoise
-from dpbench.ship.squall import Squall
 from dpbench.ship.validation import finite_array
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.waves import FirstOrderMotion, WaveDrift
-from dpbench.ship.wind import Wind
+from dpbench.ship.weather.current import Current
+from dpbench.ship.weather.squall import Squall
+from dpbench.ship.weather.waves import FirstOrderMotion, WaveDrift
+from dpbench.ship.weather.wind import Wind
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dpbench.qp.program import Matrix, Vector
-from dpbench.ship.streams import stream
 from dpbench.ship.validation import finite_array, not_negative
+from dpbench.ship.weather.streams import stream
 
 
 @dataclass(frozen=True, eq=False)

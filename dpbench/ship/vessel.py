@@ -12,8 +12,8 @@ import numpy as np
 from dpbench.errors import InputError
 from dpbench.qp.program import Matrix, Vector
 from dpbench.ship.validation import finite_array
-from dpbench.ship.waves import WaveReflection
-from dpbench.ship.wind import Windage
+from dpbench.ship.weather.waves import WaveReflection
+from dpbench.ship.weather.wind import Windage
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,7 +71,7 @@ def open_workspace(
     # without their warnings.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        from dpbench.solvers.qpsolvers_route import QpsolversWorkspace
+        from dpbench.solvers.through_qpsolvers.workspace import QpsolversWorkspace
 
     return QpsolversWorkspace(adapter, policy, options)
 
@@ -115,14 +115,14 @@ def _open_own(row: SolverRecord, policy: Policy, settings: Settings) -> Workspac
         return open_calibration(row.name)
     # What is compiled is loaded, or compiled at the first time, only when it is asked for.
     if row.name == "paper_active_set":
-        from dpbench.solvers.paper_active_set import PaperActiveSet
+        from dpbench.solvers.own.paper_active_set import PaperActiveSet
 
         return PaperActiveSet(row.name, "native", policy)
     if row.name == "hildreth":
-        from dpbench.solvers.hildreth import Hildreth, HildrethSettings
+        from dpbench.solvers.own.hildreth import Hildreth, HildrethSettings
 
         return Hildreth(row.name, "native", policy, HildrethSettings.of(options))
-    from dpbench.solvers.unconstrained import FreshUnconstrained, Unconstrained
+    from dpbench.solvers.own.unconstrained import FreshUnconstrained, Unconstrained
 
     kind = FreshUnconstrained if policy == "fresh" else Unconstrained
     return kind(row.name, "native", policy)

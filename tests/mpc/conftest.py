@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from dpbench.mpc.condense import ControlProblem
 from dpbench.mpc.model import StateSpace, augment, prediction_model
 from dpbench.qp.program import QuadraticProgram
-from dpbench.scenario import load_vessel
+from dpbench.scenario.scenario import load_vessel
 
 Array = NDArray[np.float64]
 

@@ -13,9 +13,9 @@ from scipy.optimize import linprog
 
 from dpbench.errors import InputError
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.layers import Penalty
-from dpbench.qp.certify import Optimum, certify
+from dpbench.mpc.soft_limits import Penalty
 from dpbench.qp.program import QuadraticProgram, Refresh
+from dpbench.qp.referee.referee import Optimum, certify
 from dpbench.qp.solution import Solution, Status
 
 LOST = np.array([1.0, 0.45, 0.6])

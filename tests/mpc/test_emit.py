@@ -11,8 +11,8 @@ from dpbench.mpc.condense import summed_moves
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.relinearised import RelinearisedQP
-from dpbench.qp.certify import certify
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
+from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Solution, Status
 
 

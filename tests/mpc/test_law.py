@@ -19,7 +19,7 @@ from dpbench.mpc.law import (
 )
 from dpbench.mpc.model import StateSpace, augment, prediction_model
 from dpbench.qp.stacked import stack
-from dpbench.scenario import load_vessel
+from dpbench.scenario.scenario import load_vessel
 
 VESSELS = ("supply_fs99", "supply_mss", "supply_tmr", "osv", "cybership2")
 

@@ -19,7 +19,7 @@ from dpbench.mpc.model import (
     rotated,
     rotation,
 )
-from dpbench.scenario import load_vessel
+from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.environment import Environment
 from dpbench.ship.plant import SUBSTEPS, Plant
 

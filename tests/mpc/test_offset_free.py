@@ -12,8 +12,8 @@ from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.model import discretise, linearise, rotation
 from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.relinearised import RelinearisedQP
-from dpbench.qp.certify import Referee
-from dpbench.scenario import load_vessel
+from dpbench.qp.referee.referee import Referee
+from dpbench.scenario.scenario import load_vessel
 
 PSI0 = 0.4
 DISTURBANCE = np.array([-120e3, 150e3, 1.5e6])

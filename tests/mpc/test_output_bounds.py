@@ -11,7 +11,7 @@ import pytest
 from dpbench.errors import InputError, ShapeError
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.outputs import OutputBounds
-from dpbench.qp.certify import Referee
+from dpbench.qp.referee.referee import Referee
 
 SAMPLE_S = 0.3
 

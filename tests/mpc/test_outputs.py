@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.layers import Penalty
 from dpbench.mpc.outputs import OutputBounds
-from dpbench.qp.certify import certify
+from dpbench.mpc.soft_limits import Penalty
+from dpbench.qp.referee.referee import certify
 
 SAMPLE_S = 0.3
 CENTRE = np.array([0.7, -0.4])

@@ -16,9 +16,9 @@ from dpbench.errors import InputError
 from dpbench.mpc.condense import UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.staged_qp import StagedQP
-from dpbench.qp.certify import certify
-from dpbench.qp.farkas import farkas_valid
 from dpbench.qp.program import QuadraticProgram
+from dpbench.qp.referee.feasibility.farkas import farkas_valid
+from dpbench.qp.referee.referee import certify
 from dpbench.qp.residuals import residuals
 from dpbench.qp.solution import Solution, Status
 

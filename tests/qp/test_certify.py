@@ -10,13 +10,13 @@ import pytest
 import quadprog
 from scipy import sparse
 
-from dpbench.qp import oracle
-from dpbench.qp.certify import Optimum, Referee, certify, error_of
-from dpbench.qp.dyadic import Dyadic, semidefinite
-from dpbench.qp.joint import ExactMatrices, JointQP
-from dpbench.qp.kkt import KKTSystem, positive_definite
 from dpbench.qp.program import QuadraticProgram
-from dpbench.qp.rational import rational_certificate
+from dpbench.qp.referee import oracle
+from dpbench.qp.referee.dyadic import Dyadic, semidefinite
+from dpbench.qp.referee.joint import ExactMatrices, JointQP
+from dpbench.qp.referee.kkt import KKTSystem, positive_definite
+from dpbench.qp.referee.rational import rational_certificate
+from dpbench.qp.referee.referee import Optimum, Referee, certify, error_of
 
 INF = np.inf
 

@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from dpbench.qp.certify import Referee, certify
 from dpbench.qp.program import QuadraticProgram
+from dpbench.qp.referee.referee import Referee, certify
 from dpbench.qp.residuals import best_multipliers, is_true, residuals
 from dpbench.qp.solution import Solution, Status
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import quadprog
 
-from dpbench.qp.certify import Referee
+from dpbench.qp.referee.referee import Referee
 from dpbench.qp.residuals import is_true, residuals
 from dpbench.qp.solution import Solution, Status
-from dpbench.scenario import condense, load_scenario
+from dpbench.scenario.scenario import condense, load_scenario
 
 
 @pytest.mark.parametrize("name", ["paper", "rough"])

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpbench.qp.dyadic import Dyadic, semidefinite, solve_integer
+from dpbench.qp.referee.dyadic import Dyadic, semidefinite, solve_integer
 
 numbers = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e150, max_value=1e150)
 

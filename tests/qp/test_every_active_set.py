@@ -7,11 +7,11 @@ from itertools import product
 import numpy as np
 import pytest
 
-from dpbench.qp.gap import gap_certificate
-from dpbench.qp.joint import ExactMatrices, JointQP
-from dpbench.qp.kkt import KKTSystem
-from dpbench.qp.linear import Geometry, linear_certificate
-from dpbench.qp.rational import rational_certificate
+from dpbench.qp.referee.gap import gap_certificate
+from dpbench.qp.referee.joint import ExactMatrices, JointQP
+from dpbench.qp.referee.kkt import KKTSystem
+from dpbench.qp.referee.linear import Geometry, linear_certificate
+from dpbench.qp.referee.rational import rational_certificate
 
 ACTIVE_SETS = [np.array(signs, dtype=np.int8) for signs in product((-1, 0, 1), repeat=3)]
 

@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpbench.qp.certify import certify, error_of
-from dpbench.qp.claims import judge_claim
-from dpbench.qp.farkas import (
+from dpbench.qp.program import QuadraticProgram
+from dpbench.qp.referee.claims import judge_claim
+from dpbench.qp.referee.feasibility.farkas import (
     certify_infeasible,
     certify_unbounded,
     farkas_valid,
     unbounded_valid,
 )
-from dpbench.qp.program import QuadraticProgram
+from dpbench.qp.referee.referee import certify, error_of
 from dpbench.qp.solution import Solution, Status
 
 INF = np.inf

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dpbench.qp.certify import certify
-from dpbench.qp.forced import fix_forced
-from dpbench.qp.joint import ExactMatrices, JointQP
 from dpbench.qp.program import QuadraticProgram
-from dpbench.qp.rational import rational_certificate
+from dpbench.qp.referee.feasibility.forced import fix_forced
+from dpbench.qp.referee.joint import ExactMatrices, JointQP
+from dpbench.qp.referee.rational import rational_certificate
+from dpbench.qp.referee.referee import certify
 from dpbench.qp.residuals import is_true, residuals
 from dpbench.qp.solution import Solution, Status
 

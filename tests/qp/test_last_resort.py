@@ -15,16 +15,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from dpbench.qp import oracle
-from dpbench.qp.certify import Optimum, Referee, certify
-from dpbench.qp.enclosure import enclosure_certificate
-from dpbench.qp.equilibrated import Scales, safe
-from dpbench.qp.implied import with_implied, without_empty
-from dpbench.qp.joint import ExactMatrices, JointQP, Proof
-from dpbench.qp.kkt import KKTSystem
-from dpbench.qp.last_resort import LastResort
 from dpbench.qp.program import QuadraticProgram
-from dpbench.qp.rational import rational_certificate
+from dpbench.qp.referee import oracle
+from dpbench.qp.referee.enclosure import enclosure_certificate
+from dpbench.qp.referee.equilibrated import Scales, safe
+from dpbench.qp.referee.feasibility.implied import with_implied, without_empty
+from dpbench.qp.referee.joint import ExactMatrices, JointQP, Proof
+from dpbench.qp.referee.kkt import KKTSystem
+from dpbench.qp.referee.last_resort import LastResort
+from dpbench.qp.referee.rational import rational_certificate
+from dpbench.qp.referee.referee import Optimum, Referee, certify
 from dpbench.qp.residuals import is_true, residuals
 from dpbench.qp.solution import Solution, Status
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dpbench.qp.certify import certify, error_of
 from dpbench.qp.program import QuadraticProgram
+from dpbench.qp.referee.referee import certify, error_of
 from dpbench.qp.residuals import Residuals, best_multipliers, is_true, residuals
 from dpbench.qp.solution import Solution, Status
 

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpbench.qp.certify import certify
-from dpbench.qp.farkas import farkas_valid
-from dpbench.qp.joint import JointQP
 from dpbench.qp.program import QuadraticProgram
-from dpbench.qp.rounding import least_violation, sizes
+from dpbench.qp.referee.feasibility.farkas import farkas_valid
+from dpbench.qp.referee.feasibility.rounding import least_violation, sizes
+from dpbench.qp.referee.joint import JointQP
+from dpbench.qp.referee.referee import certify
 
 INF = np.inf
 SCALES = [1.0, 2.0**20, 2.0**-20]

@@ -11,7 +11,7 @@ from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
 from dpbench.qp.stacked import stack, stack_step, unstack
-from dpbench.scenario import condense, load_scenario
+from dpbench.scenario.scenario import condense, load_scenario
 
 
 def state(north_m: float, east_m: float, heading_rad: float) -> np.ndarray:

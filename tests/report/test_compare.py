@@ -13,10 +13,10 @@ import pandas as pd
 import pytest
 
 from dpbench import InputError, compare
-from dpbench.bench.schema import SCHEMA_VERSION, as_runs, as_steps
-from dpbench.bench.store import Results, write_results
-from dpbench.cli import main
-from dpbench.report.compare_pairs import Pair
+from dpbench.analysis.compare.pairs import Pair
+from dpbench.bench.record.result_folder import Results, write_results
+from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
+from dpbench.cli.main import main
 from dpbench.report.compare_tables import _together
 
 STEPS, ROUNDS = 100, 8

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from dpbench.bench.schema import as_steps
-from dpbench.bench.store import load_results
-from dpbench.report.demand import Demand
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.slowdown import SlowedGroup, cost_ratio, slowed_groups
+from dpbench.bench.record.result_folder import load_results
+from dpbench.bench.record.schema import as_steps
 from dpbench.report.figures_deadline import slowdown_figure
 from dpbench.report.render import render_markdown
 from dpbench.report.section_deadline import deadline_lines, deadline_section
-from dpbench.report.slowed import SlowedGroup, cost_ratio, slowed_groups
 from dpbench.report.style import styled
 from dpbench.report.table import Table
 from dpbench.report.tables_control import control_tables

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from dpbench.bench.basin import Basin
-from dpbench.bench.bracket import Trial, bracket_of
-from dpbench.bench.design_file import DesignRecord, Designs, MissingDesign, write_design
+from dpbench.bench.design.bracket import Trial, bracket_of
+from dpbench.bench.design.design_file import DesignRecord, Designs, MissingDesign, write_design
+from dpbench.bench.design.region_of_attraction import Basin
 from dpbench.report.blocks import Bullets, Paragraph, Picture, Section, Tabular
 from dpbench.report.section_design import design_section
 from dpbench.report.style import styled

@@ -4,14 +4,14 @@ from typing import Any
 
 import pytest
 
-from dpbench.report.demand import Demand
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.times.routes import ways_of
+from dpbench.analysis.verdict import judge_all
 from dpbench.report.formulations import OTHERS, formulation_tables
 from dpbench.report.sections_time import timing_section
 from dpbench.report.table import Table
 from dpbench.report.tables_timing import timed_arms
-from dpbench.report.verdict import judge_all
 from dpbench.report.verdict_text import sentence
-from dpbench.report.ways import ways_of
 
 DEMAND = Demand()
 CALM = {"spread": 0.05}

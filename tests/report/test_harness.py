@@ -5,14 +5,14 @@ from typing import Any
 
 import pytest
 
-from dpbench.bench.store import Results
+from dpbench.analysis.records import View
+from dpbench.bench.record.result_folder import Results
 from dpbench.report.blocks import Paragraph, Tabular
 from dpbench.report.machine_verdict import disturbance_of, timed_runs
 from dpbench.report.render import render_markdown
 from dpbench.report.section_harness import harness_lines, machine_blocks, repeat_section
 from dpbench.report.table import Table
 from dpbench.report.tables_harness import cost_table, determinism_table, memory_table
-from dpbench.report.view import View
 from dpbench.report.write import build_page
 from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
 

@@ -12,18 +12,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.records import View
+from dpbench.analysis.statistics import Interval
+from dpbench.analysis.times.growth import Growth, crossover, fit_growth
+from dpbench.analysis.times.horizon_sweep import between_ends, sweeps
 from dpbench.report.blocks import Paragraph
-from dpbench.report.demand import Demand
 from dpbench.report.figures_horizon import growth_figure
-from dpbench.report.growth import Growth, crossover, fit_growth
 from dpbench.report.labels import kept_apart
 from dpbench.report.section_horizon import horizon_section
-from dpbench.report.statistics import Interval
 from dpbench.report.style import styled
-from dpbench.report.sweep import between_ends, sweeps
 from dpbench.report.table import Table
 from dpbench.report.tables_horizon import crossover_text, growth_table
-from dpbench.report.view import View
 from dpbench.report.write import build_page
 
 DEMAND = Demand()

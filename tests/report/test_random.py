@@ -8,14 +8,14 @@ from typing import Any
 
 import pandas as pd
 
-from dpbench.bench.schema import as_steps
-from dpbench.bench.store import Results, load_results
-from dpbench.qp.random_recipe import RandomRecipe
+from dpbench.analysis.random_claims import RandomClaims
+from dpbench.analysis.records import View
+from dpbench.bench.record.result_folder import Results, load_results
+from dpbench.bench.record.schema import as_steps
+from dpbench.qp.random.recipe import RandomRecipe
 from dpbench.report.blocks import Tabular
-from dpbench.report.claims_random import RandomClaims
 from dpbench.report.table import Table
 from dpbench.report.tables_random import arms_of
-from dpbench.report.view import View
 from dpbench.report.write import build_page, verdict_lines, write_report
 
 INF, NAN = float("inf"), float("nan")

@@ -10,15 +10,15 @@ from xml.etree import ElementTree
 import pytest
 from markdown_it import MarkdownIt
 
-from dpbench.bench.store import load_results
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.recommendation import recommend
+from dpbench.analysis.records import View
+from dpbench.analysis.verdict import judge_all
+from dpbench.bench.record.result_folder import load_results
 from dpbench.report.blocks import Tabular
-from dpbench.report.demand import Demand
 from dpbench.report.formats import rounded_down, time_text
-from dpbench.report.recommendation import recommend
 from dpbench.report.render import inline
 from dpbench.report.section_verdict import verdict_table
-from dpbench.report.verdict import judge_all
-from dpbench.report.view import View
 from dpbench.report.write import build_page, verdict_lines, write_report
 
 VOID = {"meta", "img", "br", "link"}

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.bench.store import Results
+from dpbench.analysis.records import View
+from dpbench.bench.record.result_folder import Results
 from dpbench.report.blocks import Paragraph
 from dpbench.report.render import render_markdown
 from dpbench.report.reproduced import choices, claims
 from dpbench.report.sections_control import reproduced_section
-from dpbench.report.view import View
 from dpbench.report.write import build_page
 
 WHOLE = 1000

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.report.demand import Demand
+from dpbench.analysis.demand import Demand
 from dpbench.report.table import Table, markdown, row_of
 from dpbench.report.tables_accuracy import accuracy_table, units_matrix, units_table
 from dpbench.report.tables_control import control_tables

@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.recommendation import recommend, why_not_aboard
+from dpbench.analysis.times.pairs import duel, fastest_first
+from dpbench.analysis.verdict import judge_all
 from dpbench.report.blocks import Cards
-from dpbench.report.demand import Demand
-from dpbench.report.ranking import duel, fastest_first
-from dpbench.report.recommendation import recommend, why_not_aboard
 from dpbench.report.render import render_markdown
 from dpbench.report.section_verdict import verdict_lines, verdict_section, verdict_table
-from dpbench.report.verdict import judge_all
 from dpbench.report.verdict_text import (
     clauses,
     contrast,

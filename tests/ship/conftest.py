@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dpbench.scenario import load_vessel
+from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.environment import Environment
 from dpbench.ship.plant import Plant
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.waves import WaveReflection
-from dpbench.ship.wind import Windage
+from dpbench.ship.weather.waves import WaveReflection
+from dpbench.ship.weather.wind import Windage
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dpbench.errors import InputError
-from dpbench.scenario import load_vessel
+from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.actuators import Actuators
 from dpbench.ship.environment import Environment
 from dpbench.ship.plant import SUBSTEPS, Plant

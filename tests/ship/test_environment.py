@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from dpbench.errors import InputError
-from dpbench.ship.current import Current
 from dpbench.ship.environment import Environment
 from dpbench.ship.sensors import SensorNoise
-from dpbench.ship.squall import Squall
-from dpbench.ship.streams import stream
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.waves import FirstOrderMotion, Sea, WaveDrift
-from dpbench.ship.wind import Wind
+from dpbench.ship.weather.current import Current
+from dpbench.ship.weather.squall import Squall
+from dpbench.ship.weather.streams import stream
+from dpbench.ship.weather.waves import FirstOrderMotion, Sea, WaveDrift
+from dpbench.ship.weather.wind import Wind
 
 MEAN, AMPLITUDE = [-20e3, 55e3, 500e3], [10e3, 30e3, 300e3]
 PERIOD_S, PHASE_RAD = [150.0, 120.0, 100.0], [0.0, 1.0, 2.0]
@@ -137,7 +137,11 @@ def test_every_random_source_draws_from_a_stream_of_its_own(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Wind, waves and noise each ask for one stream by a name that no other uses."""
-    asked: dict[str, set[tuple[int, str]]] = {"wind": set(), "waves": set(), "sensors": set()}
+    asked: dict[str, set[tuple[int, str]]] = {
+        "weather.wind": set(),
+        "weather.waves": set(),
+        "sensors": set(),
+    }
     for module, names in asked.items():
 
         def recorded(

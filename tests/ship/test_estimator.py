@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from dpbench.errors import InputError, ShapeError
-from dpbench.scenario import load_vessel
+from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.environment import Environment
-from dpbench.ship.estimator import Estimator, MeasuredState
-from dpbench.ship.kalman import KalmanFilter
-from dpbench.ship.kalman_model import SENSOR_STD, KalmanTuning
-from dpbench.ship.model_change import change_matrix, model_change
-from dpbench.ship.passive_observer import PassiveObserver
-from dpbench.ship.passive_tuning import PassiveTuning
+from dpbench.ship.estimation.estimator import Estimator, MeasuredState
+from dpbench.ship.estimation.kalman import KalmanFilter
+from dpbench.ship.estimation.kalman_model import SENSOR_STD, KalmanTuning
+from dpbench.ship.estimation.model_change import change_matrix, model_change
+from dpbench.ship.estimation.passive_observer import PassiveObserver
+from dpbench.ship.estimation.passive_tuning import PassiveTuning
+from dpbench.ship.estimation.wave_filter import WaveModel
 from dpbench.ship.plant import SUBSTEPS, Plant
-from dpbench.ship.wave_filter import WaveModel
 
 SAMPLE_S = 0.3
 SHIP = load_vessel("supply_fs99")

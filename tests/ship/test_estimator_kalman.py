@@ -11,11 +11,11 @@ from scipy.linalg import block_diag, expm
 from scipy.stats import binom, chi2
 
 from dpbench.errors import InputError
-from dpbench.scenario import load_vessel
-from dpbench.ship.kalman import KalmanFilter
-from dpbench.ship.kalman_model import SENSOR_STD, KalmanTuning, discretise, kalman_model
+from dpbench.scenario.scenario import load_vessel
+from dpbench.ship.estimation.kalman import KalmanFilter
+from dpbench.ship.estimation.kalman_model import SENSOR_STD, KalmanTuning, discretise, kalman_model
+from dpbench.ship.estimation.wave_filter import WaveModel
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.wave_filter import WaveModel
 
 SAMPLE_S = 0.3
 SHIP = load_vessel("supply_fs99")

@@ -9,11 +9,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dpbench.errors import InputError
-from dpbench.scenario import load_vessel
-from dpbench.ship.passive_observer import PassiveObserver
-from dpbench.ship.passive_tuning import PassiveTuning
+from dpbench.scenario.scenario import load_vessel
+from dpbench.ship.estimation.passive_observer import PassiveObserver
+from dpbench.ship.estimation.passive_tuning import PassiveTuning
+from dpbench.ship.estimation.wave_filter import WaveModel
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.wave_filter import WaveModel
 
 SAMPLE_S = 0.3
 SHIP = load_vessel("supply_fs99")

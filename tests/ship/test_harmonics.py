@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from dpbench.ship.harmonics import Harmonics, realise
-from dpbench.ship.spectra import jonswap
-from dpbench.ship.streams import stream
+from dpbench.ship.weather.harmonics import Harmonics, realise
+from dpbench.ship.weather.spectra import jonswap
+from dpbench.ship.weather.streams import stream
 
 BAND = (0.3, 3.0)
 COUNT = 150

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dpbench.ship.current import Current
 from dpbench.ship.environment import Environment
 from dpbench.ship.plant import SUBSTEPS, Plant
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.waves import Sea, WaveDrift
-from dpbench.ship.wind import Wind
+from dpbench.ship.weather.current import Current
+from dpbench.ship.weather.waves import Sea, WaveDrift
+from dpbench.ship.weather.wind import Wind
 
 WAVES = Sea(3.1, 8.5, 0.4)
 START = np.array([0.4, -0.3, 0.01, 1.2, 1.3, 0.7])

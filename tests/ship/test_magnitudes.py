@@ -11,12 +11,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dpbench.ship.current import Current
 from dpbench.ship.environment import Environment
 from dpbench.ship.plant import Plant
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.waves import Sea, WaveDrift
-from dpbench.ship.wind import Wind
+from dpbench.ship.weather.current import Current
+from dpbench.ship.weather.waves import Sea, WaveDrift
+from dpbench.ship.weather.wind import Wind
 
 # DP number: wind [m/s], Hs [m], Tp [s], force beam-on [kN], head-on [kN]; current 0.75 m/s.
 TABLE = {

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dpbench.scenario import load_vessel
+from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.environment import Environment
 from dpbench.ship.plant import SUBSTEPS, Plant
 from dpbench.ship.vessel import Vessel

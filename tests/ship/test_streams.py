@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from dpbench.ship.streams import stream
+from dpbench.ship.weather.streams import stream
 
 NAMES = ("wind", "waves", "noise")
 
@@ -30,7 +30,9 @@ def test_streams_of_one_seed_are_uncorrelated() -> None:
 @pytest.mark.parametrize("hash_seed", ["0", "1"])
 def test_a_stream_is_the_same_in_another_process(hash_seed: str) -> None:
     """The key does not hang on anything that a process draws at its start."""
-    script = "from dpbench.ship.streams import stream; print(stream(3, 'wind').random().hex())"
+    script = (
+        "from dpbench.ship.weather.streams import stream; print(stream(3, 'wind').random().hex())"
+    )
     done = subprocess.run(
         [sys.executable, "-c", script],
         env={"PYTHONHASHSEED": hash_seed, "PYTHONPATH": os.pathsep.join(sys.path)},

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 
 from dpbench.errors import InputError, ShapeError
-from dpbench.scenario import load_vessel
+from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.vessel import Vessel, bis_descaled, bis_descaled_damping
 
 GOOD = {

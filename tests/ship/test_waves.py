@@ -11,7 +11,7 @@ import pytest
 from dpbench.errors import InputError
 from dpbench.ship.environment import Environment
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.waves import FirstOrderMotion, Sea, WaveDrift, WaveReflection
+from dpbench.ship.weather.waves import FirstOrderMotion, Sea, WaveDrift, WaveReflection
 
 Felt = Callable[..., np.ndarray]
 SEA = Sea(3.1, 8.5, 0.4)

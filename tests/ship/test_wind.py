@@ -11,9 +11,9 @@ from scipy.integrate import quad
 
 from dpbench.errors import InputError
 from dpbench.ship.environment import Environment
-from dpbench.ship.spectra import harris_gust, norsok_gust
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.wind import Wind, Windage, towards_rad
+from dpbench.ship.weather.spectra import harris_gust, norsok_gust
+from dpbench.ship.weather.wind import Wind, Windage, towards_rad
 
 Felt = Callable[..., np.ndarray]
 

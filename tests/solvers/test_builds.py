@@ -10,7 +10,7 @@ from types import ModuleType
 
 import pytest
 
-from dpbench.solvers.native.hpipm_parts import build_of
+from dpbench.solvers.native.hpipm.library import build_of
 from dpbench.solvers.record import Build
 from dpbench.solvers.table import Availability, available
 from dpbench.solvers.through_qpsolvers.vectorised import vectorised_build

@@ -10,8 +10,8 @@ import psutil
 import pytest
 
 from dpbench.errors import ShapeError
-from dpbench.qp.certify import certify
 from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Status
 from dpbench.solvers.table import TABLE
 

@@ -7,16 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpbench.bench.sequence_file import load_recorded
-from dpbench.problem_files import sequence_path
-from dpbench.qp.certify import certify
-from dpbench.qp.joint import JointQP
+from dpbench.bench.sequences.sequence_file import load_recorded
 from dpbench.qp.program import QuadraticProgram
-from dpbench.qp.random_recipe import RandomRecipe
-from dpbench.qp.random_sequence import planted
-from dpbench.solvers import paper_active_set
-from dpbench.solvers.exact_point import LARGEST, error_bound, is_regular
+from dpbench.qp.random.recipe import RandomRecipe
+from dpbench.qp.random.sequence import planted
+from dpbench.qp.referee.joint import JointQP
+from dpbench.qp.referee.referee import certify
+from dpbench.scenario.problem_files import sequence_path
 from dpbench.solvers.open import open_workspace
+from dpbench.solvers.own import paper_active_set
+from dpbench.solvers.own.safeguards.exact_point import LARGEST, error_bound, is_regular
 
 INF = np.inf
 

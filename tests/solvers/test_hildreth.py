@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dpbench.errors import SettingsError
-from dpbench.qp.farkas import farkas_valid
 from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.qp.referee.feasibility.farkas import farkas_valid
 from dpbench.qp.residuals import residuals
 from dpbench.qp.solution import Status
 from dpbench.solvers.open import open_workspace

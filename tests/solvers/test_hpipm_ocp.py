@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import dpbench
-from dpbench.qp.certify import certify
 from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import available

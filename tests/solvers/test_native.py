@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dpbench.errors import DpbenchError
-from dpbench.qp.certify import certify
 from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.native import NATIVE
 from dpbench.solvers.native.base import Start

@@ -8,8 +8,8 @@ import quadprog
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpbench.qp.farkas import farkas_valid
 from dpbench.qp.program import QuadraticProgram
+from dpbench.qp.referee.feasibility.farkas import farkas_valid
 from dpbench.qp.solution import Status
 from dpbench.solvers.open import open_workspace
 

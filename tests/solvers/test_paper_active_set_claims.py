@@ -6,13 +6,13 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpbench.qp.certify import Referee
-from dpbench.qp.farkas import farkas_valid
 from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.qp.referee.feasibility.farkas import farkas_valid
+from dpbench.qp.referee.referee import Referee
 from dpbench.qp.residuals import is_true, residuals
 from dpbench.qp.solution import Status
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.proof import contradicts
+from dpbench.solvers.own.safeguards.proof import contradicts
 
 INF = np.inf
 RULES = {"deadline": None, "derandomize": True, "database": None}

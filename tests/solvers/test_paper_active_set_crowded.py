@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dpbench.qp.certify import Referee, certify
 from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.qp.referee.referee import Referee, certify
 from dpbench.qp.residuals import residuals
 from dpbench.qp.solution import Status
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.pinned import determined
-from dpbench.solvers.proof import contradicts
+from dpbench.solvers.own.safeguards.pinned import determined
+from dpbench.solvers.own.safeguards.proof import contradicts
 
 INF = np.inf
 

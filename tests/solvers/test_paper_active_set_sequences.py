@@ -7,11 +7,12 @@ import pytest
 import quadprog
 
 from dpbench import load_scenario, run_closed_loop
-from dpbench.bench.exact import sequence_of, solve_exactly
+from dpbench.bench.run.exact_loop import sequence_of, solve_exactly
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Status
-from dpbench.solvers import active_set_layout, active_set_moves
 from dpbench.solvers.open import open_workspace
+from dpbench.solvers.own.active_set import layout as active_set_layout
+from dpbench.solvers.own.active_set import moves as active_set_moves
 
 INF = np.inf
 

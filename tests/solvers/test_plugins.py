@@ -14,7 +14,7 @@ import qpsolvers
 
 import dpbench
 from dpbench.errors import InputError, PolicyError, SettingsError, UnknownNameError
-from dpbench.qp.certify import certify
+from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Status
 from dpbench.solvers import plugins
 from dpbench.solvers.open import open_workspace

@@ -12,11 +12,11 @@ from qpsolvers import Problem, solve_problem
 from dpbench.errors import DpbenchError
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.solution import Status
-from dpbench.solvers import qpsolvers_route
 from dpbench.solvers.one_sided import OneSidedForm
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import TABLE, available
 from dpbench.solvers.through_qpsolvers import ADAPTERS
+from dpbench.solvers.through_qpsolvers import workspace as qpsolvers_route
 
 THROUGH = [name for name in ADAPTERS if available(name).ok]
 WARM = [name for name in THROUGH if "warm" in TABLE[name].policies["qpsolvers"]]

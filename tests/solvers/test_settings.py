@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dpbench.errors import SettingsError
-from dpbench.qp.certify import certify
+from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Status
 from dpbench.solvers.native import NATIVE
 from dpbench.solvers.open import open_workspace

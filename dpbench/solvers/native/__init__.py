@@ -4,8 +4,6 @@ from dpbench.solvers.native import (
     clarabel,
     daqp,
     highs,
-    hpipm,
-    hpipm_ocp,
     osqp,
     piqp,
     proxqp,
@@ -16,6 +14,8 @@ from dpbench.solvers.native import (
     scs,
 )
 from dpbench.solvers.native.adapter import NativeAdapter
+from dpbench.solvers.native.hpipm import dense as hpipm
+from dpbench.solvers.native.hpipm import ocp as hpipm_ocp
 
 NATIVE: dict[str, NativeAdapter] = {
     adapter.record.name: adapter

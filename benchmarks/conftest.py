@@ -1,0 +1,87 @@
+"""Shared problems of the benchmarks: the paper's scenario, scaled."""
+
+from __future__ import annotations
+
+import gc
+import time
+import tracemalloc
+from collections.abc import Callable, Iterator
+
+import pytest
+from pytest_benchmark.fixture import BenchmarkFixture
+
+from dpbench import load_scenario
+from dpbench.bench.run.exact_loop import ExactLoop, solve_exactly
+from dpbench.bench.run.replay import probe_ns
+from dpbench.mpc.condense import ControlProblem
+from dpbench.scenario.scenario import Scenario
+
+
+@pytest.fixture(scope="session")
+def scenario() -> Scenario:
+    """The paper's scenario, its first 120 steps: transfer and first steps at rest."""
+    return load_scenario("paper").first(120)
+
+
+@pytest.fixture(scope="session")
+def problem(scenario: Scenario) -> ControlProblem:
+    """Its control problem: 30/5, nine states, three inputs."""
+    return scenario.control_problem()
+
+
+@pytest.fixture(scope="session")
+def exact(scenario: Scenario) -> ExactLoop:
+    """Its exactly solved loop."""
+    return solve_exactly(scenario)
+
+
+@pytest.fixture(autouse=True)
+def no_garbage_collection() -> Iterator[None]:
+    """Nothing collects garbage between two clock reads."""
+    gc.collect()
+    gc.disable()
+    yield
+    gc.enable()
+
+
+@pytest.fixture(autouse=True)
+def reference_kernel(benchmark: BenchmarkFixture) -> Iterator[None]:
+    """The reference kernel before and after each benchmark: what `make bench-compare` divides by.
+
+    Its first call compiles or loads it, so that one is not counted.
+    """
+    probe_ns(time.perf_counter_ns)
+    before = probe_ns(time.perf_counter_ns)
+    yield
+    after = probe_ns(time.perf_counter_ns)
+    benchmark.extra_info["reference_ns"] = min(before, after)
+
+
+Exactly = Callable[..., None]
+"""Notes exact measures of a call: `exactly(call, iterations=…, rows=…)`."""
+
+
+@pytest.fixture
+def exactly(benchmark: BenchmarkFixture) -> Exactly:
+    """Notes what does not depend on the clock: Python memory of a call, and what it is given.
+
+    `peak_bytes` is the most that the call holds at a time beyond what it found, the smallest of
+    a few calls after one that filled the caches. What a library allocates itself is not in it.
+    """
+
+    def note(call: Callable[[], object], **measures: int) -> None:
+        call()
+        peaks = []
+        tracemalloc.start()
+        try:
+            for _ in range(3):
+                gc.collect()
+                tracemalloc.reset_peak()
+                held = tracemalloc.get_traced_memory()[0]
+                call()
+                peaks.append(tracemalloc.get_traced_memory()[1] - held)
+        finally:
+            tracemalloc.stop()
+        benchmark.extra_info["exact"] = measures | {"peak_bytes": min(peaks)}
+
+    return note

@@ -1,0 +1,86 @@
+"""The paper's method as a controller uses it, beside bare calls of DAQP, on recorded sequences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import daqp
+import numpy as np
+import pytest
+from pytest_benchmark.fixture import BenchmarkFixture
+
+from dpbench import load_scenario, open_workspace
+from dpbench.bench.run.exact_loop import sequence_of, solve_exactly
+from dpbench.qp.program import QPSequence
+
+
+@pytest.fixture(scope="module", params=["paper", "rough"])
+def sequence(request: pytest.FixtureRequest) -> QPSequence:
+    """The first 200 QPs of a scenario."""
+    scenario = load_scenario(request.param).first(200)
+    return sequence_of(scenario, solve_exactly(scenario))
+
+
+def bare_daqp(sequence: QPSequence) -> Callable[[], int]:
+    """Update and solve of one model, on arrays made beforehand; nothing is read."""
+    base = sequence.base
+    model = daqp.Model()
+    upper, lower = np.concatenate([base.ub, base.u]), np.concatenate([base.lb, base.l])
+    model.setup(
+        base.P.copy(),
+        base.q.copy(),
+        base.A.copy(),
+        upper,
+        lower,
+        np.zeros(upper.size, dtype=np.int32),
+    )
+    steps = [
+        (
+            sequence.q[k].copy(),
+            np.concatenate([base.ub, sequence.u[k]]),
+            np.concatenate([base.lb, sequence.l[k]]),
+        )
+        for k in range(len(sequence))
+    ]
+
+    def replay() -> int:
+        iterations = 0
+        for q, high, low in steps:
+            model.update(f=q, bupper=high, blower=low)
+            iterations += model.solve()[3]["iterations"]
+        return iterations
+
+    return replay
+
+
+def own(solver: str, sequence: QPSequence) -> Callable[[], int]:
+    """Update, solve and read of a workspace that starts from the step before."""
+    workspace = open_workspace(solver, route="native", policy="warm")
+    workspace.setup(sequence.base)
+    steps = [sequence.step(k) for k in range(len(sequence))]
+
+    def replay() -> int:
+        iterations = 0
+        for step in steps:
+            workspace.update(step)
+            workspace.solve()
+            iterations += workspace.read().iterations
+        return iterations
+
+    return replay
+
+
+@pytest.mark.benchmark(group="warm steps, 200 of a scenario", min_rounds=50)
+@pytest.mark.parametrize("solver", ["daqp, bare", "daqp", "paper_active_set", "hildreth"])
+def test_warm_steps(
+    benchmark: BenchmarkFixture, exactly: Callable[..., None], sequence: QPSequence, solver: str
+) -> None:
+    """A whole pass over the sequence; divide by 200 for a step.
+
+    "daqp" less "daqp, bare" is what dpbench's adapter costs, to read the answer included.
+    """
+    replay = bare_daqp(sequence) if solver == "daqp, bare" else own(solver, sequence)
+    replay()  # the second pass starts warm from the end of the first, as all later ones do
+    iterations = replay()
+    exactly(replay, iterations=iterations, rows=sequence.base.m + sequence.base.n)
+    benchmark(replay)

@@ -1,0 +1,1 @@
+"""Numbers from records: verdicts, step times, comparisons; no words, no drawing."""

@@ -1,0 +1,1 @@
+"""Two result folders, paired: answers, step times, the evidence behind a difference."""

@@ -1,0 +1,178 @@
+"""Verdicts on ratios between two runs: the noise of a run, minimum effects, equivalence, Holm.
+
+Two runs of one suite are two draws of the machine's state: memory layout, frequency, neighbours.
+A factor of that kind holds for a whole run, so no resampling of steps or rounds sees it. Its part
+common to all arms of a sequence is the machine factor, taken as the median over the *other* arms,
+and stated wherever it is taken out; the spread of the arms around it is the noise between runs
+that remains. That spread is estimated robustly from few arms and moderated by a prior, as in the
+moderated t-statistic (Smyth 2004, Stat. Appl. Genet. Mol. Biol. 3(1), article 3). Errors from
+inside the runs are part of that spread, so a ratio's own counts as far as it exceeds the usual one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from dpbench.analysis.statistics import Floats, Interval
+
+Verdict = Literal["slower", "faster", "equivalent", "no difference shown"]
+
+MIN_OTHERS = 3
+"""With fewer other arms there is no median to speak of: the reference kernel stands for it."""
+MAD_EFFICIENCY = 0.37
+"""Of the median absolute deviation under normal noise (Rousseeuw & Croux 1993): n values are
+worth so many times n degrees of freedom."""
+_MAD_SMALL = (1.196, 1.495, 1.363, 1.206, 1.200, 1.140, 1.129, 1.107)
+"""Its correction for 2..9 values (Croux & Rousseeuw 1992); n/(n − 0.8) from there on."""
+_MEDIAN_VARIANCE = np.pi / 2
+"""Variance of a median times n, in variances of the normal noise."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of a noise before the data: its standard deviation (log), its weight in df."""
+
+    sd: float
+    df: float
+
+
+ARM_NOISE = Prior(sd=0.01, df=6.0)
+"""Between two runs, of one arm around all arms."""
+MACHINE_NOISE = Prior(sd=0.05, df=4.0)
+"""Between two runs, of all arms together, beyond what the reference kernel shows."""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What two runs say of one ratio.
+
+    Parameters
+    ----------
+    raw : ratio as measured; machine : factor taken out of it; ratio : raw / machine with an
+        interval that holds for all ratios of the table together (Bonferroni).
+    p_differs, p_equal : adjusted (Holm) for "beyond the margin" and "within the margin".
+    """
+
+    raw: float
+    machine: float
+    ratio: Interval
+    p_differs: float
+    p_equal: float
+    verdict: Verdict
+
+
+def holm(p: Floats) -> Floats:
+    """Adjusted p-values (Holm 1979, step-down Bonferroni): ≤ α together at family-wise α."""
+    order = np.argsort(p, kind="stable")
+    factors = np.arange(len(p), 0, -1)
+    adjusted = np.empty(len(p))
+    adjusted[order] = np.minimum(1.0, np.maximum.accumulate(factors * p[order]))
+    return adjusted
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Estimated log ratios, (N,) each: `effect` after `machine` was taken out, its error, its df.
+
+    `effect` + `machine` is what was measured.
+    """
+
+    effect: Floats
+    machine: Floats
+    error: Floats
+    df: Floats
+
+
+def gather(
+    logs: Floats,
+    own: Floats,
+    groups: Sequence[str],
+    prior: Prior = ARM_NOISE,
+    kernel: Floats | None = None,
+    own_share: float = 1.0,
+) -> Evidence:
+    """The evidence on each of N log ratios.
+
+    Parameters
+    ----------
+    logs : (N,) measured; own : (N,) standard errors from inside the two runs.
+    groups : (N,) which ratios share a machine factor: the sequence they were measured on.
+    prior : of the noise between runs.
+    kernel : (N,) log ratios of a reference kernel: the machine factor where a group has too few
+        arms to tell; NaN where no kernel tells it either, which leaves nothing known of the arm.
+        None for a machine that has no such factor.
+    own_share : of the usual variance from inside the runs, what the scatter of the arms shows.
+    """
+    labels = np.asarray(groups)
+    centre, error, df = np.zeros(len(logs)), np.empty(len(logs)), np.empty(len(logs))
+    for i in range(len(logs)):
+        # What an arm is judged by must not come from that arm: its own slow-down would count.
+        keep = np.arange(len(logs)) != i
+        usual2 = float(np.median(own[keep] ** 2)) if keep.any() else 0.0
+        spread2, df[i] = _spread(logs[keep], labels[keep], prior, own_share * usual2)
+        others = logs[keep & (labels == labels[i])]
+        if len(others) >= MIN_OTHERS:
+            centre[i] = np.median(others)
+            unknown = spread2 * _MEDIAN_VARIANCE / len(others)
+        else:
+            known = 0.0 if kernel is None else float(kernel[i])
+            unknown = MACHINE_NOISE.sd**2 if np.isfinite(known) else np.inf
+            centre[i] = np.nan_to_num(known)
+        error[i] = np.sqrt(spread2 + unknown + max(0.0, own[i] ** 2 - usual2))
+    return Evidence(logs - centre, centre, error, df)
+
+
+def _spread(
+    logs: Floats, labels: NDArray[np.str_], prior: Prior, inside2: float
+) -> tuple[float, float]:
+    """Variance of the arms around the median of their group, moderated, and its df.
+
+    Moderation never makes it smaller than it is found: too quiet a prior would make claims.
+    `inside2` is the variance that errors from inside the runs lead to expect beside the prior's.
+    """
+    expected = prior.sd**2 + inside2
+    parts = [logs[labels == label] for label in np.unique(labels)]
+    parts = [part for part in parts if len(part) >= 2]
+    if not parts:
+        return expected, prior.df
+    rest = np.concatenate([part - np.median(part) for part in parts])
+    n = len(rest)
+    small = _MAD_SMALL[n - 2] if n - 2 < len(_MAD_SMALL) else n / (n - 0.8)
+    found = small * float(np.median(np.abs(rest)) / stats.norm.ppf(0.75))
+    df = MAD_EFFICIENCY * (n - len(parts))
+    variance = (prior.df * expected + df * found**2) / (prior.df + df)
+    return max(variance, found**2), prior.df + df
+
+
+def judge(found: Evidence, margin: float, alpha: float) -> list[Judgement]:
+    """A verdict on each ratio, all of which hold together at family-wise error `alpha`.
+
+    "slower" and "faster" reject a ratio within the margin (minimum-effect test of |log ratio| ≤
+    log(1 + margin), at its least favourable point); "equivalent" rejects one beyond it (two
+    one-sided tests, Schuirmann 1987). Claims of either kind are one Holm family each.
+    """
+    bound, size = np.log1p(margin), np.abs(found.effect)
+    tail = stats.t(found.df)
+    beyond = tail.sf((size - bound) / found.error) + tail.sf((size + bound) / found.error)
+    differs = holm(np.minimum(1.0, beyond))
+    equal = holm(tail.sf((bound - size) / found.error))
+    reach = tail.isf(alpha / 2 / max(1, len(size))) * found.error
+    verdicts: list[Judgement] = []
+    for i, effect in enumerate(found.effect):
+        verdict: Verdict = "no difference shown"
+        if differs[i] <= alpha:
+            verdict = "slower" if effect > 0 else "faster"
+        elif equal[i] <= alpha:
+            verdict = "equivalent"
+        low, value, high = np.exp([effect - reach[i], effect, effect + reach[i]]).tolist()
+        machine = float(np.exp(found.machine[i]))
+        interval = Interval(value, low, high)
+        chance = (float(differs[i]), float(equal[i]))
+        verdicts.append(Judgement(value * machine, machine, interval, *chance, verdict))
+    return verdicts

@@ -1,0 +1,278 @@
+"""Step times of the same arms in two runs: one ratio per arm and sequence, with its own noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from dpbench.analysis.compare.evidence import MACHINE_NOISE, Evidence, Judgement, gather, judge
+from dpbench.analysis.compare.pairs import KEY, Pair
+from dpbench.analysis.records import Row, View
+from dpbench.analysis.statistics import (
+    BLOCK_STEPS,
+    RESAMPLES,
+    SEED,
+    Floats,
+    enough,
+    resampled_means,
+)
+from dpbench.report.formats import as_float
+from dpbench.report.machine_verdict import disturbed_sequences
+
+PARTS = 4
+"""A run's rounds are cut into so many consecutive parts, each left out in turn."""
+JACKKNIFE_SHARE = 0.25
+"""Of the jackknife's variance of a minimum, which it overstates: what the scatter of 14 arms shows
+between 40 runs of unchanged code, 0.18 to 0.4 with 5 to 36 rounds. Where an arm's own is beyond
+the usual one it counts in full: such an arm may have met a neighbour in every round."""
+LOAD_SHARE, LOAD_ERROR = 0.5, 0.3
+"""Of what the load kernel of an arm differs from that of the others, the part its step times feel,
+measured in the same runs (0.5 to 0.6), and how far that differs from arm to arm."""
+LOAD_WEIGHT, LOAD_WEIGHT_ERROR = 0.8, 0.3
+"""What all arms together feel of a change of the load kernel that the reference kernel does not
+show (0.76 to 0.82 in those runs, with a correlation of 0.98), and how far that may be off."""
+
+
+@dataclass(frozen=True, eq=False)
+class Timing:
+    """log(B/A) of one arm on one sequence, its standard error from inside the runs, its sizes."""
+
+    pair: Pair
+    log: float
+    own: float
+    steps: int
+    rounds: int
+    median_ns: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """A timing with its verdict."""
+
+    timing: Timing
+    judgement: Judgement
+
+
+@dataclass(frozen=True)
+class Shared:
+    """All arms of a sequence together.
+
+    Parameters
+    ----------
+    factor : median over the arms of B/A; kernel, load : the same of the reference kernel and the
+        load kernel, NaN where a folder does not have it.
+    judgement : on factor / what the kernels lead to expect; None where it cannot be judged, for
+        the reason `unjudged`.
+    """
+
+    sequence: str
+    factor: float
+    kernel: float
+    load: float
+    arms: int
+    judgement: Judgement | None
+    unjudged: str
+
+
+def time_pairs(a: View, b: View, pairs: Sequence[Pair]) -> list[Timing]:
+    """The timings of all replayed pairs that have one."""
+    replays = [pair for pair in pairs if pair.a["mode"] == "replay"]
+    once: dict[tuple[object, ...], Timing] = {}
+    for pair in replays:
+        found = _timing(pair, _rounds(a, pair.a), _rounds(b, pair.b))
+        if found is not None:
+            # Settings without effect are one run under several names, and one piece of evidence.
+            arm = [pair.a[name] for name in KEY if name != "settings"]
+            once.setdefault((*arm, found.log, found.own), found)
+    return list(once.values())
+
+
+def why_unjudged(
+    a: View, b: View, timings: Sequence[Timing], *, same_machine: bool
+) -> dict[str, str]:
+    """Why the reference kernel cannot stand for the machine, by sequence; "" where it can.
+
+    A kernel feels only some of what a solver feels of a busy machine, so both runs must have
+    called theirs quiet while they timed the sequence.
+    """
+    known = disturbed_sequences(a), disturbed_sequences(b)
+    reasons = {}
+    for name in dict.fromkeys(t.pair.problem for t in timings):
+        found = [one.get(name) for one in known]
+        hidden = [one is None for one in found]
+        disturbed = [one is not None and bool(one.complaints()) for one in found]
+        if not same_machine:
+            reasons[name] = "they are two machines"
+        elif not np.isfinite(_machine([t for t in timings if t.pair.problem == name]).kernel):
+            reasons[name] = "the reference kernel was not timed"
+        elif any(disturbed):
+            reasons[name] = f"{_which(disturbed)} disturbed"
+        elif any(hidden):
+            reasons[name] = f"nothing tells how quiet {_which(hidden)}"
+        else:
+            reasons[name] = ""
+    return reasons
+
+
+def _which(of: Sequence[bool]) -> str:
+    """Which of two runs, with its verb."""
+    return "both runs were" if all(of) else f"run {'AB'[list(of).index(True)]} was"
+
+
+def compare_times(
+    timings: Sequence[Timing], margin: float, alpha: float, unjudged: Mapping[str, str]
+) -> tuple[list[Compared], list[Shared]]:
+    """Verdicts on the arms and on what they share: one family of claims.
+
+    `unjudged` says of each sequence why the reference kernel cannot stand for the machine; then
+    what the arms share is not judged, nor are arms that have only that kernel to be held against.
+    """
+    groups = [t.pair.problem for t in timings]
+    labels = np.asarray(groups)
+    machines = {n: _machine([t for t in timings if t.pair.problem == n]) for n in groups}
+    fit = np.array([np.nan if unjudged[name] else machines[name].expected for name in groups])
+    logs = np.array([t.log for t in timings])
+    met = _load_met(timings, labels)
+    own = np.hypot([t.own for t in timings], LOAD_ERROR * np.abs(met))
+    less = logs - LOAD_SHARE * met
+    arms = gather(less, own, groups, kernel=fit, own_share=JACKKNIFE_SHARE)
+    factors = {name: float(np.median(logs[labels == name])) for name in machines}
+    together = [
+        (factors[name] - machine.expected, machine.error_of(arms.error[labels == name]))
+        for name, machine in machines.items()
+        if not unjudged[name]
+    ]
+    family = Evidence(
+        np.concatenate([arms.effect, [effect for effect, _ in together]]),
+        np.concatenate([arms.machine + LOAD_SHARE * met, np.zeros(len(together))]),
+        np.concatenate([arms.error, [error for _, error in together]]),
+        np.concatenate([arms.df, np.full(len(together), MACHINE_NOISE.df)]),
+    )
+    judged = judge(family, margin, alpha)
+    compared = [Compared(*both) for both in zip(timings, judged, strict=False)]
+    rest = iter(judged[len(timings) :])
+    shared = [
+        Shared(
+            name,
+            float(np.exp(factors[name])),
+            float(np.exp(machine.kernel)),
+            float(np.exp(machine.load)),
+            groups.count(name),
+            None if unjudged[name] else next(rest),
+            unjudged[name],
+        )
+        for name, machine in machines.items()
+    ]
+    return compared, shared
+
+
+@dataclass(frozen=True)
+class _Machine:
+    """log(B/A) of the two kernels, medians over the workers of a sequence."""
+
+    kernel: float
+    load: float
+
+    @property
+    def beyond(self) -> float:
+        """What the load kernel shows and the reference kernel does not; 0 where it is unknown."""
+        return self.load - self.kernel if np.isfinite(self.load) else 0.0
+
+    @property
+    def expected(self) -> float:
+        """The factor of the step times they lead to expect."""
+        return self.kernel + LOAD_WEIGHT * self.beyond
+
+    def error_of(self, arms: Floats) -> float:
+        """How far that may be off the median of arms that have the errors `arms`."""
+        median2 = np.pi / 2 * float(np.median(arms)) ** 2 / len(arms)
+        return float(
+            np.sqrt(MACHINE_NOISE.sd**2 + (LOAD_WEIGHT_ERROR * self.beyond) ** 2 + median2)
+        )
+
+
+def _load_met(timings: Sequence[Timing], labels: NDArray[np.str_]) -> Floats:
+    """(N,) log(B/A) of the load kernel in an arm's worker less the median over its sequence.
+
+    Rounds of two arms meet different neighbours; 0 where a folder does not tell.
+    """
+    logs = np.array([_log_ratio(t.pair, "load_ns") for t in timings])
+    met = np.zeros(len(logs))
+    for name in np.unique(labels):
+        known = (labels == name) & np.isfinite(logs)
+        if known.any():
+            met[known] = logs[known] - np.median(logs[known])
+    return met
+
+
+def _log_ratio(pair: Pair, column: str) -> float:
+    """log(B/A) of a column of times."""
+    return float(np.log(as_float(pair.b[column]) / as_float(pair.a[column])))
+
+
+def _machine(timings: Sequence[Timing]) -> _Machine:
+    """The kernels of one sequence, timed in every worker; NaN where a folder does not tell."""
+    medians = []
+    for column in ("probe_ns", "load_ns"):
+        logs = np.array([_log_ratio(t.pair, column) for t in timings])
+        known = logs[np.isfinite(logs)]
+        medians.append(float(np.median(known)) if len(known) else float(np.nan))
+    return _Machine(*medians)
+
+
+def _rounds(view: View, row: Row) -> pd.DataFrame | None:
+    """(rounds, steps) times [ns] of the rounds that count."""
+    steps = view.steps(row)
+    counting = steps[steps["counts"]]
+    if counting.empty:
+        return None
+    times = counting.assign(total_ns=counting["total_ns"].astype("float64"))
+    table = times.pivot(index="repeat", columns="k", values="total_ns")
+    whole = table.dropna(axis="index")
+    # An arm that its time limit stopped in its first round has the steps it has.
+    return whole if len(whole) else table.dropna(axis="columns")
+
+
+def _timing(pair: Pair, a: pd.DataFrame | None, b: pd.DataFrame | None) -> Timing | None:
+    if a is None or b is None:
+        return None
+    steps = a.columns.intersection(b.columns)
+    if steps.empty:
+        return None
+    # The minimum over more rounds is smaller, so both runs get as many: their first ones.
+    rounds = min(len(a), len(b))
+    mine = a[steps].to_numpy(dtype=np.float64)[:rounds]
+    theirs = b[steps].to_numpy(dtype=np.float64)[:rounds]
+    best = mine.min(axis=0), theirs.min(axis=0)
+    logs = np.log(best[1] / best[0])
+    over_steps = (
+        resampled_means(logs, BLOCK_STEPS, RESAMPLES, SEED).std()
+        if enough(len(logs))
+        # As good as a single step: that all of so few resemble each other cannot be excluded.
+        else logs.std()
+    )
+    own = float(np.sqrt(over_steps**2 + _variance(mine) + _variance(theirs)))
+    medians = float(np.median(best[0])), float(np.median(best[1]))
+    return Timing(pair, float(logs.mean()), own, len(steps), rounds, medians)
+
+
+def _variance(times: Floats) -> float:
+    """Variance of a run's mean log minimum time: the jackknife over consecutive parts of rounds.
+
+    What is left out is a part, not what is kept: a stretch of slow rounds leaves the minimum over
+    the others where it was, and a minimum that one part alone reached is not to be relied on.
+
+    Parameters
+    ----------
+    times : (rounds, steps); a single round says nothing, which leaves the noise between runs.
+    """
+    parts = min(PARTS, len(times))
+    if parts < 2:
+        return 0.0
+    left_out = np.array_split(np.arange(len(times)), parts)
+    means = [np.log(np.delete(times, rows, axis=0).min(axis=0)).mean() for rows in left_out]
+    return float(np.var(means)) * (parts - 1)

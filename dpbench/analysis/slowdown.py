@@ -1,0 +1,103 @@
+"""Closed loops on slow computers, gathered: which slow-down each solver survives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from dpbench.analysis.records import COMMON, Row, View
+from dpbench.report.formats import as_float
+from dpbench.report.tables_accuracy import arm_name
+
+MARGIN = 0.1
+"""A loop survives a slow-down with a cost within this share of the exactly solved loop's."""
+
+
+@dataclass(frozen=True, eq=False)
+class SlowedArm:
+    """One solver, run in one way, on slower and slower computers; `loops` by slow-down, rising."""
+
+    name: str
+    solver: str
+    loops: dict[float, Row]
+
+    @property
+    def survives(self) -> float:
+        """Largest slow-down up to which every loop that was run survives; NaN for none."""
+        found = math.nan
+        for slowdown, row in self.loops.items():
+            if not survived(row):
+                break
+            found = slowdown
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class SlowedGroup:
+    """All arms of one scenario, with the same length and budget of a step."""
+
+    scenario: str
+    steps: int
+    deadline_s: float
+    arms: tuple[SlowedArm, ...]
+
+    @property
+    def slowdowns(self) -> list[float]:
+        """The slow-downs that were run, rising."""
+        return sorted({slowdown for arm in self.arms for slowdown in arm.loops})
+
+
+def slowed_groups(view: View) -> list[SlowedGroup]:
+    """The loops on slow computers by scenario, arms that survive most first."""
+    groups: dict[tuple[str, int, float], list[Row]] = {}
+    for row in view.slowed:
+        key = str(row["scenario"]), int(row["steps_planned"]), as_float(row["deadline_s"])
+        groups.setdefault(key, []).append(row)
+    return [SlowedGroup(*key, arms=_arms(rows)) for key, rows in groups.items()]
+
+
+def _arms(rows: Sequence[Row]) -> tuple[SlowedArm, ...]:
+    arms: dict[tuple[str, str], dict[float, Row]] = {}
+    for row in sorted(rows, key=lambda row: as_float(row["slowdown"])):
+        key = _name(row), str(row["solver"])
+        arms.setdefault(key, {})[as_float(row["slowdown"])] = row
+    found = [SlowedArm(name, solver, loops) for (name, solver), loops in arms.items()]
+    return tuple(sorted(found, key=_by_survival))
+
+
+def _name(row: Row) -> str:
+    """The arm, with units and formulation where they are not the usual ones."""
+    words = [arm_name(row)]
+    words += [str(row["units"])] if row["units"] != "scaled" else []
+    unusual = row["formulation"] not in (COMMON, "none")
+    words += [str(row["formulation"]).replace("_", " ")] if unusual else []
+    return ", ".join(words)
+
+
+def _by_survival(arm: SlowedArm) -> tuple[float, float, str]:
+    """Those that survive most first, then those whose last loop costs least."""
+    last = [as_float(cost_ratio(row)) for row in arm.loops.values()][-1]
+    survives = arm.survives
+    return (
+        math.inf if math.isnan(survives) else -survives,
+        math.inf if math.isnan(last) else last,
+        arm.name,
+    )
+
+
+def cost_ratio(row: Row) -> float:
+    """Cost over that of the exactly solved loop; NaN for a loop that was not run to its end."""
+    if not as_float(row["steps_done"]) >= as_float(row["steps_planned"]):
+        return math.nan
+    return as_float(row["closed_loop_cost"]) / as_float(row["exact_cost"])
+
+
+def survived(row: Row) -> bool:
+    """Whether a loop was run to its end, at a cost within `MARGIN` and without a violation."""
+    return cost_ratio(row) <= 1.0 + MARGIN and as_float(row["limit_violations"]) == 0.0
+
+
+def factor_text(slowdown: float) -> str:
+    """A slow-down in words of a table."""
+    return f"{slowdown:,g} ×".replace(",", "\u202f") if math.isfinite(slowdown) else "none"

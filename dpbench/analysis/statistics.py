@@ -1,0 +1,187 @@
+"""Statistics of step times: percentiles that refuse thin data, bootstrap intervals, paired ratios.
+
+Steps follow each other in time and so do their active sets; resamples are therefore drawn in
+blocks of consecutive steps (circular block bootstrap: Politis & Romano 1992), not step by step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from dpbench.bench.judge.rules import percentile as percentile
+from dpbench.bench.judge.rules import supports as supports
+
+Floats = NDArray[np.float64]
+
+BLOCK_STEPS = 20
+"""Length of a bootstrap block: 6 s of the ship, longer than the control horizon of 1.5 or 3 s."""
+LEAST_BLOCKS = 4
+"""With fewer blocks resamples hardly differ, and an interval would be too narrow, or a point."""
+RESAMPLES = 500
+CONFIDENCE = 0.95
+SEED = 20_240_917
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate with its bootstrap interval; from -inf, or 0, to inf without blocks enough."""
+
+    value: float
+    low: float
+    high: float
+
+    def spans(self, number: float) -> bool:
+        """Whether the interval holds `number`; an undefined one holds every number."""
+        return not (self.low > number or self.high < number)
+
+
+UNKNOWN = Interval(np.nan, np.nan, np.nan)
+
+
+def enough(steps: int, block: int = BLOCK_STEPS) -> bool:
+    """Whether so many steps make blocks enough for an interval."""
+    return steps >= LEAST_BLOCKS * block
+
+
+def percentile_interval(
+    values: Floats,
+    percent: float,
+    *,
+    block: int = BLOCK_STEPS,
+    resamples: int = RESAMPLES,
+    confidence: float = CONFIDENCE,
+    seed: int = SEED,
+) -> Interval:
+    """A percentile over steps with its interval, unknown when the steps do not support it."""
+    if not supports(len(values), percent):
+        return UNKNOWN
+    value = float(np.percentile(values, percent))
+    if not enough(len(values), block):
+        return Interval(value, 0.0, np.inf)
+    draws = block_indices(len(values), block, resamples, seed)
+    found = np.percentile(values[draws], percent, axis=1)
+    low, high = np.quantile(found, _tails(confidence))
+    return Interval(value, float(low), float(high))
+
+
+def pooled_percentile_intervals(
+    values: Floats, steps: NDArray[np.int64], percents: Sequence[float]
+) -> list[Interval]:
+    """Percentiles of samples of which each step gave several, each with its interval.
+
+    The bootstrap draws blocks of steps, all samples of a step together, as they resemble each
+    other; unknown where the samples do not support the percentile.
+
+    Parameters
+    ----------
+    values : (N,) samples; steps : (N,) the step of each.
+    """
+    wanted = [percent for percent in percents if supports(len(values), percent)]
+    if not wanted:
+        return [UNKNOWN for _ in percents]
+    seen, place = np.unique(steps, return_inverse=True)
+    if not enough(len(seen)):
+        values_of = (float(np.percentile(values, p)) if p in wanted else np.nan for p in percents)
+        return [Interval(v, 0.0, np.inf) if np.isfinite(v) else UNKNOWN for v in values_of]
+    order = np.argsort(values)
+    ordered, place = values[order], place[order]
+    shares = np.array(wanted) / 100.0
+    draws = block_indices(len(seen), BLOCK_STEPS, RESAMPLES, SEED)
+    found = np.empty((len(draws), len(wanted)))
+    for i, drawn in enumerate(draws):
+        weight = np.cumsum(np.bincount(drawn, minlength=len(seen))[place])
+        found[i] = ordered[np.searchsorted(weight, shares * weight[-1])]
+    lows, highs = np.quantile(found, _tails(CONFIDENCE), axis=0)
+    limits = dict(zip(wanted, zip(lows.tolist(), highs.tolist(), strict=True), strict=True))
+    return [
+        Interval(float(np.percentile(values, percent)), *limits[percent])
+        if percent in limits
+        else UNKNOWN
+        for percent in percents
+    ]
+
+
+def paired_ratio(
+    slower: Floats,
+    faster: Floats,
+    *,
+    comparisons: int = 1,
+    block: int = BLOCK_STEPS,
+    resamples: int = 4 * RESAMPLES,
+    confidence: float = CONFIDENCE,
+    seed: int = SEED,
+) -> Interval:
+    """Geometric mean over steps of slower/faster, with its interval.
+
+    Parameters
+    ----------
+    slower, faster : (K,) times of the same steps.
+    comparisons : how many such intervals are to hold together (Bonferroni).
+    """
+    if len(slower) == 0:
+        return UNKNOWN
+    logs = np.log(slower / faster)
+    if not enough(len(logs), block):
+        return Interval(float(np.exp(logs.mean())), 0.0, np.inf)
+    tails = _tails(1.0 - (1.0 - confidence) / comparisons)
+    low, high = np.quantile(resampled_means(logs, block, resamples, seed), tails)
+    return Interval(float(np.exp(logs.mean())), float(np.exp(low)), float(np.exp(high)))
+
+
+def pooled_mean(logs: Sequence[Floats], comparisons: int = 1) -> Interval:
+    """exp of the mean over sequences of the mean log ratio, with its interval.
+
+    Parameters
+    ----------
+    logs : log ratios of the steps of each sequence; an empty one makes the mean unknown.
+    comparisons : how many such intervals are to hold together.
+    """
+    if not logs or not all(map(len, logs)):
+        return UNKNOWN
+    means = np.array([found.mean() for found in logs])
+    middle = float(means.mean())
+    if not all(enough(len(found)) for found in logs):
+        return Interval(float(np.exp(middle)), 0.0, np.inf)
+    errors = [
+        float(resampled_means(found, BLOCK_STEPS, 4 * RESAMPLES, SEED).std()) for found in logs
+    ]
+    spread = float(np.linalg.norm(errors)) / len(logs)
+    far = float(norm.isf((1.0 - CONFIDENCE) / (2.0 * comparisons))) * spread
+    return Interval(float(np.exp(middle)), float(np.exp(middle - far)), float(np.exp(middle + far)))
+
+
+def _tails(confidence: float) -> tuple[float, float]:
+    return (1.0 - confidence) / 2.0, (1.0 + confidence) / 2.0
+
+
+def _block_starts(count: int, block: int, resamples: int, seed: int) -> NDArray[np.intp]:
+    """(resamples, blocks) first steps of as many blocks as cover `count` steps."""
+    blocks = -(-count // block)
+    return np.random.default_rng(seed).integers(0, count, size=(resamples, blocks))
+
+
+@lru_cache(maxsize=4)
+def block_indices(count: int, block: int, resamples: int, seed: int) -> NDArray[np.intp]:
+    """(resamples, count) indices in circular blocks of consecutive steps."""
+    block = max(1, min(block, count))
+    starts = _block_starts(count, block, resamples, seed)
+    drawn = (starts[:, :, None] + np.arange(block)) % count
+    return drawn.reshape(resamples, -1)[:, :count]
+
+
+def resampled_means(values: Floats, block: int, resamples: int, seed: int) -> Floats:
+    """(resamples,) means over the steps of `block_indices`, block by block from running sums."""
+    count = len(values)
+    block = max(1, min(block, count))
+    starts = _block_starts(count, block, resamples, seed)
+    lengths = np.full(starts.shape[1], block)
+    lengths[-1] = count - block * (len(lengths) - 1)
+    running = np.concatenate(([0.0], np.cumsum(np.concatenate((values, values[:block])))))
+    means: Floats = (running[starts + lengths] - running[starts]).sum(axis=1) / count
+    return means

@@ -1,0 +1,1 @@
+"""Step times of replays compared: ranks, ratios, growth, work and precision, routes."""

@@ -1,0 +1,1 @@
+"""Stability of a controller, and the region it brings its ship back from."""

@@ -1,0 +1,162 @@
+"""Run one solver in this process: the library's door for a notebook or a test.
+
+A campaign runs cells in processes of their own; here nothing protects the caller from a solver
+that crashes, and no core is pinned. The judgement is the same.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import pandas as pd
+
+from dpbench.bench.judge.closed_loop import Graded, grade_log
+from dpbench.bench.judge.replay import grade_sequence
+from dpbench.bench.judge.rows import run_row, step_rows
+from dpbench.bench.record.cell import FALLBACKS, FORMULATIONS, Cell, Fallback, Formulation
+from dpbench.bench.record.raw_log import RawLog, loop_layout, replay_layout
+from dpbench.bench.record.schema import as_runs, as_steps
+from dpbench.bench.run.closed_loop import Voyage, closed_loop
+from dpbench.bench.run.exact_loop import base_problem, solve_exactly
+from dpbench.bench.run.formulation import in_loop, in_replay
+from dpbench.bench.run.qp_builder import Emitter
+from dpbench.bench.run.replay import ReplayArm
+from dpbench.bench.run.slow_computer import pace_of, usage_of_process
+from dpbench.bench.run.timed_solver import SolverPort
+from dpbench.bench.workers.child import Outcome
+from dpbench.errors import InputError
+from dpbench.mpc.condense import UnitSystem
+from dpbench.qp.program import QPSequence
+from dpbench.scenario.scenario import Scenario
+from dpbench.solvers.contract import Workspace
+from dpbench.solvers.table import Availability
+
+_NO_LIMIT = 2**62
+_clock = time.perf_counter_ns
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A judged run: `steps` with the columns of steps.parquet, `summary` with those of runs."""
+
+    steps: pd.DataFrame
+    summary: pd.Series[Any]
+
+
+def run_closed_loop(
+    scenario: Scenario,
+    workspace: Workspace,
+    *,
+    units: UnitSystem = "scaled",
+    formulation: Formulation = "condensed_box",
+    fallback: Fallback = "shifted_plan",
+    slowdown: float = 0.0,
+    deadline_s: float = 0.0,
+) -> Run:
+    """Let `workspace` steer the ship through `scenario`, and judge every answer.
+
+    Parameters
+    ----------
+    slowdown : how much slower than this machine the ship's computer is (≥ 1), so that answers
+        arrive late; 0 for a ship that waits for each. Time is simulated, not waited for.
+    deadline_s : what a step may take of its time [s], at most the sample; 0 for the sample.
+
+    Raises
+    ------
+    InputError : for an unknown formulation or fallback, "sparse" for a scenario that has none, or
+        a slow-down or deadline that cannot be.
+    """
+    _check("formulation", formulation, FORMULATIONS)
+    _check("fallback", fallback, FALLBACKS)
+    _check_workspace(workspace)
+    cell = Cell(
+        mode="closed_loop",
+        scenario=scenario.files,
+        solver=workspace.solver,
+        route=workspace.route,
+        policy=workspace.policy,
+        settings="",
+        steps=scenario.steps,
+        formulation=formulation,
+        units=units,
+        fallback=fallback,
+        slowdown=slowdown,
+        deadline_s=deadline_s,
+    )
+    pace = pace_of(cell, scenario.sample_s)
+    emitter = Emitter(scenario, units, sparse=formulation == "sparse")
+    log = RawLog.in_memory(loop_layout(scenario.steps, *emitter.sizes))
+    formulated = in_loop(formulation, emitter, base_problem(emitter.builder))
+    port = SolverPort(workspace, formulated, _clock)
+    usage = usage_of_process
+    closed_loop(Voyage(scenario, emitter, port, log, fallback, _NO_LIMIT, _clock, pace, usage))
+    return _run(cell, workspace, port, grade_log(cell, log, solve_exactly(scenario)))
+
+
+def replay(
+    sequence: QPSequence,
+    workspace: Workspace,
+    *,
+    repeats: int = 5,
+    warmup_steps: int = 50,
+    formulation: Formulation = "condensed_box",
+) -> Run:
+    """Replay `sequence` through `workspace`: a warm-up, then `repeats` rounds, all judged.
+
+    Raises
+    ------
+    InputError : for an unknown formulation, or "sparse" for QPs without a scenario behind them.
+    """
+    _check("formulation", formulation, FORMULATIONS)
+    _check_workspace(workspace)
+    if repeats < 1:
+        raise InputError("replay", "repeats", repeats, "1 or more")
+    base = sequence.base
+    steps = len(sequence)
+    log = RawLog.in_memory(replay_layout(repeats + 1, steps, base.n, base.m))
+    made, formulated = in_replay(formulation, sequence)
+    port = SolverPort(workspace, formulated, _clock)
+    arm = ReplayArm(
+        made,
+        port,
+        log,
+        warmup_steps=min(warmup_steps, steps),
+        limit_ns=_NO_LIMIT,
+        clock=_clock,
+    )
+    for r in range(repeats + 1):
+        arm.round(r)
+    cell = Cell(
+        mode="replay",
+        scenario={"name": sequence.name},
+        solver=workspace.solver,
+        route=workspace.route,
+        policy=workspace.policy,
+        settings="",
+        steps=steps,
+        formulation=formulation,
+        units="scaled" if sequence.units is None else "si",
+        rounds=repeats,
+        warmup_steps=min(warmup_steps, steps),
+    )
+    sample_s = float(sequence.meta.get("sample_s", float("nan")))
+    return _run(cell, workspace, port, grade_sequence(log, sequence, sample_s))
+
+
+def _check(key: str, found: str, allowed: tuple[str, ...]) -> None:
+    if found not in allowed:
+        raise InputError("run", key, repr(found), f"one of {', '.join(allowed)}")
+
+
+def _check_workspace(found: object) -> None:
+    if not isinstance(found, Workspace):
+        raise InputError("run", "workspace", repr(found), "a Workspace; see open_workspace")
+
+
+def _run(cell: Cell, workspace: Workspace, port: SolverPort, graded: Graded) -> Run:
+    steps = step_rows("in-process", cell, graded)
+    outcome = Outcome("finished", "", workspace.form, *port.size)
+    row = run_row("in-process", cell, outcome, Availability(True), "", graded, steps)
+    return Run(as_steps(steps), as_runs(pd.DataFrame([row])).iloc[0])

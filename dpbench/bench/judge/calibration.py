@@ -1,0 +1,92 @@
+"""What the harness's own arms say: the bar each is held to, and a quick run of all of them here."""
+
+from __future__ import annotations
+
+import gc
+import os
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from dpbench.bench.judge.rules import WARM_UP, spoilt_rounds
+from dpbench.bench.record.disturbance import Disturbance, disturbance_metrics
+from dpbench.bench.record.raw_log import RawLog, replay_layout
+from dpbench.bench.run.formulation import in_replay
+from dpbench.bench.run.replay import ReplayArm
+from dpbench.bench.run.timed_solver import SolverPort
+from dpbench.qp.program import QPSequence, QuadraticProgram
+from dpbench.solvers.calibration import CALIBRATION, NO_OP, WAITS_NS, open_calibration
+
+BAR_NS, BAR_SHARE = 1000.0, 0.01
+"""A known wait is measured within the one or the other; doing nothing takes at most the first."""
+_SIZE, _STEPS, _ROUNDS = 15, 200, 5
+"""A quick run: the size of the paper's QP, a second and a half of waiting."""
+_NO_LIMIT = 2**62
+
+
+def off_by_ns(arm: str, p50_ns: float) -> float:
+    """What an arm was measured to take beyond what it waits [ns]."""
+    return p50_ns - WAITS_NS.get(arm, 0)
+
+
+def within_bar(arm: str, p50_ns: float) -> bool | None:
+    """Whether the measured median is what is known of the arm; None where nothing is known."""
+    if arm not in WAITS_NS and arm != NO_OP:
+        return None
+    return abs(off_by_ns(arm, p50_ns)) <= max(BAR_NS, BAR_SHARE * WAITS_NS.get(arm, 0))
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Medians of all samples by arm [ns], and what disturbed the machine meanwhile."""
+
+    p50_ns: dict[str, float]
+    disturbance: Disturbance
+
+
+def calibrate() -> Calibration:
+    """Replay made-up QPs through every arm in this process, pinned to its last core meanwhile."""
+    allowed = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {max(allowed)})
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        found = {name: _replayed(name) for name in CALIBRATION}
+    finally:
+        os.sched_setaffinity(0, allowed)
+        if collecting:
+            gc.enable()
+    medians = {name: p50 for name, (p50, _) in found.items()}
+    return Calibration(medians, Disturbance.total([part for _, part in found.values()]))
+
+
+def _made_up() -> QPSequence:
+    """QPs nobody solves; their numbers do not matter."""
+    eye, zero = np.eye(_SIZE), np.zeros(_SIZE)
+    base = QuadraticProgram(eye, zero, eye, zero - 1, zero + 1, zero - 1, zero + 1)
+    many = np.zeros((_STEPS, _SIZE))
+    return QPSequence("made up", base, many, many - 1, many + 1)
+
+
+def _replayed(name: str) -> tuple[float, Disturbance]:
+    log = RawLog.in_memory(replay_layout(_ROUNDS + 1, _STEPS, _SIZE, _SIZE))
+    steps, formulated = in_replay("condensed_box", _made_up())
+    clock = time.perf_counter_ns
+    port = SolverPort(open_calibration(name), formulated, clock)
+    arm = ReplayArm(steps, port, log, warmup_steps=_STEPS, limit_ns=_NO_LIMIT, clock=clock)
+    for r in range(_ROUNDS + 1):
+        arm.round(r)
+    phases = np.maximum(log.times[1:, :, 1:5], 0).sum(axis=2)
+    rounds = np.arange(_ROUNDS + 1, dtype=np.int32)
+    slowed = spoilt_rounds(rounds, log.probe_ns) != WARM_UP
+    seen = disturbance_metrics(log)
+    return float(np.median(phases)), Disturbance(
+        rounds=_ROUNDS,
+        spoilt=float(slowed.sum()),
+        rerun=0.0,
+        seconds=seen["replay_s"],
+        involuntary=seen["involuntary_switches"],
+        steal_s=seen["steal_s"],
+        throttled=seen["throttle_events"],
+    )

@@ -1,0 +1,238 @@
+"""Judge the raw log of a cell: the referee's columns, after the clock has stopped.
+
+Every step is judged against the certified optimum of the *same* QP in scaled units, rebuilt from
+the recorded θ; the residuals are given in the solver's own units too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpbench.bench.judge.control_metrics import control_metrics
+from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.raw_log import COUNTERS, TIMES, RawLog
+from dpbench.bench.run.exact_loop import ExactLoop, base_problem, brings_other_matrices
+from dpbench.bench.run.qp_builder import Emitter
+from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Units
+from dpbench.qp.referee.claims import judge_claim
+from dpbench.qp.referee.referee import Optimum, Referee, error_of
+from dpbench.qp.residuals import Residuals, best_multipliers, is_true, residuals
+from dpbench.qp.solution import Solution, Status
+from dpbench.scenario.scenario import scenario_of
+
+Columns = dict[str, NDArray[Any]]
+"""Arrays of several types over the recorded rows of a cell."""
+GRADES = (
+    "primal",
+    "dual",
+    "complementarity",
+    "gap",
+    "primal_own",
+    "dual_own",
+    "error_move",
+    "error_plan",
+    "optimum_bound",
+    "n_active",
+    "true",
+    "true_1e4",
+    "true_1e6",
+)
+_NO_ANSWER_CLAIMS = (Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE)
+CERTIFICATES = ("linear", "gap", "rational", "infeasible", "none", "undecided")
+_SOLVE = TIMES.index("solve")
+ACTIVE_MULTIPLIER = 1e-9
+"""Scaled multipliers above it count as active limits in `n_active`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Graded:
+    """Columns of a judged cell: arrays over its recorded rows, and the metrics of the run."""
+
+    columns: Columns
+    metrics: dict[str, float]
+
+    def save(self, path: Path) -> None:
+        """Write to `path` (.npz), whole or not at all."""
+        part = path.with_suffix(".part.npz")
+        names = np.array(list(self.metrics), dtype=str)
+        values = np.array(list(self.metrics.values()), dtype=np.float64)
+        arrays: Columns = {f"c_{name}": column for name, column in self.columns.items()}
+        np.savez(part, allow_pickle=False, metric_names=names, metric_values=values, **arrays)
+        part.replace(path)
+
+    @classmethod
+    def load(cls, path: Path) -> Graded:
+        """Read what `save` wrote."""
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
+            columns = {name[2:]: data[name] for name in data.files if name.startswith("c_")}
+            metrics = dict(
+                zip(data["metric_names"].tolist(), data["metric_values"].tolist(), strict=True)
+            )
+        return cls(columns, metrics)
+
+
+class StepJudge:
+    """Judges answers to the QPs of one base problem.
+
+    Parameters
+    ----------
+    scaled, own : the base problem in scaled units and in those the solver was given.
+    units : how the two relate.
+    """
+
+    def __init__(self, scaled: QuadraticProgram, own: QuadraticProgram, units: Units) -> None:
+        self._scaled, self._own, self._units = scaled, own, units
+        self._same = own is scaled
+        self._referee: Referee | None = None
+
+    def follow(self, step: QPStep, own: QPStep) -> None:
+        """Take over the matrices of a step where it brings other ones; they hold from now on."""
+        if brings_other_matrices(self._scaled, step):
+            self._scaled, self._own = self._scaled.at(step), self._own.at(own)
+            self._referee = None
+
+    def certify(self, step: QPStep) -> Optimum:
+        """The certified optimum of a step in scaled units."""
+        if self._referee is None:
+            qp = self._scaled
+            self._referee = Referee(qp.P, qp.A, qp.lb, qp.ub)
+        return self._referee.certify(step.q, step.l, step.u)
+
+    def judge(
+        self, scaled: QPStep, own: QPStep, answer: Solution, optimum: Optimum
+    ) -> tuple[float, ...]:
+        """The numbers of `GRADES` for one answer in the solver's own units."""
+        own_qp = self._own.at(own)
+        found = _with_multipliers(own_qp, answer)
+        in_own = residuals(own_qp, found)
+        if self._same:
+            qp, mapped, in_scaled = own_qp, found, in_own
+        else:
+            qp = self._scaled.at(scaled)
+            units = self._units
+            mapped = Solution(
+                found.status, found.z / units.z, found.y * units.row, found.y_box * units.z
+            )
+            in_scaled = residuals(qp, mapped)
+        move, plan = error_of(mapped.z, optimum, qp.block, qp.moves)
+        if answer.status in _NO_ANSWER_CLAIMS:
+            levels: tuple[bool, ...] = (judge_claim(qp, mapped, optimum),) * 3
+        else:
+            levels = _truth(qp, in_scaled, plan)
+        return (*_numbers(in_scaled, in_own), move, plan, *_facts(optimum), *map(float, levels))
+
+
+def _with_multipliers(qp: QuadraticProgram, answer: Solution) -> Solution:
+    """The answer with the best multipliers the referee finds, where the solver gave none."""
+    if np.isnan(answer.y).any() and np.isfinite(answer.z).all():
+        y, y_box = best_multipliers(qp, answer.z, 1e-6)
+        return Solution(answer.status, answer.z, y, y_box)
+    return answer
+
+
+def _numbers(scaled: Residuals, own: Residuals) -> tuple[float, ...]:
+    return (
+        scaled.primal,
+        scaled.dual,
+        scaled.complementarity,
+        scaled.gap,
+        own.primal,
+        own.dual,
+    )
+
+
+def _facts(optimum: Optimum) -> tuple[float, float]:
+    active = np.count_nonzero(np.abs(optimum.y) > ACTIVE_MULTIPLIER)
+    active += np.count_nonzero(np.abs(optimum.y_box) > ACTIVE_MULTIPLIER)
+    return optimum.bound, float(active)
+
+
+def _truth(qp: QuadraticProgram, found: Residuals, plan: float) -> tuple[bool, ...]:
+    return tuple(is_true(qp, found, plan, tol) for tol in (1e-3, 1e-4, 1e-6))
+
+
+def recorded_answer(log: RawLog, r: int, k: int) -> Solution:
+    """The answer in row (r, k) of a log, in the solver's own units."""
+    return Solution(Status(int(log.status[r, k])), log.z[r, k], log.y[r, k], log.y_box[r, k])
+
+
+def grade_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Graded:
+    """The judged columns and metrics of a closed loop."""
+    scenario = scenario_of(cell.scenario).first(cell.steps)
+    scaled = Emitter(scenario)
+    own = scaled if cell.units == "scaled" else Emitter(scenario, cell.units)
+    done = int(log.done[0])
+    grades = np.full((done, len(GRADES)), np.nan)
+    certificates = np.full(done, CERTIFICATES.index("none"), dtype=np.int8)
+    # On a slow computer a step may pass without a computation: it has no answer to judge.
+    asked = log.times[0, :done, _SOLVE] >= 0
+    matrix_steps = 0
+    if done:
+        base = base_problem(scaled.builder)
+        own_base = base if own is scaled else base_problem(own.builder)
+        judge = StepJudge(base, own_base, own.builder.scale)
+        for k in np.flatnonzero(asked).tolist():
+            step = scaled.again(k, log.theta[k])
+            step_own = step if own is scaled else own.again(k, log.theta[k])
+            judge.follow(step, step_own)
+            optimum = judge.certify(step)
+            grades[k] = judge.judge(step, step_own, recorded_answer(log, 0, k), optimum)
+            certificates[k] = CERTIFICATES.index(optimum.kind)
+            matrix_steps += Refresh.MATRICES in step.refresh
+    columns = common_columns(log, [0], [done], grades, certificates)
+    columns |= {
+        "t_s": np.arange(done) * scenario.sample_s,
+        "asked": asked,
+        "latency_ns": log.latency_ns[:done].copy(),
+        "fallback": log.flags[:done, 0].astype(bool),
+        "unconverged": log.flags[:done, 1].astype(bool),
+        "clipped": log.flags[:done, 2].astype(bool),
+        "state": log.state[: done + 1].copy(),
+        "tau": log.tau[:done].copy(),
+        "command": log.command[:done].copy(),
+    }
+    metrics: dict[str, float] = {}
+    if done:
+        metrics = control_metrics(
+            scenario,
+            log.state[: done + 1],
+            log.tau[:done],
+            scaled.reference,
+            (scaled.tau_min, scaled.tau_max),
+            (exact.state, exact.tau),
+        )
+        metrics["matrix_steps"] = float(matrix_steps)
+        metrics |= dict(zip(COUNTERS, log.counters[0].tolist(), strict=True))
+    return Graded(columns, metrics)
+
+
+def common_columns(
+    log: RawLog,
+    rounds: list[int],
+    counts: list[int],
+    grades: NDArray[np.float64],
+    certificates: NDArray[np.int8],
+) -> Columns:
+    """The columns of both modes: `counts` recorded steps of each of `rounds`, and their grades."""
+
+    def rows(array: NDArray[Any]) -> NDArray[Any]:
+        parts = [array[r, :count] for r, count in zip(rounds, counts, strict=True)]
+        return np.concatenate(parts) if parts else array[0, :0].copy()
+
+    return {
+        "repeat": np.repeat(np.array(rounds, dtype=np.int32), counts),
+        "k": np.concatenate([np.arange(c, dtype=np.int32) for c in counts or [0]]),
+        "times": rows(log.times),
+        "status": rows(log.status),
+        "iterations": rows(log.iterations),
+        "reported_ns": rows(log.reported_ns),
+        "setup_once_ns": log.setup_once_ns.copy(),
+        "matrix_updates": log.matrix_updates.copy(),
+        "certificate": certificates,
+        "grades": grades,
+    }

@@ -1,0 +1,158 @@
+"""Closed-loop metrics of one run (method.md section 3), from arrays alone."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpbench.bench.record.schema import AXES, FORCES
+from dpbench.qp.program import Matrix, Vector
+from dpbench.scenario.scenario import Scenario
+
+AT_LIMIT = 1e-6
+"""In units of the limit's own step: closer than this counts as being at the limit."""
+
+
+def control_metrics(
+    scenario: Scenario,
+    state: Matrix,
+    tau: Matrix,
+    reference: Matrix,
+    limits: tuple[Matrix, Matrix],
+    exact: tuple[Matrix, Matrix],
+) -> dict[str, float]:
+    """Metrics of a run of K steps.
+
+    Parameters
+    ----------
+    state : (K + 1, 6) [u, v, r, n, e, ψ] at the sample times; tau : (K, 3) force applied.
+    reference : at least (K + 1, 3) [n, e, ψ] at the sample times; limits : τ_min and τ_max in force
+        in each sample, at least (K, 3).
+    exact : state (K + 1, 6) and tau (K, 3) of the exactly solved loop, at least as long.
+    """
+    K = len(tau)
+    dt = scenario.sample_s
+    error = state[:K, 3:] - reference[:K]
+    radius = np.hypot(error[:, 0], error[:, 1])
+    heading = np.degrees(np.abs(error[:, 2]))
+    t = np.arange(K, dtype=np.float64) * dt
+    u_before = np.vstack([np.zeros(3), tau[:-1]])
+    change = tau - u_before
+    metrics = {
+        "r_rms_m": _rms(radius),
+        "r_95_m": float(np.quantile(radius, 0.95)),
+        "r_max_m": float(radius.max()),
+        "r_tail_max_m": float(radius[K // 2 :].max()),
+        "heading_rms_deg": _rms(heading),
+        "heading_max_deg": float(heading.max()),
+        "settle_s": _settling(t, (radius <= 1.0) & (heading <= 1.0), dt, hold_s=30.0),
+        "settle_0p1m_s": _settling(t, radius <= 0.1, dt, hold_s=None),
+        "share_1m": float(np.mean(radius <= 1.0)),
+        "pose_error": float(np.mean(radius + 0.75**radius * np.abs(error[:, 2]))),
+        "closed_loop_cost": _cost(scenario, state[1 : K + 1, 3:] - reference[1 : K + 1], change),
+        "exact_cost": _cost_of(scenario, exact, reference, K),
+    }
+    green = (radius <= 3.0) & (heading <= 3.0)
+    red = (radius > 5.0) | (heading > 5.0)
+    metrics["share_green"] = float(np.mean(green))
+    metrics["share_red"] = float(np.mean(red))
+    metrics["share_yellow"] = float(np.mean(~green & ~red))
+    for i, axis in enumerate(AXES):
+        size = np.abs(error[:, i])
+        metrics[f"iae_{axis}"] = float(size.sum() * dt)
+        metrics[f"ise_{axis}"] = float((size**2).sum() * dt)
+        metrics[f"itae_{axis}"] = float((t * size).sum() * dt)
+        metrics[f"overshoot_{axis}"] = _overshoot(error[:, i])
+    return (
+        metrics
+        | _effort(scenario, state[:K, :3], tau, change)
+        | _limit_shares(scenario, tau, u_before, limits)
+        | _deviation(state[:K], tau, exact)
+    )
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _settling(t: Vector, inside: NDArray[np.bool_], dt: float, hold_s: float | None) -> float:
+    """First time from which `inside` holds for hold_s (None: to the end); inf if it never does."""
+    if hold_s is None:
+        outside = np.flatnonzero(~inside)
+        first = int(outside[-1]) + 1 if len(outside) else 0
+        return float(t[first]) if first < len(t) else np.inf
+    needed = max(1, round(hold_s / dt))
+    if len(inside) < needed:
+        return np.inf
+    held = np.convolve(inside, np.ones(needed), mode="valid") >= needed - 0.5
+    return float(t[np.argmax(held)]) if held.any() else np.inf
+
+
+def _overshoot(error: Vector) -> float:
+    """Furthest excursion to the other side of the reference than the start's.
+
+    From a start in the reference there is no other side, and the measure is NaN.
+    """
+    if error[0] == 0.0:
+        return np.nan
+    return float(max(0.0, np.max(-np.sign(error[0]) * error)))
+
+
+def _cost(scenario: Scenario, error: Matrix, change: Matrix) -> float:
+    tracking = np.einsum("ki,ij,kj->", error, scenario.Q, error)
+    moving = np.einsum("ki,ij,kj->", change, scenario.R, change)
+    return 0.5 * float(tracking + moving)
+
+
+def _cost_of(scenario: Scenario, exact: tuple[Matrix, Matrix], reference: Matrix, K: int) -> float:
+    """Cost of the exactly solved loop over its first K steps."""
+    state, tau = exact[0][: K + 1], exact[1][:K]
+    change = np.diff(tau, axis=0, prepend=np.zeros((1, 3)))
+    return _cost(scenario, state[1:, 3:] - reference[1 : K + 1], change)
+
+
+def _effort(scenario: Scenario, nu: Matrix, tau: Matrix, change: Matrix) -> dict[str, float]:
+    largest = np.maximum(scenario.vessel.tau_max, -scenario.vessel.tau_min)
+    power = np.abs(np.einsum("ki,ki->k", tau, nu))
+    return {
+        "effort_s": float(((tau / largest) ** 2).sum() * scenario.sample_s),
+        "total_variation": float(np.abs(change / largest).sum()),
+        "work_J": float(power.sum() * scenario.sample_s),
+    }
+
+
+def _limit_shares(
+    scenario: Scenario, tau: Matrix, u_before: Matrix, limits: tuple[Matrix, Matrix]
+) -> dict[str, float]:
+    ship, du_max, change = scenario.vessel, scenario.du_max, tau - u_before
+    low, high = (limit[: len(tau)] for limit in limits)
+    near = AT_LIMIT * du_max
+    at_rate = np.abs(change) >= du_max - near
+    at_amplitude = (tau >= high - near) | (tau <= low + near)
+    # What the rate leaves of a limit that has just dropped is no violation.
+    above = tau > np.maximum(high, u_before - du_max)
+    below = tau < np.minimum(low, u_before + du_max)
+    # Beyond one unit in the last place of the force itself a difference is no rounding.
+    rounding = 4 * np.spacing(np.maximum(ship.tau_max, -ship.tau_min))
+    violated = (above | below | (np.abs(change) > du_max + rounding)).any(axis=1)
+    shares = {"limit_violations": float(violated.sum())}
+    for i, force in enumerate(FORCES):
+        shares[f"at_rate_{force}"] = float(at_rate[:, i].mean())
+        shares[f"at_amplitude_{force}"] = float(at_amplitude[:, i].mean())
+    return shares
+
+
+def _deviation(state: Matrix, tau: Matrix, exact: tuple[Matrix, Matrix]) -> dict[str, float]:
+    K = len(tau)
+    away = state - exact[0][:K]
+    position = np.hypot(away[:, 3], away[:, 4])
+    heading = np.degrees(np.abs(away[:, 5]))
+    force = np.abs(tau[:, :2] - exact[1][:K, :2]).max(axis=1)
+    return {
+        "dev_position_max_m": float(position.max()),
+        "dev_position_rms_m": _rms(position),
+        "dev_heading_max_deg": float(heading.max()),
+        "dev_heading_rms_deg": _rms(heading),
+        "dev_force_max_N": float(force.max()),
+        "dev_force_rms_N": _rms(force),
+    }

@@ -1,0 +1,71 @@
+"""Deadlines in the records of a closed loop: which steps missed theirs, and how it went on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from dpbench.bench.run.slow_computer import Pace
+
+Flags = NDArray[np.bool_]
+
+
+def late_columns(
+    pace: Pace, latency_ns: NDArray[np.int64], total_ns: pd.Series[Any]
+) -> dict[str, Any]:
+    """`late` and, on a slow computer, `latency_ns` of the steps of a loop.
+
+    Parameters
+    ----------
+    latency_ns : (K,) as the slow computer left them; total_ns : (K,) measured times.
+    """
+    if not pace.simulated:
+        return {"late": total_ns > pace.budget_ns}
+    idle = latency_ns < 0
+    latency = pd.arrays.IntegerArray(np.where(idle, 0, latency_ns), idle)
+    return {"late": idle | (latency_ns > pace.budget_ns), "latency_ns": latency}
+
+
+def longest_streak(flags: Flags) -> int:
+    """Longest run of true entries."""
+    starts, ends = _runs(flags)
+    return int((ends - starts).max()) if len(starts) else 0
+
+
+def steps_to_recover(bad: Flags, good: Flags) -> int | None:
+    """Most steps from the start of a bad run to the next good one; None if none, or never."""
+    starts, _ = _runs(bad)
+    good_at = np.flatnonzero(good)
+    after = np.searchsorted(good_at, starts)
+    recovered = after < len(good_at)
+    if not len(starts) or not recovered.all():
+        return None
+    return int((good_at[after] - starts).max())
+
+
+def _runs(flags: Flags) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First entries of the runs of true ones, and the entries after their last."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
+    return edges[::2], edges[1::2]
+
+
+def deadline_metrics(steps: pd.DataFrame, slowdown: float) -> dict[str, Any]:
+    """Misses, streaks and recovery of a loop, in step order; latencies too where it is slow."""
+    late, true = (steps[name].to_numpy(dtype=bool) for name in ("late", "true"))
+    recovered = steps_to_recover(late, true & ~late)
+    total = steps["total_ns"].dropna().to_numpy(dtype=np.float64)
+    found = {
+        "deadline_misses": int(late.sum()),
+        "longest_miss_streak": longest_streak(late),
+        "miss_recover_steps_max": pd.NA if recovered is None else recovered,
+        "computations": len(total),
+    }
+    if slowdown > 0.0:
+        latency = steps["latency_ns"].dropna().to_numpy(dtype=np.float64)
+        # Rounding apart, only a time without that of others is less than what was measured.
+        found["interrupted"] = int((latency < slowdown * total - 0.5).sum())
+        found |= {"latency_p50_ns": np.median(latency), "latency_max_ns": latency.max()}
+    return found

@@ -1,0 +1,90 @@
+"""Judge the raw log of a replay; how it repeated itself, what disturbed it, what it took."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpbench.bench.judge.closed_loop import (
+    CERTIFICATES,
+    GRADES,
+    Graded,
+    StepJudge,
+    common_columns,
+    recorded_answer,
+)
+from dpbench.bench.judge.memory_of_answers import memory_metrics
+from dpbench.bench.judge.repeatability import repeatability
+from dpbench.bench.record.disturbance import disturbance_metrics
+from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.run.footprint import footprint_metrics
+from dpbench.qp.program import QPSequence, Units
+from dpbench.qp.referee.referee import Optimum
+
+
+def grade_sequence(
+    log: RawLog,
+    own: QPSequence,
+    sample_s: float,
+    optima: Sequence[Optimum] | None = None,
+    *,
+    judged: bool = True,
+) -> Graded:
+    """The judged columns of a replay of the sequence `own`; `optima` where they are certified.
+
+    Without `judged` the answers are none, and nothing is said of them.
+    """
+    rounds = [r for r in range(len(log.done)) if log.done[r] > 0]
+    counts = [int(log.done[r]) for r in rounds]
+    grades = np.full((sum(counts), len(GRADES)), np.nan)
+    certificates = np.full(sum(counts), CERTIFICATES.index("none"), dtype=np.int8)
+    units = _units(own)
+    if judged:
+        _judge_rounds(log, own, units, optima, rounds, counts, grades, certificates)
+    columns = common_columns(log, rounds, counts, grades, certificates)
+    first, every = int(own.meta.get("first", 0)), int(own.meta.get("every", 1))
+    columns["t_s"] = (first + every * columns["k"]) * sample_s
+    columns["probe_ns"] = log.probe_ns[rounds].copy()
+    columns["load_ns"] = log.load_ns[rounds].copy()
+    metrics = repeatability(log, units.z) | disturbance_metrics(log) | footprint_metrics(log)
+    metrics |= memory_metrics(log)
+    return Graded(columns, metrics)
+
+
+def _units(own: QPSequence) -> Units:
+    ones = np.ones(own.base.n)
+    return Units(ones, ones) if own.units is None else own.units
+
+
+def _judge_rounds(
+    log: RawLog,
+    own: QPSequence,
+    units: Units,
+    optima: Sequence[Optimum] | None,
+    rounds: list[int],
+    counts: list[int],
+    grades: NDArray[np.float64],
+    certificates: NDArray[np.int8],
+) -> None:
+    """Judge the answers of all rounds into the rows of `grades` and `certificates`."""
+    scaled: QPSequence = own if own.scaled is None else own.scaled
+    judge = StepJudge(scaled.base, own.base, units)
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(int)
+    for k in range(max(counts, default=0)):
+        step = scaled.step(k)
+        step_own = step if own is scaled else own.step(k)
+        judge.follow(step, step_own)
+        optimum = judge.certify(step) if optima is None else optima[k]
+        seen: dict[bytes, tuple[float, ...]] = {}
+        for r, start, count in zip(rounds, starts, counts, strict=True):
+            if k >= count:
+                continue
+            # Most solvers repeat themselves bit for bit; an identical answer has its judgement.
+            answer = recorded_answer(log, r, k)
+            identity = answer.identity
+            if identity not in seen:
+                seen[identity] = judge.judge(step, step_own, answer, optimum)
+            grades[start + k] = seen[identity]
+            certificates[start + k] = CERTIFICATES.index(optimum.kind)

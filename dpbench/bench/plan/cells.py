@@ -1,0 +1,163 @@
+"""Planned cells, and those of sequences that need no ship: recorded ones and random ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from dpbench.bench.plan.configurations import CONTRAST, Arm, Table, arms_of, module_of, refusal_of
+from dpbench.bench.plan.suite import ClosedLoopTable, RandomTable, RecordedTable, SuiteFile
+from dpbench.bench.record.cell import Cell
+from dpbench.bench.sequences.recording import read_sequence
+from dpbench.bench.sequences.source import random_source, recorded_source
+from dpbench.errors import InputError
+from dpbench.qp.program import QPSequence
+from dpbench.qp.random.recipe import FAMILIES, RandomRecipe
+from dpbench.qp.referee.kkt import positive_definite
+from dpbench.scenario.problem_files import sequence_path
+from dpbench.solvers.calibration import WAITS_NS
+from dpbench.solvers.table import record
+
+NOT_STRICT = "P is only semidefinite, and the solver needs P > 0"
+NO_MODEL = "sparse: there is no model whose states to keep"
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A cell to run, or the reason why it is a row without running.
+
+    `alias_settings` are further names of the same settings, shown as rows of their own.
+    """
+
+    cell: Cell
+    refused: str = ""
+    alias_settings: tuple[str, ...] = ()
+
+
+def cell_of(
+    arm: Arm, suite: SuiteFile, table: Table, *, no_stages: str = NO_MODEL, **more: Any
+) -> Planned:
+    """The cell of one arm of a table, or why it is refused.
+
+    Parameters
+    ----------
+    no_stages : why the QPs cannot be formulated with the states kept; "" where they can.
+    more : the fields of the cell's mode.
+    """
+    contrast = arm.solver == CONTRAST
+    cell = Cell(
+        solver=arm.solver,
+        route=arm.route,
+        policy=arm.policy,
+        settings=arm.settings,
+        formulation="none" if contrast else arm.formulation,
+        units=arm.units,
+        limit_s=(_own_limit_s(table) or suite.cell_limit_s) + _waiting_s(arm, **more),
+        solver_module=module_of(arm.solver),
+        **more,
+    )
+    planned = Planned(cell, refusal_of(arm), arm.alias)
+    if cell.formulation != "sparse":
+        return planned
+    # States cost nothing along most of their directions, so P is only semidefinite.
+    return _if_semidefinite(replace(planned, refused=planned.refused or no_stages))
+
+
+def _own_limit_s(table: Table) -> float | None:
+    """The limit of a table's cells, where it has one of its own."""
+    return table.limit_s if isinstance(table, ClosedLoopTable) else None
+
+
+def _waiting_s(arm: Arm, steps: int, rounds: int = 0, **_: Any) -> float:
+    """What a waiting arm waits on purpose, every round run again; 0 for every other arm."""
+    return 2e-9 * WAITS_NS.get(arm.solver, 0) * steps * (rounds + 1)
+
+
+def recorded_cells(
+    suite: SuiteFile, solvers: Sequence[str], beside: Path | None, taken: Sequence[str]
+) -> list[Planned]:
+    """The cells of all recorded sequences of a suite.
+
+    Parameters
+    ----------
+    beside : folder of the suite; taken : names that scenarios of it have.
+
+    Raises
+    ------
+    InputError : for a file that is no sequence, or two sequences of one name.
+    """
+    cells: list[Planned] = []
+    places: dict[str, str] = {}
+    for table in suite.recorded:
+        path = sequence_path(table.sequence, beside)
+        source = recorded_source(table.sequence, path, "")
+        sequence = read_sequence(path).sequence
+        source["name"] = sequence.name
+        known = places.setdefault(sequence.name, source["sha256"])
+        if known != source["sha256"] or sequence.name in taken:
+            allowed = "sequences and scenarios of different names, which tell their results apart"
+            raise InputError(str(path), "name", f"another called {sequence.name!r}", allowed)
+        cells += _of_sequence(suite, table, solvers, sequence, source)
+    return cells
+
+
+def _of_sequence(
+    suite: SuiteFile,
+    table: RecordedTable,
+    solvers: Sequence[str],
+    sequence: QPSequence,
+    source: dict[str, Any],
+) -> list[Planned]:
+    matrices = [sequence.base.P] if sequence.P is None else list(sequence.P)
+    strict = all(positive_definite(P) for P in matrices)
+    cells = [
+        cell_of(
+            arm,
+            suite,
+            table,
+            mode="replay",
+            scenario={},
+            steps=len(sequence),
+            rounds=suite.rounds,
+            warmup_steps=min(suite.warmup_steps, len(sequence)),
+            budget_s=suite.replay_budget_s,
+            repeat_budget_s=suite.repeat_budget_s,
+            source=source,
+        )
+        for arm in arms_of(solvers, table)
+        if arm.solver != CONTRAST
+    ]
+    return cells if strict else [_if_semidefinite(planned) for planned in cells]
+
+
+def _if_semidefinite(planned: Planned) -> Planned:
+    """The same cell, refused if its solver needs P > 0."""
+    needs = record(planned.cell.solver).needs_strict_convexity
+    return replace(planned, refused=planned.refused or NOT_STRICT) if needs else planned
+
+
+def random_cells(suite: SuiteFile, table: RandomTable, solvers: Sequence[str]) -> list[Planned]:
+    """The cells of a table of random sequences."""
+    # What depends on the arm alone is found out once: a table may make thousands of cells.
+    blanks = [
+        cell_of(
+            arm,
+            suite,
+            table,
+            mode="replay",
+            scenario={},
+            steps=table.steps,
+            rounds=suite.rounds,
+            warmup_steps=min(suite.warmup_steps, table.steps),
+        )
+        for arm in arms_of(solvers, table)
+        if arm.solver != CONTRAST
+    ]
+    return [_of_recipe(blank, recipe) for recipe in table.recipes() for blank in blanks]
+
+
+def _of_recipe(blank: Planned, recipe: RandomRecipe) -> Planned:
+    planned = replace(blank, cell=replace(blank.cell, source=random_source(recipe)))
+    return _if_semidefinite(planned) if FAMILIES[recipe.family].semidefinite else planned

@@ -1,0 +1,161 @@
+"""The arms of a suite: which solvers it means, and every way to run one that it asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+
+from dpbench.bench.plan.suite import (
+    ClosedLoopTable,
+    FormulationName,
+    RandomTable,
+    RecordedTable,
+    ReplayTable,
+    SuiteFile,
+    UnitName,
+)
+from dpbench.errors import InputError, SettingsError, UnknownNameError
+from dpbench.solvers.calibration import CALIBRATION
+from dpbench.solvers.contract import Policy, Route
+from dpbench.solvers.open import REFUSED_BY_QPSOLVERS
+from dpbench.solvers.plugins import find_plugin
+from dpbench.solvers.settings import setting_names
+from dpbench.solvers.table import (
+    TABLE,
+    UNCONSTRAINED_CLIPPED,
+    available,
+    record,
+    settings_matter,
+    solver_names,
+)
+
+CONTRAST = UNCONSTRAINED_CLIPPED.name
+Table = ClosedLoopTable | ReplayTable | RandomTable | RecordedTable
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One way of running one solver; `alias` are further names of the same settings."""
+
+    solver: str
+    route: Route
+    policy: Policy
+    units: UnitName
+    settings: str
+    formulation: FormulationName = "condensed_box"
+    alias: tuple[str, ...] = ()
+
+
+def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
+    """The solvers of a suite, or those of `only`.
+
+    "all" means every solver of the table except those of an optional extra that is not installed:
+    they are left out by default (`dpbench list solvers` says so), and asked for by name.
+
+    Raises
+    ------
+    UnknownNameError : for an unknown solver.
+    InputError : for a baseline of the report, or solvers of a replay, that the suite has not.
+    """
+    named = _asked("solvers", suite.solvers)
+    allowed = f"a solver of the suite: {', '.join(named)}"
+    for kind, tables in (("closed_loop", suite.closed_loop), ("replay", suite.replay)):
+        key = f"{kind}.solvers"
+        for table in tables:
+            if table.solvers and not set(_asked(key, table.solvers)) & set(named):
+                raise InputError("suite", key, ", ".join(table.solvers), allowed)
+    baseline = suite.report.baseline
+    if baseline is not None and baseline not in named:
+        raise InputError("suite", "report.baseline", repr(baseline), allowed)
+    chosen = _named(only) if only else named
+    if not only and suite.contrast:
+        chosen.append(CONTRAST)
+    if not only and suite.calibration:
+        chosen += CALIBRATION
+    return list(dict.fromkeys(chosen))
+
+
+def _asked(key: str, names: Sequence[str]) -> list[str]:
+    """The solvers that a key of a suite names."""
+    try:
+        return _named(names)
+    except UnknownNameError as error:
+        raise UnknownNameError("suite", key, error.found, error.allowed) from error
+
+
+def _named(names: Sequence[str]) -> list[str]:
+    """The solvers of some names, "all" spelt out."""
+    chosen: list[str] = []
+    for name in names:
+        if name == "all":
+            chosen += [s for s in solver_names() if s != CONTRAST and _by_default(s)]
+        else:
+            chosen.append(record(name).name)
+    return list(dict.fromkeys(chosen))
+
+
+def _by_default(solver: str) -> bool:
+    return record(solver).extra not in ("jax", "casadi") or available(solver).ok
+
+
+def module_of(solver: str) -> str:
+    """The file of a plug-in that a worker has to load; "" for every other solver."""
+    plugin = None if solver in TABLE else find_plugin(solver)
+    return plugin.origin if plugin is not None and Path(plugin.origin).is_file() else ""
+
+
+def arms_of(solvers: Sequence[str], table: Table) -> list[Arm]:
+    """The arms of one table of a suite; a solver is left out of a route it does not have.
+
+    A table may name solvers of its own: those of them that the suite has, too, take part.
+
+    The harness's own arms have one way to run, whatever the table asks for, and take part in timed
+    replays alone.
+    """
+    solvers = _taking_part(solvers, table)
+    if not solvers:
+        return []
+    known = [name for solver in solvers for name in setting_names(solver)]
+    for name in table.settings:
+        if name not in known:
+            raise SettingsError("settings", "", repr(name), " | ".join(dict.fromkeys(known)))
+    own = [name for name in solvers if name in CALIBRATION]
+    solvers = [name for name in solvers if name not in CALIBRATION]
+    arms: list[Arm] = []
+    for units, formulation, policy, wanted, solver in product(
+        table.units, table.formulations, table.policies, table.routes, solvers
+    ):
+        row = record(solver)
+        route: Route = row.default_route if wanted == "default" else wanted
+        if route not in row.policies:
+            continue
+        names = [name for name in table.settings if name in setting_names(solver)]
+        if settings_matter(solver):
+            arms += [Arm(solver, route, policy, units, name, formulation) for name in names]
+        elif names:
+            alias = tuple(names[1:])
+            arms.append(Arm(solver, route, policy, units, names[0], formulation, alias))
+    timed = isinstance(table, ReplayTable | RecordedTable)
+    return arms + [Arm(name, "native", "reuse", "scaled", "default") for name in own if timed]
+
+
+def _taking_part(solvers: Sequence[str], table: Table) -> list[str]:
+    """Those of the suite's solvers that a table means."""
+    if not isinstance(table, ClosedLoopTable | ReplayTable):
+        return list(solvers)
+    named = _named(table.solvers) if table.solvers else solvers
+    without = _named(table.without) if isinstance(table, ClosedLoopTable) else []
+    return [name for name in solvers if name in named and name not in without]
+
+
+def refusal_of(arm: Arm) -> str:
+    """Why an arm cannot run; "" where it can."""
+    found, row = available(arm.solver), record(arm.solver)
+    if not found.ok:
+        return found.reason
+    if arm.policy in row.policies[arm.route]:
+        return ""
+    reason = row.refused.get((arm.route, arm.policy), "")
+    return f"policy {arm.policy}: {reason or REFUSED_BY_QPSOLVERS.get(arm.policy, 'not offered')}"

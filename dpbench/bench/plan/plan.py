@@ -1,0 +1,148 @@
+"""Expand a suite into cells, before anything runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from dpbench.bench.plan.cells import Planned, cell_of, random_cells, recorded_cells
+from dpbench.bench.plan.configurations import CONTRAST, arms_of, choose_solvers
+from dpbench.bench.plan.suite import ClosedLoopTable, ReplayTable, SuiteFile
+from dpbench.bench.sequences.recording import with_horizons
+from dpbench.errors import InputError
+from dpbench.scenario.horizons import Horizons
+from dpbench.scenario.scenario import Scenario, load_scenario, no_stages
+
+
+def plan(
+    suite: SuiteFile,
+    *,
+    solvers: Sequence[str] | None = None,
+    scenarios: Sequence[str] | None = None,
+    beside: Path | None = None,
+) -> list[Planned]:
+    """All cells of a suite in the order they run: closed loops, replays, recorded, random ones.
+
+    Paths of scenarios and sequences are relative to the folder `beside`, that of the suite. A
+    choice of `scenarios` leaves recorded and random sequences out.
+
+    Raises
+    ------
+    InputError : for an unknown scenario or solver, or a scenario that the suite does not have.
+    """
+    chosen = choose_solvers(suite, solvers)
+    known = [name for table in suite.closed_loop for name in table.names]
+    known += [table.scenario for table in suite.replay]
+    for name in scenarios or ():
+        if name not in known:
+            allowed = ", ".join(dict.fromkeys(known)) or "none, the suite has no scenario"
+            raise InputError("--scenario", "", repr(name), f"a scenario of the suite: {allowed}")
+    loaded = {name: load_scenario(name, beside=beside) for name in dict.fromkeys(known)}
+    swept = _under_horizons(suite, loaded)
+    stems = _different_names([*loaded.values(), *swept.values()])
+    wanted = set(scenarios) if scenarios else set(known)
+    cells: list[Planned] = []
+    for closed in suite.closed_loop:
+        for name in closed.names:
+            if name in wanted:
+                cells += _closed_loop_cells(suite, closed, loaded[name], chosen)
+    for replay in suite.replay:
+        for pair in replay.pairs if replay.scenario in wanted else ():
+            name = replay.scenario
+            scenario = loaded[name] if pair is None else swept[name, pair]
+            cells += _replay_cells(suite, replay, scenario, chosen)
+    if not scenarios:
+        cells += recorded_cells(suite, chosen, beside, taken=stems)
+    for table in suite.random if not scenarios else ():
+        cells += random_cells(suite, table, chosen)
+    return _merged(cells)
+
+
+def _different_names(scenarios: Sequence[Scenario]) -> list[str]:
+    """Their names; InputError when two have the same."""
+    stems = [scenario.name for scenario in scenarios]
+    for stem in stems:
+        if stems.count(stem) > 1:
+            allowed = "files of different names, which tell their results apart"
+            raise InputError("suite", "scenarios", f"two scenarios called {stem!r}", allowed)
+    return stems
+
+
+def _under_horizons(
+    suite: SuiteFile, loaded: dict[str, Scenario]
+) -> dict[tuple[str, Horizons], Scenario]:
+    """The scenarios of the replays under each pair of horizons that a table asks for."""
+    asked = {(table.scenario, pair) for table in suite.replay for pair in table.pairs if pair}
+    return {(name, pair): with_horizons(loaded[name], *pair) for name, pair in sorted(asked)}
+
+
+def _merged(cells: Sequence[Planned]) -> list[Planned]:
+    """Each cell once, with all names of its settings.
+
+    Two tables may ask for the same cell, e.g. by its route's name and as the default one.
+    """
+    once: dict[str, Planned] = {}
+    for planned in cells:
+        key = planned.cell.to_json()
+        known = once.setdefault(key, planned)
+        if known is not planned:
+            names = dict.fromkeys((*known.alias_settings, *planned.alias_settings))
+            once[key] = replace(known, alias_settings=tuple(names))
+    return list(once.values())
+
+
+def _closed_loop_cells(
+    suite: SuiteFile, table: ClosedLoopTable, scenario: Scenario, solvers: Sequence[str]
+) -> list[Planned]:
+    steps = min(table.steps or scenario.steps, scenario.steps)
+    if table.deadline_s > scenario.sample_s:
+        where, allowed = f"suite: closed loop of {scenario.name}", f"at most {scenario.sample_s:g}"
+        raise InputError(where, "deadline_s", table.deadline_s, f"{allowed}, its sample")
+    # The contrast law does not look at units or settings: it runs where the default arms do.
+    plain = ("scaled", "default", "fresh")
+    return [
+        cell_of(
+            arm,
+            suite,
+            table,
+            no_stages=no_stages(scenario),
+            mode="closed_loop",
+            scenario=scenario.files,
+            steps=steps,
+            fallback=table.fallback,
+            slowdown=slowdown,
+            deadline_s=table.deadline_s,
+        )
+        for slowdown in table.slowdowns
+        for arm in arms_of(solvers, table)
+        if arm.solver != CONTRAST or (arm.units, arm.settings, arm.policy) == plain
+    ]
+
+
+def _replay_cells(
+    suite: SuiteFile, table: ReplayTable, scenario: Scenario, solvers: Sequence[str]
+) -> list[Planned]:
+    if table.first >= scenario.steps:
+        raise InputError(
+            f"suite: replay of {scenario.name}", "first", table.first, f"below {scenario.steps}"
+        )
+    steps = min(table.steps or scenario.steps, scenario.steps - table.first)
+    return [
+        cell_of(
+            arm,
+            suite,
+            table,
+            no_stages=no_stages(scenario),
+            mode="replay",
+            scenario=scenario.files,
+            steps=steps,
+            first=table.first,
+            rounds=suite.rounds,
+            warmup_steps=min(suite.warmup_steps, steps),
+            budget_s=suite.replay_budget_s,
+            repeat_budget_s=suite.repeat_budget_s,
+        )
+        for arm in arms_of(solvers, table)
+        if arm.solver != CONTRAST
+    ]

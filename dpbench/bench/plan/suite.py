@@ -1,0 +1,227 @@
+"""Suites: which cells a campaign runs, and the demand its report judges them by."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal, get_args
+
+from pydantic import AfterValidator, Field
+
+from dpbench.bench.record.cell import SLOWEST
+from dpbench.errors import InputError
+from dpbench.qp.random.recipe import RandomRecipe
+from dpbench.scenario.horizons import Horizons, different_horizons, parse_horizons
+from dpbench.scenario.problem_files import FileModel, problem_path, read_model
+from dpbench.solvers.settings import LADDER
+
+Count = Annotated[int, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Size = Annotated[list[Count], Field(min_length=2, max_length=2)]
+UnitName = Literal["scaled", "si"]
+PolicyName = Literal["fresh", "reuse", "warm"]
+RouteName = Literal["default", "qpsolvers", "native"]
+FormulationName = Literal["condensed_box", "condensed_stacked", "sparse"]
+
+
+def _off_or_slower(value: float) -> float:
+    """A computer is not faster than the one that is measured."""
+    if value != 0.0 and not 1.0 <= value <= SLOWEST:
+        raise ValueError(f"0 (off), or 1 to {SLOWEST:g}")
+    return value
+
+
+Slowdown = Annotated[float, AfterValidator(_off_or_slower)]
+
+
+class DemandTable(FileModel):
+    """What a controller demands of a solver."""
+
+    error_move: Positive = 1e-2
+    failed_steps: Count = 0
+    p99_ms: Positive = 3.0
+    deadline_ms: Positive = 300.0
+
+
+class ClosedLoopTable(FileModel):
+    """Every solver steers the ship itself; route "default" is each solver's own.
+
+    With `vessels` every scenario is run with each of them instead of its own. `slowdowns` says how
+    much slower than this machine the ship's computer is (≥ 1), 0 that the ship waits for every
+    answer; `deadline_s` what a step may take of its time, 0 the whole sample. `limit_s` is the
+    limit of a cell here, where it is not that of the suite. With `solvers` only those of the suite
+    take part that are named here, and none of `without`.
+    """
+
+    scenarios: list[str]
+    solvers: list[str] = []
+    without: list[str] = []
+    vessels: list[str] = []
+    units: list[UnitName] = ["scaled"]
+    settings: list[str] = ["default"]
+    routes: list[RouteName] = ["default"]
+    policies: list[PolicyName] = ["fresh"]
+    formulations: list[FormulationName] = ["condensed_box"]
+    fallback: Literal["shifted_plan", "hold", "clip"] = "shifted_plan"
+    slowdowns: Annotated[list[Slowdown], Field(min_length=1)] = [0.0]
+    deadline_s: NotNegative = 0.0
+    limit_s: Positive | None = None
+    steps: Count = 0
+
+    @property
+    def names(self) -> list[str]:
+        """The scenarios, each with each vessel."""
+        if not self.vessels:
+            return self.scenarios
+        return [f"{scenario}@{vessel}" for scenario in self.scenarios for vessel in self.vessels]
+
+
+class ReplayTable(FileModel):
+    """Identical QPs, recorded along the exactly solved loop, through every solver.
+
+    With `horizons` ("30/5") the scenario is run under each of them instead of those of its tuning.
+    With `solvers` only those of the suite take part that are named here.
+    """
+
+    scenario: str
+    solvers: list[str] = []
+    horizons: Annotated[list[str], AfterValidator(different_horizons)] = []
+    first: Count = 0
+    steps: Count = 0
+    units: list[UnitName] = ["scaled"]
+    settings: list[str] = ["default"]
+    routes: list[RouteName] = ["default"]
+    policies: list[PolicyName] = ["fresh"]
+    formulations: list[FormulationName] = ["condensed_box"]
+
+    @property
+    def pairs(self) -> list[Horizons | None]:
+        """The horizons to run under; None for those of the tuning."""
+        return [parse_horizons(text) for text in self.horizons] or [None]
+
+
+class RandomTable(FileModel):
+    """Random QPs with a planted optimum, through every solver: families × sizes × seeds.
+
+    A size is [n, m]. Such QPs have no units but their own.
+    """
+
+    units: ClassVar[list[UnitName]] = ["scaled"]
+    formulations: ClassVar[list[FormulationName]] = ["condensed_box"]
+    families: Annotated[list[str], Field(min_length=1)]
+    sizes: Annotated[list[Size], Field(min_length=1)]
+    seeds: list[Count] = [1]
+    steps: Annotated[int, Field(ge=1)] = 24
+    block: Count = 0
+    cond: Annotated[float, Field(ge=0)] = 0.0
+    settings: list[str] = ["default"]
+    routes: list[RouteName] = ["default"]
+    policies: list[PolicyName] = ["fresh"]
+
+    def recipes(self) -> list[RandomRecipe]:
+        """The recipes of the table; InputError for one that cannot be."""
+        return [
+            RandomRecipe(family, n, m, seed, self.steps, self.block, self.cond)
+            for family in self.families
+            for n, m in self.sizes
+            for seed in self.seeds
+        ]
+
+
+class RecordedTable(FileModel):
+    """Recorded QPs through every solver: a stored sequence by name, a `.npz`, or a folder.
+
+    A relative path is looked for beside the suite first. Such QPs have no units but their own.
+    """
+
+    units: ClassVar[list[UnitName]] = ["scaled"]
+    sequence: str
+    settings: list[str] = ["default"]
+    routes: list[RouteName] = ["default"]
+    policies: list[PolicyName] = ["fresh"]
+    formulations: list[FormulationName] = ["condensed_box"]
+
+
+class DesignTable(FileModel):
+    """Stability and basin of controllers, those of some scenarios, in vessels; no solver's part."""
+
+    controllers: Annotated[list[str], Field(min_length=1)]
+    vessels: Annotated[list[str], Field(min_length=1)]
+
+
+class ReportTable(FileModel):
+    """What the report compares with: the solver whose step times are 1; by default the fastest."""
+
+    baseline: str | None = None
+
+
+class SuiteFile(FileModel):
+    """`problems/suites/*.toml`; 0 steps means all steps.
+
+    A replay that has taken `replay_budget_s` gets no further round, once `FEWEST_ROUNDS`
+    (`interleave.py`) count; 0 for all of them whatever they take. Rounds in which other work slowed
+    the load kernel run again, for up to `repeat_budget_s` of each replay (`robbed.py`).
+    With `contrast` the clipped unconstrained law steers too; with `calibration` the harness's own
+    arms, whose cost is known, take part in every replay.
+    """
+
+    title: str
+    solvers: Annotated[list[str], Field(min_length=1)] = ["all"]
+    contrast: bool = True
+    calibration: bool = False
+    cell_limit_s: Positive = 5.0
+    replay_budget_s: Annotated[float, Field(ge=0)] = 0.0
+    repeat_budget_s: NotNegative = 0.25
+    rounds: Annotated[int, Field(ge=1)] = 5
+    warmup_steps: Count = 50
+    demand: DemandTable = DemandTable()
+    report: ReportTable = ReportTable()
+    design: DesignTable | None = None
+    closed_loop: list[ClosedLoopTable] = []
+    replay: list[ReplayTable] = []
+    recorded: list[RecordedTable] = []
+    random: list[RandomTable] = []
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Complaints about "the suite" name its file."""
+    try:
+        yield
+    except InputError as error:
+        if error.where.split(":")[0] != "suite":
+            raise
+        where = error.where.replace("suite", str(path), 1)
+        raise type(error)(where, error.key, error.found, error.allowed) from error
+
+
+def load_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
+    """A suite by name or TOML path, with its file; InputError in one line if it is bad."""
+    path = problem_path("suites", name_or_path)
+    return path, read_model(path, SuiteFile)
+
+
+_WAY: dict[str, Collection[str]] = {
+    "route": get_args(RouteName),
+    "policy": get_args(PolicyName),
+    "settings": tuple(LADDER),
+}
+_TABLE_KEY = {"route": "routes", "policy": "policies", "settings": "settings"}
+
+
+def sequence_suite(path: str | Path, meta: Mapping[str, object] | None = None) -> SuiteFile:
+    """The suite that replays one recorded sequence through every solver, default and high.
+
+    What a hunt found, as `meta` of the sequence says, is replayed in the way its solver was run as
+    well: another route or policy shows other iterations, or none.
+    """
+    ways: list[dict[str, list[str]]] = [{"settings": ["default", "high"]}]
+    hunted = {key: (meta or {}).get(f"hunt_{key}") for key in _WAY}
+    # A file may say anything, and not every solver has the settings one of them has.
+    if all(name in known for name, known in zip(hunted.values(), _WAY.values(), strict=True)):
+        ways.append({_TABLE_KEY[key]: [str(name)] for key, name in hunted.items()})
+    tables = [RecordedTable.model_validate({"sequence": str(path)} | way) for way in ways]
+    title = f"Recorded sequence {Path(path).name}"
+    return SuiteFile(title=title, contrast=False, recorded=tables)

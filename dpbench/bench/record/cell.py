@@ -1,0 +1,118 @@
+"""A cell: one arm of the benchmark as a JSON description that runs it again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+from dpbench.bench.record.schema import SCHEMA_VERSION
+from dpbench.solvers.contract import Policy, Route
+
+Formulation = Literal["condensed_box", "condensed_stacked", "sparse", "none"]
+Fallback = Literal["shifted_plan", "hold", "clip"]
+FORMULATIONS: tuple[Formulation, ...] = ("condensed_box", "condensed_stacked", "sparse", "none")
+FALLBACKS: tuple[Fallback, ...] = ("shifted_plan", "hold", "clip")
+SLOWEST = 1e9
+"""Largest slow-down: with it a latency of some seconds still is a 64-bit integer [ns]."""
+_OPTIONAL = ("source", "slowdown", "deadline_s", "budget_s", "repeat_budget_s")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """problem × solver × route × policy × settings × formulation × units, in one mode.
+
+    Parameters
+    ----------
+    mode : "closed_loop" or "replay".
+    scenario : the documents of the scenario (`Scenario.files`); empty where `source` stands.
+    steps : steps to run from `first` on; the whole run in closed loop starts at 0.
+    first : first step of a replayed sequence.
+    rounds, warmup_steps : replay only: counting rounds, and steps of the round before them.
+    limit_s : the cell's own run time after which it stops.
+    budget_s : replay only: run time after which the rounds that are left are left out, once
+        `FEWEST_ROUNDS` count (`interleave.py`); 0 for none.
+    repeat_budget_s : replay only: run time for rounds that were robbed, again (`robbed.py`).
+    fallback : what acts when there is no usable answer.
+    slowdown, deadline_s : closed loop only: how much slower than this machine the ship's computer
+        is, ≥ 1, and what a step may take of its time; 0 for a loop that waits for every answer,
+        and for the whole sample (`slow.py`).
+    seed : of the order of arms within a round.
+    solver_module : file of the plug-in that brings the solver; "" for none.
+    source : replay only: what its QPs are made from where that is no scenario; its `kind`, the
+        `name` of the sequence, and whatever else `source.py` needs.
+    """
+
+    mode: Literal["closed_loop", "replay"]
+    scenario: dict[str, Any]
+    solver: str
+    route: Route
+    policy: Policy
+    settings: str
+    steps: int
+    formulation: Formulation = "condensed_box"
+    units: Literal["scaled", "si"] = "scaled"
+    first: int = 0
+    rounds: int = 0
+    warmup_steps: int = 0
+    limit_s: float = 5.0
+    fallback: Fallback = "shifted_plan"
+    seed: int = 0
+    solver_module: str = ""
+    source: dict[str, Any] = field(default_factory=dict)
+    slowdown: float = 0.0
+    deadline_s: float = 0.0
+    budget_s: float = 0.0
+    repeat_budget_s: float = 0.0
+
+    @property
+    def scenario_name(self) -> str:
+        """Name of the scenario, with the fallback where that is not the usual one; may be empty."""
+        name = str(self.scenario["name"]) if self.scenario else ""
+        usual = self.mode == "replay" or self.fallback == "shifted_plan"
+        return name if usual else f"{name} ({self.fallback})"
+
+    @property
+    def sequence(self) -> str:
+        """Name of the replayed sequence; empty in closed loop."""
+        if self.mode == "closed_loop":
+            return ""
+        if self.source:
+            return str(self.source["name"])
+        whole = self.first == 0
+        last = self.first + self.steps
+        return self.scenario_name if whole else f"{self.scenario_name}[{self.first}:{last}]"
+
+    @property
+    def problem_key(self) -> str:
+        """Cells with the same problem key see the same QPs (replay) or the same ship."""
+        problem = (self.mode, self.source or self.scenario, self.units, self.first, self.steps)
+        return _digest(problem)
+
+    def _description(self) -> dict[str, Any]:
+        """All fields, less those of `_OPTIONAL` that are not used: other cells keep their keys."""
+        return {k: v for k, v in vars(self).items() if k not in _OPTIONAL or v}
+
+    def to_json(self) -> str:
+        """The description as JSON."""
+        return json.dumps(self._description(), sort_keys=True, ensure_ascii=False)
+
+    @classmethod
+    def from_json(cls, text: str) -> Cell:
+        """The cell that `to_json` described."""
+        return cls(**json.loads(text))
+
+    def with_settings(self, name: str) -> Cell:
+        """The same cell under another name of its settings."""
+        return replace(self, settings=name)
+
+    def run_id(self, solver_version: str, machine_id: str, harness_version: str) -> str:
+        """Hash of the cell and of everything a result of it depends on (method.md section 5)."""
+        found = self._description()
+        return _digest([found, solver_version, machine_id, harness_version, SCHEMA_VERSION])
+
+
+def _digest(value: object) -> str:
+    text = json.dumps(value, sort_keys=True, ensure_ascii=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -1,0 +1,133 @@
+"""What disturbs a replay, as far as the kernel shows it: counters around every round.
+
+Read outside the timed phases. A counter that the kernel does not show is NaN; a steal time of 0 may
+also mean that the host of a virtual machine does not tell.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpbench.bench.record.raw_log import COUNTERS, RawLog
+
+_STEAL = 8
+"""Place of the steal time in a line of /proc/stat (proc(5)), behind the name of the core."""
+_THROTTLE = ("core_throttle_count", "package_throttle_count")
+
+MAX_SPOILT_SHARE = 0.05
+"""Of the rounds, those still spoilt after they were run again."""
+MAX_STEAL_SHARE = 0.01
+"""Of the time of the replays."""
+MAX_SWITCHES_PER_S = 10.0
+"""At ten a second fewer than one in a hundred samples of 1 ms is hit, so a p99 is still a solver's;
+of shorter samples fewer are."""
+RULE = (
+    f"at most {100 * MAX_SPOILT_SHARE:g} % of the rounds still spoilt after a second attempt, "
+    f"steal time at most {100 * MAX_STEAL_SHARE:g} % of the replays' time, at most "
+    f"{MAX_SWITCHES_PER_S:g} involuntary context switches a second, no throttling"
+)
+
+
+def counters() -> NDArray[np.float64]:
+    """(5,) the counters of `COUNTERS` now, since any moment: only differences mean something.
+
+    Clock [s], context switches of this process, steal time [s] and throttle events of the core it
+    is pinned to (their mean over cores where it is pinned to several).
+    """
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    cores = os.sched_getaffinity(0)
+    return np.array(
+        [time.perf_counter(), used.ru_nvcsw, used.ru_nivcsw, _steal_s(cores), _throttled(cores)]
+    )
+
+
+def _steal_s(cores: set[int]) -> float:
+    try:
+        lines = Path("/proc/stat").read_text(encoding="ascii").splitlines()
+        of_core = {fields[0]: fields for fields in map(str.split, lines) if fields}
+        ticks = [int(of_core[f"cpu{core}"][_STEAL]) for core in cores]
+    except (OSError, KeyError, IndexError, ValueError):
+        return float("nan")
+    return sum(ticks) / len(ticks) / os.sysconf("SC_CLK_TCK")
+
+
+def _throttled(cores: set[int]) -> float:
+    seen = []
+    for core in cores:
+        for name in _THROTTLE:
+            path = Path(f"/sys/devices/system/cpu/cpu{core}/thermal_throttle/{name}")
+            try:
+                seen.append(int(path.read_text(encoding="ascii")))
+            except (OSError, ValueError):
+                continue
+    return sum(seen) / len(cores) if seen else float("nan")
+
+
+def disturbance_metrics(log: RawLog) -> dict[str, float]:
+    """The columns on what disturbed a replay: sums over the rounds that count.
+
+    Of a round that was run again, the last attempt counts; `rerun_rounds` says how many were.
+    """
+    whole = np.flatnonzero(log.done[1:] > 0) + 1
+    metrics = {"rerun_rounds": float((log.attempts[whole] > 1).sum())}
+    measured = [r for r in whole if np.isfinite(log.counters[r, 0])]
+    sums = log.counters[measured].sum(axis=0) if measured else np.full(len(COUNTERS), np.nan)
+    return metrics | dict(zip(COUNTERS, sums.tolist(), strict=True))
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """What disturbed some replays; a number nobody saw is NaN.
+
+    Parameters
+    ----------
+    rounds, spoilt, rerun : rounds that count, those still spoilt, those run again.
+    seconds : how long they took; steal_s : of it taken by the host.
+    involuntary : context switches against the worker's will; throttled : throttle events.
+    """
+
+    rounds: float
+    spoilt: float
+    rerun: float
+    seconds: float
+    involuntary: float
+    steal_s: float
+    throttled: float
+
+    @classmethod
+    def total(cls, parts: Sequence[Disturbance]) -> Disturbance:
+        """Of several replays together; what some did not see is the sum over the others."""
+        rows = np.array([list(vars(part).values()) for part in parts]).reshape(-1, 7)
+        seen = np.isfinite(rows).any(axis=0)
+        return cls(*np.where(seen, np.nansum(rows, axis=0), np.nan).tolist())
+
+    @property
+    def steal_share(self) -> float:
+        """Share of the time that the host of a virtual machine took."""
+        return self.steal_s / self.seconds if self.seconds > 0 else float("nan")
+
+    @property
+    def switches_per_s(self) -> float:
+        """Involuntary context switches a second."""
+        return self.involuntary / self.seconds if self.seconds > 0 else float("nan")
+
+    def complaints(self) -> list[str]:
+        """What disturbed them by `RULE`; none for a quiet machine."""
+        found = []
+        if self.rounds > 0 and self.spoilt > MAX_SPOILT_SHARE * self.rounds:
+            found.append(f"{self.spoilt:.0f} of {self.rounds:.0f} rounds spoilt twice")
+        if self.steal_share > MAX_STEAL_SHARE:
+            found.append(f"{100 * self.steal_share:.1f} % of the time stolen by the host")
+        if self.switches_per_s > MAX_SWITCHES_PER_S:
+            found.append(f"{self.switches_per_s:.0f} involuntary context switches a second")
+        if self.throttled > 0:
+            found.append(f"{self.throttled:.0f} throttle events")
+        return found

@@ -1,0 +1,131 @@
+"""The closed loop: one solver steers the ship (method.md section 3).
+
+Order at t_k: measure or estimate x_m; Δx_m(k) = x_m(k) − x_m(k−1), zero at k = 0; emit the QP;
+solve; limit the first move by rate, then by amplitude; hold the force over [t_k, t_{k+1}). u(k−1)
+is the force that was *applied*. Only the solver's call stands between two clock reads of its
+phases. On a slow computer (`slow.py`) another stands in for solver and fallback; the loop is the
+same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from dpbench.bench.record.cell import Fallback
+from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.run.fallback import FallbackLaw, limit_move
+from dpbench.bench.run.qp_builder import Emitter
+from dpbench.bench.run.slow_computer import Pace, SlowComputer, Usage, never_preempted
+from dpbench.bench.run.timed_solver import Clock, SolverPort, record_answer
+from dpbench.qp.program import QPStep, Vector
+from dpbench.qp.solution import Status
+from dpbench.scenario.scenario import Scenario
+from dpbench.ship.measurement import Sensors
+from dpbench.ship.plant import SUBSTEPS, Plant
+
+Emit = Callable[[int, Vector, Vector], QPStep]
+_UNFINISHED = frozenset({Status.INACCURATE, Status.MAX_ITERATIONS})
+
+
+@dataclass(slots=True, eq=False)
+class Voyage:
+    """What a closed loop is made of: the run, what emits its QPs, the solver, where steps go.
+
+    `fallback` acts without a usable answer; `limit_ns` of own run time end the voyage; `clock`
+    tells nanoseconds. `pace` is that of a slow computer, whose answers come late; None where the
+    ship waits for them; `usage` is what the kernel says of this process there.
+    """
+
+    scenario: Scenario
+    emitter: Emitter
+    port: SolverPort
+    log: RawLog
+    fallback: Fallback
+    limit_ns: int
+    clock: Clock
+    pace: Pace | None = None
+    usage: Usage = never_preempted
+
+
+def closed_loop(voyage: Voyage) -> bool:
+    """Run the scenario with the solver behind the port and record every step in the log.
+
+    Returns
+    -------
+    True when all steps were done, False when the time limit stopped the run after a step.
+    """
+    scenario, emitter, log = voyage.scenario, voyage.emitter, voyage.log
+    clock, limit_ns, steps = voyage.clock, voyage.limit_ns, scenario.steps
+    plant = _plant(scenario)
+    weather, du_max = scenario.environment, scenario.du_max
+    sea = weather.stage_table(steps, scenario.sample_s, SUBSTEPS)
+    sensors, estimator = Sensors(weather, steps, scenario.sample_s), scenario.estimator()
+    port, law, emit = _steering(voyage)
+    formulate, answer, moves = port.formulate, port.answer, emitter.builder.moves
+    state, reference = plant.state, emitter.reference
+    x, u = np.zeros(9), np.zeros(3)
+    sense, estimate = sensors.sense, estimator.update
+    log.counters[:] = np.nan
+    log.setup_once_ns[0] = port.prepare()
+    log.theta[:, 9:12], log.theta[:, 15] = reference[:steps], 1.0
+    log.state[0] = state
+    began = clock()
+    log.started[0] = 1
+    for k in range(steps):
+        t0 = clock()
+        x[6:] = estimate(sense(state, k), u)[3:]
+        x[:6] = estimator.change
+        log.theta[k, :9], log.theta[k, 12:15] = x, u
+        t1 = clock()
+        step = formulate(emit(k, x, u))
+        t2 = clock()
+        solution = answer(step)
+        t3 = clock()
+        usable = solution.status.usable and math.isfinite(solution.z.sum())
+        if usable:
+            du = law.remember(moves(solution.z))
+        else:
+            du = law.move(x, reference[k])
+            port.reset()
+        np.add(u, du, out=log.command[k])
+        u_min, u_max = emitter.tau_min[k], emitter.tau_max[k]
+        clipped = limit_move(u, du, du_max, u_min, u_max, log.tau[k])
+        u[...] = log.tau[k]
+        log.flags[k] = (law.acted, usable and solution.status in _UNFINISHED, clipped)
+        record_answer(log, 0, k, solution)
+        plant.advance(u, sea[k])
+        log.state[k + 1] = state
+        t4 = clock()
+        log.times[0, k] = (t2 - t1, *port.phases_ns, t4 - t0 - (t3 - t2))
+        log.matrix_updates[0] = port.matrix_updates
+        log.done[0] = k + 1
+        if t4 - began > limit_ns and k + 1 < steps:
+            return False
+    return True
+
+
+def _steering(
+    voyage: Voyage,
+) -> tuple[SolverPort | SlowComputer, FallbackLaw | SlowComputer, Emit]:
+    """Who answers, who acts without an answer, and who emits: on a slow computer one and all."""
+    law = FallbackLaw(voyage.fallback, voyage.emitter.builder)
+    if voyage.pace is None or not voyage.pace.simulated:
+        return voyage.port, law, voyage.emitter.emit
+    latency_ns = voyage.log.latency_ns
+    computer = SlowComputer(voyage.pace, voyage.port, voyage.emitter, law, latency_ns, voyage.usage)
+    return computer, computer, computer.emit
+
+
+def _plant(scenario: Scenario) -> Plant:
+    """The true ship in its start, in this weather, behind these actuators."""
+    return Plant(
+        scenario.true_ship,
+        scenario.first_state,
+        scenario.sample_s,
+        loads=scenario.environment.load_coefficients(scenario.vessel),
+        actuators=scenario.actuators,
+    )

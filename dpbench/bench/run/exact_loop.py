@@ -1,0 +1,245 @@
+"""The exactly solved loop: the referee's certified optimum steers the ship.
+
+It is computed once per scenario; every solver's deviation from it is a metric, and the QPs along
+it are the sequences for replay.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpbench.bench.record.npz import DAMAGE
+from dpbench.bench.record.raw_log import RawLog, loop_layout
+from dpbench.bench.run.closed_loop import Voyage, closed_loop
+from dpbench.bench.run.formulation import Box
+from dpbench.bench.run.qp_builder import Emitter
+from dpbench.bench.run.timed_solver import SolverPort
+from dpbench.errors import CertificateError, ResultsError
+from dpbench.mpc.condense import UnitSystem
+from dpbench.mpc.condensed_qp import CondensedQP
+from dpbench.qp.program import Matrix, QPSequence, QPStep, QuadraticProgram, SparseTwin
+from dpbench.qp.referee.joint import Kind
+from dpbench.qp.referee.referee import Optimum, Referee
+from dpbench.qp.solution import Solution, Status
+from dpbench.scenario.scenario import Scenario
+from dpbench.solvers.contract import Workspace
+
+_OF_OPTIMUM = ("z", "y", "y_box", "bound", "kind")
+
+
+class ExactWorkspace(Workspace):
+    """The referee's optimum behind the workspace contract; scaled QPs only."""
+
+    def __init__(self) -> None:
+        super().__init__("exact", "native", "reuse")
+        self._base: QuadraticProgram | None = None
+        self._referee: Referee | None = None
+        self._step: QPStep | None = None
+        self.optima: list[Optimum] = []
+        """The optimum of every solved step, in order."""
+
+    def setup(self, qp: QuadraticProgram) -> None:
+        """Take the constant matrices."""
+        self._base = qp
+        self._referee = Referee(qp.P, qp.A, qp.lb, qp.ub)
+        self._step = QPStep(qp.q, qp.l, qp.u)
+
+    def update(self, step: QPStep) -> None:
+        """Take the vectors, and matrices where they are others than before."""
+        assert self._base is not None, "setup comes first"
+        if brings_other_matrices(self._base, step):
+            self.setup(self._base.at(step))
+        self._step = step
+
+    def solve(self) -> None:
+        """Certify the optimum of the current step."""
+        assert self._referee is not None and self._step is not None, "setup comes first"
+        step = self._step
+        self.optima.append(self._referee.certify(step.q, step.l, step.u))
+
+    def read(self) -> Solution:
+        """The certified optimum, or the proof that there is none; without either an error.
+
+        A step that is undecided at rounding has no answer either.
+        """
+        assert self.optima, "solve comes first"
+        optimum = self.optima[-1]
+        if optimum.kind in ("infeasible", "undecided"):
+            return Solution(Status.PRIMAL_INFEASIBLE, optimum.z, optimum.y, optimum.y_box, 0)
+        if not np.isfinite(optimum.bound):
+            raise CertificateError(f"no certified optimum ({optimum.kind})")
+        return Solution(Status.SOLVED, optimum.z, optimum.y, optimum.y_box, 0)
+
+
+def brings_other_matrices(base: QuadraticProgram, step: QPStep) -> bool:
+    """Whether a step has to be solved with other matrices than those of `base`."""
+    for name in ("P", "A", "lb", "ub"):
+        matrix, known = getattr(step, name), getattr(base, name)
+        if matrix is not None and matrix is not known and not np.array_equal(matrix, known):
+            return True
+    return False
+
+
+@dataclass(frozen=True, eq=False)
+class ExactLoop:
+    """The exactly solved loop of a scenario.
+
+    theta (K, 16) : [x; y_ref; u_prev; 1] of each step; state (K + 1, 6); tau (K, 3); z (K, n).
+    optima : the certified optimum of each step in scaled units, so that no replay has to certify
+        the same QP again for every one of its arms.
+    """
+
+    theta: Matrix
+    state: Matrix
+    tau: Matrix
+    z: Matrix
+    optima: list[Optimum]
+
+    def save(self, path: Path) -> None:
+        """Write to `path` (.npz)."""
+        certified: dict[str, NDArray[Any]] = {
+            name: np.array([getattr(optimum, name) for optimum in self.optima])
+            for name in _OF_OPTIMUM
+        }
+        np.savez(
+            path,
+            allow_pickle=False,
+            theta=self.theta,
+            state=self.state,
+            tau=self.tau,
+            z=self.z,
+            **{f"optimum_{name}": array for name, array in certified.items()},
+        )
+
+    @classmethod
+    def load(cls, path: Path) -> ExactLoop:
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        ResultsError : it is damaged, or gone.
+        """
+        try:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
+                z, y, y_box, bound, kind = (data[f"optimum_{name}"] for name in _OF_OPTIMUM)
+                arrays = {name: data[name] for name in ("theta", "state", "tau", "z")}
+            optima = [
+                Optimum(z[k], y[k], y_box[k], float(bound[k]), cast(Kind, str(kind[k])))
+                for k in range(len(arrays["z"]))
+            ]
+        except (*DAMAGE, OSError, KeyError, IndexError) as error:
+            raise damaged(path, error) from error
+        return cls(**arrays, optima=optima)
+
+
+def damaged(path: Path, error: Exception) -> ResultsError:
+    """What is said of a file in a result folder that cannot be read."""
+    found = f"a damaged file ({type(error).__name__}: {str(error)[:120]})"
+    return ResultsError(str(path), "", found, "what the campaign wrote there; run again")
+
+
+def solve_exactly(scenario: Scenario) -> ExactLoop:
+    """Run the scenario with the certified optimum of every step.
+
+    Where a step is proven to have no feasible point, as under hard limits, the loop follows its
+    last plan.
+
+    Raises
+    ------
+    CertificateError : when a step has neither a certified optimum nor that proof.
+    """
+    emitter = Emitter(scenario)
+    log = RawLog.in_memory(loop_layout(scenario.steps, *emitter.sizes))
+    base = base_problem(emitter.builder)
+    workspace = ExactWorkspace()
+    port = SolverPort(workspace, Box(base), time.perf_counter_ns)
+    closed_loop(Voyage(scenario, emitter, port, log, "shifted_plan", 2**62, time.perf_counter_ns))
+    without = log.flags[:, 0].astype(bool) & (log.status[0] != Status.PRIMAL_INFEASIBLE)
+    if without.any():
+        k = int(np.flatnonzero(without)[0])
+        raise CertificateError(f"{scenario.name}: step {k} has no certified optimum")
+    return ExactLoop(log.theta, log.state, log.tau, log.z[0], workspace.optima)
+
+
+def base_problem(builder: CondensedQP) -> QuadraticProgram:
+    """The problem at rest in the reference with no force applied: what a workspace sets up with."""
+    problem = builder.control
+    zero = np.zeros
+    step = builder.emit(zero(problem.model.n_x), zero(problem.model.n_y), zero(problem.model.n_u))
+    return builder.problem(step)
+
+
+def sequence_of(
+    scenario: Scenario,
+    exact: ExactLoop,
+    *,
+    units: UnitSystem = "scaled",
+    first: int = 0,
+    count: int | None = None,
+) -> QPSequence:
+    """The QPs of `count` steps from `first` on along the exactly solved loop."""
+    last = len(exact.theta) if count is None else first + count
+    if not 0 <= first < last <= len(exact.theta):
+        raise ResultsError(
+            f"sequence of {scenario.name}",
+            "first, count",
+            f"{first}:{last}",
+            f"steps within 0:{len(exact.theta)}",
+        )
+    emitter = Emitter(scenario, units)
+    builder = emitter.builder
+    head = emitter.again(first, exact.theta[first])
+    base = builder.problem(head)
+    steps = [head, *(emitter.again(k, exact.theta[k]) for k in range(first + 1, last))]
+    name = scenario.name if first == 0 else f"{scenario.name}[{first}:{last}]"
+    return QPSequence(
+        name=name,
+        base=base,
+        P=_stack([step.P for step in steps]),
+        A=_stack([step.A for step in steps]),
+        q=np.array([step.q for step in steps]),
+        l=np.array([step.l for step in steps]),
+        u=np.array([step.u for step in steps]),
+        units=None if units == "scaled" else builder.scale,
+        scaled=None
+        if units == "scaled"
+        else sequence_of(scenario, exact, first=first, count=last - first),
+        meta={"scenario": scenario.name, "sample_s": scenario.sample_s, "first": first},
+        twin=partial(_twin, scenario, exact.theta[first:last], units, first, name),
+    )
+
+
+def _twin(
+    scenario: Scenario, theta: Matrix, units: UnitSystem, first: int, name: str
+) -> SparseTwin:
+    """The QPs along θ (K, 16) from step `first` on with the states kept; InputError if refused."""
+    emitter = Emitter(scenario, units, sparse=True)
+    staged = emitter.staged
+    assert staged is not None, "asked for"
+    steps = [emitter.again(k, row) for k, row in enumerate(theta, first)]
+    sequence = QPSequence(
+        name=name,
+        base=staged.problem(steps[0]),
+        q=np.array([step.q for step in steps]),
+        l=np.array([step.l for step in steps]),
+        u=np.array([step.u for step in steps]),
+    )
+    return SparseTwin(sequence, staged.condensed)
+
+
+def _stack(matrices: list[Matrix | None]) -> NDArray[np.float64] | None:
+    """The matrices of all steps, None where the steps bring none; none or all of them do."""
+    brought = [matrix for matrix in matrices if matrix is not None]
+    return np.array(brought) if brought else None
+
+
+def record_sequence(scenario: Scenario, *, units: UnitSystem = "scaled") -> QPSequence:
+    """The QPs along the exactly solved loop of a scenario, in memory."""
+    return sequence_of(scenario, solve_exactly(scenario), units=units)

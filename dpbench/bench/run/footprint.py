@@ -1,0 +1,167 @@
+"""What a worker takes beside time: memory at its peak, threads, allocations of a step.
+
+Calls of `malloc` inside a library cannot be counted without taking its place, so they are not:
+what Python and NumPy allocate is traced, and of the C heap it is seen whether it grows.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+import tracemalloc
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from threadpoolctl import threadpool_info
+
+from dpbench.bench.record.raw_log import FOOTPRINT, RawLog
+from dpbench.bench.run.timed_solver import SolverPort
+from dpbench.qp.program import QPSequence
+
+MOST_STEPS = 50
+LIMIT_NS = 5e8
+"""Run time that all passes of `measure_steps` may take together, by the slowest step before."""
+_PASSES = 4
+
+
+def _status(key: str) -> float:
+    """A number of /proc/self/status (proc(5)), kB as bytes; NaN where it is not shown."""
+    with suppress(OSError):
+        for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+            name, _, value = line.partition(":")
+            if name == key:
+                number, *unit = value.split()
+                return float(number) * (1024 if unit else 1)
+    return float("nan")
+
+
+class MemoryWatch:
+    """Peak resident memory of a worker above what it was forked with and what the harness holds.
+
+    Made before the solver's library is imported. A forked process starts with its parent's present
+    memory as its peak (not with the parent's peak), which is what is taken off. The peak so far is
+    forgotten first all the same, for a process that is older; a kernel may refuse that.
+    """
+
+    def __init__(self) -> None:
+        with suppress(OSError):
+            Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+        self._at_birth = _status("VmRSS")
+        self._peak_of_import = self._harness = float("nan")
+
+    def opened(self) -> None:
+        """The solver's library is loaded; what comes until `loaded` is the harness's own."""
+        self._peak_of_import = _status("VmHWM") - self._at_birth
+        self._harness = -_status("VmRSS")
+
+    def loaded(self, log: RawLog) -> None:
+        """The QPs are in memory, and the log; its pages are touched, so that they count now."""
+        log.touch()
+        self._harness += _status("VmRSS")
+
+    def peak_bytes(self) -> float:
+        """The solver's peak until now [B]."""
+        since = _status("VmHWM") - self._at_birth - max(0.0, self._harness)
+        return max(self._peak_of_import, since)
+
+
+def threads() -> tuple[float, float]:
+    """Threads of this process, and the most that a loaded BLAS or OpenMP library would use."""
+    pools = [int(pool["num_threads"]) for pool in threadpool_info()]
+    return _status("Threads"), float(max(pools, default=1))
+
+
+class _HeapInfo(ctypes.Structure):
+    """`struct mallinfo2` of glibc 2.33 and later (mallinfo(3))."""
+
+    _fields_ = [
+        (name, ctypes.c_size_t)
+        for name in (
+            "arena",
+            "ordblks",
+            "smblks",
+            "hblks",
+            "hblkhd",
+            "usmblks",
+            "fsmblks",
+            "uordblks",
+            "fordblks",
+            "keepcost",
+        )
+    ]
+
+
+@cache
+def _mallinfo2() -> Callable[[], _HeapInfo] | None:
+    try:
+        function = ctypes.CDLL(None).mallinfo2
+    except (OSError, AttributeError):
+        return None
+    function.restype = _HeapInfo
+    return cast(Callable[[], _HeapInfo], function)
+
+
+def heap_bytes() -> float:
+    """Bytes in use of the C heap, all arenas and mapped blocks; NaN without glibc 2.33."""
+    read = _mallinfo2()
+    if read is None:
+        return float("nan")
+    info = read()
+    return float(info.uordblks + info.hblkhd)
+
+
+def affordable_steps(log: RawLog) -> int:
+    """Steps that all passes can take within `LIMIT_NS`, by the slowest recorded one."""
+    slowest = np.maximum(log.times[:, :, 1:5], 0).sum(axis=2).max()
+    return int(min(MOST_STEPS, log.times.shape[1], LIMIT_NS / _PASSES / max(1.0, slowest)))
+
+
+def measure_steps(sequence: QPSequence, port: SolverPort, steps: int) -> tuple[float, float, float]:
+    """Allocations of answering one step, outside all timed rounds.
+
+    Returns
+    -------
+    Medians over `steps` steps of the Python memory blocks that an answer leaves held, and of the
+    peak of traced bytes (Python's and NumPy's, not a library's own) above the start of the step;
+    and the growth of the C heap a step, median of three passes over all of them [B].
+    """
+    if steps < 1:
+        return float("nan"), float("nan"), float("nan")
+    made = [port.formulate(sequence.step(k)) for k in range(steps)]
+
+    def answer(k: int) -> None:
+        if not port.answer(made[k]).status.usable:
+            port.reset()
+
+    growth = []
+    for _ in range(_PASSES - 1):
+        before = heap_bytes()
+        for k in range(steps):
+            answer(k)
+        growth.append((heap_bytes() - before) / steps)
+    # Arrays, because a list of counts would be counted as well.
+    blocks, peaks = np.zeros(steps, dtype=np.int64), np.zeros(steps, dtype=np.int64)
+    tracemalloc.start()
+    for k in range(steps):
+        tracemalloc.reset_peak()
+        peaks[k] -= tracemalloc.get_traced_memory()[0]
+        blocks[k] -= sys.getallocatedblocks()
+        solution = port.answer(made[k])
+        blocks[k] += sys.getallocatedblocks()
+        peaks[k] += tracemalloc.get_traced_memory()[1]
+        if not solution.status.usable:
+            port.reset()
+        # Or the next step would free this answer while its own are counted.
+        del solution
+    tracemalloc.stop()
+    # Of passes the median: what is allocated once, or served from freed memory, is no step's.
+    return float(np.median(blocks)), float(np.median(peaks)), float(np.median(growth))
+
+
+def footprint_metrics(log: RawLog) -> dict[str, float]:
+    """The columns on memory and threads."""
+    return dict(zip(FOOTPRINT, log.footprint.tolist(), strict=True))

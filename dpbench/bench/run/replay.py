@@ -1,0 +1,151 @@
+"""Replay: byte-identical QPs through a solver, the only source of timing rankings.
+
+The whole sequence is replayed round by round in order, because a warm start lives on the previous
+step; round 0 is a shortened warm-up. Two fixed kernels are timed by turns before and after each
+round: the reference kernel feels the clock, so that a round in which the machine was slow is seen,
+the load kernel what else runs on the machine.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from dpbench.bench.record.disturbance import counters
+from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.run.timed_solver import Clock, SolverPort, record_answer
+from dpbench.qp.program import QPSequence
+
+PROBE_REPEATS = 12
+PREROLL = 3
+
+
+@njit(cache=True)
+def _reference_kernel(v):  # type: ignore[no-untyped-def] # compiled by numba
+    """A dependent chain of multiply-adds, some 50 µs long: no cache misses, no branches."""
+    s = 0.5
+    for _ in range(100):
+        for i in range(v.shape[0]):
+            s = s * 0.999 + v[i]
+    return s
+
+
+_PROBE_DATA = np.linspace(0.0, 1.0, 256)
+_LOAD_MATRIX = np.eye(40) + 0.01
+_LOAD_VECTOR = np.linspace(0.0, 1.0, 40)
+_LOAD_RESULT = np.empty(40)
+
+
+def _next(value: int) -> int:
+    return value + 1
+
+
+def _load_kernel() -> None:
+    """Python calls, small NumPy calls, a LAPACK inverse: some 60 µs of what steps are made of.
+
+    Other work on a machine may slow all of it by a factor of two, which the dependent chain hardly
+    notices. Over 40 runs on such a machine the factor that 14 arms had in common correlated at 0.98
+    with that of these three parts, at 0.7 with that of the reference kernel, and at 0.6 to 0.9 with
+    those of walks through 256 kB and 1 MB.
+    """
+    value = 0
+    for _ in range(100):
+        value = _next(value)
+    for _ in range(10):
+        np.dot(_LOAD_MATRIX, _LOAD_VECTOR, out=_LOAD_RESULT)
+        np.maximum(_LOAD_RESULT, _LOAD_VECTOR, out=_LOAD_RESULT)
+    np.linalg.inv(_LOAD_MATRIX)
+
+
+def probe_ns(clock: Clock, load_ns: NDArray[np.float64] | None = None) -> int:
+    """The smallest of a few timings of the reference kernel [ns].
+
+    By turns with it the load kernel is timed, once for each place of `load_ns` [ns].
+    """
+    best, turn = 2**62, 0 if load_ns is None else PROBE_REPEATS // len(load_ns)
+    for i in range(PROBE_REPEATS):
+        started = clock()
+        _reference_kernel(_PROBE_DATA)
+        best = min(best, clock() - started)
+        if load_ns is not None and i % turn == 0:
+            started = clock()
+            _load_kernel()
+            load_ns[i // turn] = clock() - started
+    return best
+
+
+class ReplayArm:
+    """One solver replaying one sequence.
+
+    Parameters
+    ----------
+    sequence : the QPs; port : the solver; log : where each round goes.
+    warmup_steps : length of round 0; preroll : steps solved before each round without a record.
+    limit_ns : own run time of all rounds together after which the arm stops; of a round that is run
+        again because the machine was slow, the last attempt counts.
+    """
+
+    def __init__(
+        self,
+        sequence: QPSequence,
+        port: SolverPort,
+        log: RawLog,
+        *,
+        warmup_steps: int,
+        limit_ns: int,
+        clock: Clock,
+        preroll: int = PREROLL,
+    ) -> None:
+        self.sequence, self._port, self._log, self._clock = sequence, port, log, clock
+        self._warmup_steps = warmup_steps
+        self._limit_ns, self._preroll = limit_ns, preroll
+        self._spent_ns = np.zeros(len(log.done), dtype=np.int64)
+        log.footprint[:] = np.nan
+        log.setup_once_ns[0] = port.prepare()
+        log.started[0] = 1
+
+    def round(self, r: int) -> bool:
+        """Replay round r into its rows; False when the time limit stopped it.
+
+        The first `preroll` steps are solved without a record beforehand: the worker slept on its
+        pipe until now, and cold caches are no property of step 0.
+        """
+        log, clock, port, sequence = self._log, self._clock, self._port, self.sequence
+        steps = self._warmup_steps if r == 0 else len(sequence)
+        times = log.times[r]
+        log.done[r] = 0
+        log.attempts[r] += 1
+        log.counters[r] = np.nan
+        self._spent_ns[r] = 0
+        limit_ns = self._limit_ns - int(self._spent_ns.sum())
+        before = counters()
+        log.probe_ns[r, 0] = probe_ns(clock, log.load_ns[r, 0])
+        began = clock()
+        for k in range(min(self._preroll, steps)):
+            port.answer(port.formulate(sequence.step(k)))
+            # Whoever remembers answers has seen this step now, and its time is in no row.
+            log.first_ns[k] = log.first_ns[k] or -1
+        port.reset()
+        updates_before = port.matrix_updates
+        for k in range(steps):
+            step = port.formulate(sequence.step(k))
+            solution = port.answer(step)
+            record_answer(log, r, k, solution)
+            if not (solution.status.usable and math.isfinite(solution.z.sum())):
+                port.reset()
+            times[k] = (-1, *port.phases_ns, -1)
+            if log.first_ns[k] == 0:
+                log.first_ns[k] = sum(ns for ns in port.phases_ns if ns > 0)
+            log.matrix_updates[r] = port.matrix_updates - updates_before
+            log.done[r] = k + 1
+            if clock() - began > limit_ns:
+                return False
+        self._spent_ns[r] = clock() - began
+        log.probe_ns[r, 1] = probe_ns(clock, log.load_ns[r, 1])
+        if log.attempts[r] == 1:
+            log.first_probe_ns[r] = log.probe_ns[r].max()
+        np.subtract(counters(), before, out=log.counters[r])
+        return True

@@ -1,0 +1,1 @@
+"""Files of QPs, ours and others'."""

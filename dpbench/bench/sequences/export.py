@@ -1,0 +1,108 @@
+"""`dpbench export`: a scenario or a sequence as a file for others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from dpbench.bench.run.certifying import certified
+from dpbench.bench.sequences.qpbenchmark_files import save_qpbenchmark, with_optimum
+from dpbench.bench.sequences.recording import described, read_sequence, record, thinned
+from dpbench.bench.sequences.sequence_file import Recorded, save_sequence
+from dpbench.errors import InputError
+from dpbench.scenario.horizons import Horizons, parse_horizons
+from dpbench.scenario.problem_files import is_stored, problem_names, sequence_path
+from dpbench.scenario.scenario import load_scenario
+
+Format = Literal["npz", "qpbenchmark"]
+FORMATS: tuple[Format, ...] = get_args(Format)
+
+
+def export(
+    what: str | Path,
+    out: str | Path,
+    *,
+    format: Format = "npz",
+    horizons: str | None = None,
+    steps: int | None = None,
+    every: int = 1,
+) -> str:
+    """Write the QPs of a scenario or a sequence to `out`, every one certified.
+
+    Parameters
+    ----------
+    what : a scenario by name or TOML path, a sequence (a stored one by name, or a `.npz`), or a
+        folder of qpsolvers problems.
+    out : the `.npz` file; for "qpbenchmark" the name of the Parquet file and the Python file.
+    horizons : "N_p/N_c" instead of those of the tuning; of a scenario only.
+    steps, every : the first so many steps, and of these each `every`-th.
+
+    Returns
+    -------
+    One line that says what was written.
+
+    Raises
+    ------
+    InputError : for bad input; CertificateError when the loop of a scenario cannot be certified.
+    """
+    target = Path(out)
+    if format not in FORMATS:
+        raise InputError("--format", "", repr(format), " | ".join(FORMATS))
+    if format == "npz" and target.suffix != ".npz":
+        raise InputError("--out", "", repr(target.name), "a file name that ends in .npz")
+    recorded = _recorded(what, _horizons(horizons), steps, every)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if format == "npz":
+        save_sequence(
+            target,
+            recorded.sequence,
+            recorded.optima,
+            units=recorded.units,
+            documents=recorded.documents,
+        )
+        written = str(target)
+    else:
+        written = " and ".join(map(str, save_qpbenchmark(target, recorded)))
+    left_out = len(recorded.optima or []) - len(with_optimum(recorded))
+    without = f"; {left_out} without an optimum left out" if left_out and format != "npz" else ""
+    return f"{written}: {described(recorded.sequence, recorded.optima or [])}{without}"
+
+
+def check_asked(options: dict[str, Any]) -> None:
+    """Either --all, with nothing that chooses, or WHAT and --out; InputError for anything else."""
+    if not options["all"]:
+        for key, name in (("what", "WHAT"), ("out", "--out")):
+            if options[key] is None:
+                raise InputError("export", name, "nothing", "WHAT and --out PATH, or --all")
+        return
+    defaults = {"what": None, "horizons": None, "steps": None, "every": 1, "format": "npz"}
+    for key, default in defaults.items():
+        if options[key] != default:
+            found = f"{key} {options[key]} beside --all"
+            raise InputError("export", "", found, "--all, which follows its manifest, and --out")
+
+
+def _recorded(
+    what: str | Path, horizons: tuple[int, int] | None, steps: int | None, every: int
+) -> Recorded:
+    path = Path(what)
+    is_file = path.suffix == ".npz" or path.is_dir() or is_stored(what)
+    if str(what) in problem_names("scenarios") or not is_file:
+        return record(load_scenario(what), horizons=horizons, steps=steps, every=every)
+    if horizons is not None:
+        found = f"{horizons[0]}/{horizons[1]} for a recorded sequence"
+        raise InputError("--horizons", "", found, "a scenario: a sequence has the horizons it has")
+    found_there = read_sequence(sequence_path(what))
+    sequence = thinned(found_there.sequence, steps, every)
+    # What the file says of its optima is not believed.
+    return replace(found_there, sequence=sequence, optima=certified(sequence))
+
+
+def _horizons(text: str | None) -> Horizons | None:
+    if text is None:
+        return None
+    try:
+        return parse_horizons(text)
+    except ValueError as error:
+        raise InputError("--horizons", "", repr(text), str(error)) from error

@@ -1,0 +1,137 @@
+"""Problems that others recorded: `.npz` of `qpsolvers.Problem.save`, one file or a folder of them.
+
+    minimise ½ xᵀP x + qᵀx   subject to   G x ≤ h,  A x = b,  lb ≤ x ≤ ub
+
+Each file is a step, in the natural order of the names (2 before 10). The rows are those of G, then
+those of A with both limits at b.
+"""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dpbench.bench.record.npz import Arrays, float_array, read_npz
+from dpbench.errors import InputError
+from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram, Vector
+
+WHAT = "a problem written by `qpsolvers.Problem.save` (.npz)"
+KEYS = ("P", "q", "G", "h", "A", "b", "lb", "ub")
+SYMMETRIC = 1e-10
+"""Asymmetry of P, relative to its largest entry, that counts as rounding; more is refused, as some
+solvers read one triangle and some the whole."""
+
+
+def natural_order(folder: Path) -> list[Path]:
+    """The `.npz` files of a folder, numbers in their names compared as numbers.
+
+    Raises
+    ------
+    InputError : when there are none.
+    """
+    files = [path for path in folder.iterdir() if path.suffix == ".npz" and path.is_file()]
+    if not files:
+        raise InputError(str(folder), "", "no .npz file", f"a folder of files, each {WHAT}")
+    return sorted(files, key=lambda path: (_parts(path.stem), path.name))
+
+
+def _parts(text: str) -> list[tuple[int, int, str]]:
+    parts = re.split(r"([0-9]+)", text)
+    return [(1, int(part), "") if i % 2 else (0, 0, part) for i, part in enumerate(parts)]
+
+
+def is_problem(path: Path) -> bool:
+    """Whether a file has the arrays of one problem, and no array that says it is anything else."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = {name.removesuffix(".npy") for name in archive.namelist()}
+    except (OSError, zipfile.BadZipFile):
+        return False
+    return bool(names & {"P", "q"}) and "format" not in names
+
+
+def read_folder(place: Path) -> QPSequence:
+    """The problems of a folder, or the one of a file, as a sequence in the units they have.
+
+    Raises
+    ------
+    InputError : naming file, array, what was found and what is allowed.
+    """
+    files = natural_order(place) if place.is_dir() else [place]
+    problems = [read_problem(path) for path in files]
+    base = problems[0]
+    for path, qp in zip(files, problems, strict=True):
+        if (qp.n, qp.m) != (base.n, base.m):
+            found = f"{qp.n} variables and {qp.m} rows"
+            allowed = f"{base.n} variables and {base.m} rows, as in {files[0].name}"
+            raise InputError(str(path), "", found, allowed)
+    vectors: dict[str, Any] = {
+        name: np.array([getattr(qp, name) for qp in problems]) for name in ("q", "l", "u")
+    }
+    changed: dict[str, Any] = {}
+    for name in CONSTANT:
+        first = getattr(base, name)
+        if not all(np.array_equal(getattr(qp, name), first) for qp in problems):
+            changed[name] = np.array([getattr(qp, name) for qp in problems])
+    meta: dict[str, str | float | int] = {"first_file": files[0].name, "last_file": files[-1].name}
+    name = place.resolve().name if place.is_dir() else place.stem
+    return QPSequence(name, base, **vectors, **changed, meta=meta)
+
+
+def read_problem(path: Path) -> QuadraticProgram:
+    """One problem in two-sided form; InputError as `read_folder`."""
+    where = str(path)
+    arrays, objects = read_npz(path, WHAT)
+    for name, packed in objects.items():
+        # None is saved as an object, and so is a sparse matrix, which qpsolvers then fails to load.
+        if b"scipy" in packed:
+            raise InputError(where, name, "a pickled sparse matrix", "a dense array, or none")
+    for name in [*arrays, *objects]:
+        if name not in KEYS:
+            raise InputError(where, name, "an unknown array", f"{', '.join(KEYS)}: {WHAT}")
+    shape = arrays["q"].shape if "q" in arrays else ()
+    if len(shape) != 1 or shape[0] < 1:
+        raise InputError(where, "q", f"shape {shape}" if shape else "nothing", "shape (n,), n ≥ 1")
+    n = shape[0]
+    P = float_array(arrays, where, "P", (n, n))
+    gap = np.abs(P - P.T)
+    if gap.max() > SYMMETRIC * np.abs(P).max():
+        i, j = (int(x) for x in np.unravel_index(int(gap.argmax()), gap.shape))
+        found = f"{P[i, j]:g} beside {P[j, i]:g} at its mirror place"
+        raise InputError(where, f"P[{i}, {j}]", found, "a symmetric matrix")
+    G, h = _rows(arrays, where, ("G", "h"), n, "+")
+    A, b = _rows(arrays, where, ("A", "b"), n, "")
+    free = np.full(n, np.inf)
+    lb, ub = (
+        float_array(arrays, where, name, (n,), infinite=sign) if name in arrays else default
+        for name, sign, default in (("lb", "-", -free), ("ub", "+", free))
+    )
+    q = float_array(arrays, where, "q", (n,))
+    below = np.concatenate((np.full(len(h), -np.inf), b))
+    return QuadraticProgram(
+        0.5 * (P + P.T), q, np.vstack((G, A)), below, np.concatenate((h, b)), lb, ub
+    )
+
+
+def _rows(
+    arrays: Arrays, where: str, names: tuple[str, str], n: int, infinite: str
+) -> tuple[Vector, Vector]:
+    """A matrix of rows and its right-hand side; no rows where both are absent."""
+    matrix, vector = names
+    present = [name for name in names if name in arrays]
+    if not present:
+        return np.zeros((0, n)), np.zeros(0)
+    if len(present) == 1:
+        missing = vector if present == [matrix] else matrix
+        raise InputError(where, missing, "nothing", f"{matrix} and {vector}, or none of the two")
+    # qpsolvers takes a single row as a vector.
+    shaped = arrays | {matrix: np.atleast_2d(arrays[matrix]), vector: arrays[vector].reshape(-1)}
+    m = shaped[matrix].shape[0]
+    return (
+        float_array(shaped, where, matrix, (m, n)),
+        float_array(shaped, where, vector, (m,), infinite=infinite),
+    )

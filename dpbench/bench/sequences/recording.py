@@ -1,0 +1,127 @@
+"""Record sequences: along the exactly solved loop of a scenario, or from what is on disk."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dpbench.bench.run.certifying import certified
+from dpbench.bench.run.exact_loop import sequence_of, solve_exactly
+from dpbench.bench.run.qp_builder import Emitter
+from dpbench.bench.sequences.qpsolvers_files import is_problem, natural_order, read_folder
+from dpbench.bench.sequences.sequence_file import Recorded, load_recorded
+from dpbench.errors import InputError
+from dpbench.qp.program import CONSTANT, QPSequence
+from dpbench.qp.referee.referee import Optimum
+from dpbench.scenario.scenario import Scenario, scenario_of
+
+WHAT = "a sequence by `dpbench export` (.npz), or a problem (.npz) or folder of them by qpsolvers"
+
+
+def record(
+    scenario: Scenario,
+    *,
+    horizons: tuple[int, int] | None = None,
+    steps: int | None = None,
+    every: int = 1,
+) -> Recorded:
+    """The QPs along the exactly solved loop of a scenario, in scaled units, all certified.
+
+    Parameters
+    ----------
+    horizons : (N_p, N_c) instead of those of the tuning; they change the loop too.
+    steps : length of the loop; every : which of its steps are kept, the first and each `every`-th.
+
+    Raises
+    ------
+    InputError : for horizons, steps or a thinning that cannot be.
+    CertificateError : when a step has neither a certified optimum nor proof that there is none.
+    """
+    if horizons is not None:
+        scenario = with_horizons(scenario, *horizons)
+    if steps is not None:
+        if not 1 <= steps <= scenario.steps:
+            raise InputError("--steps", "", steps, f"1 to {scenario.steps} of {scenario.name}")
+        scenario = scenario.first(steps)
+    sequence = sequence_of(scenario, solve_exactly(scenario))
+    meta = sequence.meta | {"N_p": scenario.N_p, "N_c": scenario.N_c}
+    sequence = thinned(replace(sequence, meta=meta), None, every)
+    units = Emitter(scenario, "si").builder.scale
+    return Recorded(sequence, certified(sequence), units, scenario.files)
+
+
+def with_horizons(scenario: Scenario, N_p: int, N_c: int) -> Scenario:
+    """The same scenario under other horizons, its documents and its name included."""
+    files: dict[str, Any] = copy.deepcopy(scenario.files)
+    controller = files["scenario"]["controller"]
+    controller["prediction_horizon"], controller["control_horizon"] = N_p, N_c
+    files["name"] = f"{scenario.name}-{N_p}-{N_c}"
+    return scenario_of(files, where=f"{scenario.name} with horizons {N_p}/{N_c}")
+
+
+def thinned(sequence: QPSequence, steps: int | None, every: int = 1) -> QPSequence:
+    """Of its first `steps` steps (None: of all) the first and each `every`-th after it."""
+    if steps is not None and not 1 <= steps <= len(sequence):
+        raise InputError("--steps", "", steps, f"1 to {len(sequence)} of {sequence.name}")
+    if every < 1:
+        raise InputError("--every", "", every, "1 or more")
+    if every == 1 and steps in (None, len(sequence)):
+        return sequence
+    kept = slice(0, steps, every)
+    names = ("q", "l", "u", *CONSTANT)
+    arrays = {name: getattr(sequence, name) for name in names}
+    cut: dict[str, Any] = {name: array[kept] for name, array in arrays.items() if array is not None}
+    stride = every * int(sequence.meta.get("every", 1))
+    return replace(
+        sequence,
+        name=f"{sequence.name}[:{steps or len(sequence)}:{every}]",
+        scaled=None if sequence.scaled is None else thinned(sequence.scaled, steps, every),
+        meta=sequence.meta | {"every": stride},
+        # It would have all steps.
+        twin=None,
+        **cut,
+    )
+
+
+def described(sequence: QPSequence, optima: Sequence[Optimum]) -> str:
+    """A sequence and the certificates of its optima in half a line."""
+    kinds = Counter(optimum.kind for optimum in optima)
+    bounds = [optimum.bound for optimum in optima if np.isfinite(optimum.bound)]
+    proofs = ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
+    worst = f"; largest bound {max(bounds):.1e}" if bounds else ""
+    n, m = sequence.base.n, sequence.base.m
+    return f"{len(sequence)} QPs, n = {n}, m = {m}; certificates: {proofs}{worst}"
+
+
+def read_sequence(path: Path) -> Recorded:
+    """What stands at `path`: our own `.npz`, or problems by qpsolvers, which come without optima.
+
+    Raises
+    ------
+    InputError : naming file, array, what was found and what is allowed.
+    """
+    if path.is_dir() or is_problem(path):
+        return Recorded(read_folder(path), None)
+    if not path.is_file():
+        raise InputError(str(path), "", "no such file or folder", WHAT)
+    return load_recorded(path)
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file, or of the files that `read_sequence` reads of a folder."""
+    total = hashlib.sha256()
+    try:
+        for file in natural_order(path) if path.is_dir() else [path]:
+            data = file.read_bytes()
+            total.update(f"{file.name if path.is_dir() else ''}:{len(data)}:".encode() + data)
+    except OSError as error:
+        found = error.strerror or "unreadable"
+        raise InputError(str(error.filename or path), "", found, WHAT) from error
+    return total.hexdigest()

@@ -1,0 +1,250 @@
+"""Recorded sequences as files that anybody can read: `.npz` without Python objects, version 1.
+
+| array | shape | what |
+|---|---|---|
+| `format`, `version` | | "dpbench-sequence", 1 |
+| `name`, `meta`, `documents` | | texts; the last two in JSON: horizons, versions; the scenario |
+| `block`, `moves` | | as in `QuadraticProgram` |
+| `P, A, lb, ub` | (n, n), (m, n), (n,), (n,) | matrices and bounds of step 0 |
+| `P_steps, A_steps, lb_steps, ub_steps` | (K, ...) | those of each step, only where they change |
+| `q, l, u` | (K, n), (K, m), (K, m) | vectors of each step |
+| `unit_z`, `unit_row` | (n,), (m,) | what 1 is in N, N·m or m/s: z in SI = unit_z · z |
+| `z, y, y_box` | (K, n), (K, m), (K, n) | certified optimum and its multipliers |
+| `active` | (K, m + n) int8 | per row of [A; I]: +1 at its upper, −1 at its lower limit, or 0 |
+| `bound`, `certificate` | (K,) | max_i |z_i − z*_i| is at most `bound`; the kind of proof |
+
+QPs are in scaled units, min ½zᵀPz + qᵀz, l ≤ Az ≤ u, lb ≤ z ≤ ub; y > 0 at an upper limit. A step
+without a feasible point has z = NaN, bound = inf, and its Farkas vector in (y, y_box).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, get_args
+from zlib import ZLIB_RUNTIME_VERSION as ZLIB
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpbench.bench.judge.closed_loop import ACTIVE_MULTIPLIER
+from dpbench.bench.record.npz import Arrays, count_of, float_array, read_npz, text_of, write_npz
+from dpbench.bench.run.certifying import certified
+from dpbench.errors import InputError
+from dpbench.mpc.condense import UnitSystem
+from dpbench.qp.own_units import in_own_units
+from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram, Units
+from dpbench.qp.referee.joint import Kind
+from dpbench.qp.referee.referee import Optimum
+from dpbench.scenario.problem_files import sequence_path
+
+FORMAT = "dpbench-sequence"
+FORMAT_VERSION = 1
+WHAT = "a sequence written by `dpbench export` (.npz)"
+VERSIONED = ("dpbench", "numpy", "scipy", "numba")
+INFINITE = {"l": "+-", "u": "+-", "lb": "+-", "ub": "+-", "bound": "+"}
+_TEXTS = ("format", "name", "meta", "documents")
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """A sequence in scaled units with its certified optima, None where nobody has certified it yet.
+
+    Parameters
+    ----------
+    units : what 1 is in SI; None where the QPs have no units but their own.
+    documents : what the scenario was made from (`Scenario.files`); empty for another source.
+    """
+
+    sequence: QPSequence
+    optima: list[Optimum] | None
+    units: Units | None = None
+    documents: dict[str, Any] = field(default_factory=dict)
+
+
+def save_sequence(
+    path: str | Path,
+    sequence: QPSequence,
+    optima: Sequence[Optimum] | None = None,
+    *,
+    units: Units | None = None,
+    documents: dict[str, Any] | None = None,
+) -> None:
+    """Write a sequence with its optima to `path`; the same input gives the same bytes.
+
+    Parameters
+    ----------
+    sequence : one in SI is written as its scaled twin, with its units.
+    optima : those of `certified`, which finds them where they are not given.
+    units, documents : as in `Recorded`.
+    """
+    scaled = sequence.scaled or sequence
+    units = units or sequence.units
+    found = certified(scaled) if optima is None else optima
+    base = scaled.base
+    meta = scaled.meta | {name: version(name) for name in VERSIONED} | {"zlib": ZLIB}
+    arrays: dict[str, Any] = {
+        "format": FORMAT,
+        "version": FORMAT_VERSION,
+        "name": scaled.name,
+        "meta": json.dumps(meta, sort_keys=True, ensure_ascii=False),
+        "documents": json.dumps(documents or {}, sort_keys=True, ensure_ascii=False),
+        "block": base.block,
+        "moves": base.moves,
+    }
+    arrays |= {name: getattr(base, name) for name in CONSTANT}
+    steps = {f"{name}_steps": getattr(scaled, name) for name in CONSTANT}
+    arrays |= {name: array for name, array in steps.items() if array is not None}
+    arrays |= {name: getattr(scaled, name) for name in ("q", "l", "u")}
+    arrays["unit_z"] = np.ones(base.n) if units is None else units.z
+    arrays["unit_row"] = np.ones(base.m) if units is None else units.row
+    for name in ("z", "y", "y_box"):
+        arrays[name] = np.array([getattr(optimum, name) for optimum in found])
+    arrays["active"] = np.array([active_set(optimum) for optimum in found])
+    arrays["bound"] = np.array([optimum.bound for optimum in found])
+    arrays["certificate"] = np.array([optimum.kind for optimum in found])
+    write_npz(Path(path), {name: np.asarray(array) for name, array in arrays.items()})
+
+
+def active_set(optimum: Optimum) -> NDArray[np.int8]:
+    """The active limits (m + n,), rows of A before bounds: +1 upper, −1 lower, 0 neither.
+
+    Limits whose multiplier is at most `ACTIVE_MULTIPLIER` do not count; without a certified
+    optimum none does.
+    """
+    multiplier = np.concatenate((optimum.y, optimum.y_box))
+    if not np.isfinite(optimum.bound):
+        return np.zeros(len(multiplier), dtype=np.int8)
+    signs = np.where(np.abs(multiplier) > ACTIVE_MULTIPLIER, np.sign(multiplier), 0.0)
+    return signs.astype(np.int8)
+
+
+def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> QPSequence:
+    """The QPs that `save_sequence` wrote, in scaled units or, with their scaled twin, in SI.
+
+    Parameters
+    ----------
+    name_or_path : a stored sequence by name (`dpbench list sequences`), or a `.npz` file.
+
+    Raises
+    ------
+    InputError : naming file, array, what was found and what is allowed; also for a file that
+        does not say what its units are in SI.
+    """
+    if units not in ("scaled", "si"):
+        raise InputError("load_sequence", "units", repr(units), '"scaled" or "si"')
+    path = sequence_path(name_or_path)
+    recorded = load_recorded(path)
+    if units == "scaled":
+        return recorded.sequence
+    if recorded.units is None:
+        found = "1 for all: units of its own"
+        raise InputError(str(path), "unit_z, unit_row", found, "units in SI, or units='scaled'")
+    return in_own_units(recorded.sequence, recorded.units)
+
+
+def load_recorded(path: str | Path) -> Recorded:
+    """What `save_sequence` wrote, optima and provenance included; InputError as `load_sequence`."""
+    where = str(path)
+    arrays, objects = read_npz(Path(path), WHAT)
+    for name in objects:
+        raise InputError(where, name, "Python objects", "numbers or text")
+    texts = {name: text_of(arrays, where, name) for name in _TEXTS}
+    if texts["format"] != FORMAT:
+        raise InputError(where, "format", repr(texts["format"]), repr(FORMAT))
+    if (found := count_of(arrays, where, "version")) != FORMAT_VERSION:
+        raise InputError(where, "version", found, f"{FORMAT_VERSION}; or a newer dpbench")
+    q, A = _two_axes(arrays, where, "q"), _two_axes(arrays, where, "A")
+    sizes = q.shape[0], q.shape[1], A.shape[0]
+    sequence = _sequence(arrays, where, sizes, texts["name"], _meta(where, texts))
+    _, n, m = sizes
+    units = Units(
+        float_array(arrays, where, "unit_z", (n,)), float_array(arrays, where, "unit_row", (m,))
+    )
+    return Recorded(
+        sequence,
+        _optima(arrays, where, sizes),
+        None if (units.z == 1.0).all() and (units.row == 1.0).all() else units,
+        _document(where, "documents", texts),
+    )
+
+
+def _sequence(
+    arrays: Arrays, where: str, sizes: tuple[int, int, int], name: str, meta: dict[str, Any]
+) -> QPSequence:
+    K, n, m = sizes
+    shapes = {"P": (n, n), "A": (m, n), "lb": (n,), "ub": (n,), "q": (K, n), "l": (K, m)}
+    shapes["u"] = (K, m)
+    read: dict[str, Any] = {
+        key: float_array(arrays, where, key, shape, infinite=INFINITE.get(key, ""))
+        for key, shape in shapes.items()
+    }
+    steps: dict[str, Any] = {
+        key: float_array(
+            arrays, where, f"{key}_steps", (K, *shapes[key]), infinite=INFINITE.get(key, "")
+        )
+        for key in CONSTANT
+        if f"{key}_steps" in arrays
+    }
+    vectors: dict[str, Any] = {key: read.pop(key) for key in ("q", "l", "u")}
+    block, moves = count_of(arrays, where, "block"), count_of(arrays, where, "moves")
+    try:
+        first = {key: vector[0] for key, vector in vectors.items()}
+        base = QuadraticProgram(**read, **first, block=block, moves=moves)
+    except InputError as error:
+        raise InputError(where, error.key, error.found, error.allowed) from error
+    return QPSequence(name, base, **vectors, meta=meta, **steps)
+
+
+def _optima(arrays: Arrays, where: str, sizes: tuple[int, int, int]) -> list[Optimum]:
+    K, n, m = sizes
+    shapes = {"z": (K, n), "y": (K, m), "y_box": (K, n)}
+    columns: list[Any] = [
+        float_array(arrays, where, key, shape, nan=True) for key, shape in shapes.items()
+    ]
+    bound = float_array(arrays, where, "bound", (K,), infinite="+")
+    if "certificate" not in arrays or arrays["certificate"].shape != (K,):
+        raise InputError(where, "certificate", "nothing of that shape", f"shape {(K,)}")
+    kinds = [str(kind) for kind in arrays["certificate"].tolist()]
+    for k, kind in enumerate(kinds):
+        if kind not in get_args(Kind):
+            allowed = ", ".join(get_args(Kind))
+            raise InputError(where, f"certificate[{k}]", repr(kind), allowed)
+        if np.isfinite(bound[k]) and not all(np.isfinite(c[k]).all() for c in columns):
+            raise InputError(where, f"z, y, y_box[{k}]", "NaN beside a finite bound", "numbers")
+    rows = zip(*columns, bound.tolist(), kinds, strict=True)
+    return [Optimum(*row) for row in rows]
+
+
+def _two_axes(arrays: Arrays, where: str, name: str) -> NDArray[Any]:
+    array = arrays.get(name)
+    least = 1 if name == "q" else 0
+    if array is None or array.ndim != 2 or array.shape[0] < least or array.shape[1] < 1:
+        found = "nothing" if array is None else f"shape {array.shape}"
+        allowed = "shape (K, n) of one step or more" if name == "q" else "shape (m, n)"
+        raise InputError(where, name, found, allowed)
+    return array
+
+
+def _document(where: str, name: str, texts: dict[str, str]) -> dict[str, Any]:
+    try:
+        document = json.loads(texts[name])
+    except ValueError as error:
+        raise InputError(where, name, f"no JSON ({error})", "a JSON object") from error
+    if not isinstance(document, dict):
+        raise InputError(where, name, type(document).__name__, "a JSON object")
+    return document
+
+
+def _meta(where: str, texts: dict[str, str]) -> dict[str, Any]:
+    """The facts about a sequence; those the replay counts with are checked."""
+    meta = _document(where, "meta", texts)
+    for key, least in (("first", 0), ("every", 1), ("sample_s", 0)):
+        value = meta.get(key, least)
+        whole = key == "sample_s" or isinstance(value, int)
+        if not isinstance(value, int | float) or not whole or not value >= least:
+            raise InputError(where, f"meta.{key}", repr(value), f"a number, {least} or more")
+    return meta

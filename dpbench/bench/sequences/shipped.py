@@ -1,0 +1,138 @@
+"""The sequences that ship with the package: which there are, and how each was recorded.
+
+`problems/sequences/manifest.toml` states the rule; `regenerate` follows it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from dpbench.bench.sequences.recording import record
+from dpbench.bench.sequences.sequence_file import Recorded, save_sequence
+from dpbench.bench.workers.executor import Progress, Silent
+from dpbench.errors import InputError
+from dpbench.scenario.key_types import Horizon
+from dpbench.scenario.problem_files import SEQUENCES, FileModel, problems_root, read_model
+from dpbench.scenario.scenario import load_scenario
+
+Positive = Annotated[int, Field(ge=1)]
+
+
+class HorizonsTable(FileModel):
+    """Horizons at which scenarios are recorded, and how the loop is thinned there."""
+
+    prediction: Horizon
+    control: Horizon
+    every: Positive
+
+
+class LeftOutTable(FileModel):
+    """Sequences that the rule would have and the package does not, and why."""
+
+    sequences: Annotated[list[str], Field(min_length=1)]
+    reason: str
+
+
+class ManifestFile(FileModel):
+    """`problems/sequences/manifest.toml`: scenarios × horizons, less what is left out.
+
+    `steps` : how many samples of the loop of each scenario are run through.
+    """
+
+    title: str
+    horizons: Annotated[list[HorizonsTable], Field(min_length=1)]
+    steps: dict[str, Positive]
+    left_out: list[LeftOutTable] = []
+
+
+@dataclass(frozen=True)
+class Rule:
+    """How one sequence is recorded: of the first `steps` samples of the exactly solved loop under
+    the horizons N_p/N_c, each `every`-th."""
+
+    scenario: str
+    N_p: int
+    N_c: int
+    steps: int
+    every: int
+
+    @property
+    def name(self) -> str:
+        """The name of the sequence, and of its file without `.npz`."""
+        return f"{self.scenario}-{self.N_p}-{self.N_c}"
+
+    def record(self, steps: int | None = None) -> Recorded:
+        """The sequence, or its beginning from the first `steps` samples."""
+        scenario = load_scenario(self.scenario)
+        horizons = self.N_p, self.N_c
+        return record(scenario, horizons=horizons, steps=steps or self.steps, every=self.every)
+
+
+def manifest_path() -> Path:
+    """The shipped manifest."""
+    return problems_root() / SEQUENCES / "manifest.toml"
+
+
+def stored_rules(path: Path | None = None) -> list[Rule]:
+    """The rules of the sequences that ship, in the order they are recorded.
+
+    Parameters
+    ----------
+    path : a manifest; None for the shipped one.
+
+    Raises
+    ------
+    InputError : when the manifest leaves out what its rule would not have.
+    """
+    place = path or manifest_path()
+    manifest = read_model(place, ManifestFile)
+    rules = {rule.name: rule for rule in _all_rules(manifest)}
+    for table in manifest.left_out:
+        for name in table.sequences:
+            if rules.pop(name, None) is None:
+                allowed = "scenario-N_p-N_c of [steps] and [[horizons]], once"
+                raise InputError(str(place), "left_out.sequences", repr(name), allowed)
+    return list(rules.values())
+
+
+def _all_rules(manifest: ManifestFile) -> Iterator[Rule]:
+    for scenario, steps in manifest.steps.items():
+        for table in manifest.horizons:
+            yield Rule(scenario, table.prediction, table.control, steps, table.every)
+
+
+def regenerate(
+    out: str | Path, rules: Sequence[Rule] | None = None, progress: Progress | None = None
+) -> str:
+    """Record stored sequences again into the folder `out`; one line of what was written.
+
+    The same machine and versions write the same bytes; others the same shapes and active sets, and
+    values to rounding.
+
+    Parameters
+    ----------
+    rules : those of `stored_rules`; None for all.
+
+    Raises
+    ------
+    CertificateError : when a step has neither a certified optimum nor proof that there is none.
+    """
+    wanted, folder, shown = list(rules or stored_rules()), Path(out), progress or Silent()
+    folder.mkdir(parents=True, exist_ok=True)
+    shown.start(sum(rule.steps for rule in wanted))
+    size = 0
+    for rule in wanted:
+        shown.advance(0, rule.name)
+        recorded, path = rule.record(), folder / f"{rule.name}.npz"
+        documents = recorded.documents
+        save_sequence(
+            path, recorded.sequence, recorded.optima, units=recorded.units, documents=documents
+        )
+        size += path.stat().st_size
+        shown.advance(rule.steps, rule.name)
+    return f"{folder}: {len(wanted)} sequences, {size / 1e6:.1f} MB"

@@ -1,0 +1,193 @@
+"""Where the QPs of a replay come from: the exactly solved loop of a scenario, a random recipe, or
+what others recorded.
+
+What takes long is done once per source, in a process of its own, and kept in a file that workers
+and graders read: the loop, or the sequence with its certified optima.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.npz import DAMAGE
+from dpbench.bench.record.raw_log import log_bytes, loop_layout, replay_layout
+from dpbench.bench.record.schema import SCHEMA_VERSION
+from dpbench.bench.run.certifying import certified
+from dpbench.bench.run.exact_loop import ExactLoop, damaged, sequence_of, solve_exactly
+from dpbench.bench.sequences.recording import digest, read_sequence
+from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
+from dpbench.errors import InputError
+from dpbench.qp.program import QPSequence
+from dpbench.qp.random.recipe import RandomRecipe
+from dpbench.qp.random.sequence import random_sequence
+from dpbench.qp.referee.referee import Optimum
+from dpbench.scenario.problem_files import is_stored, sequence_path
+from dpbench.scenario.scenario import scenario_of
+
+RANDOM = "random"
+"""The kind of a source that is a recipe."""
+RECORDED = "recorded"
+"""The kind of a source that is a file, or a folder of them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Replayed:
+    """What a replay needs: the QPs, the time between them [s], and their optima if known."""
+
+    sequence: QPSequence
+    sample_s: float
+    optima: list[Optimum] | None
+
+
+class Source(Protocol):
+    """Makes the file behind the replays of one problem, and reads it."""
+
+    def make(self, path: Path) -> None:
+        """Do what takes long into `path` (.npz); CertificateError when it cannot be done."""
+
+    def load(self, cell: Cell, path: Path) -> Replayed:
+        """The QPs of a cell, from what `make` left at `path`."""
+
+    def check(self, path: Path) -> None:
+        """Read all of what `make` left; ResultsError or InputError where it is damaged or gone."""
+
+
+def source_of(cell: Cell) -> Source:
+    """The source of a cell's QPs; InputError for a kind that is not known."""
+    if not cell.source:
+        return _Loop(cell.scenario)
+    kind = cell.source.get("kind")
+    if kind == RANDOM:
+        return _Random(RandomRecipe.from_dict(cell.source["recipe"]))
+    if kind == RECORDED:
+        return _Recorded(cell.source)
+    raise InputError("cell", "source.kind", repr(kind), f"{RANDOM!r} or {RECORDED!r}")
+
+
+def source_key(cell: Cell, harness_version: str) -> str:
+    """Cells with the same key share one file."""
+    text = json.dumps(
+        [cell.source or cell.scenario, harness_version, SCHEMA_VERSION], sort_keys=True
+    )
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def is_sound(cell: Cell, path: Path) -> bool:
+    """Whether the file behind a cell's QPs can be read to its end."""
+    try:
+        source_of(cell).check(path)
+    except InputError:
+        return False
+    return True
+
+
+def log_size(cell: Cell, path: Path) -> int:
+    """Bytes of the raw log of a cell, by the sizes in the file behind its QPs.
+
+    Raises
+    ------
+    ResultsError : the file is damaged or gone.
+    """
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
+            if cell.source:
+                n, m, n_theta = data["q"].shape[1], data["A"].shape[0], 0
+            else:
+                n, m = data["z"].shape[1], data["optimum_y"].shape[1]
+                n_theta = data["theta"].shape[1]
+    except (*DAMAGE, OSError, KeyError, IndexError) as error:
+        raise damaged(path, error) from error
+    if cell.mode == "closed_loop":
+        return log_bytes(loop_layout(cell.steps, n, m, n_theta))
+    return log_bytes(replay_layout(cell.rounds + 1, cell.steps, n, m))
+
+
+def is_random(cell: Cell) -> bool:
+    """Whether the cell replays a random sequence, whose times nobody compares."""
+    return cell.source.get("kind") == RANDOM
+
+
+def random_source(recipe: RandomRecipe) -> dict[str, Any]:
+    """`Cell.source` of a recipe."""
+    return {"kind": RANDOM, "name": recipe.name, "recipe": recipe.to_dict()}
+
+
+def recorded_source(what: str, path: Path, name: str) -> dict[str, Any]:
+    """`Cell.source` of the sequence called `name` at `path`, as it is at this moment.
+
+    Where `what`, as which it was asked for, is the name of a stored one, the name stands for it:
+    another installation has it in another folder.
+    """
+    place = what if is_stored(what) else str(path)
+    return {"kind": RECORDED, "name": name, "path": place, "sha256": digest(path)}
+
+
+@dataclass(frozen=True, eq=False)
+class _Loop:
+    """The QPs along the exactly solved loop of a scenario."""
+
+    documents: dict[str, Any]
+
+    def make(self, path: Path) -> None:
+        solve_exactly(scenario_of(self.documents)).save(path)
+
+    def load(self, cell: Cell, path: Path) -> Replayed:
+        scenario, exact = scenario_of(self.documents), ExactLoop.load(path)
+        sequence = sequence_of(
+            scenario, exact, units=cell.units, first=cell.first, count=cell.steps
+        )
+        last = cell.first + cell.steps
+        return Replayed(sequence, scenario.sample_s, exact.optima[cell.first : last])
+
+    def check(self, path: Path) -> None:
+        ExactLoop.load(path)
+
+
+@dataclass(frozen=True, eq=False)
+class _Random:
+    """A random sequence; its optima are certified once, as some take a second each."""
+
+    recipe: RandomRecipe
+
+    def make(self, path: Path) -> None:
+        sequence = random_sequence(self.recipe)
+        save_sequence(path, sequence, certified(sequence))
+
+    def load(self, cell: Cell, path: Path) -> Replayed:
+        found = load_recorded(path)
+        # Its QPs follow each other by no known time.
+        return Replayed(found.sequence, float("nan"), found.optima)
+
+    def check(self, path: Path) -> None:
+        load_recorded(path)
+
+
+@dataclass(frozen=True, eq=False)
+class _Recorded:
+    """What others recorded; their optima are not believed but certified again."""
+
+    described: dict[str, Any]
+
+    def make(self, path: Path) -> None:
+        place = sequence_path(self.described["path"])
+        found, wanted = digest(place), self.described["sha256"]
+        if found != wanted:
+            allowed = f"the file the cell was planned with, SHA-256 {wanted[:12]}…"
+            raise InputError(str(place), "", f"SHA-256 {found[:12]}…", allowed)
+        recorded = read_sequence(place)
+        save_sequence(path, recorded.sequence, units=recorded.units, documents=recorded.documents)
+
+    def load(self, cell: Cell, path: Path) -> Replayed:
+        found = load_recorded(path)
+        sample_s = float(found.sequence.meta.get("sample_s", float("nan")))
+        return Replayed(found.sequence, sample_s, found.optima)
+
+    def check(self, path: Path) -> None:
+        load_recorded(path)

@@ -1,0 +1,97 @@
+"""Check a sequence: every optimum is certified, and compared with the one that a file claims."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from dpbench.bench.record.npz import read_npz
+from dpbench.bench.run.certifying import each_certified
+from dpbench.bench.sequences.recording import described, read_sequence
+from dpbench.bench.sequences.sequence_file import WHAT, active_set
+from dpbench.bench.workers.executor import Progress, Silent
+from dpbench.errors import InputError
+from dpbench.qp.program import QPSequence, QuadraticProgram
+from dpbench.qp.referee.feasibility.farkas import farkas_valid
+from dpbench.qp.referee.referee import Optimum
+from dpbench.qp.residuals import residuals
+from dpbench.qp.solution import Solution, Status
+
+STATIONARY = 1e-9
+"""Largest residual of stored multipliers, relative to the largest term of Pz + q + Aᵀy + y_box."""
+ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
+"""Of the difference of two points that a proof bounds exactly."""
+WITHOUT_OPTIMUM = ("infeasible", "undecided")
+"""A file may call infeasible what is so by rounding only, and the other way round."""
+
+
+def verify_sequence(path: Path, progress: Progress | None = None) -> str:
+    """Certify every step of a sequence, or of problems by qpsolvers; one line of what it holds.
+
+    Raises
+    ------
+    InputError : for a damaged file or problem, or the first step whose stored optimum, multipliers,
+        active set or proof of infeasibility are not what they claim to be.
+    """
+    where, shown = str(path), progress or Silent()
+    recorded = read_sequence(path)
+    sequence, claims = recorded.sequence, recorded.optima
+    if claims is not None:
+        _check_active(path, claims)
+    shown.start(len(sequence))
+    found = []
+    for k, optimum in enumerate(each_certified(sequence)):
+        if claims is not None:
+            _check_step(where, k, sequence, claims[k], optimum)
+        found.append(optimum)
+        shown.advance(1, path.stem)
+    return f"{where}: {described(sequence, found if claims is None else claims)}"
+
+
+def _check_active(path: Path, claims: list[Optimum]) -> None:
+    """The stored active sets are those of the stored multipliers."""
+    stored = read_npz(path, WHAT)[0].get("active")
+    wanted = np.array([active_set(optimum) for optimum in claims])
+    if stored is None or stored.shape != wanted.shape or stored.dtype != np.int8:
+        found = "nothing" if stored is None else f"{stored.dtype}, shape {stored.shape}"
+        raise InputError(str(path), "active", found, f"int8, shape {wanted.shape}")
+    if (stored != wanted).any():
+        k, i = (int(index) for index in np.argwhere(stored != wanted)[0])
+        allowed = f"{wanted[k, i]}, the sign of its multiplier"
+        raise InputError(str(path), f"active[{k}, {i}]", stored[k, i], allowed)
+
+
+def _check_step(where: str, k: int, sequence: QPSequence, claim: Optimum, optimum: Optimum) -> None:
+    """What is claimed of step k against what the referee finds of it."""
+    without = optimum.kind in WITHOUT_OPTIMUM
+    if (claim.kind in WITHOUT_OPTIMUM) != without:
+        raise InputError(where, f"certificate[{k}]", repr(claim.kind), repr(optimum.kind))
+    if optimum.kind == "undecided":
+        # Whether a point is feasible is a matter of rounding, and no proof is asked for.
+        return
+    if without:
+        if not farkas_valid(sequence.problem(k), claim.y, claim.y_box):
+            allowed = "a Farkas vector: the step is infeasible"
+            raise InputError(where, f"y, y_box[{k}]", "no proof of infeasibility", allowed)
+        return
+    if not np.isfinite(claim.bound):
+        return
+    apart = float(np.abs(claim.z - optimum.z).max())
+    rounding = ROUNDING * float(np.abs(claim.z).max())
+    most = claim.bound + optimum.bound + rounding
+    if not apart <= most:
+        found = f"an optimum {apart:.1e} from the certified one"
+        raise InputError(where, f"z[{k}]", found, f"{most:.1e}, by its bound and the new one")
+    _check_multipliers(where, k, sequence.problem(k), claim)
+
+
+def _check_multipliers(where: str, k: int, qp: QuadraticProgram, claim: Optimum) -> None:
+    """Those of one optimum need not be unique: they are asked to prove it, not to be the same."""
+    found = residuals(qp, Solution(Status.SOLVED, claim.z, claim.y, claim.y_box))
+    terms = (qp.P @ claim.z, qp.q, claim.y, claim.y_box)
+    size = max(1.0, *(float(np.abs(term).max(initial=0.0)) for term in terms))
+    worst = max(found.primal, found.dual, found.complementarity)
+    if not worst <= STATIONARY * size:
+        what = f"a residual of {worst:.1e}"
+        raise InputError(where, f"y, y_box[{k}]", what, f"at most {STATIONARY * size:.1e}")

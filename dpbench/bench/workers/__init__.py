@@ -1,0 +1,1 @@
+"""Processes: started, supervised, run in slots or by turns."""

@@ -1,0 +1,245 @@
+"""Start a cell's process, watch its limit, and turn whatever becomes of it into an outcome."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import multiprocessing.forkserver
+import multiprocessing.resource_tracker
+import os
+import signal
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from multiprocessing.connection import wait
+from multiprocessing.context import ForkServerContext, ForkServerProcess
+from pathlib import Path
+from typing import Any, TypeVar
+
+from dpbench.bench.record.machine import THREAD_VARIABLES, pin_threads
+from dpbench.bench.record.raw_log import RawLog, is_whole
+from dpbench.bench.workers import notice
+from dpbench.bench.workers.interrupts import interrupts_wait
+from dpbench.bench.workers.notice import AtWork, Notice
+
+START_ALLOWANCE_S = 60.0
+"""For importing a library; after it a cell that has not started its loop is killed."""
+GRACE_S = 3.0
+"""Beyond a cell's own limit, for one call that does not return."""
+POLL_S = 0.02
+OUTCOMES = ("finished", "crashed", "hung", "timed_out", "refused", "invalid", "lost")
+"""What may become of a cell; `lost` is an accident of the harness, and never the last word."""
+_BY_MEMORY = "killed by SIGKILL, as by the out-of-memory killer"
+Task = TypeVar("Task")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a process: `outcome` as in `runs.parquet`, its cause, the solver's form.
+
+    n, m : size of the QP the solver was given; None where it never got one.
+    """
+
+    outcome: str
+    detail: str
+    form: str = ""
+    n: int | None = None
+    m: int | None = None
+
+
+def with_log(outcome: Outcome, raw: Path) -> Outcome:
+    """The outcome of a cell; one that made its steps and whose log is gone was lost."""
+    if outcome.outcome in ("finished", "timed_out") and not raw.exists():
+        return Outcome("lost", "its log went away before it was judged")
+    return outcome
+
+
+def template_context() -> ForkServerContext:
+    """The context whose processes are forked from the template (`template.py`), threads pinned."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["dpbench.bench.workers.template"])
+    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+    pin_threads()
+    try:
+        # This lets Ctrl-C through when it starts its own process, and does nothing the second time.
+        multiprocessing.resource_tracker.ensure_running()
+        # Until it has loaded, Ctrl-C would end the template with a traceback of its own.
+        with interrupts_wait():
+            multiprocessing.forkserver.ensure_running()
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+    return context
+
+
+class Child:
+    """One process with a working folder.
+
+    Parameters
+    ----------
+    target, args : called in the process as target(*args); it writes `verdict` before it ends, and
+        says in `notice.py` when its solver is at work. Whoever is at work when it ends without a
+        verdict has ended it.
+    folder, name : where its raw log, noise and verdict appear.
+    limit_s : own run time allowed once its log says it started; None for none.
+    """
+
+    def __init__(
+        self,
+        context: ForkServerContext,
+        target: Callable[..., None],
+        args: tuple[Any, ...],
+        folder: Path,
+        name: str,
+        *,
+        limit_s: float | None,
+        verdict: str = "json",
+    ) -> None:
+        self.folder, self.name = folder, name
+        # Somebody else may have removed the folder, which costs those that had files in it.
+        folder.mkdir(0o700, parents=True, exist_ok=True)
+        self._verdict, self._noise = folder / f"{name}.{verdict}", folder / f"{name}.noise"
+        self._verdict.unlink(missing_ok=True)
+        self._limit_s = limit_s
+        self._born, self._memory_kills = time.monotonic(), _memory_kills()
+        self._running_since: float | None = None
+        self._killed_for = ""
+        self.notice = Notice()
+        self.process: ForkServerProcess = context.Process(
+            target=notice.run, args=(self.notice, target, args), daemon=True
+        )
+        self.process.start()
+        self.notice.handed_over()
+
+    @property
+    def raw_path(self) -> Path:
+        """Its raw log; there is none before it started."""
+        return self.folder / f"{self.name}.raw"
+
+    @property
+    def has_verdict(self) -> bool:
+        """Whether it wrote what became of it; what it does after that changes nothing."""
+        return self._verdict.exists()
+
+    def overdue(self) -> bool:
+        """Kill the process when a limit has passed; true if it did."""
+        now = time.monotonic()
+        if self._running_since is None and self._has_started():
+            self._running_since = now
+        if self._running_since is None:
+            if now - self._born > START_ALLOWANCE_S:
+                return self.kill(f"did not start within {START_ALLOWANCE_S:g} s")
+        elif self._limit_s is not None and now - self._running_since > self._limit_s + GRACE_S:
+            return self.kill(f"one call ran beyond the limit of {self._limit_s:g} s and was killed")
+        return False
+
+    def kill(self, reason: str) -> bool:
+        """Kill the process for a stated reason."""
+        self._killed_for = reason
+        self.process.kill()
+        self.process.join()
+        return True
+
+    def _has_started(self) -> bool:
+        try:
+            return bool(RawLog.open(self.raw_path).started[0])
+        except (OSError, ValueError):
+            return False
+
+    def outcome(self) -> Outcome:
+        """What became of it, once it ended."""
+        self.process.join()
+        if self.has_verdict:
+            return self.verdict_of(self._verdict)
+        by_solver = self.notice.who.blames_solver
+        if self._killed_for:
+            return Outcome("hung" if by_solver else "lost", self._killed_for)
+        code = self.process.exitcode or 0
+        if -code == signal.SIGKILL and self._memory_ran_out():
+            return Outcome("lost", _BY_MEMORY)
+        if -code == signal.SIGBUS and self.raw_path.exists() and not is_whole(self.raw_path):
+            return Outcome("lost", "killed by SIGBUS: its log lost its room on the file system")
+        if by_solver:
+            return Outcome("crashed", self._cause(code))
+        if not self.folder.exists():
+            return Outcome("lost", f"its scratch folder {self.folder} went away")
+        return Outcome("lost", self._cause(code))
+
+    def _memory_ran_out(self) -> bool:
+        """Whether the kernel killed for want of memory while the process ran, or does not tell."""
+        now = _memory_kills()
+        return now is None or now != self._memory_kills
+
+    def _cause(self, code: int) -> str:
+        """Why it ended without a verdict, in words."""
+        if code < 0:
+            return f"killed by {_signal_name(-code)}"
+        words = self.notice.words
+        if not words:
+            words = f"its process left with exit code {code}: {self._last_words()}"
+        where = " while it was opened" if self.notice.who is AtWork.OPENING else ""
+        return f"{words}{where}"
+
+    @staticmethod
+    def verdict_of(path: Path) -> Outcome:
+        """What the process wrote about a cell."""
+        try:
+            return Outcome(**json.loads(path.read_text(encoding="utf-8")))
+        except (OSError, ValueError) as error:
+            return Outcome("lost", f"its verdict cannot be read: {error}")
+
+    def _last_words(self) -> str:
+        try:
+            text = self._noise.read_text(encoding="utf-8", errors="replace")
+        except OSError:
+            return "no output"
+        lines = text.strip().splitlines()
+        return lines[-1][:300] if lines else "no output"
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
+def _memory_kills() -> int | None:
+    """How often the kernel killed a process for want of memory since it started; None if unseen."""
+    try:
+        lines = Path("/proc/vmstat").read_text(encoding="ascii").splitlines()
+    except OSError:
+        return None
+    return next((int(line.split()[1]) for line in lines if line.startswith("oom_kill ")), None)
+
+
+def in_slots(
+    tasks: Sequence[Task],
+    cores: Sequence[int],
+    start: Callable[[Task, int], Child],
+    ended: Callable[[Task, Child, int], Child | None],
+) -> None:
+    """Run a process per task, as many at a time as there are `cores`, each on one of them.
+
+    `ended` may return another process that goes on with the task on the same core.
+    """
+    waiting, free = list(reversed(tasks)), list(cores)
+    running: list[tuple[Task, Child, int]] = []
+    while waiting or running:
+        while waiting and free:
+            task, core = waiting.pop(), free.pop()
+            running.append((task, start(task, core), core))
+        wait([child.process.sentinel for _, child, _ in running], POLL_S)
+        for entry in list(running):
+            task, child, core = entry
+            if child.process.is_alive() and not child.overdue():
+                continue
+            running.remove(entry)
+            following = ended(task, child, core)
+            if following is None:
+                free.append(core)
+            else:
+                running.append((task, following, core))

@@ -1,0 +1,135 @@
+"""Who is at work in a process: harness or solver, where its supervisor reads it whatever happens.
+
+A page of memory without a name that both share: no file system can be too full for it, nobody can
+remove it, and it outlives the process. Without it a death is charged to whoever it happened to.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import struct
+from collections.abc import Callable
+from enum import IntEnum
+from multiprocessing import reduction
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+_HEAD = struct.Struct("iiI")
+"""Who is at work, on which of its cells, and the bytes of the words behind it."""
+_ROOM = mmap.PAGESIZE - _HEAD.size
+_PACKAGE = Path(__file__).parents[2]
+_BY_SOLVERS = (
+    f"{_PACKAGE / 'solvers'}{os.sep}",
+    str(_PACKAGE / "bench" / "run" / "timed_solver.py"),
+)
+"""Code of this package that only hands on what a solver does."""
+
+
+class AtWork(IntEnum):
+    """Who is at work in a process."""
+
+    STARTING = 0
+    HARNESS = 1
+    OPENING = 2
+    SOLVER = 3
+
+    @property
+    def blames_solver(self) -> bool:
+        """Whether a process that ends now ends by its solver."""
+        return self >= AtWork.OPENING
+
+
+class Notice:
+    """One process's page, shared with its supervisor; sent to the process as an argument."""
+
+    def __init__(self, descriptor: int | None = None) -> None:
+        self._descriptor = os.memfd_create("dpbench-notice") if descriptor is None else descriptor
+        if descriptor is None:
+            # Written, not only made longer: this page must exist whatever becomes scarce.
+            os.write(self._descriptor, bytes(mmap.PAGESIZE))
+        self._page = mmap.mmap(self._descriptor, mmap.PAGESIZE)
+
+    def __reduce__(self) -> tuple[Callable[..., Notice], tuple[Any, ...]]:
+        return _attached, (reduction.DupFd(self._descriptor),)
+
+    def handed_over(self) -> None:
+        """The process has it; the descriptor is needed no more."""
+        os.close(self._descriptor)
+
+    def post(self, who: AtWork, link: int | None = None) -> None:
+        """Say who is at work from now on, and on which cell of several."""
+        at = self.link if link is None else link
+        _HEAD.pack_into(self._page, 0, who, at, 0)
+
+    def leave(self, who: AtWork, words: str) -> None:
+        """Say by whose doing the process ends, and why."""
+        text = " ".join(words.split()).encode()[:_ROOM]
+        self._page[_HEAD.size : _HEAD.size + len(text)] = text
+        _HEAD.pack_into(self._page, 0, who, self.link, len(text))
+
+    @property
+    def who(self) -> AtWork:
+        """Who is, or was at the end, at work."""
+        return AtWork(_HEAD.unpack_from(self._page)[0])
+
+    @property
+    def link(self) -> int:
+        """On which cell."""
+        return int(_HEAD.unpack_from(self._page)[1])
+
+    @property
+    def words(self) -> str:
+        """Why the process ended, in its own words; "" where it had none."""
+        length = _HEAD.unpack_from(self._page)[2]
+        text = bytes(self._page[_HEAD.size : _HEAD.size + length])
+        return text.decode(errors="replace")
+
+
+def _attached(descriptor: Any) -> Notice:
+    """The notice in the process that it was sent to."""
+    number = descriptor.detach()
+    notice = Notice(number)
+    notice.handed_over()
+    return notice
+
+
+_here: list[Notice] = []
+"""The notice of this process; none in one that nobody supervises."""
+
+
+def post(who: AtWork, link: int | None = None) -> None:
+    """Say who is at work in this process from now on, and on which cell of several."""
+    for notice in _here:
+        notice.post(who, link)
+
+
+def run(notice: Notice, target: Callable[..., None], args: tuple[Any, ...]) -> None:
+    """Run a process's target; what it raises ends the process, and is said on its notice."""
+    _here[:] = [notice]
+    notice.post(AtWork.HARNESS)
+    try:
+        target(*args)
+    except BaseException as error:  # SystemExit and a panic of Rust, too, are said and end here
+        who = notice.who
+        if isinstance(error, Exception) and not _through_solver(error.__traceback__):
+            who = AtWork.HARNESS
+        notice.leave(who, in_words(error))
+        raise SystemExit(1) from None
+
+
+def in_words(error: BaseException) -> str:
+    """What was raised, in half a line."""
+    if isinstance(error, SystemExit):
+        return f"SystemExit({error.code!r})"
+    return f"{type(error).__name__}: {error}"[:300]
+
+
+def _through_solver(trace: TracebackType | None) -> bool:
+    """Whether an exception came out of a solver, or out of what hands its answers on."""
+    while trace is not None:
+        if trace.tb_frame.f_code.co_filename.startswith(_BY_SOLVERS):
+            return True
+        trace = trace.tb_next
+    return False

@@ -1,0 +1,109 @@
+"""What a hunt is after, and which step of a judged replay is the worst by that measure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from dpbench.bench.judge.closed_loop import CERTIFICATES, GRADES, Graded
+from dpbench.bench.judge.rules import INFEASIBLE, WARM_UP, decided
+from dpbench.qp.solution import Status
+
+Goal = Literal["iterations", "error"]
+GOALS: tuple[Goal, ...] = get_args(Goal)
+DECLINED = 1e-2
+"""An answer that is not claimed counts its error, but no more than what is just true."""
+_ROUNDING = 1e-18
+"""An error of zero has no logarithm; no certificate sees one below this."""
+_LARGEST = 1e300
+_INFEASIBLE_CLAIMS = (Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE)
+
+
+@dataclass(frozen=True)
+class Worst:
+    """The worst step of a replay.
+
+    Parameters
+    ----------
+    step : its number in the sequence.
+    iterations : the solver's own count, −1 when it gives none.
+    error_plan : as in `steps.parquet`.
+    bound : of the certified optimum it is measured against.
+    status : what the solver claimed.
+    severity : how bad it is by the goal; the worse of two steps has the larger one.
+    score : of the whole replay, what a search climbs; equal severities may differ in it.
+    """
+
+    step: int
+    iterations: int
+    error_plan: float
+    bound: float
+    status: Status
+    severity: float
+    score: float
+
+    def figure(self, goal: Goal) -> str:
+        """The figure of the goal in words."""
+        if goal == "iterations":
+            return f"{self.iterations} iterations ({self.status.name.lower()})"
+        claim = "claimed" if self.status is Status.SOLVED else self.status.name.lower()
+        if self.severity < self.error_plan:
+            claim = f"{claim}, which counts as {self.severity:g}"
+        near = f", known to {self.bound:.0e}" if self.bound > 0.01 * self.error_plan else ""
+        return f"error_plan {self.error_plan:.2e} ({claim}{near})"
+
+
+def worst_of(graded: Graded, goal: Goal) -> Worst | None:
+    """The worst step of the counting rounds of a judged replay; None where no step has a figure.
+
+    Goal "iterations": the most iterations, whatever the answer. Goal "error": an answer that is
+    claimed counts its `error_plan`; one that is declined (no claim, or a failure that says so)
+    counts at most `DECLINED`, because a controller can act on a refusal and not on a lie; a false
+    "infeasible", and a "solved" of what has no feasible point, count as infinite.
+    """
+    columns = graded.columns
+    counting = columns["repeat"] != WARM_UP
+    iterations = columns["iterations"][counting]
+    if goal == "iterations":
+        if not (iterations >= 0).any():
+            return None
+        severity = iterations.astype(np.float64)
+    else:
+        severity = _severity_of_errors(graded)[counting]
+    if not len(severity):
+        return None
+    at = int(severity.argmax())
+    worst = float(severity[at])
+    if goal == "iterations":
+        # Counts tie often; of two equal ones the busier replay is nearer to a worse step.
+        score = worst + float(np.maximum(severity, 0.0).mean()) / (1.0 + worst)
+    else:
+        score = float(np.log10(np.clip(worst, _ROUNDING, _LARGEST)))
+    grades = columns["grades"][counting][at]
+    return Worst(
+        int(columns["k"][counting][at]),
+        int(iterations[at]),
+        float(grades[GRADES.index("error_plan")]),
+        float(grades[GRADES.index("optimum_bound")]),
+        Status(int(columns["status"][counting][at])),
+        worst,
+        score,
+    )
+
+
+def _severity_of_errors(graded: Graded) -> NDArray[np.float64]:
+    columns = graded.columns
+    status, grades = columns["status"], columns["grades"]
+    error, true = grades[:, GRADES.index("error_plan")], grades[:, GRADES.index("true")] == 1.0
+    solved, empty = status == Status.SOLVED, np.isin(status, _INFEASIBLE_CLAIMS)
+    certificate = pd.DataFrame({"certificate": np.array(CERTIFICATES)[columns["certificate"]]})
+    hopeless = (certificate["certificate"] == INFEASIBLE).to_numpy()
+    severity = np.where(solved, error, np.minimum(error, DECLINED))
+    severity[(empty & ~true) | (solved & hopeless)] = np.inf
+    severity[~decided(certificate).to_numpy()] = 0.0
+    # No optimum to compare with, and nothing false about it.
+    return np.nan_to_num(severity, nan=0.0, posinf=np.inf)

@@ -1,0 +1,234 @@
+"""`dpbench hunt`: the worst step of one solver, searched for over starts and disturbances.
+
+A point of the `HuntSpace` makes a scenario; its exactly solved loop gives a short sequence of QPs;
+the solver answers it in a process of its own; the worst step of the judged answers is the point's
+score. Differential evolution (Storn & Price 1997, J. Global Optimization 11, as in SciPy) from a
+Sobol sample climbs it. Chance has a part by the seed only: the same versions find the same case.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, get_args
+
+from dpbench.bench.plan.configurations import Arm, module_of, refusal_of
+from dpbench.bench.record.cell import Cell
+from dpbench.bench.run.qp_builder import Emitter
+from dpbench.bench.sequences.sequence_file import save_sequence
+from dpbench.bench.workers.child import template_context
+from dpbench.bench.workers.executor import Progress, Silent
+from dpbench.bench.workers.interrupts import one_interrupt
+from dpbench.bench.workers.scratch import scratch_folder
+from dpbench.bench.worst_case.goal import Goal, Worst
+from dpbench.bench.worst_case.hunt_input import check_input, make_room, output_path
+from dpbench.bench.worst_case.process import HuntedSolver
+from dpbench.bench.worst_case.search import Case, Search
+from dpbench.bench.worst_case.space import HuntSpace
+from dpbench.errors import InputError
+from dpbench.scenario.scenario import Scenario, load_scenario
+from dpbench.solvers.contract import Policy, Route
+from dpbench.solvers.settings import setting_names
+from dpbench.solvers.table import available, load_solver_module, record
+
+BUDGET = 300
+STEPS = 60
+"""Of a case: 18 s of the paper's ship, in which its slowest thruster reaches its limit."""
+WARMUP_STEPS = 50
+"""As in `inprocess.replay` and a suite."""
+_WORDS = {"timed_out": "slow"}
+
+
+@dataclass(frozen=True, eq=False)
+class Hunt:
+    """What a hunt found.
+
+    Parameters
+    ----------
+    goal, cell : what was hunted, and how it was run on which scenario.
+    search : baseline, best case and failures.
+    path : where the best case is saved; nothing is there where there is none.
+    failures : where the first case of each failure is saved, by its name in `search.failures`.
+    """
+
+    goal: Goal
+    cell: Cell
+    search: Search
+    path: Path
+    failures: dict[str, Path]
+
+    @property
+    def worst(self) -> Worst | None:
+        """The worst step that was found."""
+        return None if self.search.best is None else self.search.best.worst
+
+    @property
+    def beats_baseline(self) -> bool:
+        """Whether it is worse than any step of the scenario itself."""
+        own = self.search.baseline
+        return self.worst is not None and (own is None or self.worst.severity > own.severity)
+
+    @property
+    def lines(self) -> list[str]:
+        """The findings in plain words, a line each."""
+        search, cell, worst = self.search, self.cell, self.worst
+        arm = f"{cell.solver} {cell.route} {cell.policy} {cell.settings}"
+        found = "nothing found"
+        if worst is not None:
+            found = f"{worst.figure(self.goal)} at step {worst.step} of {self.path}"
+        early = f" ({search.stopped})" if search.stopped else ""
+        outcome = search.baseline_outcome
+        own = "" if search.baseline is None else search.baseline.figure(self.goal)
+        if outcome.outcome != "finished":
+            own = f"{own} ({outcome.detail or outcome.outcome})".strip()
+        beside = (
+            "" if worst is None else "worse than " if self.beats_baseline else "not worse than "
+        )
+        lines = [
+            f"{arm}: {found}; {search.evaluations} cases tried{early}",
+            f"{beside}the {cell.steps} steps of {cell.scenario_name} itself: {own}",
+        ]
+        for what, path in self.failures.items():
+            count, first = search.failures[what]
+            words = f"{_WORDS.get(what, what)} in {count} cases"
+            lines.append(f"{words} ({first.outcome.detail}); the first is {path}")
+        return lines
+
+
+def hunt(
+    solver: str,
+    *,
+    scenario: str | Path = "paper",
+    goal: Goal = "iterations",
+    route: Route | None = None,
+    policy: Policy = "fresh",
+    settings: str = "default",
+    budget: int = BUDGET,
+    steps: int = STEPS,
+    seed: int = 1,
+    out: str | Path | None = None,
+    solver_module: str | Path | None = None,
+    progress: Progress | None = None,
+) -> Hunt:
+    """Search for the worst step of a solver and save its sequence, which replays to the same.
+
+    Parameters
+    ----------
+    scenario : whose ship, controller and weather the cases share; goal : as in `worst_of`.
+    route, policy, settings : how the solver is run; None is native where it has that route.
+    budget : cases tried; steps : length of each; seed : of the search.
+    out : the `.npz`; by default `hunts/<solver>-<goal>.npz`. A case that crashes or hangs the
+        solver goes beside it.
+    progress : told how far the hunt is.
+
+    Returns
+    -------
+    The hunt. Ctrl-C ends it early with the best case so far.
+
+    Raises
+    ------
+    InputError : for bad input, or an arm that cannot run.
+    """
+    if solver_module is not None:
+        load_solver_module(solver_module)
+    check_input(goal, budget, steps, seed)
+    path = output_path(out, solver, goal)
+    base = load_scenario(scenario)
+    cell = _cell(solver, route, policy, settings, base)
+    make_room(path)
+    space = HuntSpace(base, steps, f"{base.name}-hunt-{solver}-{goal}")
+    with one_interrupt():
+        search = _searched(cell, space, goal, budget, base, seed, progress or Silent())
+        return _saved(Hunt(goal, cell, search, path, {}), seed)
+
+
+def _cell(solver: str, route: Route | None, policy: Policy, settings: str, base: Scenario) -> Cell:
+    row = record(solver)
+    # Many libraries count their iterations, and qpsolvers does not pass the count on.
+    own: Route = "native" if "native" in row.policies else row.default_route
+    chosen = own if route is None else route
+    if chosen not in row.policies:
+        raise InputError(
+            "--route", "", repr(chosen), f"a route of {solver}: {', '.join(row.policies)}"
+        )
+    if policy not in get_args(Policy):
+        raise InputError("--policy", "", repr(policy), " | ".join(get_args(Policy)))
+    names = setting_names(solver)
+    if settings not in names:
+        raise InputError("--settings", "", repr(settings), f"of {solver}: {', '.join(names)}")
+    reason = refusal_of(Arm(solver, chosen, policy, "scaled", settings))
+    if reason:
+        raise InputError(f"solver {solver}", "", reason, "an arm that can run")
+    return Cell(
+        mode="replay",
+        scenario=base.files,
+        solver=solver,
+        route=chosen,
+        policy=policy,
+        settings=settings,
+        steps=base.steps,
+        warmup_steps=WARMUP_STEPS,
+        solver_module=module_of(solver),
+    )
+
+
+def _searched(
+    cell: Cell,
+    space: HuntSpace,
+    goal: Goal,
+    budget: int,
+    base: Scenario,
+    seed: int,
+    progress: Progress,
+) -> Search:
+    """The search, done or interrupted; its solver's process has ended."""
+    with scratch_folder() as folder:
+        hunted = HuntedSolver(template_context(), Path(folder), cell)
+        try:
+            search = Search(hunted, space, goal, budget, progress)
+            search.run(base, seed)
+        finally:
+            hunted.close()
+    return search
+
+
+def _saved(hunt: Hunt, seed: int) -> Hunt:
+    """Write what was found."""
+    search, cell, path = hunt.search, hunt.cell, hunt.path
+    facts: dict[str, Any] = {
+        "hunt_goal": hunt.goal,
+        "hunt_solver": cell.solver,
+        "hunt_solver_version": available(cell.solver).version,
+        "hunt_route": cell.route,
+        "hunt_policy": cell.policy,
+        "hunt_settings": cell.settings,
+        "hunt_scenario": cell.scenario_name,
+        "hunt_seed": seed,
+        "hunt_evaluations": search.evaluations,
+    }
+    if search.best is not None:
+        _write(path, search.best, facts)
+    places = {
+        what: path.with_name(f"{path.stem}-{_WORDS.get(what, what)}.npz")
+        for what in search.failures
+    }
+    for what, place in places.items():
+        _write(place, search.failures[what][1], facts)
+    return replace(hunt, failures=places)
+
+
+def _write(path: Path, case: Case, facts: dict[str, Any]) -> None:
+    scenario, worst = case.scenario, case.worst
+    found: dict[str, Any] = {"hunt_outcome": case.outcome.outcome}
+    if worst is not None:
+        found |= {
+            "hunt_step": worst.step,
+            "hunt_iterations": worst.iterations,
+            # JSON has no word for an infinite error.
+            "hunt_error_plan": repr(worst.error_plan),
+            "hunt_status": worst.status.name.lower(),
+        }
+    horizons = {"N_p": scenario.N_p, "N_c": scenario.N_c}
+    sequence = replace(case.sequence, meta=case.sequence.meta | horizons | facts | found)
+    units = Emitter(scenario, "si").builder.scale
+    save_sequence(path, sequence, units=units, documents=scenario.files)

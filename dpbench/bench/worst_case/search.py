@@ -1,0 +1,155 @@
+"""The search of a hunt: cases by differential evolution, the worst of them kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import Bounds, differential_evolution
+from scipy.stats import qmc
+
+from dpbench.bench.run.exact_loop import record_sequence
+from dpbench.bench.workers.child import Outcome
+from dpbench.bench.workers.executor import Progress
+from dpbench.bench.worst_case.goal import Goal, Worst, worst_of
+from dpbench.bench.worst_case.process import HuntedSolver
+from dpbench.bench.worst_case.space import HuntSpace
+from dpbench.errors import CertificateError, InputError
+from dpbench.qp.program import QPSequence
+from dpbench.scenario.scenario import Scenario
+
+CASE_LIMIT_S = 5.0
+"""Run time of one case; a solver that takes longer hangs."""
+BASELINE_LIMIT_S = 60.0
+"""Run time of the scenario's own sequence; of a slower solver it is the steps until then."""
+_POPULATIONS = (8, 16, 32)
+"""Points that evolve together: powers of two, for which a Sobol sample is balanced."""
+
+
+class _BudgetError(Exception):
+    """The budget is spent; no DpbenchError, as nothing went wrong."""
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A variant of a scenario, its QPs, what became of the solver's process, the worst answer.
+
+    `worst` is None where the process did not finish, or no step has a figure.
+    """
+
+    scenario: Scenario
+    sequence: QPSequence
+    outcome: Outcome
+    worst: Worst | None
+
+
+class Search:
+    """One search.
+
+    Parameters
+    ----------
+    hunted : the solver; space : the cases; goal : what makes one worse than another.
+    budget : cases to try; progress : told how far the search is.
+
+    Attributes
+    ----------
+    baseline, baseline_outcome : the worst step of the scenario itself, as in `Case`.
+    best : the worst case so far, the first of equals; None where none had a figure.
+    failures : by what became of the process: how many cases, and the first of them.
+    evaluations : cases tried; stopped : why the budget is not spent, "" where it is.
+    """
+
+    def __init__(
+        self, hunted: HuntedSolver, space: HuntSpace, goal: Goal, budget: int, progress: Progress
+    ) -> None:
+        self._hunted, self._space, self._goal = hunted, space, goal
+        self._budget, self._progress = budget, progress
+        self.baseline: Worst | None = None
+        self.baseline_outcome = Outcome("timed_out", "not tried")
+        self.best: Case | None = None
+        self.failures: dict[str, tuple[int, Case]] = {}
+        self.evaluations = 0
+        self.stopped = ""
+
+    def run(self, base: Scenario, seed: int) -> None:
+        """See what the scenario itself demands, then spend the budget; Ctrl-C ends it early.
+
+        Raises
+        ------
+        InputError : the goal is iterations and the solver counts none, or a case cannot be made.
+        CertificateError : a step of the scenario itself cannot be certified.
+        """
+        # A length that cannot be is said before anything runs.
+        self._space.scenario(np.zeros(self._space.dimensions))
+        self._progress.start(self._budget)
+        try:
+            self._see(base)
+            self._climb(np.random.default_rng(seed))
+        except _BudgetError:
+            return
+        except KeyboardInterrupt:
+            self.stopped = "interrupted"
+
+    def _see(self, base: Scenario) -> None:
+        self._progress.advance(0, f"{base.name} itself, {base.steps} steps")
+        outcome, graded = self._hunted.answer(record_sequence(base), BASELINE_LIMIT_S)
+        self.baseline_outcome = outcome
+        self.baseline = None if graded is None else worst_of(graded, self._goal)
+        if self._goal == "iterations" and outcome.outcome == "finished" and self.baseline is None:
+            allowed = "a solver that counts its iterations on this route, or --goal error"
+            raise InputError("--goal", "", "iterations, of which the solver gives none", allowed)
+
+    def _climb(self, rng: np.random.Generator) -> None:
+        d = self._space.dimensions
+        size = max((s for s in _POPULATIONS if 8 * s <= self._budget), default=_POPULATIONS[0])
+        # A population that has closed in on one point starts anew.
+        while not self.stopped:
+            first = qmc.Sobol(d, seed=rng).random(size)
+            differential_evolution(
+                self._cost,
+                Bounds(-np.ones(d), np.ones(d)),
+                init=2.0 * first - 1.0,
+                maxiter=self._budget,
+                tol=1e-6,
+                polish=False,
+                seed=rng,
+            )
+
+    def _cost(self, point: NDArray[np.float64]) -> float:
+        """Minus the score of a point; infinite where it has none."""
+        if self.evaluations == self._budget:
+            raise _BudgetError
+        self.evaluations += 1
+        worst = self._try(point)
+        known = None if self.best is None else self.best.worst
+        self._progress.advance(1, "nothing yet" if known is None else known.figure(self._goal))
+        return np.inf if worst is None else -worst.score
+
+    def _try(self, point: NDArray[np.float64]) -> Worst | None:
+        try:
+            scenario = self._space.scenario(point)
+            sequence = record_sequence(scenario)
+        except CertificateError:
+            # Without a certified loop there is nothing to judge by.
+            return None
+        try:
+            outcome, graded = self._hunted.answer(sequence, CASE_LIMIT_S)
+        except InputError as error:
+            # It ran before, so nobody's input is to blame; what was found so far is kept.
+            self.stopped = f"stopped: {error}"
+            raise _BudgetError from error
+        if outcome.outcome == "lost":
+            # No failure of the solver, and the next case would fare no better.
+            self.stopped = f"stopped: {outcome.detail}"
+            raise _BudgetError
+        if outcome.outcome != "finished" or graded is None:
+            case = Case(scenario, sequence, outcome, None)
+            count, first = self.failures.get(outcome.outcome, (0, case))
+            self.failures[outcome.outcome] = count + 1, first
+            return None
+        worst = worst_of(graded, self._goal)
+        known = None if self.best is None else self.best.worst
+        if worst is not None and (known is None or worst.severity > known.severity):
+            self.best = Case(scenario, sequence, outcome, worst)
+        return worst

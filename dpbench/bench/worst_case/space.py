@@ -1,0 +1,112 @@
+"""What a hunt may change of a scenario: how the ship starts, and what pushes it.
+
+A point x in [−1, 1]^d makes a scenario with documents of its own, so that what is found is as
+legitimate as any file under `problems/scenarios/` and can be made again from its documents:
+
+    x[0:3]  start, relative to the reference: sign(x)·x²·reach [m, m, rad], so that small offsets
+            are looked at as closely as large ones
+    x[3:6]  speed at the start over ground, along the ship's axes: sign(x)·x²·reach [m/s, rad/s]
+    x[6:9]  steady force: x · what the thrusters can hold
+    x[9:12] force that comes on top of it within one sample and stays: 2 · x · what they can hold,
+            which is enough to turn the sum about
+    x[12]   when that happens, from the first sample to the last
+    x[13]   when the first fault happens; only where the scenario has faults
+
+The force applied before is what comes of it: a run starts with none (method.md section 3), and is
+long enough for the thrusters to reach their limits.
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+
+from dpbench.qp.program import Vector
+from dpbench.scenario.scenario import Scenario, scenario_of
+from dpbench.ship.froude import Froude
+
+REACH = np.array([20.0, 20.0, np.radians(20.0)])
+"""Offsets that are looked at in any case [m, m, rad], at full size: those of a large move, within
+the 30° in which a linearised model is fine."""
+SPEED_REACH = np.array([1.0, 1.0, np.radians(1.0)])
+"""Speeds that are looked at in any case [m/s, m/s, rad/s], at full size: those of a ship that comes
+to its station."""
+_PER_KN = 1e-3
+
+
+class HuntSpace:
+    """The variants of one scenario.
+
+    Parameters
+    ----------
+    scenario : whose ship, controller, estimator and weather all variants share; a start further
+        from the reference than `REACH`, or faster than `SPEED_REACH`, widens the reach.
+    steps : length of each variant in samples, whatever the scenario's own.
+    name : of the variants.
+    """
+
+    def __init__(self, scenario: Scenario, steps: int, name: str) -> None:
+        self._files, self._steps, self._name = scenario.files, steps, name
+        scale = Froude(float(scenario.files["vessel"]["model_scale"]))
+        # The documents speak of a full-size ship, the scenario of the one it is run with.
+        self._reference = scenario.reference / scale.pose
+        self._reach = np.maximum(REACH, np.abs(scenario.start - scenario.reference) / scale.pose)
+        self._fastest = np.maximum(SPEED_REACH, np.abs(scenario.velocity) / scale.velocity)
+        vessel = scenario.vessel
+        self._force_kN = _PER_KN * np.minimum(-vessel.tau_min, vessel.tau_max) / scale.force
+        self._first_fault_s = min((fault["at_s"] for fault in self._table["faults"]), default=None)
+
+    @property
+    def _table(self) -> dict[str, Any]:
+        table: dict[str, Any] = self._files["scenario"]
+        return table
+
+    @property
+    def dimensions(self) -> int:
+        """d, the length of a point."""
+        return 13 if self._first_fault_s is None else 14
+
+    def scenario(self, point: Vector) -> Scenario:
+        """The variant at a point (d,) of [−1, 1]^d."""
+        files = copy.deepcopy(self._files)
+        files["name"] = self._name
+        table = files["scenario"]
+        sample_s = float(table["sample_s"])
+        duration_s = self._steps * sample_s
+        closely = np.sign(point[:6]) * point[:6] ** 2
+        north_m, east_m, heading = self._reference + closely[:3] * self._reach
+        surge_mps, sway_mps, yaw_rate = closely[3:] * self._fastest
+        table["duration_s"] = duration_s
+        table["start"] = {
+            "north_m": float(north_m),
+            "east_m": float(east_m),
+            "heading_deg": float(np.degrees(heading)),
+            "surge_mps": float(surge_mps),
+            "sway_mps": float(sway_mps),
+            "yaw_degps": float(np.degrees(yaw_rate)),
+        }
+        weather = table["environment"]
+        # A weather that builds up over a minute would not be there yet.
+        weather["ramp_s"] = 0.0
+        weather["mean_kN"] = (point[6:9] * self._force_kN).tolist()
+        weather["squalls"].append(
+            {
+                "start_s": _moment(point[12], duration_s, sample_s),
+                "rise_s": sample_s,
+                "hold_until_s": 2.0 * duration_s,
+                "decay_s": sample_s,
+                "force_kN": (2.0 * point[9:12] * self._force_kN).tolist(),
+            }
+        )
+        if self._first_fault_s is not None:
+            later = _moment(point[13], duration_s, sample_s) - self._first_fault_s
+            for fault in table["faults"]:
+                fault["at_s"] = max(0.0, fault["at_s"] + later)
+        return scenario_of(files, where=f"variant of {self._name}")
+
+
+def _moment(share: float, duration_s: float, sample_s: float) -> float:
+    """−1 is the first sample of a run, 1 its last [s]."""
+    return float(0.5 * (1.0 + share) * (duration_s - sample_s))

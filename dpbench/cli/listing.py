@@ -1,0 +1,195 @@
+"""What `dpbench list` and `dpbench check` say, and tables of the report on a terminal."""
+
+from __future__ import annotations
+
+import difflib
+import os
+from pathlib import Path
+
+import numpy as np
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.suite import load_suite, naming
+from dpbench.bench.sequences.sequence_file import active_set, load_recorded
+from dpbench.bench.sequences.verify import verify_sequence
+from dpbench.bench.workers.executor import Progress
+from dpbench.errors import InputError
+from dpbench.report.table import Table as ReportTable
+from dpbench.scenario.problem_files import (
+    KINDS,
+    SEQUENCES,
+    is_stored,
+    problem_names,
+    problem_path,
+    read_toml,
+    sequence_path,
+)
+from dpbench.scenario.scenario import Scenario, load_scenario, load_vessel
+from dpbench.solvers.settings import describe_ladder
+from dpbench.solvers.table import available, record, solver_names
+
+CHECKED = (
+    "a vessel, scenario, scenario@vessel, suite or sequence by name, a TOML file, "
+    "a .npz or a folder of problems by qpsolvers"
+)
+"""What `dpbench check` takes."""
+
+
+def listing(what: str) -> Table:
+    """A table of the vessels, scenarios, suites, sequences or solvers there are."""
+    tables = {"vessels": _vessels, "scenarios": _scenarios, "suites": _suites}
+    return (tables | {"sequences": _sequences, "solvers": _solvers})[what]()
+
+
+def _table(*columns: str) -> Table:
+    table = Table(show_edge=False, pad_edge=False)
+    for i, column in enumerate(columns):
+        table.add_column(column, no_wrap=i == 0)
+    return table
+
+
+def rich_table(table: ReportTable) -> Table:
+    """A table of the report for a terminal, its note below it."""
+    shown = Table(
+        title=table.title,
+        title_justify="left",
+        caption=table.note,
+        caption_justify="left",
+        show_edge=False,
+        pad_edge=False,
+    )
+    for i, head in enumerate(table.heads):
+        shown.add_column(escape(head), justify="left" if i < table.text_columns else "right")
+    styles = {"good": "green", "bad": "bold red", "warn": "yellow"}
+    for row in table.rows:
+        shown.add_row(*(Text(cell.text, style=styles.get(cell.mark, "")) for cell in row))
+    return shown
+
+
+def _vessels() -> Table:
+    table = _table("name", "ship", "time constants [s]", "max acceleration [mm/s², mm/s², mrad/s²]")
+    for name in problem_names("vessels"):
+        vessel = load_vessel(name)
+        times = ", ".join(f"{t:.3g}" for t in vessel.time_constants_s())
+        reach = 1e3 * vessel.reachable_acceleration()[1]
+        table.add_row(name, vessel.title, times, ", ".join(f"{a:.3g}" for a in reach))
+    return table
+
+
+def _scenarios() -> Table:
+    table = _table("name", "vessel", "tuning", "steps", "what it shows")
+    for name in problem_names("scenarios"):
+        scenario = load_scenario(name)
+        tuning = f"{scenario.tuning} {scenario.N_p}/{scenario.N_c}"
+        table.add_row(name, scenario.vessel.id, tuning, str(scenario.steps), scenario.shows)
+    return table
+
+
+def _suites() -> Table:
+    table = _table("name", "cells", "title")
+    for name in problem_names("suites"):
+        path, suite = load_suite(name)
+        table.add_row(name, str(len(plan(suite, beside=path.parent))), suite.title)
+    return table
+
+
+def _sequences() -> Table:
+    table = _table("name", "n", "m", "K", "active", "matrices", "source")
+    for name in problem_names(SEQUENCES):
+        recorded = load_recorded(sequence_path(name))
+        sequence, meta = recorded.sequence, recorded.sequence.meta
+        sets = [active_set(o) for o in recorded.optima or [] if np.isfinite(o.bound)]
+        base, every = sequence.base, int(meta.get("every", 1))
+        stride = "each sample" if every == 1 else f"each {every}th sample"
+        table.add_row(
+            name,
+            *(str(count) for count in (base.n, base.m, len(sequence))),
+            f"{np.count_nonzero(sets) / np.size(sets):.1%}" if sets else "–",
+            "constant" if sequence.P is None else "each step's",
+            f"{recorded.documents['scenario']['title']}; exactly solved loop, {stride}",
+        )
+    return table
+
+
+def _solvers() -> Table:
+    table = _table(
+        "name", "version", "build", "method", "form", "policies", "installed", "settings"
+    )
+    for name in solver_names():
+        row, found = record(name), available(name)
+        policies = "; ".join(f"{route}: {', '.join(p)}" for route, p in row.policies.items())
+        table.add_row(
+            name,
+            found.version or "–",
+            found.build.text or "–",
+            row.method,
+            row.form,
+            policies,
+            "yes" if found.ok else escape(found.reason),
+            escape(describe_ladder(name)),
+        )
+    return table
+
+
+def check_file(asked: str, progress: Progress | None = None) -> str:
+    """Check what `run` takes, by its name or path; one line of what it is.
+
+    That is a vessel, scenario (`rough`, `rough@osv`) or suite, a sequence, or a problem or a folder
+    of problems by qpsolvers. Every optimum is certified, which may take a while.
+
+    Raises
+    ------
+    InputError : naming file, key, what was found and what is allowed.
+    """
+    if is_stored(asked):
+        return verify_sequence(sequence_path(asked), progress)
+    for kind in KINDS:
+        if asked in problem_names(kind):
+            return _check_document(problem_path(kind, asked))
+    # Unlike Path.exists, these are False for a name that is too long to exist.
+    if os.path.isdir(asked) or asked.endswith(".npz"):
+        return verify_sequence(Path(asked), progress)
+    if os.path.isfile(asked):
+        return _check_document(Path(asked))
+    if "@" in asked:
+        return _scenario_text(asked, load_scenario(asked))
+    if asked.endswith(".toml") or "/" in asked:
+        raise InputError(asked, "", "no such file or folder", CHECKED)
+    raise _unknown(asked)
+
+
+def _unknown(asked: str) -> InputError:
+    """The error of a name that nothing has, with the nearest names of all kinds."""
+    names = [name for kind in (*KINDS, SEQUENCES) for name in problem_names(kind)]
+    near = difflib.get_close_matches(asked, names, n=3)
+    hint = f"e.g. {', '.join(near)}; " if near else ""
+    shown = repr(asked if len(asked) <= 80 else f"{asked[:77]}...")
+    return InputError("check", "", shown, f"{hint}{CHECKED}; `dpbench list` has the names")
+
+
+def _scenario_text(name: str | Path, scenario: Scenario) -> str:
+    return f"{name}: a scenario of {scenario.steps} steps with vessel {scenario.vessel.id}"
+
+
+def _check_document(file: Path) -> str:
+    """A TOML file, recognised by its tables."""
+    document = read_toml(file)
+    if "limits" in document:
+        vessel = load_vessel(file)
+        return f"{file}: a vessel, {vessel.title}"
+    if "controller" in document or "environment" in document:
+        return _scenario_text(file, load_scenario(file))
+    if any(table in document for table in ("closed_loop", "replay", "recorded", "random")):
+        suite_path, suite = load_suite(file)
+        with naming(suite_path):
+            return f"{file}: a suite of {len(plan(suite, beside=suite_path.parent))} cells"
+    raise InputError(
+        str(file),
+        "",
+        f"tables {', '.join(document) or '(none)'}",
+        "[limits] (a vessel), [controller] and [environment] (a scenario), "
+        "or [[closed_loop]], [[replay]], [[recorded]] and [[random]] (a suite)",
+    )

@@ -1,0 +1,200 @@
+"""The command line: parse arguments, call one public function, choose the exit code.
+
+Exit 0: done (a solver's failure is data). 1: a comparison shows a regression, or the benchmark lost
+cells of a run by an accident of its own. 2: bad input, said in one line. What is printed is printed
+here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from dpbench.cli.arguments import parser
+from dpbench.errors import DpbenchError, InputError
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    arguments = parser(_CALLS).parse_args(argv)
+    try:
+        return int(arguments.call(arguments))
+    except InputError as error:
+        print(f"dpbench: {error}", file=sys.stderr)
+        return 2
+    except DpbenchError as error:
+        print(f"dpbench: {error}", file=sys.stderr)
+        return 1
+    except OSError as error:
+        # The last net under all that is read and written: a full disk, a folder in a file's place.
+        name = f"{error.filename}: " if error.filename else ""
+        print(
+            f"dpbench: {name}found {error.strerror or error}; allowed: a file or folder that "
+            "can be read and written",
+            file=sys.stderr,
+        )
+        return 2
+    except KeyboardInterrupt:
+        kept = "; finished cells are kept, run again to go on" if arguments.call is _run else ""
+        print(f"dpbench: interrupted{kept}", file=sys.stderr)
+        return 130
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from dpbench.bench.campaign import run_campaign
+    from dpbench.bench.record.result_folder import accidents
+    from dpbench.cli.progress_bar import Bar
+    from dpbench.report.write import report_and_verdict
+
+    with Bar() as bar:
+        out = run_campaign(
+            arguments.suite,
+            arguments.out,
+            solvers=arguments.solver,
+            scenarios=arguments.scenario,
+            jobs=arguments.jobs,
+            fresh=arguments.fresh,
+            solver_module=arguments.solver_module,
+            sequence=arguments.sequence,
+            progress=bar,
+        )
+        bar.advance(0, "writing the report")
+        found = report_and_verdict(out)
+    _say_verdict(*found)
+    lost, remarks = accidents(out)
+    for line in remarks:
+        print(f"dpbench: {line}", file=sys.stderr)
+    return int(lost > 0)
+
+
+def _report(arguments: argparse.Namespace) -> int:
+    from dpbench.report.write import report_and_verdict
+
+    _say_verdict(*report_and_verdict(arguments.dir, baseline=arguments.baseline))
+    return 0
+
+
+def _say_verdict(page: Path, lines: list[str]) -> None:
+    for line in lines:
+        print(line)
+    print(f"report: {page}")
+
+
+def _compare(arguments: argparse.Namespace) -> int:
+    from dpbench.cli.listing import rich_table
+    from dpbench.report.compare import compare
+
+    found = compare(
+        arguments.a,
+        arguments.b,
+        any_machine=arguments.any_machine,
+        margin=arguments.margin,
+        alpha=arguments.alpha,
+    )
+    if arguments.markdown == "-":
+        print(found.markdown(), end="")
+        return int(found.worse)
+    if arguments.markdown is not None:
+        Path(arguments.markdown).write_text(found.markdown(), encoding="utf-8")
+    console = _console()
+    for table in found.tables:
+        console.print(rich_table(table), "")
+    for line in found.lines:
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    return int(found.worse)
+
+
+def _export(arguments: argparse.Namespace) -> int:
+    from dpbench.bench.sequences.export import check_asked, export
+
+    check_asked(vars(arguments))
+    if arguments.all:
+        from dpbench.bench.sequences.shipped import regenerate
+        from dpbench.cli.progress_bar import Bar
+
+        with Bar(transient=True) as bar:
+            said = regenerate(arguments.out or "results/sequences", progress=bar)
+        print(said)
+        return 0
+    print(
+        export(
+            arguments.what,
+            arguments.out,
+            format=arguments.format,
+            horizons=arguments.horizons,
+            steps=arguments.steps,
+            every=arguments.every,
+        )
+    )
+    return 0
+
+
+def _hunt(arguments: argparse.Namespace) -> int:
+    from dpbench.bench.worst_case.hunt import hunt
+    from dpbench.cli.progress_bar import Bar
+
+    with Bar() as bar:
+        found = hunt(
+            arguments.solver,
+            scenario=arguments.scenario,
+            goal=arguments.goal,
+            route=arguments.route,
+            policy=arguments.policy,
+            settings=arguments.settings,
+            budget=arguments.budget,
+            steps=arguments.steps,
+            seed=arguments.seed,
+            out=arguments.out,
+            solver_module=arguments.solver_module,
+            progress=bar,
+        )
+    for line in found.lines:
+        print(line)
+    return 130 if found.search.stopped == "interrupted" else 0
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    from dpbench.cli.listing import listing
+
+    _console().print(listing(arguments.what))
+    return 0
+
+
+def _doctor(arguments: argparse.Namespace) -> int:
+    from dpbench.report.doctor import doctor_lines
+
+    for line in doctor_lines():
+        print(line)
+    return 0
+
+
+def _console() -> Any:
+    from rich.console import Console
+
+    # Into a file or a pipe a table takes the room it needs instead of 80 columns.
+    return Console() if sys.stdout.isatty() else Console(width=200)
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    from dpbench.cli.listing import check_file
+    from dpbench.cli.progress_bar import Bar
+
+    with Bar(transient=True) as bar:
+        said = check_file(arguments.file, bar)
+    print(said)
+    return 0
+
+
+_CALLS = {
+    "run": _run,
+    "report": _report,
+    "compare": _compare,
+    "export": _export,
+    "hunt": _hunt,
+    "list": _list,
+    "check": _check,
+    "doctor": _doctor,
+}

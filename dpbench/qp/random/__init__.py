@@ -1,0 +1,1 @@
+"""Random QPs with a planted optimum."""

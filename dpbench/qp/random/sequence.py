@@ -1,0 +1,244 @@
+"""Random parametric QPs whose optimum is planted, so that the truth depends on no solver.
+
+Chosen first are z*, the limits it meets and their multipliers; what makes it the optimum follows:
+
+    q = −(P z* + Aᵀy + y_box),   l ≤ A z* ≤ u,   lb ≤ z* ≤ ub,   y_i ≠ 0 only at a limit met
+
+All numbers lie on binary grids coarse enough that no sum is rounded: the optimality conditions hold
+to the last bit. P, A, lb, ub are constant; q, l, u walk along smooth paths with two jumps.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpbench.qp.program import Matrix, QPSequence, QuadraticProgram, Vector
+from dpbench.qp.random.matrices import (
+    POINT,
+    definite_cost,
+    on_grid,
+    semidefinite_cost,
+    unit_rows,
+)
+from dpbench.qp.random.recipe import FAMILIES, MARGIN, NEAR, Family, RandomRecipe
+
+JUMPS = 2
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Planted:
+    """A sequence with what was planted in it.
+
+    Parameters
+    ----------
+    feasible : (K,) whether a step has a feasible point.
+    z : (K, n) optimum, NaN where infeasible; y : (K, m), y_box : (K, n) multipliers of it, or the
+        Farkas vector of an infeasible step.
+    """
+
+    sequence: QPSequence
+    feasible: NDArray[np.bool_]
+    z: Matrix
+    y: Matrix
+    y_box: Matrix
+
+
+def random_sequence(recipe: RandomRecipe) -> QPSequence:
+    """The sequence of a recipe; the same recipe gives the same bits."""
+    return planted(recipe).sequence
+
+
+def planted(recipe: RandomRecipe) -> Planted:
+    """The sequence of a recipe with its optima; the same recipe gives the same bits."""
+    family = FAMILIES[recipe.family]
+    seed = [recipe.seed, recipe.n, recipe.m, zlib.crc32(recipe.family.encode())]
+    rng = np.random.default_rng(seed)
+    frame = _frame(recipe, family, rng)
+    signals = _signals(rng, recipe.steps, recipe.m + recipe.n)
+    share = 0.4 + 0.2 * np.sin(2.0 * np.pi * (np.arange(recipe.steps) / 12.0 + rng.random()))
+    steps = []
+    for k in range(recipe.steps):
+        count = max(1, round(float(share[k]) * recipe.n))
+        step = _plant(frame, family, signals[k], count)
+        if family.infeasible and k % 3 == 2:
+            step = _contradicted(frame, step, int(rng.integers(recipe.m)), k)
+        steps.append(step)
+    first = steps[0]
+    base = QuadraticProgram(
+        frame.P, first.q, frame.A, first.l, first.u, frame.lb, frame.ub, recipe.block
+    )
+    q, l, u, z, y, y_box = (  # noqa: E741 - as in QuadraticProgram
+        np.array([getattr(step, name) for step in steps])
+        for name in ("q", "l", "u", "z", "y", "y_box")
+    )
+    sequence = QPSequence(recipe.name, base, q, l, u, meta={"family": recipe.family})
+    return Planted(sequence, np.isfinite(z).all(axis=1), z, y, y_box)
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """What is constant along a sequence; masks and `twin` run over the rows of [A; I].
+
+    lo, hi (n,) : where bounds are, or would be; half (m,) : half the width of a row.
+    above, below (m+n,) : whether there is an upper and a lower limit. equal (m+n,) : l = u.
+    twin (m+n,) : the row that this one is a copy of, up to `sign`; −1 for none.
+    """
+
+    P: Matrix
+    A: Matrix
+    lo: Vector
+    hi: Vector
+    half: Vector
+    above: Mask
+    below: Mask
+    equal: Mask
+    twin: NDArray[np.intp]
+    sign: Vector
+
+    @property
+    def lb(self) -> Vector:
+        """Lower bounds."""
+        return np.where(self.below[len(self.half) :], self.lo, -np.inf)
+
+    @property
+    def ub(self) -> Vector:
+        """Upper bounds."""
+        return np.where(self.above[len(self.half) :], self.hi, np.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """One step with its optimum, or its Farkas vector beside z = NaN."""
+
+    q: Vector
+    l: Vector  # noqa: E741 - as in QuadraticProgram
+    u: Vector
+    z: Vector
+    y: Vector
+    y_box: Vector
+
+
+def _frame(recipe: RandomRecipe, family: Family, rng: np.random.Generator) -> _Frame:
+    n, m = recipe.n, recipe.m
+    if family.semidefinite:
+        P = semidefinite_cost(rng, n, n - max(1, n // 5))
+    else:
+        P = definite_cost(rng, n, recipe.cond or family.cond)
+    A = unit_rows(rng, m, n)
+    twin, sign = np.full(m + n, -1, dtype=np.intp), np.ones(m + n)
+    for pair in range(min(m // 2, max(1, round(0.5 * family.twins * m))) if family.twins else 0):
+        i, j = 2 * pair, 2 * pair + 1
+        # A row written twice may be written the other way round; to contradict it, it may not.
+        twin[j], sign[j] = i, 1.0 if family.infeasible or pair % 2 else -1.0
+        A[j] = sign[j] * A[i]
+    kind = rng.permutation(m) / max(1, m)
+    free, one_sided = kind < family.free, kind >= 1.0 - family.one_sided
+    equal = np.zeros(m + n, dtype=bool)
+    if family.equal:
+        # At most a third of n, so that the other limits have a choice left.
+        equal[rng.permutation(m)[: min(round(family.equal * m), max(1, n // 3))]] = True
+    upper_kept = rng.random(m) < 0.5
+    open_lo, open_hi = (rng.random(n) < family.open_bounds for _ in range(2))
+    return _Frame(
+        P,
+        A,
+        lo=-on_grid(rng.uniform(0.5, 1.5, n), POINT),
+        hi=on_grid(rng.uniform(0.5, 1.5, n), POINT),
+        half=on_grid(rng.uniform(0.25, 1.0, m), POINT),
+        above=np.concatenate((~free & ~(one_sided & ~upper_kept), ~open_hi)),
+        below=np.concatenate((~free & ~(one_sided & upper_kept), ~open_lo)),
+        equal=equal,
+        twin=twin,
+        sign=sign,
+    )
+
+
+def _signals(rng: np.random.Generator, K: int, N: int) -> Matrix:
+    """Smooth paths (K, N) of size 0.5 to 2 with `JUMPS` jumps, of all at once."""
+    size, speed = rng.uniform(0.5, 2.0, N), rng.uniform(0.2, 1.0, N)
+    jumps = np.sort(rng.integers(1, max(2, K), JUMPS))
+    phase = rng.random((JUMPS + 1, N))[np.searchsorted(jumps, np.arange(K), side="right")]
+    turns = speed * np.arange(K)[:, np.newaxis] / 12.0 + phase
+    return size * np.sin(2.0 * np.pi * turns)
+
+
+def _met(frame: _Frame, family: Family, s: Vector, count: int) -> tuple[Vector, Vector, Mask]:
+    """Which limits are met: side (N,) in {−1, 0, 1}, multipliers (N,) and the mask of near misses.
+
+    The `count` strongest signals carry a multiplier, the next ones touch without one.
+    """
+    n = len(frame.lo)
+    side = np.where(s > 0, 1.0, -1.0)
+    side = np.where(frame.above & frame.below, side, np.where(frame.above, 1.0, -1.0))
+    may = (frame.above | frame.below) & ~frame.equal & (frame.twin < 0)
+    order = np.argsort(-np.abs(np.where(may, s, 0.0)), kind="stable")[: int(may.sum())]
+    held = order[: max(1, count - int(frame.equal.sum()))]
+    touched = order[len(held) :][: max(1, round(family.touching * n)) if family.touching else 0]
+    y = np.zeros(len(s))
+    y[held] = side[held] * on_grid(0.125 + np.abs(s[held]), POINT)
+    y[frame.equal] = on_grid(s[frame.equal], POINT)
+    met = np.zeros(len(s))
+    met[held], met[touched] = side[held], side[touched]
+    near = np.zeros(len(s), dtype=bool)
+    # Exact degeneracy needs exact limits; a near miss would make a vertex of its own.
+    near[touched[1::3]] = family.touching < 1.0
+    copies = np.flatnonzero(frame.twin >= 0)
+    if not family.infeasible:
+        for values in (met, y):
+            values[copies] = frame.sign[copies] * values[frame.twin[copies]]
+    return met, y, near
+
+
+def _plant(frame: _Frame, family: Family, s: Vector, count: int) -> _Step:
+    """One step from its signals s (m+n,); `count` limits carry a multiplier."""
+    m = len(frame.half)
+    met, y, near = _met(frame, family, s, count)
+    wave = 0.9 * np.clip(0.5 * s, -1.0, 1.0)
+    middle, half = 0.5 * (frame.hi + frame.lo), 0.5 * (frame.hi - frame.lo)
+    z = on_grid(middle + half * wave[m:], POINT)
+    z = np.where(met[m:] > 0, frame.hi, np.where(met[m:] < 0, frame.lo, z))
+    w = frame.A @ z
+    above, below = (on_grid(frame.half * (1.0 + side * wave[:m]), POINT) for side in (-1.0, 1.0))
+    close = np.where(near[:m], NEAR, 0.0)
+    upper, lower, equal = met[:m] > 0, met[:m] < 0, frame.equal[:m]
+    u = w + np.where(equal, 0.0, np.where(upper, close, np.where(lower, 2.0 * frame.half, above)))
+    l = w - np.where(  # noqa: E741 - as in QuadraticProgram
+        equal, 0.0, np.where(lower, close, np.where(upper, 2.0 * frame.half, below))
+    )
+    q = -(frame.P @ z + y[:m] @ frame.A + y[m:])
+    return _Step(
+        q,
+        np.where(frame.below[:m], l, -np.inf),
+        np.where(frame.above[:m], u, np.inf),
+        z,
+        y[:m],
+        y[m:],
+    )
+
+
+def _contradicted(frame: _Frame, step: _Step, row: int, k: int) -> _Step:
+    """The step without a feasible point, and the Farkas vector that proves it.
+
+    In turn: a row demands more than the bounds allow, or than its copy does.
+    """
+    l, u, a = step.l.copy(), step.u.copy(), frame.A[row]  # noqa: E741 - as in QuadraticProgram
+    y = np.zeros(len(l))
+    if k % 2:
+        l[row] = float(np.maximum(a * frame.lo, a * frame.hi).sum()) + MARGIN
+        u[row] = l[row] + frame.half[row]
+        y[row] = -1.0
+        y_box = a.copy()
+    else:
+        copies = np.flatnonzero(frame.twin >= 0)
+        copy = copies[row % len(copies)]
+        row = int(frame.twin[copy])
+        l[copy] = u[row] + MARGIN
+        u[copy] = l[copy] + frame.half[copy]
+        y[row], y[copy] = 1.0, -1.0
+        y_box = np.zeros(len(step.z))
+    return _Step(step.q, l, u, np.full(len(step.z), np.nan), y, y_box)

@@ -1,0 +1,1 @@
+"""What limits leave: nothing, a point by rounding only, no freedom, no need."""

@@ -1,0 +1,160 @@
+"""Certificates that a QP has no feasible point, or no lower bound; decided exactly.
+
+    Farkas:     Aᵀy + y_box = 0,  Σ u y⁺ − Σ l y⁻ + Σ ub y_box⁺ − Σ lb y_box⁻ < 0,
+                y± = max(±y, 0), a positive part only on finite upper limits, a negative one only
+                on finite lower limits
+    unbounded:  Pd = 0, qᵀd < 0, d in the recession cone of the limits
+
+A feasible z would give 0 = zᵀ(Aᵀy + y_box) ≤ the sum on the left of "< 0".
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from math import lcm
+
+import numpy as np
+from scipy.optimize import linprog
+
+from dpbench.qp.program import QuadraticProgram, Vector
+from dpbench.qp.referee.dyadic import Dyadic
+from dpbench.qp.referee.joint import JointQP
+
+CONSISTENT = 1e-6
+"""How well a claimed vector must satisfy Aᵀy + y_box = 0 before its y_box is replaced by −Aᵀy."""
+DENOMINATORS = (1, 12, 60, 1000)
+"""Rounding of a vector from floating point to fractions, tried in turn where exactness counts."""
+
+
+def crossed(qp: QuadraticProgram) -> Vector | None:
+    """The unit vector (m + n,) of a row or bound whose lower limit exceeds its upper one."""
+    problem = JointQP.of(qp)
+    found = np.flatnonzero(problem.L > problem.U)
+    if not len(found):
+        return None
+    unit = np.zeros(len(problem.L))
+    unit[found[0]] = 1.0
+    return unit
+
+
+def farkas_valid(qp: QuadraticProgram, y: Vector, y_box: Vector) -> bool:
+    """Whether (y, y_box) proves that `qp` has no feasible point.
+
+    y_box must satisfy Aᵀy + y_box = 0 to within `CONSISTENT`; it is then replaced by the exact
+    −Aᵀy, whose sign must name finite bounds. A multiple of the unit vector of a row with l > u
+    stands for both of its limits at once (y⁺ = y⁻) and is valid too.
+    """
+    y, y_box = np.asarray(y, dtype=np.float64), np.asarray(y_box, dtype=np.float64)
+    if y.shape != (qp.m,) or y_box.shape != (qp.n,):
+        return False
+    if not (np.isfinite(y).all() and np.isfinite(y_box).all() and np.isfinite(qp.A).all()):
+        return False
+    both = np.concatenate((y, y_box))
+    used = np.flatnonzero(both)
+    if len(used) == 1:
+        problem = JointQP.of(qp)
+        if problem.L[used[0]] > problem.U[used[0]]:
+            return True
+    box = -(Dyadic.of(qp.A.T) @ Dyadic.of(y))
+    size = float(np.abs(qp.A).T.dot(np.abs(y)).max(initial=0.0)) + float(np.abs(y_box).max())
+    if np.abs(box.floats() - y_box).max() > CONSISTENT * size:
+        return False
+    rows = _upper_sum(Dyadic.of(y), qp.l, qp.u)
+    bounds = _upper_sum(box, qp.lb, qp.ub)
+    return rows is not None and bounds is not None and bool((rows + bounds).signs() < 0)
+
+
+def _upper_sum(y: Dyadic, lower: Vector, upper: Vector) -> Dyadic | None:
+    """Σ upper·y⁺ − Σ lower·y⁻, or None where a sign names an infinite limit."""
+    signs = y.signs()
+    limits = np.where(signs > 0, upper, lower)
+    used = signs != 0
+    if not np.isfinite(limits[used]).all():
+        return None
+    return (y[used] * Dyadic.of(limits[used])).sum()
+
+
+def certify_infeasible(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
+    """A valid Farkas vector (y, y_box), or None where none is found.
+
+    An independent linear program over the signed parts of (y, y_box), normalised to sum 1, then
+    verified exactly; with infinite bounds the vector is also tried as small fractions, since
+    Aᵀy = 0 has to hold to the last bit there.
+    """
+    unit = crossed(qp)
+    if unit is not None:
+        return unit[: qp.m], unit[qp.m :]
+    problem = JointQP.of(qp)
+    upper, lower = np.flatnonzero(np.isfinite(problem.U)), np.flatnonzero(np.isfinite(problem.L))
+    cost = np.concatenate((problem.U[upper], -problem.L[lower]))
+    if not len(cost):
+        return None
+    balance = np.concatenate((problem.C[upper], -problem.C[lower])).T
+    answer = linprog(
+        cost, A_eq=balance, b_eq=np.zeros(qp.n), A_ub=np.ones((1, len(cost))), b_ub=[1.0]
+    )
+    if answer.x is None or answer.fun is None or not answer.fun < 0.0:
+        return None
+    both = np.zeros(len(problem.L))
+    np.add.at(both, upper, answer.x[: len(upper)])
+    np.subtract.at(both, lower, answer.x[len(upper) :])
+    return first_valid(qp, both)
+
+
+def first_valid(qp: QuadraticProgram, both: Vector) -> tuple[Vector, Vector] | None:
+    """A valid Farkas vector (y, y_box) near the one in `both` (m + n,), if there is one."""
+    for y in (both[: qp.m], *_fractions(both[: qp.m])):
+        y_box = -(y @ qp.A)
+        if farkas_valid(qp, y, y_box):
+            return y, y_box
+    return None
+
+
+def _fractions(vector: Vector) -> list[Vector]:
+    """Integer vectors near multiples of `vector`."""
+    size = float(np.abs(vector).max(initial=0.0))
+    smallest = float(np.abs(vector[np.abs(vector) > 1e-7 * size]).min(initial=size))
+    found = []
+    for unit in {size, smallest} - {0.0}:
+        for limit in DENOMINATORS:
+            parts = [Fraction(value / unit).limit_denominator(limit) for value in vector.tolist()]
+            common = lcm(*(part.denominator for part in parts))
+            whole = [part * common for part in parts]
+            if all(abs(number) < 1 << 53 for number in whole):
+                found.append(np.array([float(number) for number in whole]))
+    return found
+
+
+def unbounded_valid(qp: QuadraticProgram, d: Vector) -> bool:
+    """Whether d proves that the objective of `qp` falls without end from any feasible point."""
+    d = np.asarray(d, dtype=np.float64)
+    if d.shape != (qp.n,) or not np.isfinite(d).all():
+        return False
+    exact = Dyadic.of(d)
+    if (Dyadic.of(qp.P) @ exact).signs().any():
+        return False
+    if not (Dyadic.of(qp.q) * exact).sum().signs() < 0:
+        return False
+    problem = JointQP.of(qp)
+    moves = (Dyadic.of(problem.C) @ exact).signs()
+    above, below = np.isfinite(problem.U), np.isfinite(problem.L)
+    return not (moves[above] > 0).any() and not (moves[below] < 0).any()
+
+
+def certify_unbounded(qp: QuadraticProgram) -> Vector | None:
+    """A valid direction of unboundedness, or None where none is found."""
+    problem = JointQP.of(qp)
+    above, below = np.isfinite(problem.U), np.isfinite(problem.L)
+    cone = np.vstack((problem.C[above], -problem.C[below]))
+    answer = linprog(
+        qp.q,
+        A_eq=qp.P,
+        b_eq=np.zeros(qp.n),
+        A_ub=cone if len(cone) else None,
+        b_ub=np.zeros(len(cone)) if len(cone) else None,
+        bounds=(-1.0, 1.0),
+    )
+    if answer.x is None or answer.fun is None or not answer.fun < 0.0:
+        return None
+    candidates = (answer.x, *_fractions(answer.x))
+    return next((d for d in candidates if unbounded_valid(qp, d)), None)

@@ -1,0 +1,121 @@
+"""Limits that are never slack, and equality rows that others imply; decided exactly.
+
+Rows whose sides add up to nothing, Σ v_i s_i c_i = 0 with v_i > 0 (of either sign on equality
+rows) and Σ v_i s_i limit_i = 0, are met with equality by every feasible z: their slacks are
+non-negative and add up to zero. Such a problem has no interior. With these rows as equalities, and
+those equality rows dropped that are combinations of others, it has the same feasible set.
+
+The weights come from a linear program, are rounded to fractions, and count only if they add up in
+exact arithmetic.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from math import lcm
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+
+from dpbench.qp.program import Vector
+from dpbench.qp.referee.dyadic import Dyadic
+from dpbench.qp.referee.gap import independent
+from dpbench.qp.referee.joint import JointQP, Signs
+
+DENOMINATOR = 1000
+"""Largest denominator of a weight."""
+NONE = 1e-9
+"""Weights below it are rounding."""
+
+
+def without_empty(problem: JointQP) -> JointQP:
+    """The same problem less the limits of rows without coefficients that any z satisfies."""
+    idle = ~problem.C.any(axis=1) & (problem.L <= 0.0) & (problem.U >= 0.0)
+    L, U = np.where(idle, -np.inf, problem.L), np.where(idle, np.inf, problem.U)
+    return JointQP(problem.P, problem.q, problem.C, L, U)
+
+
+def with_implied(problem: JointQP, touched: Signs) -> JointQP | None:
+    """The same problem with limits that are never slack as independent equality rows, or None.
+
+    Parameters
+    ----------
+    touched : the limits that some feasible point meets; no others are looked at.
+    """
+    equal = problem.L == problem.U
+    rows = np.flatnonzero((touched != 0) & ~equal)
+    weights = _weights(problem, rows, touched[rows], np.flatnonzero(equal))
+    if weights is None:
+        return None
+    limits = np.where(touched > 0, problem.U, problem.L)
+    L, U = problem.L.copy(), problem.U.copy()
+    if weights.any():
+        exact = _whole(weights)
+        if exact is None or (exact * touched < 0.0)[~equal].any():
+            return None
+        if not _balanced(problem, limits, exact):
+            return None
+        found = np.flatnonzero((exact != 0.0) & ~equal)
+        L[found] = U[found] = limits[found]
+    return _independent_equalities(JointQP(problem.P, problem.q, problem.C, L, U))
+
+
+def _weights(
+    problem: JointQP, rows: NDArray[np.intp], side: Signs, equal: NDArray[np.intp]
+) -> Vector | None:
+    """v·s (N,) of as many rows as possible: the multipliers of a direction leading inside all."""
+    n, k = problem.C.shape[1], len(rows)
+    G = side[:, np.newaxis] * problem.C[rows]
+    E = problem.C[equal]
+    answer = linprog(
+        np.concatenate((np.zeros(n), -np.ones(k))),
+        A_ub=np.hstack((G, np.eye(k))) if k else None,
+        b_ub=np.zeros(k) if k else None,
+        A_eq=np.hstack((E, np.zeros((len(E), k)))) if len(E) else None,
+        b_eq=np.zeros(len(E)) if len(E) else None,
+        bounds=[(None, None)] * n + [(0.0, 1.0)] * k,
+    )
+    if answer.x is None:
+        return None
+    weights = np.zeros(len(problem.L))
+    weights[rows] = -side * answer.ineqlin.marginals if k else 0.0
+    weights[equal] = -answer.eqlin.marginals if len(E) else 0.0
+    weights[np.abs(weights) < NONE] = 0.0
+    return weights
+
+
+def _whole(weights: Vector) -> Vector | None:
+    """Integers in the proportions of `weights`, or None where they are no small fractions."""
+    parts = [Fraction(weight).limit_denominator(DENOMINATOR) for weight in weights.tolist()]
+    common = lcm(*(part.denominator for part in parts))
+    numbers = [part * common for part in parts]
+    if any(abs(number) >= 1 << 53 for number in numbers):
+        return None
+    return np.array([float(number) for number in numbers])
+
+
+def _balanced(problem: JointQP, limits: Vector, weights: Vector) -> bool:
+    """Whether the weighted rows and the weighted limits add up to nothing, exactly."""
+    used = np.flatnonzero(weights)
+    exact = Dyadic.of(weights[used])
+    if (Dyadic.of(problem.C[used].T) @ exact).signs().any():
+        return False
+    return not (Dyadic.of(limits[used]) * exact).sum().signs().any()
+
+
+def _independent_equalities(problem: JointQP) -> JointQP | None:
+    """The same problem less the equality rows that are exact combinations of others, or None."""
+    equal = np.where(problem.L == problem.U, 1, 0).astype(np.int8)
+    basis = independent(problem.C, equal, equal)
+    kept, rest = np.flatnonzero(basis), np.flatnonzero(equal != basis)
+    L, U = problem.L.copy(), problem.U.copy()
+    for i in rest:
+        shares = np.linalg.lstsq(problem.C[kept].T, problem.C[i], rcond=None)[0]
+        weights = np.zeros(len(L))
+        weights[kept], weights[i] = np.where(np.abs(shares) < NONE, 0.0, shares), -1.0
+        exact = _whole(weights)
+        if exact is None or not _balanced(problem, problem.U, exact):
+            return None
+        L[i], U[i] = -np.inf, np.inf
+    return JointQP(problem.P, problem.q, problem.C, L, U)

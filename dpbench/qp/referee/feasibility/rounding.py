@@ -1,0 +1,237 @@
+"""Infeasible by rounding: whether a problem without a feasible point had one before its numbers
+were rounded.
+
+    t* = the least t for which some z has  L − t·s ≤ C z ≤ U + t·s,   C = [A; I]
+    undecided:  t* ≤ γ_{n+2} = (n+2)·u / (1 − (n+2)·u),  u = 2^−53
+
+s is the size of the numbers that a limit and its row are made of:
+
+    s_i = |limit_i| + Σ_j |c_ij|·Z_j,   Z_j = min_k |limit_k / c_kj|
+
+with the minimum over all limits that mention variable j, those left out that are themselves no
+more than the rounding of the median of them. Evaluating row i in float64 at a point of that size
+is off by up to γ_{n+1}·Σ_j|c_ij||z_j|, comparing it with its limit by one rounding more (Higham,
+Accuracy and Stability, 3.1), and a z that violates rows by no more than γ·s satisfies exactly a
+problem whose numbers are rounded a little differently (Oettli and Prager, Numer. Math. 6, 1964).
+So nobody who calculates in float64 can know that the problem as meant has no feasible point, and
+nobody can know that it has one: both answers are honest. A row whose coefficients are all rounding
+of their columns, such as 0·z ≤ −7e-18, has no size of its own; it takes the median of |limit| of
+the other rows, or of the bounds if there are none.
+
+Not the other way round. A feasible set that a change of a few units in the last place would empty
+(equality rows, dependent ones, limits that force a vertex) stays feasible: every solver accepts
+violations up to a tolerance far above rounding, so that such a set is wide for it, and "solved" is
+an answer it can always give. Whoever says "infeasible" there claims to know what float64 cannot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+
+from dpbench.qp.program import Matrix, QuadraticProgram, Vector
+from dpbench.qp.referee.dyadic import Dyadic
+from dpbench.qp.referee.feasibility.farkas import first_valid
+from dpbench.qp.referee.joint import JointQP
+from dpbench.qp.referee.kkt import OUTWARD, UNDERFLOW
+
+UNIT_ROUNDOFF = 2.0**-53
+ENDLESS = 1e20
+"""A limit this large stands for none, whatever its writer used for infinity."""
+ROUNDS = 6
+"""Linear programs per search: each gains some six digits of the violation."""
+GAIN = 1e6
+"""How much finer the violation is resolved from one linear program to the next."""
+
+
+@dataclass(frozen=True, slots=True)
+class LeastViolation:
+    """Rigorous bounds of t*, and what rounding can make of it.
+
+    Parameters
+    ----------
+    lower : by a Farkas vector; 0 without one.
+    upper : by a point; inf where none was found, or sought because `lower` settles the matter.
+    rounding : γ_{n+2}.
+    """
+
+    lower: float
+    upper: float
+    rounding: float
+
+    @property
+    def undecided(self) -> bool:
+        """Whether the violation is no more than rounding."""
+        return self.upper <= self.rounding
+
+
+def least_violation(qp: QuadraticProgram, y: Vector | None = None) -> LeastViolation:
+    """Bounds of the least violation of a problem without a feasible point.
+
+    Parameters
+    ----------
+    y : (m + n,) a valid Farkas vector (y, y_box), as `farkas_valid` understands it.
+    """
+    problem = JointQP.of(qp)
+    upper, lower = sizes(problem)
+    steps = qp.n + 2
+    rounding = steps * UNIT_ROUNDOFF / (1.0 - steps * UNIT_ROUNDOFF)
+    least = 0.0 if y is None else _least(problem, y, upper, lower)
+    if least > rounding:
+        return LeastViolation(least, np.inf, rounding)
+    return LeastViolation(least, _reached(problem, upper, lower, rounding), rounding)
+
+
+def sizes(problem: JointQP) -> tuple[Vector, Vector]:
+    """s of the upper and of the lower limits, (N,) each; 0 where a limit is infinite."""
+    C = np.abs(problem.C)
+    n = C.shape[1]
+    m = len(C) - n
+    limits = np.abs(np.stack((problem.U, problem.L)))
+    limits[limits >= ENDLESS] = 0.0
+    gamma = (n + 2) * UNIT_ROUNDOFF
+    hollow = (gamma * C.max(axis=0, initial=0.0) >= C).all(axis=1)
+    size = limits + np.where(hollow, 0.0, C @ _reach(C[~hollow], limits[:, ~hollow], gamma))
+    known, bounds = limits[:, :m][:, ~hollow[:m]], limits[:, m:]
+    others = known[known > 0.0] if known.any() else bounds[bounds > 0.0]
+    if len(others):
+        size[:, hollow] += np.median(others)
+    size[~np.isfinite(np.stack((problem.U, problem.L)))] = 0.0
+    return size[0], size[1]
+
+
+def _reach(C: Matrix, limits: Matrix, gamma: float) -> Vector:
+    """Z (n,): how far the nearest limit lets each variable go, rounding left out."""
+    reach = np.zeros(C.shape[1])
+    for j, column in enumerate(C.T):
+        mentions = column > 0.0
+        found = limits[:, mentions] / column[mentions]
+        found = found[found > 0.0]
+        if len(found):
+            reach[j] = found[found > gamma * np.median(found)].min()
+    return reach
+
+
+def _least(problem: JointQP, y: Vector, upper: Vector, lower: Vector) -> float:
+    """No z violates less than (−Σ U y⁺ + Σ L y⁻) / Σ s|y|: the sum "< 0" must rise to 0."""
+    rows, weights = _named(problem, y)
+    positive = weights.signs() > 0
+    limits = np.where(positive, problem.U[rows], problem.L[rows])
+    size = np.where(positive, upper[rows], lower[rows])
+    total = float(np.abs(weights.floats()) @ size) * OUTWARD
+    short = -float((weights * Dyadic.of(limits)).sum().floats())
+    return short / total / OUTWARD if short > 0.0 and total > 0.0 else 0.0
+
+
+def _named(problem: JointQP, y: Vector) -> tuple[NDArray[np.intp], Dyadic]:
+    """The rows of a Farkas vector and their weights, with the exact −Aᵀy for its part of bounds."""
+    m = len(problem.L) - len(problem.q)
+    used = np.flatnonzero(y)
+    if len(used) == 1 and problem.L[used[0]] > problem.U[used[0]]:
+        # It stands for both limits of a row at once.
+        return np.repeat(used, 2), Dyadic.of(np.array([1.0, -1.0]))
+    own = Dyadic.of(y[:m])
+    box = -(Dyadic.of(problem.C[:m].T) @ own)
+    low = min(box.exponent, own.exponent)
+    whole = np.concatenate((own.at(low), box.at(low)))
+    rows = np.flatnonzero(whole != 0)
+    return rows, Dyadic(whole[rows], low)
+
+
+def refute(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
+    """A valid Farkas vector (y, y_box) of a problem whose violation a plain linear program misses.
+
+    The multipliers of the magnified linear programs, one after the other, verified exactly.
+    """
+    problem = JointQP.of(qp)
+    upper, lower = sizes(problem)
+    for point in _points(problem, upper, lower):
+        if point.violation == 0.0:
+            return None
+        found = first_valid(qp, point.y)
+        if found is not None:
+            return found
+    return None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Point:
+    """The violation of a point, exactly evaluated and rounded up, and multipliers y (N,) there."""
+
+    violation: float
+    y: Vector
+
+
+def _reached(problem: JointQP, upper: Vector, lower: Vector, enough: float) -> float:
+    """The violation of the best point found, or of the first that is no worse than `enough`."""
+    best = float(np.inf)
+    for point in _points(problem, upper, lower):
+        best = min(best, point.violation)
+        if best <= enough:
+            break
+    return best
+
+
+def _points(problem: JointQP, upper: Vector, lower: Vector) -> Iterator[_Point]:
+    """Points that violate less and less.
+
+    Linear programs on the exact residuals of the point before, magnified (Gleixner, Steffy and
+    Wolter, Iterative refinement for linear programming, INFORMS J. Computing 28, 2016).
+    """
+    above, below = np.isfinite(problem.U), np.isfinite(problem.L)
+    rows = np.concatenate((np.flatnonzero(above), np.flatnonzero(below)))
+    turn = np.where(np.arange(len(rows)) < above.sum(), 1.0, -1.0)
+    G = turn[:, np.newaxis] * problem.C[rows]
+    exact = Dyadic.of(G)
+    limits = Dyadic.of(np.concatenate((problem.U[above], -problem.L[below])))
+    size = np.concatenate((upper[above], lower[below]))
+    z = Dyadic.of(np.zeros(len(problem.q)))
+    magnified = 1.0 / max(float(size.max(initial=0.0)), UNDERFLOW)
+    slack = limits
+    for _ in range(ROUNDS):
+        step = _step(G, slack.floats() * magnified, size)
+        if step is None:
+            return
+        z = z + Dyadic.of(step[0] / magnified)
+        slack = limits - exact @ z
+        found = _worst(slack, size)
+        y = np.zeros(len(problem.L))
+        np.add.at(y, rows, turn * step[1])
+        yield _Point(found, y)
+        magnified *= GAIN
+
+
+def _worst(slack: Dyadic, size: Vector) -> float:
+    """max_i −slack_i / s_i, rounded up; inf where a limit of size zero is violated."""
+    violation = np.maximum(-slack.floats(), 0.0) * OUTWARD
+    bad = violation > 0.0
+    if (size[bad] == 0.0).any():
+        return float(np.inf)
+    return float((violation[bad] / size[bad]).max(initial=0.0)) * OUTWARD
+
+
+def _step(G: Matrix, slack: Vector, size: Vector) -> tuple[Vector, Vector] | None:
+    """d that leaves the least t with G d ≤ slack + t·s, of magnified slacks, and multipliers."""
+    near = slack < ENDLESS / GAIN
+    A = np.column_stack((G, -size))[near]
+    # Columns and rows in units of their largest numbers: the library's tolerance is absolute.
+    unit = np.maximum(np.abs(A).max(axis=0, initial=0.0), UNDERFLOW)
+    A /= unit
+    scale = np.maximum(np.abs(A).max(axis=1, initial=0.0), UNDERFLOW)
+    n = G.shape[1]
+    answer = linprog(
+        np.append(np.zeros(n), 1.0),
+        A_ub=A / scale[:, np.newaxis],
+        b_ub=slack[near] / scale,
+        bounds=[(None, None)] * n + [(0.0, None)],
+        options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
+    )
+    if answer.x is None:
+        return None
+    y = np.zeros(len(slack))
+    y[near] = -answer.ineqlin.marginals / scale
+    return np.asarray(answer.x[:n] / unit[:n], dtype=np.float64), y

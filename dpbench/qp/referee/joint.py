@@ -1,0 +1,59 @@
+"""Rows and bounds of a QP as one list of rows, the form in which certificates are made.
+
+minimise ½ zᵀPz + qᵀz   subject to   L ≤ C z ≤ U,   C = [A; I],  L = [l; lb],  U = [u; ub]
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpbench.qp.program import Matrix, QuadraticProgram, Vector
+from dpbench.qp.referee.dyadic import Dyadic
+
+Kind = Literal["linear", "gap", "rational", "infeasible", "none", "undecided"]
+Signs = NDArray[np.int8]
+"""One entry per row of C: +1 active at its upper limit, −1 at its lower one, 0 inactive."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointQP:
+    """A QP with P (n, n), q (n,), C (N, n), L and U (N,)."""
+
+    P: Matrix
+    q: Vector
+    C: Matrix
+    L: Vector
+    U: Vector
+
+    @classmethod
+    def of(cls, qp: QuadraticProgram) -> JointQP:
+        """The joint form of `qp`."""
+        C = np.vstack((qp.A, np.eye(qp.n)))
+        return cls(qp.P, qp.q, C, np.concatenate((qp.l, qp.lb)), np.concatenate((qp.u, qp.ub)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Proof:
+    """A point with a rigorous bound of max_i |z_i − z*_i|; multipliers y (N,) of the rows of C."""
+
+    z: Vector
+    y: Vector
+    bound: float
+    kind: Kind
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExactMatrices:
+    """The constant matrices of a joint QP in exact arithmetic."""
+
+    P: Dyadic
+    C: Dyadic
+
+    @classmethod
+    def of(cls, P: Matrix, C: Matrix) -> ExactMatrices:
+        """Exact copies of finite P and C."""
+        return cls(Dyadic.of(P), Dyadic.of(C))

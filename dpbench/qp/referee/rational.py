@@ -1,0 +1,218 @@
+"""The rational certificate: the optimum by an active-set method in exact arithmetic.
+
+The dual method of Goldfarb and Idnani (Mathematical Programming 27, 1983): from multipliers of the
+right sign, add the most violated row, and drop the rows whose multipliers reach zero on the way.
+The dual objective rises strictly with every row added, so that in exact arithmetic it ends, at the
+optimum or at a proof that there is no feasible point, however degenerate the problem.
+
+All data are scaled by powers of two to integers: with P = 2^p P', C = 2^c C', z = 2^e z',
+q = 2^(p+e) q', [L; U] = 2^(c+e) [L'; U'], the multipliers are λ = 2^(p+e−c) λ'.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from dpbench.qp.program import Vector
+from dpbench.qp.referee.dyadic import Dyadic, Whole, solve_integer
+from dpbench.qp.referee.joint import ExactMatrices, JointQP, Proof, Signs
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _IntegerQP:
+    """The problem in integers; limits are None where infinite."""
+
+    P: Whole
+    q: Whole
+    C: Whole
+    lower: list[int | None]
+    upper: list[int | None]
+    z_exponent: int
+    y_exponent: int
+
+    @classmethod
+    def of(cls, problem: JointQP, exact: ExactMatrices) -> _IntegerQP:
+        q = Dyadic.of(problem.q)
+        L, U = (Dyadic.of(np.nan_to_num(x, posinf=0.0, neginf=0.0)) for x in (problem.L, problem.U))
+        p, c = exact.P.exponent, exact.C.exponent
+        e = min(q.exponent - p, L.exponent - c, U.exponent - c)
+        return cls(
+            exact.P.whole,
+            q.at(p + e),
+            exact.C.whole,
+            _limits(L.at(c + e), problem.L),
+            _limits(U.at(c + e), problem.U),
+            e,
+            p + e - c,
+        )
+
+
+def _limits(numbers: Whole, given: Vector) -> list[int | None]:
+    finite = np.isfinite(given).tolist()
+    return [x if there else None for x, there in zip(numbers.tolist(), finite, strict=True)]
+
+
+@dataclass(slots=True)
+class _Iterate:
+    """Numerators over one positive denominator: x = [z; λ_W] at μ = 0, and its slope in μ."""
+
+    point: Whole
+    slope: Whole
+    denominator: int
+
+
+class _ActiveSet:
+    """The rows held at a limit; `side` +1 upper, −1 lower, 0 for an equality-like row."""
+
+    def __init__(self, qp: _IntegerQP) -> None:
+        self.qp = qp
+        self.rows: list[int] = []
+        self.side: list[int] = []
+
+    def add(self, row: int, sign: int) -> None:
+        self.rows.append(row)
+        equal = self.qp.lower[row] == self.qp.upper[row]
+        self.side.append(0 if equal else sign)
+
+    def drop(self, position: int) -> None:
+        del self.rows[position], self.side[position]
+
+    def solve(self, gradient: Whole) -> _Iterate | None:
+        """The point that holds the rows while the multiplier μ of `gradient` varies."""
+        qp, n = self.qp, len(self.qp.q)
+        G = qp.C[self.rows]
+        w = len(self.rows)
+        K = np.zeros((n + w, n + w), dtype=object)
+        K[:n, :n], K[n:, :n], K[:n, n:] = qp.P, G, G.T
+        rhs = np.zeros((n + w, 2), dtype=object)
+        rhs[:n, 0], rhs[:n, 1] = -qp.q, -gradient
+        rhs[n:, 0] = [
+            qp.lower[row] if side < 0 else qp.upper[row]
+            for row, side in zip(self.rows, self.side, strict=True)
+        ]
+        solved = solve_integer(K, rhs)
+        if solved is None:
+            return None
+        x, denominator = solved
+        return _Iterate(x[:, 0], x[:, 1], denominator)
+
+    def wrong(self, multipliers: Whole) -> int | None:
+        """Position of the multiplier of the most wrong sign, if any."""
+        values = [side * lam for side, lam in zip(self.side, multipliers, strict=True)]
+        worst = min(range(len(values)), key=values.__getitem__, default=None)
+        return worst if worst is not None and values[worst] < 0 else None
+
+    def first_zero(self, at: _Iterate) -> tuple[Fraction, int] | None:
+        """The smallest μ at which a multiplier reaches zero, and its position."""
+        n = len(self.qp.q)
+        zeros = [
+            (Fraction(-value, slope), position)
+            for position, (side, value, slope) in enumerate(
+                zip(self.side, at.point[n:], at.slope[n:], strict=True)
+            )
+            if side * slope < 0
+        ]
+        return min(zeros, default=None)
+
+
+def _most_violated(qp: _IntegerQP, at: _Iterate) -> tuple[int, int] | None:
+    """Row and sign of the limit that the point violates most, exactly; None if it is feasible."""
+    value = qp.C @ at.point[: len(qp.q)]
+    worst, found = 0, None
+    for row, number in enumerate(value.tolist()):
+        lower, upper = qp.lower[row], qp.upper[row]
+        above = 0 if upper is None else number - upper * at.denominator
+        below = 0 if lower is None else lower * at.denominator - number
+        if max(above, below) > worst:
+            worst, found = max(above, below), (row, 1 if above > below else -1)
+    return found
+
+
+def _start(qp: _IntegerQP, signs: Signs) -> tuple[_ActiveSet, _Iterate] | None:
+    """An active set with multipliers of the right sign, from a guess."""
+    active = _ActiveSet(qp)
+    for row in np.flatnonzero(signs).tolist():
+        active.add(row, int(signs[row]))
+    nothing = np.zeros(len(qp.q), dtype=object)
+    while True:
+        at = active.solve(nothing)
+        if at is None:
+            return None if not active.rows else _start(qp, np.zeros_like(signs))
+        worst = active.wrong(at.point[len(qp.q) :])
+        if worst is None:
+            return active, at
+        active.drop(worst)
+
+
+def rational_certificate(problem: JointQP, exact: ExactMatrices, signs: Signs) -> Proof | None:
+    """The optimum rounded once, whatever is degenerate.
+
+    Parameters
+    ----------
+    problem : with positive definite P and L ≤ U.
+    signs : a guess of the active set; it decides the time, not the answer.
+
+    Returns
+    -------
+    The optimum, or of kind "infeasible" the Farkas multipliers y (N,) with z NaN and bound inf;
+    None when P turns out singular.
+    """
+    qp = _IntegerQP.of(problem, exact)
+    started = _start(qp, signs)
+    if started is None:
+        return None
+    active, at = started
+    while (violated := _most_violated(qp, at)) is not None:
+        row, sign = violated
+        farkas = _hold(qp, active, row, sign)
+        if farkas is not None:
+            return Proof(np.full(len(qp.q), np.nan), farkas, np.inf, "infeasible")
+        settled = active.solve(np.zeros(len(qp.q), dtype=object))
+        if settled is None:
+            return None
+        at = settled
+    return _proof(qp, active, at)
+
+
+def _hold(qp: _IntegerQP, active: _ActiveSet, row: int, sign: int) -> Vector | None:
+    """Bring a violated limit into the active set; the Farkas multipliers if that is impossible."""
+    gradient = sign * qp.C[row]
+    limit = sign * ((qp.upper[row] if sign > 0 else qp.lower[row]) or 0)
+    while True:
+        at = active.solve(gradient)
+        assert at is not None, "rows of the active set are independent"
+        n = len(qp.q)
+        slope = int(gradient @ at.slope[:n])
+        violation = int(gradient @ at.point[:n]) - limit * at.denominator
+        reached = Fraction(violation, -slope) if slope < 0 else None
+        blocked = active.first_zero(at)
+        if reached is not None and (blocked is None or reached <= blocked[0]):
+            active.add(row, sign)
+            return None
+        if blocked is None:
+            return _farkas(qp, active, at, row, sign)
+        active.drop(blocked[1])
+
+
+def _farkas(qp: _IntegerQP, active: _ActiveSet, at: _Iterate, row: int, sign: int) -> Vector:
+    y = np.zeros(len(qp.lower))
+    y[row] = sign
+    for position, held in enumerate(active.rows):
+        y[held] += float(Fraction(at.slope[len(qp.q) + position], at.denominator))
+    return y
+
+
+def _proof(qp: _IntegerQP, active: _ActiveSet, at: _Iterate) -> Proof:
+    n = len(qp.q)
+    unit = Fraction(2) ** qp.z_exponent
+    exact_z = [Fraction(number, at.denominator) * unit for number in at.point[:n]]
+    z = np.array([float(value) for value in exact_z])
+    off = max(abs(value - Fraction(near)) for value, near in zip(exact_z, z.tolist(), strict=True))
+    y = np.zeros(len(qp.lower))
+    y_unit = Fraction(2) ** qp.y_exponent
+    for position, row in enumerate(active.rows):
+        y[row] = float(Fraction(at.point[n + position], at.denominator) * y_unit)
+    return Proof(z, y, float(np.nextafter(float(off), np.inf)), "rational")

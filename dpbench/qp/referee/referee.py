@@ -1,0 +1,295 @@
+"""The referee: certified optima of QPs that share P and A, with a rigorous bound beside each.
+
+In order: the linear certificate with the active set of the step before, then with those that others
+guess; the gap certificate where rows are weakly active; the rational one for small problems; all
+of it again in other units, with equality rows enclosed, as the last resort (`last_resort`).
+Nobody's word is taken for anything: every certificate stands on its own.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+
+from dpbench.qp.program import Matrix, QuadraticProgram, Vector
+from dpbench.qp.referee.dyadic import Dyadic, semidefinite
+from dpbench.qp.referee.equilibrated import alike, safe
+from dpbench.qp.referee.feasibility.farkas import certify_infeasible, farkas_valid
+from dpbench.qp.referee.feasibility.forced import fix_forced
+from dpbench.qp.referee.feasibility.rounding import least_violation, refute
+from dpbench.qp.referee.gap import gap_certificate, independent, met
+from dpbench.qp.referee.joint import ExactMatrices, JointQP, Kind, Proof, Signs
+from dpbench.qp.referee.kkt import KKTSystem, positive_definite
+from dpbench.qp.referee.last_resort import LastResort
+from dpbench.qp.referee.linear import Geometry, linear_certificate
+from dpbench.qp.referee.oracle import guesses
+from dpbench.qp.referee.rational import rational_certificate
+from dpbench.qp.residuals import best_multipliers
+
+WANTED = 1e-10
+"""A bound above it sends the problem to the next, costlier certificate."""
+REMEMBERED = 128
+"""Active sets whose KKT inverse is kept."""
+EXACT_SIZE = 40
+"""Largest n for the rational certificate, whose cost grows like n⁴: 0.3 s at n = 30."""
+SEMIDEFINITE_SIZE = 100
+"""Largest block of P for the exact test of semidefiniteness, done once per referee."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Optimum:
+    """The certified optimum of a QP.
+
+    Parameters
+    ----------
+    z : (n,), y : (m,), y_box : (n,) optimum and its multipliers; of an infeasible problem z is
+        NaN and (y, y_box) the Farkas vector; NaN where nothing could be certified.
+    bound : rigorous bound of max_i |z_i − z*_i|; inf unless there is an optimum.
+    kind : the certificate; "undecided" for a problem that is infeasible by no more than rounding,
+        with a Farkas vector that `rounding.least_violation` weighs; "none" claims nothing at all.
+    """
+
+    z: Vector
+    y: Vector
+    y_box: Vector
+    bound: float
+    kind: Kind
+
+
+class Referee:
+    """Certifies the QPs of one P, A, lb, ub; not to be shared between threads.
+
+    P counts by its symmetric part, rounded once if P is not symmetric to the last bit. For P proven
+    positive definite all certificates are open. For P that is exactly semidefinite (decided for
+    blocks of up to `SEMIDEFINITE_SIZE` variables) the linear one is, which proves that the optimum
+    is the only one, and the enclosure of the last resort, which bounds all minimisers. The latter
+    is open too where P is definite on the directions that the equality rows leave. For any other P
+    nothing but infeasibility is certified.
+    """
+
+    def __init__(self, P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> None:
+        n = len(lb)
+        self._m = A.shape[0]
+        self._P = 0.5 * (P + P.T)
+        self._A, self._lb, self._ub = A.copy(), lb.copy(), ub.copy()
+        self._C = np.vstack((A, np.eye(n)))
+        self._geometry = Geometry(self._C)
+        self._systems: OrderedDict[bytes, KKTSystem] = OrderedDict()
+        self._last: Signs = np.zeros(self._m + n, dtype=np.int8)
+        self._inverse: Matrix | None = None
+        self._exact: ExactMatrices | None = None
+        self._last_resort: LastResort | None = None
+        self._finite = bool(np.isfinite(P).all() and np.isfinite(A).all())
+        self._definite = self._finite and positive_definite(self._P)
+        self._convex = self._definite or (self._finite and self._proven_convex())
+
+    def _proven_convex(self) -> bool:
+        """Whether P is positive semidefinite: definite in other units, or exactly so by blocks."""
+        P = self._P
+        if (np.diagonal(P) < 0.0).any():
+            return False
+        if safe(P) and positive_definite(alike(P)):
+            return True
+        count, part = connected_components(P != 0.0, directed=False)
+        blocks = [np.flatnonzero(part == i) for i in range(count)]
+        if max(len(block) for block in blocks) > SEMIDEFINITE_SIZE:
+            return False
+        return all(semidefinite(Dyadic.of(P[np.ix_(block, block)]).whole) for block in blocks)
+
+    def _exactly(self) -> ExactMatrices:
+        if self._exact is None:
+            self._exact = ExactMatrices.of(self._P, self._C)
+        return self._exact
+
+    def certify(self, q: Vector, l: Vector, u: Vector) -> Optimum:  # noqa: E741 - as in QuadraticProgram
+        """The optimum of the problem with these vectors; (n,), (m,), (m,)."""
+        L, U = np.concatenate((l, self._lb)), np.concatenate((u, self._ub))
+        if not (self._finite and np.isfinite(q).all() and _meant(L, U)):
+            return self._nothing()
+        problem = JointQP(self._P, q, self._C, L, U)
+        if (L > U).any():
+            return self._infeasible(problem) or self._nothing()
+        proof = self._linear(problem, self._last, guess=True)
+        if proof is None or proof.bound > WANTED:
+            return self._search(problem)
+        return self._optimum(proof)
+
+    def _search(self, problem: JointQP) -> Optimum:
+        """Everything but the active set of the step before."""
+        fixed = fix_forced(problem)
+        posed = problem if fixed is None else fixed
+        tried: list[Signs] = []
+        best: Proof | None = None
+        for signs in guesses(posed):
+            if signs is None:
+                empty = self._infeasible(problem)
+                if empty is not None:
+                    return empty
+                continue
+            tried.append(signs)
+            best = self._linear(posed, signs, guess=False)
+            if best is not None:
+                self._last = signs
+                break
+        if best is None or best.bound > WANTED:
+            best = self._closer(posed, tried, best)
+        if best is None or WANTED < best.bound < np.inf:
+            return self._resort(problem, posed, best)
+        if best.kind == "infeasible":
+            return self._infeasible(problem) or self._empty(problem, best.y)
+        return self._optimum(best) if fixed is None else self._explained(problem, best)
+
+    def _resort(self, problem: JointQP, posed: JointQP, known: Proof | None) -> Optimum:
+        """What is left where the other certificates gave nothing better than `known`."""
+        if known is None:
+            empty = self._infeasible(problem)
+            if empty is not None:
+                return empty
+        if self._last_resort is None:
+            self._last_resort = LastResort(self._P, self._C, convex=self._convex)
+        found = self._last_resort.certify(posed)
+        if found is not None and (known is None or found.bound < known.bound):
+            return self._explained(problem, found)
+        if known is not None:
+            return self._optimum(known) if posed is problem else self._explained(problem, known)
+        refuted = refute(self._program(problem))
+        return self._nothing() if refuted is None else self._refuted(problem, *refuted)
+
+    def _explained(self, problem: JointQP, proof: Proof) -> Optimum:
+        """The optimum of a problem that was changed, with multipliers its own limits allow."""
+        try:
+            y, y_box = best_multipliers(self._program(problem), proof.z, 1e-9)
+        except RuntimeError:
+            # Non-negative least squares gave up: the optimum stands without them.
+            nothing = self._nothing()
+            y, y_box = nothing.y, nothing.y_box
+        return Optimum(proof.z, y, y_box, proof.bound, proof.kind)
+
+    def _linear(self, problem: JointQP, signs: Signs, *, guess: bool) -> Proof | None:
+        if not self._convex:
+            return None
+        system = self._system(signs)
+        if not system.proven:
+            return None
+        return linear_certificate(problem, self._geometry, system, guess=guess)
+
+    def _system(self, signs: Signs) -> KKTSystem:
+        key = signs.tobytes()
+        system = self._systems.get(key)
+        if system is None:
+            system = self._systems[key] = KKTSystem(self._P, self._C, signs)
+            if len(self._systems) > REMEMBERED:
+                self._systems.popitem(last=False)
+        else:
+            self._systems.move_to_end(key)
+        return system
+
+    def _closer(self, problem: JointQP, tried: list[Signs], known: Proof | None) -> Proof | None:
+        """The best of `known` and the costly certificates, begun at the active sets `tried`."""
+        if not self._definite:
+            return known
+        proofs = [] if known is None else [known]
+        starts = tried or [np.zeros(len(problem.L), dtype=np.int8)]
+        # Those who named them differ in which weakly active rows they hold.
+        for signs in reversed(starts):
+            by_gap = self._gap(problem, signs)
+            if by_gap is not None:
+                proofs.append(by_gap)
+                if by_gap.bound <= WANTED:
+                    break
+        if not any(proof.bound <= WANTED for proof in proofs) and len(problem.q) <= EXACT_SIZE:
+            # Rows that depend on others exactly would make it begin with none.
+            start = independent(self._C, starts[-1], starts[-1])
+            exact = rational_certificate(problem, self._exactly(), start)
+            if exact is not None:
+                proofs.append(exact)
+        return min(
+            proofs, key=lambda proof: (proof.kind == "infeasible", proof.bound), default=None
+        )
+
+    def _gap(self, problem: JointQP, signs: Signs) -> Proof | None:
+        if self._inverse is None:
+            free = self._system(np.zeros_like(signs))
+            if not free.proven:
+                return None
+            self._inverse = free.inverse_bounds()
+        held = independent(self._C, signs, signs)
+        system = self._system(held)
+        if not system.proven:
+            return None
+        # The point to rounding is enough to see which limits it touches.
+        touched = met(problem, system.X @ system.rhs(problem.q, problem.L, problem.U))
+        system = self._system(independent(self._C, np.where(held, held, touched), held))
+        if not system.proven:
+            return None
+        return gap_certificate(problem, self._exactly(), system, self._inverse)
+
+    def _optimum(self, proof: Proof) -> Optimum:
+        y, y_box = proof.y[: self._m], proof.y[self._m :]
+        return Optimum(proof.z, y, y_box, proof.bound, proof.kind)
+
+    def _infeasible(self, problem: JointQP) -> Optimum | None:
+        """The verdict "infeasible" or "undecided" with a verified vector, if there is one."""
+        found = certify_infeasible(self._program(problem))
+        return None if found is None else self._refuted(problem, *found)
+
+    def _refuted(self, problem: JointQP, y: Vector, y_box: Vector) -> Optimum:
+        """The verdict on a problem that (y, y_box) proves to have no feasible point."""
+        least = least_violation(self._program(problem), np.concatenate((y, y_box)))
+        kind: Kind = "undecided" if least.undecided else "infeasible"
+        return Optimum(np.full(len(problem.q), np.nan), y, y_box, np.inf, kind)
+
+    def _empty(self, problem: JointQP, multipliers: Vector) -> Optimum:
+        """The verdict by the exact multipliers, if they still prove it once rounded.
+
+        Where they do not, the least violation may still be seen to be rounding.
+        """
+        y = multipliers[: self._m]
+        y_box = -(y @ self._A)
+        if farkas_valid(self._program(problem), y, y_box):
+            return self._refuted(problem, y, y_box)
+        if least_violation(self._program(problem)).undecided:
+            return replace(self._nothing(), kind="undecided")
+        return self._nothing()
+
+    def _nothing(self) -> Optimum:
+        n, nan = len(self._lb), np.nan
+        return Optimum(np.full(n, nan), np.full(self._m, nan), np.full(n, nan), np.inf, "none")
+
+    def _program(self, problem: JointQP) -> QuadraticProgram:
+        m = self._m
+        return QuadraticProgram(
+            self._P, problem.q, self._A, problem.L[:m], problem.U[:m], self._lb, self._ub
+        )
+
+
+def _meant(L: Vector, U: Vector) -> bool:
+    """Whether the limits are numbers that some z could satisfy one by one."""
+    return not (np.isnan(L) | np.isnan(U) | (np.inf == L) | (-np.inf == U)).any()
+
+
+def certify(qp: QuadraticProgram) -> Optimum:
+    """The certified optimum of one problem; a `Referee` is faster for many that share P and A."""
+    return Referee(qp.P, qp.A, qp.lb, qp.ub).certify(qp.q, qp.l, qp.u)
+
+
+def error_of(z: Vector, optimum: Optimum, block: int, moves: int = 0) -> tuple[float, float]:
+    """error_move, error_plan: max_i |z_i − z*_i| over the first block of variables, and over all.
+
+    With `moves` only the first `moves` variables of each block count, the others being slacks.
+    Both over all variables if block is 0; inf where z is not finite; NaN where there is no
+    certified optimum to compare with. The bound of the optimum is not added.
+    """
+    if not np.isfinite(optimum.bound):
+        return np.nan, np.nan
+    if not np.isfinite(z).all():
+        return np.inf, np.inf
+    error = np.abs(z - optimum.z)
+    if block and moves:
+        error = error.reshape(-1, block)[:, :moves]
+        return float(error[0].max()), float(error.max())
+    plan = float(error.max())
+    return (float(error[:block].max()) if block else plan), plan

@@ -1,0 +1,83 @@
+"""Which estimator a scenario asks for, tuned to its ship and to its sea."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dpbench.errors import InputError
+from dpbench.qp.program import Vector
+from dpbench.scenario.tables import EstimatorTable, ScenarioFile
+from dpbench.ship.estimation.estimator import Estimator, MeasuredState
+from dpbench.ship.estimation.kalman import KalmanFilter
+from dpbench.ship.estimation.kalman_model import SENSOR_STD, KalmanTuning
+from dpbench.ship.estimation.passive_observer import PassiveObserver
+from dpbench.ship.estimation.passive_tuning import PassiveTuning
+from dpbench.ship.estimation.wave_filter import WaveModel
+from dpbench.ship.froude import Froude
+from dpbench.ship.vessel import Vessel
+
+CALM_STD = np.array([0.05, 0.05, np.radians(0.05)])
+"""Wave motion a filter reckons with at least [m, m, rad]: one that expects none ignores all."""
+
+
+@dataclass(frozen=True, eq=False)
+class EstimatorChoice:
+    """The estimator of a scenario before there is a ship.
+
+    Parameters
+    ----------
+    kind : "measured", "kalman" or "passive".
+    wave_filter : whether it tells the motion of the waves from that of the ship.
+    waves : what it assumes of the wave motion; None where nothing is estimated.
+    sensor_std : (3,) noise it assumes of the sensors [m, m, rad].
+    where : the file named in errors.
+    """
+
+    kind: str
+    wave_filter: bool
+    waves: WaveModel | None
+    sensor_std: Vector
+    where: str
+
+    def make(self, ship: Vessel, sample_s: float) -> Estimator:
+        """A new estimator for the ship as the controller knows it."""
+        if self.waves is None:
+            return MeasuredState()
+        filtering = self.wave_filter
+        if self.kind == "kalman":
+            kalman = KalmanTuning.of_ship(
+                ship, self.waves, self.sensor_std, wave_filter=filtering, where=self.where
+            )
+            return KalmanFilter(ship, kalman, sample_s)
+        passive = PassiveTuning.of_ship(ship, self.waves, wave_filter=filtering, where=self.where)
+        return PassiveObserver(ship, passive, sample_s)
+
+
+def estimator_choice(spec: ScenarioFile, scale: Froude, where: str) -> EstimatorChoice:
+    """The estimator of a scenario file.
+
+    Raises
+    ------
+    InputError : for a filter that is told the period of no waves.
+    """
+    place, table, sea = f"{where}: estimator", spec.estimator, spec.environment
+    sensor = SENSOR_STD * scale.pose
+    if sea.noise is not None:
+        sensor = np.maximum(sea.noise.std(scale), 0.1 * sensor)
+    waves = None
+    if table.kind != "measured":
+        floor = CALM_STD * scale.pose
+        std = floor if sea.waves is None else np.maximum(sea.waves.motion_std(scale), floor)
+        waves = WaveModel.of_sea(_peak_period(table, spec, place) * scale.time, std, place)
+    return EstimatorChoice(table.kind, table.wave_filter, waves, sensor, place)
+
+
+def _peak_period(table: EstimatorTable, spec: ScenarioFile, where: str) -> float:
+    if table.peak_period_s is not None:
+        return table.peak_period_s
+    if spec.environment.waves is None:
+        allowed = "the peak period of the waves, since the weather has none"
+        raise InputError(where, "peak_period_s", "nothing", allowed)
+    return spec.environment.waves.tp_s

@@ -1,0 +1,151 @@
+"""Find and read the TOML files under `problems/`, and say in one line what is wrong with one.
+
+A name resolves among the files that ship with the package; anything that looks like a path is
+taken as a path, so an engineer's own files need no installation.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+import tomllib
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from dpbench.errors import InputError, UnknownNameError
+
+KINDS = ("vessels", "scenarios", "suites")
+SEQUENCES = "sequences"
+"""The kind of the recorded sequences, which are `.npz` files beside one TOML file."""
+_PACKAGE = Path(__file__).resolve().parents[1]
+_Model = TypeVar("_Model", bound=BaseModel)
+
+
+class FileModel(BaseModel):
+    """Base of everything read from TOML: unknown keys and loose types are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+def problems_root() -> Path:
+    """The folder of the shipped problems: inside an installed wheel, beside the package else."""
+    installed = _PACKAGE / "problems"
+    return installed if installed.is_dir() else _PACKAGE.parent / "problems"
+
+
+def problem_names(kind: str) -> list[str]:
+    """The names a person may use for vessels, scenarios, suites or sequences."""
+    suffix = ".npz" if kind == SEQUENCES else ".toml"
+    return sorted(path.stem for path in (problems_root() / kind).glob(f"*{suffix}"))
+
+
+def problem_path(kind: str, name: str | Path, beside: Path | None = None) -> Path:
+    """The file of a name or path; a relative path is looked for beside `beside` first.
+
+    Raises
+    ------
+    UnknownNameError : with the nearest names, when there is no such name.
+    InputError : when it looks like a path and no such file exists.
+    """
+    text = str(name)
+    if not text.endswith(".toml") and "/" not in text:
+        path = problems_root() / kind / f"{text}.toml"
+        if os.path.isfile(path):
+            return path
+        raise unknown_name(kind, text, "a .toml path")
+    for base in ([beside] if beside else []) + [Path()]:
+        # Unlike Path.is_file, this is False for a name that is too long to exist.
+        if os.path.isfile(base / text):
+            return base / text
+    found = "a folder" if os.path.isdir(text) else "no such file"
+    raise InputError(text, "", found, f"a readable {kind[:-1]} file in TOML")
+
+
+def sequence_path(name_or_path: str | Path, beside: Path | None = None) -> Path:
+    """The file of a stored sequence by name; else the path, looked for beside `beside` first.
+
+    Nothing is said of a path that does not exist: reading it does that.
+
+    Raises
+    ------
+    UnknownNameError : for what looks like a name, when there is no such name and no such folder.
+    """
+    text = str(name_or_path)
+    if is_stored(text):
+        return problems_root() / SEQUENCES / f"{text}.npz"
+    for base in ([beside] if beside else []) + [Path()]:
+        # Unlike Path.exists, this is False for a name that is too long to exist.
+        if os.path.exists(base / text):
+            return base / text
+    if "/" not in text and not text.endswith(".npz"):
+        raise unknown_name(SEQUENCES, text, "a .npz path or a folder of problems")
+    return Path(text)
+
+
+def is_stored(name: str | Path) -> bool:
+    """Whether a sequence of this name ships with the package."""
+    return str(name) in problem_names(SEQUENCES)
+
+
+def unknown_name(kind: str, text: str, otherwise: str) -> UnknownNameError:
+    """The error of a name that no file of its kind has, with the nearest names and all of them.
+
+    `otherwise` is what could stand there instead of a name.
+    """
+    known = problem_names(kind)
+    near = difflib.get_close_matches(text, known, n=3)
+    allowed = f"{'e.g. ' + ', '.join(near) + '; ' if near else ''}one of {', '.join(known)}"
+    shown = repr(text if len(text) <= 80 else f"{text[:77]}...")
+    return UnknownNameError(f"{kind[:-1]} name", "", shown, f"{allowed}; or {otherwise}")
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The TOML document at `path`; InputError when it cannot be read or parsed."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise InputError(str(path), "", error.strerror or str(error), "a readable file") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(str(path), "", f"no TOML ({error})", "a TOML document in UTF-8") from error
+
+
+def read_model(path: Path, model: type[_Model]) -> _Model:
+    """The document at `path` as a `model`; InputError naming file, key, found and allowed."""
+    return parse_model(read_toml(path), model, str(path))
+
+
+def parse_model(document: dict[str, Any], model: type[_Model], where: str) -> _Model:
+    """`document` as a `model`; `where` names it in errors."""
+    try:
+        return model.model_validate(document)
+    except ValidationError as error:
+        found = error.errors(include_url=False)
+        # A misspelled required key is both missing and unknown; the second says more.
+        first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])
+        keys = [str(part) for part in first["loc"]]
+        key = ".".join(keys)
+        if first["type"] == "extra_forbidden":
+            names = _allowed_keys(model, keys[:-1])
+            near = difflib.get_close_matches(keys[-1], names, n=1)
+            hint = f"{near[0]}? All keys: " if near else ""
+            raise InputError(where, key, "an unknown key", hint + ", ".join(names)) from error
+        if first["type"] == "missing":
+            raise InputError(where, key, "nothing", "this key is required") from error
+        message = str(first["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
+        value = first["input"]
+        stands = f"keys {', '.join(value)}" if isinstance(value, dict) else repr(value)[:200]
+        raise InputError(where, key, stands, message) from error
+
+
+def _allowed_keys(model: type[BaseModel], keys: list[str]) -> list[str]:
+    """Field names of the table that `keys` leads to."""
+    current: Any = model
+    for key in keys:
+        field = current.model_fields.get(key) if hasattr(current, "model_fields") else None
+        if field is None:
+            continue
+        candidates = [field.annotation, *getattr(field.annotation, "__args__", ())]
+        current = next((c for c in candidates if hasattr(c, "model_fields")), current)
+    return list(current.model_fields)

@@ -1,0 +1,272 @@
+"""The one typed description of a run, in SI: vessel, tuning, environment, reference, duration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dpbench.errors import InputError, UnknownNameError
+from dpbench.mpc.condense import ControlProblem, Terminal, UnitSystem
+from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
+from dpbench.mpc.model import prediction_model
+from dpbench.mpc.outputs import OutputBounds
+from dpbench.mpc.reference import ReferenceFilter, reference_table
+from dpbench.mpc.relinearised import RelinearisedQP
+from dpbench.mpc.staged_qp import StagedQP
+from dpbench.qp.program import Matrix, Vector
+from dpbench.scenario.estimation import EstimatorChoice, estimator_choice
+from dpbench.scenario.problem_files import parse_model, problem_path, read_model
+from dpbench.scenario.tables import ControllerTable, ScenarioFile, VesselFile
+from dpbench.ship.actuators import Actuators
+from dpbench.ship.environment import Environment
+from dpbench.ship.estimation.estimator import Estimator
+from dpbench.ship.froude import Froude
+from dpbench.ship.vessel import Vessel
+
+MAX_STEPS = 1_000_000
+"""A run keeps every step in memory; a million of them is 83 hours of the paper's ship."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """A run in SI units.
+
+    Parameters
+    ----------
+    name : name of the file; title, shows : what it is and what it is for.
+    vessel : the ship as the controller knows it; true_ship : as it is; actuators : what is lost or
+        late on the way from a command to its hull, None for nothing.
+    environment : the weather; estimation : how the controller gets to know its state.
+    steps, sample_s : how many samples of what length [s].
+    start, reference : (3,) poses [n, e, ψ] in m, m, rad.
+    velocity : (3,) of the start, [u, v, r] over ground along the ship's axes in m/s, m/s, rad/s.
+    smoothed, preview : reference filter, and whether the controller sees the reference coming.
+    N_p, N_c, Q, R, psi0_rad : horizons, weights (3, 3) in SI, heading of the model.
+    relinearised : whether the model is linearised anew at each step.
+    amplitude, outputs, terminal : policy of the amplitude limits, bounds on position and speed,
+        cost at the end of the horizon.
+    faults : (sample, τ_min, τ_max) from which on these limits hold, in order of time.
+    files : the documents it was made from, from which `scenario_of` makes it again.
+    """
+
+    name: str
+    title: str
+    shows: str
+    vessel: Vessel
+    true_ship: Vessel
+    actuators: Actuators | None
+    environment: Environment
+    estimation: EstimatorChoice
+    steps: int
+    sample_s: float
+    start: Vector
+    velocity: Vector
+    reference: Vector
+    smoothed: ReferenceFilter | None
+    preview: bool
+    N_p: int
+    N_c: int
+    Q: Matrix
+    R: Matrix
+    psi0_rad: float
+    relinearised: bool
+    amplitude: Amplitude
+    outputs: OutputBounds | None
+    terminal: Terminal
+    faults: tuple[tuple[int, Vector, Vector], ...]
+    tuning: str
+    files: dict[str, Any]
+
+    @property
+    def du_max(self) -> Vector:
+        """Δu_max (3,) [N, N, N·m]."""
+        return self.vessel.step_max(self.sample_s)
+
+    @property
+    def first_state(self) -> Vector:
+        """(6,) [u, v, r, n, e, ψ] at the first sample."""
+        return np.concatenate([self.velocity, self.start])
+
+    def control_problem(self) -> ControlProblem:
+        """What the controller is given: the model at ψ0, horizons, weights, limits."""
+        ship = self.vessel
+        model = prediction_model(ship.M, ship.D, self.psi0_rad, self.sample_s)
+        limits = ship.tau_min, ship.tau_max, self.du_max
+        return ControlProblem(
+            model, self.N_p, self.N_c, self.Q, self.R, *limits, terminal=self.terminal
+        )
+
+    def reference_table(self, samples: int) -> Matrix:
+        """The reference at each sample (samples, 3), heading unwrapped from the start's."""
+        return reference_table(self.start, self.reference, samples, self.sample_s, self.smoothed)
+
+    def limit_tables(self, samples: int) -> tuple[Matrix, Matrix]:
+        """τ_min and τ_max in force at each sample: (samples, 3) each [N, N, N·m]."""
+        low, high = (
+            np.tile(limit, (samples, 1)) for limit in (self.vessel.tau_min, self.vessel.tau_max)
+        )
+        for k, tau_min, tau_max in self.faults:
+            low[k:], high[k:] = tau_min, tau_max
+        return low, high
+
+    def estimator(self) -> Estimator:
+        """A new estimator, which starts in the state the run starts in."""
+        estimator = self.estimation.make(self.vessel, self.sample_s)
+        estimator.start(self.first_state)
+        return estimator
+
+    def first(self, steps: int) -> Scenario:
+        """The same run cut to its first `steps` samples; InputError below 1."""
+        if steps < 1:
+            raise InputError(f"scenario {self.name}", "steps", steps, "1 or more")
+        return replace(self, steps=min(steps, self.steps))
+
+
+def load_scenario(name_or_path: str | Path, *, beside: Path | None = None) -> Scenario:
+    """A scenario by name (a file under `problems/scenarios/`) or TOML path.
+
+    `scenario@vessel` is the scenario with another vessel than its own. A relative path is looked
+    for in the folder `beside` first, then in the working folder.
+
+    Raises
+    ------
+    InputError : one line naming file, key, what was found and what is allowed.
+    """
+    name, at, other = str(name_or_path).partition("@")
+    path = problem_path("scenarios", name, beside)
+    scenario = read_model(path, ScenarioFile)
+    vessel = other if at else scenario.vessel
+    try:
+        vessel_path = problem_path("vessels", vessel, beside=path.parent)
+    except InputError as error:
+        raise UnknownNameError(str(path), "vessel", repr(vessel), error.allowed) from error
+    files = {
+        "name": f"{path.stem}@{vessel_path.stem}" if other else path.stem,
+        "vessel_name": vessel_path.stem,
+        "scenario": scenario.model_dump(),
+        "vessel": read_model(vessel_path, VesselFile).model_dump(),
+    }
+    return scenario_of(files, where=str(path), vessel_where=str(vessel_path))
+
+
+def load_vessel(name_or_path: str | Path) -> Vessel:
+    """A vessel by name (a file under `problems/vessels/`) or TOML path."""
+    path = problem_path("vessels", name_or_path)
+    return read_model(path, VesselFile).vessel(path.stem, str(path))
+
+
+def scenario_of(
+    files: dict[str, Any], where: str = "scenario", vessel_where: str = "vessel"
+) -> Scenario:
+    """The scenario of the documents in `files` (`Scenario.files`, JSON-compatible)."""
+    spec = parse_model(files["scenario"], ScenarioFile, where)
+    ship_file = parse_model(files["vessel"], VesselFile, vessel_where)
+    vessel = ship_file.vessel(files["vessel_name"], vessel_where)
+    scale = Froude(ship_file.model_scale)
+    controller, plant = spec.controller, spec.plant
+    sample_s = spec.sample_s * scale.time
+    steps = round(spec.duration_s / spec.sample_s)
+    if not 1 <= steps <= MAX_STEPS:
+        allowed = f"1 to {MAX_STEPS} samples of {spec.sample_s:g} s"
+        raise InputError(where, "duration_s", spec.duration_s, allowed)
+    true_ship = replace(vessel, where=f"{where}: plant").with_mismatch(
+        plant.mass_percent, plant.damping_percent
+    )
+    environment = spec.environment.environment(scale, f"{where}: environment")
+    # Said here, before anything runs: wind and drift need to know the hull.
+    environment.load_coefficients(vessel)
+    return Scenario(
+        name=files["name"],
+        title=spec.title,
+        shows=spec.shows,
+        vessel=vessel,
+        true_ship=true_ship,
+        actuators=_actuators(spec, f"{where}: plant"),
+        environment=environment,
+        estimation=estimator_choice(spec, scale, where),
+        steps=steps,
+        sample_s=sample_s,
+        start=spec.start.pose() * scale.pose,
+        velocity=spec.start.velocity() * scale.velocity,
+        reference=spec.reference.pose() * scale.pose,
+        smoothed=spec.reference.smoothed(scale, f"{where}: reference.filter"),
+        preview=spec.reference.preview,
+        N_p=controller.prediction_horizon,
+        N_c=controller.control_horizon,
+        Q=np.diag(np.array(controller.output_weight) / scale.pose**2),
+        R=np.diag(_move_weight(controller, vessel.step_max(sample_s), scale)),
+        psi0_rad=float(np.radians(controller.model_heading_deg)),
+        relinearised=controller.linearisation == "each_step",
+        amplitude=controller.amplitude,
+        outputs=_outputs(controller, scale, sample_s),
+        terminal=controller.terminal,
+        faults=_faults(spec, vessel),
+        tuning=controller.tuning,
+        files=files,
+    )
+
+
+def _move_weight(controller: ControllerTable, du_max: Vector, scale: Froude) -> Vector:
+    if controller.move_weight_relative is not None:
+        return np.array(controller.move_weight_relative) / du_max**2
+    assert controller.move_weight is not None, "the table demands one of the two"
+    return np.array(controller.move_weight) / scale.force**2
+
+
+def _actuators(spec: ScenarioFile, where: str) -> Actuators | None:
+    loss = np.array(spec.plant.thrust_loss_percent)
+    if not loss.any() and spec.plant.delay_samples == 0:
+        return None
+    return Actuators(1.0 - loss / 100.0, spec.plant.delay_samples, where)
+
+
+def _outputs(controller: ControllerTable, scale: Froude, sample_s: float) -> OutputBounds | None:
+    table = controller.outputs
+    if table is None:
+        return None
+    return OutputBounds(
+        sample_s,
+        None if table.radius_m is None else table.radius_m * scale.length,
+        None if table.speed_mps is None else table.speed_mps * scale.time,
+    )
+
+
+def _faults(spec: ScenarioFile, vessel: Vessel) -> tuple[tuple[int, Vector, Vector], ...]:
+    events = sorted(spec.faults, key=lambda fault: fault.at_s)
+    shares = [(round(fault.at_s / spec.sample_s), np.array(fault.limit_share)) for fault in events]
+    return tuple((k, share * vessel.tau_min, share * vessel.tau_max) for k, share in shares)
+
+
+def condense(scenario: Scenario, *, units: UnitSystem = "scaled") -> CondensedQP:
+    """The builder of the scenario's QPs, in scaled units or SI."""
+    problem, outputs = scenario.control_problem(), scenario.outputs
+    if scenario.relinearised:
+        return RelinearisedQP(
+            problem,
+            psi0_rad=scenario.psi0_rad,
+            units=units,
+            amplitude=scenario.amplitude,
+            outputs=outputs,
+        )
+    return CondensedQP(problem, units=units, amplitude=scenario.amplitude, outputs=outputs)
+
+
+def no_stages(scenario: Scenario) -> str:
+    """Why the QPs of a scenario have no formulation with the states kept; "" where they have."""
+    if scenario.relinearised:
+        return "sparse: the model is linearised anew at each step, and its stages with it"
+    if scenario.amplitude == "soft" or scenario.outputs is not None:
+        return "sparse: soft limits and output bounds are layers on the condensed problem"
+    return ""
+
+
+def keep_states(scenario: Scenario, *, units: UnitSystem = "scaled") -> StagedQP:
+    """The builder of the same QPs as `condense`, in stages; InputError where there are none."""
+    why = no_stages(scenario)
+    if why or scenario.amplitude == "soft":
+        allowed = "a scenario without layers and with one model"
+        raise InputError(f"scenario {scenario.name}", "formulation", why, allowed)
+    return StagedQP(scenario.control_problem(), units=units, amplitude=scenario.amplitude)

@@ -1,0 +1,183 @@
+"""The weather of scenario files, in the units sailors use, and what becomes of it in SI.
+
+Wind and waves come *from* a compass direction, a current sets *towards* one. A file speaks of a
+full-size ship; for a model ship everything is scaled by Froude's law (`ship.froude`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from dpbench.qp.program import Vector
+from dpbench.scenario.key_types import (
+    Count,
+    Degrees,
+    NotNegative,
+    Number,
+    Positive,
+    Three,
+    ThreePositive,
+)
+from dpbench.scenario.problem_files import FileModel
+from dpbench.ship.environment import Environment
+from dpbench.ship.froude import Froude
+from dpbench.ship.sensors import SensorNoise
+from dpbench.ship.weather.current import Current
+from dpbench.ship.weather.squall import Squall
+from dpbench.ship.weather.waves import FirstOrderMotion, Sea, WaveDrift
+from dpbench.ship.weather.wind import Wind, towards_rad
+
+_PER_KN = 1000.0
+
+
+class SquallTable(FileModel):
+    """A force that rises, holds and decays along straight lines, on top of the slow forces."""
+
+    start_s: NotNegative
+    rise_s: Positive
+    hold_until_s: NotNegative
+    decay_s: Positive
+    force_kN: Three
+
+    def squall(self, scale: Froude, where: str) -> Squall:
+        """In SI."""
+        return Squall(
+            self.start_s * scale.time,
+            self.rise_s * scale.time,
+            self.hold_until_s * scale.time,
+            self.decay_s * scale.time,
+            _PER_KN * np.array(self.force_kN) * scale.force,
+            where,
+        )
+
+
+class WindTable(FileModel):
+    """Mean wind 10 m above the water with gusts along it."""
+
+    speed_mps: NotNegative
+    from_deg: Degrees
+    gusts: Literal["norsok", "harris", "none"] = "norsok"
+
+    def wind(self, scale: Froude, where: str) -> Wind:
+        """In SI."""
+        return Wind(self.speed_mps * scale.time, towards_rad(self.from_deg), self.gusts, where)
+
+
+class CurrentTable(FileModel):
+    """A steady current."""
+
+    speed_mps: NotNegative
+    towards_deg: Degrees
+
+    def current(self, scale: Froude, where: str) -> Current:
+        """In SI."""
+        return Current(self.speed_mps * scale.time, math.radians(self.towards_deg), where)
+
+
+class MotionTable(FileModel):
+    """First-order motion in the measurement, per metre of wave amplitude."""
+
+    along_m_per_m: Number = 0.6
+    across_m_per_m: Number = 0.2
+    heading_deg_per_m: Number = 0.3
+
+
+class WavesTable(FileModel):
+    """A JONSWAP sea: drift force on the ship, first-order motion in what is measured."""
+
+    hs_m: NotNegative
+    tp_s: Positive
+    from_deg: Degrees
+    gamma: Annotated[float, Field(ge=1, le=7)] = 3.3
+    drift: bool = True
+    motion: MotionTable | None = None
+
+    def sea(self, scale: Froude, where: str) -> Sea:
+        """In SI."""
+        return Sea(
+            self.hs_m * scale.length,
+            self.tp_s * scale.time,
+            towards_rad(self.from_deg),
+            self.gamma,
+            where,
+        )
+
+    def first_order(self, scale: Froude, where: str) -> FirstOrderMotion | None:
+        """In SI; None where the measurement shows none."""
+        if self.motion is None:
+            return None
+        turn = math.radians(self.motion.heading_deg_per_m) / scale.length
+        return FirstOrderMotion(
+            self.sea(scale, where),
+            self.motion.along_m_per_m,
+            self.motion.across_m_per_m,
+            turn,
+            where,
+        )
+
+    def motion_std(self, scale: Froude) -> Vector:
+        """(3,) standard deviation of the first-order motion, the direction of the waves unknown."""
+        motion = self.motion or MotionTable()
+        elevation = 0.25 * self.hs_m * scale.length
+        widest = max(abs(motion.along_m_per_m), abs(motion.across_m_per_m))
+        turn = abs(math.radians(motion.heading_deg_per_m)) / scale.length
+        return elevation * np.array([widest, widest, turn])
+
+
+class NoiseTable(FileModel):
+    """White noise of the sensors, standard deviations."""
+
+    position_m: NotNegative
+    heading_deg: NotNegative
+
+    def noise(self, scale: Froude, where: str) -> SensorNoise:
+        """In SI."""
+        return SensorNoise(self.std(scale), where)
+
+    def std(self, scale: Froude) -> Vector:
+        """(3,) [m, m, rad]."""
+        metres = self.position_m * scale.length
+        return np.array([metres, metres, math.radians(self.heading_deg)])
+
+
+class EnvironmentTable(FileModel):
+    """b(t) = g(t)·(mean + amplitude·sin(2πt/T + phase)), north, east, yaw, in kN and kN·m; and
+    whatever else of the weather there is."""
+
+    mean_kN: Three = [0.0, 0.0, 0.0]
+    amplitude_kN: Three = [0.0, 0.0, 0.0]
+    period_s: ThreePositive = [60.0, 60.0, 60.0]
+    phase_rad: Three = [0.0, 1.0, 2.0]
+    ramp_s: NotNegative = 0.0
+    seed: Count = 0
+    squalls: list[SquallTable] = []
+    wind: WindTable | None = None
+    current: CurrentTable | None = None
+    waves: WavesTable | None = None
+    noise: NoiseTable | None = None
+
+    def environment(self, scale: Froude, where: str) -> Environment:
+        """The weather in SI; InputError naming `where` and the key."""
+        sea = self.waves.sea(scale, f"{where}.waves") if self.waves else None
+        return Environment(
+            _PER_KN * np.array(self.mean_kN) * scale.force,
+            _PER_KN * np.array(self.amplitude_kN) * scale.force,
+            np.array(self.period_s) * scale.time,
+            np.array(self.phase_rad),
+            self.ramp_s * scale.time,
+            where,
+            squalls=tuple(
+                squall.squall(scale, f"{where}.squalls[{i}]")
+                for i, squall in enumerate(self.squalls)
+            ),
+            wind=self.wind.wind(scale, f"{where}.wind") if self.wind else None,
+            current=self.current.current(scale, f"{where}.current") if self.current else None,
+            drift=WaveDrift(sea) if sea and self.waves and self.waves.drift else None,
+            motion=self.waves.first_order(scale, f"{where}.waves") if self.waves else None,
+            noise=self.noise.noise(scale, f"{where}.noise") if self.noise else None,
+            seed=self.seed,
+        )

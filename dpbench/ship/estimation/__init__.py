@@ -1,0 +1,1 @@
+"""Observers: what the controller knows of the ship."""

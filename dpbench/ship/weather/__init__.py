@@ -1,0 +1,1 @@
+"""Wind, waves, current, squalls, and the random streams behind them."""

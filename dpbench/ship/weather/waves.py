@@ -1,0 +1,168 @@
+"""A long-crested JONSWAP sea and its two effects on the ship.
+
+Elevation ζ(t) = Re Z(t) with Z = Σ a exp(j(ω_i t + ε_i)); Hs = 4 √variance.
+*Drift* is the slowly varying force of second order: Newman's approximation makes it the squared
+envelope |Z|², whose mean Hs²/8 gives Maruo's mean force on each of B (ahead) and L (abeam)
+
+    X = ½ρ g B R_x² |w| u_w,   Y = ½ρ g L R_y² |w| v_w,   N = −½ρ g L² R_n² · 2 u_w v_w
+
+where (u_w, v_w) is the vector of length |Z| along the waves in body axes: the law of the wind.
+*First-order motion* is the wave-frequency motion that a measurement sees on top of the ship's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dpbench.errors import InputError
+from dpbench.qp.program import Matrix, Vector
+from dpbench.ship.validation import finite, not_negative, positive
+from dpbench.ship.weather.harmonics import Harmonics, realise
+from dpbench.ship.weather.spectra import jonswap
+from dpbench.ship.weather.streams import stream
+
+WATER_DENSITY = 1026.0
+GRAVITY = 9.81
+
+_BAND = (0.5, 5.0)
+"""Of the peak frequency: holds all but 0.1 % of the energy."""
+
+_COMPONENTS = 200
+
+
+@dataclass(frozen=True)
+class Sea:
+    """Long-crested irregular waves.
+
+    Parameters
+    ----------
+    hs_m : significant wave height [m].
+    tp_s : peak period [s].
+    to_rad : where the waves run to, clockwise from north [rad]; `wind.towards_rad` gives it from
+        the direction they come from.
+    gamma : peakedness, 1 (Pierson-Moskowitz) to 7.
+    where : the file named in errors.
+    """
+
+    hs_m: float
+    tp_s: float
+    to_rad: float
+    gamma: float = 3.3
+    where: str = "Sea"
+
+    def __post_init__(self) -> None:
+        not_negative(self.where, hs_m=self.hs_m)
+        positive(self.where, tp_s=self.tp_s)
+        finite(self.where, to_rad=self.to_rad)
+        if not 1.0 <= self.gamma <= 7.0:
+            raise InputError(self.where, "gamma", self.gamma, "1 to 7")
+
+    def harmonics(self, seed: int) -> Harmonics:
+        """The waves of this seed, the same for drift and motion; Hs holds exactly."""
+        omega_p = 2 * np.pi / self.tp_s
+        return realise(
+            lambda omega: jonswap(omega, 1.0, self.tp_s, self.gamma),
+            (_BAND[0] * omega_p, _BAND[1] * omega_p),
+            _COMPONENTS,
+            stream(seed, "waves"),
+            self.hs_m**2 / 16.0,
+        )
+
+
+@dataclass(frozen=True)
+class WaveDrift:
+    """Slowly varying drift in a sea; how much of it the hull feels is `WaveReflection`."""
+
+    sea: Sea
+
+    def envelope(self, start_s: Vector, offset_s: Vector, seed: int) -> Matrix:
+        """|Z| [m] at the times start_s (K,) + offset_s (M,): (K, M)."""
+        return np.abs(self.sea.harmonics(seed).at(start_s, offset_s))
+
+
+@dataclass(frozen=True)
+class WaveReflection:
+    """The hull at the waterline, as drift forces see it.
+
+    R² falls with the period, since long waves pass under the hull: R² = R₀² f(T'), f = 1 for
+    T' ≤ 1, else T'⁻³ exp(1 − T'⁻³), with T' = Tz/(0.75 √B) abeam and Tz/(0.9 L^0.33) ahead and
+    Tz = Tp/1.4049 (DNV-ST-0111, section 3.7).
+
+    Parameters
+    ----------
+    breadth_m : B [m].
+    head, beam, yaw : R₀² of short waves from ahead (the standard's value for a bow of 22°),
+        from abeam and, for the moment, from the quarters.
+    where : the file named in errors.
+    """
+
+    breadth_m: float
+    head: float = 0.42
+    beam: float = 0.72
+    yaw: float = 0.018
+    where: str = "WaveReflection"
+
+    def __post_init__(self) -> None:
+        positive(self.where, breadth_m=self.breadth_m)
+        not_negative(self.where, head=self.head, beam=self.beam, yaw=self.yaw)
+
+    def coefficients(self, length_m: float, sea: Sea) -> Vector:
+        """½ρ g (B R_x², L R_y², L² R_n²): (3,) [N/m², N/m², N/m]."""
+        tz_s = sea.tp_s / 1.4049
+        ahead = _period_factor(tz_s / (0.9 * length_m**0.33))
+        abeam = _period_factor(tz_s / (0.75 * self.breadth_m**0.5))
+        widths = [
+            self.breadth_m * self.head * ahead,
+            length_m * self.beam * abeam,
+            length_m**2 * self.yaw * abeam,
+        ]
+        return 0.5 * WATER_DENSITY * GRAVITY * np.array(widths)
+
+
+def _period_factor(t_prime: float) -> float:
+    cubed = max(t_prime, 1.0) ** -3
+    return float(cubed * np.exp(1.0 - cubed))
+
+
+@dataclass(frozen=True)
+class FirstOrderMotion:
+    """Wave-frequency motion of the ship in a sea.
+
+    Along the waves it lags the elevation by a quarter period, as the water itself does; across
+    and heading follow the elevation. The operators hold at all frequencies and headings.
+
+    Parameters
+    ----------
+    sea : the waves.
+    along, across : motion per wave amplitude [m/m]; the water's own at the surface is 1.
+    heading_rad_per_m : heading per wave amplitude [rad/m].
+    where : the file named in errors.
+    """
+
+    sea: Sea
+    along: float = 0.6
+    across: float = 0.0
+    heading_rad_per_m: float = 0.0
+    where: str = "FirstOrderMotion"
+
+    def __post_init__(self) -> None:
+        finite(
+            self.where,
+            along=self.along,
+            across=self.across,
+            heading_rad_per_m=self.heading_rad_per_m,
+        )
+
+    def table(self, t_s: Vector, seed: int) -> Matrix:
+        """Motion and its time derivative at t_s (K,): (K, 6) = [n, e, ψ, ṅ, ė, ψ̇], NED, SI."""
+        harmonics, here = self.sea.harmonics(seed), np.zeros(1)
+        c, s = np.cos(self.sea.to_rad), np.sin(self.sea.to_rad)
+        columns = []
+        for derivative in (0, 1):
+            Z = harmonics.at(t_s, here, derivative)[:, 0]
+            along, across = self.along * Z.imag, self.across * Z.real
+            columns += [c * along - s * across, s * along + c * across]
+            columns.append(self.heading_rad_per_m * Z.real)
+        return np.stack(columns, axis=1)

@@ -1,0 +1,116 @@
+"""Wind with gusts, and the force of the wind on the hull above the water.
+
+    X = ½ρ c_x A_F |V| u_rw,   Y = ½ρ c_y A_L |V| v_rw,   N = −½ρ c_n A_L L · 2 u_rw v_rw
+
+(u_rw, v_rw) is the velocity of the air relative to the ship in body axes and V its length, so a
+wind from ahead (u_rw < 0) pushes back and one that blows to starboard (v_rw > 0) pushes there.
+With γ_rw = −atan2(v, u) of the *ship* relative to the air these are Fossen's forces on symmetrical
+ships, −c_x cos γ, c_y sin γ, c_n sin 2γ (Fossen 2021, section 10.1): a wind on the bow turns the
+bow away from it, until it blows from abeam.
+
+Directions inside are where the wind blows *to*, clockwise from north in rad. Sailors name where it
+comes *from* in degrees; `towards_rad` turns one into the other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from dpbench.errors import InputError
+from dpbench.qp.program import Matrix, Vector
+from dpbench.ship.validation import finite, not_negative, positive
+from dpbench.ship.weather.harmonics import realise
+from dpbench.ship.weather.spectra import harris_gust, norsok_gust
+from dpbench.ship.weather.streams import stream
+
+AIR_DENSITY = 1.226
+"""kg/m³ (DNV-ST-0111, section 3.5)."""
+
+GUST_BAND_HZ = (1.0 / 600.0, 0.5)
+"""Slower changes are the mean of a ten-minute run; faster ones do not reach a whole hull."""
+
+_GUSTS: dict[str, Callable[[Vector, float], Vector]] = {
+    "norsok": norsok_gust,
+    "harris": harris_gust,
+}
+_COMPONENTS = 200
+
+
+def towards_rad(from_deg: float) -> float:
+    """Where wind or waves that come from `from_deg` (compass degrees) go: rad in [−π, π]."""
+    return math.radians(math.remainder(from_deg + 180.0, 360.0))
+
+
+@dataclass(frozen=True)
+class Wind:
+    """Wind of constant direction, 10 m above the water, with gusts along it.
+
+    Parameters
+    ----------
+    speed_mps : mean speed [m/s].
+    to_rad : where it blows to, clockwise from north [rad].
+    gusts : spectrum of the gusts, "none" for a steady wind.
+    where : the file named in errors.
+    """
+
+    speed_mps: float
+    to_rad: float
+    gusts: Literal["norsok", "harris", "none"] = "norsok"
+    where: str = "Wind"
+
+    def __post_init__(self) -> None:
+        not_negative(self.where, speed_mps=self.speed_mps)
+        finite(self.where, to_rad=self.to_rad)
+        if self.gusts != "none" and self.gusts not in _GUSTS:
+            allowed = f"{', '.join(_GUSTS)} or none"
+            raise InputError(self.where, "gusts", repr(self.gusts), allowed)
+
+    def speed(self, start_s: Vector, offset_s: Vector, seed: int) -> Matrix:
+        """Speed along the wind [m/s] at the times start_s (K,) + offset_s (M,): (K, M)."""
+        if self.gusts == "none" or self.speed_mps == 0.0:
+            return np.full((start_s.size, offset_s.size), self.speed_mps)
+        spectrum, turn = _GUSTS[self.gusts], 2 * np.pi
+        low, high = GUST_BAND_HZ
+        gust = realise(
+            lambda omega: spectrum(omega / turn, self.speed_mps) / turn,
+            (turn * low, turn * high),
+            _COMPONENTS,
+            stream(seed, "wind"),
+        )
+        speed: Matrix = self.speed_mps + gust.at(start_s, offset_s).real
+        return speed
+
+
+@dataclass(frozen=True)
+class Windage:
+    """The hull above the water, as the wind sees it.
+
+    Parameters
+    ----------
+    frontal_m2, lateral_m2 : projected areas A_F, A_L.
+    c_x, c_y, c_n : coefficients; Fossen 2021 gives 0.50-0.90, 0.70-0.95 and 0.05-0.20, and
+        DNV-ST-0111, section 3.5, has 0.7, 0.9 and about 0.095.
+    where : the file named in errors.
+    """
+
+    frontal_m2: float
+    lateral_m2: float
+    c_x: float = 0.7
+    c_y: float = 0.9
+    c_n: float = 0.095
+    where: str = "Windage"
+
+    def __post_init__(self) -> None:
+        positive(self.where, frontal_m2=self.frontal_m2, lateral_m2=self.lateral_m2)
+        not_negative(self.where, c_x=self.c_x, c_y=self.c_y, c_n=self.c_n)
+
+    def coefficients(self, length_m: float) -> Vector:
+        """½ρ (c_x A_F, c_y A_L, c_n A_L L): (3,) [kg/m, kg/m, kg]."""
+        side = self.lateral_m2
+        areas = [self.c_x * self.frontal_m2, self.c_y * side, self.c_n * side * length_m]
+        return 0.5 * AIR_DENSITY * np.array(areas)

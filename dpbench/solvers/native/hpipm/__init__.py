@@ -1,0 +1,1 @@
+"""HPIPM through its own interface: dense, and by stages."""

@@ -1,0 +1,162 @@
+"""HPIPM's dense solver through ctypes, on the library in the casadi wheel: two-sided, start primal.
+
+HPIPM takes an infinite side as one that is masked out, and l = u as an equality of its own.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpbench.qp.program import Vector
+from dpbench.qp.solution import Solution, Status
+from dpbench.solvers.contract import Policy
+from dpbench.solvers.native.adapter import NativeAdapter
+from dpbench.solvers.native.base import NativeWorkspace, Start, stacked
+from dpbench.solvers.native.hpipm.library import (
+    OPTION_NAMES,
+    Limits,
+    Structures,
+    blasfeo_build,
+    load_library,
+    pattern,
+    pointer,
+)
+from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.through_qpsolvers.adapter import Options
+
+RECORD = SolverRecord(
+    name="hpipm",
+    distribution="casadi",
+    module="casadi",
+    method="primal-dual interior point, dense",
+    extra="casadi",
+    form="dense",
+    box="native",
+    policies={"native": ("fresh", "reuse", "warm")},
+    start="primal",
+    detects_infeasibility=False,
+    updates="vectors",
+    two_sided=True,
+    build=blasfeo_build,
+)
+
+
+class HpipmWorkspace(NativeWorkspace):
+    """HPIPM on lb ≤ v ≤ ub, lg ≤ C v ≤ ug, A v = b; `warm` gives it the previous v, shifted."""
+
+    def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
+        super().__init__(record.name, "dense", policy, options)
+        self._library = load_library()
+        self._flags = ctypes.c_int(0), ctypes.c_int(1)
+
+    def _convert(self) -> None:
+        n, m = self._n, self._m
+        self._rows = stacked(self._A, n)
+        self._low, self._high = np.empty(m + n), np.empty(m + n)
+        self._low[m:], self._high[m:] = self._lb, self._ub
+
+    def _build(self) -> None:
+        n, m, library = self._n, self._m, self._library
+        self._low[:m], self._high[:m] = self._l, self._u
+        self._pattern = pattern(self._l, self._u)
+        limits = self._limits = Limits(self._low, self._high, m)
+        n_bounds = limits.bounds.size
+        sizes = (n, limits.equal.size, n_bounds, limits.rows.size, 0)
+        self._parts = parts = Structures(library, "dense_qp", sizes, self._options)
+        lower, upper = limits.masks()
+        constants: dict[str, NDArray[Any]] = {
+            "H": self._P,
+            "A": np.asfortranarray(self._rows[limits.equal]),
+            "C": np.asfortranarray(self._rows[limits.rows]),
+            "idxb": (limits.bounds - m).astype(np.intc),
+            "lg_mask": lower,
+            "ug_mask": upper,
+        }
+        for name, array in constants.items():
+            getattr(library, f"d_dense_qp_set_{name}")(pointer(array), parts.qp)
+        self._allocate(n_bounds)
+        self._start = Start(n, m, self._block)
+        self._fill(self._q)
+
+    def _allocate(self, n_bounds: int) -> None:
+        """Buffers and their addresses: what is set at each step, and what is got."""
+        limits, library = self._limits, self._library
+        self._g, self._z = np.empty(self._n), np.empty(self._n)
+        self._pi = np.empty(limits.equal.size)
+        self._lower, self._upper = np.empty_like(limits.low), np.empty_like(limits.high)
+        given = {
+            "g": self._g,
+            "b": limits.b,
+            "lb": limits.low[:n_bounds],
+            "lg": limits.low[n_bounds:],
+            "ub": limits.high[:n_bounds],
+            "ug": limits.high[n_bounds:],
+        }
+        wanted = {
+            "v": self._z,
+            "pi": self._pi,
+            "lam_lb": self._lower[:n_bounds],
+            "lam_lg": self._lower[n_bounds:],
+            "lam_ub": self._upper[:n_bounds],
+            "lam_ug": self._upper[n_bounds:],
+        }
+        self._setters = [
+            (getattr(library, f"d_dense_qp_set_{name}"), pointer(array))
+            for name, array in given.items()
+            if array.size
+        ]
+        self._getters = [
+            (getattr(library, f"d_dense_qp_sol_get_{name}"), pointer(array))
+            for name, array in wanted.items()
+            if array.size
+        ]
+
+    def _fill(self, q: Vector) -> None:
+        self._g[:] = q
+        self._limits.fill(self._low, self._high)
+        qp = self._parts.qp
+        for function, address in self._setters:
+            function(address, qp)
+
+    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
+        if pattern(low, high) != self._pattern:
+            self._q[:], self._l[:], self._u[:] = q, low, high
+            self._build()
+            return
+        m, library, parts = self._m, self._library, self._parts
+        self._low[:m], self._high[:m] = low, high
+        self._fill(q)
+        if self._warm:
+            given = self._start.advance()
+            if given:
+                library.d_dense_qp_sol_set_v(pointer(self._start.z), parts.sol)
+            flag = ctypes.byref(self._flags[given])
+            library.d_dense_qp_ipm_arg_set_warm_start(flag, parts.arg)
+
+    def _call(self) -> None:
+        parts = self._parts
+        self._library.d_dense_qp_ipm_solve(parts.qp, parts.sol, parts.arg, parts.ws)
+
+    def _answer(self) -> Solution:
+        parts, m = self._parts, self._m
+        status, detail, count = parts.outcome()
+        if not status.usable:
+            return self._missing(status, detail, count)
+        for function, address in self._getters:
+            function(parts.sol, address)
+        y, limits = np.zeros(m + self._n), self._limits
+        y[limits.sides] = self._upper - self._lower
+        if limits.equal.size:
+            y[limits.equal] = -self._pi
+        detail = "" if status is Status.SOLVED else detail
+        return Solution(status, self._z.copy(), y[:m], y[m:], count, detail=detail)
+
+    def _remember(self, solution: Solution) -> None:
+        self._start.remember(solution)
+
+
+ADAPTER = NativeAdapter(RECORD, HpipmWorkspace, lambda: (*OPTION_NAMES, "kkt_fact_alg"))

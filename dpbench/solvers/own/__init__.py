@@ -1,0 +1,1 @@
+"""Solvers that are this project's own code."""

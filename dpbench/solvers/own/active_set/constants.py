@@ -1,0 +1,120 @@
+"""What the compiled active-set method keeps from step to step, in one array S.
+
+With P = L Lᵀ, C = [I; A] and J = L⁻¹ Cᵀ,
+
+    K = −P⁻¹ Cᵀ = −L⁻ᵀ J,   H = C P⁻¹ Cᵀ = JᵀJ                                      (eq. 31, 32)
+
+S has one row per vector of the method and then, block by block, the rows of K, [P Aᵀ], H, Jᵀ, A
+and room for the Cholesky factor of H_WW. A row is as long as C is high. Lengths are padded to
+`LANES` and rows begin on a cache line, without which the compiled loops take twice as long.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+
+from dpbench.qp.program import Matrix, QuadraticProgram, Vector
+from dpbench.solvers.own.active_set import layout as layout
+
+LANES = 16
+LINE_BYTES = 64
+# A guard against rounding only: the method ends by itself, usually within n + m iterations.
+ITERATIONS_PER_ROW = 20
+# What a plan's length in the norm of P may be, times that of a row in P⁻¹ or of P itself, for what
+# is allowed of it (2e-12) to be no more than 1e-9 in a row or in the gradient.
+SIZE = 500.0
+# What a multiplier may be for its rounding to be no more than 1e-10 in the gradient.
+MOST = 1e5
+# A row shorter than this in the norm of P⁻¹ is zero: its square underflows.
+ZERO = 1e-150
+
+
+def _padded(length: int) -> int:
+    return -(-length // LANES) * LANES
+
+
+def _aligned(rows: int, columns: int) -> Matrix:
+    raw = np.zeros(rows * columns + LINE_BYTES // 8)
+    start = -raw.ctypes.data % LINE_BYTES // 8
+    return raw[start : start + rows * columns].reshape(rows, columns)
+
+
+def empty(n: int, m: int) -> Matrix:
+    """S for n variables and m rows, all zero but for the sizes."""
+    n_pad, m_pad = _padded(n), _padded(m)
+    width = n_pad + m_pad
+    S = _aligned(layout.VECTORS + 3 * n_pad + 2 * width + m_pad, width)
+    head = S[layout.HEAD]
+    head[layout.N], head[layout.N_PAD], head[layout.M] = n, n_pad, m
+    head[layout.LIMIT] = ITERATIONS_PER_ROW * (n + m)
+    return S
+
+
+def fill(S: Matrix, qp: QuadraticProgram, *, keep: bool) -> str:
+    """Write `qp` into S; "" or why the method cannot solve problems with these matrices.
+
+    Parameters
+    ----------
+    S : of `empty(qp.n, qp.m)`, or filled before.
+    keep : whether a solve starts from the active set of the one before, moved on by `qp.block`.
+    """
+    n, m = qp.n, qp.m
+    n_pad, width = _padded(n), S.shape[1]
+    rows = slice(n_pad, n_pad + m)
+    if not (np.isfinite(qp.P).all() and np.isfinite(qp.A).all()):
+        return "P or A is not finite"
+    P = 0.5 * (qp.P + qp.P.T)
+    try:
+        L = np.linalg.cholesky(P)
+    except np.linalg.LinAlgError:
+        return "P is not positive definite"
+    Ct = np.zeros((n, width))
+    Ct[:, :n], Ct[:, rows] = np.eye(n), qp.A.T
+    J = scipy.linalg.solve_triangular(L, Ct, lower=True, check_finite=False)
+    K, PA, H, Jt, A = _blocks(S, n_pad)
+    K[:n] = -scipy.linalg.solve_triangular(L, J, lower=True, trans="T", check_finite=False)
+    PA[:n, :n], PA[:n, rows] = P, qp.A.T
+    S[layout.SUM] = np.abs(PA).sum(axis=0)
+    H[:] = J.T @ J
+    Jt[:, :n], A[:m, :n] = J.T, qp.A
+    S[layout.UNIT] = _unit(H, n, rows)
+    S[layout.LOW], S[layout.HIGH] = -np.inf, np.inf
+    S[layout.LOW, :n], S[layout.HIGH, :n] = qp.lb, qp.ub
+    S[layout.LOW, rows], S[layout.HIGH, rows], S[layout.Q, :n] = qp.l, qp.u, qp.q
+    head = S[layout.HEAD]
+    head[layout.KEEP], head[layout.BLOCK], head[layout.STALE] = keep, qp.block, 1
+    check = S[layout.CHECK]
+    check[layout.SIZE] = SIZE / np.sqrt(max(H.diagonal().max(), np.trace(P)))
+    check[layout.MOST] = MOST / max(np.abs(qp.A).max(initial=0.0), 1.0)
+    return ""
+
+
+def _blocks(S: Matrix, n_pad: int) -> tuple[Matrix, ...]:
+    """K, [P Aᵀ], H, Jᵀ, A as views of S."""
+    width = S.shape[1]
+    ends = np.cumsum([layout.VECTORS, n_pad, n_pad, width, width, width - n_pad])
+    return tuple(S[ends[k] : ends[k + 1]] for k in range(5))
+
+
+def _unit(H: Matrix, n: int, rows: slice) -> Vector:
+    """One over each row's length in the norm of P⁻¹; 1 for zero rows, 0 for padding."""
+    length = np.sqrt(H.diagonal())
+    unit = np.ones(length.size)
+    np.divide(1.0, length, out=unit, where=length > ZERO)
+    unit[n : rows.start] = 0.0
+    unit[rows.stop :] = 0.0
+    return unit
+
+
+def results(S: Matrix, n: int, m: int) -> tuple[Vector, Vector, Vector]:
+    """z, y and y_box as views of S."""
+    n_pad = _padded(n)
+    return S[layout.Z, :n], S[layout.LAM, n_pad : n_pad + m], S[layout.LAM, :n]
+
+
+def vectors(S: Matrix, n: int, m: int) -> tuple[Vector, Vector, Vector]:
+    """q, l and u as views of S."""
+    n_pad = _padded(n)
+    rows = slice(n_pad, n_pad + m)
+    return S[layout.Q, :n], S[layout.LOW, rows], S[layout.HIGH, rows]

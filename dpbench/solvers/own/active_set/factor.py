@@ -1,0 +1,175 @@
+"""An active set of the compiled method: its factor, its multipliers, its point.
+
+With C = [I; A], v₀ = −C P⁻¹q and H = C P⁻¹ Cᵀ (the paper's M E⁻¹ Mᵀ), an active set W with limits g
+has
+
+    λ_W = H_WW⁻¹ (v₀_W − g),     v = C z = v₀ − H_:W λ_W                           (eq. 31, 32)
+
+The Cholesky factor L of H_WW is kept by rows: a row brought in is a row appended, a row dropped is
+a chain of plane rotations (G. H. Golub and C. F. Van Loan, Matrix Computations, section 6.5).
+"""
+
+from __future__ import annotations
+
+from math import inf, sqrt
+
+from dpbench.qp.program import Matrix
+from dpbench.solvers.own.active_set.layout import (
+    ACTIVE,
+    COUNT,
+    HEAD,
+    HIGH,
+    INVERSE,
+    ITERATIONS,
+    LAM,
+    LOW,
+    MASK,
+    SIDE,
+    UNIT,
+    V0,
+    E,
+    R,
+    V,
+    X,
+    compiled,
+)
+
+VIOLATED = 1e-13
+"""A row counts as violated beyond this many roundings of the quantities it is computed from."""
+
+
+@compiled
+def product(S: Matrix, out: int, first: int, by: int, n: int, start: int, stop: int) -> None:
+    """S[out] += Σ_j S[by, j] · S[first + j], columns start to stop."""
+    for j in range(0, n, 4):
+        a, b, c, d = S[by, j], S[by, j + 1], S[by, j + 2], S[by, j + 3]
+        r = first + j
+        for i in range(start, stop):
+            S[out, i] += a * S[r, i] + b * S[r + 1, i] + c * S[r + 2, i] + d * S[r + 3, i]
+
+
+@compiled
+def forward(S: Matrix, L: int, w: int, b: int) -> None:
+    for i in range(w):
+        s = S[b, i]
+        for k in range(i):
+            s -= S[L + i, k] * S[b, k]
+        S[b, i] = s * S[INVERSE, i]
+
+
+@compiled
+def backward(S: Matrix, L: int, w: int, b: int) -> None:
+    for i in range(w - 1, -1, -1):
+        x = S[b, i] * S[INVERSE, i]
+        S[b, i] = x
+        for k in range(i):
+            S[b, k] -= S[L + i, k] * x
+
+
+@compiled
+def limit_of(S: Matrix, i: int) -> float:
+    g: float = S[HIGH, i] if S[SIDE, i] > 0.0 else S[LOW, i]
+    return g
+
+
+@compiled
+def is_wrong(S: Matrix, i: int) -> bool:
+    return bool(S[LAM, i] * S[SIDE, i] < 0.0 and S[LOW, i] < S[HIGH, i])
+
+
+@compiled
+def append(S: Matrix, L: int, w: int, i: int, side: float, pivot: float) -> int:
+    """Make row i active; its row of the factor is in place but for the diagonal."""
+    d = sqrt(pivot)
+    S[L + w, w], S[INVERSE, w] = d, 1.0 / d
+    S[ACTIVE, w], S[SIDE, i] = i, side
+    S[HEAD, COUNT] = w + 1
+    return w + 1
+
+
+@compiled
+def drop(S: Matrix, L: int, k: int, w: int) -> None:
+    """Make the k-th active row inactive: rotate what its column leaves above the diagonal away."""
+    i = int(S[ACTIVE, k]) & MASK
+    S[SIDE, i] = S[LAM, i] = 0.0
+    for r in range(k, w - 1):
+        S[ACTIVE, r] = S[ACTIVE, r + 1]
+        for c in range(k):
+            S[L + r, c] = S[L + r + 1, c]
+        x = S[L + r + 1, k]
+        for c in range(k, r):
+            y = S[L + r + 1, c + 1]
+            S[L + r, c] = S[X, c] * x + S[E, c] * y
+            x = S[X, c] * y - S[E, c] * x
+        y = S[L + r + 1, r + 1]
+        h = sqrt(x * x + y * y)
+        S[X, r], S[E, r] = x / h, y / h
+        S[L + r, r], S[INVERSE, r] = h, 1.0 / h
+    S[HEAD, COUNT] = w - 1
+
+
+@compiled
+def multipliers(S: Matrix, L: int) -> int:
+    """λ_W of the active set (eq. 31); how many are wrong, or −1 if a limit is infinite."""
+    w = int(S[HEAD, COUNT]) & MASK
+    for k in range(w):
+        i = int(S[ACTIVE, k]) & MASK
+        g = limit_of(S, i)
+        if abs(g) == inf:
+            return -1
+        S[R, k] = S[V0, i] - g
+    forward(S, L, w, R)
+    backward(S, L, w, R)
+    wrong = 0
+    for k in range(w):
+        i = int(S[ACTIVE, k]) & MASK
+        S[LAM, i] = S[R, k]
+        wrong += is_wrong(S, i)
+    return wrong
+
+
+@compiled
+def repair(S: Matrix, L: int) -> None:
+    """Drop wrong multipliers until the set is dual feasible."""
+    while multipliers(S, L) > 0:
+        for k in range((int(S[HEAD, COUNT]) & MASK) - 1, -1, -1):
+            if is_wrong(S, int(S[ACTIVE, k]) & MASK):
+                drop(S, L, k, int(S[HEAD, COUNT]) & MASK)
+                S[HEAD, ITERATIONS] += 1
+
+
+@compiled
+def values(S: Matrix, H: int, width: int) -> None:
+    """v of the active set (eq. 32)."""
+    w = int(S[HEAD, COUNT]) & MASK
+    for i in range(width):
+        S[V, i] = S[V0, i]
+    for k in range(w):
+        r = int(S[ACTIVE, k]) & MASK
+        a = S[LAM, r]
+        for i in range(width):
+            S[V, i] -= a * S[H + r, i]
+    for k in range(w):
+        i = int(S[ACTIVE, k]) & MASK
+        S[V, i] = limit_of(S, i)
+
+
+@compiled
+def most_violated(S: Matrix, width: int, noise: float) -> int:
+    """The inactive row violated most in the norm of P⁻¹; −1 if there is none."""
+    excess = 0.0
+    for i in range(width):
+        over, under = S[V, i] - S[HIGH, i], S[LOW, i] - S[V, i]
+        excess += (over if over > 0.0 else 0.0) + (under if under > 0.0 else 0.0)
+    if excess == 0.0:
+        return -1
+    most, found = 0.0, -1
+    for i in range(width):
+        over, under = S[V, i] - S[HIGH, i], S[LOW, i] - S[V, i]
+        e = over if over >= under else under
+        if e > 0.0 and S[SIDE, i] == 0.0:
+            e *= S[UNIT, i]
+            g = S[HIGH, i] if over >= under else S[LOW, i]
+            if e > most and e > noise + VIOLATED * abs(g) * S[UNIT, i]:
+                most, found = e, i
+    return found

@@ -1,0 +1,238 @@
+"""The paper's active-set method (eq. 30-32) compiled: one call per step.
+
+The set of the step before is tried as it is. If it is not optimal it is moved on by one move, its
+wrong multipliers are dropped until the rest is dual feasible, and the rule of Goldfarb and Idnani
+goes on from there, which ends for any such start. The answer is then refined in the problem's own
+data,
+
+    P δz + C_Wᵀ δλ = −(P z + q + Cᵀλ),   C_W δz = g − C_W z,
+
+until the correction is rounding, and is checked against every row again if it is not at once; in
+full (`active_set_check.py`) where rounding of large multipliers or of a long plan may show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import inf, sqrt
+from typing import Any
+
+from numba import njit
+
+from dpbench.qp.program import Matrix
+from dpbench.solvers.own.active_set.check import excess, is_crowded, is_near
+from dpbench.solvers.own.active_set.factor import (
+    VIOLATED,
+    most_violated,
+    multipliers,
+    product,
+    repair,
+    values,
+)
+from dpbench.solvers.own.active_set.layout import (
+    ASIDE,
+    CHECK,
+    COUNT,
+    CROSSED,
+    DOUBTFUL,
+    HEAD,
+    HIGH,
+    ITERATIONS,
+    KEEP,
+    LARGEST,
+    LENGTH,
+    LOW,
+    MASK,
+    MOST,
+    N_PAD,
+    NOT_FINITE,
+    PINNED,
+    REORDER,
+    SIZE,
+    STALE,
+    STAMP,
+    UNDECIDED,
+    UNIT,
+    V0,
+    VECTORS,
+    WORST,
+    M,
+    N,
+    Q,
+    V,
+    compiled,
+    stamp,
+)
+from dpbench.solvers.own.active_set.moves import bring_in, forget, shift, take_up
+from dpbench.solvers.own.active_set.refine import evaluate, refine, settle_signs
+
+PASSES = 20
+"""Rounds of refinement after which it has not settled."""
+SETTLED = 1e-12
+"""A correction of no more than this share leaves nothing to correct: each is a small part of the
+one before."""
+NEAR = 10.0
+"""How much longer v₀ may be than v before v, their difference, is computed anew."""
+
+
+@compiled
+def length(S: Matrix, row: int, width: int) -> float:
+    """Length of a vector of row values in the norm of P⁻¹."""
+    square = 0.0
+    for i in range(width):
+        v = S[row, i] * S[UNIT, i]
+        square += v * v
+    return sqrt(square)
+
+
+@compiled
+def begin(S: Matrix, K: int, width: int) -> float:
+    """v₀, and its length in the norm of P; a negative ending for data that have no answer."""
+    n = int(S[HEAD, N_PAD]) & MASK
+    if S[HEAD, STALE] > 0.0 or S[HEAD, KEEP] == 0.0 or S[HEAD, ASIDE] > 0.0:
+        forget(S)
+    S[HEAD, ITERATIONS] = 0.0
+    for i in range(width):
+        S[V0, i] = 0.0
+    product(S, V0, K, Q, n, 0, width)
+    size, bad, pinned = length(S, V0, width), 0, 0
+    for i in range(width):
+        bad += not ((S[LOW, i] <= S[HIGH, i]) & (S[LOW, i] < inf) & (S[HIGH, i] > -inf))
+        pinned += S[LOW, i] == S[HIGH, i]
+    if not size < inf:
+        return NOT_FINITE
+    S[CHECK, LENGTH], S[CHECK, PINNED] = size, pinned
+    return CROSSED if bad else size
+
+
+@compiled
+def start(S: Matrix, L: int, H: int, width: int, noise: float) -> int:
+    """The set to start from and its v: the same as before if that will do; a row it violates."""
+    if S[HEAD, COUNT] > 0.0:
+        wrong = multipliers(S, L)
+        if wrong != 0:
+            shift(S, L, H)
+            repair(S, L)
+    values(S, H, width)
+    return most_violated(S, width, noise)
+
+
+@compiled
+def bring_all_in(S: Matrix, L: int, H: int, J: int, j: int, coarse: float, size: float) -> int:
+    """Bring in row j and then the most violated one until there is none; 0, or an ending."""
+    width = S.shape[1] & MASK
+    while j >= 0:
+        ending = bring_in(S, L, H, J, j, size)
+        if ending != 0:
+            return ending
+        values(S, H, width)
+        j = most_violated(S, width, coarse)
+    return 0
+
+
+@compiled
+def look_again(S: Matrix, P: int, L: int, H: int, noise: float, size: float, dropped: int) -> int:
+    """A row that the refined point violates, or one put aside that it violates; −1 for none."""
+    width = S.shape[1] & MASK
+    evaluate(S, P, H, width)
+    if dropped > 0:
+        repair(S, L)
+        values(S, H, width)
+    j = most_violated(S, width, noise)
+    return take_up(S, H, size) if j < 0 and S[HEAD, ASIDE] > 0.0 else j
+
+
+@compiled
+def is_clear(S: Matrix, size: float) -> bool:
+    """Whether a correction of no more than `SETTLED` is all that an answer can be in error by."""
+    small = size <= S[CHECK, SIZE] and S[CHECK, LARGEST] <= S[CHECK, MOST]
+    return bool(small and S[HEAD, ASIDE] == 0.0)
+
+
+@compiled
+def solved(S: Matrix, P: int, H: int, size: float, clear: bool) -> int:
+    """The number of iterations; `DOUBTFUL` where rounding may decide where the optimum is."""
+    n, width = P - VECTORS, S.shape[1] & MASK
+    if S[CHECK, PINNED] > 0.0 or is_crowded(S, width, size):
+        return DOUBTFUL
+    if not clear and (S[HEAD, ASIDE] > 0.0 or not is_near(S, P, H, n, width)):
+        return DOUBTFUL
+    return int(S[HEAD, ITERATIONS])
+
+
+@compiled
+def solve(S: Matrix) -> int:
+    n, width = int(S[HEAD, N_PAD]) & MASK, S.shape[1] & MASK
+    K, P, H = VECTORS, VECTORS + n, VECTORS + 2 * n
+    J, A, L = H + width, H + 2 * width, H + 3 * width - n
+    size = begin(S, K, width)
+    if size < 0.0:
+        return int(size)
+    coarse, before = VIOLATED * size, inf
+    j = start(S, L, H, width, coarse)
+    # Whether rows contradict each other is decided on refined values only.
+    size = inf
+    for _ in range(PASSES):
+        ending = bring_all_in(S, L, H, J, j, coarse, size)
+        if ending != 0:
+            return ending
+        correction = refine(S, K, P, H, A, L)
+        rounding = sqrt(max(correction, 0.0))
+        dropped = settle_signs(S, L, max(coarse, rounding))
+        size = length(S, V, width)
+        fine = VIOLATED * size
+        settled = dropped == 0 and correction <= SETTLED * SETTLED * size * size
+        clear = settled and is_clear(S, size)
+        if clear and coarse <= NEAR * fine:
+            return solved(S, P, H, size, clear)
+        j = look_again(S, P, L, H, max(fine, rounding), size, dropped)
+        # No longer falling: the correction is the rounding of this problem.
+        falling = correction <= 0.25 * before
+        if j < 0 and (settled or (dropped == 0 and not falling)):
+            if clear or excess(S, P, n, width) <= 1.0:
+                return solved(S, P, H, size, clear)
+            # What is left to do if it does not fall: a row that `VIOLATED` has let pass.
+            j = -1 if falling else int(S[CHECK, WORST])
+            if j < 0 and not falling:
+                return UNDECIDED
+        before = correction if j < 0 else inf
+    return UNDECIDED
+
+
+def _entry_points(version: int) -> tuple[Callable[..., Any], ...]:
+    """What Python calls: compiled for these types only, and kept on disk."""
+
+    @njit("i8(f8[:, ::1])", cache=True, fastmath=REORDER, error_model="numpy")
+    def solve_step(S):  # type: ignore[no-untyped-def] # compiled by numba
+        S[HEAD, STAMP] = version
+        ending = solve(S)
+        S[HEAD, STALE] = 1.0 if ending < 0 and ending != DOUBTFUL else 0.0
+        return ending
+
+    @njit("b1(f8[:, ::1], f8[::1], f8[::1], f8[::1])", cache=True)
+    def take_over(S, q, low, high):  # type: ignore[no-untyped-def] # compiled by numba
+        S[HEAD, STAMP] = version
+        n, n_pad, m = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, int(S[HEAD, M])
+        if q.shape[0] != n or low.shape[0] != m or high.shape[0] != m:
+            return False
+        for i in range(n):
+            S[Q, i] = q[i]
+        for i in range(m):
+            S[LOW, n_pad + i], S[HIGH, n_pad + i] = low[i], high[i]
+        return True
+
+    @njit("f8(f8[:, ::1])", cache=True, fastmath=REORDER, error_model="numpy")
+    def excess_of(S):  # type: ignore[no-untyped-def] # compiled by numba
+        S[HEAD, STAMP] = version
+        n = int(S[HEAD, N_PAD]) & MASK
+        return excess(S, VECTORS + n, n, S.shape[1] & MASK)
+
+    # Without Numba's dispatcher, which takes 0.1 µs a call to find the type of S again.
+    return solve_step.get_overload(solve_step.signatures[0]), take_over, excess_of
+
+
+solve_step, take_over, excess_of = _entry_points(stamp())
+"""solve_step(S): solve the QP in S; the number of iterations, or a negative ending.
+take_over(S, q, l, u): copy the vectors into S, or False where a length does not fit; TypeError for
+anything but contiguous float64 vectors that may be written to.
+excess_of(S): how many times what is allowed z and λ in S miss the optimality conditions by."""

@@ -1,0 +1,122 @@
+"""What the solvers of this house that are compiled have in common: all of a step but the solve.
+
+The problem is kept as the array S of `active_set_constants.py`; `solve` of a subclass is a compiled
+call on it and leaves its ending in `_ending`: the number of iterations, or a negative number.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dpbench.errors import DpbenchError
+from dpbench.qp.program import Matrix, QPStep, QuadraticProgram, Refresh
+from dpbench.qp.solution import Solution, Status
+from dpbench.solvers.contract import Policy, Route, Workspace
+from dpbench.solvers.own.active_set import layout as layout
+from dpbench.solvers.own.active_set.constants import empty, fill, results, vectors
+from dpbench.solvers.own.active_set.kernel import take_over
+from dpbench.solvers.shapes import check_step, owned
+
+SOLVED = Status.SOLVED
+NOT_SOLVED_YET = -100
+
+
+class CompiledWorkspace(Workspace):
+    """A workspace on S; under policy `warm` what a solve leaves there starts the next one."""
+
+    def __init__(self, solver: str, route: Route, policy: Policy) -> None:
+        super().__init__(solver, route, policy)
+        self.setup_every_step = policy == "fresh"
+        self._base: QuadraticProgram | None = None
+        self._S: Matrix | None = None
+        self._refusal = ""
+        self._ending = NOT_SOLVED_YET
+        self._unusual: Solution
+
+    def setup(self, qp: QuadraticProgram) -> None:
+        """The constants of `qp`; a P that is not positive definite shows as ERROR when solved."""
+        self._prepare(owned(qp))
+
+    def _prepare(self, qp: QuadraticProgram) -> None:
+        before, n, m = self._base, qp.n, qp.m
+        self._base, self._ending = qp, NOT_SOLVED_YET
+        if self._S is None or before is None or (before.n, before.m) != (n, m):
+            self._S = empty(n, m)
+            self._z, self._y, self._y_box = results(self._S, n, m)
+        self._refusal = fill(self._S, qp, keep=self.policy == "warm")
+
+    def update(self, step: QPStep) -> None:
+        """Take over the vectors; new matrices are factorised again."""
+        self._ending = NOT_SOLVED_YET
+        if step.P is None and step.A is None and step.lb is None and step.ub is None:
+            try:
+                if take_over(self._S, step.q, step.l, step.u):
+                    return
+            except TypeError:  # arrays of another kind, or no setup yet
+                pass
+        self._update_slowly(step)
+
+    def _update_slowly(self, step: QPStep) -> None:
+        """Arrays of another layout or type, new matrices, or a mistake."""
+        base = self._base
+        if base is None or self._S is None:
+            raise DpbenchError("update before setup: call setup with the whole problem first")
+        check_step(step, base.n, base.m)
+        if step.refresh is Refresh.VECTORS:
+            mine = vectors(self._S, base.n, base.m)
+            for own, array in zip(mine, (step.q, step.l, step.u), strict=True):
+                own[:] = array
+        else:
+            self.matrix_updates += 1
+            self._prepare(owned(base.at(step)))
+
+    def _cannot(self) -> None:
+        if self._base is None:
+            raise DpbenchError("solve before setup: call setup with the whole problem first")
+        self._unusual = self._missing(Status.ERROR, self._refusal)
+        self._ending = layout.UNDECIDED
+
+    def read(self) -> Solution:
+        """The answer; every call gives it in new memory."""
+        ending = self._ending
+        if ending >= 0:
+            return Solution(SOLVED, self._z.copy(), self._y.copy(), self._y_box.copy(), ending)
+        if ending == NOT_SOLVED_YET:
+            return self._missing(Status.ERROR, "read before solve")
+        if ending == layout.NOT_FINITE:
+            return self._missing(Status.ERROR, "q is not finite")
+        if ending == layout.CROSSED:
+            return self._crossed()
+        found = self._unusual
+        z, y, y_box = found.z.copy(), found.y.copy(), found.y_box.copy()
+        return Solution(found.status, z, y, y_box, found.iterations, detail=found.detail)
+
+    def _crossed(self) -> Solution:
+        """Limits that contradict each other on their own, or are no numbers."""
+        qp = self._problem()
+        low, high = np.concatenate([qp.l, qp.lb]), np.concatenate([qp.u, qp.ub])
+        if np.isnan(low).any() or np.isnan(high).any():
+            return self._missing(Status.ERROR, "a limit is NaN")
+        row = np.flatnonzero((low > high) | (low == np.inf) | (high == -np.inf))[0]
+        answer = self._missing(Status.PRIMAL_INFEASIBLE, f"the limits of row {row} of [A; I] cross")
+        proof = np.zeros(low.size)
+        proof[row] = 1.0
+        answer.y, answer.y_box = proof[: qp.m], proof[qp.m :]
+        return answer
+
+    def _problem(self) -> QuadraticProgram:
+        """The current problem, in memory of its own."""
+        base = self._base
+        assert base is not None and self._S is not None
+        q, low, high = (array.copy() for array in vectors(self._S, base.n, base.m))
+        return QuadraticProgram(base.P, q, base.A, low, high, base.lb, base.ub, base.block)
+
+    def _missing(self, status: Status, detail: str) -> Solution:
+        if self._base is None:
+            raise DpbenchError("read before setup: call setup with the whole problem first")
+        return Solution.missing(self._base.n, self._base.m, status, detail)
+
+    def reset(self) -> None:
+        """The next solve starts from the empty set."""
+        if self._S is not None:
+            self._S[layout.HEAD, layout.STALE] = 1.0

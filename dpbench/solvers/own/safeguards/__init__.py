@@ -1,0 +1,1 @@
+"""What lets the active-set method claim an answer in a crowded place."""

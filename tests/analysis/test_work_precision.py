@@ -1,0 +1,94 @@
+"""Settings ladders against hand-made replays, and the suite that carries them."""
+
+import math
+from typing import Any
+
+import pytest
+
+from dpbench.analysis.times.work_precision import fastest_at, native_ladders, usual_ladders
+from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.suite import load_suite
+from dpbench.solvers.settings import setting_names
+from dpbench.solvers.table import record, settings_matter
+
+BOTH = ("paper", "rough[900:1400]")
+
+
+def test_a_rung_is_the_worst_of_its_sequences(records: Any) -> None:
+    """Worst p50 and p99, largest error, of two sequences long enough for a p99."""
+    records.replay("osqp", BOTH[0], median_us=10.0, spread=0.0, error=1e-5)
+    records.replay("osqp", BOTH[1], median_us=30.0, spread=0.0, error=1e-3)
+    (rung,) = usual_ladders(records.view(), BOTH)["osqp"]
+    assert (rung.p50_ns, rung.p99_ns, rung.error_move) == (30e3, 30e3, 1e-3)
+
+
+def test_both_times_of_a_rung_are_of_the_same_steps(records: Any) -> None:
+    """A sequence too short for a p99 gives no p50 either, or that would exceed the p99."""
+    records.replay("osqp", BOTH[0], median_us=10.0, spread=0.0, error=1e-5)
+    records.replay("osqp", BOTH[1], steps=500, median_us=30.0, spread=0.0, error=1e-3)
+    (rung,) = usual_ladders(records.view(), BOTH)["osqp"]
+    assert (rung.p50_ns, rung.p99_ns, rung.error_move) == (10e3, 10e3, 1e-3)
+    (short,) = usual_ladders(records.view(), BOTH[1:])["osqp"]
+    assert short.p50_ns == 30e3 and math.isnan(short.p99_ns)
+
+
+def test_a_ladder_has_its_levels_in_order_and_leaves_out_other_ways(records: Any) -> None:
+    """Default, low, mid, high on the default route; warm starts are another way."""
+    for settings in ("high", "default", "low", "mid"):
+        records.replay("osqp", settings=settings)
+    records.replay("osqp", settings="mid", policy="warm", median_us=1.0)
+    (ladder,) = usual_ladders(records.view(), BOTH[:1]).values()
+    assert [rung.settings for rung in ladder] == ["default", "low", "mid", "high"]
+    assert {rung.policy for rung in ladder} == {"fresh"}
+
+
+def test_a_native_ladder_takes_the_fastest_policy(records: Any) -> None:
+    """One policy for the whole line, that of least p50 at the most usual settings."""
+    for policy, us in (("fresh", 20.0), ("warm", 5.0), ("reuse", 8.0)):
+        records.replay("osqp", route="native", policy=policy, median_us=us, spread=0.0)
+    for policy, us in (("fresh", 30.0), ("warm", 60.0)):
+        way = {"route": "native", "policy": policy, "settings": "high"}
+        records.replay("osqp", **way, median_us=us, spread=0.0)
+    records.replay("osqp", median_us=1.0)
+    (ladder,) = native_ladders(records.view(), BOTH[:1]).values()
+    found = [(rung.policy, rung.settings, rung.p50_ns) for rung in ladder]
+    assert found == [("warm", "default", 5e3), ("warm", "high", 60e3)]
+    assert {rung.route for rung in ladder} == {"native"}
+
+
+def test_a_solver_on_one_sequence_of_two_has_no_rung(records: Any) -> None:
+    """Times of other QPs are not drawn in the same figure."""
+    records.replay("whole", BOTH[0])
+    records.replay("whole", BOTH[1])
+    records.replay("half", BOTH[0])
+    assert list(usual_ladders(records.view(), BOTH)) == ["whole"]
+
+
+def test_the_fastest_at_an_accuracy_fail_no_step(records: Any) -> None:
+    """A failing rung and an inaccurate one are passed over; a tighter rung may step in."""
+    records.replay("failing", median_us=1.0, failed=1)
+    records.replay("osqp", median_us=2.0, error=0.5)
+    records.replay("osqp", median_us=30.0, settings="high")
+    records.replay("daqp", median_us=10.0)
+    ladders = usual_ladders(records.view(), BOTH[:1])
+    assert fastest_at(ladders, 1e-2) == ["daqp", "osqp"]
+
+
+@pytest.mark.parametrize("sequence", ["paper", "rough"])
+def test_the_ladder_suite_runs_every_level_of_every_solver(sequence: str) -> None:
+    """Each solver whose settings matter is replayed at each of its four levels, long enough for
+    a p99; the others run once and stand under all names."""
+    _, suite = load_suite("ladder")
+    levels = ("default", "low", "mid", "high")
+    found: dict[str, set[str]] = {}
+    for planned in plan(suite):
+        cell = planned.cell
+        if cell.sequence.partition("[")[0] == sequence:
+            assert cell.steps >= 1000
+            assert cell.route == record(cell.solver).default_route
+            names = (cell.settings, *planned.alias_settings)
+            found.setdefault(cell.solver, set()).update(names)
+    assert {"daqp", "osqp", "piqp", "quadprog"} <= set(found)
+    for solver, names in found.items():
+        assert names == set(levels) & set(setting_names(solver))
+    assert any(not settings_matter(solver) for solver in found)

@@ -1,0 +1,468 @@
+"""What a solver does to its process is charged to it; what befalls the harness is `lost`."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from multiprocessing import Pipe
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pandas as pd
+import pytest
+
+from dpbench import load_results, run_campaign
+from dpbench.bench.campaign import Campaign
+from dpbench.bench.plan.cells import Planned
+from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.raw_log import RawLog, is_whole, replay_layout
+from dpbench.bench.record.result_folder import accidents
+from dpbench.bench.sequences.source import is_sound
+from dpbench.bench.workers import child as supervise
+from dpbench.bench.workers import interleaved as interleave
+from dpbench.bench.workers import scratch
+from dpbench.bench.workers.executor import CellStore, Job
+from dpbench.cli.main import main
+from dpbench.solvers import plugins
+
+STEPS = 8
+SUITE = f"""
+title = "A suite for one test"
+solvers = ["quadprog"]
+contrast = false
+cell_limit_s = 60.0
+rounds = 1
+warmup_steps = 0
+
+[[closed_loop]]
+scenarios = ["paper"]
+steps = {STEPS}
+
+[[replay]]
+scenario = "paper"
+steps = {STEPS}
+routes = ["qpsolvers", "native"]
+"""
+RANDOM = f"""
+[[random]]
+families = ["no_rows"]
+sizes = [[3, 0], [4, 0]]
+steps = {STEPS}
+"""
+LEAVING = Path(__file__).with_name("leaving_plugin.py")
+ENOUGH, SHORT = 10**9, 10**3
+
+
+@pytest.fixture
+def suite(tmp_path: Path) -> Path:
+    path = tmp_path / "tiny.toml"
+    path.write_text(SUITE, encoding="utf-8")
+    return path
+
+
+def run(suite: Path, out: Path) -> int:
+    """Cells that the benchmark lost."""
+    return accidents(run_campaign(suite, out))[0]
+
+
+def outcomes(out: Path) -> list[str]:
+    """Of all rows, each of which stands for another cell."""
+    runs = load_results(out).runs
+    assert runs["run_id"].is_unique
+    return list(runs["outcome"])
+
+
+@pytest.mark.parametrize(
+    ("way", "outcome", "words"),
+    [
+        ("exit", "crashed", "its process left with exit code 0"),
+        ("system_exit", "crashed", "SystemExit(0)"),
+        ("abort", "crashed", "killed by SIGABRT"),
+        ("sleep", "hung", "beyond the limit"),
+    ],
+)
+def test_a_solver_that_leaves_or_hangs_is_charged_with_it(
+    way: str, outcome: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In closed loop, replay and random problems alike; the steps before it stay."""
+    monkeypatch.setattr(plugins, "_LOADED", {})
+    monkeypatch.setattr(supervise, "GRACE_S", 0.5)
+    monkeypatch.setattr(interleave, "GRACE_S", 0.5)
+    text = (SUITE + RANDOM).replace('["quadprog"]', '["leaving"]')
+    limit = text.replace("60.0", "1.0") if way == "sleep" else text
+    (tmp_path / "tiny.toml").write_text(limit.replace('"qpsolvers", ', ""), encoding="utf-8")
+    module = tmp_path / "leaving_plugin.py"
+    module.write_text(LEAVING.read_text(encoding="utf-8").replace('"system_exit"]', f'"{way}"]'))
+    out = tmp_path / "out"
+    arguments = ["run", str(tmp_path / "tiny.toml"), "--out", str(out)]
+    assert main([*arguments, "--solver-module", str(module), "--solver", "leaving"]) == 0
+    runs = load_results(out).runs
+    assert len(runs) == 4 and runs["run_id"].is_unique
+    assert set(runs["outcome"]) == {outcome}, runs["outcome_detail"].tolist()
+    assert runs["outcome_detail"].str.contains(words, regex=False).all()
+    # A replay that is timed solves three steps before its first.
+    replayed = (runs["mode"] == "replay") & (runs["scenario"] != "")
+    assert runs["steps_done"].where(~replayed, 2).tolist() == runs["steps_done"].tolist()
+    assert set(runs.loc[~replayed, "steps_done"]) == {5}
+
+
+def test_logs_lie_elsewhere_where_memory_is_short(
+    suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The next file system with room takes the logs; it is recorded and no failure."""
+    free = {scratch.MEMORY: SHORT}
+    monkeypatch.setattr(scratch, "free_bytes", lambda place: free.get(place, ENOUGH))
+    assert run(suite, tmp_path / "out") == 0
+    assert outcomes(tmp_path / "out") == ["finished"] * 3
+    remarks = load_results(tmp_path / "out").suite["remarks"]
+    (remark,) = remarks
+    assert "2 parts" in remark and "/dev/shm has 0.0 MB" in remark
+
+
+def test_without_room_anywhere_cells_are_lost_until_there_is(
+    suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit 1 and one line with cause and remedy; the same command completes every cell later."""
+    out = tmp_path / "out"
+    command = ["run", str(suite), "--out", str(out)]
+    with monkeypatch.context() as patch:
+        patch.setattr(scratch, "free_bytes", lambda place: SHORT)
+        assert main(command) == 1
+    assert outcomes(out) == ["lost"] * 3
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "3 of 3 cells were lost" in line and "no room" in line and "same command" in line
+    assert main(command) == 0
+    assert capsys.readouterr().err == ""
+    assert outcomes(out) == ["finished"] * 3
+
+
+def test_fresh_results_that_were_lost_do_not_leave_the_old_ones(
+    suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With --fresh a cell that was lost is not shown with the steps of an earlier time."""
+    out = run_campaign(suite, tmp_path / "out")
+    monkeypatch.setattr(scratch, "free_bytes", lambda place: SHORT)
+    run_campaign(suite, out, fresh=True)
+    results = load_results(out)
+    assert set(results.runs["outcome"]) == {"lost"} and results.steps.empty
+
+
+def test_columns_of_an_earlier_time_do_not_stay_with_a_crash(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A cell that left no steps has none, whatever lies there from before."""
+    monkeypatch.setattr(plugins, "_LOADED", {})
+    path, module = tmp_path / "tiny.toml", tmp_path / "dying.py"
+    path.write_text(SUITE.replace("quadprog", "leaving").split("[[replay]]")[0], encoding="utf-8")
+    marker = tmp_path / "marker"
+    dying = DYING.replace("MARKER", repr(str(marker)))
+    module.write_text(LEAVING.read_text(encoding="utf-8") + dying, encoding="utf-8")
+    arguments = {"solver_module": module, "solvers": ["leaving"]}
+    out = run_campaign(path, tmp_path / "out", **arguments)
+    assert list(load_results(out).runs["steps_done"]) == [5]
+    marker.touch()
+    run_campaign(path, out, fresh=True, **arguments)
+    runs = load_results(out).runs
+    assert (list(runs["outcome"]), list(runs["steps_done"])) == (["crashed"], [0])
+    assert "while it was opened" in runs["outcome_detail"].iloc[0]
+
+
+DYING = """
+opened = open
+def open(policy, options):
+    if os.path.exists(MARKER):
+        os._exit(0)
+    return opened(policy, options)
+"""
+
+
+PARTING = """
+import weakref
+opened = open
+def open(policy, options):
+    workspace = opened(policy, options)
+    weakref.finalize(workspace, os._exit, 0).atexit = False
+    return workspace
+"""
+
+
+def test_a_library_that_dies_when_it_is_let_go_costs_no_cell(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What happens between two cells of one process is charged to neither."""
+    monkeypatch.setattr(plugins, "_LOADED", {})
+    path, module = tmp_path / "tiny.toml", tmp_path / "parting.py"
+    head = SUITE.split("[[closed_loop]]")[0].replace("quadprog", "leaving")
+    path.write_text(head + RANDOM, encoding="utf-8")
+    module.write_text(LEAVING.read_text(encoding="utf-8").replace("== 6", "== 0") + PARTING)
+    out = run_campaign(path, tmp_path / "out", solver_module=module, solvers=["leaving"])
+    runs = load_results(out).runs
+    assert list(runs["outcome"]) == ["finished"] * 2, list(runs["outcome_detail"])
+
+
+def test_a_worker_that_died_between_rounds_ends_no_campaign(tmp_path: Path) -> None:
+    """Nobody is at the other end when the next round is asked for: that arm serves no more."""
+    ours, theirs = Pipe()
+    theirs.close()
+    cell = cast(Cell, SimpleNamespace(limit_s=1.0))
+    arm = interleave._Arm("a", cell, cast(supervise.Child, None), ours)
+    group = interleave.ReplayGroup(cast(Any, None), tmp_path, tmp_path, 0, [])
+    group._serve(arm, 1)
+    assert not arm.serving
+
+
+def mounted(size: str) -> list[str]:
+    """The head of a command that runs with a /dev/shm of that size; skips where that cannot be."""
+    mount = f'mount -t tmpfs -o size={size} tmpfs /dev/shm && exec "$@"'
+    head = ["unshare", "--mount", "sh", "-c", mount, "sh"]
+    try:
+        allowed = subprocess.run([*head, "true"], capture_output=True, check=False).returncode == 0
+    except OSError:
+        allowed = False
+    if not allowed:
+        pytest.skip("mounting a file system is not permitted here")
+    return head
+
+
+def test_a_full_dev_shm_costs_no_cell(suite: Path, tmp_path: Path) -> None:
+    """Under a real /dev/shm of 1 MB every cell finishes, and the command says where logs lay."""
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "dpbench", "run", str(suite), "--out", str(out)]
+    done = subprocess.run([*mounted("1m"), *command], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert outcomes(out) == ["finished"] * 3
+    assert "/dev/shm has" in done.stderr
+
+
+FILLED = """
+import sys
+from pathlib import Path
+from dpbench.bench.workers import scratch
+from dpbench.cli.main import main
+# The room was there when it was looked for, and is gone when a worker comes for it.
+Path("/dev/shm/filling").write_bytes(bytes(2**20))
+scratch.free_bytes = lambda place: 10**9
+raise SystemExit(main(sys.argv[1:]))
+"""
+
+
+def test_a_disk_that_fills_meanwhile_loses_cells_and_blames_nobody(
+    suite: Path, tmp_path: Path
+) -> None:
+    """ENOSPC in a worker is `lost` with the system's words, and the same command completes all."""
+    out = tmp_path / "out"
+    command = [sys.executable, "-c", FILLED, "run", str(suite), "--out", str(out)]
+    done = subprocess.run([*mounted("1m"), *command], capture_output=True, text=True, check=False)
+    assert done.returncode == 1, done.stderr
+    runs = load_results(out).runs
+    assert list(runs["outcome"]) == ["lost"] * 3
+    assert runs["outcome_detail"].str.contains("No space left on device").all()
+    assert run(suite, out) == 0
+    assert outcomes(out) == ["finished"] * 3
+
+
+class _Remover:
+    """A person who tidies up in the midst of a replay."""
+
+    def __init__(self, place: Path) -> None:
+        self._place = place
+
+    def start(self, work: int) -> None:
+        """Nothing yet."""
+
+    def advance(self, work: int, what: str) -> None:
+        if what == "replay paper, round 0":
+            for folder in self._place.glob("dpbench-*"):
+                shutil.rmtree(folder)
+
+
+def test_a_scratch_folder_that_is_removed_costs_only_what_was_in_it(
+    suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The cells in flight are lost, those before and after it are not; the next run has all."""
+    memory, out = tmp_path / "memory", tmp_path / "out"
+    memory.mkdir()
+    monkeypatch.setattr(scratch, "MEMORY", memory)
+    suite.write_text(SUITE + RANDOM.replace("steps", 'routes = ["qpsolvers"]\nsteps'))
+    run_campaign(suite, out, progress=_Remover(memory))
+    runs = load_results(out).runs
+    lost = (runs["mode"] == "replay") & (runs["scenario"] != "")
+    assert runs["outcome"].tolist() == ["lost" if gone else "finished" for gone in lost]
+    assert accidents(out)[0] == lost.sum() == 2
+    kept = runs.loc[~lost, "raw_max_ns"].tolist()
+    assert run(suite, out) == 0
+    assert set(outcomes(out)) == {"finished"}
+    assert load_results(out).runs.loc[~lost.to_numpy(), "raw_max_ns"].tolist() == kept
+
+
+DAMAGE: dict[str, Callable[[Path], object]] = {
+    "truncated": lambda path: os.truncate(path, path.stat().st_size // 2),
+    "empty": lambda path: path.write_bytes(b""),
+    "random": lambda path: path.write_bytes(os.urandom(path.stat().st_size)),
+    "zeros": lambda path: path.write_bytes(bytes(path.stat().st_size)),
+    "flipped": lambda path: path.write_bytes(_flipped(path.read_bytes())),
+    "gone": lambda path: path.unlink(),
+}
+
+
+def _flipped(data: bytes) -> bytes:
+    middle = len(data) // 2
+    return data[:middle] + bytes([data[middle] ^ 0xFF]) + data[middle + 1 :]
+
+
+def forget_cells(out: Path) -> None:
+    """Let the cells run again, with the files that their QPs are made from."""
+    for path in (out / "cells").glob("*.json"):
+        path.unlink()
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A result folder whose copies are damaged, beside its suite."""
+    base = tmp_path_factory.mktemp("accidents")
+    (base / "tiny.toml").write_text(SUITE, encoding="utf-8")
+    run_campaign(base / "tiny.toml", base / "out")
+    return base
+
+
+@pytest.fixture
+def copied(finished: Path, tmp_path: Path) -> Path:
+    shutil.copytree(finished, tmp_path / "copy")
+    return tmp_path / "copy"
+
+
+@pytest.mark.parametrize("damage", sorted(DAMAGE))
+def test_damage_of_a_source_is_seen(damage: str, copied: Path) -> None:
+    """Whatever became of the exactly solved loop, reading all of it tells."""
+    (source,) = (copied / "out" / "cells").glob("exact-*.npz")
+    cell = Cell.from_json(load_results(copied / "out").runs["cell"].iloc[0])
+    assert is_sound(cell, source)
+    DAMAGE[damage](source)
+    assert not is_sound(cell, source)
+
+
+def test_a_damaged_source_is_made_anew(copied: Path) -> None:
+    """The exactly solved loop behind the cells is found damaged before anybody needs it."""
+    out = copied / "out"
+    (source,) = (out / "cells").glob("exact-*.npz")
+    before = source.read_bytes()
+    DAMAGE["truncated"](source)
+    forget_cells(out)
+    assert run(copied / "tiny.toml", out) == 0
+    assert outcomes(out) == ["finished"] * 3
+    assert len(source.read_bytes()) == len(before)
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_source_damaged_after_it_was_looked_at(
+    times: int, copied: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its cells run again with a new one, once; if that is damaged too, they are lost."""
+    out, left, looked = copied / "out", [times], Campaign._sources
+    forget_cells(out)
+
+    def damaged(self: Campaign, *rest: object) -> dict[str, Path]:
+        paths: dict[str, Path] = looked(self, *rest)  # type: ignore[arg-type] # passed on
+        for path in paths.values() if left[0] > 0 else ():
+            DAMAGE["flipped"](path)
+        left[0] -= 1
+        return paths
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Campaign, "_sources", damaged)
+        assert run(copied / "tiny.toml", out) == 3 * (times - 1)
+    assert outcomes(out) == [["finished"], ["lost"]][times - 1] * 3
+    assert run(copied / "tiny.toml", out) == 0
+    assert outcomes(out) == ["finished"] * 3
+
+
+@pytest.mark.parametrize("suffix", ["npz", "json"])
+@pytest.mark.parametrize("damage", sorted(DAMAGE))
+def test_a_damaged_cell_is_not_finished(suffix: str, damage: str, copied: Path) -> None:
+    """Nothing of it is relied on, whichever of its two files is damaged."""
+    cells = copied / "out" / "cells"
+    job = Job(cast(Planned, None), load_results(copied / "out").runs["run_id"].iloc[0], "")
+    known = CellStore(cells).finished(job)
+    assert known is not None and known.outcome == "finished"
+    DAMAGE[damage](cells / f"{job.run_id}.{suffix}")
+    assert CellStore(cells).finished(job) is None
+
+
+def test_an_outcome_nobody_knows_is_none(copied: Path) -> None:
+    """What stands in a cell's JSON is believed only where it is an outcome of a cell."""
+    cells = copied / "out" / "cells"
+    job = Job(cast(Planned, None), load_results(copied / "out").runs["run_id"].iloc[0], "")
+    path = cells / f"{job.run_id}.json"
+    for outcome in ("splendid", "lost"):
+        path.write_text(json.dumps({"outcome": outcome, "detail": "", "with_steps": True}))
+        assert CellStore(cells).finished(job) is None
+
+
+def test_damaged_cells_run_again(copied: Path) -> None:
+    """Those alone, and they are finished with all their steps."""
+    out = copied / "out"
+    before = load_results(out).runs
+    first, second, _ = before["run_id"]
+    DAMAGE["truncated"](out / "cells" / f"{first}.npz")
+    DAMAGE["random"](out / "cells" / f"{second}.json")
+    assert run(copied / "tiny.toml", out) == 0
+    after = load_results(out).runs
+    assert outcomes(out) == ["finished"] * 3 and set(after["steps_done"]) == {STEPS}
+    assert (before["raw_max_ns"] == after["raw_max_ns"]).tolist() == [False, False, True]
+
+
+def test_columns_damaged_while_the_campaign_runs_are_lost(
+    copied: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A finished cell without its columns is no finished one; the next run has them again."""
+    out, write = copied / "out", Campaign._write
+    first = str(load_results(out).runs["run_id"].iloc[0])
+
+    def late(self: Campaign, *rest: object) -> None:
+        DAMAGE["truncated"](out / "cells" / f"{first}.npz")
+        write(self, *rest)  # type: ignore[arg-type] # passed on
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Campaign, "_write", late)
+        assert run(copied / "tiny.toml", out) == 1
+    assert outcomes(out) == ["lost", "finished", "finished"]
+    assert run(copied / "tiny.toml", out) == 0
+    assert outcomes(out) == ["finished"] * 3
+
+
+def test_a_referee_that_fails_loses_the_cell(copied: Path) -> None:
+    """In closed loop and replay alike; a folder in a file's place stands for any failure."""
+    out = copied / "out"
+    runs: pd.DataFrame = load_results(out).runs
+    forget_cells(out)
+    places = [out / "cells" / f"{run_id}.part.npz" for run_id in runs["run_id"].iloc[[0, 2]]]
+    for place in places:
+        place.mkdir()
+    assert run(copied / "tiny.toml", out) == 2
+    assert outcomes(out) == ["lost", "finished", "lost"]
+    details = load_results(out).runs["outcome_detail"]
+    assert details.iloc[[0, 2]].str.startswith("the referee failed on it: IsADirectoryError").all()
+    for place in places:
+        place.rmdir()
+    assert run(copied / "tiny.toml", out) == 0
+    assert outcomes(out) == ["finished"] * 3
+
+
+def test_a_log_has_its_room_or_is_none(tmp_path: Path) -> None:
+    """All blocks of a new log are there; one that was cut is not whole; a failure leaves none."""
+    path = tmp_path / "a.raw"
+    RawLog.create(path, replay_layout(1, 50, 3, 3))
+    size = path.stat().st_size
+    assert 512 * path.stat().st_blocks >= size and is_whole(path)
+    os.truncate(path, size - 1)
+    assert not is_whole(path)
+    with pytest.raises(OSError, match=r"."):
+        RawLog.create(
+            tmp_path / "b.raw", replay_layout(2**20, 2**20, 8, 8) | {"done": ("i8", (1,))}
+        )
+    assert not list(tmp_path.glob("b.raw")) and not list(tmp_path.glob("*.blank"))

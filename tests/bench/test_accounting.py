@@ -1,0 +1,169 @@
+"""Where the time of a campaign went, and how long a slow arm goes on; waits of a known length."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+
+from dpbench import load_scenario, record_sequence
+from dpbench.bench.accounting import Ledger
+from dpbench.bench.campaign import run_campaign
+from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.suite import ClosedLoopTable, SuiteFile
+from dpbench.bench.record.raw_log import RawLog, replay_layout
+from dpbench.bench.record.result_folder import Results, load_results
+from dpbench.bench.run.formulation import in_replay
+from dpbench.bench.run.replay import ReplayArm
+from dpbench.bench.run.timed_solver import SolverPort
+from dpbench.bench.workers.interleaved import FEWEST_ROUNDS
+from dpbench.report.tables_spent import spent_table
+from dpbench.solvers.calibration import NO_OP, open_calibration
+
+STEPS, ROUNDS = 20, 6
+SUITE = f"""
+title = "Tiny"
+solvers = ["daqp", "busy_wait_1000us", "busy_wait_20us"]
+contrast = false
+rounds = {ROUNDS}
+warmup_steps = 2
+replay_budget_s = 0.04 # less than two rounds of a wait of 1 ms
+
+[[closed_loop]]
+scenarios = ["paper"]
+steps = 10
+
+[[replay]]
+scenario = "paper"
+steps = {STEPS}
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    base = tmp_path_factory.mktemp("accounting")
+    (base / "tiny.toml").write_text(SUITE, encoding="utf-8")
+    return run_campaign(base / "tiny.toml", base / "out")
+
+
+@pytest.fixture(scope="module")
+def results(folder: Path) -> Results:
+    return load_results(folder)
+
+
+def test_a_stage_knows_its_timed_phases(results: Results) -> None:
+    """Seconds inside timed phases are those of the step table; the referee took some as well."""
+    loop, replay = results.suite["spent"]
+    assert (loop["stage"], loop["cells"]) == ("closed loop", 1)
+    assert (replay["stage"], replay["cells"]) == ("replay of paper", 3)
+    runs = results.runs.set_index("run_id")
+    inside = results.steps["total_ns"] + results.steps["emit_ns"].fillna(0)
+    mode = results.steps["run_id"].map(runs["mode"])
+    for stage, name in ((loop, "closed_loop"), (replay, "replay")):
+        assert stage["timed_s"] == pytest.approx(inside[mode == name].sum() / 1e9, abs=0.011)
+        assert stage["referee_s"] > 0.0
+    waits = results.steps["run_id"].map(runs["solver"]) == "busy_wait_1000us"
+    # Two decimals are kept.
+    assert waits.sum() * 1e-3 < replay["timed_s"] + 0.005
+    assert replay["timed_s"] < replay["wall_s"] < results.suite["wall_s"]
+
+
+def test_a_slow_arm_has_fewer_rounds_and_is_finished(results: Results) -> None:
+    """An arm beyond its budget ends with the fewest rounds that count, not as timed out."""
+    runs = results.runs.set_index("solver")
+    slow = runs.loc["busy_wait_1000us"]
+    steps = results.steps[results.steps["run_id"] == slow["run_id"]]
+    assert slow["outcome"] == "finished"
+    # More than the fewest only to make up for rounds that the machine spoilt.
+    seen, spoilt = steps["repeat"].max(), slow["spoilt_rounds"] + slow["rerun_rounds"]
+    assert FEWEST_ROUNDS <= seen <= FEWEST_ROUNDS + spoilt
+    assert (steps.groupby("repeat").size()[1:] == STEPS).all()
+
+
+def test_a_stage_that_ran_nothing_is_none() -> None:
+    """Where all cells are lost before one starts there is no time whose shares could be told."""
+    ledger = Ledger()
+    job = cast(Any, None)
+    with ledger.stage("closed loop", [job]):
+        pass
+    assert ledger.entries({}) == []
+
+
+def test_a_sitting_that_finds_everything_done_has_no_stage(folder: Path) -> None:
+    """What was finished earlier is counted as such and gives no share of this sitting."""
+    run_campaign(folder.parent / "tiny.toml", folder)
+    suite = json.loads((folder / "suite.json").read_text(encoding="utf-8"))
+    assert suite["spent"] == [] and suite["earlier_cells"] == 4
+    assert spent_table(suite) is None
+
+
+def test_side_by_side_seconds_are_divided() -> None:
+    """By hand: 30 s / 2 + 10 s / 2 of 40 s, and 8 s + 4 s / 2 of 20 s; 30 s of 80 s in all."""
+    loop = {"stage": "closed loop", "cells": 9, "wall_s": 40.0, "timed_s": 30.0, "referee_s": 10.0}
+    replay = {"stage": "replay of calm", "cells": 2, "wall_s": 20.0, "timed_s": 8.0}
+    table = spent_table(
+        {
+            "wall_s": 80.0,
+            "earlier_cells": 0,
+            "spent": [
+                loop | {"slots": 2, "judges": 2},
+                replay | {"referee_s": 4.0, "slots": 1, "judges": 2},
+            ],
+        }
+    )
+    assert table is not None
+    assert [row[-1].text for row in table.rows] == ["50.0 %", "50.0 %", "0 %", "37.5 %"]
+    assert table.rows[2][2].text == "20.0 s"
+
+
+def test_a_table_may_have_a_limit_of_its_own() -> None:
+    """The limit of a closed-loop table stands before that of the suite."""
+    tables = [
+        ClosedLoopTable(scenarios=["paper"], steps=5, limit_s=1.5),
+        ClosedLoopTable(scenarios=["calm"], steps=5),
+    ]
+    suite = SuiteFile(
+        title="x", solvers=["daqp"], contrast=False, cell_limit_s=7.0, closed_loop=tables
+    )
+    assert [planned.cell.limit_s for planned in plan(suite)] == [1.5, 7.0]
+
+
+def test_both_kernels_are_timed_around_every_round() -> None:
+    """By the clock of the harness, each pass of the load kernel for itself."""
+    sequence = record_sequence(load_scenario("paper").first(3))
+    now = iter(range(10**9))
+    log = RawLog.in_memory(replay_layout(3, 3, sequence.base.n, sequence.base.m))
+    made, formulated = in_replay("condensed_box", sequence)
+    port = SolverPort(open_calibration(NO_OP), formulated, lambda: next(now))
+    arm = ReplayArm(
+        made, port, log, warmup_steps=1, limit_ns=10**9, clock=lambda: next(now), preroll=0
+    )
+    assert arm.round(1)
+    assert (log.probe_ns[1] == 1).all() and (log.load_ns[1] == 1).all()
+    assert not log.probe_ns[2].any() and not log.load_ns[2].any()
+
+
+def test_a_round_that_is_run_again_costs_an_arm_nothing() -> None:
+    """The limit is of the rounds that are kept: of two attempts the last counts."""
+    sequence = record_sequence(load_scenario("paper").first(3))
+    ticks = iter(range(0, 10**9, 1000))
+
+    def clock() -> int:
+        return next(ticks)
+
+    def arm_of(limit_ns: int) -> Iterator[bool]:
+        log = RawLog.in_memory(replay_layout(3, 3, sequence.base.n, sequence.base.m))
+        made, formulated = in_replay("condensed_box", sequence)
+        port = SolverPort(open_calibration(NO_OP), formulated, clock)
+        arm = ReplayArm(made, port, log, warmup_steps=1, limit_ns=limit_ns, clock=clock, preroll=0)
+        return (arm.round(r) for r in (1, 1, 1, 2))
+
+    began = next(ticks)
+    assert list(arm_of(10**9)) == [True] * 4
+    per_round = (next(ticks) - began) // 4
+    # Room for two rounds and a half, each a quarter of what the four took with their probes.
+    assert list(arm_of(round(2.5 * per_round))) == [True] * 4
+    assert not all(arm_of(per_round // 20))

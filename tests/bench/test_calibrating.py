@@ -1,0 +1,158 @@
+"""The harness's own arms through a whole campaign, and the doctor; no time is asserted."""
+
+import gc
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dpbench import load_scenario, record_sequence
+from dpbench.bench.campaign import run_campaign
+from dpbench.bench.judge.calibration import calibrate, off_by_ns, within_bar
+from dpbench.bench.record.disturbance import disturbance_metrics
+from dpbench.bench.record.raw_log import RawLog, replay_layout
+from dpbench.bench.record.result_folder import Results, load_results
+from dpbench.bench.record.schema import ACCURACY_COLUMNS
+from dpbench.bench.run.formulation import in_replay
+from dpbench.bench.run.replay import ReplayArm
+from dpbench.bench.run.timed_solver import SolverPort
+from dpbench.bench.sequences.sequence_file import save_sequence
+from dpbench.cli.main import main
+from dpbench.qp.program import QPSequence
+from dpbench.report.write import verdict_lines, write_report
+from dpbench.solvers.calibration import CALIBRATION, NO_OP, open_calibration
+
+STEPS, ROUNDS = 12, 2
+SUITE = f"""
+title = "Tiny"
+solvers = ["daqp"]
+calibration = true
+contrast = false
+rounds = {ROUNDS}
+warmup_steps = 3
+
+[[recorded]]
+sequence = "short.npz"
+routes = ["native"]
+policies = ["warm"]
+"""
+
+
+@pytest.fixture(scope="module")
+def sequence() -> QPSequence:
+    return record_sequence(load_scenario("paper").first(STEPS))
+
+
+@pytest.fixture(scope="module")
+def folder(sequence: QPSequence, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    base = tmp_path_factory.mktemp("calibrating")
+    save_sequence(base / "short.npz", sequence)
+    (base / "tiny.toml").write_text(SUITE, encoding="utf-8")
+    return run_campaign(base / "tiny.toml", base / "out")
+
+
+@pytest.fixture(scope="module")
+def results(folder: Path) -> Results:
+    return load_results(folder)
+
+
+def test_own_arms_run_like_any_other_and_are_judged_by_nobody(results: Results) -> None:
+    """Each is a finished row with all its samples, and no word about accuracy."""
+    runs = results.runs.set_index("solver")
+    own = runs.loc[list(CALIBRATION)]
+    assert (own["outcome"] == "finished").all()
+    assert own[list(ACCURACY_COLUMNS)].isna().all().all()
+    assert runs.loc["daqp", "true_share"] == 1.0
+    rows = results.steps[results.steps["run_id"].isin(own["run_id"])]
+    assert len(rows) == len(CALIBRATION) * (3 + ROUNDS * STEPS)
+    assert rows["error_move"].isna().all() and not rows["true"].any()
+    assert (rows["certificate"] == "none").all()
+    assert rows[["update_ns", "solve_ns", "read_ns"]].notna().all().all()
+
+
+def test_no_wait_is_shorter_than_it_says(results: Results) -> None:
+    """Two clocks agree to a thousandth: a wait takes at least its time, whatever the load."""
+    for run in results.runs[results.runs["solver"].str.startswith("busy_wait")].itertuples():
+        rows = results.steps[results.steps["run_id"] == run.run_id]
+        waits_ns = 1000 * int(str(run.solver).removeprefix("busy_wait_").removesuffix("us"))
+        assert rows["solve_ns"].min() >= 0.999 * waits_ns
+
+
+def test_what_disturbed_and_what_it_took_are_columns(results: Results) -> None:
+    """Counters, determinism and memory of every arm; a direct method repeats itself."""
+    runs = results.runs
+    assert (runs["replay_s"] > 0).all()
+    counts = runs[["voluntary_switches", "involuntary_switches", "rerun_rounds"]]
+    assert counts.notna().all().all() and (counts >= 0).all().all()
+    assert (runs["bit_identical_share"] == 1.0).all()
+    daqp = runs.set_index("solver").loc["daqp"]
+    assert (daqp["iterations_identical_share"], daqp["iterations_spread"]) == (1.0, 0)
+    assert (runs[["os_threads", "pool_threads"]] >= 1).all().all()
+    memory = runs.set_index("solver")["peak_rss_bytes"]
+    assert memory["daqp"] > memory[NO_OP] > 0, "a library takes memory that nothing does not"
+    assert runs.set_index("solver").loc[NO_OP, "python_blocks_per_step"] == 0.0
+
+
+def test_the_report_and_the_last_lines_speak_of_them(folder: Path) -> None:
+    """A whole page, and one line each on machine and harness."""
+    text = write_report(folder).with_suffix(".md").read_text(encoding="utf-8")
+    assert "### What the harness itself costs" in text and "### Memory of a worker" in text
+    machine, harness = verdict_lines(load_results(folder))[-2:]
+    assert machine.startswith("machine: ") and harness.startswith("harness: ")
+
+
+def test_a_round_begun_twice_was_run_again(sequence: QPSequence) -> None:
+    """The log knows how often a round was begun, and counts the last attempt alone."""
+    log = RawLog.in_memory(replay_layout(3, STEPS, sequence.base.n, sequence.base.m))
+    made, formulated = in_replay("condensed_box", sequence)
+    clock = time.perf_counter_ns
+    port = SolverPort(open_calibration(NO_OP), formulated, clock)
+    arm = ReplayArm(made, port, log, warmup_steps=2, limit_ns=10**12, clock=clock)
+    for r in (0, 1, 1, 2):
+        arm.round(r)
+    assert log.attempts.tolist() == [1, 2, 1]
+    found = disturbance_metrics(log)
+    assert found["rerun_rounds"] == 1
+    assert found["replay_s"] == pytest.approx(log.counters[1:, 0].sum())
+
+
+def test_the_bar_of_each_arm() -> None:
+    """1 µs, or 1 % of a wait where that is more; the contract's cost has no bar."""
+    assert within_bar("busy_wait_50us", 50_999.0) and not within_bar("busy_wait_50us", 51_001.0)
+    assert within_bar("busy_wait_1000us", 1_009_999.0)
+    assert not within_bar("busy_wait_1000us", 989_000.0)
+    assert within_bar(NO_OP, 1000.0) and not within_bar(NO_OP, 1001.0)
+    assert within_bar("copy_only", 1e9) is None
+    assert off_by_ns("busy_wait_20us", 20_300.0) == 300.0
+
+
+def test_a_quick_calibration_leaves_the_process_as_it_was() -> None:
+    """Every arm has a median; cores and garbage collector are those of before."""
+    before = os.sched_getaffinity(0), gc.isenabled()
+    found = calibrate()
+    assert (os.sched_getaffinity(0), gc.isenabled()) == before
+    assert list(found.p50_ns) == list(CALIBRATION)
+    assert found.p50_ns["busy_wait_1000us"] >= 0.999e6
+    assert found.disturbance.rounds == 5 * len(CALIBRATION)
+    assert np.isfinite(found.disturbance.switches_per_s)
+
+
+def test_the_doctor_says_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
+    """Facts, a verdict on the machine by a stated rule, one on the harness; exit code 0."""
+    assert main(["doctor"]) == 0
+    said = capsys.readouterr().out
+    words = ("processor", "governor", "BLAS", "reading the clock", "context switches", "stolen")
+    for word in (*words, "throttle", "machine: ", "quiet means: ", "harness: ", *CALIBRATION):
+        assert word in said
+
+
+def test_a_part_of_a_suite_may_be_an_own_arm(folder: Path, tmp_path: Path) -> None:
+    """`--solver no_op` runs it alone, and the report has nothing to miss."""
+    out = run_campaign(folder.parent / "tiny.toml", tmp_path / "part", solvers=[NO_OP])
+    runs: pd.DataFrame = load_results(out).runs
+    assert runs["solver"].tolist() == [NO_OP]
+    text = write_report(out).with_suffix(".md").read_text(encoding="utf-8")
+    assert "Missing:" not in text

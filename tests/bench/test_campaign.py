@@ -1,0 +1,254 @@
+"""A campaign writes the tables the outside relies on and keeps what is finished."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import osqp
+import pandas as pd
+import pytest
+
+from dpbench import load_results, run_campaign
+from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.result_folder import Results, claimed
+from dpbench.bench.record.schema import RUN_COLUMNS, STEP_COLUMNS
+from dpbench.errors import InputError, ResultsError, UnknownNameError
+from dpbench.scenario.problem_files import problem_path
+from dpbench.solvers import plugins
+
+SUITE = """
+title = "A suite for one test"
+solvers = ["quadprog", "osqp"]
+cell_limit_s = 60.0  # what a loaded machine keeps
+rounds = 2
+warmup_steps = 5
+
+[[closed_loop]]
+scenarios = ["paper"]
+steps = 30
+
+[[closed_loop]]
+scenarios = ["paper"]
+units = ["si"]
+settings = ["default", "high"]
+steps = 20
+
+[[replay]]
+scenario = "paper"
+steps = 30
+settings = ["default", "high"]
+policies = ["fresh", "warm"]
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    base = tmp_path_factory.mktemp("campaign")
+    (base / "tiny.toml").write_text(SUITE, encoding="utf-8")
+    return run_campaign(base / "tiny.toml", base / "out")
+
+
+@pytest.fixture(scope="module")
+def results(folder: Path) -> Results:
+    return load_results(folder)
+
+
+def test_tables_have_exactly_the_columns_of_the_schema(results: Results) -> None:
+    """runs.parquet and steps.parquet carry the columns of the schema, in its order."""
+    assert list(results.runs.columns) == list(RUN_COLUMNS)
+    assert list(results.steps.columns) == list(STEP_COLUMNS)
+
+
+def test_rows_tell_how_their_library_was_built(results: Results) -> None:
+    """Finished and refused rows alike say what the library says; none of these is generic."""
+    builds = results.runs.groupby("solver")["build"].unique()
+    assert list(builds["osqp"]) == [f"algebra {osqp.default_algebra()}"]
+    assert list(builds["quadprog"]) == [""]
+    assert not results.runs["generic_build"].any()
+
+
+def test_every_planned_cell_is_a_row(results: Results) -> None:
+    """Finished cells, aliases of settings without effect and refused policies are all rows."""
+    runs = results.runs
+    closed = runs[runs["mode"] == "closed_loop"]
+    assert len(closed) == 3 + 2 * 2, "two solvers and the contrast; SI at two settings each"
+    replayed = runs[runs["mode"] == "replay"]
+    assert len(replayed) == 2 * 2 * 2
+    refused = replayed[replayed["outcome"] == "refused"]
+    assert set(refused["solver"]) == {"quadprog"} and (refused["policy"] == "warm").all()
+    assert refused["outcome_detail"].str.contains("start").all()
+    assert (runs.loc[runs["outcome"] != "refused", "outcome"] == "finished").all()
+
+
+def test_settings_without_effect_run_once_and_show_under_both_names(results: Results) -> None:
+    """quadprog has no tolerance: `default` and `high` are the same numbers under two names."""
+    runs = results.runs
+    pair = runs[(runs["solver"] == "quadprog") & (runs["units"] == "si")]
+    assert sorted(pair["settings"]) == ["default", "high"]
+    assert pair["run_id"].nunique() == 2
+    assert pair["raw_max_ns"].nunique() == 1
+
+
+def test_times_are_there_and_add_up(results: Results) -> None:
+    """No timing column that must be there is empty, and total is the sum of its phases."""
+    steps = results.steps
+    phases = steps[["setup_ns", "update_ns", "solve_ns", "read_ns"]].fillna(0).sum(axis=1)
+    assert (steps["total_ns"] == phases).all()
+    assert (steps["total_ns"] > 0).all()
+    loops = steps["run_id"].isin(results.runs.loc[results.runs["mode"] == "closed_loop", "run_id"])
+    assert steps.loc[loops, "emit_ns"].notna().all()
+    assert steps.loc[~loops, "emit_ns"].isna().all()
+
+
+def test_replay_rows_carry_no_ship_columns(results: Results) -> None:
+    """A replay has no ship: its ship columns are NaN, and its warm-up is marked."""
+    runs = results.runs
+    ids = runs.loc[(runs["mode"] == "replay") & (runs["outcome"] == "finished"), "run_id"]
+    rows = results.steps[results.steps["run_id"].isin(ids)]
+    assert rows[["n_m", "psi_rad", "tau_x_N", "dtau_n_Nm"]].isna().all().all()
+    one = rows[rows["run_id"] == ids.iloc[0]]
+    assert one["warmup"].sum() == 5
+    assert one.loc[~one["warmup"]].groupby("repeat").size().tolist() == [30, 30]
+
+
+def test_replayed_qps_are_the_same_for_every_arm(results: Results) -> None:
+    """All arms of a replay are judged against the same optima: same bounds and active limits."""
+    runs = results.runs
+    ids = runs.loc[(runs["mode"] == "replay") & (runs["outcome"] == "finished"), "run_id"]
+    first = results.steps[~results.steps["warmup"]].drop_duplicates(["run_id", "k"])
+    table = first[first["run_id"].isin(ids)].pivot(index="k", columns="run_id", values="n_active")
+    assert (table.nunique(axis=1) == 1).all()
+
+
+def test_the_exact_solver_deviates_from_the_exact_loop_by_rounding(results: Results) -> None:
+    """quadprog in scaled units stays on the exactly solved loop."""
+    runs = results.runs
+    row = runs[
+        (runs["solver"] == "quadprog")
+        & (runs["mode"] == "closed_loop")
+        & (runs["units"] == "scaled")
+    ].iloc[0]
+    assert row["dev_position_max_m"] < 1e-9
+    assert row["limit_violations"] == 0
+    assert row["steps_done"] == row["steps_planned"] == 30
+
+
+def test_a_cell_runs_again_from_its_json(results: Results) -> None:
+    """The `cell` column describes the cell completely."""
+    for text in results.runs["cell"]:
+        cell = Cell.from_json(text)
+        assert cell.to_json() == text
+        assert json.loads(text)["scenario"]["scenario"]["sample_s"] == 0.3
+
+
+def test_finished_cells_are_not_run_again(folder: Path) -> None:
+    """Running the suite again over its folder reuses every finished cell."""
+    before = load_results(folder).steps["total_ns"].to_numpy()
+    run_campaign(folder.parent / "tiny.toml", folder)
+    after = load_results(folder).steps["total_ns"].to_numpy()
+    np.testing.assert_array_equal(before, after)
+
+
+def test_unknown_names_are_refused_before_anything_runs(tmp_path: Path) -> None:
+    """An unknown suite, solver or scenario is one line, and nothing is written."""
+    out = tmp_path / "out"
+    with pytest.raises(UnknownNameError, match=r"one of .*standard"):
+        run_campaign("standrad", out)
+    with pytest.raises(UnknownNameError, match="quadprog"):
+        run_campaign("smoke", out, solvers=["quadprgo"])
+    with pytest.raises(InputError, match="scenario of the suite: paper"):
+        run_campaign("smoke", out, scenarios=["rough"])
+    with pytest.raises(InputError, match="from 1 to"):
+        run_campaign("smoke", out, jobs=0)
+    assert not out.exists()
+
+
+def test_damaged_results_are_said_in_one_line(folder: Path, tmp_path: Path) -> None:
+    """A missing folder, a truncated table and broken JSON each name the file."""
+    with pytest.raises(ResultsError, match="no such folder"):
+        load_results(tmp_path / "nowhere")
+    with pytest.raises(ResultsError, match=r"runs\.parquet: found no such file"):
+        load_results(tmp_path)
+    for name in ("runs.parquet", "steps.parquet", "machine.json", "suite.json"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    (tmp_path / "steps.parquet").write_bytes((folder / "steps.parquet").read_bytes()[:1000])
+    with pytest.raises(ResultsError, match=r"steps\.parquet: found a damaged file"):
+        load_results(tmp_path)
+    (tmp_path / "steps.parquet").write_bytes((folder / "steps.parquet").read_bytes())
+    (tmp_path / "machine.json").write_text("{", encoding="utf-8")
+    with pytest.raises(ResultsError, match=r"machine\.json: found no JSON"):
+        load_results(tmp_path)
+
+
+def test_a_part_of_a_suite_never_replaces_the_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a choice of solvers and no --out the results go to a folder of their own."""
+    monkeypatch.chdir(tmp_path)
+    assert run_campaign("smoke", solvers=["quadprog"]) == Path("results/smoke-part")
+
+
+def test_a_folder_with_other_things_is_left_alone(folder: Path, tmp_path: Path) -> None:
+    """Results of another suite, other files, a file in the way and no folder at all are refused."""
+    with pytest.raises(InputError, match="results of suite 'tiny'"):
+        run_campaign("smoke", folder)
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "report.html").write_text("my own", encoding="utf-8")
+    with pytest.raises(InputError, match="other files"):
+        run_campaign("smoke", mine)
+    assert (mine / "report.html").read_text(encoding="utf-8") == "my own"
+    with pytest.raises(InputError, match="can be written"):
+        run_campaign("smoke", mine / "report.html" / "below")
+    with pytest.raises(InputError, match="current folder"):
+        run_campaign("smoke", "")
+
+
+def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
+    """Two campaigns never write into one folder at the same time."""
+    with claimed(tmp_path / "out", "smoke"), pytest.raises(InputError, match="in use"):
+        run_campaign("smoke", tmp_path / "out")
+
+
+def test_tables_that_do_not_belong_together_are_refused(folder: Path, tmp_path: Path) -> None:
+    """Rows missing from a table and columns of another type are damage, not a smaller result."""
+    for name in ("runs.parquet", "steps.parquet", "machine.json", "suite.json"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    steps = pd.read_parquet(folder / "steps.parquet")
+    steps.head(len(steps) // 2).to_parquet(tmp_path / "steps.parquet")
+    with pytest.raises(ResultsError, match="step_rows"):
+        load_results(tmp_path)
+    steps.assign(total_ns="slow").to_parquet(tmp_path / "steps.parquet")
+    with pytest.raises(ResultsError, match="column of another type"):
+        load_results(tmp_path)
+
+
+def test_scenarios_of_one_name_are_refused(tmp_path: Path) -> None:
+    """Two files called paper.toml could not be told apart in a report."""
+    text = problem_path("scenarios", "paper").read_text(encoding="utf-8")
+    for part in ("a", "b"):
+        (tmp_path / part).mkdir()
+        (tmp_path / part / "paper.toml").write_text(text, encoding="utf-8")
+    suite = 'title = "x"\n[[closed_loop]]\nscenarios = ["a/paper.toml", "b/paper.toml"]\n'
+    (tmp_path / "twins.toml").write_text(suite, encoding="utf-8")
+    with pytest.raises(InputError, match="two scenarios called 'paper'"):
+        run_campaign(tmp_path / "twins.toml", tmp_path / "out")
+
+
+def test_a_plug_in_runs_in_a_process_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A solver from a file has a name like any other, also inside its worker."""
+    monkeypatch.setattr(plugins, "_LOADED", {})
+    module = Path(__file__).parents[1] / "solvers" / "example_plugin.py"
+    head = 'title = "x"\ncell_limit_s = 60.0\n[[closed_loop]]\n'
+    suite = head + 'scenarios = ["calm"]\nsettings = ["high"]\nsteps = 20\n'
+    (tmp_path / "one.toml").write_text(suite, encoding="utf-8")
+    out = run_campaign(
+        tmp_path / "one.toml", tmp_path / "out", solvers=["admm"], solver_module=module
+    )
+    (row,) = load_results(out).runs.to_dict("records")
+    assert (row["solver"], row["outcome"], row["steps_done"]) == ("admm", "finished", 20)
+    assert row["true_share"] == 1.0

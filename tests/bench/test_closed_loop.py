@@ -1,0 +1,266 @@
+"""The closed loop does what method.md section 3 says, whatever the solver does."""
+
+from __future__ import annotations
+
+import copy
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dpbench import load_scenario
+from dpbench.bench.record.cell import Fallback
+from dpbench.bench.record.raw_log import RawLog, loop_layout
+from dpbench.bench.run.closed_loop import Voyage, closed_loop
+from dpbench.bench.run.exact_loop import base_problem
+from dpbench.bench.run.fallback import FallbackLaw, limit_move
+from dpbench.bench.run.formulation import Box
+from dpbench.bench.run.qp_builder import Emitter
+from dpbench.bench.run.timed_solver import SolverPort
+from dpbench.mpc.law import gains
+from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.qp.solution import Solution, Status
+from dpbench.scenario.scenario import Scenario, condense, scenario_of
+from dpbench.solvers.contract import Workspace
+
+Answer = Callable[[int, QPStep], Solution]
+
+
+class Scripted(Workspace):
+    """Answers step k with what a script says."""
+
+    def __init__(self, answer: Answer) -> None:
+        super().__init__("scripted", "native", "reuse")
+        self.answer, self.k, self.resets = answer, -1, 0
+        self.step: QPStep | None = None
+
+    def setup(self, qp: QuadraticProgram) -> None:
+        self.k = -1
+
+    def update(self, step: QPStep) -> None:
+        self.k, self.step = self.k + 1, step
+
+    def solve(self) -> None:
+        pass
+
+    def read(self) -> Solution:
+        assert self.step is not None
+        return self.answer(self.k, self.step)
+
+    def reset(self) -> None:
+        self.resets += 1
+
+
+def run(
+    scenario: Scenario, answer: Answer, fallback: Fallback = "shifted_plan", limit_ns: int = 2**62
+) -> tuple[RawLog, Scripted, bool]:
+    emitter = Emitter(scenario)
+    log = RawLog.in_memory(loop_layout(scenario.steps, *emitter.sizes))
+    workspace = Scripted(answer)
+    base = base_problem(emitter.builder)
+    port = SolverPort(workspace, Box(base), time.perf_counter_ns)
+    voyage = Voyage(scenario, emitter, port, log, fallback, limit_ns, time.perf_counter_ns)
+    complete = closed_loop(voyage)
+    return log, workspace, complete
+
+
+def constant(value: float) -> Answer:
+    """The same number for every move."""
+    return lambda k, step: Solution(Status.SOLVED, np.full(15, value), np.zeros(15), np.zeros(15))
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    return load_scenario("paper").first(40)
+
+
+def test_first_step_sees_no_motion_and_no_force(scenario: Scenario) -> None:
+    """At k = 0 the increments Δx_m and the force u(−1) are zero and y is the start."""
+    log, _, _ = run(scenario, constant(0.0))
+    np.testing.assert_array_equal(log.theta[0, :6], 0.0)
+    np.testing.assert_array_equal(log.theta[0, 6:9], [1.2, 1.3, 0.0])
+    np.testing.assert_array_equal(log.theta[0, 12:15], 0.0)
+
+
+def test_a_ship_under_way_is_carried_on(scenario: Scenario) -> None:
+    """Without force or weather she goes on straight, as the exact decay of her speed says."""
+    velocity = np.array([0.8, 0.0, 0.0])
+    still = replace(scenario.environment, amplitude=np.zeros(3))
+    moving = replace(scenario, velocity=velocity, environment=still)
+    log, _, _ = run(moving, constant(0.0))
+    ship = moving.vessel
+    t_s, rate = 0.3 * np.arange(41), ship.D[0, 0] / ship.M[0, 0]
+    np.testing.assert_allclose(log.state[:, 0], 0.8 * np.exp(-rate * t_s), rtol=1e-9)
+    ahead = 1.2 + 0.8 * (1.0 - np.exp(-rate * t_s)) / rate
+    np.testing.assert_allclose(log.state[:, 3], ahead, rtol=1e-9)
+    np.testing.assert_array_equal(log.state[:, [1, 2, 5]], 0.0)
+    np.testing.assert_array_equal(log.theta[0, :6], 0.0)
+
+
+@pytest.mark.parametrize("kind", ["measured", "kalman", "passive"])
+def test_an_estimator_knows_how_the_ship_starts(scenario: Scenario, kind: str) -> None:
+    """The first estimate is the state the run starts in, its speed included."""
+    files = copy.deepcopy(scenario.files)
+    files["scenario"]["start"] |= {"surge_mps": 0.8, "sway_mps": -0.3, "yaw_degps": 0.5}
+    files["scenario"]["estimator"] |= {"kind": kind, "peak_period_s": 8.0}
+    moving = scenario_of(files)
+    truth = np.array([0.8, -0.3, np.radians(0.5), 1.2, 1.3, 0.0])
+    np.testing.assert_allclose(moving.estimator().update(truth, np.zeros(3)), truth, atol=1e-12)
+
+
+def test_increments_are_differences_of_the_measured_state(scenario: Scenario) -> None:
+    """Δx_m(k) is x_m(k) − x_m(k−1) and y is the pose at t_k."""
+    log, _, _ = run(scenario, constant(0.3))
+    np.testing.assert_array_equal(log.theta[1:, :6], np.diff(log.state[:40], axis=0))
+    np.testing.assert_array_equal(log.theta[:, 6:9], log.state[:40, 3:])
+
+
+def test_u_prev_is_the_force_applied_after_clipping(scenario: Scenario) -> None:
+    """A demand beyond the rate limit is clipped, and the next step knows the clipped force."""
+    log, _, _ = run(scenario, constant(7.0))
+    np.testing.assert_array_equal(log.theta[1:, 12:15], log.tau[:-1])
+    assert log.flags[:, 2].all(), "every step was clipped"
+    np.testing.assert_allclose(np.diff(log.tau[:20], axis=0)[0], scenario.du_max, rtol=1e-12)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300, -5.0])
+def test_no_answer_violates_a_limit(scenario: Scenario, bad: float) -> None:
+    """Whatever the solver answers, the applied force obeys amplitude and rate limits exactly."""
+    rng = np.random.default_rng(1)
+
+    def answer(k: int, step: QPStep) -> Solution:
+        z = rng.normal(scale=50.0, size=15)
+        z[k % 15] = bad
+        return Solution(Status.SOLVED, z, np.zeros(15), np.zeros(15))
+
+    log, _, _ = run(scenario, answer)
+    ship = scenario.vessel
+    assert (log.tau <= ship.tau_max).all() and (log.tau >= ship.tau_min).all()
+    change = np.diff(log.tau, axis=0, prepend=np.zeros((1, 3)))
+    assert (np.abs(change) <= scenario.du_max + np.spacing(ship.tau_max)).all()
+    assert np.isfinite(log.state).all()
+
+
+def failing_from(first: int, status: Status = Status.PRIMAL_INFEASIBLE) -> Answer:
+    """A falling plan up to step `first`, no answer from there on."""
+    plan = np.repeat([0.5, 0.4, 0.3, 0.2, 0.1], 3)
+
+    def answer(k: int, step: QPStep) -> Solution:
+        if k < first:
+            return Solution(Status.SOLVED, plan, np.zeros(15), np.zeros(15))
+        return Solution.missing(15, 15, status)
+
+    return answer
+
+
+def test_shifted_plan_follows_the_last_plan_then_holds(scenario: Scenario) -> None:
+    """After the last usable plan its second, third … moves are applied, then the force is held."""
+    log, workspace, _ = run(scenario, failing_from(3))
+    moves = np.diff(log.tau, axis=0, prepend=np.zeros((1, 3))) / scenario.du_max
+    np.testing.assert_allclose(moves[2:9, 0], [0.5, 0.4, 0.3, 0.2, 0.1, 0.0, 0.0], atol=1e-9)
+    assert log.flags[:, 0].tolist() == [0] * 3 + [1] * 37
+    assert workspace.resets == 37, "the workspace is reset after every unusable answer"
+
+
+def test_hold_keeps_the_force(scenario: Scenario) -> None:
+    """Fallback `hold` applies the last force unchanged."""
+    log, _, _ = run(scenario, failing_from(3), "hold")
+    np.testing.assert_array_equal(log.tau[3:], np.tile(log.tau[2], (37, 1)))
+
+
+def test_clip_is_the_unconstrained_law(scenario: Scenario) -> None:
+    """Fallback `clip` demands K_y y_d − K_mpc x (eq. 33) and the loop clips it."""
+    log, _, _ = run(scenario, failing_from(0), "clip")
+    law = gains(scenario.control_problem())
+    demanded = log.theta[:, 9:12] @ law.K_y.T - log.theta[:, :9] @ law.K_mpc.T
+    np.testing.assert_allclose(
+        log.command - log.theta[:, 12:15], demanded, rtol=0, atol=1e-6 * scenario.du_max.max()
+    )
+
+
+@pytest.mark.parametrize("status", [Status.MAX_ITERATIONS, Status.INACCURATE])
+def test_an_unfinished_iterate_is_applied_and_marked(scenario: Scenario, status: Status) -> None:
+    """A finite iterate under MAX_ITERATIONS or INACCURATE moves the ship and is `unconverged`."""
+    answer: Answer = lambda k, step: Solution(  # noqa: E731 - a one-line script reads best so
+        status, np.full(15, 0.25), np.zeros(15), np.zeros(15)
+    )
+    log, _, _ = run(scenario, answer)
+    assert log.flags[:, 1].all() and not log.flags[:, 0].any()
+    np.testing.assert_allclose(log.tau[0], 0.25 * scenario.du_max, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "status",
+    [Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE, Status.ERROR, Status.TIME_LIMIT],
+)
+def test_an_iterate_under_a_failed_status_is_not_applied(
+    scenario: Scenario, status: Status
+) -> None:
+    """Under infeasible, error and time-limit claims the fallback acts even on a finite iterate."""
+    answer: Answer = lambda k, step: Solution(  # noqa: E731 - see above
+        status, np.full(15, 0.25), np.zeros(15), np.zeros(15)
+    )
+    log, _, _ = run(scenario, answer)
+    assert log.flags[:, 0].all()
+    np.testing.assert_array_equal(log.tau, 0.0)
+
+
+def test_an_adapter_that_raises_is_a_row(scenario: Scenario) -> None:
+    """An exception inside a workspace becomes status ERROR with its words, and the run goes on."""
+
+    def answer(k: int, step: QPStep) -> Solution:
+        if k % 2:
+            raise ArithmeticError("the library blew up")
+        return Solution(Status.SOLVED, np.zeros(15), np.zeros(15), np.zeros(15))
+
+    log, _, complete = run(scenario, answer)
+    assert complete and int(log.done[0]) == 40
+    assert log.status[0].tolist() == [Status.SOLVED, Status.ERROR] * 20
+    assert np.isnan(log.z[0, 1]).all()
+
+
+def test_the_time_limit_keeps_the_steps(scenario: Scenario) -> None:
+    """A run stopped by its limit says so and keeps the steps it did."""
+
+    def slow(k: int, step: QPStep) -> Solution:
+        time.sleep(0.01)
+        return Solution(Status.SOLVED, np.zeros(15), np.zeros(15), np.zeros(15))
+
+    log, _, complete = run(scenario, slow, limit_ns=50_000_000)
+    assert not complete
+    assert 1 <= int(log.done[0]) < 40
+
+
+axis = st.floats(-1.0, 1.0)
+
+
+@settings(derandomize=True, max_examples=300)
+@given(
+    u=axis,
+    du=st.floats(-4.0, 4.0),
+    step=st.floats(0.01, 0.5),
+    low=st.floats(-0.8, -0.05),
+    high=st.floats(0.05, 0.8),
+)
+def test_limit_move_keeps_rate_and_reachable_amplitude(
+    u: float, du: float, step: float, low: float, high: float
+) -> None:
+    """The applied force obeys the rate limit always, and the amplitude as soon as it can."""
+    applied = np.empty(1)
+    arrays = (np.array([v]) for v in (u, du, step, low, high))
+    limit_move(*arrays, applied)
+    rounding = 4e-16
+    assert abs(applied[0] - u) <= step + rounding
+    assert applied[0] <= max(high, u - step) and applied[0] >= min(low, u + step)
+    inside = low <= u + du <= high and abs(du) <= step
+    assert not inside or applied[0] == u + du
+
+
+def test_fallback_without_a_plan_holds(scenario: Scenario) -> None:
+    """Before there ever was a usable plan, the shifted plan is to hold."""
+    law = FallbackLaw("shifted_plan", condense(scenario))
+    np.testing.assert_array_equal(law.move(np.zeros(9), np.zeros(3)), np.zeros(3))

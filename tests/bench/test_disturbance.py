@@ -1,0 +1,97 @@
+"""What the kernel counts around a round, and the rule that calls a machine quiet."""
+
+import math
+import os
+import time
+
+import numpy as np
+import pytest
+
+from dpbench.bench.record.disturbance import (
+    MAX_SPOILT_SHARE,
+    MAX_STEAL_SHARE,
+    MAX_SWITCHES_PER_S,
+    Disturbance,
+    counters,
+    disturbance_metrics,
+)
+from dpbench.bench.record.raw_log import COUNTERS, RawLog, replay_layout
+
+QUIET = Disturbance(
+    rounds=100.0,
+    spoilt=100 * MAX_SPOILT_SHARE,
+    rerun=30.0,
+    seconds=10.0,
+    involuntary=10 * MAX_SWITCHES_PER_S,
+    steal_s=10 * MAX_STEAL_SHARE,
+    throttled=0.0,
+)
+
+
+def test_a_process_that_waits_switches_of_its_own_will() -> None:
+    """Ten sleeps are ten voluntary switches at least, and take their time by the same counters."""
+    before = counters()
+    for _ in range(10):
+        time.sleep(0.001)
+    change = dict(zip(COUNTERS, counters() - before, strict=True))
+    assert change["voluntary_switches"] >= 10
+    assert change["replay_s"] >= 0.01
+
+
+def test_steal_time_is_that_of_the_own_core() -> None:
+    """The same number as in the line of /proc/stat, to a tick."""
+    allowed = os.sched_getaffinity(0)
+    core = max(allowed)
+    os.sched_setaffinity(0, {core})
+    try:
+        with open("/proc/stat", encoding="ascii") as stat:
+            (line,) = [text for text in stat if text.startswith(f"cpu{core} ")]
+        found = counters()[COUNTERS.index("steal_s")]
+    finally:
+        os.sched_setaffinity(0, allowed)
+    user, nice, system, idle, iowait, irq, softirq, steal, *_ = map(int, line.split()[1:])
+    assert user + nice + system + idle + iowait + irq + softirq > 0
+    assert found == pytest.approx(steal / os.sysconf("SC_CLK_TCK"), abs=0.5)
+
+
+def test_sums_are_over_the_rounds_that_count() -> None:
+    """Neither the warm-up nor a round that was never finished is in them; attempts are."""
+    log = RawLog.in_memory(replay_layout(4, 2, 1, 1))
+    log.done[:] = (2, 2, 2, 0)
+    log.attempts[:] = (1, 2, 1, 0)
+    log.counters[:] = np.arange(1.0, 5.0)[:, None] * [1.0, 10.0, 100.0, 1000.0, np.nan]
+    found = disturbance_metrics(log)
+    assert found["rerun_rounds"] == 1
+    assert [found[name] for name in COUNTERS[:4]] == [5.0, 50.0, 500.0, 5000.0]
+    assert math.isnan(found["throttle_events"])
+
+
+def test_at_the_limits_a_machine_is_quiet() -> None:
+    """The rule says at most; rounds that were run again with success disturb nobody."""
+    assert QUIET.complaints() == []
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "word"),
+    [
+        ("spoilt", 6.0, "spoilt"),
+        ("involuntary", 150.0, "context switches"),
+        ("steal_s", 0.2, "stolen"),
+        ("throttled", 1.0, "throttle"),
+    ],
+)
+def test_each_disturbance_is_named(field: str, value: float, word: str) -> None:
+    """One figure beyond its limit is one complaint, in its own words."""
+    (complaint,) = Disturbance(**{**vars(QUIET), field: value}).complaints()
+    assert word in complaint
+
+
+def test_a_total_is_a_sum_and_what_nobody_saw_stays_unknown() -> None:
+    """Counters add up; one that is hidden everywhere is no zero, and complains of nothing."""
+    blind = Disturbance(**{**vars(QUIET), "throttled": math.nan, "steal_s": math.nan})
+    both = Disturbance.total([blind, QUIET])
+    assert (both.rounds, both.seconds, both.throttled) == (200.0, 20.0, 0.0)
+    hidden = Disturbance.total([blind, blind])
+    assert math.isnan(hidden.throttled) and math.isnan(hidden.steal_share)
+    assert hidden.complaints() == []
+    assert Disturbance.total([]).complaints() == []

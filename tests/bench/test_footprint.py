@@ -1,0 +1,111 @@
+"""Allocations of a step and the memory of a process, against what is known to be allocated."""
+
+import ctypes
+import itertools
+import math
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dpbench.bench.record.raw_log import RawLog, replay_layout
+from dpbench.bench.run.footprint import (
+    MemoryWatch,
+    affordable_steps,
+    heap_bytes,
+    measure_steps,
+    threads,
+)
+from dpbench.bench.run.formulation import in_replay
+from dpbench.bench.run.timed_solver import SolverPort
+from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram
+from dpbench.solvers.calibration import COPY_ONLY, NO_OP, NoOp, open_calibration
+from dpbench.solvers.contract import Workspace
+
+MEGABYTE = 2**20
+
+
+def _sequence(n: int = 3, steps: int = 12) -> QPSequence:
+    one, many = np.ones(n), np.ones((steps, n))
+    base = QuadraticProgram(np.eye(n), one, np.eye(n), -one, one, -one, one)
+    return QPSequence("made up", base, many, -many, many)
+
+
+def _measured(workspace: Workspace, n: int = 3) -> tuple[float, float, float]:
+    made, formulated = in_replay("condensed_box", _sequence(n))
+    port = SolverPort(workspace, formulated, time.perf_counter_ns)
+    port.prepare()
+    return measure_steps(made, port, 10)
+
+
+def test_no_op_holds_nothing_and_copy_only_an_answer() -> None:
+    """A stored object costs no block; a new answer is an object with three arrays."""
+    idle, copied = (_measured(open_calibration(name)) for name in (NO_OP, COPY_ONLY))
+    assert (idle[0], copied[0]) == (0.0, 4.0)
+
+
+def test_the_peak_within_a_step_holds_arrays_that_are_gone_after_it() -> None:
+    """A megabyte that lives only within solve is seen, and is no block that is left."""
+
+    class Spender(NoOp):
+        def solve(self) -> None:
+            np.ones(MEGABYTE, dtype=np.uint8)
+
+    blocks, peak, _ = _measured(Spender("spender"))
+    assert blocks == 0.0
+    assert MEGABYTE <= peak < MEGABYTE + 10_000
+
+
+@pytest.mark.skipif(math.isnan(heap_bytes()), reason="glibc 2.33 shows its heap")
+def test_a_library_that_leaks_is_seen() -> None:
+    """5000 bytes of `malloc` a step that nobody frees: glibc rounds them up to 5008."""
+    libc = ctypes.CDLL(None)
+    libc.malloc.restype = ctypes.c_void_p
+    libc.malloc.argtypes = [ctypes.c_size_t]
+    libc.free.argtypes = [ctypes.c_void_p]
+    lost = np.zeros(100, dtype=np.uint64)
+    calls = itertools.count()
+
+    class Leaker(NoOp):
+        def update(self, step: QPStep) -> None:
+            lost[next(calls)] = libc.malloc(5000)
+
+    _, _, growth = _measured(Leaker("leaker"))
+    for address in lost.tolist():
+        libc.free(address)
+    assert 5000 <= growth < 5100
+
+
+def test_nothing_is_measured_without_a_step() -> None:
+    """An arm whose slowest step takes too long has no numbers instead of a hang."""
+    log = RawLog.in_memory(replay_layout(2, 30, 3, 3))
+    log.times[:] = -1
+    assert affordable_steps(log) == 30
+    log.times[1, 7, 3] = 10_000_000
+    assert affordable_steps(log) == 12, "half a second in four passes of 10 ms steps"
+    log.times[1, 7, 3] = 2_000_000_000
+    assert affordable_steps(log) == 0
+    port: Any = None
+    assert all(math.isnan(value) for value in measure_steps(_sequence(), port, 0))
+
+
+def test_peak_memory_counts_the_solver_and_not_the_log() -> None:
+    """64 MB that the solver takes and gives back count; 32 MB of QPs and the log do not."""
+    watch = MemoryWatch()
+    watch.opened()
+    log = RawLog.in_memory(replay_layout(1, 2, 2 * MEGABYTE // 4, 1))
+    held = np.ones(8 * MEGABYTE // 2, dtype=np.float64)
+    watch.loaded(log)
+    before = watch.peak_bytes()
+    spent = np.ones(8 * MEGABYTE, dtype=np.float64)
+    size = spent.nbytes
+    del spent
+    assert watch.peak_bytes() - before == pytest.approx(size, abs=2 * MEGABYTE)
+    assert held[0] == 1.0 and before < 4 * MEGABYTE
+
+
+def test_threads_are_counted() -> None:
+    """This process has a thread, and pools allow at least one."""
+    running, allowed = threads()
+    assert running >= 1 and allowed >= 1

@@ -1,0 +1,292 @@
+"""Formulations as an axis: the same problems, the same judgement, refused where there are none."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dpbench import (
+    load_results,
+    load_scenario,
+    open_workspace,
+    record_sequence,
+    replay,
+    run_campaign,
+    run_closed_loop,
+    write_report,
+)
+from dpbench.bench.plan.cells import NO_MODEL, NOT_STRICT
+from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.suite import (
+    ClosedLoopTable,
+    RecordedTable,
+    ReplayTable,
+    SuiteFile,
+    load_suite,
+)
+from dpbench.bench.run.exact_loop import solve_exactly
+from dpbench.bench.run.qp_builder import Emitter
+from dpbench.cli.main import main
+from dpbench.errors import InputError
+from dpbench.qp.program import QPSequence, QuadraticProgram
+from dpbench.qp.referee.referee import certify
+from dpbench.qp.solution import Solution
+from dpbench.scenario.scenario import Scenario, no_stages, scenario_of
+from dpbench.solvers.contract import Policy, Workspace
+
+SOLVER = "piqp_multistage"
+HIGH = dict.fromkeys(("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"), 1e-12)
+
+
+class Seen(Workspace):
+    """A workspace that keeps the problems another one is given."""
+
+    def __init__(self, inner: Workspace) -> None:
+        super().__init__(inner.solver, inner.route, inner.policy)
+        self.inner, self.setup_every_step = inner, inner.setup_every_step
+        self.base: QuadraticProgram | None = None
+        self.problems: list[QuadraticProgram] = []
+
+    def setup(self, qp: QuadraticProgram) -> None:
+        self.base = qp
+        self.inner.setup(qp)
+
+    def update(self, step) -> None:  # type: ignore[no-untyped-def] # as in the contract
+        assert self.base is not None
+        self.problems.append(self.base.at(step))
+        self.inner.update(step)
+
+    def solve(self) -> None:
+        self.inner.solve()
+
+    def read(self) -> Solution:
+        return self.inner.read()
+
+    def reset(self) -> None:
+        self.inner.reset()
+
+
+def workspace() -> Seen:
+    """A kept native workspace that remembers what it was given."""
+    return Seen(open_workspace(SOLVER, route="native", policy="reuse", settings=HIGH))
+
+
+def early_loss() -> Scenario:
+    """`thruster_loss` with its fault after 6 s, at step 20, in the middle of a short run."""
+    files = deepcopy(load_scenario("thruster_loss").files)
+    (fault,) = files["scenario"]["faults"]
+    fault["at_s"] = 6.0
+    return scenario_of(files)
+
+
+# Steps of the last with a limit that hardly acts leave an interior point 3e-7 from the optimum.
+LOOPS = {
+    "paper": lambda: load_scenario("paper").first(60),
+    "limits fall": lambda: early_loss().first(60),
+    "preview": lambda: load_scenario("move_filtered").first(25),
+}
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_a_sparse_closed_loop_is_judged_true(name: str) -> None:
+    """The solver gets states, the log, the fallback and the referee the condensed problem: an
+    accurate sparse solver steers like the certified optimum, with falling limits and preview too.
+    """
+    scenario = LOOPS[name]()
+    seen = workspace()
+    run = run_closed_loop(scenario, seen, formulation="sparse")
+    stages = scenario.N_c * 15 + (scenario.N_p - scenario.N_c) * 9
+    assert {qp.n for qp in seen.problems} == {stages}
+    assert run.summary["formulation"] == "sparse"
+    assert run.steps["true_1e6"].all() and run.steps["claimed"].all()
+    assert run.steps["error_plan"].max() <= 1e-7
+    assert run.summary["dev_position_max_m"] < 1e-6
+    assert (run.steps["emit_ns"] > 0).all()
+
+
+@pytest.mark.parametrize("policy", ["fresh", "reuse"])
+def test_a_sparse_replay_is_judged_true(policy: Policy) -> None:
+    """Steps with states along the exactly solved loop; the judgement is that of the condensed
+    sequence, whose twin the solver got."""
+    sequence = record_sequence(load_scenario("paper").first(25))
+    inner = open_workspace(SOLVER, route="native", policy=policy, settings=HIGH)
+    run = replay(sequence, inner, repeats=2, formulation="sparse")
+    assert run.steps["true_1e6"].all() and len(run.steps) == 3 * 25
+    assert run.steps["error_plan"].max() <= 1e-7
+    assert run.summary["formulation"] == "sparse"
+
+
+def test_the_twin_in_newtons_is_the_scaled_one_in_other_units() -> None:
+    """Moves and forces times Δu_max, states as they are: the same problem, entry by entry. Few
+    solvers survive it in N and N·m, so none is asked."""
+    scenario = load_scenario("paper").first(4)
+    scaled, own = (record_sequence(scenario, units=units).twin for units in ("scaled", "si"))
+    assert scaled is not None and own is not None
+    du, one = scenario.du_max, np.ones(9)
+    moved, rest = scenario.N_c, np.ones((scenario.N_p - scenario.N_c) * 9)
+    z = np.concatenate([np.tile(np.concatenate([du, du, one]), moved), rest])
+    row = np.concatenate([np.tile(np.concatenate([du, one, du]), moved), rest])
+    for k in range(4):
+        a, b = scaled().sequence.problem(k), own().sequence.problem(k)
+        pairs = {
+            "P": (a.P, b.P * np.outer(z, z)),
+            "q": (a.q, b.q * z),
+            "A": (a.A, b.A * z / row[:, np.newaxis]),
+            "l": (a.l, b.l / row),
+            "u": (a.u, b.u / row),
+            "lb": (a.lb, b.lb / z),
+            "ub": (a.ub, b.ub / z),
+        }
+        for name, (expected, found) in pairs.items():
+            np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12, err_msg=name)
+
+
+def test_the_steps_of_a_sparse_replay_are_those_of_its_closed_loop() -> None:
+    """What the loop emits at step k with the states kept is what the replay hands over at k, and
+    its optimum is that of the condensed problem, faults included."""
+    scenario = replace(early_loss().first(24), N_p=6, N_c=3)
+    assert scenario.faults[0][0] == 20
+    exact, sequence = solve_exactly(scenario), record_sequence(scenario)
+    assert sequence.twin is not None
+    twin, emitter = sequence.twin(), Emitter(scenario, sparse=True)
+    for k in range(len(sequence)):
+        emitted, step = emitter.again(k, exact.theta[k]), twin.sequence.step(k)
+        for name in ("q", "l", "u"):
+            np.testing.assert_array_equal(getattr(emitted, name), getattr(step, name))
+        found = certify(twin.sequence.problem(k))
+        from_states = twin.condensed(Solution(0, found.z, found.y, found.y_box))
+        expected = certify(sequence.problem(k))
+        np.testing.assert_allclose(from_states.z, expected.z, rtol=0, atol=1e-8)
+
+
+def test_formulations_are_an_axis_of_the_tables() -> None:
+    """Each formulation is a cell of its own on the same problem; the default is one formulation."""
+    three = ["condensed_box", "condensed_stacked", "sparse"]
+    table = ReplayTable(scenario="paper", steps=10, formulations=three)
+    loops = ClosedLoopTable(scenarios=["paper"], steps=10, formulations=three)
+    cells = [p.cell for p in plan(_suite(replay=[table], closed_loop=[loops]))]
+    assert [(c.mode, c.formulation) for c in cells] == [
+        *(("closed_loop", name) for name in three),
+        *(("replay", name) for name in three),
+    ]
+    assert len({cell.problem_key for cell in cells}) == 2
+    usual = plan(_suite(replay=[ReplayTable(scenario="paper", steps=10)]))
+    assert [p.cell.formulation for p in usual] == ["condensed_box"]
+
+
+def _suite(solvers: tuple[str, ...] = ("daqp",), **tables: object) -> SuiteFile:
+    return SuiteFile(title="x", solvers=list(solvers), contrast=False, **tables)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "why"),
+    [
+        ("paper", ""),
+        ("thruster_loss", ""),
+        ("thruster_loss_hard", ""),
+        ("thruster_loss_soft", "layers"),
+        ("watch_circle", "layers"),
+        ("turn", "linearised anew"),
+    ],
+)
+def test_a_scenario_without_stages_is_a_refused_row(scenario: str, why: str) -> None:
+    """Layers and a model that turns refuse the sparse formulation with the reason, and no other."""
+    table = ReplayTable(scenario=scenario, steps=5, formulations=["condensed_box", "sparse"])
+    box, sparse = plan(_suite(replay=[table]))
+    assert box.refused == ""
+    assert why in sparse.refused and bool(why) == bool(sparse.refused)
+    assert no_stages(load_scenario(scenario)) == sparse.refused
+    if why:
+        with pytest.raises(InputError, match=why):
+            Emitter(load_scenario(scenario), sparse=True)
+
+
+def test_a_solver_that_needs_a_definite_cost_is_refused_the_states() -> None:
+    """States cost nothing in most directions, so P is only semidefinite."""
+    table = ReplayTable(scenario="paper", steps=5, formulations=["condensed_stacked", "sparse"])
+    refused = {
+        (p.cell.solver, p.cell.formulation): p.refused
+        for p in plan(_suite(("quadprog", "daqp"), replay=[table]))
+    }
+    assert refused == {
+        ("quadprog", "condensed_stacked"): "",
+        ("daqp", "condensed_stacked"): "",
+        ("quadprog", "sparse"): NOT_STRICT,
+        ("daqp", "sparse"): "",
+    }
+
+
+def test_a_recorded_sequence_has_no_states_to_keep(tmp_path: Path) -> None:
+    """Planned as a refused row; asked for in process, one line."""
+    assert main(["export", "paper", "--steps", "3", "--out", str(tmp_path / "short.npz")]) == 0
+    table = RecordedTable(sequence="short.npz", formulations=["condensed_box", "sparse"])
+    planned = plan(_suite(recorded=[table]), beside=tmp_path)
+    assert [p.refused for p in planned] == ["", NO_MODEL]
+    one = np.ones(1)
+    base = QuadraticProgram(np.eye(1), one, np.eye(1), -one, one, -one, one)
+    vectors = np.ones((2, 1))
+    sequence = QPSequence("bare", base, vectors, -vectors, vectors)
+    with pytest.raises(InputError, match=r"sequence bare.*'sparse'"):
+        replay(sequence, workspace().inner, repeats=1, formulation="sparse")
+
+
+def test_the_old_key_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A suite with `formulation`, or with a formulation nobody knows, is said in one line."""
+    head = 'title = "x"\n[[replay]]\nscenario = "paper"\n'
+    for line, words in (
+        ('formulation = "sparse"', ["formulation", "formulations"]),
+        ('formulations = ["banded"]', ["formulations", "banded", "sparse"]),
+    ):
+        path = tmp_path / "bad.toml"
+        path.write_text(head + line, encoding="utf-8")
+        assert main(["check", str(path)]) == 2
+        said = capsys.readouterr().err.strip()
+        assert "\n" not in said and all(word in said for word in words), said
+
+
+def test_a_campaign_shows_formulations_side_by_side(tmp_path: Path) -> None:
+    """Three formulations end to end, in processes of their own: rows, judgement and the report."""
+    suite = tmp_path / "three.toml"
+    suite.write_text(
+        """
+title = "Three formulations"
+solvers = ["clarabel", "quadprog"]
+contrast = false
+cell_limit_s = 60.0
+rounds = 2
+warmup_steps = 5
+
+[[replay]]
+scenario = "paper"
+steps = 20
+formulations = ["condensed_box", "condensed_stacked", "sparse"]
+routes = ["qpsolvers", "native"]
+
+[[closed_loop]]
+scenarios = ["paper"]
+steps = 20
+formulations = ["condensed_box", "sparse"]
+""",
+        encoding="utf-8",
+    )
+    out = run_campaign(suite, tmp_path / "out")
+    runs = load_results(out).runs
+    clarabel = runs[runs["solver"] == "clarabel"]
+    assert (clarabel["outcome"] == "finished").all() and len(clarabel) == 8
+    assert (clarabel["true_share"] == 1.0).all() and (clarabel["error_plan_max"] < 1e-2).all()
+    strict = runs[(runs["solver"] == "quadprog") & (runs["formulation"] == "sparse")]
+    assert set(strict["outcome_detail"]) == {NOT_STRICT}
+    page = write_report(out).with_suffix(".md").read_text(encoding="utf-8")
+    assert "Formulations in the replay of `paper`" in page
+
+
+def test_the_suite_of_formulations_plans_all_three_and_none_twice() -> None:
+    """The suite that ships has every formulation and each cell once."""
+    _, suite = load_suite("formulations")
+    cells = [planned.cell for planned in plan(suite)]
+    assert {cell.formulation for cell in cells} == {"condensed_box", "condensed_stacked", "sparse"}
+    assert len({cell.to_json() for cell in cells}) == len(cells)

@@ -1,0 +1,89 @@
+"""Ctrl-C: heard once where it must be, held back where a process is not ready for it."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from dpbench.bench.workers.interrupts import forget_interrupts, interrupts_wait, one_interrupt
+
+
+def test_only_the_first_press_is_heard() -> None:
+    """One KeyboardInterrupt, then silence until the block ends, then it is as before."""
+    presses = 0
+    with one_interrupt():
+        for _ in range(3):
+            try:
+                signal.raise_signal(signal.SIGINT)
+            except KeyboardInterrupt:
+                presses += 1
+    assert presses == 1
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_who_listens_already_goes_on_listening() -> None:
+    """A handler of somebody else's stays, and another thread changes nothing."""
+    heard: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, frame: heard.append(number))
+    try:
+        with one_interrupt():
+            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert len(heard) == 2
+    found: list[object] = []
+
+    def elsewhere() -> None:
+        with one_interrupt():
+            found.append(signal.getsignal(signal.SIGINT))
+
+    thread = threading.Thread(target=elsewhere)
+    thread.start()
+    thread.join()
+    assert found == [before]
+
+
+def test_a_press_that_waits_is_heard_afterwards() -> None:
+    """It is not lost, only late."""
+    reached = False
+    with pytest.raises(KeyboardInterrupt), interrupts_wait():
+        signal.pthread_kill(threading.get_ident(), signal.SIGINT)
+        reached = True
+    assert reached
+
+
+CHILD = """
+import os, signal
+from dpbench.bench.workers.interrupts import forget_interrupts
+os.kill(os.getpid(), signal.SIGINT)
+print("loaded")
+forget_interrupts()
+try:
+    os.kill(os.getpid(), signal.SIGINT)
+    signal.pause()
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+def test_a_process_started_so_drops_what_came_before_it_was_ready() -> None:
+    """Ctrl-C while it loads does nothing; once it listens, it is interrupted like any other."""
+    with interrupts_wait():
+        process = subprocess.Popen([sys.executable, "-c", CHILD], stdout=subprocess.PIPE, text=True)
+    said, _ = process.communicate(timeout=60)
+    assert (said.split(), process.returncode) == (["loaded", "interrupted"], 0)
+
+
+def test_a_process_that_holds_nothing_back_is_left_alone() -> None:
+    """Where nothing is blocked, nothing changes."""
+    handler = signal.getsignal(signal.SIGINT)
+    forget_interrupts()
+    assert signal.getsignal(signal.SIGINT) is handler
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)

@@ -1,0 +1,229 @@
+"""Each scenario of the library shows what its paragraph says; the certified optimum steers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from dpbench import load_scenario, open_workspace, run_closed_loop
+from dpbench.bench.judge.control_metrics import control_metrics
+from dpbench.bench.run.exact_loop import ExactLoop, sequence_of, solve_exactly
+from dpbench.bench.run.qp_builder import Emitter
+from dpbench.scenario.problem_files import problem_names
+from dpbench.scenario.scenario import Scenario
+from dpbench.solvers.contract import Policy
+
+NAMES = problem_names("scenarios")
+
+
+@cache
+def exact(name: str) -> ExactLoop:
+    return solve_exactly(load_scenario(name))
+
+
+def measured(scenario: Scenario, loop: ExactLoop) -> dict[str, float]:
+    """The metrics of a loop."""
+    emitter = Emitter(scenario)
+    limits = emitter.tau_min, emitter.tau_max
+    away = loop.state, loop.tau
+    return control_metrics(scenario, loop.state, loop.tau, emitter.reference, limits, away)
+
+
+def metrics(name: str) -> dict[str, float]:
+    return measured(load_scenario(name), exact(name))
+
+
+def at_rate(found: dict[str, float]) -> float:
+    """Share of the steps at a rate limit, the axis that has most of them."""
+    return max(found[f"at_rate_{axis}"] for axis in ("surge", "sway", "yaw"))
+
+
+def without_answer(loop: ExactLoop) -> int:
+    """Steps whose QP is proven to have no feasible point."""
+    return int(np.isnan(loop.z).any(axis=1).sum())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_applied_force_obeys_the_limits_of_its_time(name: str) -> None:
+    """No force violates a limit, whatever the weather, the estimator and the faults do."""
+    assert metrics(name)["limit_violations"] == 0
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "thruster_loss_hard"])
+def test_every_step_has_a_certified_optimum(name: str) -> None:
+    """Only hard limits make QPs infeasible."""
+    assert without_answer(exact(name)) == 0
+
+
+def test_calm_touches_no_limit() -> None:
+    """`calm` is the fast path: no step at any limit."""
+    found = metrics("calm")
+    assert at_rate(found) == 0
+    assert found["at_amplitude_sway"] == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "share", "radius_m"),
+    [("rough", (0.15, 0.30), (0.1, 0.3)), ("extreme", (0.4, 0.6), (1.5, 2.5))],
+)
+def test_sway_saturates(
+    name: str, share: tuple[float, float], radius_m: tuple[float, float]
+) -> None:
+    """Sway is at its amplitude limit in a fifth (`rough`) or half (`extreme`) of the steps."""
+    found = metrics(name)
+    assert share[0] <= found["at_amplitude_sway"] <= share[1]
+    assert radius_m[0] <= found["r_max_m"] <= radius_m[1]
+
+
+def test_squall_meets_the_rate_then_the_amplitude_limit_and_the_ship_returns() -> None:
+    """After 60 s sway moves at its rate limit, then it saturates; the drift is made good."""
+    scenario, loop = load_scenario("squall"), exact("squall")
+    tau = loop.tau[round(60.0 / scenario.sample_s) :, 1]
+    rate = np.flatnonzero(np.abs(np.diff(tau)) >= scenario.du_max[1] * (1 - 1e-9))
+    full = np.flatnonzero(np.abs(tau) >= scenario.vessel.tau_max[1] * (1 - 1e-9))
+    assert 0 < rate[0] < full[0]
+    found = metrics("squall")
+    assert found["r_max_m"] > 3.0
+    assert np.hypot(*loop.state[-1, 3:5]) < 0.1
+
+
+def test_move_arrives_after_rate_and_amplitude_limits_in_all_axes() -> None:
+    """The ship ends within 5 cm and 0.1° of the new set-point, 25 m and 30° away."""
+    found, last = metrics("move"), exact("move").state[-1]
+    assert min(found[f"at_rate_{axis}"] for axis in ("surge", "sway", "yaw")) > 0.02
+    assert found["at_amplitude_sway"] > 0.02
+    np.testing.assert_allclose(last[3:5], [20.0, 15.0], atol=0.05)
+    np.testing.assert_allclose(np.degrees(last[5]), 30.0, atol=0.1)
+
+
+def test_a_previewed_reference_filter_keeps_the_move_off_the_limits() -> None:
+    """Filtered and previewed, the same move touches no limit and follows within 15 cm."""
+    found, last = metrics("move_filtered"), exact("move_filtered").state[-1]
+    assert at_rate(found) == 0
+    assert found["r_max_m"] < 0.15
+    np.testing.assert_allclose(last[3:5], [20.0, 15.0], atol=0.05)
+
+
+def test_without_preview_the_ship_follows_later() -> None:
+    """A controller that does not see the reference coming trails it further behind."""
+    scenario = replace(load_scenario("move_filtered"), preview=False)
+    assert (
+        measured(scenario, solve_exactly(scenario))["r_rms_m"]
+        > 2 * metrics("move_filtered")["r_rms_m"]
+    )
+
+
+def test_turn_needs_a_model_that_turns() -> None:
+    """Re-linearised, the ship ends at 90° in its place; linearised once, it is lost."""
+    loop, scenario = exact("turn"), load_scenario("turn")
+    np.testing.assert_allclose(np.degrees(loop.state[-1, 5]), 90.0, atol=0.1)
+    assert np.hypot(*loop.state[-1, 3:5]) < 0.1
+    fixed = solve_exactly(replace(scenario, relinearised=False))
+    assert np.hypot(fixed.state[-200:, 3], fixed.state[-200:, 4]).max() > 10.0
+
+
+def test_the_cost_matrix_turns_with_the_ship_where_its_weights_are_unequal() -> None:
+    """Every step of a turn brings P: the same one in `turn`, others in `turn_unequal`."""
+    for name, same in (("turn", True), ("turn_unequal", False)):
+        scenario = load_scenario(name)
+        sequence = sequence_of(scenario, exact(name), first=100, count=100)
+        assert sequence.P is not None
+        assert bool(np.ptp(sequence.P, axis=0).max() == 0) is same
+
+
+@pytest.mark.parametrize(("policy", "taken_over"), [("fresh", 0), ("warm", 20)])
+def test_matrix_updates_are_counted_by_who_takes_them_over(policy: Policy, taken_over: int) -> None:
+    """Of 20 steps with new matrices a kept workspace takes over all, one set up anew none."""
+    scenario = load_scenario("turn").first(20)
+    workspace = open_workspace("daqp", route="native", policy=policy)
+    found = run_closed_loop(scenario, workspace).summary
+    assert found["matrix_steps"] == 20
+    assert found["matrix_updates"] == taken_over
+
+
+def test_wrap_takes_the_short_way() -> None:
+    """From 175° to -175° the heading stays between 174° and 186°."""
+    heading = np.degrees(exact("wrap").state[:, 5])
+    assert heading.min() > 174.0
+    assert heading.max() < 186.0
+    np.testing.assert_allclose(heading[-1], 185.0, atol=0.1)
+
+
+def test_a_lost_thruster_makes_hard_limits_infeasible_and_reachable_ones_not() -> None:
+    """Infeasible steps: some with hard limits, right after the loss; none reachable or soft."""
+    lost = round(121.0 / 0.3)
+    hard = np.isnan(exact("thruster_loss_hard").z).any(axis=1)
+    assert hard.any()
+    assert np.flatnonzero(hard)[0] == lost
+    assert without_answer(exact("thruster_loss")) == 0
+    assert without_answer(exact("thruster_loss_soft")) == 0
+
+
+def test_after_the_loss_sway_stays_within_what_is_left() -> None:
+    """Once the rate has brought it down, the sway force stays within 187.65 kN."""
+    for name in ("thruster_loss", "thruster_loss_hard", "thruster_loss_soft"):
+        tau = exact(name).tau[:, 1]
+        assert np.abs(tau[: round(121.0 / 0.3)]).max() > 187.65e3
+        assert np.abs(tau[-400:]).max() <= 187.65e3 * (1 + 1e-12)
+
+
+def test_an_estimator_with_a_wave_filter_keeps_waves_out_of_the_limits() -> None:
+    """Steps at a rate limit: hardly any with Kalman filter or observer, many without filter."""
+    assert at_rate(metrics("waves")) < 0.02
+    assert at_rate(metrics("waves_passive")) < 0.02
+    assert at_rate(metrics("waves_unfiltered")) > 0.2
+    for name in ("waves", "waves_passive", "waves_unfiltered"):
+        assert metrics(name)["r_max_m"] < 1.0
+
+
+def test_waves_in_a_controller_without_estimator_keep_the_rate_limits_active() -> None:
+    """Fed with the bare measurement, most steps are at a rate limit."""
+    scenario = load_scenario("waves")
+    bare = replace(scenario, estimation=replace(scenario.estimation, waves=None))
+    assert at_rate(measured(bare, solve_exactly(bare))) > 0.6
+
+
+def test_weather_is_held_within_a_quarter_of_a_metre() -> None:
+    """Wind, current and drift of DP number 5 are within what the thrusters hold."""
+    loop, found = exact("weather"), metrics("weather")
+    assert found["r_max_m"] < 0.25
+    # Against weather from the bow quarter the thrusters push ahead and to starboard.
+    mean = loop.tau[1000:].mean(axis=0)
+    assert mean[0] > 0
+    assert mean[1] > 50e3
+
+
+def test_a_ship_that_is_not_the_model_is_still_held() -> None:
+    """With mass, damping, thrust and dead time off, the ship keeps within 15 cm."""
+    assert metrics("mismatch")["r_max_m"] < 0.15
+    matched = load_scenario("mismatch")
+    matched = replace(matched, true_ship=matched.vessel, actuators=None)
+    away = np.abs(solve_exactly(matched).state - exact("mismatch").state)
+    assert away[:, 3:5].max() > 1e-3
+
+
+def test_watch_circle_limits_the_speed_of_a_transfer() -> None:
+    """Speed over ground stays near 0.15 m/s where it would be twice that without the bound."""
+    scenario, loop = load_scenario("watch_circle"), exact("watch_circle")
+    free = solve_exactly(replace(scenario, outputs=None))
+    # Softened, and held at ten instants of the horizon only.
+    assert top_speed(scenario, loop) < 0.17
+    assert top_speed(scenario, free) > 0.3
+
+
+def top_speed(scenario: Scenario, loop: ExactLoop) -> float:
+    moved = np.diff(loop.state[:, 3:5], axis=0)
+    return float(np.hypot(moved[:, 0], moved[:, 1]).max() / scenario.sample_s)
+
+
+def test_no_answer_to_a_problem_that_has_none_is_no_failure() -> None:
+    """Hard limits after the loss: the fallback acts three times, and no step counts as failed."""
+    scenario = load_scenario("thruster_loss_hard").first(420)
+    summary = run_closed_loop(scenario, open_workspace("daqp")).summary
+    assert summary["infeasible_steps"] == summary["fallbacks"] == 3
+    assert summary["failed_steps"] == 0
+    assert summary["uncertified"] == 0
+    assert summary["error_move_max"] < 1e-9

@@ -1,0 +1,151 @@
+"""A suite becomes cells: each once, under all the names it was asked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dpbench.bench.campaign import run_campaign
+from dpbench.bench.plan.configurations import CONTRAST
+from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.suite import ClosedLoopTable, ReplayTable, SuiteFile, load_suite
+from dpbench.bench.record.cell import Cell
+from dpbench.cli.listing import check_file
+from dpbench.errors import InputError, UnknownNameError
+from dpbench.solvers.calibration import CALIBRATION
+from dpbench.solvers.table import record
+
+
+def test_a_cell_asked_for_twice_keeps_all_names_of_its_settings() -> None:
+    """The same arm by its route's name and as the default one is one cell with both aliases."""
+    tables = [
+        ReplayTable(scenario="paper", steps=20, settings=["default", "high"]),
+        ReplayTable(scenario="paper", steps=20, routes=["native"]),
+    ]
+    suite = SuiteFile(title="x", solvers=["paper_active_set"], contrast=False, replay=tables)
+    (planned,) = plan(suite)
+    assert planned.cell.settings == "default"
+    assert planned.alias_settings == ("high",)
+
+
+def test_the_standard_suite_has_no_cell_twice() -> None:
+    """Every cell of the suite that `make bench` runs is planned once."""
+    _, suite = load_suite("standard")
+    cells = [planned.cell.to_json() for planned in plan(suite)]
+    assert len(cells) == len(set(cells))
+
+
+def test_the_standard_suite_runs_what_its_verdict_needs() -> None:
+    """Each level, and one kept way of each solver that has any, is run wherever its default is.
+
+    A level or way that was not run somewhere, or not as far, could not be said to meet the demand.
+    """
+    _, suite = load_suite("standard")
+    places: dict[str, dict[tuple[str, str, str], dict[tuple[str, str], int]]] = {}
+    for planned in plan(suite):
+        cell = planned.cell
+        if planned.refused or cell.units == "si" or cell.solver in {*CALIBRATION, CONTRAST}:
+            continue
+        for settings in (cell.settings, *planned.alias_settings):
+            place = (cell.mode, cell.sequence or cell.scenario_name)
+            ways = places.setdefault(cell.solver, {})
+            ways.setdefault((cell.route, cell.policy, settings), {})[place] = cell.steps
+    for solver, ways in places.items():
+        row = record(solver)
+        usual = ways[row.default_route, "fresh", "default"]
+        assert ways[row.default_route, "fresh", "high"] == usual, solver
+        kept = {policy for policy in ("reuse", "warm") if policy in row.policies.get("native", ())}
+        for settings in ("default", "high"):
+            whole = [p for p in kept if ways["native", p, settings] == usual]
+            assert bool(whole) == bool(kept), (solver, settings)
+
+
+def test_a_table_of_loops_may_ask_only_some_solvers_of_its_suite() -> None:
+    """`solvers` are those it means, `without` those it does not."""
+    tables = [
+        ClosedLoopTable(scenarios=["calm"], steps=5, solvers=["daqp"]),
+        ClosedLoopTable(scenarios=["rough"], steps=5, without=["daqp"]),
+    ]
+    suite = SuiteFile(title="x", solvers=["daqp", "osqp"], contrast=False, closed_loop=tables)
+    cells = [(p.cell.scenario_name, p.cell.solver) for p in plan(suite)]
+    assert cells == [("calm", "daqp"), ("rough", "osqp")]
+    wrong = SuiteFile(title="x", solvers=["osqp"], contrast=False, closed_loop=tables)
+    with pytest.raises(InputError, match=r"closed_loop\.solvers"):
+        plan(wrong)
+
+
+def test_vessels_multiply_the_scenarios_and_fallbacks_tell_rows_apart() -> None:
+    """Each scenario with each vessel; a fallback that is not the usual one is part of the name."""
+    table = ClosedLoopTable(
+        scenarios=["calm", "rough"], vessels=["osv", "cybership2"], fallback="hold", steps=5
+    )
+    suite = SuiteFile(title="x", solvers=["daqp"], contrast=False, closed_loop=[table])
+    cells = [planned.cell for planned in plan(suite)]
+    assert [cell.scenario_name for cell in cells] == [
+        "calm@osv (hold)",
+        "calm@cybership2 (hold)",
+        "rough@osv (hold)",
+        "rough@cybership2 (hold)",
+    ]
+    assert [cell.scenario["vessel_name"] for cell in cells] == ["osv", "cybership2"] * 2
+
+
+def test_the_harness_own_arms_run_once_per_timed_sequence_and_never_steer() -> None:
+    """Whatever ways a table asks for they have one; `all` does not mean them, a name does."""
+    ways = {"settings": ["default", "high"], "units": ["scaled", "si"]}
+    policies = {"policies": ["fresh", "warm"]}
+    document = {
+        "title": "x",
+        "solvers": ["daqp"],
+        "contrast": False,
+        "closed_loop": [{"scenarios": ["paper"], "steps": 5, **ways}],
+        "replay": [
+            {"scenario": "paper", "steps": 5, **ways, **policies},
+            {"scenario": "paper", "steps": 5, "routes": ["native"], "policies": ["reuse"]},
+        ],
+        "random": [{"families": ["plain"], "sizes": [[4, 4]], "steps": 2}],
+    }
+
+    def own(*only: str, **more: object) -> list[Cell]:
+        suite = SuiteFile.model_validate(document | more)
+        cells = [planned.cell for planned in plan(suite, solvers=only or None)]
+        return [cell for cell in cells if cell.solver in CALIBRATION]
+
+    assert own() == [] and own(solvers=["all"]) == []
+    arms = own(calibration=True)
+    assert sorted(cell.solver for cell in arms) == sorted(CALIBRATION)
+    assert {(cell.mode, cell.route, cell.policy, cell.units) for cell in arms} == {
+        ("replay", "native", "reuse", "scaled")
+    }
+    assert [cell.solver for cell in own("no_op")] == ["no_op"]
+    # A millisecond of waiting, five steps, five rounds and a warm-up, each run twice.
+    limits = {cell.solver: cell.limit_s for cell in arms}
+    assert limits["busy_wait_1000us"] - limits["no_op"] == pytest.approx(0.06)
+
+
+def test_a_replay_may_ask_only_some_solvers_of_its_suite() -> None:
+    """Those named by the table and by the suite take part; a name that is none is refused."""
+
+    def solvers_of(*names: str) -> list[str]:
+        table = ReplayTable(scenario="paper", steps=5, solvers=list(names))
+        suite = SuiteFile(title="x", solvers=["daqp", "osqp"], contrast=False, replay=[table])
+        return [planned.cell.solver for planned in plan(suite)]
+
+    assert solvers_of() == ["daqp", "osqp"]
+    assert solvers_of("osqp", "piqp") == ["osqp"]
+    with pytest.raises(InputError, match=r"replay\.solvers: found piqp; allowed: .*daqp, osqp"):
+        solvers_of("piqp")
+    with pytest.raises(UnknownNameError, match=r"suite: replay\.solvers: found 'nobody'"):
+        solvers_of("nobody")
+
+
+def test_a_complaint_about_a_suite_names_its_file(tmp_path: Path) -> None:
+    """Whoever checks or runs it: file, key, what was found and what is allowed."""
+    path = tmp_path / "mine.toml"
+    replay = '[[replay]]\nscenario = "paper"\nsolvers = ["piqp"]\n'
+    path.write_text(f'title = "x"\nsolvers = ["daqp"]\n{replay}', encoding="utf-8")
+    for complain in (lambda: check_file(str(path)), lambda: run_campaign(path, tmp_path / "out")):
+        with pytest.raises(InputError, match=r"mine\.toml: replay\.solvers: found piqp"):
+            complain()
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,185 @@
+"""Which rounds and steps count, and whom a step is charged to: one rule for every table."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dpbench.analysis.step_times import step_times_of
+from dpbench.bench.judge.closed_loop import CERTIFICATES, GRADES, Graded
+from dpbench.bench.judge.replay import grade_sequence
+from dpbench.bench.judge.rows import run_row, step_rows
+from dpbench.bench.judge.rules import counting_rows, percentile, spoilt_rounds, supports
+from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.raw_log import TIMES, RawLog, replay_layout
+from dpbench.bench.record.schema import as_runs
+from dpbench.bench.run.exact_loop import ExactWorkspace
+from dpbench.bench.workers.child import Outcome
+from dpbench.bench.worst_case.goal import worst_of
+from dpbench.qp.program import QPSequence, QuadraticProgram
+from dpbench.qp.solution import Status
+from dpbench.solvers.table import Availability
+
+WARM_UP_STEPS, STEPS, N = 50, 120, 2
+CALM, SLOWED = 5e4, 9e4
+
+
+def _log(probes: list[float], statuses: list[Status] | None = None) -> RawLog:
+    """A warm-up and full rounds with the reference kernel as given, every answer the optimum 0."""
+    log = RawLog.in_memory(replay_layout(len(probes), STEPS, N, N))
+    log.done[:] = [WARM_UP_STEPS] + [STEPS] * (len(probes) - 1)
+    log.probe_ns[:] = np.array(probes)[:, None]
+    log.times[:] = -1
+    log.times[:, :, TIMES.index("solve")] = 1000 + np.arange(len(probes))[:, None]
+    log.counters[:] = 1.0
+    if statuses is not None:
+        log.status[:, : len(statuses)] = statuses
+    return log
+
+
+def _sequence() -> QPSequence:
+    """QPs whose optimum is zero."""
+    eye, one, zero = np.eye(N), np.ones(N), np.zeros((STEPS, N))
+    base = QuadraticProgram(eye, zero[0], eye, -one, one, -one, one)
+    return QPSequence("made up", base, zero, zero - 1, zero + 1)
+
+
+def _tables(graded: Graded) -> tuple[pd.DataFrame, Any]:
+    """The rows of both tables."""
+    scenario = {"name": "made up"}
+    arm = {"solver": "planted", "route": "native", "policy": "fresh", "settings": "default"}
+    cell = Cell(mode="replay", scenario=scenario, steps=STEPS, rounds=3, **arm)
+    steps = step_rows("planted", cell, graded)
+    outcome, library = Outcome("finished", ""), Availability(True)
+    row = run_row("planted", cell, outcome, library, "", graded, steps)
+    return steps, as_runs(pd.DataFrame([row])).iloc[0]
+
+
+def _judged(log: RawLog) -> Graded:
+    return grade_sequence(log, _sequence(), 0.3)
+
+
+@pytest.mark.parametrize(
+    ("slowed", "rounds", "spoilt", "counting_spoilt"),
+    [((), 3, 0, 0), ((2,), 2, 1, 0), ((1, 2, 3), 3, 3, 3), ((0,), 3, 0, 0)],
+)
+def test_the_run_counts_the_rounds_that_the_report_counts(
+    slowed: tuple[int, ...], rounds: int, spoilt: int, counting_spoilt: int
+) -> None:
+    """Never the warm-up, no spoilt round; where all are spoilt, all but the warm-up, and it is
+    said."""
+    steps, run = _tables(_judged(_log([SLOWED if r in slowed else CALM for r in range(4)])))
+    shown = step_times_of(steps)
+    assert shown is not None
+    assert (run["rounds"], shown.rounds) == (rounds, rounds)
+    assert run["raw_samples"] == len(shown.raw_ns) == rounds * STEPS
+    assert (run["spoilt_rounds"], run["counting_spoilt"]) == (spoilt, counting_spoilt)
+    assert run["steps_done"] == STEPS
+
+
+def test_a_replay_that_ended_in_its_warm_up_has_no_figures() -> None:
+    """Neither run nor report counts a step of a warm-up."""
+    log = _log([CALM] * 4)
+    log.done[1:] = 0
+    steps, run = _tables(_judged(log))
+    assert len(steps) == WARM_UP_STEPS and step_times_of(steps) is None
+    assert run["steps_done"] == 0
+    assert pd.isna(run["raw_samples"]) and np.isnan(run["error_move_max"])
+
+
+def test_a_round_is_spoilt_beyond_the_factor_of_the_best_kernel_seen() -> None:
+    """Kernels of 4 and at most 5 are calm, 5.01 is not; one that was never timed spoils nothing."""
+    probes = np.array([[4.0, 5.0], [5.0, 5.0], [4.0, 5.01], [0.0, 4.5], [0.0, 0.0]])
+    rounds = np.arange(5, dtype=np.int32)
+    assert spoilt_rounds(rounds, probes).tolist() == [2]
+    assert spoilt_rounds(rounds, np.zeros((5, 2))).tolist() == []
+
+
+def test_only_warm_ups_leave_nothing_to_count() -> None:
+    """Round 0 does not count, spoilt or not."""
+    repeat = np.zeros(3, dtype=np.int32)
+    assert not counting_rows(repeat, np.array([True, False, True])).any()
+
+
+def _certified(kind: str, count: int, log: RawLog) -> Graded:
+    """A judgement whose first steps of each round have another certificate, as the referee has it
+    where there is no optimum: residuals of the answer, no error and nothing true."""
+    graded = _judged(log)
+    first = graded.columns["k"] < count
+    graded.columns["certificate"][first] = CERTIFICATES.index(kind)
+    names = ("error_move", "error_plan", "optimum_bound", "true", "true_1e4", "true_1e6")
+    values = (np.nan, np.nan, np.inf, 0.0, 0.0, 0.0)
+    for name, value in zip(names, values, strict=True):
+        graded.columns["grades"][first, GRADES.index(name)] = value
+    return graded
+
+
+def test_without_a_certificate_no_claim_is_false() -> None:
+    """Claims of steps that nobody could certify are counted as uncertified, and as nothing else."""
+    _, run = _tables(_certified("none", 6, _log([CALM] * 3)))
+    assert (run["uncertified"], run["undecided_steps"]) == (12, 0)
+    assert (run["claimed_not_true"], run["true_not_claimed"], run["failed_steps"]) == (0, 0, 0)
+    assert run["true_share"] == 1.0
+
+
+@pytest.mark.parametrize("status", list(Status))
+def test_a_step_undecided_at_rounding_is_charged_to_nobody(status: Status) -> None:
+    """Whatever is answered there, it is neither failed nor false, and counted as undecided."""
+    log = _log([CALM] * 3, [status] * 6)
+    log.z[:, :6] = np.nan
+    graded = _certified("undecided", 6, log)
+    steps, run = _tables(graded)
+    assert (run["uncertified"], run["undecided_steps"]) == (0, 12)
+    assert (run["claimed_not_true"], run["true_not_claimed"], run["failed_steps"]) == (0, 0, 0)
+    assert run["true_share"] == 1.0 and run["error_move_max"] == 0.0 and run["primal_max"] == 0.0
+    times = step_times_of(steps)
+    assert times is not None and times.true.all() and not times.error.any()
+    worst = worst_of(graded, "error")
+    assert worst is not None and worst.severity == 0.0
+
+
+def test_nobody_fails_where_no_point_is_feasible_but_who_answers_all_the_same() -> None:
+    """On infeasible steps a missing answer is none to give, a claimed one false."""
+    log = _log([CALM] * 2, [Status.PRIMAL_INFEASIBLE, Status.SOLVED, Status.MAX_ITERATIONS])
+    _, run = _tables(_certified("infeasible", 3, log))
+    assert (run["infeasible_steps"], run["uncertified"]) == (3, 0)
+    assert (run["failed_steps"], run["claimed_not_true"]) == (1, 1)
+
+
+def test_an_answer_that_is_not_finite_fails_with_a_certificate_or_without() -> None:
+    """NaN under SOLVED is a failed step also where no optimum is known; certified, it is a lie."""
+    log = _log([CALM] * 2)
+    log.z[:, [2, 10]] = np.nan
+    _, run = _tables(_certified("none", 6, log))
+    assert (run["failed_steps"], run["claimed_not_true"]) == (2, 1)
+
+
+@pytest.mark.parametrize(("percent", "needed"), [(50, 20), (95, 200), (99, 1000), (99.9, 10_000)])
+def test_a_percentile_needs_ten_samples_beyond_it(percent: float, needed: int) -> None:
+    """With one sample fewer there is no number."""
+    assert supports(needed, percent) and not supports(needed - 1, percent)
+    assert np.isfinite(percentile(np.arange(float(needed)), percent))
+    assert np.isnan(percentile(np.arange(needed - 1.0), percent))
+
+
+def test_a_limit_violated_by_rounding_is_charged_to_nobody() -> None:
+    """0 ≥ z ≥ 1e-17 is decided by nobody: neither who solves it nor who calls it infeasible errs,
+    and the exactly solved loop goes on."""
+    sequence = _sequence()
+    low = np.zeros((STEPS, N))
+    low[:6], high = 1e-17, np.zeros(N)
+    base = replace(sequence.base, lb=low[0], ub=high)
+    sequence = replace(sequence, base=base, lb=low, ub=np.zeros((STEPS, N)))
+    for status in (Status.SOLVED, Status.PRIMAL_INFEASIBLE):
+        _, run = _tables(grade_sequence(_log([CALM] * 3, [status] * 6), sequence, 0.3))
+        assert (run["undecided_steps"], run["uncertified"], run["infeasible_steps"]) == (12, 0, 0)
+        assert (run["claimed_not_true"], run["failed_steps"], run["true_share"]) == (0, 0, 1.0)
+    exact = ExactWorkspace()
+    exact.setup(sequence.problem(0))
+    exact.solve()
+    assert exact.read().status is Status.PRIMAL_INFEASIBLE
+    assert exact.optima[-1].kind == "undecided"

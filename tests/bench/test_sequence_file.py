@@ -1,0 +1,266 @@
+"""Recorded sequences as files: what stands in them, and what is said of a bad one."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import quadprog
+
+from dpbench import (
+    InputError,
+    QPSequence,
+    QuadraticProgram,
+    load_scenario,
+    load_sequence,
+    record_sequence,
+)
+from dpbench.bench.record.npz import write_npz
+from dpbench.bench.sequences.sequence_file import certified, load_recorded, save_sequence
+from dpbench.bench.sequences.verify import _check_step
+from dpbench.qp.random.recipe import RandomRecipe
+from dpbench.qp.random.sequence import random_sequence
+from dpbench.qp.referee.referee import certify
+
+Arrays = dict[str, Any]
+STEPS = 30
+
+
+@pytest.fixture(scope="module")
+def tight() -> QPSequence:
+    """The beginning of a run with limits that come and go."""
+    return record_sequence(load_scenario("paper_tight").first(STEPS))
+
+
+@pytest.fixture(scope="module")
+def file(tight: QPSequence, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("file") / "tight.npz"
+    save_sequence(path, tight)
+    return path
+
+
+def arrays_of(path: Path) -> Arrays:
+    with np.load(path, allow_pickle=False) as data:
+        return {name: data[name] for name in data.files}
+
+
+def test_the_file_alone_proves_its_optima(file: Path) -> None:
+    """With NumPy alone: stationary, feasible, active limits met, with the right sign."""
+    a = arrays_of(file)
+    n = a["P"].shape[0]
+    assert a["q"].shape == (STEPS, n) and a["active"].dtype == np.int8
+    C = np.vstack((a["A"], np.eye(n)))
+    for k in range(STEPS):
+        z, y = a["z"][k], np.concatenate((a["y"][k], a["y_box"][k]))
+        low, high = np.append(a["l"][k], a["lb"]), np.append(a["u"][k], a["ub"])
+        np.testing.assert_allclose(a["P"] @ z + a["q"][k] + C.T @ y, 0.0, atol=1e-9)
+        value = C @ z
+        assert (value >= low - 1e-9).all() and (value <= high + 1e-9).all()
+        upper, lower = a["active"][k] == 1, a["active"][k] == -1
+        np.testing.assert_allclose(value[upper], high[upper], atol=1e-9)
+        np.testing.assert_allclose(value[lower], low[lower], atol=1e-9)
+        assert (y[upper] > 0).all() and (y[lower] < 0).all()
+        np.testing.assert_allclose(y[~upper & ~lower], 0.0, atol=1e-8)
+    # Both kinds of limit are at work in this run, or the above says nothing of them.
+    assert (a["active"][:, n:] != 0).any() and {-1, 0, 1} == set(np.unique(a["active"]).tolist())
+
+
+def test_another_solver_finds_the_same_optima(file: Path) -> None:
+    """quadprog, given nothing but the file, agrees with z to rounding."""
+    a = arrays_of(file)
+    n = a["P"].shape[0]
+    C = np.vstack((a["A"], -a["A"], np.eye(n), -np.eye(n)))
+    for k in range(0, STEPS, 7):
+        b = np.concatenate((a["l"][k], -a["u"][k], a["lb"], -a["ub"]))
+        found = quadprog.solve_qp(a["P"], -a["q"][k], C.T.copy(), b)[0]
+        np.testing.assert_allclose(found, a["z"][k], atol=1e-9)
+    assert (a["bound"] < 1e-9).all()
+
+
+def test_the_same_sequence_makes_the_same_bytes(
+    file: Path, tight: QPSequence, tmp_path: Path
+) -> None:
+    """No clock and no folder in the file; nothing is left beside it."""
+    save_sequence(tmp_path / "again.npz", tight)
+    assert (tmp_path / "again.npz").read_bytes() == file.read_bytes()
+    assert [path.name for path in tmp_path.iterdir()] == ["again.npz"]
+    with zipfile.ZipFile(file) as archive:
+        assert {info.date_time for info in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+
+
+def same(found: QPSequence, wanted: QPSequence) -> None:
+    assert (found.name, len(found)) == (wanted.name, len(wanted))
+    assert (found.base.block, found.base.moves) == (wanted.base.block, wanted.base.moves)
+    for k in range(len(wanted)):
+        mine, theirs = found.problem(k), wanted.problem(k)
+        for name in ("P", "q", "A", "l", "u", "lb", "ub"):
+            np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name))
+
+
+@pytest.mark.parametrize("scenario", ["paper", "turn", "thruster_loss_soft"])
+def test_a_recorded_loop_survives_its_file(scenario: str, tmp_path: Path) -> None:
+    """Constant matrices, those of each step, and slacks among the variables come back."""
+    sequence = record_sequence(load_scenario(scenario).first(6))
+    save_sequence(tmp_path / "one.npz", sequence)
+    found = load_sequence(tmp_path / "one.npz")
+    same(found, sequence)
+    assert (found.P is None) == (sequence.P is None)
+    assert found.meta["sample_s"] == sequence.meta["sample_s"]
+
+
+@pytest.mark.parametrize("family", ["infeasible_steps", "infinite_bounds", "no_rows"])
+def test_a_random_sequence_survives_its_file(family: str, tmp_path: Path) -> None:
+    """Infeasible steps, infinite bounds and no rows at all; optima come back bit for bit."""
+    rows = 0 if family == "no_rows" else 6
+    sequence = random_sequence(RandomRecipe(family, 4, rows, 1, steps=6, block=2))
+    optima = certified(sequence)
+    save_sequence(tmp_path / "one.npz", sequence, optima)
+    recorded = load_recorded(tmp_path / "one.npz")
+    same(recorded.sequence, sequence)
+    assert recorded.optima is not None and recorded.units is None
+    for mine, theirs in zip(recorded.optima, optima, strict=True):
+        assert (mine.kind, mine.bound) == (theirs.kind, theirs.bound)
+        for name in ("z", "y", "y_box"):
+            np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name))
+
+
+def test_bounds_of_each_step_survive_and_are_certified(tmp_path: Path) -> None:
+    """min ½z² − z with bounds that move: the optimum is 1, or the nearest bound to it."""
+    lb, ub = np.array([[0.0], [2.0], [-5.0]]), np.array([[3.0], [4.0], [0.5]])
+    q, none, no_rows = np.full((3, 1), -1.0), np.zeros(0), np.zeros((3, 0))
+    base = QuadraticProgram(np.eye(1), q[0], np.zeros((0, 1)), none, none, lb[0], ub[0])
+    sequence = QPSequence("moving", base, q, no_rows, no_rows, lb=lb, ub=ub)
+    save_sequence(tmp_path / "one.npz", sequence)
+    recorded = load_recorded(tmp_path / "one.npz")
+    same(recorded.sequence, sequence)
+    assert recorded.optima is not None
+    np.testing.assert_allclose([o.z[0] for o in recorded.optima], [1.0, 2.0, 0.5], atol=1e-12)
+    active = arrays_of(tmp_path / "one.npz")["active"]
+    assert active[:, 0].tolist() == [0, -1, 1]
+
+
+def test_an_si_sequence_is_written_scaled_with_its_units(tmp_path: Path) -> None:
+    """unit_z is the largest change per sample of the ship, and turns the scaled P into SI."""
+    scenario = load_scenario("paper").first(3)
+    si = record_sequence(scenario, units="si")
+    save_sequence(tmp_path / "si.npz", si)
+    a = arrays_of(tmp_path / "si.npz")
+    np.testing.assert_allclose(a["unit_z"], np.tile(scenario.du_max, scenario.N_c), rtol=1e-12)
+    np.testing.assert_allclose(
+        a["P"] / np.outer(a["unit_z"], a["unit_z"]), si.base.P, rtol=1e-9, atol=0.0
+    )
+    np.testing.assert_allclose(a["l"] * a["unit_row"], si.l, rtol=1e-9)
+    assert (a["lb"] == -1.0).all()
+
+
+def without(name: str) -> Callable[[Arrays], Arrays]:
+    return lambda a: {key: array for key, array in a.items() if key != name}
+
+
+def with_nan(name: str) -> Callable[[Arrays], Arrays]:
+    def change(a: Arrays) -> Arrays:
+        array = a[name].copy()
+        array[-1] = np.nan
+        return a | {name: array}
+
+    return change
+
+
+def put(name: str, value: object) -> Callable[[Arrays], Arrays]:
+    return lambda a: a | {name: np.asarray(value)}
+
+
+def renamed(a: Arrays) -> Arrays:
+    return a | {"certificate": np.array(["hearsay"] * STEPS)}
+
+
+@pytest.mark.parametrize(
+    ("change", "parts"),
+    [
+        (without("format"), ["format", "nothing"]),
+        (without("q"), ["q", "nothing"]),
+        (without("bound"), ["bound", "nothing"]),
+        (without("certificate"), ["certificate"]),
+        (put("format", "spam"), ["format", "'spam'", "dpbench-sequence"]),
+        (put("version", 2), ["version", "2", "newer"]),
+        (put("version", "1"), ["version", "whole number"]),
+        (put("meta", "{"), ["meta", "no JSON"]),
+        (put("meta", '{"every": "two"}'), ["meta.every", "'two'"]),
+        (put("documents", "[]"), ["documents", "list"]),
+        (put("block", 4), ["block", "divisor"]),
+        (put("P", np.eye(3)), ["P", "(3, 3)", "(15, 15)"]),
+        (put("P", np.full((15, 15), "x")), ["P", "real numbers"]),
+        (put("q", np.zeros((0, 15))), ["q", "(0, 15)"]),
+        (put("lb_steps", np.zeros(15)), ["lb_steps", "(15,)", "(30, 15)"]),
+        (put("z", np.zeros((STEPS, 14))), ["z", "(30, 14)", "(30, 15)"]),
+        (with_nan("P"), ["P[14, 0]", "nan"]),
+        (with_nan("q"), ["q[29, 0]", "nan"]),
+        (with_nan("u"), ["u[29, 0]", "nan"]),
+        (with_nan("z"), ["z, y, y_box[29]", "NaN beside a finite bound"]),
+        (put("q", np.full((STEPS, 15), np.inf)), ["q[0, 0]", "inf", "finite"]),
+        (renamed, ["certificate[0]", "hearsay", "linear"]),
+    ],
+)
+def test_a_bad_file_is_one_line(
+    change: Callable[[Arrays], Arrays], parts: list[str], file: Path, tmp_path: Path
+) -> None:
+    """The line names the file, the array, what was found and what is allowed."""
+    bad = tmp_path / "bad.npz"
+    write_npz(bad, change(arrays_of(file)))
+    with pytest.raises(InputError) as caught:
+        load_sequence(bad)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert all(part in message for part in [str(bad), "found", "allowed", *parts]), message
+
+
+def test_a_damaged_file_is_one_line(file: Path, tmp_path: Path) -> None:
+    """Cut short, one bit changed, another format, or none: no traceback, no wrong numbers."""
+    whole = file.read_bytes()
+    at = whole.index(b"q.npy") + 3000
+    flipped = whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :]
+    bad = tmp_path / "bad.npz"
+    for data in (b"", b"spam", whole[:-40], whole[: len(whole) // 2], flipped):
+        bad.write_bytes(data)
+        with pytest.raises(InputError, match="damaged"):
+            load_sequence(bad)
+    with pytest.raises(InputError, match="No such file"):
+        load_sequence(tmp_path / "none.npz")
+
+
+def test_python_objects_are_refused(file: Path, tmp_path: Path) -> None:
+    """A member that only pickle could read is never unpacked."""
+    bad = tmp_path / "bad.npz"
+    np.savez(bad, **(arrays_of(file) | {"name": np.array({"a": 1}, dtype=object)}))
+    with pytest.raises(InputError, match="Python objects"):
+        load_sequence(bad)
+
+
+def test_what_cannot_be_put_in_its_place_leaves_nothing_behind(tmp_path: Path) -> None:
+    """A folder stands where the file should be: an error, and no half of a file beside it."""
+    place = tmp_path / "taken.npz"
+    place.mkdir()
+    with pytest.raises(OSError):
+        write_npz(place, {"x": np.zeros(3)})
+    assert list(tmp_path.iterdir()) == [place]
+
+
+def test_a_file_may_call_infeasible_what_is_so_by_rounding_only() -> None:
+    """A step refuted by one bit is undecided today; a file that calls it infeasible still holds.
+
+    0 ≤ z ≤ 1 and z ≥ 1 + 2⁻⁵²: no point, by less than the rounding of its numbers.
+    """
+    one, above = np.ones(1), np.array([1.0 + 2.0**-52])
+    base = QuadraticProgram(np.eye(1), np.zeros(1), np.eye(1), above, above + 1.0, 0.0 * one, one)
+    sequence = QPSequence("thin", base, base.q[None], base.l[None], base.u[None])
+    optimum = certify(base)
+    assert optimum.kind == "undecided"
+    for kind in ("infeasible", "undecided"):
+        _check_step("file", 0, sequence, replace(optimum, kind=kind), optimum)
+    with pytest.raises(InputError, match="certificate"):
+        _check_step("file", 0, sequence, replace(optimum, kind="linear"), optimum)

@@ -1,0 +1,270 @@
+"""The sequences that ship: what the manifest states, what the files hold, what is said of a lie."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import quadprog
+
+from dpbench import InputError, load_results, load_sequence
+from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.suite import RecordedTable, SuiteFile
+from dpbench.bench.record.npz import write_npz
+from dpbench.bench.sequences.sequence_file import active_set, load_recorded
+from dpbench.bench.sequences.shipped import manifest_path, regenerate, stored_rules
+from dpbench.bench.sequences.verify import verify_sequence
+from dpbench.cli.main import main
+from dpbench.qp.referee.referee import Referee
+from dpbench.scenario.problem_files import problem_names, sequence_path
+from dpbench.scenario.scenario import load_scenario
+
+Arrays = dict[str, Any]
+RULES = {rule.name: rule for rule in stored_rules()}
+NAMES = problem_names("sequences")
+SMALL = ("paper-30-5", "wrap-30-5")
+CLOSE = 1e-9
+"""What values may differ by between machines."""
+
+
+def arrays_of(path: Path) -> Arrays:
+    with np.load(path, allow_pickle=False) as data:
+        return {name: data[name] for name in data.files}
+
+
+def test_the_files_are_those_of_the_manifest() -> None:
+    """Each file has its rule, every shipped scenario is asked for, and all fit the repository."""
+    assert set(NAMES) == set(RULES)
+    assert {rule.scenario for rule in RULES.values()} == set(problem_names("scenarios"))
+    horizons = {(rule.N_p, rule.N_c) for rule in RULES.values()}
+    assert horizons == {(30, 5), (60, 10), (100, 20), (200, 40)}
+    assert sum(sequence_path(name).stat().st_size for name in NAMES) < 4e6
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_optimum_is_certified_to_1e_9(name: str) -> None:
+    """By the bounds in the file; an infeasible step says so and has none."""
+    a, rule = arrays_of(sequence_path(name)), RULES[name]
+    infeasible = a["certificate"] == "infeasible"
+    assert (a["bound"][~infeasible] <= 1e-9).all() and np.isinf(a["bound"][infeasible]).all()
+    assert not infeasible.any() or rule.scenario == "thruster_loss_hard"
+    assert len(a["q"]) == len(range(0, rule.steps, rule.every))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_fresh_record_has_the_same_beginning(name: str) -> None:
+    """Shapes and active sets the same, values within 1e-9, wherever this runs."""
+    rule, stored = RULES[name], arrays_of(sequence_path(name))
+    fresh = rule.record(steps=rule.every + 1)
+    sequence, optima = fresh.sequence, fresh.optima or []
+    assert len(sequence) == len(optima) == 2
+    for k, optimum in enumerate(optima):
+        np.testing.assert_array_equal(active_set(optimum), stored["active"][k])
+        for key in ("z", "y", "y_box"):
+            wanted = stored[key][k]
+            np.testing.assert_allclose(getattr(optimum, key), wanted, rtol=CLOSE, atol=CLOSE)
+    for key in ("q", "l", "u"):
+        found = getattr(sequence, key)
+        np.testing.assert_allclose(found, stored[key][:2], rtol=CLOSE, atol=CLOSE)
+    for key in ("P", "A", "lb", "ub"):
+        found = getattr(sequence.base, key)
+        np.testing.assert_allclose(found, stored[key], rtol=CLOSE, atol=CLOSE)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_sampled_optima_are_found_again(name: str) -> None:
+    """By the referee, active set included, and by quadprog, given nothing but the file."""
+    recorded = load_recorded(sequence_path(name))
+    sequence, optima = recorded.sequence, recorded.optima or []
+    for k in (0, len(sequence) // 2, len(sequence) - 1):
+        qp, stored = sequence.problem(k), optima[k]
+        again = Referee(qp.P, qp.A, qp.lb, qp.ub).certify(qp.q, qp.l, qp.u)
+        assert (again.kind == "infeasible") == (stored.kind == "infeasible")
+        if stored.kind == "infeasible":
+            continue
+        np.testing.assert_array_equal(active_set(again), active_set(stored))
+        np.testing.assert_allclose(again.z, stored.z, atol=CLOSE)
+        C = np.vstack((np.eye(qp.n), qp.A))
+        low, high = np.append(qp.lb, qp.l), np.append(qp.ub, qp.u)
+        C, b = np.vstack((C, -C)), np.append(low, -high)
+        finite = np.isfinite(b)
+        found = quadprog.solve_qp(qp.P, -qp.q, C[finite].T.copy(), b[finite])[0]
+        np.testing.assert_allclose(found, stored.z, atol=1e-7)
+
+
+def test_small_ones_are_regenerated_byte_for_byte(tmp_path: Path) -> None:
+    """By the rules, and in a process of its own by the command that the manifest amounts to."""
+    said = regenerate(tmp_path / "a", [RULES[name] for name in SMALL])
+    assert said.startswith(f"{tmp_path / 'a'}: 2 sequences, ")
+    for name in SMALL:
+        made, stored = arrays_of(tmp_path / "a" / f"{name}.npz"), arrays_of(sequence_path(name))
+        assert made.keys() == stored.keys()
+        np.testing.assert_array_equal(made["active"], stored["active"])
+        for key, array in stored.items():
+            assert made[key].shape == array.shape
+            if array.dtype == np.float64:
+                np.testing.assert_allclose(made[key], array, rtol=CLOSE, atol=CLOSE)
+    rule, again = RULES[SMALL[0]], tmp_path / "again.npz"
+    command = [sys.executable, "-m", "dpbench", "export", rule.scenario, "--out", str(again)]
+    command += ["--horizons", f"{rule.N_p}/{rule.N_c}"]
+    command += ["--steps", str(rule.steps), "--every", str(rule.every)]
+    subprocess.run(command, check=True, capture_output=True)
+    assert again.read_bytes() == (tmp_path / "a" / f"{SMALL[0]}.npz").read_bytes()
+
+
+def test_all_is_said_with_nothing_beside_it(capsys: pytest.CaptureFixture[str]) -> None:
+    """--all follows its manifest; without it WHAT and --out are needed: exit 2 in one line."""
+    for more in (["paper"], ["--steps", "3"], ["--horizons", "30/5"], ["--every", "2"]):
+        assert main(["export", "--all", *more]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+    for arguments in (["export", "paper"], ["export", "--out", "x.npz"]):
+        assert main(arguments) == 2
+        assert "--all" in capsys.readouterr().err
+
+
+def test_a_manifest_that_leaves_out_what_it_has_not_is_refused(tmp_path: Path) -> None:
+    """A misspelled sequence among those left out, or an unknown key, is one line."""
+    text = manifest_path().read_text(encoding="utf-8")
+    bad = tmp_path / "manifest.toml"
+    bad.write_text(text + '\n[[left_out]]\nsequences = ["papr-30-5"]\nreason = "x"\n', "utf-8")
+    with pytest.raises(InputError, match=r"left_out.sequences: found 'papr-30-5'"):
+        stored_rules(bad)
+    bad.write_text(text.replace("title", "titel", 1), "utf-8")
+    with pytest.raises(InputError, match="titel"):
+        stored_rules(bad)
+
+
+def test_check_certifies_every_step_again(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stored name or a file, infeasible steps among them: one line."""
+    assert main(["check", "paper-30-5"]) == 0
+    (line,) = capsys.readouterr().out.strip().splitlines()
+    a = arrays_of(sequence_path("paper-30-5"))
+    assert f"{len(a['q'])} QPs, n = 15, m = 15; certificates: " in line
+    assert f"largest bound {a['bound'].max():.1e}" in line
+    monkeypatch.chdir(tmp_path)
+    Path("mine.npz").write_bytes(sequence_path("thruster_loss_hard-30-5").read_bytes())
+    assert main(["check", "mine.npz"]) == 0
+    assert " infeasible" in capsys.readouterr().out
+
+
+def change(key: str, at: tuple[int, ...], by: float) -> Callable[[Arrays], None]:
+    def apply(arrays: Arrays) -> None:
+        arrays[key][at] += by
+
+    return apply
+
+
+def less(key: str) -> Callable[[Arrays], None]:
+    def apply(arrays: Arrays) -> None:
+        arrays.pop(key)
+
+    return apply
+
+
+@pytest.mark.parametrize(
+    ("name", "lie", "place"),
+    [
+        ("paper-30-5", change("z", (3, 0), 1e-6), "z[3]"),
+        ("paper-30-5", change("q", (5, 2), 1e-3), "z[5]"),
+        ("paper-30-5", change("y_box", (2, 4), 1e-3), "y, y_box[2]"),
+        ("paper-30-5", change("active", (1, 20), 1), "active[1, 20]"),
+        ("paper-30-5", less("active"), "active"),
+        ("thruster_loss_hard-30-5", change("y", (-1, 0), 1e-3), ""),
+    ],
+)
+def test_a_lie_is_one_line(
+    name: str,
+    lie: Callable[[Arrays], None],
+    place: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A false optimum, other data than it was found for, a false active set: exit 2."""
+    arrays = arrays_of(sequence_path(name))
+    lie(arrays)
+    write_npz(tmp_path / "false.npz", arrays)
+    assert main(["check", str(tmp_path / "false.npz")]) == 2
+    said = capsys.readouterr()
+    assert said.err.count("\n") == 1 and not said.out
+    assert "false.npz" in said.err and place in said.err
+
+
+def test_a_false_multiplier_or_proof_is_found(tmp_path: Path) -> None:
+    """Multipliers that are not stationary, of the right signs; a Farkas vector without a proof."""
+    arrays = arrays_of(sequence_path("paper-30-5"))
+    k, i = np.argwhere(arrays["active"][:, 15:] != 0)[0]
+    arrays["y_box"][k, i] *= 1.001
+    write_npz(tmp_path / "false.npz", arrays)
+    with pytest.raises(InputError, match=rf"y, y_box\[{k}\]: found a residual"):
+        verify_sequence(tmp_path / "false.npz")
+    arrays = arrays_of(sequence_path("thruster_loss_hard-30-5"))
+    k = int(np.flatnonzero(arrays["certificate"] == "infeasible")[0])
+    arrays["y"][k], arrays["y_box"][k] = 0.0, 0.0
+    write_npz(tmp_path / "false.npz", arrays)
+    with pytest.raises(InputError, match=rf"y, y_box\[{k}\]: found no proof"):
+        verify_sequence(tmp_path / "false.npz")
+
+
+def test_damage_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A file cut short, and one with a byte changed in the middle."""
+    data = bytearray(sequence_path("paper-30-5").read_bytes())
+    for damaged in (data[: len(data) // 2], data[:5000] + b"\x55" + data[5001:]):
+        (tmp_path / "bad.npz").write_bytes(damaged)
+        assert main(["check", str(tmp_path / "bad.npz")]) == 2
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1 and "a damaged file" in said
+
+
+def test_a_stored_name_runs_from_an_empty_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By --sequence; the cell keeps the name, which another installation finds too."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "--sequence", "paper-200-40", "--solver", "daqp"]) == 0
+    results = load_results("results/sequence-paper-200-40-part")
+    assert (results.runs["error_move_max"] < 1e-9).all()
+    assert all('"path": "paper-200-40"' in cell for cell in results.runs["cell"])
+    assert main(["run", "--sequence", "papr-60-10"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "e.g. paper-60-10" in said
+
+
+def test_a_suite_names_stored_sequences() -> None:
+    """`[[recorded]]` with a name; a folder beside the suite that has the name is not meant."""
+    tables = [RecordedTable(sequence=name) for name in SMALL]
+    cells = plan(SuiteFile(title="x", solvers=["daqp"], recorded=tables))
+    assert [planned.cell.source["path"] for planned in cells] == list(SMALL)
+    lengths = [len(arrays_of(sequence_path(name))["q"]) for name in SMALL]
+    assert [planned.cell.steps for planned in cells] == lengths
+
+
+def test_the_list_shows_them(capsys: pytest.CaptureFixture[str]) -> None:
+    """Name, n, m, K and active share, each from its file."""
+    assert main(["list", "sequences"]) == 0
+    rows = {line.split()[0]: line.split() for line in capsys.readouterr().out.splitlines()[2:]}
+    assert list(rows) == NAMES
+    a = arrays_of(sequence_path("rough-100-20"))
+    share = f"{np.count_nonzero(a['active']) / a['active'].size:.1%}"
+    assert [cell for cell in rows["rough-100-20"] if cell != "│"][1:5] == [
+        "60",
+        "60",
+        str(len(a["q"])),
+        share,
+    ]
+
+
+def test_names_of_sequences_load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stored name is meant before a file or folder; its scenario is that of its horizons."""
+    monkeypatch.chdir(tmp_path)
+    Path("turn-60-10").mkdir()
+    sequence = load_sequence("turn-60-10")
+    assert sequence.base.n == 30 and sequence.P is not None
+    assert sequence.meta["scenario"] == "turn-60-10"
+    assert sequence.meta["sample_s"] == load_scenario("turn").sample_s

@@ -1,0 +1,177 @@
+"""A cell's process that crashes, hangs or never starts becomes an outcome."""
+
+from __future__ import annotations
+
+import os
+import time
+from multiprocessing.context import ForkServerContext
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dpbench.bench.record.raw_log import RawLog, replay_layout
+from dpbench.bench.workers import child as supervise
+from dpbench.bench.workers.child import Child, template_context
+from dpbench.bench.workers.process_setup import verdict_of, write_verdict
+
+
+@pytest.fixture(scope="module")
+def context() -> ForkServerContext:
+    return template_context()
+
+
+def wait(child: Child, seconds: float = 20.0) -> None:
+    deadline = time.monotonic() + seconds
+    while child.process.is_alive() and not child.overdue():
+        assert time.monotonic() < deadline, "the supervisor did not end the process"
+        time.sleep(0.01)
+
+
+SOLVER = """
+import os, signal, time
+from dpbench.bench.workers.notice import AtWork, post
+post(AtWork.SOLVER)
+"""
+"""The head of a process in which the solver is at work; without it the harness is."""
+HARNESS = "import os, signal, time\n"
+
+
+def ended(context: ForkServerContext, folder: Path, code: str) -> tuple[str, str]:
+    """Outcome and detail of a process that runs `code`."""
+    child = Child(context, exec, (code,), folder, "cell", limit_s=5.0)
+    wait(child)
+    found = child.outcome()
+    return found.outcome, found.detail
+
+
+@pytest.mark.parametrize(
+    ("act", "words"),
+    [
+        ("signal.raise_signal(signal.SIGSEGV)", "killed by SIGSEGV"),
+        ("os._exit(0)", "its process left with exit code 0: no output"),
+        ("os._exit(3)", "its process left with exit code 3: no output"),
+        ("raise SystemExit(0)", "SystemExit(0)"),
+        ("raise KeyboardInterrupt", "KeyboardInterrupt:"),
+    ],
+)
+def test_who_is_at_work_when_a_process_ends_has_ended_it(
+    act: str, words: str, context: ForkServerContext, tmp_path: Path
+) -> None:
+    """Without a verdict it is `crashed` while the solver is at work and `lost` at other times."""
+    assert ended(context, tmp_path, SOLVER + act) == ("crashed", words)
+    assert ended(context, tmp_path, HARNESS + act) == ("lost", words)
+
+
+def test_what_the_harness_raises_is_not_charged_to_the_solver(
+    context: ForkServerContext, tmp_path: Path
+) -> None:
+    """An error of the harness in the midst of a loop is `lost`; one through the port is not."""
+    raises = "raise OSError(28, 'No space left on device')"
+    said = "OSError: [Errno 28] No space left on device"
+    assert ended(context, tmp_path, SOLVER + raises) == ("lost", said)
+    through = (
+        "from types import SimpleNamespace as N\n"
+        "from dpbench.bench.run.timed_solver import SolverPort\n"
+        "def setup(qp): raise ValueError('bad matrix')\n"
+        "work = N(setup_every_step=False, setup=setup)\n"
+        "import numpy as np\n"
+        "from dpbench.qp.program import QuadraticProgram\n"
+        "one = np.ones(1)\n"
+        "base = QuadraticProgram(np.eye(1), one, np.eye(1), -one, one, -one, one)\n"
+        "SolverPort(work, N(step=None, base=base), time.perf_counter_ns).prepare()"
+    )
+    assert ended(context, tmp_path, SOLVER + through) == ("crashed", "ValueError: bad matrix")
+
+
+@pytest.mark.parametrize(("size", "outcome"), [(None, "crashed"), (64, "lost")])
+def test_a_log_that_lost_its_room_is_no_crash_of_the_solver(
+    size: int | None, outcome: str, context: ForkServerContext, tmp_path: Path
+) -> None:
+    """SIGBUS is the solver's where the log is whole, and the harness's where it is not."""
+    raw = tmp_path / "cell.raw"
+    RawLog.create(raw, replay_layout(1, 4, 2, 2))
+    if size is not None:
+        os.truncate(raw, size)
+    assert ended(context, tmp_path, SOLVER + "signal.raise_signal(signal.SIGBUS)")[0] == outcome
+
+
+@pytest.mark.parametrize(
+    ("counts", "outcome"), [((7, 7), "crashed"), ((7, 8), "lost"), ((None, None), "lost")]
+)
+def test_the_out_of_memory_killer_is_no_solver(
+    counts: tuple[int | None, ...],
+    outcome: str,
+    context: ForkServerContext,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """SIGKILL is `lost` if the kernel has killed for memory since, or hides how often it has."""
+    found = iter(counts)
+    monkeypatch.setattr(supervise, "_memory_kills", lambda: next(found))
+    code = SOLVER + "os.kill(os.getpid(), signal.SIGKILL)"
+    assert ended(context, tmp_path, code)[0] == outcome
+
+
+def test_a_scratch_folder_that_went_away_is_lost(
+    context: ForkServerContext, tmp_path: Path
+) -> None:
+    """A process that finds its folder gone ends, and the cause names the folder."""
+    folder = tmp_path / "scratch"
+    outcome, detail = ended(
+        context, folder, f"import shutil; shutil.rmtree({str(folder)!r}); raise SystemExit"
+    )
+    assert outcome == "lost" and str(folder) in detail
+
+
+def test_a_hanging_call_is_killed_and_its_steps_stay(
+    context: ForkServerContext, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One call that does not return is killed after the limit; the log keeps what was done."""
+    monkeypatch.setattr(supervise, "GRACE_S", 0.1)
+    log = RawLog.create(tmp_path / "cell.raw", replay_layout(1, 4, 2, 2))
+    log.z[0, 0] = [1.0, 2.0]
+    log.done[0] = 1
+    log.started[0] = 1
+    code = SOLVER + "time.sleep(600.0)"
+    child = Child(context, exec, (code,), tmp_path, "cell", limit_s=0.2)
+    wait(child)
+    assert child.outcome().outcome == "hung"
+    assert "limit of 0.2 s" in child.outcome().detail
+    np.testing.assert_array_equal(RawLog.open(tmp_path / "cell.raw").z[0, 0], [1.0, 2.0])
+
+
+@pytest.mark.parametrize(("head", "outcome"), [(SOLVER, "hung"), (HARNESS, "lost")])
+def test_a_process_that_never_starts_its_loop_is_killed(
+    head: str,
+    outcome: str,
+    context: ForkServerContext,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The allowance for starting ends an import that hangs, and a worker that does not come."""
+    monkeypatch.setattr(supervise, "START_ALLOWANCE_S", 2.0)
+    child = Child(context, exec, (head + "time.sleep(600.0)",), tmp_path, "cell", limit_s=5.0)
+    wait(child)
+    assert child.outcome().outcome == outcome
+    assert "did not start" in child.outcome().detail
+
+
+def test_a_process_killed_behind_its_verdict_keeps_it(
+    context: ForkServerContext, tmp_path: Path
+) -> None:
+    """What a worker does after it said what became of the cell is no part of the cell."""
+    child = Child(context, time.sleep, (600.0,), tmp_path, "cell", limit_s=5.0)
+    assert not child.has_verdict
+    write_verdict(tmp_path / "cell.json", verdict_of("finished", ""))
+    child.kill("" if child.has_verdict else "no verdict")
+    assert child.outcome().outcome == "finished"
+
+
+def test_the_template_pins_threads_and_leaves_the_caller_alone(
+    context: ForkServerContext, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Making the template does not change the environment of the process that asks for it."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    template_context()
+    assert os.environ["OMP_NUM_THREADS"] == "7"

@@ -1,0 +1,134 @@
+"""`dpbench check` takes what `dpbench run` takes, and says what is wrong in one line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from qpsolvers import Problem
+
+from dpbench.bench.sequences.recording import read_sequence
+from dpbench.cli.main import main
+from dpbench.scenario.problem_files import problem_path
+
+
+def save(path: Path, *, q: float = -3.0, u: float = 1.0) -> None:
+    """min x² + q·x − 2y + y²  with  x + y ≤ u."""
+    P, G = 2.0 * np.eye(2), np.ones((1, 2))
+    Problem(P, np.array([q, -2.0]), G, np.array([u])).save(str(path))
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder, with a folder of two problems, one problem, and a scenario."""
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "robot"
+    folder.mkdir()
+    save(folder / "step_2.npz")
+    save(folder / "step_10.npz", q=-4.0)
+    save(tmp_path / "alone.npz", u=50.0)
+    text = problem_path("scenarios", "rough").read_text(encoding="utf-8")
+    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ("robot", "robot: 2 QPs, n = 2, m = 1; certificates: 2 linear; largest bound "),
+        ("robot/", "robot: 2 QPs, n = 2, m = 1; certificates: 2 linear; largest bound "),
+        ("alone.npz", "alone.npz: 1 QPs, n = 2, m = 1; certificates: 1 linear; largest bound "),
+        ("rough@osv", "rough@osv: a scenario of 2000 steps with vessel osv"),
+        ("mine.toml@osv", "mine.toml@osv: a scenario of 2000 steps with vessel osv"),
+        ("rough", "a scenario of 2000 steps with vessel "),
+        ("osv", "osv.toml: a vessel, "),
+        ("smoke", "smoke.toml: a suite of "),
+        ("paper-30-5", "paper-30-5.npz: "),
+    ],
+)
+def test_check_takes_what_run_takes(
+    asked: str, said: str, place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Names of every kind, a scenario with another vessel, files and folders by qpsolvers."""
+    assert main(["check", asked]) == 0
+    (line,) = capsys.readouterr().out.strip().splitlines()
+    assert said in line
+
+
+def spoil(name: str, **arrays: object) -> Callable[[Path], None]:
+    def apply(place: Path) -> None:
+        path = place / name
+        with np.load(path, allow_pickle=True) as found:
+            kept = dict(found)
+        np.savez(path, **kept | arrays)
+
+    return apply
+
+
+def cut(place: Path) -> None:
+    path = place / "alone.npz"
+    path.write_bytes(path.read_bytes()[:200])
+
+
+def other_size(place: Path) -> None:
+    Problem(np.eye(1), np.ones(1)).save(str(place / "robot" / "step_11.npz"))
+
+
+def empty(place: Path) -> None:
+    (place / "hollow").mkdir()
+
+
+@pytest.mark.parametrize(
+    ("asked", "harm", "parts"),
+    [
+        ("alone.npz", spoil("alone.npz", q=np.array([1.0, np.nan])), ["q[1]", "nan"]),
+        ("alone.npz", spoil("alone.npz", P=np.array([[1.0, 2.0], [0.0, 1.0]])), ["symmetric"]),
+        ("alone.npz", spoil("alone.npz", spam=np.ones(1)), ["spam", "an unknown array"]),
+        ("alone.npz", cut, ["a damaged file"]),
+        ("robot", spoil("robot/step_10.npz", h=np.ones(3)), ["step_10.npz", "h", "(3,)"]),
+        ("robot", other_size, ["step_11.npz", "1 variables and 0 rows"]),
+        ("hollow", empty, ["no .npz file"]),
+        ("rough@ovs", None, ["vessel", "'ovs'", "osv"]),
+        ("ruogh@osv", None, ["'ruogh'", "rough"]),
+        ("rough@", None, ["vessel", "''"]),
+        ("@osv", None, ["scenario name", "''"]),
+        ("ruogh", None, ["'ruogh'", "rough"]),
+        ("no/such/folder", None, ["no such file or folder"]),
+        ("none.npz", None, ["none.npz", "no such file or folder"]),
+    ],
+)
+def test_what_is_wrong_is_one_line_and_exit_2(
+    asked: str,
+    harm: Callable[[Path], None] | None,
+    parts: list[str],
+    place: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Damage of any kind and names that nothing has: one line that names them."""
+    if harm is not None:
+        assert main(["check", asked]) == (2 if harm is empty else 0), "whole before"
+        capsys.readouterr()
+        harm(place)
+    assert main(["check", asked]) == 2
+    captured = capsys.readouterr()
+    (line,) = captured.err.strip().splitlines()
+    assert not captured.out and all(part in line for part in parts), line
+
+
+def test_a_problem_that_cannot_be_met_is_certified_so(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A file whose rows contradict each other is no bad file: its step has no feasible point."""
+    rows = np.array([[1.0, 0.0], [-1.0, 0.0]])
+    Problem(np.eye(2), np.zeros(2), rows, np.array([-1.0, -1.0])).save("never.npz")
+    assert main(["check", "never.npz"]) == 0
+    assert "certificates: 1 infeasible" in capsys.readouterr().out
+
+
+def test_one_problem_is_a_sequence_of_one_step(place: Path) -> None:
+    """What `run --sequence` reads of a single file is its problem, two-sided."""
+    sequence = read_sequence(Path("alone.npz")).sequence
+    assert (sequence.name, len(sequence)) == ("alone", 1)
+    assert sequence.base.u.tolist() == [50.0] and sequence.base.l.tolist() == [-np.inf]

@@ -1,0 +1,214 @@
+"""Finding and reading problem files: names, paths, and files that cannot be read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dpbench.errors import InputError, UnknownNameError
+from dpbench.scenario.problem_files import (
+    FileModel,
+    parse_model,
+    problem_names,
+    problem_path,
+    problems_root,
+    read_toml,
+    sequence_path,
+)
+
+
+class Inner(FileModel):
+    """A table."""
+
+    depth_m: float
+    draught_m: float = 6.0
+
+
+class Outer(FileModel):
+    """A document with tables, one of them optional."""
+
+    title: str
+    inner: Inner
+    other: Inner | None = None
+
+
+GOOD = {"title": "t", "inner": {"depth_m": 3.0}}
+
+
+@pytest.mark.parametrize("kind", ["vessels", "scenarios", "suites"])
+def test_every_shipped_name_leads_to_its_file(kind: str) -> None:
+    """Names are the stems of the files of their folder, in order."""
+    names = problem_names(kind)
+    assert names
+    assert names == sorted(names)
+    for name in names:
+        path = problem_path(kind, name)
+        assert path == problems_root() / kind / f"{name}.toml"
+        assert read_toml(path)["title"]
+
+
+def test_a_path_is_taken_beside_the_file_that_names_it_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A relative path is looked for beside the naming file, then in the current folder."""
+    beside, here = tmp_path / "beside", tmp_path / "here"
+    for folder in (beside, here):
+        folder.mkdir()
+        (folder / "ship.toml").write_text("", encoding="utf-8")
+    (here / "only.toml").write_text("", encoding="utf-8")
+    monkeypatch.chdir(here)
+    assert problem_path("vessels", "ship.toml", beside) == beside / "ship.toml"
+    assert problem_path("vessels", "ship.toml").resolve() == here / "ship.toml"
+    assert problem_path("vessels", "only.toml", beside).resolve() == here / "only.toml"
+    assert problem_path("vessels", beside / "ship.toml", here) == beside / "ship.toml"
+
+
+def test_a_name_never_means_a_file_in_the_current_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`paper` is the shipped scenario, whatever lies in the current folder."""
+    (tmp_path / "paper").write_text("x = 1", encoding="utf-8")
+    (tmp_path / "paper.toml").write_text("x = 1", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    assert problem_path("scenarios", "paper") == problems_root() / "scenarios" / "paper.toml"
+
+
+@pytest.mark.parametrize("content", ["nothing", "folder"])
+def test_a_path_without_a_file_is_refused(tmp_path: Path, content: str) -> None:
+    """A path to nothing, or to a folder, names the path and the kind of file wanted."""
+    path = tmp_path / "ship.toml"
+    if content == "folder":
+        path.mkdir()
+    with pytest.raises(InputError) as caught:
+        problem_path("vessels", path)
+    assert caught.value.where == str(path)
+    assert "vessel file in TOML" in caught.value.allowed
+
+
+def test_a_folder_of_the_right_name_cannot_be_read(tmp_path: Path) -> None:
+    """Reading a folder is a mistake of a person, told with the system's reason."""
+    with pytest.raises(InputError) as caught:
+        read_toml(tmp_path)
+    assert caught.value.where == str(tmp_path)
+    assert caught.value.found
+    assert caught.value.allowed == "a readable file"
+
+
+@pytest.mark.parametrize(
+    ("content", "found"),
+    [
+        (b"a = = 1", "line 1, column 5"),
+        (b"a = 1\na = 2\n", "overwrite a value"),
+        (b'title = "\xff\xfe"', "0xff"),
+        ('title = "é"'.encode("latin-1"), "0xe9"),
+        (b"\x00", "line 1"),
+        (b"PAR1\x15\x04", "line 1"),
+    ],
+    ids=["syntax", "key twice", "not UTF-8", "Latin-1", "zero byte", "another format"],
+)
+def test_a_file_that_is_no_toml_is_told_with_the_place(
+    tmp_path: Path, content: bytes, found: str
+) -> None:
+    """Text that is no TOML, or bytes that are no UTF-8, are told with file and place."""
+    path = tmp_path / "bad.toml"
+    path.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        read_toml(path)
+    assert caught.value.where == str(path)
+    assert found in str(caught.value.found)
+    assert caught.value.allowed == "a TOML document in UTF-8"
+    assert "\n" not in str(caught.value)
+
+
+def test_an_empty_file_lacks_its_first_key(tmp_path: Path) -> None:
+    """An empty document is read as one without keys, and the first required one is named."""
+    path = tmp_path / "empty.toml"
+    path.write_bytes(b"")
+    with pytest.raises(InputError) as caught:
+        parse_model(read_toml(path), Outer, str(path))
+    error = caught.value
+    assert (error.where, error.key, error.found) == (str(path), "title", "nothing")
+
+
+@pytest.mark.parametrize(
+    ("document", "key", "found", "allowed"),
+    [
+        ({**GOOD, "titel": "t"}, "titel", "an unknown key", "title? All keys: title, inner, other"),
+        ({"titel": "t", "inner": {"depth_m": 3.0}}, "titel", "an unknown key", "title?"),
+        ({**GOOD, "x": 1}, "x", "an unknown key", "title, inner, other"),
+        (
+            {**GOOD, "inner": {"depth_m": 3.0, "draft_m": 5.0}},
+            "inner.draft_m",
+            "an unknown key",
+            "draught_m?",
+        ),
+        (
+            {**GOOD, "other": {"depth_m": 3.0, "x": 5.0}},
+            "other.x",
+            "an unknown key",
+            "depth_m, draught_m",
+        ),
+        ({**GOOD, "inner": {}}, "inner.depth_m", "nothing", "required"),
+        ({**GOOD, "inner": 3}, "inner", "3", "valid dictionary or instance of Inner"),
+        ({**GOOD, "inner": {"depth_m": float("nan")}}, "inner.depth_m", "nan", "finite number"),
+        ({**GOOD, "title": 3}, "title", "3", "valid string"),
+    ],
+)
+def test_a_document_that_does_not_fit_names_key_found_and_allowed(
+    document: dict[str, object], key: str, found: str, allowed: str
+) -> None:
+    """An unknown key comes first, with the nearest name; then what is missing or of wrong type."""
+    with pytest.raises(InputError) as caught:
+        parse_model(document, Outer, "file.toml")
+    error = caught.value
+    assert (error.where, error.key) == ("file.toml", key)
+    assert found in str(error.found)
+    assert allowed in error.allowed
+
+
+def test_a_whole_number_may_stand_for_a_real_one() -> None:
+    """TOML's 3 and 3.0 are the same length."""
+    assert parse_model({"title": "t", "inner": {"depth_m": 3}}, Outer, "f").inner.depth_m == 3.0
+
+
+@pytest.mark.parametrize("name", ["supplyfs99", "nothing like it"])
+def test_an_unknown_name_lists_what_there_is(name: str) -> None:
+    """Every known name is offered, the nearest first where there is one."""
+    with pytest.raises(UnknownNameError) as caught:
+        problem_path("vessels", name)
+    for known in problem_names("vessels"):
+        assert known in caught.value.allowed
+    assert caught.value.allowed.startswith("e.g. supply") == (name == "supplyfs99")
+
+
+def test_a_name_too_long_to_be_a_file_is_refused_in_one_line() -> None:
+    """A name of 300 characters is an unknown name, not an operating-system error."""
+    with pytest.raises(InputError, match="one of"):
+        problem_path("scenarios", "x" * 300)
+
+
+def test_a_folder_is_told_as_a_folder(tmp_path: Path) -> None:
+    """A path that is a folder is refused as one."""
+    folder = tmp_path / "my.toml"
+    folder.mkdir()
+    with pytest.raises(InputError, match="found a folder"):
+        problem_path("scenarios", folder)
+
+
+def test_a_sequence_is_a_stored_name_or_a_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stored name whatever lies in the folder; any other is a path, the near one first."""
+    beside, here = tmp_path / "beside", tmp_path / "here"
+    for folder in (beside / "robot", here / "robot", here / "paper-30-5", here / "mine"):
+        folder.mkdir(parents=True)
+    monkeypatch.chdir(here)
+    stored = problems_root() / "sequences" / "paper-30-5.npz"
+    assert sequence_path("paper-30-5") == sequence_path("paper-30-5", beside) == stored
+    assert sequence_path("robot", beside) == beside / "robot"
+    assert sequence_path("mine", beside).resolve() == here / "mine"
+    assert sequence_path("no/such") == Path("no/such")
+    for name in ("paper-30-6", "x" * 300):
+        with pytest.raises(UnknownNameError, match=r"one of .*paper-30-5.*; or a .npz path"):
+            sequence_path(name)

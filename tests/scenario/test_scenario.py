@@ -1,0 +1,183 @@
+"""Scenarios and vessels against a table typed from the literature.
+
+The numbers below are typed from the sources (paper section IV; vessel data of the named
+publications), not read from the files under `problems/`.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dpbench.scenario.problem_files import problem_names
+from dpbench.scenario.scenario import condense, load_scenario, load_vessel, scenario_of
+
+FULL_LIMITS = (
+    [-980e3, -417e3, -18e6],
+    [1240e3, 417e3, 18e6],
+    [32_736.0, 11_008.0, 475_200.0],
+)
+PAPER_SAMPLE_S = 0.3
+MODEL_SAMPLE_S = 0.035857
+
+# id: (M, D); the Bis-scaled ship has m = 6e6 kg, L = 76.2 m and √(g/L) = 0.358804 1/s.
+VESSELS: dict[str, tuple[list[list[float]], list[list[float]]]] = {
+    "supply_fs99": (
+        [[5.3122e6, 0, 0], [0, 8.2831e6, 0], [0, 0, 3.7454e9]],
+        [[5.0242e4, 0, 0], [0, 2.7229e5, -4.3933e6], [0, -4.3933e6, 4.1894e8]],
+    ),
+    "supply_mss": (
+        [
+            [6e6 * 1.1274, 0, 0],
+            [0, 6e6 * 1.8902, -6e6 * 0.0744 * 76.2],
+            [0, -6e6 * 0.0744 * 76.2, 6e6 * 0.1278 * 76.2**2],
+        ],
+        [
+            [6e6 * 0.358804 * 0.0358, 0, 0],
+            [0, 6e6 * 0.358804 * 0.1183, -6e6 * 0.358804 * 0.0124 * 76.2],
+            [0, -6e6 * 0.358804 * 0.0041 * 76.2, 6e6 * 0.358804 * 0.0308 * 76.2**2],
+        ],
+    ),
+    "supply_tmr": (
+        [[7.0101e6, 0, 0], [0, 8.5190e6, 4.7187e5], [0, 4.7187e5, 3.7973e9]],
+        [[2.6486e5, 0, 0], [0, 8.8164e5, 0], [0, 0, 3.3774e8]],
+    ),
+    "osv": (
+        [[5.577e6, 0, 0], [0, 6.977e6, -3.150e7], [0, -3.150e7, 3.485e9]],
+        [[5.58e4, 0, 0], [0, 6.98e4, 0], [0, 0, 3.49e9]],
+    ),
+    "cybership2": (
+        [[25.8, 0, 0], [0, 33.8, 1.0115], [0, 1.0115, 2.76]],
+        [[2, 0, 0], [0, 7, 0.1], [0, 0.1, 0.5]],
+    ),
+}
+
+# Per axis north, east, yaw; forces in kN and kN·m.
+PAPER_SEA = ([0, 0, 0], [100, 80, 3000], [60, 60, 60], 0.0)
+SCENARIOS: dict[str, dict[str, Any]] = {
+    "paper": {"steps": 1000, "start": [1.2, 1.3, 0.0], "sea": PAPER_SEA, "R": 1.0},
+    "paper_tight": {"steps": 1000, "start": [1.2, 1.3, 0.0], "sea": PAPER_SEA, "R": 0.7},
+    "calm": {
+        "steps": 1000,
+        "start": [0.0, 0.0, 0.0],
+        "sea": ([-20, 55, 500], [10, 30, 300], [150, 120, 100], 60.0),
+        "R": 1.0,
+    },
+    "rough": {
+        "steps": 2000,
+        "start": [0.0, 0.0, 0.0],
+        "sea": ([-90, 260, 1800], [60, 175, 1500], [90, 75, 110], 60.0),
+        "R": None,
+    },
+}
+
+
+@pytest.mark.parametrize("name", VESSELS)
+def test_vessels_carry_the_published_matrices(name: str) -> None:
+    """M and D of every vessel are those of its source, in SI units."""
+    M, D = VESSELS[name]
+    ship = load_vessel(name)
+    np.testing.assert_allclose(ship.M, M, rtol=1e-14)
+    # √(g/L) of the Bis-scaled ship is typed to six digits.
+    np.testing.assert_allclose(ship.D, D, rtol=2e-6 if name == "supply_mss" else 1e-14)
+    assert ship.id == name
+    assert ship.source
+    assert ship.title
+
+
+@pytest.mark.parametrize("name", [name for name in VESSELS if name != "cybership2"])
+def test_full_scale_vessels_have_the_limits_of_the_paper(name: str) -> None:
+    """Amplitude limits and the rate limits per 0.3 s sample are those of section IV."""
+    ship, (low, high, step) = load_vessel(name), FULL_LIMITS
+    np.testing.assert_array_equal(ship.tau_min, low)
+    np.testing.assert_array_equal(ship.tau_max, high)
+    np.testing.assert_allclose(ship.step_max(PAPER_SAMPLE_S), step, rtol=1e-14)
+    # In every axis the rate is 2.64 % of the positive amplitude a sample.
+    np.testing.assert_allclose(np.array(step) / high, 0.0264, rtol=1e-3)
+
+
+def test_the_model_ship_has_froude_scaled_limits() -> None:
+    """The 1:70 model has the limits of the paper divided by 70³ and 70⁴, per scaled sample."""
+    ship = load_vessel("cybership2")
+    np.testing.assert_allclose(ship.tau_min, [-2.857, -1.2157, -0.7497], rtol=1e-4)
+    np.testing.assert_allclose(ship.tau_max, [3.615, 1.2157, 0.7497], rtol=1e-4)
+    step = ship.step_max(MODEL_SAMPLE_S)
+    np.testing.assert_allclose(step, [0.09544, 0.03209, 0.019792], rtol=2e-4)
+
+
+def test_nothing_but_the_tabled_problems_is_shipped_untested() -> None:
+    """Every vessel on file stands in the table above."""
+    assert set(problem_names("vessels")) == set(VESSELS)
+    assert set(SCENARIOS) <= set(problem_names("scenarios"))
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_scenarios_are_those_of_the_table(name: str) -> None:
+    """Vessel, sample, duration, start, reference and weather of the first four scenarios."""
+    row, scenario = SCENARIOS[name], load_scenario(name)
+    mean, amplitude, period_s, ramp_s = row["sea"]
+    assert scenario.name == name
+    assert scenario.vessel.id == "supply_fs99"
+    assert scenario.sample_s == 0.3
+    assert scenario.steps == row["steps"]
+    np.testing.assert_array_equal(scenario.start, row["start"])
+    np.testing.assert_array_equal(scenario.reference, np.zeros(3))
+    sea = scenario.environment
+    np.testing.assert_array_equal(sea.mean, 1e3 * np.array(mean))
+    np.testing.assert_array_equal(sea.amplitude, 1e3 * np.array(amplitude))
+    np.testing.assert_array_equal(sea.period_s, period_s)
+    np.testing.assert_array_equal(sea.phase_rad, [0.0, 1.0, 2.0])
+    assert sea.ramp_s == ramp_s
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_tunings_are_those_of_the_table(name: str) -> None:
+    """`paper` is 30/5 with R in SI, `robust` 60/10 with R = 0.1·diag(1/Δu_max²); ψ0 = 0."""
+    row, scenario = SCENARIOS[name], load_scenario(name)
+    control = scenario.control_problem()
+    du_max = np.array(FULL_LIMITS[2])
+    robust = row["R"] is None
+    assert (control.N_p, control.N_c) == ((60, 10) if robust else (30, 5))
+    np.testing.assert_array_equal(control.Q, np.diag([1.0, 1.0, 3000.0 if robust else 100.0]))
+    R = 0.1 / du_max**2 if robust else row["R"] * np.array([1e-10, 1e-10, 1e-14])
+    np.testing.assert_allclose(control.R, np.diag(R), rtol=1e-14)
+    np.testing.assert_array_equal(control.u_min, FULL_LIMITS[0])
+    np.testing.assert_array_equal(control.u_max, FULL_LIMITS[1])
+    np.testing.assert_allclose(control.du_max, du_max, rtol=1e-14)
+    np.testing.assert_array_equal(scenario.du_max, control.du_max)
+    # ψ0 = 0: the model turns body into compass axes by nothing.
+    assert scenario.psi0_rad == 0.0
+    assert scenario.tuning.startswith("robust" if robust else "paper")
+
+
+def test_condensed_sizes_are_those_of_the_paper() -> None:
+    """The paper's horizons give 15 variables and rows; z = 1 is one rate-limit step."""
+    scaled, si = condense(load_scenario("paper")), condense(load_scenario("paper"), units="si")
+    assert scaled.P.shape == scaled.A.shape == (15, 15)
+    np.testing.assert_array_equal(scaled.ub, np.ones(15))
+    np.testing.assert_array_equal(scaled.lb, -np.ones(15))
+    np.testing.assert_allclose(si.ub, np.tile(FULL_LIMITS[2], 5), rtol=1e-14)
+    assert condense(load_scenario("rough")).P.shape == (30, 30)
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_scenario_comes_back_from_its_documents(name: str) -> None:
+    """The documents of a scenario survive JSON and make the same run again."""
+    scenario = load_scenario(name)
+    again = scenario_of(json.loads(json.dumps(scenario.files)))
+    assert (again.name, again.steps, again.vessel.id) == (name, scenario.steps, scenario.vessel.id)
+    first, second = condense(scenario), condense(again)
+    np.testing.assert_array_equal(first.P, second.P)
+    np.testing.assert_array_equal(first.Z, second.Z)
+    t_s = np.linspace(0.0, 120.0, 7)
+    np.testing.assert_array_equal(scenario.environment.force(t_s), again.environment.force(t_s))
+
+
+def test_a_scenario_can_be_cut_to_its_first_steps() -> None:
+    """The first n samples are the same run, and no more than there are."""
+    scenario = load_scenario("paper")
+    assert scenario.first(120).steps == 120
+    assert scenario.first(5000).steps == 1000
