@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from dpbench.analysis.records import Row, as_float
+from dpbench.bench.judge.memory_of_answers import remembers
+
 
 @dataclass(frozen=True)
 class Demand:
@@ -30,3 +33,17 @@ class Demand:
     def deadline_ns(self) -> float:
         """The deadline of a step [ns]."""
         return self.deadline_ms * 1e6
+
+
+def is_right(row: Row, demand: Demand) -> bool:
+    """Whether the arm's answers meet the demand on every replayed step, and are not remembered.
+
+    An arm that its time limit stopped counts if it had done every step at least once by then.
+    """
+    return (
+        row["outcome"] in ("finished", "timed_out")
+        and not remembers(row)
+        and row["steps_done"] == row["steps_planned"]
+        and as_float(row["error_move_max"]) <= demand.error_move
+        and as_float(row["failed_steps"]) <= demand.failed_steps
+    )

@@ -15,15 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.records import Row, View
-from dpbench.analysis.verdict import settings_level
+from dpbench.analysis.records import Row, View, as_float, settings_level
 from dpbench.bench.judge.rules import (
     NO_ANSWER_CLAIMS,
     claimed_not_true,
     decided,
     true_not_claimed,
 )
-from dpbench.report.formats import as_float
 
 ARM = ("solver", "route", "policy", "settings")
 LIMIT = 1e-3

@@ -13,7 +13,6 @@ import pandas as pd
 from dpbench.analysis.statistics import Floats
 from dpbench.analysis.step_times import StepTimes, step_times_of
 from dpbench.bench.record.result_folder import Results
-from dpbench.report.formats import as_float
 from dpbench.scenario.scenario import Scenario, scenario_of
 from dpbench.solvers.calibration import CALIBRATION
 
@@ -195,3 +194,32 @@ def has_steps(row: Row) -> bool:
 def values(rows: Sequence[Row], column: str) -> Floats:
     """A column of some runs as floats, missing ones NaN."""
     return np.array([as_float(row[column]) for row in rows], dtype=np.float64)
+
+
+def as_float(value: object) -> float:
+    """A number out of a table; a missing one (None, pd.NA, NaN) is NaN."""
+    try:
+        return float(value)  # type: ignore[arg-type] # any cell of a table; what fails is missing
+    except (TypeError, ValueError):
+        return float(np.nan)
+
+
+def name_of(row: Row) -> str:
+    """The solver, with its route where that is not its default, its policy where not `fresh`."""
+    extra = [] if row["default_route"] else [str(row["route"])]
+    extra += [] if row["policy"] == "fresh" else [str(row["policy"])]
+    return f"{row['solver']} ({', '.join(extra)})" if extra else str(row["solver"])
+
+
+def arm_name(row: Row) -> str:
+    """As `name_of`, with the settings where they are not `default`."""
+    name, settings = name_of(row), str(row["settings"])
+    if settings == "default":
+        return name
+    return f"{name[:-1]}, {settings})" if name.endswith(")") else f"{name} ({settings})"
+
+
+def settings_level(settings: str) -> tuple[int, str]:
+    """Sort key of a settings level."""
+    order = ("default", "low", "mid", "high")
+    return (order.index(settings) if settings in order else len(order), settings)

@@ -6,9 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dpbench.analysis.records import COMMON, Row, View
-from dpbench.report.formats import as_float
-from dpbench.report.tables_accuracy import arm_name
+from dpbench.analysis.records import COMMON, Row, View, arm_name, as_float
 
 MARGIN = 0.1
 """A loop survives a slow-down with a cost within this share of the exactly solved loop's."""
@@ -96,8 +94,3 @@ def cost_ratio(row: Row) -> float:
 def survived(row: Row) -> bool:
     """Whether a loop was run to its end, at a cost within `MARGIN` and without a violation."""
     return cost_ratio(row) <= 1.0 + MARGIN and as_float(row["limit_violations"]) == 0.0
-
-
-def factor_text(slowdown: float) -> str:
-    """A slow-down in words of a table."""
-    return f"{slowdown:,g} ×".replace(",", "\u202f") if math.isfinite(slowdown) else "none"

@@ -19,11 +19,10 @@ from typing import Any, Literal
 import numpy as np
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import Row, View, is_contrast
+from dpbench.analysis.records import Row, View, as_float, is_contrast, settings_level
 from dpbench.analysis.statistics import percentile, supports
 from dpbench.analysis.times.pairs import fastest_first
 from dpbench.bench.judge.memory_of_answers import remembers
-from dpbench.report.formats import as_float
 
 Outcome = Literal["meets", "misses", "open", "not run"]
 ALIKE = 0.03
@@ -240,12 +239,6 @@ def _figure(verdict: Verdict) -> float:
 
 def _alike(verdict: Verdict) -> float:
     return (1.0 + ALIKE) * _figure(verdict)
-
-
-def settings_level(settings: str) -> tuple[int, str]:
-    """Sort key of a settings level."""
-    order = ("default", "low", "mid", "high")
-    return (order.index(settings) if settings in order else len(order), settings)
 
 
 def judge_all(view: View, demand: Demand) -> Verdicts:

@@ -23,21 +23,15 @@ from dpbench.bench.design.run_designs import DesignStore, run_designs, work_of_d
 from dpbench.bench.plan.cells import Planned
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import SuiteFile, load_suite, naming, sequence_suite
+from dpbench.bench.progress import Progress, Silent
+from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.record.result_folder import Results, claimed, write_results
 from dpbench.bench.sequences.recording import read_sequence
 from dpbench.bench.sequences.source import is_random, is_sound, source_key
 from dpbench.bench.tabulate import tabulate
-from dpbench.bench.workers.child import Outcome, template_context
-from dpbench.bench.workers.executor import (
-    HARNESS_VERSION,
-    Bench,
-    CellStore,
-    Job,
-    Progress,
-    Silent,
-    work_of,
-)
+from dpbench.bench.workers.child import template_context
+from dpbench.bench.workers.executor import Bench, CellStore, Job, work_of
 from dpbench.bench.workers.scratch import Scratch
 from dpbench.errors import InputError
 from dpbench.scenario.problem_files import sequence_path

@@ -15,7 +15,7 @@ import pandas as pd
 from dpbench.bench.judge.closed_loop import Graded, grade_log
 from dpbench.bench.judge.replay import grade_sequence
 from dpbench.bench.judge.rows import run_row, step_rows
-from dpbench.bench.record.cell import FALLBACKS, FORMULATIONS, Cell, Fallback, Formulation
+from dpbench.bench.record.cell import FALLBACKS, FORMULATIONS, Cell, Fallback, Formulation, Outcome
 from dpbench.bench.record.raw_log import RawLog, loop_layout, replay_layout
 from dpbench.bench.record.schema import as_runs, as_steps
 from dpbench.bench.run.closed_loop import Voyage, closed_loop
@@ -25,7 +25,6 @@ from dpbench.bench.run.qp_builder import Emitter
 from dpbench.bench.run.replay import ReplayArm
 from dpbench.bench.run.slow_computer import pace_of, usage_of_process
 from dpbench.bench.run.timed_solver import SolverPort
-from dpbench.bench.workers.child import Outcome
 from dpbench.errors import InputError
 from dpbench.mpc.condense import UnitSystem
 from dpbench.qp.program import QPSequence

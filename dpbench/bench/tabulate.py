@@ -9,9 +9,9 @@ import pandas as pd
 from dpbench.bench.accounting import time_inside
 from dpbench.bench.judge.memory_of_answers import with_loop_ratio
 from dpbench.bench.judge.rows import run_row, step_rows
+from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.schema import as_steps
-from dpbench.bench.workers.child import Outcome
-from dpbench.bench.workers.executor import HARNESS_VERSION, CellStore, Job
+from dpbench.bench.workers.executor import CellStore, Job
 
 Inside = dict[str, tuple[float, float]]
 """Seconds inside timed phases and inside the referee, by run_id."""

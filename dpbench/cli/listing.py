@@ -13,9 +13,9 @@ from rich.text import Text
 
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import load_suite, naming
+from dpbench.bench.progress import Progress
 from dpbench.bench.sequences.sequence_file import active_set, load_recorded
 from dpbench.bench.sequences.verify import verify_sequence
-from dpbench.bench.workers.executor import Progress
 from dpbench.errors import InputError
 from dpbench.report.table import Table as ReportTable
 from dpbench.scenario.problem_files import (

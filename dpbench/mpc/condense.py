@@ -19,12 +19,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError, ShapeError
 from dpbench.mpc.kernels import condense_blocks, hessian_blocks, map_blocks
 from dpbench.mpc.model import StateSpace, rotated
 from dpbench.mpc.prediction import toeplitz
 from dpbench.mpc.terminal import TerminalCost, terminal_cost
-from dpbench.qp.program import Matrix, Vector
 
 UnitSystem = Literal["scaled", "si"]
 Terminal = Literal["none", "riccati"]

@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.mpc.condense import (
     CondensedMatrices,
@@ -21,7 +22,7 @@ from dpbench.mpc.condense import (
 )
 from dpbench.mpc.outputs import OutputBounds, instants, output_layers
 from dpbench.mpc.soft_limits import Penalty, amplitude_layer, lay
-from dpbench.qp.program import Matrix, QPStep, QuadraticProgram, Units, Vector
+from dpbench.qp.program import QPStep, QuadraticProgram, Units
 from dpbench.qp.solution import Solution
 
 Amplitude = Literal["reachable", "hard", "soft"]

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dpbench.arrays import Matrix
 from dpbench.mpc.condense import ControlProblem, condense_matrices
 from dpbench.mpc.law import closed_loop_eigenvalues, controllable_rank, gains
-from dpbench.qp.program import Matrix
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.mpc.condense import CondensedMatrices, ControlProblem, condense_matrices
 from dpbench.mpc.model import StateSpace
-from dpbench.qp.program import Matrix, Vector
 
 
 @dataclass(frozen=True, eq=False)

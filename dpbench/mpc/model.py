@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
+from dpbench.arrays import Matrix
 from dpbench.errors import ShapeError
-from dpbench.qp.program import Matrix
 
 
 def rotation(psi_rad: float) -> Matrix:

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError, ShapeError
 from dpbench.mpc.condense import CondensedMatrices, ControlProblem
 from dpbench.mpc.soft_limits import Layer, unlimited
-from dpbench.qp.program import Matrix, Vector
 
 
 @dataclass(frozen=True, eq=False)

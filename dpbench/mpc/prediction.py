@@ -11,9 +11,9 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
+from dpbench.arrays import Matrix
 from dpbench.mpc.kernels import markov_blocks
 from dpbench.mpc.model import StateSpace
-from dpbench.qp.program import Matrix
 
 
 def markov(model: StateSpace, N_p: int) -> tuple[Matrix, NDArray[np.float64]]:

@@ -21,12 +21,13 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.mpc.condense import CondensedMatrices, ControlProblem, UnitSystem, condense_matrices
 from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
 from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.soft_limits import Penalty
-from dpbench.qp.program import Matrix, QPStep, Vector
+from dpbench.qp.program import QPStep
 
 _TURNS = 2.0 * np.pi * np.arange(5) / 5
 """Where the polynomials are sampled: five points determine degree 2."""

@@ -19,8 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.mpc.condense import ControlProblem, summed_moves
-from dpbench.qp.program import Matrix, Units, Vector
+from dpbench.qp.program import Units
 
 
 @dataclass(frozen=True, eq=False)

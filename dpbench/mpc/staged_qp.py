@@ -28,10 +28,11 @@ from typing import Literal
 
 import numpy as np
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.mpc.condense import ControlProblem, UnitSystem
 from dpbench.mpc.terminal import riccati
-from dpbench.qp.program import Matrix, QPStep, QuadraticProgram, Vector
+from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution
 
 PlainAmplitude = Literal["reachable", "hard"]

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.mpc.model import StateSpace
-from dpbench.qp.program import Matrix, Vector
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from dpbench.qp.program import Matrix, Vector
+from dpbench.arrays import Matrix, Vector
 
 # A row counts as violated beyond this many roundings of the quantities it is computed from.
 VIOLATED = 1e-14

@@ -16,13 +16,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.errors import ShapeError
 
 if TYPE_CHECKING:
     from dpbench.qp.solution import Solution
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 CONSTANT = ("P", "A", "lb", "ub")
 """What of a problem stays the same along most sequences."""
 
@@ -108,6 +107,14 @@ class QuadraticProgram:
         """The same problem in memory that nobody else holds."""
         step = QPStep(self.q, self.l, self.u, self.P, self.A, self.lb, self.ub)
         return self.at(step.copy())
+
+    def changed_by(self, step: QPStep) -> bool:
+        """Whether a step has to be solved with other matrices than those of this problem."""
+        for name in CONSTANT:
+            matrix, known = getattr(step, name), getattr(self, name)
+            if matrix is not None and matrix is not known and not np.array_equal(matrix, known):
+                return True
+        return False
 
     def at(self, step: QPStep) -> QuadraticProgram:
         """The problem after `step`: its vectors, and its matrices where it brings any."""

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.qp.dual_active_set import CONTRADICTION, DualActiveSet, Outcome
-from dpbench.qp.program import Matrix, Vector
 
 # A guard against rounding only: the method ends by itself, usually within n + m iterations.
 ITERATIONS_PER_ROW = 5

@@ -17,7 +17,8 @@ from math import inf
 import numpy as np
 from scipy.optimize import nnls
 
-from dpbench.qp.program import QuadraticProgram, Vector
+from dpbench.arrays import Vector
+from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.solution import Solution
 
 OPPOSITE = 1e-6

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.qp.program import Vector
+from dpbench.arrays import Vector
 
 
 class Status(IntEnum):

@@ -19,12 +19,13 @@ from dpbench.analysis.compare.times import (
     time_pairs,
     why_unjudged,
 )
+from dpbench.analysis.machine import disturbance_of, timed_runs
 from dpbench.analysis.records import View
 from dpbench.bench.record.result_folder import load_results
 from dpbench.errors import InputError
 from dpbench.report.compare_tables import answers_table, shared_line, solvers_table, times_table
 from dpbench.report.formats import plural
-from dpbench.report.machine_verdict import disturbance_of, timed_runs, verdict_text
+from dpbench.report.machine_verdict import verdict_text
 from dpbench.report.table import Table, markdown
 
 LISTED = 5

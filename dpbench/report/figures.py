@@ -13,9 +13,9 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FuncFormatter
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import Row, is_contrast
+from dpbench.analysis.records import Row, arm_name, as_float, is_contrast, name_of
 from dpbench.analysis.statistics import percentile
-from dpbench.report.formats import as_float, count_text, error_text, plural, share_text
+from dpbench.report.formats import count_text, error_text, plural, share_text
 from dpbench.report.style import (
     FAMILY_COLOURS,
     GREY,
@@ -29,7 +29,7 @@ from dpbench.report.style import (
     one_axes,
     power_label,
 )
-from dpbench.report.tables_accuracy import UnitsCell, UnitsMatrix, arm_name, name_of
+from dpbench.report.tables_accuracy import UnitsCell, UnitsMatrix
 from dpbench.report.tables_timing import Arm
 
 EXACT = 1e-15

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from decimal import ROUND_DOWN, ROUND_UP, Decimal
 
-import numpy as np
+from dpbench.analysis.records import as_float
 
 MISSING = "–"
 """Stands where there is no number."""
@@ -114,9 +114,6 @@ def and_list(words: list[str]) -> str:
     return f"{', '.join(words[:-1])} and {words[-1]}"
 
 
-def as_float(value: object) -> float:
-    """A number out of a table; a missing one (None, pd.NA, NaN) is NaN."""
-    try:
-        return float(value)  # type: ignore[arg-type] # any cell of a table; what fails is missing
-    except (TypeError, ValueError):
-        return float(np.nan)
+def factor_text(slowdown: float) -> str:
+    """A slow-down in words of a table."""
+    return f"{slowdown:,g} ×".replace(",", "\u202f") if math.isfinite(slowdown) else "none"

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dpbench.analysis.demand import Demand
+from dpbench.analysis.demand import Demand, is_right
 from dpbench.analysis.records import COMMON, Row, View, is_contrast
 from dpbench.analysis.statistics import paired_ratio
 from dpbench.analysis.step_times import StepTimes
 from dpbench.analysis.times.pairs import paired
 from dpbench.report.formats import MISSING, interval_text, micro_text, plural, significant
 from dpbench.report.table import Cell, Mark, Table, row_of
-from dpbench.report.tables_timing import is_right
 
 Arm = dict[str, Row]
 """The rows of one solver, route, policy and settings by formulation."""

@@ -7,94 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.analysis.records import Row, View, has_steps
-from dpbench.bench.record.disturbance import MAX_SWITCHES_PER_S, RULE, Disturbance
-from dpbench.report.formats import (
-    MISSING,
-    and_list,
-    as_float,
-    count_text,
-    plural,
-    share_text,
-    significant,
-)
+from dpbench.analysis.machine import SWITCHES, disturbance_of
+from dpbench.analysis.records import Row, View, as_float
+from dpbench.bench.record.disturbance import RULE, Disturbance
+from dpbench.report.formats import MISSING, and_list, count_text, plural, share_text, significant
 from dpbench.report.table import Table, row_of
 
 FOLD_ABOVE = 8
 """Rows above which a table is folded."""
-OWN_A_STEP, OWN_TIMES = 0.5, 10.0
-"""An arm with so many involuntary switches a step, and so many times as many a second as the median
-arm and the rule allow, makes them itself: a library that starts a thread in each solve is put off
-its only core by that thread, where a busy machine would put off its neighbours too."""
-SWITCHES = "involuntary_switches"
-
-
-def timed_runs(view: View) -> list[Row]:
-    """Every replay that was timed, the harness's own arms too; once where it has several names.
-
-    The involuntary switches that an arm makes itself stand in `own_switches_a_step`, and are NaN
-    among those that the machine is judged by.
-    """
-    return _own_apart(_once_each(view))
-
-
-def slowed_runs(view: View) -> list[Row]:
-    """Every loop on a slow computer that left a step, switches of its own doing told apart."""
-    return _own_apart([row for row in view.slowed if has_steps(row)])
-
-
-def _own_apart(rows: Sequence[Row]) -> list[Row]:
-    rates = np.array([as_float(row[SWITCHES]) / as_float(row["replay_s"]) for row in rows])
-    seen = rates[np.isfinite(rates)]
-    usual = max(float(np.median(seen)), MAX_SWITCHES_PER_S) if len(seen) else np.inf
-    found: list[Row] = []
-    for row, rate in zip(rows, rates, strict=True):
-        rounds = 1.0 if row["mode"] == "closed_loop" else as_float(row["rounds"])
-        a_step = as_float(row[SWITCHES]) / (rounds * as_float(row["steps_done"]))
-        own = a_step >= OWN_A_STEP and rate > OWN_TIMES * usual
-        found.append({**row, SWITCHES: np.nan, "own_switches_a_step": a_step} if own else row)
-    return found
-
-
-def _once_each(view: View) -> list[Row]:
-    once: dict[tuple[str, ...], Row] = {}
-    for row in [*view.calibration, *view.every]:
-        if row["mode"] == "replay" and not row["family"] and has_steps(row):
-            names = ("sequence", "solver", "route", "policy", "units", "formulation", "replay_s")
-            # Settings without effect are one run under several names, to the nanosecond.
-            once.setdefault((*(str(row[name]) for name in names), str(row["raw_max_ns"])), row)
-    return list(once.values())
-
-
-def disturbance_of(rows: Sequence[Row]) -> Disturbance:
-    """What disturbed some replays together."""
-    columns = (
-        "rounds",
-        "spoilt_rounds",
-        "counting_spoilt",
-        "rerun_rounds",
-        "replay_s",
-        SWITCHES,
-        "steal_s",
-        "throttle_events",
-    )
-    parts = []
-    for row in rows:
-        kept, spoilt, both, *rest = (as_float(row[name]) for name in columns)
-        parts.append(Disturbance(kept + spoilt - both, spoilt, *rest))
-    return Disturbance.total(parts)
-
-
-def disturbed_sequences(view: View) -> dict[str, Disturbance]:
-    """What disturbed the timed replays of each sequence; one that nothing is known of is left out.
-
-    Random problems, which are not timed alone, are none of them.
-    """
-    rows: dict[str, list[Row]] = {}
-    for row in timed_runs(view):
-        rows.setdefault(str(row["sequence"]), []).append(row)
-    found = {sequence: disturbance_of(mine) for sequence, mine in rows.items()}
-    return {sequence: one for sequence, one in found.items() if one.seconds > 0}
 
 
 def verdict_text(found: Disturbance) -> str:

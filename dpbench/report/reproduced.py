@@ -12,15 +12,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
-from dpbench.analysis.records import Row, View, has_steps, is_contrast
-from dpbench.report.formats import (
-    as_float,
-    count_text,
-    plural,
-    seconds_text,
-    share_text,
-    significant,
-)
+from dpbench.analysis.records import Row, View, as_float, has_steps, is_contrast
+from dpbench.report.formats import count_text, plural, seconds_text, share_text, significant
 from dpbench.report.namesake import OF_PAPER, is_of_paper
 
 State = Literal["reproduced", "not reproduced", "not measured"]

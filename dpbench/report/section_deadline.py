@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 
+from dpbench.analysis.machine import disturbance_of, slowed_runs
 from dpbench.analysis.records import View
-from dpbench.analysis.slowdown import SlowedGroup, cost_ratio, factor_text, slowed_groups
+from dpbench.analysis.slowdown import SlowedGroup, cost_ratio, slowed_groups
 from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular, missing
 from dpbench.report.figures_deadline import slowdown_figure
-from dpbench.report.formats import and_list, plural
-from dpbench.report.machine_verdict import disturbance_of, slowed_runs, verdict_text
+from dpbench.report.formats import and_list, factor_text, plural
+from dpbench.report.machine_verdict import verdict_text
 from dpbench.report.tables_deadline import WITHIN, misses_table, survival_table
 
 INTRODUCTION = (

@@ -4,15 +4,14 @@ section on what repeats itself and what memory it takes.
 
 from __future__ import annotations
 
-from dpbench.analysis.records import View, has_steps
+from dpbench.analysis.machine import disturbance_of, timed_runs
+from dpbench.analysis.records import View, as_float, has_steps
 from dpbench.bench.judge.calibration import within_bar
 from dpbench.report.blocks import Block, Paragraph, Section, Tabular
-from dpbench.report.formats import and_list, as_float, plural, time_text
+from dpbench.report.formats import and_list, plural, time_text
 from dpbench.report.machine_verdict import (
-    disturbance_of,
     machine_table,
     sequence_table,
-    timed_runs,
     verdict_paragraph,
     verdict_text,
 )

@@ -12,7 +12,7 @@ from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular
 from dpbench.report.figures_horizon import growth_figure
 from dpbench.report.formats import interval_text, plural, significant, time_text
 from dpbench.report.tables_horizon import growth_table, horizons_text
-from dpbench.report.time_marks import marks_legend
+from dpbench.report.time_marks import marks_legend, timed_name
 
 INTRODUCTION = (
     "The same scenario under longer and longer horizons: a plan of N_c moves has n = 3 N_c "
@@ -87,8 +87,9 @@ def _fastest(best: Sequence[SweptArm], horizons: Horizons) -> str:
     first = min(right, key=lambda arm: arm.timed[horizons].median_ns)
     return (
         f"At {horizons_text(horizons)} (n = {moves_of(horizons)}) the fastest of "
-        f"{plural(len(right), 'arm')} whose answers meet the demand there is **{first.name}** "
-        f"({_how(first)}), {time_text(first.timed[horizons].median_ns)}."
+        f"{plural(len(right), 'arm')} whose answers meet the demand there is "
+        f"**{timed_name(first.rows[0])}** ({_how(first)}), "
+        f"{time_text(first.timed[horizons].median_ns)}."
     )
 
 
@@ -105,4 +106,4 @@ def _growth_text(arm: SweptArm, growth: Growth) -> str:
         else ""
     )
     power = f"like n to the {significant(exponent.value)} {interval}{average}"
-    return f"**{arm.name}** ({_how(arm)}), {power}"
+    return f"**{timed_name(arm.rows[0])}** ({_how(arm)}), {power}"

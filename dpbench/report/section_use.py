@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dpbench.analysis.demand import Demand
+from dpbench.analysis.demand import Demand, is_right
 from dpbench.analysis.records import View
 from dpbench.analysis.times.horizon_sweep import between_ends, sweeps
 from dpbench.analysis.times.routes import (
@@ -20,7 +20,6 @@ from dpbench.report.blocks import Block, Bullets, Paragraph, Picture, Section, T
 from dpbench.report.figures_use import step_down
 from dpbench.report.formats import plural
 from dpbench.report.table import Table, row_of
-from dpbench.report.tables_timing import is_right
 from dpbench.report.tables_use import kept_table, ladder_table, missing_table
 from dpbench.report.ways_text import beside_wrapped, remark_lines
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import View
+from dpbench.analysis.records import View, as_float
 from dpbench.bench.workers.interleaved import FEWEST_ROUNDS
 from dpbench.report.blocks import Block, Bullets, Paragraph, Picture, Section, Tabular, missing
 from dpbench.report.figures import units_heat_map
-from dpbench.report.formats import and_list, as_float, count_text, plural, significant
+from dpbench.report.formats import and_list, count_text, plural, significant
 from dpbench.report.tables_accuracy import accuracy_table, units_matrix, units_table
 from dpbench.report.tables_runs import experiments_table, population_table, unfinished_table
 from dpbench.report.tables_spent import spent_table

@@ -9,34 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import Row, View, has_steps, is_contrast
-from dpbench.report.formats import (
-    MISSING,
-    as_float,
-    count_text,
-    error_text,
-    plural,
-    share_text,
-)
+from dpbench.analysis.records import Row, View, as_float, has_steps, is_contrast, name_of
+from dpbench.report.formats import MISSING, count_text, error_text, plural, share_text
 from dpbench.report.table import Cell, Table, good_if, row_of
 
 ARMS = (("scaled", "default"), ("scaled", "high"), ("si", "default"), ("si", "high"))
 """Units and settings of the units table, in its column order."""
-
-
-def name_of(row: Row) -> str:
-    """The solver, with its route where that is not its default, its policy where not `fresh`."""
-    extra = [] if row["default_route"] else [str(row["route"])]
-    extra += [] if row["policy"] == "fresh" else [str(row["policy"])]
-    return f"{row['solver']} ({', '.join(extra)})" if extra else str(row["solver"])
-
-
-def arm_name(row: Row) -> str:
-    """As `name_of`, with the settings where they are not `default`."""
-    name, settings = name_of(row), str(row["settings"])
-    if settings == "default":
-        return name
-    return f"{name[:-1]}, {settings})" if name.endswith(")") else f"{name} ({settings})"
 
 
 def by_error(row: Row) -> tuple[bool, float, str]:

@@ -8,11 +8,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import Row, View, has_steps, is_contrast
+from dpbench.analysis.records import Row, View, as_float, has_steps, is_contrast, name_of
 from dpbench.bench.judge.deadlines import longest_streak
 from dpbench.report.formats import (
     MISSING,
-    as_float,
     count_text,
     error_text,
     plural,
@@ -21,7 +20,6 @@ from dpbench.report.formats import (
     significant,
 )
 from dpbench.report.table import Cell, Table, row_of
-from dpbench.report.tables_accuracy import name_of
 
 Writer = Callable[[float], str]
 

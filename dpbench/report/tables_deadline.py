@@ -4,23 +4,9 @@ from __future__ import annotations
 
 import math
 
-from dpbench.analysis.records import Row
-from dpbench.analysis.slowdown import (
-    MARGIN,
-    SlowedArm,
-    SlowedGroup,
-    cost_ratio,
-    factor_text,
-    survived,
-)
-from dpbench.report.formats import (
-    MISSING,
-    as_float,
-    count_text,
-    plural,
-    significant,
-    time_text,
-)
+from dpbench.analysis.records import Row, as_float
+from dpbench.analysis.slowdown import MARGIN, SlowedArm, SlowedGroup, cost_ratio, survived
+from dpbench.report.formats import MISSING, count_text, factor_text, plural, significant, time_text
 from dpbench.report.table import Cell, Table, row_of
 
 WITHIN = f"within {100 * MARGIN:g} %"

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from dpbench.analysis.records import Row, View
+from dpbench.analysis.records import Row, View, as_float
 from dpbench.bench.judge.calibration import off_by_ns, within_bar
 from dpbench.report.formats import (
     MISSING,
-    as_float,
     count_text,
     error_text,
     micro_text,

@@ -17,7 +17,7 @@ from dpbench.report.formats import (
     significant,
 )
 from dpbench.report.table import Cell, Table, row_of
-from dpbench.report.time_marks import marks_legend
+from dpbench.report.time_marks import marks_legend, timed_name
 
 SPARSE = "sparse"
 LIMITS_MS = (1.0, 10.0, 100.0)
@@ -97,7 +97,7 @@ def _row(sweep: Sweep, arm: SweptArm, *, compared: bool) -> tuple[Cell, ...]:
             interval_text(found.low, found.high),
         )
     return row_of(
-        arm.name,
+        timed_name(arm.rows[0]),
         arm.formulation.replace("_", " "),
         arm.way,
         *(_time(arm.points.get(horizons)) for horizons in sweep.horizons),

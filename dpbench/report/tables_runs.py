@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 from math import isfinite, nan
 
-from dpbench.analysis.records import COMMON, Row, View
-from dpbench.report.formats import MISSING, as_float, count_text, plural
+from dpbench.analysis.records import COMMON, Row, View, as_float
+from dpbench.report.formats import MISSING, count_text, plural
 from dpbench.report.table import Cell, Mark, Table, row_of
 
 TINTS: dict[str, Mark] = {

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from dpbench.report.formats import as_float, count_text, plural, share_text, time_text
+from dpbench.analysis.records import as_float
+from dpbench.report.formats import count_text, plural, share_text, time_text
 from dpbench.report.table import Table, row_of
 
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import Row, View
+from dpbench.analysis.demand import Demand, is_right
+from dpbench.analysis.records import Row, View, as_float
 from dpbench.analysis.statistics import (
     percentile,
     percentile_interval,
@@ -17,10 +17,8 @@ from dpbench.analysis.statistics import (
     supports,
 )
 from dpbench.analysis.step_times import StepTimes
-from dpbench.bench.judge.memory_of_answers import remembers
 from dpbench.report.formats import (
     MISSING,
-    as_float,
     count_text,
     interval_text,
     micro_text,
@@ -39,20 +37,6 @@ def timed_arms(view: View, sequence: str) -> list[Arm]:
     arms = [(row, view.times(row)) for row in view.replays(sequence)]
     timed = [(row, times) for row, times in arms if times is not None]
     return sorted(timed, key=lambda arm: float(np.median(arm[1].algo_ns)))
-
-
-def is_right(row: Row, demand: Demand) -> bool:
-    """Whether the arm's answers meet the demand on every replayed step, and are not remembered.
-
-    An arm that its time limit stopped counts if it had done every step at least once by then.
-    """
-    return (
-        row["outcome"] in ("finished", "timed_out")
-        and not remembers(row)
-        and row["steps_done"] == row["steps_planned"]
-        and as_float(row["error_move_max"]) <= demand.error_move
-        and as_float(row["failed_steps"]) <= demand.failed_steps
-    )
 
 
 def timing_tables(view: View, sequence: str, demand: Demand) -> list[Table]:

@@ -9,12 +9,11 @@ import numpy as np
 
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.recommendation import Recommendation, known_record, recommend
-from dpbench.analysis.records import Row, View, has_steps, is_contrast
+from dpbench.analysis.records import Row, View, as_float, has_steps, is_contrast
 from dpbench.analysis.times.pairs import Contender, Duel, duel, fastest_first
 from dpbench.analysis.verdict import Finding, Outcome, Verdict, Verdicts, detail
 from dpbench.report.formats import (
     and_list,
-    as_float,
     count_text,
     error_text,
     interval_text,

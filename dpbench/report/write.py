@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import View
+from dpbench.analysis.records import View, as_float
 from dpbench.bench.design.design_file import Designs, load_design
 from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.report.blocks import Page, Section
-from dpbench.report.formats import as_float, time_text
+from dpbench.report.formats import time_text
 from dpbench.report.render import render_html, render_markdown
 from dpbench.report.section_deadline import deadline_lines, deadline_section
 from dpbench.report.section_design import design_section

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dpbench.arrays import Vector
 from dpbench.errors import InputError
-from dpbench.qp.program import Vector
 from dpbench.scenario.tables import EstimatorTable, ScenarioFile
 from dpbench.ship.estimation.estimator import Estimator, MeasuredState
 from dpbench.ship.estimation.kalman import KalmanFilter

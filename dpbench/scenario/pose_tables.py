@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from pydantic import SerializerFunctionWrapHandler, model_serializer
 
+from dpbench.arrays import Vector
 from dpbench.mpc.reference import ReferenceFilter
-from dpbench.qp.program import Vector
 from dpbench.scenario.key_types import Degrees, Number, Positive, Speed, TurnRate
 from dpbench.scenario.problem_files import FileModel
 from dpbench.ship.froude import Froude

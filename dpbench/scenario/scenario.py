@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError, UnknownNameError
 from dpbench.mpc.condense import ControlProblem, Terminal, UnitSystem
 from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
@@ -16,7 +17,6 @@ from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.reference import ReferenceFilter, reference_table
 from dpbench.mpc.relinearised import RelinearisedQP
 from dpbench.mpc.staged_qp import StagedQP
-from dpbench.qp.program import Matrix, Vector
 from dpbench.scenario.estimation import EstimatorChoice, estimator_choice
 from dpbench.scenario.problem_files import parse_model, problem_path, read_model
 from dpbench.scenario.tables import ControllerTable, ScenarioFile, VesselFile

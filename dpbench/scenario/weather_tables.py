@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from dpbench.qp.program import Vector
+from dpbench.arrays import Vector
 from dpbench.scenario.key_types import (
     Count,
     Degrees,

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from dpbench.arrays import Vector
 from dpbench.errors import InputError
-from dpbench.qp.program import Vector
 from dpbench.ship.validation import finite_array
 
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
-from dpbench.qp.program import Matrix, Vector
 from dpbench.ship.sensors import SensorNoise
 from dpbench.ship.validation import finite_array
 from dpbench.ship.vessel import Vessel

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from dpbench.qp.program import Vector
+from dpbench.arrays import Vector
 from dpbench.ship.environment import Environment
 
 

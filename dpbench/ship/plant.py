@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dpbench.qp.program import Matrix, Vector
+from dpbench.arrays import Matrix, Vector
 from dpbench.ship.actuators import Actuators, Thrust
 from dpbench.ship.kernels import advance, advance_loaded
 from dpbench.ship.vessel import Vessel

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
-from dpbench.qp.program import Matrix, Vector
 from dpbench.ship.validation import finite_array
 from dpbench.ship.weather.waves import WaveReflection
 from dpbench.ship.weather.wind import Windage

@@ -14,7 +14,8 @@ import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
 
-from dpbench.qp.program import Matrix, QuadraticProgram, Vector
+from dpbench.arrays import Matrix, Vector
+from dpbench.qp.program import QuadraticProgram
 from dpbench.solvers.record import Box, Form
 
 Indices = NDArray[np.intp]

@@ -15,9 +15,9 @@ from dpbench.bench.design.design_file import Designs
 from dpbench.bench.design.region_of_attraction import verdict
 from dpbench.bench.design.run_designs import WORK, DesignStore, run_designs, work_of_designs
 from dpbench.bench.plan.suite import DesignTable
+from dpbench.bench.progress import Silent
 from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.workers.child import template_context
-from dpbench.bench.workers.executor import Silent
 from dpbench.errors import CertificateError, InputError
 from dpbench.qp.referee.referee import certify
 from dpbench.scenario.problem_files import problems_root

@@ -14,11 +14,10 @@ from dpbench.bench.judge.closed_loop import CERTIFICATES, GRADES, Graded
 from dpbench.bench.judge.replay import grade_sequence
 from dpbench.bench.judge.rows import run_row, step_rows
 from dpbench.bench.judge.rules import counting_rows, percentile, spoilt_rounds, supports
-from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import TIMES, RawLog, replay_layout
 from dpbench.bench.record.schema import as_runs
 from dpbench.bench.run.exact_loop import ExactWorkspace
-from dpbench.bench.workers.child import Outcome
 from dpbench.bench.worst_case.goal import worst_of
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.solution import Status

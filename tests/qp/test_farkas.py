@@ -8,14 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpbench.qp.program import QuadraticProgram
-from dpbench.qp.referee.claims import judge_claim
 from dpbench.qp.referee.feasibility.farkas import (
     certify_infeasible,
     certify_unbounded,
     farkas_valid,
     unbounded_valid,
 )
-from dpbench.qp.referee.referee import certify, error_of
+from dpbench.qp.referee.referee import certify, error_of, judge_claim
 from dpbench.qp.solution import Solution, Status
 
 INF = np.inf

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
+from dpbench.analysis.machine import disturbance_of, timed_runs
 from dpbench.analysis.records import View
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.blocks import Paragraph, Tabular
-from dpbench.report.machine_verdict import disturbance_of, timed_runs
 from dpbench.report.render import render_markdown
 from dpbench.report.section_harness import harness_lines, machine_blocks, repeat_section
 from dpbench.report.table import Table

@@ -14,9 +14,8 @@ from typing import Literal
 import pandas as pd
 
 from dpbench.analysis.compare.pairs import Pair
-from dpbench.analysis.records import Row, View, has_steps
+from dpbench.analysis.records import Row, View, as_float, has_steps
 from dpbench.bench.judge.rules import decided, failed_steps
-from dpbench.report.formats import as_float
 
 Change = Literal["worse", "better", "same"]
 Range = tuple[float, float]

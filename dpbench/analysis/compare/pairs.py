@@ -6,10 +6,9 @@ import json
 from dataclasses import dataclass
 from typing import Any
 
-from dpbench.analysis.records import COMMON, Row, View
+from dpbench.analysis.records import COMMON, Row, View, as_float
 from dpbench.bench.record.result_folder import Results
 from dpbench.errors import ResultsError
-from dpbench.report.formats import as_float
 
 KEY = (
     "mode",

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from dpbench.analysis.compare.evidence import MACHINE_NOISE, Evidence, Judgement, gather, judge
 from dpbench.analysis.compare.pairs import KEY, Pair
-from dpbench.analysis.records import Row, View
+from dpbench.analysis.machine import disturbed_sequences
+from dpbench.analysis.records import Row, View, as_float
 from dpbench.analysis.statistics import (
     BLOCK_STEPS,
     RESAMPLES,
@@ -20,8 +21,6 @@ from dpbench.analysis.statistics import (
     enough,
     resampled_means,
 )
-from dpbench.report.formats import as_float
-from dpbench.report.machine_verdict import disturbed_sequences
 
 PARTS = 4
 """A run's rounds are cut into so many consecutive parts, each left out in turn."""

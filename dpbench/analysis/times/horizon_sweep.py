@@ -10,15 +10,12 @@ from functools import cached_property
 
 import numpy as np
 
-from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import Row, View
+from dpbench.analysis.demand import Demand, is_right
+from dpbench.analysis.records import Row, View, as_float
 from dpbench.analysis.statistics import UNKNOWN, Interval, percentile, percentile_interval
 from dpbench.analysis.step_times import StepTimes
 from dpbench.analysis.times.growth import Growth, fit_growth
 from dpbench.bench.record.schema import FORCES
-from dpbench.report.formats import as_float
-from dpbench.report.tables_timing import is_right
-from dpbench.report.time_marks import timed_name
 
 Horizons = tuple[int, int]
 """N_p and N_c."""
@@ -69,11 +66,6 @@ class SweptArm:
     def rows(self) -> list[Row]:
         """The rows of its points."""
         return [point.row for point in self.points.values()]
-
-    @property
-    def name(self) -> str:
-        """The solver, with the mark of its build."""
-        return timed_name(self.rows[0])
 
     @property
     def timed(self) -> dict[Horizons, Point]:

@@ -9,11 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import Row, View
+from dpbench.analysis.demand import Demand, is_right
+from dpbench.analysis.records import Row, View, settings_level
 from dpbench.analysis.statistics import Floats
-from dpbench.analysis.verdict import settings_level
-from dpbench.report.tables_timing import is_right
 
 Key = tuple[str, str, str, str]
 """Solver, route, policy and settings."""

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dpbench.analysis.records import Row, View, values
+from dpbench.analysis.records import Row, View, settings_level, values
 from dpbench.analysis.statistics import percentile, supports
-from dpbench.analysis.verdict import settings_level
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from dpbench.arrays import Matrix
 from dpbench.bench.design.design_file import DesignRecord, Rows
 from dpbench.bench.design.region_of_attraction import DURATION_S, basin, froude_of
 from dpbench.bench.plan.suite import DesignTable
 from dpbench.errors import InputError
 from dpbench.mpc.design import design_figures
-from dpbench.qp.program import Matrix
 from dpbench.scenario.problem_files import problem_path
 from dpbench.scenario.scenario import load_scenario, scenario_of
 

@@ -25,9 +25,10 @@ from dpbench.bench.design.region_of_attraction import (
     TOLERANCE_M,
     WIDTH,
 )
+from dpbench.bench.progress import Progress
+from dpbench.bench.record.cell import HARNESS_VERSION
 from dpbench.bench.record.result_folder import write_json
 from dpbench.bench.workers.child import POLL_S, Child
-from dpbench.bench.workers.executor import HARNESS_VERSION, Progress
 from dpbench.bench.workers.process_setup import pin, settle, verdict_of
 from dpbench.errors import ResultsError
 

@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from dpbench.bench.judge.control_metrics import control_metrics
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import COUNTERS, TIMES, RawLog
-from dpbench.bench.run.exact_loop import ExactLoop, base_problem, brings_other_matrices
+from dpbench.bench.run.exact_loop import ExactLoop, base_problem
 from dpbench.bench.run.qp_builder import Emitter
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Units
-from dpbench.qp.referee.claims import judge_claim
-from dpbench.qp.referee.referee import Optimum, Referee, error_of
+from dpbench.qp.referee.referee import ACTIVE_MULTIPLIER, Optimum, Referee, error_of, judge_claim
 from dpbench.qp.residuals import Residuals, best_multipliers, is_true, residuals
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import scenario_of
@@ -45,8 +44,6 @@ GRADES = (
 _NO_ANSWER_CLAIMS = (Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE)
 CERTIFICATES = ("linear", "gap", "rational", "infeasible", "none", "undecided")
 _SOLVE = TIMES.index("solve")
-ACTIVE_MULTIPLIER = 1e-9
-"""Scaled multipliers above it count as active limits in `n_active`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +89,7 @@ class StepJudge:
 
     def follow(self, step: QPStep, own: QPStep) -> None:
         """Take over the matrices of a step where it brings other ones; they hold from now on."""
-        if brings_other_matrices(self._scaled, step):
+        if self._scaled.changed_by(step):
             self._scaled, self._own = self._scaled.at(step), self._own.at(own)
             self._referee = None
 

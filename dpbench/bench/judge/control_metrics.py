@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.bench.record.schema import AXES, FORCES
-from dpbench.qp.program import Matrix, Vector
 from dpbench.scenario.scenario import Scenario
 
 AT_LIMIT = 1e-6

@@ -27,11 +27,10 @@ from dpbench.bench.judge.rules import (
     unusable,
 )
 from dpbench.bench.judge.timing import spoilt_rounds_of, timing_metrics
-from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import TIMES
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_steps
 from dpbench.bench.run.slow_computer import pace_of
-from dpbench.bench.workers.child import Outcome
 from dpbench.qp.solution import Status
 from dpbench.scenario.scenario import scenario_of
 from dpbench.solvers.calibration import CALIBRATION

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass, field, replace
+from importlib.metadata import version
 from typing import Any, Literal
 
 from dpbench.bench.record.schema import SCHEMA_VERSION
@@ -116,3 +117,24 @@ class Cell:
 def _digest(value: object) -> str:
     text = json.dumps(value, sort_keys=True, ensure_ascii=False)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+OUTCOMES = ("finished", "crashed", "hung", "timed_out", "refused", "invalid", "lost")
+"""What may become of a cell; `lost` is an accident of the harness, and never the last word."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a process: `outcome` as in `runs.parquet`, its cause, the solver's form.
+
+    n, m : size of the QP the solver was given; None where it never got one.
+    """
+
+    outcome: str
+    detail: str
+    form: str = ""
+    n: int | None = None
+    m: int | None = None
+
+
+HARNESS_VERSION = version("dpbench")

@@ -15,13 +15,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dpbench.arrays import Vector
 from dpbench.bench.record.cell import Fallback
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.fallback import FallbackLaw, limit_move
 from dpbench.bench.run.qp_builder import Emitter
 from dpbench.bench.run.slow_computer import Pace, SlowComputer, Usage, never_preempted
 from dpbench.bench.run.timed_solver import Clock, SolverPort, record_answer
-from dpbench.qp.program import QPStep, Vector
+from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Status
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.measurement import Sensors

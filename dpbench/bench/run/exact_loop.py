@@ -15,6 +15,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from dpbench.arrays import Matrix
 from dpbench.bench.record.npz import DAMAGE
 from dpbench.bench.record.raw_log import RawLog, loop_layout
 from dpbench.bench.run.closed_loop import Voyage, closed_loop
@@ -24,7 +25,7 @@ from dpbench.bench.run.timed_solver import SolverPort
 from dpbench.errors import CertificateError, ResultsError
 from dpbench.mpc.condense import UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.qp.program import Matrix, QPSequence, QPStep, QuadraticProgram, SparseTwin
+from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, SparseTwin
 from dpbench.qp.referee.joint import Kind
 from dpbench.qp.referee.referee import Optimum, Referee
 from dpbench.qp.solution import Solution, Status
@@ -54,7 +55,7 @@ class ExactWorkspace(Workspace):
     def update(self, step: QPStep) -> None:
         """Take the vectors, and matrices where they are others than before."""
         assert self._base is not None, "setup comes first"
-        if brings_other_matrices(self._base, step):
+        if self._base.changed_by(step):
             self.setup(self._base.at(step))
         self._step = step
 
@@ -76,15 +77,6 @@ class ExactWorkspace(Workspace):
         if not np.isfinite(optimum.bound):
             raise CertificateError(f"no certified optimum ({optimum.kind})")
         return Solution(Status.SOLVED, optimum.z, optimum.y, optimum.y_box, 0)
-
-
-def brings_other_matrices(base: QuadraticProgram, step: QPStep) -> bool:
-    """Whether a step has to be solved with other matrices than those of `base`."""
-    for name in ("P", "A", "lb", "ub"):
-        matrix, known = getattr(step, name), getattr(base, name)
-        if matrix is not None and matrix is not known and not np.array_equal(matrix, known):
-            return True
-    return False
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.bench.record.cell import Fallback
 from dpbench.mpc.condense import CondensedMatrices
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.law import Gains, gains
-from dpbench.qp.program import Matrix, Vector
 
 CLIP_TOLERANCE = 1e-9
 """In rate-limit steps: below it a violation is rounding, above it `clipped` is recorded."""

@@ -6,8 +6,9 @@ The loop emits along the way; graders and sequences emit the same QPs again from
 
 from __future__ import annotations
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.mpc.condense import UnitSystem
-from dpbench.qp.program import Matrix, QPStep, Vector
+from dpbench.qp.program import QPStep
 from dpbench.scenario.scenario import Scenario, condense, keep_states
 
 

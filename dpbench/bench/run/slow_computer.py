@@ -26,12 +26,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.bench.record.cell import SLOWEST, Cell
 from dpbench.bench.run.fallback import FallbackLaw
 from dpbench.bench.run.qp_builder import Emitter
 from dpbench.bench.run.timed_solver import SolverPort
 from dpbench.errors import InputError
-from dpbench.qp.program import Matrix, QPStep, Vector
+from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Solution, Status
 
 Usage = Callable[[], tuple[int, int]]

@@ -6,11 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from dpbench.bench.run.certifying import certified
 from dpbench.bench.sequences.qpbenchmark_files import save_qpbenchmark, with_optimum
 from dpbench.bench.sequences.recording import described, read_sequence, record, thinned
 from dpbench.bench.sequences.sequence_file import Recorded, save_sequence
 from dpbench.errors import InputError
+from dpbench.qp.referee.referee import certified
 from dpbench.scenario.horizons import Horizons, parse_horizons
 from dpbench.scenario.problem_files import is_stored, problem_names, sequence_path
 from dpbench.scenario.scenario import load_scenario

@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from dpbench.arrays import Vector
 from dpbench.bench.record.npz import Arrays, float_array, read_npz
 from dpbench.errors import InputError
-from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram, Vector
+from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram
 
 WHAT = "a problem written by `qpsolvers.Problem.save` (.npz)"
 KEYS = ("P", "q", "G", "h", "A", "b", "lb", "ub")

@@ -12,14 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.bench.run.certifying import certified
 from dpbench.bench.run.exact_loop import sequence_of, solve_exactly
 from dpbench.bench.run.qp_builder import Emitter
 from dpbench.bench.sequences.qpsolvers_files import is_problem, natural_order, read_folder
 from dpbench.bench.sequences.sequence_file import Recorded, load_recorded
 from dpbench.errors import InputError
 from dpbench.qp.program import CONSTANT, QPSequence
-from dpbench.qp.referee.referee import Optimum
+from dpbench.qp.referee.referee import Optimum, certified
 from dpbench.scenario.scenario import Scenario, scenario_of
 
 WHAT = "a sequence by `dpbench export` (.npz), or a problem (.npz) or folder of them by qpsolvers"

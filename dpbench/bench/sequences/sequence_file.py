@@ -30,15 +30,13 @@ from zlib import ZLIB_RUNTIME_VERSION as ZLIB
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.bench.judge.closed_loop import ACTIVE_MULTIPLIER
 from dpbench.bench.record.npz import Arrays, count_of, float_array, read_npz, text_of, write_npz
-from dpbench.bench.run.certifying import certified
 from dpbench.errors import InputError
 from dpbench.mpc.condense import UnitSystem
 from dpbench.qp.own_units import in_own_units
 from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram, Units
 from dpbench.qp.referee.joint import Kind
-from dpbench.qp.referee.referee import Optimum
+from dpbench.qp.referee.referee import ACTIVE_MULTIPLIER, Optimum, certified
 from dpbench.scenario.problem_files import sequence_path
 
 FORMAT = "dpbench-sequence"

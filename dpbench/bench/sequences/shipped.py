@@ -12,9 +12,9 @@ from typing import Annotated
 
 from pydantic import Field
 
+from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.sequences.recording import record
 from dpbench.bench.sequences.sequence_file import Recorded, save_sequence
-from dpbench.bench.workers.executor import Progress, Silent
 from dpbench.errors import InputError
 from dpbench.scenario.key_types import Horizon
 from dpbench.scenario.problem_files import SEQUENCES, FileModel, problems_root, read_model

@@ -19,7 +19,6 @@ from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.npz import DAMAGE
 from dpbench.bench.record.raw_log import log_bytes, loop_layout, replay_layout
 from dpbench.bench.record.schema import SCHEMA_VERSION
-from dpbench.bench.run.certifying import certified
 from dpbench.bench.run.exact_loop import ExactLoop, damaged, sequence_of, solve_exactly
 from dpbench.bench.sequences.recording import digest, read_sequence
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
@@ -27,7 +26,7 @@ from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence
 from dpbench.qp.random.recipe import RandomRecipe
 from dpbench.qp.random.sequence import random_sequence
-from dpbench.qp.referee.referee import Optimum
+from dpbench.qp.referee.referee import Optimum, certified
 from dpbench.scenario.problem_files import is_stored, sequence_path
 from dpbench.scenario.scenario import scenario_of
 

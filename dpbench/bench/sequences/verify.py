@@ -6,15 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
+from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.npz import read_npz
-from dpbench.bench.run.certifying import each_certified
 from dpbench.bench.sequences.recording import described, read_sequence
 from dpbench.bench.sequences.sequence_file import WHAT, active_set
-from dpbench.bench.workers.executor import Progress, Silent
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.referee.feasibility.farkas import farkas_valid
-from dpbench.qp.referee.referee import Optimum
+from dpbench.qp.referee.referee import Optimum, each_certified
 from dpbench.qp.residuals import residuals
 from dpbench.qp.solution import Solution, Status
 

@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
-from dpbench.bench.record.cell import Cell
-from dpbench.bench.workers.child import Child, Outcome, with_log
+from dpbench.bench.record.cell import Cell, Outcome
+from dpbench.bench.workers.child import Child, with_log
 from dpbench.bench.workers.worker import Link, grade_chain, run_replay_chain
 
 GRADING_LIMIT_S = 600.0

@@ -10,12 +10,12 @@ import os
 import signal
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from multiprocessing.connection import wait
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
 from typing import Any, TypeVar
 
+from dpbench.bench.record.cell import Outcome
 from dpbench.bench.record.machine import THREAD_VARIABLES, pin_threads
 from dpbench.bench.record.raw_log import RawLog, is_whole
 from dpbench.bench.workers import notice
@@ -27,24 +27,8 @@ START_ALLOWANCE_S = 60.0
 GRACE_S = 3.0
 """Beyond a cell's own limit, for one call that does not return."""
 POLL_S = 0.02
-OUTCOMES = ("finished", "crashed", "hung", "timed_out", "refused", "invalid", "lost")
-"""What may become of a cell; `lost` is an accident of the harness, and never the last word."""
 _BY_MEMORY = "killed by SIGKILL, as by the out-of-memory killer"
 Task = TypeVar("Task")
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What became of a process: `outcome` as in `runs.parquet`, its cause, the solver's form.
-
-    n, m : size of the QP the solver was given; None where it never got one.
-    """
-
-    outcome: str
-    detail: str
-    form: str = ""
-    n: int | None = None
-    m: int | None = None
 
 
 def with_log(outcome: Outcome, raw: Path) -> Outcome:

@@ -11,47 +11,24 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.metadata import version
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
-from typing import Protocol
 
 from dpbench.bench.judge.closed_loop import Graded
 from dpbench.bench.plan.cells import Planned
-from dpbench.bench.record.cell import Cell
+from dpbench.bench.progress import Progress
+from dpbench.bench.record.cell import HARNESS_VERSION, OUTCOMES, Cell, Outcome
 from dpbench.bench.record.npz import DAMAGE
 from dpbench.bench.record.raw_log import discard
 from dpbench.bench.record.result_folder import write_json
 from dpbench.bench.sequences.source import log_size, source_key
 from dpbench.bench.workers.batch import GRADING_LIMIT_S, Chain, arm_of, not_judged
-from dpbench.bench.workers.child import OUTCOMES, Child, Outcome, in_slots, with_log
+from dpbench.bench.workers.child import Child, in_slots, with_log
 from dpbench.bench.workers.interleaved import ReplayGroup
 from dpbench.bench.workers.scratch import NoRoomError, Scratch
 from dpbench.bench.workers.worker import Link, grade_cell, make_source, run_closed_loop_cell
 from dpbench.errors import InputError
 from dpbench.solvers.table import Availability
-
-HARNESS_VERSION = version("dpbench")
-
-
-class Progress(Protocol):
-    """Who is told how far a campaign is; `work` is in steps."""
-
-    def start(self, work: int) -> None:
-        """So much is to be done."""
-
-    def advance(self, work: int, what: str) -> None:
-        """So much is done now, the last of it on `what`."""
-
-
-class Silent:
-    """A progress that shows nothing."""
-
-    def start(self, work: int) -> None:
-        """Show nothing."""
-
-    def advance(self, work: int, what: str) -> None:
-        """Show nothing."""
 
 
 @dataclass(eq=False)

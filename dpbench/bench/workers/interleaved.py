@@ -15,9 +15,9 @@ from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 from dpbench.bench.judge.rules import is_spoilt
-from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.workers.child import GRACE_S, START_ALLOWANCE_S, Child, Outcome
+from dpbench.bench.workers.child import GRACE_S, START_ALLOWANCE_S, Child
 from dpbench.bench.workers.robbed import repeat_robbed
 from dpbench.bench.workers.worker import run_replay_cell
 

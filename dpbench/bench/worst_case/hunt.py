@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any, get_args
 
 from dpbench.bench.plan.configurations import Arm, module_of, refusal_of
+from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.run.qp_builder import Emitter
 from dpbench.bench.sequences.sequence_file import save_sequence
 from dpbench.bench.workers.child import template_context
-from dpbench.bench.workers.executor import Progress, Silent
 from dpbench.bench.workers.interrupts import one_interrupt
 from dpbench.bench.workers.scratch import scratch_folder
 from dpbench.bench.worst_case.goal import Goal, Worst

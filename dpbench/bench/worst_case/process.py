@@ -17,12 +17,12 @@ from pathlib import Path
 
 from dpbench.bench.judge.closed_loop import Graded
 from dpbench.bench.judge.replay import grade_sequence
-from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.run.formulation import in_replay
 from dpbench.bench.run.replay import ReplayArm
 from dpbench.bench.run.timed_solver import SolverPort
-from dpbench.bench.workers.child import GRACE_S, START_ALLOWANCE_S, Child, Outcome
+from dpbench.bench.workers.child import GRACE_S, START_ALLOWANCE_S, Child
 from dpbench.bench.workers.notice import AtWork, post
 from dpbench.bench.workers.process_setup import settle
 from dpbench.errors import InputError

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.optimize import Bounds, differential_evolution
 from scipy.stats import qmc
 
+from dpbench.bench.progress import Progress
+from dpbench.bench.record.cell import Outcome
 from dpbench.bench.run.exact_loop import record_sequence
-from dpbench.bench.workers.child import Outcome
-from dpbench.bench.workers.executor import Progress
 from dpbench.bench.worst_case.goal import Goal, Worst, worst_of
 from dpbench.bench.worst_case.process import HuntedSolver
 from dpbench.bench.worst_case.space import HuntSpace

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.qp.program import Vector
+from dpbench.arrays import Vector
 from dpbench.scenario.scenario import Scenario, scenario_of
 from dpbench.ship.froude import Froude
 

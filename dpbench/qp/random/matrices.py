@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from dpbench.qp.program import Matrix, Vector
+from dpbench.arrays import Matrix, Vector
 
 POINT = 2.0**-10
 """Grid of z, of multipliers and of slacks."""

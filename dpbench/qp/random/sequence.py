@@ -16,7 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.qp.program import Matrix, QPSequence, QuadraticProgram, Vector
+from dpbench.arrays import Matrix, Vector
+from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.random.matrices import (
     POINT,
     definite_cost,

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.qp.program import Vector
+from dpbench.arrays import Vector
 
 Whole = NDArray[np.object_]
 _SHIFT = 53

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dpbench.qp.program import Matrix, Vector
+from dpbench.arrays import Matrix, Vector
 from dpbench.qp.referee.joint import JointQP
 
 SWEEPS = 10

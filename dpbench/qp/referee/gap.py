@@ -17,7 +17,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.qp.program import Matrix, Vector
+from dpbench.arrays import Matrix, Vector
 from dpbench.qp.referee.dyadic import Dyadic
 from dpbench.qp.referee.joint import ExactMatrices, JointQP, Proof, Signs
 from dpbench.qp.referee.kkt import OUTWARD, KKTSystem

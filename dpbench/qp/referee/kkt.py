@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.qp.program import Matrix, Vector
+from dpbench.arrays import Matrix, Vector
 
 UNIT = float(np.finfo(np.float64).eps)
 LONG_UNIT = float(np.finfo(np.longdouble).eps)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import linprog, nnls
 
-from dpbench.qp.program import Matrix, Vector
+from dpbench.arrays import Matrix, Vector
 from dpbench.qp.referee.enclosure import WEIGHT, enclosure_certificate
 from dpbench.qp.referee.equilibrated import Scales, safe
 from dpbench.qp.referee.feasibility.implied import with_implied, without_empty

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dpbench.qp.program import Matrix
+from dpbench.arrays import Matrix
 from dpbench.qp.referee.joint import JointQP, Proof
 from dpbench.qp.referee.kkt import OUTWARD, UNIT, KKTSystem, gamma
 

@@ -16,7 +16,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from dpbench.qp.program import Vector
+from dpbench.arrays import Vector
 from dpbench.qp.referee.dyadic import Dyadic, Whole, solve_integer
 from dpbench.qp.referee.joint import ExactMatrices, JointQP, Proof, Signs
 

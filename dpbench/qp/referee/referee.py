@@ -9,15 +9,22 @@ Nobody's word is taken for anything: every certificate stands on its own.
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from dpbench.qp.program import Matrix, QuadraticProgram, Vector
+from dpbench.arrays import Matrix, Vector
+from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.referee.dyadic import Dyadic, semidefinite
 from dpbench.qp.referee.equilibrated import alike, safe
-from dpbench.qp.referee.feasibility.farkas import certify_infeasible, farkas_valid
+from dpbench.qp.referee.feasibility.farkas import (
+    certify_infeasible,
+    certify_unbounded,
+    farkas_valid,
+    unbounded_valid,
+)
 from dpbench.qp.referee.feasibility.forced import fix_forced
 from dpbench.qp.referee.feasibility.rounding import least_violation, refute
 from dpbench.qp.referee.gap import gap_certificate, independent, met
@@ -28,6 +35,7 @@ from dpbench.qp.referee.linear import Geometry, linear_certificate
 from dpbench.qp.referee.oracle import guesses
 from dpbench.qp.referee.rational import rational_certificate
 from dpbench.qp.residuals import best_multipliers
+from dpbench.qp.solution import Solution, Status
 
 WANTED = 1e-10
 """A bound above it sends the problem to the next, costlier certificate."""
@@ -37,6 +45,10 @@ EXACT_SIZE = 40
 """Largest n for the rational certificate, whose cost grows like n⁴: 0.3 s at n = 30."""
 SEMIDEFINITE_SIZE = 100
 """Largest block of P for the exact test of semidefiniteness, done once per referee."""
+
+
+ACTIVE_MULTIPLIER = 1e-9
+"""Scaled multipliers above it count as active limits in `n_active`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -293,3 +305,36 @@ def error_of(z: Vector, optimum: Optimum, block: int, moves: int = 0) -> tuple[f
         return float(error[0].max()), float(error.max())
     plan = float(error.max())
     return (float(error[:block].max()) if block else plan), plan
+
+
+def each_certified(sequence: QPSequence) -> Iterator[Optimum]:
+    """The certified optimum of one step after the other, for a sequence in scaled units."""
+    qp = sequence.base
+    referee = Referee(qp.P, qp.A, qp.lb, qp.ub)
+    for k in range(len(sequence)):
+        step = sequence.step(k)
+        if qp.changed_by(step):
+            qp = qp.at(step)
+            referee = Referee(qp.P, qp.A, qp.lb, qp.ub)
+        yield referee.certify(step.q, step.l, step.u)
+
+
+def certified(sequence: QPSequence) -> list[Optimum]:
+    """The certified optimum of every step, for a sequence in scaled units."""
+    return list(each_certified(sequence))
+
+
+def judge_claim(qp: QuadraticProgram, solution: Solution, optimum: Optimum) -> bool:
+    """Whether the status PRIMAL_INFEASIBLE or DUAL_INFEASIBLE of `solution` is proven true.
+
+    The solver's own certificate in (y, y_box), or direction in z, is accepted if it is valid;
+    otherwise the referee's verdict on the same problem decides. Any other status claims nothing of
+    the kind and gives False.
+    """
+    if solution.status is Status.PRIMAL_INFEASIBLE:
+        return optimum.kind == "infeasible" or farkas_valid(qp, solution.y, solution.y_box)
+    if solution.status is Status.DUAL_INFEASIBLE:
+        if optimum.kind not in ("none", "infeasible"):
+            return False
+        return unbounded_valid(qp, solution.z) or certify_unbounded(qp) is not None
+    return False

@@ -14,8 +14,8 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numba import njit
 
+from dpbench.arrays import Vector
 from dpbench.errors import InputError, ShapeError
-from dpbench.qp.program import Vector
 
 TURN = 2.0 * math.pi
 

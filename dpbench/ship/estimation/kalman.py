@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from dpbench.qp.program import Vector
+from dpbench.arrays import Vector
 from dpbench.ship.estimation.estimator import Estimator, nearest_turn
 from dpbench.ship.estimation.kalman_model import KalmanModel, KalmanTuning, kalman_model
 from dpbench.ship.estimation.model_change import change_matrix, model_change

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import LinAlgError, expm, solve_discrete_are
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
-from dpbench.qp.program import Matrix, Vector
 from dpbench.ship.estimation.estimator import checked_sample, positive_vector
 from dpbench.ship.estimation.wave_filter import WaveModel
 from dpbench.ship.vessel import Vessel

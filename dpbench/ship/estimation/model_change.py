@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from scipy.linalg import expm
 
-from dpbench.qp.program import Matrix
+from dpbench.arrays import Matrix
 from dpbench.ship.vessel import Vessel
 
 

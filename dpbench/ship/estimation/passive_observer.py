@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from dpbench.qp.program import Matrix, Vector
+from dpbench.arrays import Matrix, Vector
 from dpbench.ship.estimation.estimator import Estimator, checked_sample, nearest_turn
 from dpbench.ship.estimation.model_change import change_matrix, model_change
 from dpbench.ship.estimation.passive_tuning import PassiveTuning

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dpbench.arrays import Vector
 from dpbench.errors import InputError
-from dpbench.qp.program import Vector
 from dpbench.ship.estimation.estimator import positive_vector
 from dpbench.ship.estimation.wave_filter import WaveModel
 from dpbench.ship.vessel import Vessel

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dpbench.arrays import Vector
 from dpbench.errors import InputError
-from dpbench.qp.program import Vector
 from dpbench.ship.estimation.estimator import positive_vector
 
 JONSWAP_DAMPING = 0.1

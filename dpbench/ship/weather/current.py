@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dpbench.qp.program import Vector
+from dpbench.arrays import Vector
 from dpbench.ship.validation import finite, not_negative
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.qp.program import Vector
+from dpbench.arrays import Vector
 
 _GRID = 4000
 _ROWS = 1024

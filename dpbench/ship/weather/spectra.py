@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dpbench.qp.program import Vector
+from dpbench.arrays import Vector
 
 HARRIS_LENGTH_M = 1800.0
 HARRIS_DRAG = 0.0026

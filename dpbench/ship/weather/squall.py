@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
-from dpbench.qp.program import Matrix, Vector
 from dpbench.ship.validation import finite_array, not_negative, positive
 
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
-from dpbench.qp.program import Matrix, Vector
 from dpbench.ship.validation import finite, not_negative, positive
 from dpbench.ship.weather.harmonics import Harmonics, realise
 from dpbench.ship.weather.spectra import jonswap

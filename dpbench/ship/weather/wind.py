@@ -21,8 +21,8 @@ from typing import Literal
 
 import numpy as np
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
-from dpbench.qp.program import Matrix, Vector
 from dpbench.ship.validation import finite, not_negative, positive
 from dpbench.ship.weather.harmonics import realise
 from dpbench.ship.weather.spectra import harris_gust, norsok_gust

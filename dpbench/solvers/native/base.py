@@ -15,8 +15,9 @@ from math import isfinite
 
 import numpy as np
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.errors import DpbenchError
-from dpbench.qp.program import Matrix, QPStep, QuadraticProgram, Vector
+from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.contract import Policy, Workspace
 from dpbench.solvers.record import Form

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.qp.program import QPStep, Vector
+from dpbench.arrays import Vector
+from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.contract import Policy
 from dpbench.solvers.native.adapter import NativeAdapter

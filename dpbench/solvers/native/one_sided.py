@@ -10,7 +10,8 @@ from abc import abstractmethod
 
 import numpy as np
 
-from dpbench.qp.program import Matrix, QuadraticProgram, Vector
+from dpbench.arrays import Matrix, Vector
+from dpbench.qp.program import QuadraticProgram
 from dpbench.solvers.native.base import NativeWorkspace
 from dpbench.solvers.one_sided import OneSidedForm
 

@@ -7,8 +7,8 @@ from importlib import import_module
 import numpy as np
 import scipy.sparse
 
+from dpbench.arrays import Vector
 from dpbench.errors import DpbenchError
-from dpbench.qp.program import Vector
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.contract import Policy
 from dpbench.solvers.native.adapter import NativeAdapter

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse
 
-from dpbench.qp.program import Vector
+from dpbench.arrays import Vector
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.contract import Policy
 from dpbench.solvers.native.adapter import NativeAdapter

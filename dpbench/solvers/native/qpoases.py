@@ -14,7 +14,7 @@ from importlib import import_module
 
 import numpy as np
 
-from dpbench.qp.program import Vector
+from dpbench.arrays import Vector
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.contract import Policy
 from dpbench.solvers.native.adapter import NativeAdapter

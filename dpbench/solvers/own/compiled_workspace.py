@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from dpbench.arrays import Matrix
 from dpbench.errors import DpbenchError
-from dpbench.qp.program import Matrix, QPStep, QuadraticProgram, Refresh
+from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.contract import Policy, Route, Workspace
 from dpbench.solvers.own.active_set import layout as layout

@@ -14,7 +14,7 @@ from typing import Any
 
 from numba import njit
 
-from dpbench.qp.program import Matrix
+from dpbench.arrays import Matrix
 from dpbench.solvers.own.active_set.kernel import begin
 from dpbench.solvers.own.active_set.layout import (
     BEFORE,

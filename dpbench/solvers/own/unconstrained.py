@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg
 
+from dpbench.arrays import Vector
 from dpbench.errors import DpbenchError
-from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Vector
+from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.contract import Policy, Route, Workspace
 from dpbench.solvers.shapes import check_step, owned

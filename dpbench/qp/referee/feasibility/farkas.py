@@ -16,7 +16,8 @@ from math import lcm
 import numpy as np
 from scipy.optimize import linprog
 
-from dpbench.qp.program import QuadraticProgram, Vector
+from dpbench.arrays import Vector
+from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.dyadic import Dyadic
 from dpbench.qp.referee.joint import JointQP
 

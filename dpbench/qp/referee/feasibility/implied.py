@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from dpbench.qp.program import Vector
+from dpbench.arrays import Vector
 from dpbench.qp.referee.dyadic import Dyadic
 from dpbench.qp.referee.gap import independent
 from dpbench.qp.referee.joint import JointQP, Signs

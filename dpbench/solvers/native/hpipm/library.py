@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.qp.program import Vector
+from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
 from dpbench.solvers.record import Build
 from dpbench.solvers.through_qpsolvers.adapter import Options

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.qp.program import Matrix, Vector
+from dpbench.arrays import Matrix, Vector
 from dpbench.solvers.native.hpipm.library import Structures, pointer
 from dpbench.solvers.native.hpipm.stages import Indices, Stage
 

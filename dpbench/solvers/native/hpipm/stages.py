@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.qp.program import Matrix
+from dpbench.arrays import Matrix
 
 Indices = NDArray[np.intp]
 Couplings = list[list[tuple[int, int]]]

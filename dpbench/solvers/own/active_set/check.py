@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from math import inf
 
-from dpbench.qp.program import Matrix
+from dpbench.arrays import Matrix
 from dpbench.solvers.own.active_set.factor import product
 from dpbench.solvers.own.active_set.layout import (
     ACTIVE,

@@ -14,7 +14,8 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg
 
-from dpbench.qp.program import Matrix, QuadraticProgram, Vector
+from dpbench.arrays import Matrix, Vector
+from dpbench.qp.program import QuadraticProgram
 from dpbench.solvers.own.active_set import layout as layout
 
 LANES = 16

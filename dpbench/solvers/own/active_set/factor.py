@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from math import inf, sqrt
 
-from dpbench.qp.program import Matrix
+from dpbench.arrays import Matrix
 from dpbench.solvers.own.active_set.layout import (
     ACTIVE,
     COUNT,

@@ -19,7 +19,7 @@ from typing import Any
 
 from numba import njit
 
-from dpbench.qp.program import Matrix
+from dpbench.arrays import Matrix
 from dpbench.solvers.own.active_set.check import excess, is_crowded, is_near
 from dpbench.solvers.own.active_set.factor import (
     VIOLATED,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from math import inf
 
-from dpbench.qp.program import Matrix
+from dpbench.arrays import Matrix
 from dpbench.solvers.own.active_set.factor import append, backward, drop, forward
 from dpbench.solvers.own.active_set.layout import (
     ACTIVE,

@@ -8,7 +8,7 @@ the norm of P the correction is at most ‖e‖ + √(δλᵀ H_WW δλ).
 
 from __future__ import annotations
 
-from dpbench.qp.program import Matrix
+from dpbench.arrays import Matrix
 from dpbench.solvers.own.active_set.factor import (
     backward,
     drop,

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.qp.dual_active_set import CONTRADICTION, Ending, Outcome
-from dpbench.qp.program import Matrix, QuadraticProgram, Vector
+from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.projection import Projection
 from dpbench.qp.solution import Solution, Status
 

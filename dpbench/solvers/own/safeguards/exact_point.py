@@ -16,7 +16,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from dpbench.qp.program import Matrix, Vector
+from dpbench.arrays import Matrix, Vector
 from dpbench.qp.referee.dyadic import Dyadic, Whole, solve_integer
 from dpbench.qp.referee.gap import independent, met
 from dpbench.qp.referee.joint import JointQP

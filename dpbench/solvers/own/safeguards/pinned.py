@@ -13,7 +13,8 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg
 
-from dpbench.qp.program import Matrix, QuadraticProgram
+from dpbench.arrays import Matrix
+from dpbench.qp.program import QuadraticProgram
 
 INDEPENDENT = 1e-7
 """Share of a row's length that has to be left beside the others."""

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dpbench.qp.program import QuadraticProgram, Vector
+from dpbench.arrays import Vector
+from dpbench.qp.program import QuadraticProgram
 
 ROUNDING = 1e-13
 """Entries of a ray below this share of its largest are rounding."""

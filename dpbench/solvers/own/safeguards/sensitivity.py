@@ -14,7 +14,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.qp.program import Matrix, QuadraticProgram, Vector
+from dpbench.arrays import Matrix, Vector
+from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.joint import JointQP
 from dpbench.solvers.own.active_set import layout as layout
 from dpbench.solvers.own.active_set.check import EPSILON, WRONG

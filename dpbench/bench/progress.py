@@ -1,0 +1,25 @@
+"""Who is told how far a long work is."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+
+class Progress(Protocol):
+    """Who is told how far a campaign is; `work` is in steps."""
+
+    def start(self, work: int) -> None:
+        """So much is to be done."""
+
+    def advance(self, work: int, what: str) -> None:
+        """So much is done now, the last of it on `what`."""
+
+
+class Silent:
+    """A progress that shows nothing."""
+
+    def start(self, work: int) -> None:
+        """Show nothing."""
+
+    def advance(self, work: int, what: str) -> None:
+        """Show nothing."""
