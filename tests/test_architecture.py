@@ -1,0 +1,43 @@
+"""The way in for a maintainer: every place that the documents name exists."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+WALK = re.findall(
+    r"\| `(dpbench/[\w/]+\.py)` \| `(\w+)` \|",
+    (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8"),
+)
+
+
+def _functions(path: Path) -> set[str]:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    return {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
+
+
+@pytest.mark.parametrize(("file", "function"), WALK)
+def test_every_hop_of_the_walk_is_there(file: str, function: str) -> None:
+    """A hop names a file and a function in it."""
+    assert function in _functions(ROOT / file)
+
+
+def test_the_walk_goes_from_the_ship_to_the_page() -> None:
+    """It begins in the loop and ends in the report, and no floor is left out."""
+    rooms = [file.split("/")[1] for file, _ in WALK]
+    assert (rooms[0], rooms[-1]) == ("bench", "report")
+    assert set(rooms) == {"bench", "mpc", "solvers", "qp", "analysis", "report"}
+
+
+@pytest.mark.parametrize("document", ["CONTRIBUTING.md", "docs/architecture.md", "README.md"])
+def test_every_place_a_document_names_exists(document: str) -> None:
+    """Files and folders of this repository in backticks or links are there."""
+    text = (ROOT / document).read_text(encoding="utf-8")
+    named = re.findall(r"[`(]((?:dpbench|tests|benchmarks|problems|docs)/[\w./-]*)[`)]", text)
+    assert named
+    for name in named:
+        assert (ROOT / name).exists() or (ROOT / "docs" / name).exists(), name
