@@ -24,7 +24,7 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[solvers,peers,dev]'
 	touch $(STAMP)
 
-bench: setup ## run the standard suite (about five minutes) and write its report
+bench: setup ## run the standard suite (five to twelve minutes) and write its report
 	$(BIN)/dpbench run standard --out $(OUT)
 
 full: setup ## run everything at full length with twenty replays (hours)

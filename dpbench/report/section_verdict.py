@@ -179,7 +179,7 @@ def _verdict_row(verdicts: Verdicts, reference: Verdict) -> tuple[Cell, ...]:
         solver,
         *(Cell(v.outcome, MARKS[v.outcome]) for v in at),
         shown.configuration.way,
-        Cell(f"no: {why_not}", "warn") if why_not else "yes",
+        f"no: {why_not}" if why_not else "yes",
         *facts,
         error_text(shown.error_move),
         count_text(shown.failed_steps) if shown.steps else MISSING,
