@@ -70,7 +70,7 @@ def plant(
     y = np.where(np.isin(kind, ["equal", "strict"]), side * size, 0.0)
     room = np.where(kind == "free", size, 0.0)
     u = np.where((side > 0) | (kind == "free") | (kind == "equal"), value + room, INF)
-    l = np.where((side < 0) | (kind == "free") | (kind == "equal"), value - room, -INF)  # noqa: E741
+    l = np.where((side < 0) | (kind == "free") | (kind == "equal"), value - room, -INF)  # noqa: E741 - l as in QP
     lb, ub, y_box = np.full(n, -INF), np.full(n, INF), np.zeros(n)
     held = rng.permutation(n)[:bounds]
     lb[held], y_box[held] = z[held], -rng.integers(1, 16, bounds) / 8
