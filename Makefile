@@ -35,7 +35,7 @@ test: setup ## run the tests
 
 test-casadi: setup ## run the tests of the solvers whose library is an extra (HPIPM, qpOASES)
 	$(BIN)/python -m pip install --quiet --no-deps --upgrade --target $(CASADI) 'casadi>=3.7'
-	PYTHONPATH=$(CASADI) $(BIN)/python -m pytest tests/solvers tests/bench/test_sparse_bar.py \
+	PYTHONPATH=$(CASADI) $(BIN)/python -m pytest tests/solvers tests/bench/run/test_sparse_bar.py \
 	    -k "hpipm or qpoases"
 
 lint: setup ## ruff, mypy --strict, import floors

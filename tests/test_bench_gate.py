@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-GATE = Path(__file__).parents[2] / "benchmarks" / "gate.py"
+GATE = Path(__file__).parents[1] / "benchmarks" / "gate.py"
 Write = Callable[..., Path]
 
 

@@ -99,7 +99,7 @@ def test_the_same_horizons_twice_and_too_long_ones_are_refused(tmp_path: Path) -
 def test_names_of_sweeps_must_differ_from_those_of_scenarios(tmp_path: Path) -> None:
     """A file called as the sweep names its problems would be taken for one of them."""
     theirs = tmp_path / "paper-60-10.toml"
-    text = Path(__file__).parents[2] / "problems" / "scenarios" / "rough.toml"
+    text = Path(__file__).parents[3] / "problems" / "scenarios" / "rough.toml"
     theirs.write_text(text.read_text(encoding="utf-8"), encoding="utf-8")
     tables = [*_suite("60/10").replay, ReplayTable(scenario=str(theirs), steps=12)]
     suite = SuiteFile(title="x", solvers=["daqp"], contrast=False, replay=tables)
