@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from dpbench.analysis.compare.evidence import Judgement, Prior, gather, judge
+from dpbench.analysis.compare.evidence import Assessment, Prior, gather, judge
 from dpbench.bench.record.machine import describe_machine
 from dpbench.errors import InputError
 
@@ -73,7 +73,7 @@ def exact_changes(was: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
 
 def time_changes(
     was: Mapping[str, Mapping[str, Any]], now: Mapping[str, Mapping[str, Any]]
-) -> dict[str, Judgement]:
+) -> dict[str, Assessment]:
     """A verdict on the time of each benchmark that both runs have."""
     names = [name for name in now if name in was]
     logs = np.log([now[name]["relative"] / was[name]["relative"] for name in names])

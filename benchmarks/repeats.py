@@ -5,8 +5,9 @@ with a planted one.
 
 makes N + 1 runs of `repeats.toml` as they are and N with `slowed_daqp` slowed, in turn, each in a
 process of its own, then compares every run as it is with the next one, and with the slowed run
-between the two. It prints each claim and the counts; exit 1 when more than 1 of 10 tables without
-a change holds a claim, or a slowed arm is not found. An interrupted call goes on where it stopped.
+between the two. It prints each claim and the counts; exit 1 when more than 1 of 10 tables without a
+change holds a claim, or a slowed configuration is not found. An interrupted call goes on where it
+stopped.
 """
 
 from __future__ import annotations
@@ -49,11 +50,14 @@ def main() -> int:
     print(f"with {PLANTED} slowed by {asked.slowed_by:g}")
     planted = [compare(plain[r], asked.out / f"slowed-{r}") for r in range(asked.runs)]
     beside = sum(_claims(found, but=PLANTED) > 0 for found in planted)
-    arms = [f["verdict"] for found in planted for _, f in _planted(found).iterrows()]
+    configurations = [f["verdict"] for found in planted for _, f in _planted(found).iterrows()]
     hit = sum((_planted(found)["verdict"] == "slower").any() for found in planted)
     print(f"tables without a change that hold a claim: {false} of {asked.runs}")
     print(f"tables with the change: found in {hit} of {asked.runs}, ", end="")
-    print(f"{arms.count('slower')} of its {len(arms)} arms; a claim beside it in {beside}")
+    print(
+        f"{configurations.count('slower')} of its {len(configurations)} configurations; a claim "
+        f"beside it in {beside}"
+    )
     return int(false > 0.1 * asked.runs or hit < asked.runs)
 
 
@@ -78,9 +82,9 @@ def _claims(found: Comparison, but: str = "") -> int:
     for _, row in claims.iterrows():
         interval = f"[{row['low']:.3f}, {row['high']:.3f}]"
         print(f"  {row['solver']} {row['policy']}: {row['verdict']} {row['ratio']:.3f} {interval}")
-    together = [s.judgement.verdict for s in found.shared if s.judgement is not None]
+    together = [s.assessment.verdict for s in found.shared if s.assessment is not None]
     for shared in found.shared:
-        print(f"  all arms {shared.factor:.3f}, reference kernel {shared.kernel:.3f}")
+        print(f"  all configurations {shared.factor:.3f}, reference kernel {shared.kernel:.3f}")
     shared_claims = sum(verdict in ("slower", "faster") for verdict in together)
     return int((claims["solver"] != but).sum()) + shared_claims
 

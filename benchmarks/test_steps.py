@@ -10,20 +10,20 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from dpbench import open_workspace
-from dpbench.bench.plan.plan import CONTRAST
+from dpbench.bench.plan.plan import BASELINE_LAW
 from dpbench.bench.record.raw_log import RawLog, loop_layout
-from dpbench.bench.run.closed_loop import Voyage, closed_loop
+from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.exact_loop import ExactLoop, ExactWorkspace, base_problem, sequence_of
 from dpbench.bench.run.formulation import Box
-from dpbench.bench.run.qp_builder import Emitter
-from dpbench.bench.run.timed_solver import SolverPort
+from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.table import available, solver_names
 
-INSTALLED = [name for name in solver_names() if available(name).ok and name != CONTRAST]
+INSTALLED = [name for name in solver_names() if available(name).ok and name != BASELINE_LAW]
 
 
 @pytest.mark.benchmark(group="update + solve + read, mean over 120 steps of `paper`", min_rounds=3)
@@ -82,10 +82,12 @@ class _Stored(Workspace):
 @pytest.mark.parametrize("kind", ["harness alone", "certified optimum"])
 def test_closed_loop(benchmark: BenchmarkFixture, scenario: Scenario, kind: str) -> None:
     """Plant, emit, records and bookkeeping of 120 steps; divide by 120 for a step."""
-    emitter = Emitter(scenario)
-    log = RawLog.in_memory(loop_layout(scenario.steps, *emitter.sizes))
+    builder = QPBuilder(scenario)
+    log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes))
     workspace = _Stored() if kind == "harness alone" else ExactWorkspace()
-    base = base_problem(emitter.builder)
-    port = SolverPort(workspace, Box(base), time.perf_counter_ns)
-    voyage = Voyage(scenario, emitter, port, log, "hold", 2**62, time.perf_counter_ns)
-    benchmark(closed_loop, voyage)
+    base = base_problem(builder.condensed)
+    timed_solver = TimedSolver(workspace, Box(base), time.perf_counter_ns)
+    setup = ClosedLoopSetup(
+        scenario, builder, timed_solver, log, "hold", 2**62, time.perf_counter_ns
+    )
+    benchmark(closed_loop, setup)

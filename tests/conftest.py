@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.analysis.records import View
+from dpbench.analysis.records import Records
 from dpbench.bench.record.result_folder import Results, write_results
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
 from dpbench.scenario.scenario import Scenario, load_scenario
@@ -43,7 +43,7 @@ SUITE: dict[str, Any] = {
 }
 
 
-class Records:
+class RecordsOf:
     """Builds the records of a campaign that never ran, cell by cell."""
 
     def __init__(self) -> None:
@@ -210,8 +210,8 @@ class Records:
             "steps_planned": steps,
             "steps_done": steps if done is None else done,
             "rounds": rounds,
-            "spoilt_rounds": 0,
-            "counting_spoilt": 0,
+            "disturbed_rounds": 0,
+            "counting_disturbed": 0,
             "error_move_max": error,
             "failed_steps": failed,
             "true_share": 1.0 if error <= 1e-2 else 0.5,
@@ -267,9 +267,9 @@ class Records:
             as_runs(runs), as_steps(pd.concat(steps, ignore_index=True)), MACHINE, self.suite
         )
 
-    def view(self) -> View:
+    def view(self) -> RecordsOf:
         """The view of the records so far."""
-        return View(self.results())
+        return RecordsOf(self.results())
 
     def write(self, folder: Path) -> Path:
         """Write a result folder."""
@@ -278,9 +278,9 @@ class Records:
 
 
 @pytest.fixture
-def records() -> Records:
+def records() -> RecordsOf:
     """An empty campaign."""
-    return Records()
+    return RecordsOf()
 
 
 @pytest.fixture(scope="session")
@@ -289,9 +289,9 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return standard(Records()).write(tmp_path_factory.mktemp("results") / "standard")
 
 
-def standard(records: Records, scale: float = 1.0) -> Records:
+def standard(records: Records, scale: float = 1.0) -> RecordsOf:
     """Fill `records` like the standard suite: good, inexact, failing, slow and absent solvers."""
-    arms = {
+    configurations = {
         "daqp": (1e-13, 18.0),
         "quadprog": (1e-12, 22.0),
         "paper_active_set": (1e-12, 24.0),
@@ -308,7 +308,7 @@ def standard(records: Records, scale: float = 1.0) -> Records:
         ("calm", 1000),
         ("rough", 2000),
     ):
-        for solver, (error, _) in arms.items():
+        for solver, (error, _) in configurations.items():
             n = round(steps * scale)
             late = solver == "highs" and scenario == "rough"
             records.loop(
@@ -337,7 +337,7 @@ def standard(records: Records, scale: float = 1.0) -> Records:
         )
     for scenario in ("paper", "rough"):
         for units, settings in (("scaled", "high"), ("si", "default"), ("si", "high")):
-            for solver, (error, _) in arms.items():
+            for solver, (error, _) in configurations.items():
                 worse = 1e4 if units == "si" and settings == "default" and error > 1e-12 else 1.0
                 tight = 1e-6 if settings == "high" else 1.0
                 n = round(200 * scale)
@@ -353,7 +353,7 @@ def standard(records: Records, scale: float = 1.0) -> Records:
     for sequence, steps in (("paper", 1000), ("rough[900:1400]", 500)):
         for policy in ("fresh", "warm"):
             for settings in ("default", "high"):
-                for solver, (error, median) in arms.items():
+                for solver, (error, median) in configurations.items():
                     if policy == "warm" and solver == "ecos":
                         records.refused(
                             solver, "it takes no start", "replay", policy=policy, settings=settings

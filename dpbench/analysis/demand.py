@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from dpbench.analysis.records import Row, as_float
+from dpbench.analysis.records import RunRecord, as_float
 from dpbench.bench.judge.memory_of_answers import remembers
 
 
@@ -35,10 +35,12 @@ class Demand:
         return self.deadline_ms * 1e6
 
 
-def is_right(row: Row, demand: Demand) -> bool:
-    """Whether the arm's answers meet the demand on every replayed step, and are not remembered.
+def is_right(row: RunRecord, demand: Demand) -> bool:
+    """Whether the configuration's answers meet the demand on every replayed step, and are not
+    remembered.
 
-    An arm that its time limit stopped counts if it had done every step at least once by then.
+    A configuration that its time limit stopped counts if it had done every step at least once by
+    then.
     """
     return (
         row["outcome"] in ("finished", "timed_out")

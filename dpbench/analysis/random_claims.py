@@ -1,6 +1,6 @@
 """Count what solvers claimed of random problems and what the referee found, from rows alone.
 
-Every certified step of an arm counts once:
+Every certified step of a configuration counts once:
 
     steps = true and claimed + claimed, not true + true, not claimed + rightly or wrongly called
             infeasible + no answer
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.records import Row, View, as_float, settings_level
+from dpbench.analysis.records import Records, RunRecord, as_float, settings_level
 from dpbench.bench.judge.rules import (
     NO_ANSWER_CLAIMS,
     claimed_not_true,
@@ -72,18 +72,18 @@ class RandomClaims:
     under several names, stand as one row with all of them in `settings`.
     """
 
-    def __init__(self, view: View) -> None:
-        self.rows = _once([row for row in view.random if row["outcome"] != "refused"])
-        self._steps = _judged(view, self.rows)
+    def __init__(self, records: Records) -> None:
+        self.rows = _once([row for row in records.random if row["outcome"] != "refused"])
+        self._steps = _evaluated(records, self.rows)
 
-    def of(self, rows: Sequence[Row]) -> Tally:
+    def of(self, rows: Sequence[RunRecord]) -> Tally:
         """The tally of some of the rows."""
         ids = {str(row["run_id"]) for row in rows}
         return _tally(self._steps[self._steps["run_id"].isin(ids)], _missed(rows))
 
     def by(self, *names: str) -> dict[tuple[str, ...], Tally]:
         """Tallies by the values of some columns of the rows."""
-        groups: dict[tuple[str, ...], list[Row]] = {}
+        groups: dict[tuple[str, ...], list[RunRecord]] = {}
         for row in self.rows:
             groups.setdefault(tuple(str(row[name]) for name in names), []).append(row)
         parts = dict(list(self._steps.groupby([*names], sort=False))) if len(self._steps) else {}
@@ -99,12 +99,12 @@ class RandomClaims:
         }
 
 
-def _once(rows: Sequence[Row]) -> list[Row]:
-    ways: dict[tuple[str, ...], dict[str, list[Row]]] = {}
+def _once(rows: Sequence[RunRecord]) -> list[RunRecord]:
+    ways: dict[tuple[str, ...], dict[str, list[RunRecord]]] = {}
     for row in rows:
         way = ways.setdefault((str(row["solver"]), str(row["route"]), str(row["policy"])), {})
         way.setdefault(str(row["settings"]), []).append(row)
-    kept: list[Row] = []
+    kept: list[RunRecord] = []
     for way in ways.values():
         names: dict[str, list[str]] = {}
         for settings, mine in way.items():
@@ -117,15 +117,15 @@ def _once(rows: Sequence[Row]) -> list[Row]:
     return kept
 
 
-def _missed(rows: Sequence[Row]) -> int:
+def _missed(rows: Sequence[RunRecord]) -> int:
     """Steps of a counting round that were never reached."""
     asked = sum(as_float(row["steps_planned"]) - as_float(row["steps_done"]) for row in rows)
     return int(asked)
 
 
-def _judged(view: View, rows: Sequence[Row]) -> pd.DataFrame:
+def _evaluated(records: Records, rows: Sequence[RunRecord]) -> pd.DataFrame:
     names = (*ARM, "family", "sequence")
-    parts = [view.steps(row) for row in rows]
+    parts = [records.steps(row) for row in rows]
     steps = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
     if steps.empty:
         return pd.DataFrame(columns=["run_id", "k", "certificate", *names])

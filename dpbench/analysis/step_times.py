@@ -1,4 +1,4 @@
-"""Step times of one replayed arm, out of its step rows."""
+"""Step times of one replayed configuration, out of its step rows."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PHASES = ("setup", "update", "solve", "read")
 
 @dataclass(frozen=True, eq=False)
 class StepTimes:
-    """Step times of one replayed arm.
+    """Step times of one replayed configuration.
 
     Parameters
     ----------
@@ -79,7 +79,8 @@ def step_times_of(steps: pd.DataFrame) -> StepTimes | None:
 
 
 def _medians(k: NDArray[np.int64], raw: Floats, wanted: NDArray[np.int64]) -> Floats:
-    """Median of the samples of each wanted step; an arm cut short has fewer of its last ones."""
+    """Median of the samples of each wanted step; a configuration cut short has fewer of its last
+    ones."""
     order = np.lexsort((raw, k))
     steps, times = k[order], raw[order]
     first, end = (np.searchsorted(steps, wanted, side) for side in ("left", "right"))

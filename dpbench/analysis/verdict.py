@@ -19,7 +19,7 @@ from typing import Any, Literal
 import numpy as np
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import Row, View, as_float, is_contrast, settings_level
+from dpbench.analysis.records import Records, RunRecord, as_float, is_baseline_law, settings_level
 from dpbench.analysis.statistics import percentile, supports
 from dpbench.analysis.times.pairs import fastest_first
 from dpbench.bench.judge.memory_of_answers import remembers
@@ -57,7 +57,7 @@ class Finding:
     """
 
     kind: Cause | Doubt | Gap
-    rows: tuple[Row, ...] = ()
+    rows: tuple[RunRecord, ...] = ()
     value: float = math.nan
     steps: int = 0
 
@@ -72,7 +72,7 @@ class Configuration:
     settings: str
 
     @classmethod
-    def of(cls, row: Row) -> Configuration:
+    def of(cls, row: RunRecord) -> Configuration:
         """The configuration of a run."""
         return cls(*(str(row[name]) for name in ("solver", "route", "policy", "settings")))
 
@@ -90,7 +90,7 @@ class Configuration:
 
 @dataclass(frozen=True)
 class Verdict:
-    """The judgement of one configuration.
+    """The assessment of one configuration.
 
     Parameters
     ----------
@@ -241,11 +241,11 @@ def _alike(verdict: Verdict) -> float:
     return (1.0 + ALIKE) * _figure(verdict)
 
 
-def judge_all(view: View, demand: Demand) -> Verdicts:
+def verdicts_of(records: Records, demand: Demand) -> Verdicts:
     """The verdicts on all configurations of all solvers, in the order of the suite."""
-    runs: dict[str, dict[Configuration, list[Row]]] = {}
-    for row in view.runs:
-        if row["units"] == "scaled" and not is_contrast(row):
+    runs: dict[str, dict[Configuration, list[RunRecord]]] = {}
+    for row in records.runs:
+        if row["units"] == "scaled" and not is_baseline_law(row):
             configurations = runs.setdefault(str(row["solver"]), {})
             configurations.setdefault(Configuration.of(row), []).append(row)
     found: dict[str, list[Verdict]] = {}
@@ -253,7 +253,7 @@ def judge_all(view: View, demand: Demand) -> Verdicts:
         longest = {c: _longest(rows) for c, rows in configurations.items()}
         ordered = sorted(longest.items(), key=lambda item: _reference_first(*item))
         asked = [row for row in ordered[0][1].values() if row["outcome"] != "refused"]
-        found[solver] = [judge(view, c, rows, asked, demand) for c, rows in ordered]
+        found[solver] = [verdict_of(records, c, rows, asked, demand) for c, rows in ordered]
     return Verdicts(demand, found)
 
 
@@ -261,9 +261,9 @@ Place = tuple[str, str]
 """Mode, and scenario or sequence."""
 
 
-def _longest(rows: Iterable[Row]) -> dict[Place, Row]:
+def _longest(rows: Iterable[RunRecord]) -> dict[Place, RunRecord]:
     """The longest run of a configuration in each place."""
-    best: dict[Place, Row] = {}
+    best: dict[Place, RunRecord] = {}
     for row in rows:
         place = _place(row)
         if place not in best or row["steps_planned"] > best[place]["steps_planned"]:
@@ -271,12 +271,14 @@ def _longest(rows: Iterable[Row]) -> dict[Place, Row]:
     return best
 
 
-def _place(row: Row) -> Place:
+def _place(row: RunRecord) -> Place:
     mode = str(row["mode"])
     return mode, str(row["sequence"] if mode == "replay" else row["scenario"])
 
 
-def _reference_first(configuration: Configuration, rows: Mapping[Place, Row]) -> tuple[Any, ...]:
+def _reference_first(
+    configuration: Configuration, rows: Mapping[Place, RunRecord]
+) -> tuple[Any, ...]:
     """Sort key: a solver's reference is its most usual configuration that ran at all, closed loops
     and replays both if there is such a one."""
     ran = [row for row in rows.values() if row["outcome"] != "refused"]
@@ -290,11 +292,11 @@ def _reference_first(configuration: Configuration, rows: Mapping[Place, Row]) ->
     )
 
 
-def judge(
-    view: View,
+def verdict_of(
+    records: Records,
     configuration: Configuration,
-    rows: Mapping[Place, Row],
-    asked: Sequence[Row],
+    rows: Mapping[Place, RunRecord],
+    asked: Sequence[RunRecord],
     demand: Demand,
 ) -> Verdict:
     """The verdict on one configuration.
@@ -307,7 +309,7 @@ def judge(
     if not ran:
         return Verdict(configuration, "not run", refusal=detail(next(iter(rows.values()))))
     replays = [row for row in ran if row["mode"] == "replay"]
-    late, unsure, timing = _timing(view, replays, demand)
+    late, unsure, timing = _timing(records, replays, demand)
     causes = [*_wrong(ran, demand), *_failing(ran, demand), *_own_doing(ran), *late]
     doubts = [*_unfinished(ran), *unsure]
     gaps = _gaps(rows, asked)
@@ -330,25 +332,25 @@ def judge(
     )
 
 
-def detail(row: Row) -> str:
+def detail(row: RunRecord) -> str:
     """The cause of a run's outcome, in the library's or the harness's words."""
     return str(row["outcome_detail"]).strip().rstrip(".") or "no reason was recorded"
 
 
-def _count(row: Row, column: str) -> int:
+def _count(row: RunRecord, column: str) -> int:
     value = as_float(row[column])
     return int(value) if math.isfinite(value) else 0
 
 
-def _judged(row: Row) -> int:
+def _judged(row: RunRecord) -> int:
     """Steps with a judged answer; a replay counts those without in each of its rounds."""
     without = _count(row, "uncertified") + _count(row, "undecided_steps")
     return max(0, _count(row, "steps_done") - without // max(1, _count(row, "rounds")))
 
 
-def _gaps(rows: Mapping[Place, Row], asked: Sequence[Row]) -> list[Finding]:
+def _gaps(rows: Mapping[Place, RunRecord], asked: Sequence[RunRecord]) -> list[Finding]:
     """Where the reference was run and these rows were not, or not as far."""
-    absent: list[Row] = []
+    absent: list[RunRecord] = []
     found: list[Finding] = []
     for row in asked:
         own = rows.get(_place(row))
@@ -361,7 +363,7 @@ def _gaps(rows: Mapping[Place, Row], asked: Sequence[Row]) -> list[Finding]:
     return [Finding("absent", tuple(absent)), *found] if absent else found
 
 
-def _wrong(rows: Sequence[Row], demand: Demand) -> list[Finding]:
+def _wrong(rows: Sequence[RunRecord], demand: Demand) -> list[Finding]:
     """Answers too far from the optimum, and steps without one."""
     off = [row for row in rows if as_float(row["error_move_max"]) > demand.error_move]
     silent = [row for row in off if math.isinf(as_float(row["error_move_max"]))]
@@ -370,7 +372,7 @@ def _wrong(rows: Sequence[Row], demand: Demand) -> list[Finding]:
     return [*found, *_worst_first("inaccurate", wrong, "error_move_max")]
 
 
-def _worst_first(kind: Cause, rows: Sequence[Row], column: str) -> list[Finding]:
+def _worst_first(kind: Cause, rows: Sequence[RunRecord], column: str) -> list[Finding]:
     """One finding with the worst row by a column in front, the others in their order."""
     if not rows:
         return []
@@ -379,18 +381,18 @@ def _worst_first(kind: Cause, rows: Sequence[Row], column: str) -> list[Finding]
     return [Finding(kind, (worst, *others), as_float(worst[column]))]
 
 
-def _failing(rows: Sequence[Row], demand: Demand) -> list[Finding]:
+def _failing(rows: Sequence[RunRecord], demand: Demand) -> list[Finding]:
     failing = [row for row in rows if _count(row, "failed_steps") > demand.failed_steps]
     return _worst_first("failed", failing, "failed_steps")
 
 
-def _own_doing(rows: Sequence[Row]) -> list[Finding]:
+def _own_doing(rows: Sequence[RunRecord]) -> list[Finding]:
     """Runs that the solver ended, or never came back from."""
     ended = {kind: tuple(row for row in rows if row["outcome"] == kind) for kind in _OWN_DOING}
     return [Finding(kind, found) for kind, found in ended.items() if found]
 
 
-def _unfinished(rows: Sequence[Row]) -> list[Finding]:
+def _unfinished(rows: Sequence[RunRecord]) -> list[Finding]:
     """Runs that ended early or could not be judged."""
     doubts = []
     for row in rows:
@@ -412,7 +414,7 @@ def _unfinished(rows: Sequence[Row]) -> list[Finding]:
 
 
 def _timing(
-    view: View, replays: Sequence[Row], demand: Demand
+    records: Records, replays: Sequence[RunRecord], demand: Demand
 ) -> tuple[list[Finding], list[Finding], dict[str, Any]]:
     """What contradicts the time demand, what is doubtful, and the figures behind."""
     late: list[Finding] = []
@@ -422,7 +424,7 @@ def _timing(
     for row in replays:
         if remembers(row):
             unsure.append(Finding("remembered", (row,)))
-        times = view.times(row)
+        times = records.times(row)
         if times is None:
             if row["outcome"] == "finished":
                 unsure.append(Finding("no step", (row,)))

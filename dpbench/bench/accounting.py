@@ -12,18 +12,18 @@ import numpy as np
 
 from dpbench.bench.judge.closed_loop import Columns
 from dpbench.bench.record.raw_log import TIMES
-from dpbench.bench.workers.executor import Job
+from dpbench.bench.workers.executor import CellJob
 
 _PHASES = len(TIMES) - 1  # all but the overhead
 
 
 @dataclass(frozen=True)
 class _Stage:
-    """A part of a campaign: its cells, and how many of them, or judgements, ran at a time."""
+    """A part of a campaign: its cells, and how many of them, or assessments, ran at a time."""
 
     name: str
     wall_s: float
-    jobs: Sequence[Job]
+    jobs: Sequence[CellJob]
     slots: int
     judges: int
 
@@ -36,7 +36,7 @@ class Ledger:
 
     @contextmanager
     def stage(
-        self, name: str, jobs: Sequence[Job] = (), *, slots: int = 1, judges: int = 1
+        self, name: str, jobs: Sequence[CellJob] = (), *, slots: int = 1, judges: int = 1
     ) -> Iterator[None]:
         """Take the wall time of what is done inside; without cells to run it is no stage."""
         began = time.monotonic()

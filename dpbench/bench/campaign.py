@@ -20,7 +20,7 @@ from dpbench.bench.accounting import Ledger
 from dpbench.bench.design.design import Design, plan_designs
 from dpbench.bench.design.design_file import write_design
 from dpbench.bench.design.run_designs import DesignStore, run_designs, work_of_designs
-from dpbench.bench.plan.cells import Planned
+from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import SuiteFile, load_suite, naming, sequence_suite
 from dpbench.bench.progress import Progress, Silent
@@ -31,7 +31,7 @@ from dpbench.bench.sequences.recording import read_sequence
 from dpbench.bench.sequences.source import is_random, is_sound, source_key
 from dpbench.bench.tabulate import tabulate
 from dpbench.bench.workers.child import template_context
-from dpbench.bench.workers.executor import Bench, CellStore, Job, work_of
+from dpbench.bench.workers.executor import Bench, CellJob, CellStore, work_of
 from dpbench.bench.workers.scratch import Scratch
 from dpbench.errors import InputError
 from dpbench.scenario.problem_files import sequence_path
@@ -45,7 +45,7 @@ class Campaign:
         self,
         name: str,
         suite: SuiteFile,
-        planned: list[Planned],
+        planned: list[PlannedCell],
         designs: list[Design],
         out: Path,
         jobs: int,
@@ -63,10 +63,10 @@ class Campaign:
         self._cores = sorted(os.sched_getaffinity(0))
         self._ledger = Ledger()
 
-    def _job(self, planned: Planned) -> Job:
+    def _job(self, planned: PlannedCell) -> CellJob:
         found = self._libraries[planned.cell.solver]
         run_id = planned.cell.run_id(found.identity, self.machine["id"], HARNESS_VERSION)
-        return Job(planned, run_id, found)
+        return CellJob(planned, run_id, found)
 
     def run(self, progress: Progress) -> Path:
         """Run what is not finished yet and write the tables."""
@@ -91,7 +91,7 @@ class Campaign:
         self._write(started, time.monotonic() - began, earlier, scratch.remarks)
         return self._out
 
-    def _run_cells(self, bench: Bench, pending: list[Job]) -> None:
+    def _run_cells(self, bench: Bench, pending: list[CellJob]) -> None:
         """Make the QPs of all cells, then run the cells, mode by mode."""
         stage, cores, slots = self._ledger.stage, len(self._cores), self._jobs
         exact = self._sources(bench, pending)
@@ -107,7 +107,7 @@ class Campaign:
         with stage("random problems", drawn, slots=slots, judges=slots):
             bench.random(drawn, exact, slots)
 
-    def _again_with_sound_sources(self, bench: Bench, pending: list[Job]) -> None:
+    def _again_with_sound_sources(self, bench: Bench, pending: list[CellJob]) -> None:
         """Run what was lost by a source that was damaged since it was looked at, once again."""
         lost = [job for job in pending if job.outcome and job.outcome.outcome == "lost"]
         cells = {_key(job): job.cell for job in lost}
@@ -137,7 +137,7 @@ class Campaign:
             )
         write_design(self._out, found)
 
-    def _sources(self, bench: Bench, pending: list[Job]) -> dict[str, Path]:
+    def _sources(self, bench: Bench, pending: list[CellJob]) -> dict[str, Path]:
         """What the QPs of all cells are made from, by key: exactly solved loops and the like."""
         paths: dict[str, Path] = {}
         by_key = {_key(job): job.cell for job in pending}
@@ -150,7 +150,7 @@ class Campaign:
             paths[key] = path
         return paths
 
-    def _without_source(self, jobs: list[Job], outcome: Outcome) -> None:
+    def _without_source(self, jobs: list[CellJob], outcome: Outcome) -> None:
         """Cells whose QPs could not be made: by their nature, or by an accident of the harness."""
         what = "sequence" if jobs[0].cell.source else "exactly solved loop"
         became = "lost" if outcome.outcome == "lost" else "invalid"
@@ -193,13 +193,13 @@ def _accidents(runs: pd.DataFrame, remarks: Sequence[str]) -> dict[str, Any]:
     return {"lost_cells": len(causes), "remarks": [*remarks, line]}
 
 
-def _key(job: Job) -> str:
+def _key(job: CellJob) -> str:
     return source_key(job.cell, HARNESS_VERSION)
 
 
-def _groups(jobs: list[Job]) -> list[list[Job]]:
+def _groups(jobs: list[CellJob]) -> list[list[CellJob]]:
     """Replay jobs that see the same QPs, interleaved with each other."""
-    groups: dict[str, list[Job]] = {}
+    groups: dict[str, list[CellJob]] = {}
     for job in jobs:
         groups.setdefault(job.cell.problem_key, []).append(job)
     return list(groups.values())

@@ -1,7 +1,7 @@
 """Run one solver in this process: the library's door for a notebook or a test.
 
 A campaign runs cells in processes of their own; here nothing protects the caller from a solver
-that crashes, and no core is pinned. The judgement is the same.
+that crashes, and no core is pinned. The assessment is the same.
 """
 
 from __future__ import annotations
@@ -12,19 +12,19 @@ from typing import Any
 
 import pandas as pd
 
-from dpbench.bench.judge.closed_loop import Graded, grade_log
-from dpbench.bench.judge.replay import grade_sequence
+from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
+from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.judge.rows import run_row, step_rows
 from dpbench.bench.record.cell import FALLBACKS, FORMULATIONS, Cell, Fallback, Formulation, Outcome
 from dpbench.bench.record.raw_log import RawLog, loop_layout, replay_layout
 from dpbench.bench.record.schema import as_runs, as_steps
-from dpbench.bench.run.closed_loop import Voyage, closed_loop
+from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.exact_loop import base_problem, solve_exactly
 from dpbench.bench.run.formulation import in_loop, in_replay
-from dpbench.bench.run.qp_builder import Emitter
-from dpbench.bench.run.replay import ReplayArm
-from dpbench.bench.run.slow_computer import pace_of, usage_of_process
-from dpbench.bench.run.timed_solver import SolverPort
+from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.replay import ReplayRun
+from dpbench.bench.run.slow_computer import delay_of, usage_of_process
+from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.errors import InputError
 from dpbench.mpc.condense import UnitSystem
 from dpbench.qp.program import QPSequence
@@ -84,14 +84,18 @@ def run_closed_loop(
         slowdown=slowdown,
         deadline_s=deadline_s,
     )
-    pace = pace_of(cell, scenario.sample_s)
-    emitter = Emitter(scenario, units, sparse=formulation == "sparse")
-    log = RawLog.in_memory(loop_layout(scenario.steps, *emitter.sizes))
-    formulated = in_loop(formulation, emitter, base_problem(emitter.builder))
-    port = SolverPort(workspace, formulated, _clock)
+    delay = delay_of(cell, scenario.sample_s)
+    builder = QPBuilder(scenario, units, sparse=formulation == "sparse")
+    log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes))
+    formulated = in_loop(formulation, builder, base_problem(builder.condensed))
+    timed_solver = TimedSolver(workspace, formulated, _clock)
     usage = usage_of_process
-    closed_loop(Voyage(scenario, emitter, port, log, fallback, _NO_LIMIT, _clock, pace, usage))
-    return _run(cell, workspace, port, grade_log(cell, log, solve_exactly(scenario)))
+    closed_loop(
+        ClosedLoopSetup(
+            scenario, builder, timed_solver, log, fallback, _NO_LIMIT, _clock, delay, usage
+        )
+    )
+    return _run(cell, workspace, timed_solver, evaluate_log(cell, log, solve_exactly(scenario)))
 
 
 def replay(
@@ -116,17 +120,17 @@ def replay(
     steps = len(sequence)
     log = RawLog.in_memory(replay_layout(repeats + 1, steps, base.n, base.m))
     made, formulated = in_replay(formulation, sequence)
-    port = SolverPort(workspace, formulated, _clock)
-    arm = ReplayArm(
+    timed_solver = TimedSolver(workspace, formulated, _clock)
+    run = ReplayRun(
         made,
-        port,
+        timed_solver,
         log,
         warmup_steps=min(warmup_steps, steps),
         limit_ns=_NO_LIMIT,
         clock=_clock,
     )
     for r in range(repeats + 1):
-        arm.round(r)
+        run.round(r)
     cell = Cell(
         mode="replay",
         scenario={"name": sequence.name},
@@ -141,7 +145,7 @@ def replay(
         warmup_steps=min(warmup_steps, steps),
     )
     sample_s = float(sequence.meta.get("sample_s", float("nan")))
-    return _run(cell, workspace, port, grade_sequence(log, sequence, sample_s))
+    return _run(cell, workspace, timed_solver, evaluate_sequence(log, sequence, sample_s))
 
 
 def _check(key: str, found: str, allowed: tuple[str, ...]) -> None:
@@ -154,8 +158,8 @@ def _check_workspace(found: object) -> None:
         raise InputError("run", "workspace", repr(found), "a Workspace; see open_workspace")
 
 
-def _run(cell: Cell, workspace: Workspace, port: SolverPort, graded: Graded) -> Run:
-    steps = step_rows("in-process", cell, graded)
-    outcome = Outcome("finished", "", workspace.form, *port.size)
-    row = run_row("in-process", cell, outcome, Availability(True), "", graded, steps)
+def _run(cell: Cell, workspace: Workspace, timed_solver: TimedSolver, evaluated: Evaluated) -> Run:
+    steps = step_rows("in-process", cell, evaluated)
+    outcome = Outcome("finished", "", workspace.form, *timed_solver.size)
+    row = run_row("in-process", cell, outcome, Availability(True), "", evaluated, steps)
     return Run(as_steps(steps), as_runs(pd.DataFrame([row])).iloc[0])

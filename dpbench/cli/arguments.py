@@ -27,7 +27,7 @@ def parser(
     whole = _Parser(prog="dpbench", description="Benchmark QP solvers inside a ship's DP MPC.")
     whole.add_argument("--version", action="version", version=f"dpbench {version('dpbench')}")
     commands = whole.add_subparsers(dest="command", required=True, parser_class=_Parser)
-    for add in (_run, _report, _compare, _export, _hunt, _list, _check, _doctor):
+    for add in (_run, _report, _compare, _export, _worst_case, _list, _check, _doctor):
         add(commands)
     for name, command in commands.choices.items():
         command.set_defaults(call=calls[name])
@@ -50,7 +50,9 @@ def _run(commands: Commands) -> None:
     run.add_argument("--out", help="result folder (default: results/<suite>)")
     run.add_argument("--solver", action="append", metavar="S", help="only this solver; repeatable")
     run.add_argument("--scenario", action="append", metavar="N", help="only this scenario")
-    run.add_argument("--jobs", type=int, metavar="J", help="loops or random arms at a time")
+    run.add_argument(
+        "--jobs", type=int, metavar="J", help="loops or random configurations at a time"
+    )
     run.add_argument("--solver-module", metavar="FILE.py", help="a plug-in that brings a solver")
     run.add_argument("--fresh", action="store_true", help="run finished cells again too")
 
@@ -86,19 +88,31 @@ def _export(commands: Commands) -> None:
     export.add_argument("--every", type=int, default=1, metavar="K", help="each K-th of them")
 
 
-def _hunt(commands: Commands) -> None:
-    hunt = commands.add_parser("hunt", help="search for a solver's slowest or least accurate step")
-    hunt.add_argument("solver", help="the solver to hunt")
-    hunt.add_argument("--goal", default="iterations", help="iterations (default) or error")
-    hunt.add_argument("--scenario", default="paper", metavar="N", help="whose starts are varied")
-    hunt.add_argument("--route", help="native (default where there is one) or qpsolvers")
-    hunt.add_argument("--policy", default="fresh", help="fresh (default), reuse or warm")
-    hunt.add_argument("--settings", default="default", help="default, low, mid or high")
-    hunt.add_argument("--budget", type=int, default=300, metavar="B", help="cases to try (300)")
-    hunt.add_argument("--steps", type=int, default=60, metavar="N", help="length of a case (60)")
-    hunt.add_argument("--seed", type=int, default=1, help="of the search (1)")
-    hunt.add_argument("--out", metavar="FILE.npz", help="default: hunts/<solver>-<goal>.npz")
-    hunt.add_argument("--solver-module", metavar="FILE.py", help="a plug-in that brings the solver")
+def _worst_case(commands: Commands) -> None:
+    worst_case = commands.add_parser(
+        "worst-case", help="search for a solver's slowest or least accurate step"
+    )
+    worst_case.add_argument("solver", help="the solver to hunt")
+    worst_case.add_argument("--goal", default="iterations", help="iterations (default) or error")
+    worst_case.add_argument(
+        "--scenario", default="paper", metavar="N", help="whose starts are varied"
+    )
+    worst_case.add_argument("--route", help="native (default where there is one) or qpsolvers")
+    worst_case.add_argument("--policy", default="fresh", help="fresh (default), reuse or warm")
+    worst_case.add_argument("--settings", default="default", help="default, low, mid or high")
+    worst_case.add_argument(
+        "--budget", type=int, default=300, metavar="B", help="cases to try (300)"
+    )
+    worst_case.add_argument(
+        "--steps", type=int, default=60, metavar="N", help="length of a case (60)"
+    )
+    worst_case.add_argument("--seed", type=int, default=1, help="of the search (1)")
+    worst_case.add_argument(
+        "--out", metavar="FILE.npz", help="default: worst-cases/<solver>-<goal>.npz"
+    )
+    worst_case.add_argument(
+        "--solver-module", metavar="FILE.py", help="a plug-in that brings the solver"
+    )
 
 
 def _list(commands: Commands) -> None:

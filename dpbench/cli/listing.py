@@ -28,7 +28,7 @@ from dpbench.scenario.problem_files import (
     sequence_path,
 )
 from dpbench.scenario.scenario import Scenario, load_scenario, load_vessel
-from dpbench.solvers.settings import describe_ladder
+from dpbench.solvers.settings import describe_levels
 from dpbench.solvers.table import available, record, solver_names
 
 CHECKED = (
@@ -129,7 +129,7 @@ def _solvers() -> Table:
             row.form,
             policies,
             "yes" if found.ok else escape(found.reason),
-            escape(describe_ladder(name)),
+            escape(describe_levels(name)),
         )
     return table
 

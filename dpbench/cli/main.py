@@ -132,12 +132,12 @@ def _export(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _hunt(arguments: argparse.Namespace) -> int:
-    from dpbench.bench.worst_case.hunt import hunt
+def _worst_case(arguments: argparse.Namespace) -> int:
+    from dpbench.bench.worst_case.find import find_worst_case
     from dpbench.cli.progress_bar import Bar
 
     with Bar() as bar:
-        found = hunt(
+        found = find_worst_case(
             arguments.solver,
             scenario=arguments.scenario,
             goal=arguments.goal,
@@ -193,7 +193,7 @@ _CALLS = {
     "report": _report,
     "compare": _compare,
     "export": _export,
-    "hunt": _hunt,
+    "worst-case": _worst_case,
     "list": _list,
     "check": _check,
     "doctor": _doctor,

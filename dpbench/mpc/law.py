@@ -71,7 +71,7 @@ def controllable_rank(model: StateSpace, tolerance: float = 1e-9) -> int:
     """Dimension of the controllable subspace of (A, B): n_x means controllable (paper III.E).
 
     Built as the span of [B, A B, …] by orthogonalising every new block against the span so far,
-    scaled to unit columns: the plain controllability matrix is hopelessly scaled in SI units
+    scaled to unit columns: the plain controllability matrix is too far scaled in SI units
     (Golub & Van Loan 2013, section 7.4.5, block Krylov subspace).
     """
     basis = np.empty((model.n_x, 0))

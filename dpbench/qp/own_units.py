@@ -1,4 +1,4 @@
-"""A recorded sequence in units of its own, made from its scaled twin by a diagonal change of units.
+"""A recorded sequence in units of its own, made from its scaled form by a diagonal change of units.
 
     z_own = U z,  (A z)_own = W (A z),  U = diag(units.z),  W = diag(units.row)
     P_own = U⁻¹ P U⁻¹,  q_own = U⁻¹ q,  A_own = W A U⁻¹,  l_own = W l,  lb_own = U lb
@@ -18,7 +18,7 @@ from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram, Units
 
 
 def in_own_units(scaled: QPSequence, units: Units) -> QPSequence:
-    """The same QPs in the units `units` stands for, with `scaled` as their scaled twin.
+    """The same QPs in the units `units` stands for, with `scaled` as their scaled form.
 
     Parameters
     ----------
@@ -50,4 +50,6 @@ def in_own_units(scaled: QPSequence, units: Units) -> QPSequence:
     for name in CONSTANT:
         matrices = getattr(scaled, name)
         steps[name] = None if matrices is None else matrices * factor[name]
-    return replace(scaled, base=problem, units=units, scaled=scaled, twin=None, **steps)
+    return replace(
+        scaled, base=problem, units=units, scaled=scaled, sparse_equivalent=None, **steps
+    )

@@ -161,7 +161,7 @@ class QPStep:
 
 @dataclass(frozen=True, eq=False)
 class Units:
-    """Diagonal change of units between a problem as solved and its scaled twin.
+    """Diagonal change of units between a problem as solved and its scaled form.
 
     z_own = z * z_scaled and (A z)_own = row * (A z)_scaled; the objective is the same number in
     both, so multipliers transform by y_scaled = row * y_own and y_box_scaled = z * y_box_own.
@@ -185,7 +185,8 @@ class QPSequence:
     units : how the variables of these QPs relate to the scaled ones; None means scaled.
     scaled : the same sequence in scaled units, what the referee judges in; None when this is it.
     meta : where it comes from: scenario, sample time [s], first step, versions.
-    twin : makes the same problems in sparse form with the states kept; None where nobody can.
+    sparse_equivalent : makes the same problems in sparse form with the states kept; None where
+        nobody can.
     """
 
     name: str
@@ -200,7 +201,7 @@ class QPSequence:
     A: NDArray[np.float64] | None = None
     lb: Matrix | None = None
     ub: Matrix | None = None
-    twin: Callable[[], SparseTwin] | None = None
+    sparse_equivalent: Callable[[], SparseEquivalent] | None = None
 
     def __post_init__(self) -> None:
         K, n, m = np.shape(self.q)[0], self.base.n, self.base.m
@@ -233,10 +234,11 @@ class QPSequence:
 
 
 @dataclass(frozen=True, eq=False)
-class SparseTwin:
+class SparseEquivalent:
     """The problems of a sequence in sparse form, and the way back from their answers.
 
-    `condensed` maps an answer to a problem of `sequence` to one of the sequence it is the twin of.
+    `condensed` maps an answer to a problem of `sequence` to one of the sequence it is the
+    sparse_equivalent of.
     """
 
     sequence: QPSequence

@@ -20,7 +20,7 @@ from dpbench.analysis.compare.times import (
     why_unjudged,
 )
 from dpbench.analysis.machine import disturbance_of, timed_runs
-from dpbench.analysis.records import View
+from dpbench.analysis.records import Records
 from dpbench.bench.record.result_folder import load_results
 from dpbench.errors import InputError
 from dpbench.report.compare_tables import answers_table, shared_line, solvers_table, times_table
@@ -34,11 +34,11 @@ LISTED = 5
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What became of each arm from folder A to folder B.
+    """What became of each configuration from folder A to folder B.
 
     Parameters
     ----------
-    compared : step times with their verdicts; shared : what all arms of a sequence share.
+    compared : step times with their verdicts; shared : what all configurations of a sequence share.
     found : every figure of accuracy and control; pairs : which cells were compared.
     lines : the verdict in a few lines of text; tables : the rest.
     """
@@ -53,20 +53,21 @@ class Comparison:
     @property
     def worse(self) -> bool:
         """Whether a regression is shown."""
-        together = [s.judgement for s in self.shared if s.judgement is not None]
+        together = [s.assessment for s in self.shared if s.assessment is not None]
         slow = any(
-            j.verdict == "slower" for j in [*(c.judgement for c in self.compared), *together]
+            j.verdict == "slower" for j in [*(c.assessment for c in self.compared), *together]
         )
         return slow or any(answer.change == "worse" for answer in self.found)
 
     @property
     def times(self) -> pd.DataFrame:
-        """One row per arm and sequence: identity, ratios, interval, adjusted p-values, verdict."""
+        """One row per configuration and sequence: identity, ratios, interval, adjusted p-values,
+        verdict."""
         return pd.DataFrame([_time_row(compared) for compared in self.compared])
 
     @property
     def answers(self) -> pd.DataFrame:
-        """One row per arm, experiment and figure: identity, ranges in A and B, change."""
+        """One row per configuration, experiment and figure: identity, ranges in A and B, change."""
         return pd.DataFrame([_answer_row(answer) for answer in self.found])
 
     def markdown(self) -> str:
@@ -89,7 +90,8 @@ def compare(
     Parameters
     ----------
     a, b : folders written by `dpbench run`; A is the older one, the baseline.
-    any_machine : compare runs of two machines too; what all arms share is then not judged.
+    any_machine : compare runs of two machines too; what all configurations share is then not
+        judged.
     margin : a ratio up to 1 + margin either way makes no difference.
     alpha : family-wise error of the claims on step times.
 
@@ -105,7 +107,7 @@ def compare(
     results = load_results(a), load_results(b)
     if not any_machine:
         check_machines(*results, where=str(b))
-    views = View(results[0]), View(results[1])
+    views = Records(results[0]), Records(results[1])
     pairs = pair_cells(*views, names=(str(a), str(b)))
     same = results[0].machine["id"] == results[1].machine["id"]
     timings = time_pairs(*views, pairs.pairs)
@@ -122,7 +124,7 @@ def compare(
     return Comparison(compared, shared, found, pairs, lines, tables)
 
 
-def _machine(view: View) -> str:
+def _machine(view: Records) -> str:
     """On what a folder was measured, and how quiet that was while replays were timed."""
     said = f", {view.machine.get('cpu_model', 'an unnamed CPU')}"
     found = disturbance_of(timed_runs(view))
@@ -133,7 +135,7 @@ def _lines(
     compared: list[Compared], shared: list[Shared], found: list[Answer], pairs: Pairs
 ) -> list[str]:
     lines = [f"{plural(len(pairs.pairs), 'cell')} compared"]
-    verdicts = Counter(c.judgement.verdict for c in compared)
+    verdicts = Counter(c.assessment.verdict for c in compared)
     if compared:
         lines.append("step times: " + ", ".join(f"{n} {v}" for v, n in verdicts.most_common()))
     lines += [shared_line(one) for one in shared]
@@ -154,7 +156,7 @@ def _lines(
 
 
 def _time_row(compared: Compared) -> dict[str, Any]:
-    timing, found = compared.timing, compared.judgement
+    timing, found = compared.timing, compared.assessment
     return {name: timing.pair.a[name] for name in KEY} | {
         "raw": found.raw,
         "machine": found.machine,

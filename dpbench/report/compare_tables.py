@@ -25,12 +25,13 @@ _MARKS: dict[str, Mark] = {"slower": "bad", "worse": "bad", "faster": "good", "b
 
 
 def solvers_table(compared: Sequence[Compared], answers: Sequence[Answer]) -> Table:
-    """One row per solver: what its arms together say of step times, accuracy and control."""
+    """One row per solver: what its configurations together say of step times, accuracy and
+    control."""
     names = [c.timing.pair.a["solver"] for c in compared] + [a.pair.a["solver"] for a in answers]
     rows = []
     for solver in sorted({str(name) for name in names}):
         times = Counter[str](
-            c.judgement.verdict for c in compared if c.timing.pair.a["solver"] == solver
+            c.assessment.verdict for c in compared if c.timing.pair.a["solver"] == solver
         )
         changes = Counter[str](a.change for a in answers if a.pair.a["solver"] == solver)
         cells = (_together(times, TIMES), _together(changes, ("worse", "better", "same")))
@@ -44,10 +45,12 @@ def solvers_table(compared: Sequence[Compared], answers: Sequence[Answer]) -> Ta
         )
     return Table(
         title="Verdict per solver",
-        note="Over all ways to run it: slower, faster, worse or better where an arm is and none "
-        "is the contrary; equivalent where every arm is; same where every figure is. Claims on "
+        note="Over all ways to run it: slower, faster, worse or better where a configuration "
+        "is and none "
+        "is the contrary; equivalent where every configuration is; same where every figure is. "
+        "Claims on "
         "step times hold together over all solvers.",
-        heads=("solver", "step times", "accuracy and control", "arms", "figures"),
+        heads=("solver", "step times", "accuracy and control", "configurations", "figures"),
         rows=tuple(rows),
         text_columns=4,
     )
@@ -62,21 +65,22 @@ def _together(counts: Counter[str], order: tuple[str, ...]) -> str:
 
 
 def times_table(compared: Sequence[Compared], margin: float, alpha: float) -> Table:
-    """One row per arm and sequence, those with a claim first."""
-    rows = sorted(compared, key=lambda c: TIMES.index(c.judgement.verdict))
+    """One row per configuration and sequence, those with a claim first."""
+    rows = sorted(compared, key=lambda c: TIMES.index(c.assessment.verdict))
     percent = f"{100 * margin:g} %"
     return Table(
         title="Step times, replays",
         note=(
             "B/A: geometric mean over the steps of the ratio of algorithmic times (minimum over "
             "as many rounds of either run). Machine: the median of that ratio over the other "
-            "arms of the sequence (below four of the reference kernel, if both runs were quiet), "
+            "configurations of the sequence (below four of the reference kernel, if both runs "
+            "were quiet), "
             "taken out of the next. Its interval holds for all rows together and counts the noise "
             f"between two runs. Slower or faster: by more than {percent}; equivalent: within "
             f"{percent}; each kind of claim with a family-wise error of {100 * alpha:g} % (Holm)."
         ),
         heads=(
-            "arm",
+            "configuration",
             "sequence",
             "A p50 [µs]",
             "B p50 [µs]",
@@ -93,7 +97,7 @@ def times_table(compared: Sequence[Compared], margin: float, alpha: float) -> Ta
 
 
 def _time_row(compared: Compared) -> tuple[Cell, ...]:
-    timing, found = compared.timing, compared.judgement
+    timing, found = compared.timing, compared.assessment
     return row_of(
         timing.pair.label,
         timing.pair.problem,
@@ -109,18 +113,19 @@ def _time_row(compared: Compared) -> tuple[Cell, ...]:
 
 
 def shared_line(shared: Shared) -> str:
-    """What all arms of a sequence have in common, and whether that is the machine."""
+    """What all configurations of a sequence have in common, and whether that is the machine."""
     moved = "rose" if shared.factor >= 1.0 else "fell"
-    said = f"`{shared.sequence}`: step times of {plural(shared.arms, 'arm')} {moved} together by "
+    said = f"`{shared.sequence}`: step times of "
+    f"{plural(shared.configurations, 'configuration')} {moved} together by "
     said += f"a factor {shared.factor:.3f}"
     if shared.kernel == shared.kernel:
         said += f", by {shared.kernel:.3f} the reference kernel"
     if shared.load == shared.load:
         said += f", by {shared.load:.3f} the load kernel"
-    if shared.judgement is None:
+    if shared.assessment is None:
         return f"{said}; {shared.unjudged}, so this is not judged"
-    verdict = shared.judgement.verdict
-    cause = " in a part that all arms share" if verdict in ("slower", "faster") else ""
+    verdict = shared.assessment.verdict
+    cause = " in a part that all configurations share" if verdict in ("slower", "faster") else ""
     return f"{said}: {verdict}{cause}"
 
 
@@ -136,7 +141,7 @@ def answers_table(answers: Sequence[Answer], margin: float) -> Table | None:
             f"{plural(len(changed), 'figure')} of {count_text(len(answers))}; the others are the "
             f"same within {100 * margin:g} %, counts and shares exactly. A range: over the rounds."
         ),
-        heads=("arm", "experiment", "figure", "A", "B", "change"),
+        heads=("configuration", "experiment", "figure", "A", "B", "change"),
         rows=tuple(_answer_row(answer) for answer in changed),
         text_columns=3,
     )

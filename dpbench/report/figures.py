@@ -13,7 +13,13 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FuncFormatter
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import Row, arm_name, as_float, is_contrast, name_of
+from dpbench.analysis.records import (
+    RunRecord,
+    as_float,
+    configuration_name,
+    is_baseline_law,
+    name_of,
+)
 from dpbench.analysis.statistics import percentile
 from dpbench.report.formats import count_text, error_text, plural, share_text
 from dpbench.report.style import (
@@ -30,16 +36,17 @@ from dpbench.report.style import (
     power_label,
 )
 from dpbench.report.tables_accuracy import UnitsCell, UnitsMatrix
-from dpbench.report.tables_timing import Arm
+from dpbench.report.tables_timing import PooledConfiguration
 
 EXACT = 1e-15
 """Errors below it are drawn at it: the optimum itself is not known better."""
 
 
-def step_times(arms: Sequence[Arm], demand: Demand) -> Figure:
-    """Step times per arm: algorithmic in colour, raw samples in grey, of medians a tick."""
-    figure, ax = one_axes(8.2, 1.4 + 0.3 * len(arms))
-    for i, (row, times) in enumerate(arms):
+def step_times(configurations: Sequence[PooledConfiguration], demand: Demand) -> Figure:
+    """Step times per configuration: algorithmic in colour, raw samples in grey, of medians a
+    tick."""
+    figure, ax = one_axes(8.2, 1.4 + 0.3 * len(configurations))
+    for i, (row, times) in enumerate(configurations):
         colour = colour_of(str(row["solver"]))
         raw, algo = times.raw_ns / 1e3, times.algo_ns / 1e3
         low, middle, high = (percentile(algo, percent) for percent in (5, 50, 95))
@@ -51,8 +58,10 @@ def step_times(arms: Sequence[Arm], demand: Demand) -> Figure:
         ax.plot(percentile(raw, 99), i, "d", color=GREY, ms=3.5, zorder=5)
     ax.axvline(demand.p99_ms * 1e3, color=INK, ls="--", lw=0.9)
     log_time(ax)
-    ax.set_yticks(range(len(arms)), [arm_name(row) for row, _ in arms])
-    ax.set_ylim(len(arms) - 0.4, -0.6)
+    ax.set_yticks(
+        range(len(configurations)), [configuration_name(row) for row, _ in configurations]
+    )
+    ax.set_ylim(len(configurations) - 0.4, -0.6)
     ax.grid(axis="y", visible=False)
     ax.set_xlabel("step time [µs]")
     marks = [
@@ -63,7 +72,7 @@ def step_times(arms: Sequence[Arm], demand: Demand) -> Figure:
         Line2D([], [], marker="d", color=GREY, ls="", ms=3.5, label="raw samples p99"),
         Line2D([], [], color=INK, ls="--", lw=0.9, label=f"demand, {demand.p99_ms:g} ms"),
     ]
-    _legend(figure, [*marks, *_family_patches([str(row["solver"]) for row, _ in arms])])
+    _legend(figure, [*marks, *_family_patches([str(row["solver"]) for row, _ in configurations])])
     return figure
 
 
@@ -77,7 +86,8 @@ def _legend(figure: Figure, handles: Sequence[Line2D | Patch]) -> None:
 
 
 def units_heat_map(matrix: UnitsMatrix) -> Figure:
-    """Largest error of the first move per solver and arm, with the share of true answers."""
+    """Largest error of the first move per solver and configuration, with the share of true
+    answers."""
     columns, solvers = matrix.columns, matrix.solvers
     # Below this height the label of the colour bar is longer than the bar's axis.
     height = max(4.6, 1.8 + 0.3 * len(solvers))
@@ -130,7 +140,7 @@ def _cut(cell: UnitsCell) -> str:
     return f"{error_text(cell.error_move)}\n{count_text(cell.steps)} of {count_text(cell.asked)}"
 
 
-def deviations(loops: Mapping[str, Sequence[Row]]) -> Figure:
+def deviations(loops: Mapping[str, Sequence[RunRecord]]) -> Figure:
     """Largest deviation of position from the exactly solved loop, per solver and scenario."""
     names = list(dict.fromkeys(name_of(row) for rows in loops.values() for row in rows))
     worst = {
@@ -142,15 +152,15 @@ def deviations(loops: Mapping[str, Sequence[Row]]) -> Figure:
         )
         for name in names
     }
-    contrast = {name_of(r) for rows in loops.values() for r in rows if is_contrast(r)}
-    names.sort(key=lambda name: (name in contrast, worst[name]))
+    baseline_law = {name_of(r) for rows in loops.values() for r in rows if is_baseline_law(r)}
+    names.sort(key=lambda name: (name in baseline_law, worst[name]))
     figure = new_figure(8.2, 1.3 + 0.24 * len(names))
     axes = figure.subplots(1, len(loops), sharey=True, sharex=True, squeeze=False)[0]
     for ax, (scenario, rows) in zip(axes, loops.items(), strict=True):
         for row in rows:
             y = names.index(name_of(row))
             value = max(as_float(row["dev_position_max_m"]), EXACT)
-            colour = GREY if is_contrast(row) else colour_of(str(row["solver"]))
+            colour = GREY if is_baseline_law(row) else colour_of(str(row["solver"]))
             ax.barh(y, value, left=0, height=0.62, color=colour, alpha=0.85)
             cut = as_float(row["steps_done"]) < as_float(row["steps_planned"])
             if cut:
@@ -167,8 +177,8 @@ def deviations(loops: Mapping[str, Sequence[Row]]) -> Figure:
         ax.set_xlabel("deviation [m]")
         ax.grid(axis="y", visible=False)
     axes[0].set_yticks(
-        range(len(names)), [f"{n} (contrast)" if n in contrast else n for n in names]
+        range(len(names)), [f"{n} (baseline_law)" if n in baseline_law else n for n in names]
     )
     axes[0].set_ylim(len(names) - 0.4, -0.6)
-    _legend(figure, _family_patches([n for n in names if n not in contrast]))
+    _legend(figure, _family_patches([n for n in names if n not in baseline_law]))
     return figure

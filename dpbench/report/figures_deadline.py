@@ -9,7 +9,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, NullLocator
 
-from dpbench.analysis.slowdown import MARGIN, SlowedArm, SlowedGroup, cost_ratio, survived
+from dpbench.analysis.slowdown import (
+    MARGIN,
+    DelayedConfiguration,
+    DelayedGroup,
+    cost_ratio,
+    survived,
+)
 from dpbench.report.labels import name_ends
 from dpbench.report.style import (
     FAMILY_COLOURS,
@@ -25,14 +31,15 @@ ROOM = 0.22
 """So much of the axis is for the names at the ends of the lines."""
 
 
-def slowdown_figure(group: SlowedGroup) -> Figure:
-    """Cost over the exactly solved loop's, a line per arm; hollow where it did not survive."""
+def slowdown_figure(group: DelayedGroup) -> Figure:
+    """Cost over the exactly solved loop's, a line per configuration; hollow where it did not
+    survive."""
     figure, ax = one_axes(8.2, 6.2)
     ax.axhline(1.0 + MARGIN, color=INK, lw=0.8, ls="--")
-    for arm in group.arms:
-        _line(ax, arm)
+    for configuration in group.configurations:
+        _line(ax, configuration)
     _axes(ax, group)
-    present = {family_of(arm.solver) for arm in group.arms}
+    present = {family_of(configuration.solver) for configuration in group.configurations}
     marks = [
         Line2D([], [], color=colour, marker="o", ms=4.5, label=name)
         for name, colour in FAMILY_COLOURS.items()
@@ -43,29 +50,32 @@ def slowdown_figure(group: SlowedGroup) -> Figure:
     margin = Line2D([], [], color=INK, lw=0.8, ls="--", label=f"{100 * MARGIN:g} % over")
     figure.legend(handles=[*marks, hollow, margin], loc="outside lower center", ncols=3)
     figure.draw_without_rendering()
-    ends = [(*_spots(arm)[-1][:2], arm.name, colour_of(arm.solver)) for arm in _drawn(group)]
+    ends = [
+        (*_spots(configuration)[-1][:2], configuration.name, colour_of(configuration.solver))
+        for configuration in _drawn(group)
+    ]
     name_ends(ax, ends)
     return figure
 
 
-def _spots(arm: SlowedArm) -> list[tuple[float, float, bool]]:
+def _spots(configuration: DelayedConfiguration) -> list[tuple[float, float, bool]]:
     """Slow-down, cost ratio, and whether the loop survived; only loops run to their end."""
-    found = [(s, cost_ratio(row), survived(row)) for s, row in arm.loops.items()]
+    found = [(s, cost_ratio(row), survived(row)) for s, row in configuration.loops.items()]
     return [spot for spot in found if math.isfinite(spot[1]) and spot[1] > 0.0]
 
 
-def _drawn(group: SlowedGroup) -> list[SlowedArm]:
-    return [arm for arm in group.arms if _spots(arm)]
+def _drawn(group: DelayedGroup) -> list[DelayedConfiguration]:
+    return [configuration for configuration in group.configurations if _spots(configuration)]
 
 
-def _line(ax: Axes, arm: SlowedArm) -> None:
-    colour, spots = colour_of(arm.solver), _spots(arm)
+def _line(ax: Axes, configuration: DelayedConfiguration) -> None:
+    colour, spots = colour_of(configuration.solver), _spots(configuration)
     ax.plot([s for s, _, _ in spots], [c for _, c, _ in spots], color=colour, lw=1.0, alpha=0.7)
     for slowdown, cost, good in spots:
         ax.plot(slowdown, cost, "o", color=colour, mfc=colour if good else "white", ms=4.5)
 
 
-def _axes(ax: Axes, group: SlowedGroup) -> None:
+def _axes(ax: Axes, group: DelayedGroup) -> None:
     slowdowns = group.slowdowns
     ax.set_xscale("log")
     log_y(ax)

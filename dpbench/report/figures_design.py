@@ -1,4 +1,4 @@
-"""Figures on the design of controllers: eigenvalues of the loop, basins."""
+"""Figures on the design of controllers: eigenvalues of the loop, regions."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from dpbench.report.style import (
     new_figure,
     one_axes,
 )
-from dpbench.report.tables_design import basin_in, basin_text, names_of, weathers
+from dpbench.report.tables_design import names_of, region_in, region_text, weathers
 
 COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
 MARKERS = ("o", "s", "D", "^", "v", "P")
@@ -116,21 +116,23 @@ def _arcs(ax: Axes, left: float, high: float) -> None:
             )
 
 
-def basins(records: Sequence[DesignRecord]) -> Figure:
+def regions(records: Sequence[DesignRecord]) -> Figure:
     """The largest sway offset held, at full size, by vessel, controller and weather."""
     names = names_of(records)
     vessels = list(dict.fromkeys(r.vessel for r in records))
     seas = weathers(records)
     slots = len(names) * len(seas)
     figure, ax = one_axes(8.2, 1.3 + (0.17 * slots + 0.12) * len(vessels))
-    tried = [t.offset_m * r.model_scale for r in records for b in r.basins for t in b.bracket.tried]
+    tried = [
+        t.offset_m * r.model_scale for r in records for b in r.regions for t in b.bracket.tried
+    ]
     left, right = 0.7 * min(tried), max(tried)
     for r in records:
         for j, sea in enumerate(seas):
             i = list(names).index(r.controller)
             slot = i * len(seas) + j
             y = vessels.index(r.vessel) + (slot - 0.5 * (slots - 1)) * HEIGHT / slots
-            found = basin_in(r, sea)
+            found = region_in(r, sea)
             if found is None:
                 continue
             held = max(found.bracket.holds_m * r.model_scale, left)
@@ -143,7 +145,9 @@ def basins(records: Sequence[DesignRecord]) -> Figure:
                 alpha=ALPHAS[j > 0],
                 lw=0,
             )
-            ax.text(1.04 * held, y, f"{basin_text(r, found)} m", va="center", fontsize=7, color=INK)
+            ax.text(
+                1.04 * held, y, f"{region_text(r, found)} m", va="center", fontsize=7, color=INK
+            )
     ax.set_xscale("log")
     ax.set_xlim(left, 2.2 * right)
     ax.xaxis.set_major_locator(LogLocator(base=2.0, numticks=20))

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, NullLocator
 
-from dpbench.analysis.times.horizon_sweep import Horizons, Sweep, SweptArm, moves_of
+from dpbench.analysis.times.horizon_sweep import Horizons, Sweep, SweptConfiguration, moves_of
 from dpbench.report.labels import name_ends
 from dpbench.report.style import (
     FAMILY_COLOURS,
@@ -24,19 +24,22 @@ ROOM = 1.9
 """So many times the largest n fits on the axis, for the names at the ends of the lines."""
 
 
-def growth_figure(sweep: Sweep, arms: Sequence[SweptArm]) -> Figure:
-    """Median step time of the arms against n, a panel per formulation with axes in common."""
-    forms = list(dict.fromkeys(arm.formulation for arm in arms))
+def growth_figure(sweep: Sweep, configurations: Sequence[SweptConfiguration]) -> Figure:
+    """Median step time of the configurations against n, a panel per formulation with axes in
+    common."""
+    forms = list(dict.fromkeys(configuration.formulation for configuration in configurations))
     figure = new_figure(8.2, 1.0 + 5.0 * len(forms))
     panels = figure.subplots(len(forms), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for ax, form in zip(panels, forms, strict=True):
-        mine = [arm for arm in arms if arm.formulation == form]
-        for arm in mine:
-            _line(ax, arm)
+        mine = [
+            configuration for configuration in configurations if configuration.formulation == form
+        ]
+        for configuration in mine:
+            _line(ax, configuration)
         ax.set_title(form.replace("_", " "))
         ax.set_ylabel("median step time [µs]")
     _axes(panels[-1], sweep.horizons)
-    present = {family_of(arm.solver) for arm in arms}
+    present = {family_of(configuration.solver) for configuration in configurations}
     marks = [
         Line2D([], [], color=colour, marker="o", ms=4.5, label=name)
         for name, colour in FAMILY_COLOURS.items()
@@ -48,18 +51,25 @@ def growth_figure(sweep: Sweep, arms: Sequence[SweptArm]) -> Figure:
     figure.legend(handles=[*marks, hollow], loc="outside lower center", ncols=4)
     figure.draw_without_rendering()
     for ax, form in zip(panels, forms, strict=True):
-        _names(ax, [arm for arm in arms if arm.formulation == form])
+        _names(
+            ax,
+            [
+                configuration
+                for configuration in configurations
+                if configuration.formulation == form
+            ],
+        )
     return figure
 
 
-def _spots(arm: SweptArm) -> list[tuple[float, float, bool]]:
+def _spots(configuration: SweptConfiguration) -> list[tuple[float, float, bool]]:
     """n, median [µs] and whether the answers are right, the shortest horizons first."""
-    found = [(moves_of(h), p.median_ns / 1e3, p.right) for h, p in arm.timed.items()]
+    found = [(moves_of(h), p.median_ns / 1e3, p.right) for h, p in configuration.timed.items()]
     return sorted(found)
 
 
-def _line(ax: Axes, arm: SweptArm) -> None:
-    colour, spots = colour_of(arm.solver), _spots(arm)
+def _line(ax: Axes, configuration: SweptConfiguration) -> None:
+    colour, spots = colour_of(configuration.solver), _spots(configuration)
     ax.plot([n for n, _, _ in spots], [t for _, t, _ in spots], color=colour, lw=1.0, alpha=0.8)
     for n, t, right in spots:
         ax.plot(n, t, "o", color=colour, mfc=colour if right else "white", ms=4.5, zorder=3)
@@ -78,7 +88,11 @@ def _axes(ax: Axes, horizons: Sequence[Horizons]) -> None:
     ax.set_xlabel("moves n in a plan, and horizons N_p/N_c")
 
 
-def _names(ax: Axes, arms: Sequence[SweptArm]) -> None:
+def _names(ax: Axes, configurations: Sequence[SweptConfiguration]) -> None:
     """The name of each solver right of the end of its line."""
-    ends = [(*_spots(arm)[-1][:2], arm.solver, colour_of(arm.solver)) for arm in arms if arm.timed]
+    ends = [
+        (*_spots(configuration)[-1][:2], configuration.solver, colour_of(configuration.solver))
+        for configuration in configurations
+        if configuration.timed
+    ]
     name_ends(ax, ends)

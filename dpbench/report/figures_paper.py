@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from dpbench.analysis.records import View
+from dpbench.analysis.records import Records
 from dpbench.report.reproduced import CIRCLE_M, pair_of
 from dpbench.report.style import CLIPPED, CONSTRAINED, GREY, LIMIT, log_y, new_figure, one_axes
 from dpbench.scenario.scenario import Scenario
@@ -33,7 +33,7 @@ class Law:
     steps: pd.DataFrame
 
 
-def laws_of(view: View, scenario: str) -> list[Law]:
+def laws_of(view: Records, scenario: str) -> list[Law]:
     """The laws of a scenario that have a complete run; the dashed one last, so both are seen."""
     pair = pair_of(view, scenario)
     laws = []

@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.times.pooled import Arm, Pool
+from dpbench.analysis.times.pooled import CommonSteps, PooledConfiguration
 from dpbench.analysis.times.ranks import Ranking, profiles
-from dpbench.analysis.times.work_precision import Rung
+from dpbench.analysis.times.work_precision import LevelPoint
 from dpbench.report.figures import EXACT
 from dpbench.report.labels import label_points
 from dpbench.report.style import (
@@ -50,16 +50,17 @@ def highlighted(solvers: Sequence[str]) -> dict[str, str]:
 
 
 def work_precision(
-    ladders: Mapping[str, Sequence[Rung]], colours: Mapping[str, str], demand: Demand
+    levels_by_solver: Mapping[str, Sequence[LevelPoint]], colours: Mapping[str, str], demand: Demand
 ) -> Figure:
     """Largest error of the first move against p50 and, where there is one, against p99."""
-    panels: list[tuple[str, Callable[[Rung], float]]] = [("p50", lambda rung: rung.p50_ns)]
-    if any(math.isfinite(rung.p99_ns) for rungs in ladders.values() for rung in rungs):
-        panels.append(("p99", lambda rung: rung.p99_ns))
+    panels: list[tuple[str, Callable[[LevelPoint], float]]] = [("p50", lambda point: point.p50_ns)]
+    if any(math.isfinite(point.p99_ns) for points in levels_by_solver.values() for point in points):
+        panels.append(("p99", lambda point: point.p99_ns))
     figure = new_figure(8.2, 0.6 + 4.9 * len(panels))
     axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     firsts = [
-        _panel(ax, ladders, colours, time) for ax, (_, time) in zip(axes, panels, strict=True)
+        _panel(ax, levels_by_solver, colours, time)
+        for ax, (_, time) in zip(axes, panels, strict=True)
     ]
     for ax, (name, _) in zip(axes, panels, strict=True):
         ax.axhline(demand.error_move, color=INK, ls="--", lw=0.9)
@@ -69,7 +70,7 @@ def work_precision(
         ax.set_xlabel(f"{name} of the algorithmic step time [µs]")
         ax.set_ylabel("largest error of the first move\n[rate-limit steps]")
         ax.tick_params(labelbottom=True)
-    figure.legend(handles=_marks(ladders, demand), loc="outside lower center", ncols=4)
+    figure.legend(handles=_marks(levels_by_solver, demand), loc="outside lower center", ncols=4)
     figure.draw_without_rendering()
     for ax, found in zip(axes, firsts, strict=True):
         shades = [colours.get(solver, GREY) for solver in found]
@@ -79,14 +80,14 @@ def work_precision(
 
 def _panel(
     ax: Axes,
-    ladders: Mapping[str, Sequence[Rung]],
+    levels_by_solver: Mapping[str, Sequence[LevelPoint]],
     colours: Mapping[str, str],
-    time: Callable[[Rung], float],
+    time: Callable[[LevelPoint], float],
 ) -> dict[str, tuple[float, float]]:
-    """Draw the ladders; returns where each is labelled, at its fastest rung."""
+    """Draw the levels_by_solver; returns where each is labelled, at its fastest point."""
     firsts: dict[str, tuple[float, float]] = {}
-    for solver, rungs in ladders.items():
-        drawn = [r for r in rungs if math.isfinite(r.error_move) and math.isfinite(time(r))]
+    for solver, points in levels_by_solver.items():
+        drawn = [r for r in points if math.isfinite(r.error_move) and math.isfinite(time(r))]
         spots = {r.settings: (time(r) / 1e3, max(r.error_move, EXACT)) for r in drawn}
         if not spots:
             continue
@@ -94,19 +95,19 @@ def _panel(
         line = sorted(spots.values(), key=lambda spot: -spot[1])
         width = 1.6 if solver in colours else 0.8
         ax.plot(*zip(*line, strict=True), color=colour, lw=width, zorder=order)
-        for rung in reversed(drawn):  # the usual settings on top, where others do the same
-            spot = spots[rung.settings]
-            filled = colour if rung.settings == "default" else "white"
-            marker = MARKERS.get(rung.settings, "P")
+        for point in reversed(drawn):  # the usual settings on top, where others do the same
+            spot = spots[point.settings]
+            filled = colour if point.settings == "default" else "white"
+            marker = MARKERS.get(point.settings, "P")
             ax.plot(*spot, marker, color=colour, mfc=filled, ms=5.5, zorder=order + 1)
-            if rung.failed:
+            if point.failed:
                 ax.plot(*spot, "x", color=INK, ms=9, mew=1.2, zorder=order + 2)
         firsts[solver] = min(spots.values())
     return firsts
 
 
-def _marks(ladders: Mapping[str, Sequence[Rung]], demand: Demand) -> list[Line2D]:
-    rungs = [rung for found in ladders.values() for rung in found]
+def _marks(levels_by_solver: Mapping[str, Sequence[LevelPoint]], demand: Demand) -> list[Line2D]:
+    points = [point for found in levels_by_solver.values() for point in found]
     marks = [
         Line2D(
             [],
@@ -117,24 +118,27 @@ def _marks(ladders: Mapping[str, Sequence[Rung]], demand: Demand) -> list[Line2D
             mfc=GREY if settings == "default" else "white",
             label=f"settings {settings}",
         )
-        for settings in dict.fromkeys(rung.settings for rung in rungs)
+        for settings in dict.fromkeys(point.settings for point in points)
     ]
-    if any(rung.failed for rung in rungs):
+    if any(point.failed for point in points):
         marks.append(Line2D([], [], marker="x", ls="", color=INK, label="steps failed"))
     demanded = f"demand, {demand.error_move:g}"
     return [*marks, Line2D([], [], color=INK, ls="--", lw=0.9, label=demanded)]
 
 
 def performance_profiles(
-    pool: Pool, rankings: Sequence[Ranking], colours: Mapping[str, str]
+    common_steps: CommonSteps, rankings: Sequence[Ranking], colours: Mapping[str, str]
 ) -> Figure:
     """Share of steps solved within so many times the fastest solver's time, per accuracy."""
     figure = new_figure(8.2, 3.1 * len(rankings))
     axes = figure.subplots(len(rankings), 1, sharex=True, squeeze=False)[:, 0]
     spots = []
     for ax, ranking in zip(axes, rankings, strict=True):
-        arms = [placed.arm for placed in ranking.placed]
-        spots.append(_profile_panel(ax, pool, arms, ranking.level, colours))
+        configurations = [
+            ranked_configuration.configuration
+            for ranked_configuration in ranking.ranked_configuration
+        ]
+        spots.append(_profile_panel(ax, common_steps, configurations, ranking.level, colours))
         ax.set_title(f"error_move ≤ {ranking.level:g}")
         ax.set_ylabel("share of steps")
         ax.set_ylim(-0.03, 1.05)
@@ -150,17 +154,23 @@ def performance_profiles(
 
 
 def _profile_panel(
-    ax: Axes, pool: Pool, arms: Sequence[Arm], level: float, colours: Mapping[str, str]
+    ax: Axes,
+    common_steps: CommonSteps,
+    configurations: Sequence[PooledConfiguration],
+    level: float,
+    colours: Mapping[str, str],
 ) -> dict[str, tuple[float, float]]:
     """Draw the profiles; returns where each is labelled, half way up."""
     spots: dict[str, tuple[float, float]] = {}
-    for arm, (ratio, share) in zip(arms, profiles(pool, arms, level), strict=True):
-        colour, bold = colours.get(arm.solver, LIGHT), arm.solver in colours
+    for configuration, (ratio, share) in zip(
+        configurations, profiles(common_steps, configurations, level), strict=True
+    ):
+        colour, bold = colours.get(configuration.solver, LIGHT), configuration.solver in colours
         x = np.concatenate(([1.0], ratio, [max(FARTHEST, float(ratio[-1]))]))
         y = np.concatenate(([0.0], share, share[-1:]))
         width = 1.6 if bold else 0.9
         ax.plot(x, y, color=colour, lw=width, drawstyle="steps-post", zorder=3 if bold else 2)
         half = int(np.searchsorted(share, 0.5 * share[-1]))
         if ratio[half] <= FARTHEST:
-            spots[arm.solver] = (float(ratio[half]), float(share[half]))
+            spots[configuration.solver] = (float(ratio[half]), float(share[half]))
     return spots

@@ -28,7 +28,7 @@ PLACES: dict[str, tuple[int | slice, int]] = {
     "radius": (2, 0),
     **{f"{name}{i}": (i, j + 1) for i in range(3) for j, name in enumerate(COLUMNS)},
 }
-"""Row and column of each panel."""
+"""RunRecord and column of each panel."""
 
 
 def ship(laws: Sequence[Law], scenario: Scenario) -> Figure:

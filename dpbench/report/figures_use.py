@@ -8,22 +8,31 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from dpbench.analysis.times.routes import KEPT, LADDER, NATIVE, WARM, WRAPPED, Way, Ways, way_text
+from dpbench.analysis.times.routes import (
+    KEPT,
+    LEVELS,
+    NATIVE,
+    WARM,
+    WRAPPED,
+    RouteComparison,
+    RoutePolicy,
+    route_policy_text,
+)
 from dpbench.report.style import BLUE, GREY, PALE, SKY, VERMILLION, log_time, one_axes
 
-COLOURS: dict[Way, str] = {WRAPPED: GREY, NATIVE: SKY, KEPT: BLUE, WARM: VERMILLION}
-MARKERS: dict[Way, str] = {WRAPPED: "s", NATIVE: "o", KEPT: "D", WARM: "v"}
+COLOURS: dict[RoutePolicy, str] = {WRAPPED: GREY, NATIVE: SKY, KEPT: BLUE, WARM: VERMILLION}
+MARKERS: dict[RoutePolicy, str] = {WRAPPED: "s", NATIVE: "o", KEPT: "D", WARM: "v"}
 STEP = 0.2
 """How far one way stands below the one before it, in rows."""
 
 
-def step_down(ways: Sequence[Ways], right: Sequence[frozenset[Way]]) -> Figure:
+def step_down(ways: Sequence[RouteComparison], right: Sequence[frozenset[RoutePolicy]]) -> Figure:
     """Per solver a stair of p50 with a whisker to p95; hollow where answers miss the demand."""
     figure, ax = one_axes(8.2, 1.5 + 0.46 * len(ways))
     for i, (w, good) in enumerate(zip(ways, right, strict=True)):
         ax.axhspan(i - 0.5, i + 0.5, color=PALE, alpha=0.25 * (i % 2), lw=0)
         stairs = []
-        for j, way in enumerate(LADDER):
+        for j, way in enumerate(LEVELS):
             if way not in w.times:
                 continue
             y = i + STEP * (j - 1.5)
@@ -39,8 +48,10 @@ def step_down(ways: Sequence[Ways], right: Sequence[frozenset[Way]]) -> Figure:
     ax.grid(axis="y", visible=False)
     ax.set_xlabel("algorithmic step time, p50 with a whisker to p95 [µs]")
     marks = [
-        Line2D([], [], marker=MARKERS[way], color=COLOURS[way], lw=1.2, label=way_text(way))
-        for way in LADDER
+        Line2D(
+            [], [], marker=MARKERS[way], color=COLOURS[way], lw=1.2, label=route_policy_text(way)
+        )
+        for way in LEVELS
         if any(way in w.times for w in ways)
     ]
     hollow = Line2D(

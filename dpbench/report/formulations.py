@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from dpbench.analysis.demand import Demand, is_right
-from dpbench.analysis.records import COMMON, Row, View, is_contrast
+from dpbench.analysis.records import COMMON, Records, RunRecord, is_baseline_law
 from dpbench.analysis.statistics import paired_ratio
 from dpbench.analysis.step_times import StepTimes
 from dpbench.analysis.times.pairs import paired
 from dpbench.report.formats import MISSING, interval_text, micro_text, plural, significant
 from dpbench.report.table import Cell, Mark, Table, row_of
 
-Arm = dict[str, Row]
+PooledConfiguration = dict[str, RunRecord]
 """The rows of one solver, route, policy and settings by formulation."""
 
 OTHERS = (
@@ -25,11 +25,11 @@ OTHERS = (
 )
 
 
-def formulation_tables(view: View, demand: Demand) -> list[Table]:
+def formulation_tables(view: Records, demand: Demand) -> list[Table]:
     """A table per replayed sequence and units in which more than one formulation was run."""
-    groups: dict[tuple[str, str], list[Row]] = {}
-    for row in view.every:
-        if row["mode"] == "replay" and not row["family"] and not is_contrast(row):
+    groups: dict[tuple[str, str], list[RunRecord]] = {}
+    for row in view.all_runs:
+        if row["mode"] == "replay" and not row["family"] and not is_baseline_law(row):
             groups.setdefault((str(row["sequence"]), str(row["units"])), []).append(row)
     tables = []
     for (sequence, units), rows in groups.items():
@@ -42,20 +42,24 @@ def formulation_tables(view: View, demand: Demand) -> list[Table]:
 
 
 def _table(
-    view: View,
+    view: Records,
     sequence: str,
     units: str,
-    rows: Sequence[Row],
+    rows: Sequence[RunRecord],
     names: Sequence[str],
     demand: Demand,
 ) -> Table:
-    arms: dict[tuple[str, ...], Arm] = {}
+    configurations: dict[tuple[str, ...], PooledConfiguration] = {}
     for row in rows:
         key = tuple(str(row[name]) for name in ("solver", "route", "policy", "settings"))
-        arms.setdefault(key, {})[str(row["formulation"])] = row
-    several = {key: arm for key, arm in arms.items() if len(arm) > 1}
-    times = {key: _timed(view, arm) for key, arm in several.items()}
-    best = {key: _best(arm, times[key], demand) for key, arm in several.items()}
+        configurations.setdefault(key, {})[str(row["formulation"])] = row
+    several = {
+        key: configuration
+        for key, configuration in configurations.items()
+        if len(configuration) > 1
+    }
+    times = {key: _timed(view, configuration) for key, configuration in several.items()}
+    best = {key: _best(configuration, times[key], demand) for key, configuration in several.items()}
     # Ratios that are taken, whose intervals are to hold together.
     count = sum(best[key] not in ("", COMMON) and COMMON in times[key] for key in several)
     order = sorted(several, key=lambda key: (_fastest(times[key], best[key]), key))
@@ -85,10 +89,11 @@ def _table(
     )
 
 
-def _note(arms: int, ratios: int) -> str:
+def _note(configurations: int, ratios: int) -> str:
     """What the numbers of a table are."""
     return (
-        f"{plural(arms, 'arm')} run in more than one formulation, the fastest first; p50 "
+        f"{plural(configurations, 'configuration')} run in more than one formulation, the "
+        "fastest first; p50 "
         "of the algorithmic step time in µs, tinted where an answer misses the demand or a "
         "step was never done. Best: the fastest by median whose answers meet the demand. "
         "Common over best: geometric mean over paired steps, above 1 where the best "
@@ -98,14 +103,14 @@ def _note(arms: int, ratios: int) -> str:
     )
 
 
-def _timed(view: View, arm: Arm) -> dict[str, StepTimes]:
-    found = {name: view.times(row) for name, row in arm.items()}
+def _timed(view: Records, configuration: PooledConfiguration) -> dict[str, StepTimes]:
+    found = {name: view.times(row) for name, row in configuration.items()}
     return {name: times for name, times in found.items() if times is not None}
 
 
-def _best(arm: Arm, times: dict[str, StepTimes], demand: Demand) -> str:
+def _best(configuration: PooledConfiguration, times: dict[str, StepTimes], demand: Demand) -> str:
     """The fastest formulation by median whose answers meet the demand; "" without one."""
-    right = [name for name in times if is_right(arm[name], demand)]
+    right = [name for name in times if is_right(configuration[name], demand)]
     return min(right, key=lambda name: float(np.median(times[name].algo_ns)), default="")
 
 
@@ -113,7 +118,7 @@ def _fastest(times: dict[str, StepTimes], best: str) -> float:
     return float(np.median(times[best].algo_ns)) if best else np.inf
 
 
-def _median(row: Row | None, times: StepTimes | None, demand: Demand) -> Cell:
+def _median(row: RunRecord | None, times: StepTimes | None, demand: Demand) -> Cell:
     if row is None:
         return Cell(MISSING, "quiet")
     if times is None:

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from dpbench.analysis.machine import SWITCHES, disturbance_of
-from dpbench.analysis.records import Row, View, as_float
+from dpbench.analysis.records import Records, RunRecord, as_float
 from dpbench.bench.record.disturbance import RULE, Disturbance
 from dpbench.report.formats import MISSING, and_list, count_text, plural, share_text, significant
 from dpbench.report.table import Table, row_of
 
 FOLD_ABOVE = 8
-"""Rows above which a table is folded."""
+"""RunRecords above which a table is folded."""
 
 
 def verdict_text(found: Disturbance) -> str:
@@ -56,10 +56,10 @@ def machine_facts(machine: dict[str, Any]) -> list[tuple[str, str]]:
 
 def disturbance_facts(found: Disturbance) -> list[tuple[str, str]]:
     """What disturbed some replays, as the kernel shows it."""
-    spoilt = f"{count_text(found.spoilt)} of {plural(found.rounds, 'round')}"
+    disturbed = f"{count_text(found.disturbed)} of {plural(found.rounds, 'round')}"
     throttled = count_text(found.throttled)
     return [
-        ("spoilt rounds left", f"{spoilt}; {count_text(found.rerun)} run again"),
+        ("disturbed rounds left", f"{disturbed}; {count_text(found.rerun)} run again"),
         ("involuntary context switches", f"{_rate(found.switches_per_s)} a second"),
         ("time stolen by the host", f"{_steal(found.steal_share)}"),
         ("throttle events", "not visible" if throttled == MISSING else throttled),
@@ -74,7 +74,7 @@ def _steal(share: float) -> str:
     return "not visible" if share != share else share_text(share)
 
 
-def machine_table(view: View, rows: Sequence[Row]) -> Table:
+def machine_table(view: Records, rows: Sequence[RunRecord]) -> Table:
     """The machine and what disturbed the timed replays on it."""
     found = disturbance_of(rows)
     cores = view.machine.get("affinity") or []
@@ -83,7 +83,7 @@ def machine_table(view: View, rows: Sequence[Row]) -> Table:
     facts += [*_own_switches(rows), *_threads(rows)]
     return Table(
         title="The machine, and what disturbed the replays",
-        note=f"{plural(len(rows), 'replayed arm')}, the harness's own among them; "
+        note=f"{plural(len(rows), 'replayed configuration')}, the harness's own among them; "
         f"{significant(found.seconds)} s of rounds that count. A steal time of 0 may also mean "
         "that the host does not tell.",
         heads=("what", "found"),
@@ -92,8 +92,9 @@ def machine_table(view: View, rows: Sequence[Row]) -> Table:
     )
 
 
-def _own_switches(rows: Sequence[Row]) -> list[tuple[str, str]]:
-    """The arms that leave the processor by their own doing, which is not the machine's fault."""
+def _own_switches(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
+    """The configurations that leave the processor by their own doing, which is not the machine's
+    fault."""
     own: dict[str, float] = {}
     for row in rows:
         if "own_switches_a_step" in row:
@@ -102,10 +103,10 @@ def _own_switches(rows: Sequence[Row]) -> list[tuple[str, str]]:
     if not own:
         return []
     said = ", ".join(f"{name}: {_rate(a_step)} a step" for name, a_step in own.items())
-    return [("switches an arm makes itself, not counted above", said)]
+    return [("switches a configuration makes itself, not counted above", said)]
 
 
-def _threads(rows: Sequence[Row]) -> list[tuple[str, str]]:
+def _threads(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
     """The most threads seen in a worker, and whose they are."""
     said = []
     for column, what in (
@@ -120,7 +121,7 @@ def _threads(rows: Sequence[Row]) -> list[tuple[str, str]]:
     return said
 
 
-def sequence_table(rows: Sequence[Row]) -> Table | None:
+def sequence_table(rows: Sequence[RunRecord]) -> Table | None:
     """What disturbed each replayed sequence; None where there is only one."""
     sequences = list(dict.fromkeys(str(row["sequence"]) for row in rows))
     if len(sequences) < 2:
@@ -135,7 +136,7 @@ def sequence_table(rows: Sequence[Row]) -> Table | None:
                 verdict_text(found),
                 count_text(len(mine)),
                 count_text(found.rounds),
-                count_text(found.spoilt),
+                count_text(found.disturbed),
                 count_text(found.rerun),
                 _rate(found.switches_per_s),
                 count_text(np.fmax.reduce([as_float(row[SWITCHES]) for row in mine])),
@@ -144,16 +145,16 @@ def sequence_table(rows: Sequence[Row]) -> Table | None:
         )
     return Table(
         title="What disturbed each replayed sequence",
-        note="By the rule above. Of each arm the same figures are in `runs.parquet`.",
+        note="By the rule above. Of each configuration the same figures are in `runs.parquet`.",
         heads=(
             "sequence",
             "verdict",
-            "arms",
+            "configurations",
             "rounds",
-            "spoilt",
+            "disturbed",
             "run again",
             "switches/s",
-            "switches, worst arm",
+            "switches, worst configuration",
             "stolen",
         ),
         rows=tuple(lines),

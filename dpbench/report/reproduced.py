@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
-from dpbench.analysis.records import Row, View, as_float, has_steps, is_contrast
+from dpbench.analysis.records import Records, RunRecord, as_float, has_steps, is_baseline_law
 from dpbench.report.formats import count_text, plural, seconds_text, share_text, significant
-from dpbench.report.namesake import OF_PAPER, is_of_paper
+from dpbench.report.is_paper_scenario import OF_PAPER, is_of_paper
 
 State = Literal["reproduced", "not reproduced", "not measured"]
 
@@ -37,40 +37,40 @@ class Claim:
 
 @dataclass(frozen=True)
 class Pair:
-    """The constrained loop that follows the exact one most closely, and the contrast law.
+    """The constrained loop that follows the exact one most closely, and the baseline law.
 
     whole : steps of the whole scenario; the loops are complete but may have been asked for fewer.
     """
 
-    constrained: Row | None
-    clipped: Row | None
+    constrained: RunRecord | None
+    clipped: RunRecord | None
     whole: int = 0
 
-    def short(self, *rows: Row) -> str:
+    def short(self, *rows: RunRecord) -> str:
         """How far the shortest of some runs falls short of the whole scenario; empty if none."""
         done = min(as_float(row["steps_done"]) for row in rows)
         return f"{count_text(done)} of {plural(self.whole, 'step')}" if done < self.whole else ""
 
 
-def pair_of(view: View, scenario: str) -> Pair:
+def pair_of(view: Records, scenario: str) -> Pair:
     """The two laws of a scenario, each from a complete one of its longest closed loops."""
     loops = [r for r in view.full_loops(scenario) if has_steps(r) and r["outcome"] == "finished"]
-    solved = [row for row in loops if not is_contrast(row) and row["policy"] == "fresh"]
+    solved = [row for row in loops if not is_baseline_law(row) and row["policy"] == "fresh"]
     best = min(solved, key=_deviation, default=None)
-    clipped = next((row for row in loops if is_contrast(row)), None)
+    clipped = next((row for row in loops if is_baseline_law(row)), None)
     return Pair(best, clipped, view.whole_steps(scenario))
 
 
-def _paper_pair(view: View, name: str) -> Pair:
+def _paper_pair(view: Records, name: str) -> Pair:
     return pair_of(view, name) if is_of_paper(view, name) else Pair(None, None)
 
 
-def _deviation(row: Row) -> tuple[float, str]:
+def _deviation(row: RunRecord) -> tuple[float, str]:
     value = as_float(row["dev_position_max_m"])
     return (math.inf if math.isnan(value) else value, str(row["solver"]))
 
 
-def claims(view: View) -> list[Claim]:
+def claims(view: Records) -> list[Claim]:
     """All claims, in the order of the paper; those on heading and settling are read off Fig. 5."""
     paper, tight = (_paper_pair(view, name) for name in OF_PAPER)
     return [
@@ -93,7 +93,7 @@ def claims(view: View) -> list[Claim]:
 Finding = tuple[str, bool]
 
 
-def _alone(pair: Pair, claim: str, find: Callable[[Row], Finding]) -> Claim:
+def _alone(pair: Pair, claim: str, find: Callable[[RunRecord], Finding]) -> Claim:
     if pair.constrained is None:
         return Claim(claim, "no complete closed loop of this scenario", "not measured")
     if short := pair.short(pair.constrained):
@@ -102,7 +102,7 @@ def _alone(pair: Pair, claim: str, find: Callable[[Row], Finding]) -> Claim:
     return Claim(claim, found, "reproduced" if holds else "not reproduced")
 
 
-def _both(pair: Pair, claim: str, find: Callable[[Row, Row], Finding]) -> Claim:
+def _both(pair: Pair, claim: str, find: Callable[[RunRecord, RunRecord], Finding]) -> Claim:
     if pair.constrained is None or pair.clipped is None:
         return Claim(claim, "one of the two laws has no complete closed loop", "not measured")
     if short := pair.short(pair.constrained, pair.clipped):
@@ -111,7 +111,7 @@ def _both(pair: Pair, claim: str, find: Callable[[Row, Row], Finding]) -> Claim:
     return Claim(claim, found, "reproduced" if holds else "not reproduced")
 
 
-def _circle(row: Row) -> Finding:
+def _circle(row: RunRecord) -> Finding:
     tail, share = as_float(row["r_tail_max_m"]), as_float(row["share_1m"])
     found = (
         f"{share_text(share)} of the run inside {CIRCLE_M:g} m; largest radial error in the "
@@ -120,12 +120,12 @@ def _circle(row: Row) -> Finding:
     return found, tail <= CIRCLE_M
 
 
-def _stationary(row: Row) -> Finding:
+def _stationary(row: RunRecord) -> Finding:
     tail = as_float(row["r_tail_max_m"])
     return f"largest radial error in the second half {significant(100 * tail)} cm", tail < STEADY_M
 
 
-def _transient(row: Row, law: Row) -> Finding:
+def _transient(row: RunRecord, law: RunRecord) -> Finding:
     mine, theirs = as_float(row["overshoot_e"]), as_float(law["overshoot_e"])
     found = (
         f"sway overshoot {significant(mine)} m against {significant(theirs)} m clipped; total "
@@ -135,7 +135,7 @@ def _transient(row: Row, law: Row) -> Finding:
     return found, mine < theirs
 
 
-def _settling(row: Row, law: Row) -> Finding:
+def _settling(row: RunRecord, law: RunRecord) -> Finding:
     mine, theirs = as_float(row["settle_0p1m_s"]), as_float(law["settle_0p1m_s"])
     found = (
         f"settles into 0.1 m after {seconds_text(mine)} s against {_after(theirs)} clipped"
@@ -149,7 +149,7 @@ def _after(seconds: float) -> str:
     return "never" if math.isinf(seconds) else f"{seconds_text(seconds)} s"
 
 
-def _steady(view: View, row: Row, law: Row) -> Finding:
+def _steady(view: Records, row: RunRecord, law: RunRecord) -> Finding:
     mine, theirs = as_float(row["r_tail_max_m"]), as_float(law["r_tail_max_m"])
     found = (
         f"largest radial error in the second half {significant(100 * mine)} cm against "
@@ -163,26 +163,26 @@ def _steady(view: View, row: Row, law: Row) -> Finding:
     return found, mine < (1.0 - SAME) * theirs
 
 
-def _heading(row: Row, law: Row) -> Finding:
+def _heading(row: RunRecord, law: RunRecord) -> Finding:
     mine, theirs = as_float(row["heading_max_deg"]), as_float(law["heading_max_deg"])
     found = f"largest heading error {significant(mine)}° against {significant(theirs)}° clipped"
     return found, mine < theirs
 
 
-def _rates(row: Row) -> Finding:
+def _rates(row: RunRecord) -> Finding:
     shares = {axis: as_float(row[f"at_rate_{axis}"]) for axis in ("surge", "sway", "yaw")}
     text = ", ".join(f"{axis} {share_text(share)}" for axis, share in shares.items())
     steps = plural(as_float(row["steps_done"]), "step")
     return f"share of the {steps} at a rate limit: {text}", max(shares.values()) > 0.0
 
 
-def _violations(row: Row) -> Finding:
+def _violations(row: RunRecord) -> Finding:
     count = as_float(row["limit_violations"])
     steps = plural(as_float(row["steps_done"]), "step")
     return f"{plural(count, 'applied force')} outside a limit in {steps}", count == 0
 
 
-def choices(view: View) -> list[tuple[str, str]]:
+def choices(view: Records) -> list[tuple[str, str]]:
     """What the paper leaves open and what the scenario `paper` of these rows chose."""
     scenario = view.scenario("paper")
     if scenario is None or not is_of_paper(view, "paper"):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from dpbench.analysis.machine import disturbance_of, slowed_runs
-from dpbench.analysis.records import View
-from dpbench.analysis.slowdown import SlowedGroup, cost_ratio, slowed_groups
+from dpbench.analysis.machine import delayed_runs, disturbance_of
+from dpbench.analysis.records import Records
+from dpbench.analysis.slowdown import DelayedGroup, cost_ratio, delayed_groups
 from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular, missing
 from dpbench.report.figures_deadline import slowdown_figure
 from dpbench.report.formats import and_list, factor_text, plural
@@ -23,14 +23,14 @@ INTRODUCTION = (
 )
 
 
-def deadline_section(view: View) -> Section | None:
+def deadline_section(view: Records) -> Section | None:
     """Cost, misses and survival on slow computers; None where no loop ran on one."""
-    groups = slowed_groups(view)
+    groups = delayed_groups(view)
     if not groups:
         return None
     section = Section("deadline", "Slow computers and late answers")
     section.add(Paragraph(INTRODUCTION))
-    found = disturbance_of(slowed_runs(view))
+    found = disturbance_of(delayed_runs(view))
     if found.seconds > 0:
         section.add(Paragraph(f"**While the loops ran the machine was {verdict_text(found)}.**"))
     for i, group in enumerate(groups):
@@ -38,14 +38,16 @@ def deadline_section(view: View) -> Section | None:
     return section
 
 
-def deadline_lines(view: View) -> list[str]:
+def deadline_lines(view: Records) -> list[str]:
     """Who survives which slow-down, a line per scenario, for a terminal."""
-    return [_line(group).replace("**", "") for group in slowed_groups(view)]
+    return [_line(group).replace("**", "") for group in delayed_groups(view)]
 
 
-def _blocks(i: int, group: SlowedGroup, view: View) -> list[Block]:
+def _blocks(i: int, group: DelayedGroup, view: Records) -> list[Block]:
     ran = [
-        arm for arm in group.arms if any(math.isfinite(cost_ratio(r)) for r in arm.loops.values())
+        configuration
+        for configuration in group.configurations
+        if any(math.isfinite(cost_ratio(r)) for r in configuration.loops.values())
     ]
     cpu = str(view.machine.get("cpu_model", "an unnamed CPU"))
     tables = [Tabular(survival_table(group, cpu)), Tabular(misses_table(group))]
@@ -54,7 +56,8 @@ def _blocks(i: int, group: SlowedGroup, view: View) -> list[Block]:
     picture = Picture(
         f"slowdown_{i + 1}",
         f"Closed-loop cost against slow-down in {group.scenario}",
-        f"{plural(len(ran), 'arm')}, {plural(group.steps, 'step')}; cost over that of the exactly "
+        f"{plural(len(ran), 'configuration')}, {plural(group.steps, 'step')}; cost over that of "
+        "the exactly "
         f"solved loop, in which no answer is late. Dashed: {WITHIN}; hollow: beyond. A line ends "
         "at the last loop that was run to its end.",
         slowdown_figure(group),
@@ -62,12 +65,14 @@ def _blocks(i: int, group: SlowedGroup, view: View) -> list[Block]:
     return [Paragraph(_line(group)), picture, *tables]
 
 
-def _line(group: SlowedGroup) -> str:
+def _line(group: DelayedGroup) -> str:
     """Which solvers survive which slow-down, the largest first."""
     by_factor: dict[float, list[str]] = {}
-    for arm in group.arms:
-        survives = arm.survives
-        by_factor.setdefault(-1.0 if math.isnan(survives) else survives, []).append(arm.name)
+    for configuration in group.configurations:
+        survives = configuration.survives
+        by_factor.setdefault(-1.0 if math.isnan(survives) else survives, []).append(
+            configuration.name
+        )
     words = [
         f"up to **{factor_text(factor)}**: {and_list(names)}"
         if factor > 0

@@ -13,10 +13,9 @@ from dpbench.bench.design.region_of_attraction import (
     WIDTH,
 )
 from dpbench.report.blocks import Bullets, Paragraph, Picture, Section, Tabular
-from dpbench.report.figures_design import basins, eigenvalues
+from dpbench.report.figures_design import eigenvalues, regions
 from dpbench.report.formats import and_list, plural
 from dpbench.report.tables_design import (
-    basin_text,
     condition_text,
     count_of,
     design_table,
@@ -24,6 +23,7 @@ from dpbench.report.tables_design import (
     held_text,
     horizon_text,
     names_of,
+    region_text,
     trials_table,
     weather_text,
     weathers,
@@ -32,7 +32,7 @@ from dpbench.report.tables_design import (
 INTRODUCTION = (
     "What the design of a controller gives before any solver plays a part: it is the same for all "
     "of them. While no limit is active the loop is linear, and its eigenvalues say how fast errors "
-    "decay. The limits bound how far the ship may be thrown off: its basin is measured with the "
+    "decay. The limits bound how far the ship may be thrown off: its region is measured with the "
     "certified optimum of every step."
 )
 METHOD = (
@@ -50,7 +50,7 @@ REMARKS = {
 
 
 def design_section(designs: Designs) -> Section:
-    """Eigenvalues, conditioning and basin of each controller in each vessel."""
+    """Eigenvalues, conditioning and region of each controller in each vessel."""
     section = Section("design", "Stability and design")
     records = designs.records
     section.add(Paragraph(INTRODUCTION))
@@ -61,7 +61,7 @@ def design_section(designs: Designs) -> Section:
             Paragraph(condition_text(records)),
             _eigenvalues(records),
             Paragraph(f"{METHOD} {_surprises(records)}"),
-            _basins(records),
+            _regions(records),
             Tabular(trials_table(records)),
             Tabular(gains_table(records)),
         )
@@ -94,10 +94,10 @@ def _surprises(records: Sequence[DesignRecord]) -> str:
     names = names_of(records)
     odd = [
         f"{record.model_scale * offset:.3g} m ({names[record.controller]} in `{record.vessel}`, "
-        f"{weather_text(basin.weather)}, edge {basin_text(record, basin)} m)"
+        f"{weather_text(region.weather)}, edge {region_text(record, region)} m)"
         for record in records
-        for basin in record.basins
-        for offset in basin.bracket.above_m
+        for region in record.regions
+        for offset in region.bracket.above_m
     ]
     found = "No offset was held beyond one that was not."
     if odd:
@@ -122,11 +122,11 @@ def _eigenvalues(records: Sequence[DesignRecord]) -> Picture:
     )
 
 
-def _basins(records: Sequence[DesignRecord]) -> Picture:
+def _regions(records: Sequence[DesignRecord]) -> Picture:
     return Picture(
-        "design_basins",
+        "design_regions",
         "How large a sway offset each controller holds",
         f"{plural(len(records), 'design')}; held – not held, ≥ where everything tried was held. "
         "Metres at full size, weather as named.",
-        basins(records),
+        regions(records),
     )

@@ -5,7 +5,7 @@ section on what repeats itself and what memory it takes.
 from __future__ import annotations
 
 from dpbench.analysis.machine import disturbance_of, timed_runs
-from dpbench.analysis.records import View, as_float, has_steps
+from dpbench.analysis.records import Records, as_float, has_steps
 from dpbench.bench.judge.calibration import within_bar
 from dpbench.report.blocks import Block, Paragraph, Section, Tabular
 from dpbench.report.formats import and_list, plural, time_text
@@ -24,7 +24,7 @@ from dpbench.report.tables_harness import (
 )
 
 
-def machine_blocks(view: View) -> list[Block]:
+def machine_blocks(view: Records) -> list[Block]:
     """The verdict on the machine and the cost of the harness; nothing where nothing was counted."""
     rows = timed_runs(view)
     found = disturbance_of(rows)
@@ -35,8 +35,9 @@ def machine_blocks(view: View) -> list[Block]:
     return [Paragraph(verdict_paragraph(found)), *shown]
 
 
-def repeat_section(view: View) -> Section | None:
-    """Which arms repeat themselves, and what memory each takes; None where nobody looked."""
+def repeat_section(view: Records) -> Section | None:
+    """Which configurations repeat themselves, and what memory each takes; None where nobody
+    looked."""
     rows = timed_runs(view)
     seen, memory = audited(rows), memory_table(rows)
     if not seen and memory is None:
@@ -49,34 +50,43 @@ def repeat_section(view: View) -> Section | None:
     return section
 
 
-def _repeats(arms: int, others: int) -> str:
+def _repeats(configurations: int, others: int) -> str:
     every = "in every round of its replay, with the same iterations"
     if not others:
-        said = "the only replayed arm gives" if arms == 1 else f"each of {arms} replayed arms gives"
+        said = (
+            "the only replayed configuration gives"
+            if configurations == 1
+            else f"each of {configurations} replayed configurations gives"
+        )
         return f"Determinism: {said} the same QP the same answer, bit for bit, {every}."
-    same = arms - others
+    same = configurations - others
     return (
-        f"Determinism: {plural(same, 'arm')} of {arms} {'gives' if same == 1 else 'give'} the same "
+        f"Determinism: {plural(same, 'configuration')} of {configurations} "
+        f"{'gives' if same == 1 else 'give'} the same "
         f"QP the same answer, bit for bit, {every}; {others} {'does' if others == 1 else 'do'} not."
     )
 
 
-def harness_lines(view: View) -> list[str]:
+def harness_lines(view: Records) -> list[str]:
     """The verdicts on machine and harness in plain lines; none where nothing was counted."""
     lines = []
     found = disturbance_of(timed_runs(view))
     if found.seconds > 0:
         lines.append(f"machine: {verdict_text(found)}")
-    arms = [row for row in view.calibration if has_steps(row)]
-    if arms:
-        p50 = {str(row["solver"]): as_float(row["raw_p50_ns"]) for row in arms}
+    configurations = [row for row in view.calibration if has_steps(row)]
+    if configurations:
+        p50 = {str(row["solver"]): as_float(row["raw_p50_ns"]) for row in configurations}
         lines.append(calibration_line(p50))
     return lines
 
 
 def calibration_line(p50_ns: dict[str, float]) -> str:
-    """What the harness's own arms say in one line, from the median of each [ns]."""
-    missed = [arm for arm, p50 in p50_ns.items() if within_bar(arm, p50) is False]
-    said = ", ".join(f"{arm} {time_text(p50)}" for arm, p50 in p50_ns.items())
+    """What the harness's own configurations say in one line, from the median of each [ns]."""
+    missed = [
+        configuration
+        for configuration, p50 in p50_ns.items()
+        if within_bar(configuration, p50) is False
+    ]
+    said = ", ".join(f"{configuration} {time_text(p50)}" for configuration, p50 in p50_ns.items())
     verdict = f"missed by {and_list(missed)}" if missed else "within the bar"
     return f"harness: {verdict} ({said})"

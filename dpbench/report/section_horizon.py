@@ -5,9 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import View
+from dpbench.analysis.records import Records
 from dpbench.analysis.times.growth import Growth
-from dpbench.analysis.times.horizon_sweep import Horizons, Sweep, SweptArm, moves_of, sweeps
+from dpbench.analysis.times.horizon_sweep import (
+    Horizons,
+    Sweep,
+    SweptConfiguration,
+    moves_of,
+    sweeps,
+)
 from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular
 from dpbench.report.figures_horizon import growth_figure
 from dpbench.report.formats import interval_text, plural, significant, time_text
@@ -25,9 +31,13 @@ NO_POWER = 1.5
 """Times that leave the fitted line by a larger factor grow by no single power of n."""
 
 
-def horizon_section(view: View, demand: Demand) -> Section | None:
+def horizon_section(view: Records, demand: Demand) -> Section | None:
     """Growth with the horizon; None where no scenario was replayed under two horizons."""
-    found = [sweep for sweep in sweeps(view, demand) if any(arm.timed for arm in sweep.arms)]
+    found = [
+        sweep
+        for sweep in sweeps(view, demand)
+        if any(configuration.timed for configuration in sweep.configurations)
+    ]
     if not found:
         return None
     section = Section("horizon", "Horizon")
@@ -38,8 +48,8 @@ def horizon_section(view: View, demand: Demand) -> Section | None:
 
 
 def _blocks(i: int, sweep: Sweep) -> list[Block]:
-    best = [arm for arm in sweep.best_arms if arm.timed]
-    every = sorted(sweep.arms, key=lambda a: (a.solver, a.formulation, a.way))
+    best = [configuration for configuration in sweep.best_configurations if configuration.timed]
+    every = sorted(sweep.configurations, key=lambda a: (a.solver, a.formulation, a.way))
     forms = " and ".join(form.replace("_", " ") for form in sweep.formulations)
     picture = Picture(
         f"horizon_{i + 1}",
@@ -58,46 +68,52 @@ def _blocks(i: int, sweep: Sweep) -> list[Block]:
     ]
 
 
-def _summary(sweep: Sweep, best: Sequence[SweptArm]) -> list[str]:
+def _summary(sweep: Sweep, best: Sequence[SweptConfiguration]) -> list[str]:
     """Who is fastest at either end, and whose time grows least."""
     ends = (sweep.horizons[0], sweep.horizons[-1])
     words = [text for h in ends if (text := _fastest(best, h))]
     grown = [
-        (arm, growth)
-        for arm in best
-        if arm.right and len(arm.timed) == len(sweep.horizons) and (growth := arm.growth)
+        (configuration, growth)
+        for configuration in best
+        if configuration.right
+        and len(configuration.timed) == len(sweep.horizons)
+        and (growth := configuration.growth)
     ]
     if grown:
         grown.sort(key=lambda found: found[1].exponent.value)
-        among = "Of the arms that are right at every horizon"
-        said = [_growth_text(arm, growth) for arm, growth in grown]
+        among = "Of the configurations that are right at every horizon"
+        said = [_growth_text(configuration, growth) for configuration, growth in grown]
         words.append(
             f"{among}, the time grows least with {said[0]}"
             + (f" and most with {said[-1]}." if len(said) > 1 else ".")
         )
-    legend = marks_legend(row for arm in best for row in arm.rows).lstrip()
+    legend = marks_legend(row for configuration in best for row in configuration.rows).lstrip()
     marked = [legend] if legend else []
     return [f"Scenario `{sweep.name}`, {plural(sweep.steps, 'step')} a horizon.", *words, *marked]
 
 
-def _fastest(best: Sequence[SweptArm], horizons: Horizons) -> str:
-    right = [arm for arm in best if horizons in arm.timed and arm.timed[horizons].right]
+def _fastest(best: Sequence[SweptConfiguration], horizons: Horizons) -> str:
+    right = [
+        configuration
+        for configuration in best
+        if horizons in configuration.timed and configuration.timed[horizons].right
+    ]
     if not right:
         return ""
-    first = min(right, key=lambda arm: arm.timed[horizons].median_ns)
+    first = min(right, key=lambda configuration: configuration.timed[horizons].median_ns)
     return (
         f"At {horizons_text(horizons)} (n = {moves_of(horizons)}) the fastest of "
-        f"{plural(len(right), 'arm')} whose answers meet the demand there is "
+        f"{plural(len(right), 'configuration')} whose answers meet the demand there is "
         f"**{timed_name(first.rows[0])}** ({_how(first)}), "
         f"{time_text(first.timed[horizons].median_ns)}."
     )
 
 
-def _how(arm: SweptArm) -> str:
-    return f"{arm.formulation.replace('_', ' ')}, {arm.way}"
+def _how(configuration: SweptConfiguration) -> str:
+    return f"{configuration.formulation.replace('_', ' ')}, {configuration.way}"
 
 
-def _growth_text(arm: SweptArm, growth: Growth) -> str:
+def _growth_text(configuration: SweptConfiguration, growth: Growth) -> str:
     exponent = growth.exponent
     interval = interval_text(exponent.low, exponent.high)
     average = (
@@ -106,4 +122,4 @@ def _growth_text(arm: SweptArm, growth: Growth) -> str:
         else ""
     )
     power = f"like n to the {significant(exponent.value)} {interval}{average}"
-    return f"**{timed_name(arm.rows[0])}** ({_how(arm)}), {power}"
+    return f"**{timed_name(configuration.rows[0])}** ({_how(configuration)}), {power}"

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 from dpbench.analysis.random_claims import RandomClaims
-from dpbench.analysis.records import View
+from dpbench.analysis.records import Records
 from dpbench.report.blocks import Block, Card, Cards, Paragraph, Section, Tabular
 from dpbench.report.formats import and_list, count_text, plural
-from dpbench.report.tables_random import arm_tables, arms_of, family_table, where_table
+from dpbench.report.tables_random import (
+    configuration_tables,
+    configurations_of,
+    family_table,
+    where_table,
+)
 
 INTRODUCTION = (
     "Every QP here is random, with an optimum that was planted: chosen first, and the cost and the "
     "limits around it. q, l and u walk along smooth paths with jumps while P, A and the bounds "
     "stay. The referee certified them all again without being told. A solver that says *solved* "
     "of an answer that is not true, or *infeasible* of a problem with an optimum, is counted "
-    "below; no step time is compared, since arms ran side by side."
+    "below; no step time is compared, since configurations ran side by side."
 )
 
 
-def random_section(view: View) -> Section | None:
+def random_section(view: Records) -> Section | None:
     """False claims of random problems; None where the records hold no such problem."""
     if not view.random:
         return None
@@ -25,7 +30,9 @@ def random_section(view: View) -> Section | None:
     claims = RandomClaims(view)
     where = where_table(claims)
     tables: list[Block] = [Tabular(family_table(claims))]
-    tables += [Tabular(table) for table in (where, *arm_tables(claims)) if table is not None]
+    tables += [
+        Tabular(table) for table in (where, *configuration_tables(claims)) if table is not None
+    ]
     section.add(
         Paragraph(" ".join(_summary(claims)), lead=True),
         _cards(claims),
@@ -35,7 +42,7 @@ def random_section(view: View) -> Section | None:
     return section
 
 
-def random_lines(view: View) -> list[str]:
+def random_lines(view: Records) -> list[str]:
     """The same in a few plain lines for a terminal; none without random problems."""
     if not view.random:
         return []
@@ -43,23 +50,24 @@ def random_lines(view: View) -> list[str]:
 
 
 def _honest(claims: RandomClaims) -> list[str]:
-    """Solvers of which no arm made a false claim."""
+    """Solvers of which no configuration made a false claim."""
     return sorted(solver for (solver,), t in claims.by("solver").items() if t.steps and not t.wrong)
 
 
 def _summary(claims: RandomClaims) -> list[str]:
-    arms = arms_of(claims)
-    wrong = [tally for _, tally in arms if tally.wrong]
+    configurations = configurations_of(claims)
+    wrong = [tally for _, tally in configurations if tally.wrong]
     sequences = {str(row["sequence"]) for row in claims.rows}
     whole = claims.of(claims.rows)
     kinds = claims.certificates().values()
     unknown = sum(found.get("none", 0) for found in kinds)
     lines = [
         f"{plural(sum(sum(found.values()) for found in kinds), 'random QP')} in "
-        f"{plural(len(sequences), 'sequence')}, put to {plural(len(arms), 'arm')}: "
+        f"{plural(len(sequences), 'sequence')}, put to "
+        f"{plural(len(configurations), 'configuration')}: "
         f"{plural(whole.lies[0], 'answer')} claimed *solved* that the referee finds untrue, "
         f"{plural(whole.empty_wrong, 'optimum', 'optima')} called infeasible or unbounded; "
-        f"{plural(len(wrong), 'arm')} made such a claim."
+        f"{plural(len(wrong), 'configuration')} made such a claim."
     ]
     honest = _honest(claims)
     if honest:

@@ -8,12 +8,17 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import View
+from dpbench.analysis.records import Records
 from dpbench.analysis.statistics import supports
-from dpbench.analysis.times.pooled import Pool, pool
+from dpbench.analysis.times.pooled import CommonSteps, common_steps
 from dpbench.analysis.times.ranks import Ranking, rank
 from dpbench.analysis.times.ratios import baseline_of, ratios
-from dpbench.analysis.times.work_precision import Rung, fastest_at, native_ladders, usual_ladders
+from dpbench.analysis.times.work_precision import (
+    LevelPoint,
+    default_route_levels,
+    fastest_at,
+    native_route_levels,
+)
 from dpbench.errors import InputError
 from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular, missing
 from dpbench.report.figures_ranks import (
@@ -28,16 +33,20 @@ from dpbench.report.tables_levels import levels_of
 from dpbench.report.tables_ranks import rank_table, ratio_tables
 
 
-def check_baseline(view: View, demand: Demand, solver: str) -> None:
-    """Refuse a baseline without a replayed arm that others can be compared with."""
-    pooled = pool(view, demand)
-    known = list(dict.fromkeys(arm.solver for arm in pooled.arms)) if pooled else []
+def check_baseline(view: Records, demand: Demand, solver: str) -> None:
+    """Refuse a baseline without a replayed configuration that others can be compared with."""
+    pooled = common_steps(view, demand)
+    known = (
+        list(dict.fromkeys(configuration.solver for configuration in pooled.configurations))
+        if pooled
+        else []
+    )
     if solver not in known:
         allowed = ", ".join(known) or "none, no replay left a step"
         raise InputError("--baseline", "", repr(solver), f"a solver that was replayed: {allowed}")
 
 
-def ranks_section(view: View, demand: Demand, baseline: str | None = None) -> Section:
+def ranks_section(view: Records, demand: Demand, baseline: str | None = None) -> Section:
     """Rankings and what they depend on.
 
     Parameters
@@ -45,8 +54,8 @@ def ranks_section(view: View, demand: Demand, baseline: str | None = None) -> Se
     baseline : the solver that others are compared with; None: that of the suite, or the fastest.
     """
     section = Section("ranks", "Rankings")
-    pooled = pool(view, demand)
-    if pooled is None or not pooled.arms:
+    pooled = common_steps(view, demand)
+    if pooled is None or not pooled.configurations:
         section.add(missing("no replay left a step, so nothing is ranked."))
         return section
     section.add(
@@ -62,47 +71,53 @@ def ranks_section(view: View, demand: Demand, baseline: str | None = None) -> Se
     return section
 
 
-def _precision_pictures(view: View, pooled: Pool, demand: Demand) -> list[Block]:
-    usual = usual_ladders(view, pooled.sequences)
-    native = native_ladders(view, pooled.sequences)
+def _precision_pictures(view: Records, pooled: CommonSteps, demand: Demand) -> list[Block]:
+    usual = default_route_levels(view, pooled.sequences)
+    native = native_route_levels(view, pooled.sequences)
     blocks: list[Block] = []
     if usual:
         how = "default route, policy fresh"
         blocks.append(_precision_picture("work_precision", how, pooled, usual, demand))
-    if any(rung.policy != "fresh" for rungs in native.values() for rung in rungs):
+    if any(point.policy != "fresh" for points in native.values() for point in points):
         how = "route native, each solver with its fastest policy by p50"
         blocks.append(_precision_picture("work_precision_native", how, pooled, native, demand))
     return blocks
 
 
 def _precision_picture(
-    name: str, how: str, pooled: Pool, ladders: Mapping[str, Sequence[Rung]], demand: Demand
+    name: str,
+    how: str,
+    pooled: CommonSteps,
+    levels_by_solver: Mapping[str, Sequence[LevelPoint]],
+    demand: Demand,
 ) -> Picture:
-    rungs = [rung for found in ladders.values() for rung in found]
-    silent = [f"{r.solver} ({r.settings})" for r in rungs if math.isinf(r.error_move)]
+    points = [point for found in levels_by_solver.values() for point in found]
+    silent = [f"{r.solver} ({r.settings})" for r in points if math.isinf(r.error_move)]
     without = (
         f" Not drawn, as they leave steps without an answer: {and_list(silent)}." if silent else ""
     )
-    unknown = [f"{r.solver} ({r.settings})" for r in rungs if math.isnan(r.error_move)]
+    unknown = [f"{r.solver} ({r.settings})" for r in points if math.isnan(r.error_move)]
     without += f" Not drawn for want of an optimum: {and_list(unknown)}." if unknown else ""
     tail = (
         ""
-        if any(math.isfinite(rung.p99_ns) for rung in rungs)
+        if any(math.isfinite(point.p99_ns) for point in points)
         else " No sequence has the 1000 steps that a p99 takes."
     )
     return Picture(
         name,
         f"What accuracy costs, {how}",
-        f"{plural(len(ladders), 'solver')}, {plural(len(rungs), 'arm')}, "
+        f"{plural(len(levels_by_solver), 'solver')}, {plural(len(points), 'configuration')}, "
         f"{_names(pooled)}; a line joins the settings of one solver. Time: the worst over the "
         f"sequences{_long_enough(pooled)}; error: the largest of all, below 1e-15 "
         f"drawn there. Coloured: of each method family the {OF_EACH} of least p50 that meet the "
         f"demand on every step.{tail}{without}",
-        work_precision(ladders, highlighted(fastest_at(ladders, demand.error_move)), demand),
+        work_precision(
+            levels_by_solver, highlighted(fastest_at(levels_by_solver, demand.error_move)), demand
+        ),
     )
 
 
-def _long_enough(pooled: Pool) -> str:
+def _long_enough(pooled: CommonSteps) -> str:
     """Which sequences both times are of, where some are too short for a p99."""
     counts = np.bincount(pooled.sequence_of)
     whole = [f"`{name}`" for i, name in enumerate(pooled.sequences) if supports(counts[i], 99)]
@@ -111,16 +126,16 @@ def _long_enough(pooled: Pool) -> str:
     return f" long enough for a p99 ({and_list(whole)})"
 
 
-def _names(pooled: Pool) -> str:
+def _names(pooled: CommonSteps) -> str:
     steps = plural(len(pooled.sequence_of), "step")
     return f"{steps} of {and_list(list(pooled.sequences))}"
 
 
-def _ratios(pooled: Pool, wanted: str | None) -> list[Block]:
+def _ratios(pooled: CommonSteps, wanted: str | None) -> list[Block]:
     """The paired ratios to the baseline, and how it was chosen."""
     baseline = baseline_of(pooled, wanted)
     chosen = wanted == baseline.solver
-    why = "the fastest way of the solver chosen" if chosen else "the fastest arm"
+    why = "the fastest way of the solver chosen" if chosen else "the fastest configuration"
     why += " by geometric mean"
     does = "keep to" if baseline.right else "miss"
     right = f"in these replays its answers {does} the demand's accuracy"
@@ -138,15 +153,15 @@ def _ratios(pooled: Pool, wanted: str | None) -> list[Block]:
     ]
 
 
-def _rankings(pooled: Pool, demand: Demand) -> list[Block]:
+def _rankings(pooled: CommonSteps, demand: Demand) -> list[Block]:
     """Profiles and places per accuracy; that of the demand unfolded."""
     found = [rank(pooled, level, demand) for level in levels_of(demand)]
-    solving = [ranking for ranking in found if ranking.placed]
+    solving = [ranking for ranking in found if ranking.ranked_configuration]
     blocks: list[Block] = []
     if solving:
         blocks.append(_profile_picture(pooled, solving, demand))
     for ranking in found:
-        if ranking.placed:
+        if ranking.ranked_configuration:
             folded = ranking.level != demand.error_move
             blocks.append(Tabular(rank_table(pooled, ranking, folded=folded)))
         else:
@@ -154,9 +169,14 @@ def _rankings(pooled: Pool, demand: Demand) -> list[Block]:
     return blocks
 
 
-def _profile_picture(pooled: Pool, found: Sequence[Ranking], demand: Demand) -> Picture:
+def _profile_picture(pooled: CommonSteps, found: Sequence[Ranking], demand: Demand) -> Picture:
     judged = next((r for r in found if r.level == demand.error_move), found[0])
-    colours = highlighted([placed.arm.solver for placed in judged.placed])
+    colours = highlighted(
+        [
+            ranked_configuration.configuration.solver
+            for ranked_configuration in judged.ranked_configuration
+        ]
+    )
     return Picture(
         "performance_profiles",
         "Performance profiles",

@@ -10,7 +10,7 @@ DEFINITIONS = (
     "certified optimum of the *same* QP, as a fraction of the step the rate limit allows; "
     "**error_plan** is the same over all moves. A step without an answer has an infinite error.",
     "**claimed**: the solver says solved. **true**: in scaled units primal ≤ 1e-3, dual ≤ "
-    "1e-3·(1 + ‖q‖∞) and error_plan ≤ 1e-2. A solver never grades itself.",
+    "1e-3·(1 + ‖q‖∞) and error_plan ≤ 1e-2. A solver never evaluations itself.",
     "**certified bound**: how far the referee's own optimum may be from the true one, at most.",
     "**failed step**: there was no usable answer and the fallback acted, or an iterate was "
     "applied that the solver itself calls unfinished. To give no answer to a QP that is proven to "
@@ -21,7 +21,8 @@ DEFINITIONS = (
     "**raw time**: all samples of all rounds, pooled. Its tail is the machine's jitter as much "
     "as the solver's.",
     "**route**: `native` calls the solver's own library; `qpsolvers` goes through that wrapper, "
-    "whose conversions are part of the solve and cannot be split further. Arms on different "
+    "whose conversions are part of the solve and cannot be split further. Configurations on "
+    "different "
     "routes differ by the wrapper too.",
     "**policy**: `fresh` sets up from nothing in every step; `reuse` keeps factorisation and "
     "memory; `warm` keeps the previous answer as well, shifted by one move where the solver takes "
@@ -33,21 +34,25 @@ DEFINITIONS = (
     "of 1e-3, 1e-6 and 1e-9; `polished` adds the solver's own polishing of the answer. Where "
     "settings have no effect, one run is shown under all names.",
     "**shifted geometric mean**: exp(mean ln(t + s)) − s over steps, every sequence of equal "
-    "weight; the shift s is the median of the fastest arm, as one of seconds would make it an "
+    "weight; the shift s is the median of the fastest configuration, as one of seconds would "
+    "make it an "
     "arithmetic mean. **Performance profile**: the share of steps solved within so many times the "
     "fastest solver's time on the same step.",
     "**unsolved step** of a ranking at an accuracy: it failed, its answer is not **true**, or its "
     "error_move is larger than the accuracy. To meet the demand asks for error_move and failed "
-    "steps alone, so an arm whose later moves are off may meet it and still have unsolved steps. "
-    "**flips**: other places that another penalty, "
+    "steps alone, so a configuration whose later moves are off may meet it and still have "
+    "unsolved steps. "
+    "**other_ranks**: other places that another penalty, "
     "another shift or the loss of one sequence leads to.",
     "**the machine was quiet** or **disturbed**: judged by a rule stated beside it, from what the "
     "kernel counts around every replay round and from a reference kernel timed before and after "
-    "it. A round in which that kernel is slowed by more than a quarter is spoilt and run again "
-    "once; one spoilt twice does not count. Context switches that an arm makes itself, such as by "
+    "it. A round in which that kernel is slowed by more than a quarter is disturbed and run again "
+    "once; one disturbed twice does not count. Context switches that a configuration makes "
+    "itself, such as by "
     "a thread in each solve, are named and do not count: one in every other step at least, and "
-    "ten times as many a second as the median arm and the rule allow.",
-    "**no_op**, **copy_only**, **busy_wait**: arms of the harness itself, of known cost, by which "
+    "ten times as many a second as the median configuration and the rule allow.",
+    "**no_op**, **copy_only**, **busy_wait**: configurations of the harness itself, of known "
+    "cost, by which "
     "it measures its own overhead and shows that it measures right. They answer nothing, are "
     "judged by nobody, and no time is corrected by them.",
     "**slow-down**: the deadline over the largest algorithmic step time, rounded down; a "

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from dpbench.analysis.records import View
+from dpbench.analysis.records import Records
 from dpbench.errors import UnknownNameError
 from dpbench.report.blocks import Block, Paragraph, Section, Tabular, missing
 from dpbench.report.formats import MISSING, and_list, plural
@@ -19,7 +19,7 @@ from dpbench.solvers.table import record
 POLICIES: tuple[Policy, ...] = ("fresh", "reuse", "warm")
 
 
-def solvers_section(view: View) -> Section:
+def solvers_section(view: Records) -> Section:
     """What each solver can do on each route, and what its own documentation says."""
     section = Section("solvers", "What each solver can do")
     known, unknown = _records(view)
@@ -48,7 +48,7 @@ def solvers_section(view: View) -> Section:
     return section
 
 
-def _records(view: View) -> tuple[list[SolverRecord], list[str]]:
+def _records(view: Records) -> tuple[list[SolverRecord], list[str]]:
     """Records of the ranked solvers, and the names that have none here."""
     known, unknown = [], []
     for solver in sorted(view.solvers):

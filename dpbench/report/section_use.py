@@ -5,23 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dpbench.analysis.demand import Demand, is_right
-from dpbench.analysis.records import View
+from dpbench.analysis.records import Records
 from dpbench.analysis.times.horizon_sweep import between_ends, sweeps
 from dpbench.analysis.times.routes import (
     ABOVE,
-    LADDER,
+    LEVELS,
     SLOWER_SHARE,
     WRAPPED,
-    Ways,
-    native_ways,
-    ways_of,
+    RouteComparison,
+    native_comparisons,
+    route_comparisons,
 )
 from dpbench.report.blocks import Block, Bullets, Paragraph, Picture, Section, Tabular, missing
 from dpbench.report.figures_use import step_down
 from dpbench.report.formats import plural
+from dpbench.report.routes_text import beside_wrapped, remark_lines
 from dpbench.report.table import Table, row_of
-from dpbench.report.tables_use import kept_table, ladder_table, missing_table
-from dpbench.report.ways_text import beside_wrapped, remark_lines
+from dpbench.report.tables_use import kept_table, missing_table, route_table
 
 INTRODUCTION = (
     "A controller sets its solver up once, then hands over q, l and u at every sample and solves "
@@ -37,7 +37,7 @@ MORE = f"measurably and more than {100 * SLOWER_SHARE:g} %"
 ENDS_ONLY = "Of a horizon sweep this section holds the shortest and the longest horizons."
 
 
-def use_section(view: View, demand: Demand) -> Section:
+def use_section(view: Records, demand: Demand) -> Section:
     """What the wrapper costs, and what a kept workspace and a warm start bring or break."""
     section = Section("use", "As a controller would use it")
     section.add(Paragraph(INTRODUCTION))
@@ -45,15 +45,15 @@ def use_section(view: View, demand: Demand) -> Section:
     shown = [sequence for sequence in view.sequences if sequence not in repeated]
     if repeated:
         section.add(Paragraph(ENDS_ONLY))
-    every = {sequence: ways_of(view, sequence) for sequence in shown}
-    native = {sequence: native_ways(ways) for sequence, ways in every.items()}
+    every = {sequence: route_comparisons(view, sequence) for sequence in shown}
+    native = {sequence: native_comparisons(ways) for sequence, ways in every.items()}
     if not any(WRAPPED in w.times for ways in native.values() for w in ways):
         section.add(missing("no solver was replayed both natively and through qpsolvers."))
     for i, (sequence, ways) in enumerate(every.items()):
-        section.add(*_ladder(i, sequence, native[sequence], demand))
+        section.add(*_routes(i, sequence, native[sequence], demand))
         section.add(*_standing_out(sequence, [w for w in ways if w.settings == "default"]))
         tables = (
-            ladder_table(native[sequence], sequence, others=True),
+            route_table(native[sequence], sequence, others=True),
             _remark_table(sequence, [w for w in ways if w.settings != "default"]),
             kept_table(ways, sequence),
         )
@@ -63,18 +63,21 @@ def use_section(view: View, demand: Demand) -> Section:
     return section
 
 
-def _ladder(i: int, sequence: str, native: Sequence[Ways], demand: Demand) -> list[Block]:
+def _routes(
+    i: int, sequence: str, native: Sequence[RouteComparison], demand: Demand
+) -> list[Block]:
     """Table and figure of the settings `default`."""
-    table = ladder_table(native, sequence)
+    table = route_table(native, sequence)
     if table is None:
         return []
     usual = [w for w in native if w.settings == "default"]
     right = [frozenset(way for way in w.times if is_right(w.rows[way], demand)) for w in usual]
-    arms = sum(way in w.times for w in usual for way in LADDER)
+    configurations = sum(way in w.times for w in usual for way in LEVELS)
     picture = Picture(
         f"step_down_{i + 1}",
         f"From wrapper to warm start in the replay of {sequence}",
-        f"{plural(len(usual), 'solver')}, {plural(arms, 'arm')}, settings default, "
+        f"{plural(len(usual), 'solver')}, {plural(configurations, 'configuration')}, settings "
+        "default, "
         "fastest by median first; each stair steps down from qpsolvers fresh to native warm. "
         "Hollow: an answer misses the demand.",
         step_down(usual, right),
@@ -83,7 +86,7 @@ def _ladder(i: int, sequence: str, native: Sequence[Ways], demand: Demand) -> li
     return [*(Paragraph(line) for line in lines if line), Tabular(table), picture]
 
 
-def _standing_out(sequence: str, ways: Sequence[Ways]) -> list[Block]:
+def _standing_out(sequence: str, ways: Sequence[RouteComparison]) -> list[Block]:
     kept = sum(way in w.times for w in ways for way in ABOVE if way[1] != "fresh")
     if not kept:
         return []
@@ -91,7 +94,8 @@ def _standing_out(sequence: str, ways: Sequence[Ways]) -> list[Block]:
     if not lines:
         return [
             Paragraph(
-                f"In the replay of `{sequence}` nothing stands out: {plural(kept, 'kept arm')} "
+                f"In the replay of `{sequence}` nothing stands out: "
+                f"{plural(kept, 'kept configuration')} "
                 f"at settings `default`, none of them {MORE} slower than what it is compared with, "
                 "and none breaks an answer."
             )
@@ -105,7 +109,7 @@ def _standing_out(sequence: str, ways: Sequence[Ways]) -> list[Block]:
     ]
 
 
-def _remark_table(sequence: str, ways: Sequence[Ways]) -> Table | None:
+def _remark_table(sequence: str, ways: Sequence[RouteComparison]) -> Table | None:
     lines = remark_lines(ways)
     if not lines:
         return None

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.recommendation import known_record, recommend, why_not_aboard
-from dpbench.analysis.records import View
+from dpbench.analysis.records import Records
 from dpbench.analysis.times.pairs import fastest_first
-from dpbench.analysis.verdict import Verdict, Verdicts, judge_all
+from dpbench.analysis.verdict import Verdict, Verdicts, verdicts_of
 from dpbench.report.blocks import Bullets, Card, Cards, Paragraph, Section, Tabular, missing
 from dpbench.report.formats import (
     MISSING,
@@ -22,7 +22,7 @@ from dpbench.report.formats import (
 from dpbench.report.table import Cell, Mark, Table, row_of
 from dpbench.report.tables_levels import level_tables
 from dpbench.report.verdict_text import (
-    contrast,
+    baseline_law,
     demand_text,
     elsewhere,
     judged_on,
@@ -36,22 +36,22 @@ MARKS: dict[str, Mark] = {"meets": "good", "misses": "bad", "open": "warn", "not
 ORDER = tuple(MARKS)
 
 
-def verdict_lines(view: View, demand: Demand) -> list[str]:
+def verdict_lines(view: Records, demand: Demand) -> list[str]:
     """The verdict in a few plain lines without markup, for a terminal."""
-    verdicts = judge_all(view, demand)
+    verdicts = verdicts_of(view, demand)
     lines = summary(verdicts)
     if verdicts.of:
         lines += recommendation(view, verdicts)
     return [line.replace("**", "").replace("`", "") for line in lines]
 
 
-def verdict_section(view: View, demand: Demand) -> Section:
+def verdict_section(view: Records, demand: Demand) -> Section:
     """Which configuration to use, which solvers meet the demand, which do not and why."""
     section = Section("verdict", "Verdict")
-    verdicts = judge_all(view, demand)
+    verdicts = verdicts_of(view, demand)
     if not verdicts.of:
         nothing = missing("no solver was run in scaled units, nothing is judged.")
-        section.add(nothing, Paragraph(contrast(view)))
+        section.add(nothing, Paragraph(baseline_law(view)))
         return section
     section.add(
         Paragraph(" ".join(recommendation(view, verdicts)), lead=True),
@@ -61,7 +61,7 @@ def verdict_section(view: View, demand: Demand) -> Section:
         Tabular(verdict_table(verdicts)),
         *(Tabular(table) for table in level_tables(view, demand)),
         Bullets(tuple(sentence(v, demand) + elsewhere(verdicts, v) for v in _ordered(verdicts))),
-        Paragraph(contrast(view)),
+        Paragraph(baseline_law(view)),
     )
     return section
 
@@ -90,14 +90,14 @@ def _cards(verdicts: Verdicts) -> tuple[Card, ...]:
     if found.chosen is not None:
         title = f"fastest that can go aboard, by {yardstick(found.chosen)}"
         cards.append(Card(title, found.chosen.solver, _way(found.chosen), "good"))
-        cards += _slowdown_cards(found.chosen, demand)
+        cards += _delay_cards(found.chosen, demand)
     if found.faster is not None:
         words = f"{_way(found.faster)}; {found.because}"
         cards.append(Card("faster, not to go aboard as it is", found.faster.solver, words))
     return tuple(cards)
 
 
-def _slowdown_cards(chosen: Verdict, demand: Demand) -> list[Card]:
+def _delay_cards(chosen: Verdict, demand: Demand) -> list[Card]:
     """How slow a computer may be for the configuration that is recommended, named beside it."""
     stands = f"{chosen.label}: {{}} takes {demand.deadline_ms:g} ms"
     step = f"its largest algorithmic step, {time_text(chosen.algo_max_ns)},"

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence, Sized
 from matplotlib.figure import Figure
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import View, has_steps
+from dpbench.analysis.records import Records, has_steps
 from dpbench.report.blocks import (
     Block,
     Bullets,
@@ -28,7 +28,7 @@ from dpbench.report.figures_paper import (
 )
 from dpbench.report.figures_ship import ship
 from dpbench.report.formats import and_list, count_text, plural
-from dpbench.report.namesake import OF_PAPER, is_of_paper
+from dpbench.report.is_paper_scenario import OF_PAPER, is_of_paper
 from dpbench.report.reproduced import (
     BRACKETED,
     DESIGN_LIMITS,
@@ -63,7 +63,7 @@ DRAWN = 12
 """Scenarios that get a figure of their own; a campaign may have a hundred."""
 
 
-def figures_section(view: View, demand: Demand) -> Section:
+def figures_section(view: Records, demand: Demand) -> Section:
     """The figures of the paper, the step times, the deviations."""
     section = Section("figures", "Figures")
     for name, figures in FIGURES.items():
@@ -94,7 +94,9 @@ def _left_out(scenarios: Sized) -> str:
     return f" The first {DRAWN} of {len(scenarios)} scenarios; the tables have all."
 
 
-def _paper_pictures(view: View, name: str, figures: Sequence[tuple[str, str, Draw]]) -> list[Block]:
+def _paper_pictures(
+    view: Records, name: str, figures: Sequence[tuple[str, str, Draw]]
+) -> list[Block]:
     scenario, laws = view.scenario(name), laws_of(view, name)
     if scenario is None or not laws:
         return [missing(f"no complete closed loop of `{name}`, so its figures are not drawn.")]
@@ -102,7 +104,7 @@ def _paper_pictures(view: View, name: str, figures: Sequence[tuple[str, str, Dra
     return [Picture(key, title, caption, draw(laws, scenario)) for key, title, draw in figures]
 
 
-def _ship_pictures(view: View) -> list[Block]:
+def _ship_pictures(view: Records) -> list[Block]:
     """One figure for each scenario that is not the paper's and has a whole closed loop."""
     blocks: list[Block] = []
     for i, name in enumerate(view.scenarios):
@@ -133,7 +135,7 @@ def _caption(laws: Sequence[Law], scenario: Scenario) -> str:
     )
 
 
-def control_section(view: View, demand: Demand) -> Section:
+def control_section(view: Records, demand: Demand) -> Section:
     """What every solver's own closed loop did to the ship."""
     section = Section("control", "Control")
     tables = [table for name in view.scenarios for table in control_tables(view, name, demand)]
@@ -143,7 +145,7 @@ def control_section(view: View, demand: Demand) -> Section:
     return section
 
 
-def reproduced_section(view: View, *, designed: bool) -> Section:
+def reproduced_section(view: Records, *, designed: bool) -> Section:
     """What of the paper is reproduced and what is not.
 
     designed : the report has a section on the design.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import View, as_float
+from dpbench.analysis.records import Records, as_float
 from dpbench.bench.workers.interleaved import FEWEST_ROUNDS
 from dpbench.report.blocks import Block, Bullets, Paragraph, Picture, Section, Tabular, missing
 from dpbench.report.figures import units_heat_map
@@ -15,16 +15,16 @@ from dpbench.report.tables_runs import experiments_table, population_table, unfi
 from dpbench.report.tables_spent import spent_table
 
 
-def runs_section(view: View) -> Section:
+def runs_section(view: Records) -> Section:
     """What was run, on what machine, and what did not finish."""
     section = Section("runs", "What was run")
-    if not view.every:
+    if not view.all_runs:
         section.add(missing("the results hold no cell."))
         return section
-    ended = sum(row["outcome"] == "finished" for row in view.every)
+    ended = sum(row["outcome"] == "finished" for row in view.all_runs)
     section.add(
         Paragraph(
-            f"{plural(len(view.every), 'cell')} with {plural(len(view.solvers), 'solver')} in "
+            f"{plural(len(view.all_runs), 'cell')} with {plural(len(view.solvers), 'solver')} in "
             f"{and_list(_problems(view))}; {count_text(ended)} finished. {_effort(view)}"
         ),
         Bullets(tuple(machine_lines(view.machine))),
@@ -42,18 +42,18 @@ def runs_section(view: View) -> Section:
     return section
 
 
-def _problems(view: View) -> list[str]:
+def _problems(view: Records) -> list[str]:
     """What was run: scenarios by name, random sequences by number."""
     drawn = {str(row["sequence"]) for row in view.random}
-    slowed = [str(row["scenario"]) for row in view.slowed]
+    slowed = [str(row["scenario"]) for row in view.delayed]
     names = [f"`{scenario}`" for scenario in dict.fromkeys([*view.scenarios, *slowed])]
     return [*names, plural(len(drawn), "random sequence")] if drawn else names
 
 
-def _effort(view: View) -> str:
+def _effort(view: Records) -> str:
     suite = view.suite
     words = []
-    replayed = any(row["mode"] == "replay" for row in view.every)
+    replayed = any(row["mode"] == "replay" for row in view.all_runs)
     if "rounds" in suite and replayed:
         rounds = f"each replay has {plural(as_float(suite['rounds']), 'round')}"
         budget_s = as_float(suite.get("replay_budget_s"))
@@ -71,10 +71,12 @@ def _effort(view: View) -> str:
             + (f" ({others} where a table of closed loops says so)" if own else "")
         )
     if replayed:
-        spoilt = [as_float(row["spoilt_rounds"]) for row in view.select(mode="replay")]
-        count = sum(value for value in spoilt if value > 0)
-        words.append(f"{plural(count, 'round')} marked as spoilt by a slow machine")
-        kept = [row for row in view.select(mode="replay") if as_float(row["counting_spoilt"]) > 0]
+        disturbed = [as_float(row["disturbed_rounds"]) for row in view.select(mode="replay")]
+        count = sum(value for value in disturbed if value > 0)
+        words.append(f"{plural(count, 'round')} marked as disturbed by a slow machine")
+        kept = [
+            row for row in view.select(mode="replay") if as_float(row["counting_disturbed"]) > 0
+        ]
         if kept:
             words.append(
                 f"in {plural(len(kept), 'replay')} every round was, so all of them count but the "
@@ -130,7 +132,7 @@ def _load_line(machine: dict[str, Any]) -> list[str]:
     return [text]
 
 
-def accuracy_section(view: View, demand: Demand) -> Section:
+def accuracy_section(view: Records, demand: Demand) -> Section:
     """How right the answers are in the full-length closed loops."""
     section = Section("accuracy", "Accuracy")
     section.add(
@@ -146,7 +148,7 @@ def accuracy_section(view: View, demand: Demand) -> Section:
     return section
 
 
-def units_section(view: View) -> Section:
+def units_section(view: Records) -> Section:
     """What raw SI units do to each solver."""
     section = Section("units", "Units and settings")
     matrix = units_matrix(view)

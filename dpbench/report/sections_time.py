@@ -6,14 +6,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import View
+from dpbench.analysis.records import Records
 from dpbench.analysis.times.horizon_sweep import between_ends, sweeps
 from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular, missing
 from dpbench.report.figures import step_times
 from dpbench.report.formats import plural
 from dpbench.report.formulations import OTHERS, formulation_tables
 from dpbench.report.section_harness import machine_blocks
-from dpbench.report.tables_timing import Arm, jitter_table, timed_arms, timing_tables
+from dpbench.report.tables_timing import (
+    PooledConfiguration,
+    jitter_table,
+    timed_configurations,
+    timing_tables,
+)
 
 ENDS_ONLY = (
     "Of a horizon sweep the shortest and the longest horizons stand here in full and those between "
@@ -21,7 +26,7 @@ ENDS_ONLY = (
 )
 
 
-def timing_section(view: View, demand: Demand) -> Section:
+def timing_section(view: Records, demand: Demand) -> Section:
     """Step times from replays alone."""
     section = Section("timing", "Step times")
     section.add(
@@ -50,22 +55,27 @@ def timing_section(view: View, demand: Demand) -> Section:
     return section
 
 
-def timing_pictures(view: View, demand: Demand) -> list[Block]:
+def timing_pictures(view: Records, demand: Demand) -> list[Block]:
     """Distributions of step times, per replayed sequence."""
     blocks: list[Block] = []
     repeated = between_ends(sweeps(view, demand))
     for i, sequence in enumerate(view.sequences):
-        arms = timed_arms(view, sequence)
-        if not arms or sequence in repeated:
+        configurations = timed_configurations(view, sequence)
+        if not configurations or sequence in repeated:
             continue
-        usual = [arm for arm in arms if arm[0]["settings"] == "default"] or arms
+        usual = [
+            configuration
+            for configuration in configurations
+            if configuration[0]["settings"] == "default"
+        ] or configurations
         shown = _two_of_each(usual)
         steps = plural(max(len(times.algo_ns) for _, times in shown), "step")
         blocks.append(
             Picture(
                 f"step_times_{i + 1}",
                 f"Step times in the replay of {sequence}",
-                f"{plural(len(shown), 'arm')} of {len(usual)}, {steps}, settings default; of each "
+                f"{plural(len(shown), 'configuration')} of {len(usual)}, {steps}, settings "
+                "default; of each "
                 "solver the default route with policy fresh and the fastest by median.",
                 step_times(shown, demand),
             )
@@ -73,14 +83,15 @@ def timing_pictures(view: View, demand: Demand) -> list[Block]:
     return blocks
 
 
-def _two_of_each(arms: Sequence[Arm]) -> list[Arm]:
-    """Of each solver its default arm and its fastest one; `arms` come fastest first."""
-    fastest: dict[str, Arm] = {}
-    for arm in arms:
-        fastest.setdefault(str(arm[0]["solver"]), arm)
+def _two_of_each(configurations: Sequence[PooledConfiguration]) -> list[PooledConfiguration]:
+    """Of each solver its default configuration and its fastest one; `configurations` come fastest
+    first."""
+    fastest: dict[str, PooledConfiguration] = {}
+    for configuration in configurations:
+        fastest.setdefault(str(configuration[0]["solver"]), configuration)
     return [
-        arm
-        for arm in arms
-        if (arm[0]["default_route"] and arm[0]["policy"] == "fresh")
-        or fastest[str(arm[0]["solver"])] is arm
+        configuration
+        for configuration in configurations
+        if (configuration[0]["default_route"] and configuration[0]["policy"] == "fresh")
+        or fastest[str(configuration[0]["solver"])] is configuration
     ]

@@ -9,7 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import Row, View, as_float, has_steps, is_contrast, name_of
+from dpbench.analysis.records import (
+    Records,
+    RunRecord,
+    as_float,
+    has_steps,
+    is_baseline_law,
+    name_of,
+)
 from dpbench.report.formats import MISSING, count_text, error_text, plural, share_text
 from dpbench.report.table import Cell, Table, good_if, row_of
 
@@ -17,13 +24,13 @@ ARMS = (("scaled", "default"), ("scaled", "high"), ("si", "default"), ("si", "hi
 """Units and settings of the units table, in its column order."""
 
 
-def by_error(row: Row) -> tuple[bool, float, str]:
-    """Sort key: ranked solvers by their largest error, then the contrast law."""
+def by_error(row: RunRecord) -> tuple[bool, float, str]:
+    """Sort key: ranked solvers by their largest error, then the baseline law."""
     worst = as_float(row["error_move_max"])
-    return is_contrast(row), math.inf if math.isnan(worst) else worst, name_of(row)
+    return is_baseline_law(row), math.inf if math.isnan(worst) else worst, name_of(row)
 
 
-def accuracy_table(view: View, scenario: str, demand: Demand) -> Table | None:
+def accuracy_table(view: Records, scenario: str, demand: Demand) -> Table | None:
     """The answers of the full-length closed loops of one scenario; None when there is none."""
     rows = [row for row in view.full_loops(scenario) if has_steps(row)]
     if not rows:
@@ -36,7 +43,8 @@ def accuracy_table(view: View, scenario: str, demand: Demand) -> Table | None:
         title=f"Accuracy in `{scenario}`",
         note=(
             f"Closed loop, scaled units, settings default, {plural(steps, 'step')} asked of "
-            f"each of {plural(len(rows), 'arm')}; each steers its own ship, so the QPs differ. "
+            f"each of {plural(len(rows), 'configuration')}; each steers its own ship, so the "
+            "QPs differ. "
             f"Errors against the certified optimum of the same QP (largest certified bound "
             f"{error_text(certified)}). Failed: the fallback acted or an unfinished iterate was "
             "applied. An infinite error is printed as no answer."
@@ -66,12 +74,12 @@ def accuracy_table(view: View, scenario: str, demand: Demand) -> Table | None:
     )
 
 
-def _accuracy_row(row: Row, demand: Demand) -> tuple[Cell, ...]:
+def _accuracy_row(row: RunRecord, demand: Demand) -> tuple[Cell, ...]:
     move, done = as_float(row["error_move_max"]), as_float(row["steps_done"])
     lied, failed = as_float(row["claimed_not_true"]), as_float(row["failed_steps"])
-    law = is_contrast(row)
+    law = is_baseline_law(row)
     return row_of(
-        Cell(f"{name_of(row)} (contrast)" if law else name_of(row), "quiet" if law else ""),
+        Cell(f"{name_of(row)} (baseline_law)" if law else name_of(row), "quiet" if law else ""),
         str(row["route"]),
         good_if(count_text(done), done >= as_float(row["steps_planned"])),
         share_text(as_float(row["claimed_share"])),
@@ -88,7 +96,7 @@ def _accuracy_row(row: Row, demand: Demand) -> tuple[Cell, ...]:
 
 @dataclass(frozen=True)
 class UnitsCell:
-    """What one arm of the units comparison did in its first steps.
+    """What one configuration of the units comparison did in its first steps.
 
     true_share and error_move (largest; inf without an answer) over `steps` of `asked` steps.
     """
@@ -109,12 +117,12 @@ class UnitsMatrix:
     steps: dict[str, int]
 
 
-def units_matrix(view: View) -> UnitsMatrix | None:
+def units_matrix(view: Records) -> UnitsMatrix | None:
     """All solvers in both unit systems; None when the suite ran only one system."""
     loops = [
         row
         for row in view.select(mode="closed_loop", policy="fresh", default_route=True)
-        if not is_contrast(row) and row["outcome"] != "refused"
+        if not is_baseline_law(row) and row["outcome"] != "refused"
     ]
     si = [row for row in loops if row["units"] == "si"]
     scenarios = list(dict.fromkeys(str(row["scenario"]) for row in si))
@@ -139,7 +147,7 @@ def units_matrix(view: View) -> UnitsMatrix | None:
     return UnitsMatrix(tuple(sorted(names, key=worst)), columns, cells, steps)
 
 
-def _units_cell(view: View, row: Row, asked: int) -> UnitsCell:
+def _units_cell(view: Records, row: RunRecord, asked: int) -> UnitsCell:
     steps = view.steps(row)
     first = steps[steps["k"] < asked]
     if first.empty:
@@ -153,7 +161,7 @@ def _units_cell(view: View, row: Row, asked: int) -> UnitsCell:
 
 
 def units_table(matrix: UnitsMatrix) -> Table:
-    """Share of true answers and the largest error of the first move, per arm."""
+    """Share of true answers and the largest error of the first move, per configuration."""
     counts = ", ".join(f"first {plural(n, 'step')} of `{s}`" for s, n in matrix.steps.items())
     rows = []
     for solver in matrix.solvers:
@@ -166,7 +174,7 @@ def units_table(matrix: UnitsMatrix) -> Table:
             "a true answer (a step that was never reached counts as not true), then the largest "
             "error_move of the steps that were reached to one digit (∞: a step without an answer), "
             "and in brackets how many were reached where not all. Sorted by the number of "
-            "arms that are right on every step."
+            "configurations that are right on every step."
         ),
         heads=("solver", *(f"{s}: {u}, {a}" for s, u, a in matrix.columns)),
         rows=tuple(rows),
@@ -184,15 +192,15 @@ def _units_text(cell: UnitsCell | None) -> Cell:
 
 
 def _short_error(value: float) -> str:
-    """An error to one digit, so that all arms fit beside each other on a page."""
+    """An error to one digit, so that all configurations fit beside each other on a page."""
     if not math.isfinite(value) or value == 0.0:
         return "∞" if math.isinf(value) else error_text(value)
     digits, exponent = f"{value:.0e}".split("e")
     return f"{digits}e{int(exponent)}" if not 1e-2 <= value < 1e3 else f"{value:.1g}"
 
 
-def settings_without_effect(rows: Sequence[Row]) -> list[str]:
-    """Solvers whose arms at two settings levels are one run shown under both names."""
+def settings_without_effect(rows: Sequence[RunRecord]) -> list[str]:
+    """Solvers whose configurations at two settings levels are one run shown under both names."""
     from_levels: dict[str, dict[str, tuple[object, ...]]] = {}
     for row in rows:
         if has_steps(row):

@@ -8,7 +8,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import Row, View, as_float, has_steps, is_contrast, name_of
+from dpbench.analysis.records import (
+    Records,
+    RunRecord,
+    as_float,
+    has_steps,
+    is_baseline_law,
+    name_of,
+)
 from dpbench.bench.judge.deadlines import longest_streak
 from dpbench.report.formats import (
     MISSING,
@@ -80,7 +87,7 @@ MORE: tuple[tuple[str, str, Writer], ...] = (
 )
 
 
-def control_tables(view: View, scenario: str, demand: Demand) -> list[Table]:
+def control_tables(view: Records, scenario: str, demand: Demand) -> list[Table]:
     """The main table of one scenario and the folded one with the rest; none without runs."""
     found = [row for row in view.full_loops(scenario) if has_steps(row)]
     if not found:
@@ -93,25 +100,26 @@ def control_tables(view: View, scenario: str, demand: Demand) -> list[Table]:
     ]
 
 
-def _with_misses(view: View, row: Row, demand: Demand) -> Row:
+def _with_misses(view: Records, row: RunRecord, demand: Demand) -> RunRecord:
     """The row with the steps that took longer than the demand's deadline."""
     total = view.steps(row)["total_ns"].to_numpy(dtype=np.float64, na_value=np.nan)
     late = total > demand.deadline_ns
     return {**row, "missed": int(late.sum()), "missed_longest": longest_streak(late)}
 
 
-def _by_deviation(row: Row) -> tuple[bool, float, str]:
+def _by_deviation(row: RunRecord) -> tuple[bool, float, str]:
     deviation = as_float(row["dev_position_max_m"])
-    return is_contrast(row), math.inf if math.isnan(deviation) else deviation, name_of(row)
+    return is_baseline_law(row), math.inf if math.isnan(deviation) else deviation, name_of(row)
 
 
-def _note(view: View, scenario: str, rows: Sequence[Row], demand: Demand) -> str:
+def _note(view: Records, scenario: str, rows: Sequence[RunRecord], demand: Demand) -> str:
     early = [row for row in rows if as_float(row["steps_done"]) < as_float(row["steps_planned"])]
     counts = [f"{name_of(row)} ({plural(as_float(row['steps_done']), 'step')})" for row in early]
     cut = f" Stopped early, metrics over what was run: {', '.join(counts)}." if early else ""
     return (
         f"Closed loop of {plural(view.full_steps(scenario), 'step')}, scaled units, settings "
-        f"default, {plural(len(rows), 'arm')}. Deviation: position against the exactly solved "
+        f"default, {plural(len(rows), 'configuration')}. Deviation: position against the "
+        "exactly solved "
         "loop; sorted by it. Fallbacks: steps without a usable answer, in which the shifted plan "
         f"acted. Late: steps that took longer than {demand.deadline_ms:g} ms on this machine; the "
         f"ship waited for them. Violations of an applied force must be 0.{cut}"
@@ -122,7 +130,7 @@ def _table(
     title: str,
     note: str,
     columns: Sequence[tuple[str, str, Writer]],
-    rows: Sequence[Row],
+    rows: Sequence[RunRecord],
     *,
     folded: bool,
 ) -> Table:
@@ -142,12 +150,12 @@ def _table(
     )
 
 
-def _name(row: Row) -> Cell:
-    law = is_contrast(row)
-    return Cell(f"{name_of(row)} (contrast)" if law else name_of(row), "quiet" if law else "")
+def _name(row: RunRecord) -> Cell:
+    law = is_baseline_law(row)
+    return Cell(f"{name_of(row)} (baseline_law)" if law else name_of(row), "quiet" if law else "")
 
 
-def _cell(row: Row, column: str, write: Writer) -> Cell:
+def _cell(row: RunRecord, column: str, write: Writer) -> Cell:
     value = as_float(row[column])
     text = MISSING if math.isnan(value) else write(value)
     bad = column in ("limit_violations", "fallbacks", "missed") and value > 0

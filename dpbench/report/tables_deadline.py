@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import math
 
-from dpbench.analysis.records import Row, as_float
-from dpbench.analysis.slowdown import MARGIN, SlowedArm, SlowedGroup, cost_ratio, survived
+from dpbench.analysis.records import RunRecord, as_float
+from dpbench.analysis.slowdown import (
+    MARGIN,
+    DelayedConfiguration,
+    DelayedGroup,
+    cost_ratio,
+    survived,
+)
 from dpbench.report.formats import MISSING, count_text, factor_text, plural, significant, time_text
 from dpbench.report.table import Cell, Table, row_of
 
@@ -20,15 +26,17 @@ COUNTS = (
 )
 
 
-def survival_table(group: SlowedGroup, cpu: str) -> Table:
-    """Per arm the slow-down it survives, and its cost at each, over the exactly solved loop's.
+def survival_table(group: DelayedGroup, cpu: str) -> Table:
+    """Per configuration the slow-down it survives, and its cost at each, over the exactly solved
+    loop's.
 
     A slow-down of 1 is the computer `cpu`.
     """
     slowdowns = group.slowdowns
     return Table(
         title=f"What slow-down each solver survives in `{group.scenario}`",
-        note=f"{plural(len(group.arms), 'arm')}, {plural(group.steps, 'step')}, a budget of "
+        note=f"{plural(len(group.configurations), 'configuration')}, "
+        f"{plural(group.steps, 'step')}, a budget of "
         f"{significant(1e3 * group.deadline_s)} ms a step; 1 × is this {cpu}. Cost over that of "
         f"the exactly solved loop, in which no answer is late; tinted where it is not {WITHIN}, "
         "or the loop was not run to its end. Survives: the largest slow-down up to which every "
@@ -44,24 +52,27 @@ def survival_table(group: SlowedGroup, cpu: str) -> Table:
         ),
         rows=tuple(
             row_of(
-                arm.name,
-                Cell(factor_text(arm.survives), "" if math.isfinite(arm.survives) else "bad"),
-                *_measured(arm),
-                *(_cost(arm.loops.get(slowdown)) for slowdown in slowdowns),
+                configuration.name,
+                Cell(
+                    factor_text(configuration.survives),
+                    "" if math.isfinite(configuration.survives) else "bad",
+                ),
+                *_measured(configuration),
+                *(_cost(configuration.loops.get(slowdown)) for slowdown in slowdowns),
             )
-            for arm in group.arms
+            for configuration in group.configurations
         ),
     )
 
 
-def _measured(arm: SlowedArm) -> tuple[str, str]:
+def _measured(configuration: DelayedConfiguration) -> tuple[str, str]:
     """Median and largest measured step time at the smallest slow-down."""
-    slowdown, row = next(iter(arm.loops.items()))
+    slowdown, row = next(iter(configuration.loops.items()))
     middle, largest = (as_float(row[f"latency_{of}_ns"]) / slowdown for of in ("p50", "max"))
     return time_text(middle), time_text(largest)
 
 
-def _cost(row: Row | None) -> Cell:
+def _cost(row: RunRecord | None) -> Cell:
     if row is None:
         return Cell(MISSING, "quiet")
     ratio = cost_ratio(row)
@@ -70,7 +81,7 @@ def _cost(row: Row | None) -> Cell:
     return Cell(significant(ratio), "" if survived(row) else "bad")
 
 
-def _count(row: Row, column: str) -> str:
+def _count(row: RunRecord, column: str) -> str:
     """A count; that of a recovery which never came is `never`."""
     never = column == "miss_recover_steps_max" and math.isnan(as_float(row[column]))
     if never and as_float(row["deadline_misses"]) > 0.0:
@@ -78,11 +89,11 @@ def _count(row: Row, column: str) -> str:
     return count_text(row[column])
 
 
-def misses_table(group: SlowedGroup) -> Table:
+def misses_table(group: DelayedGroup) -> Table:
     """Every loop with its misses, longest streak, recovery, latencies and cost."""
     rows = [
         row_of(
-            arm.name,
+            configuration.name,
             factor_text(slowdown),
             *(_count(row, column) for column, _ in COUNTS),
             *(time_text(as_float(row[f"latency_{of}_ns"])) for of in ("p50", "max")),
@@ -94,8 +105,8 @@ def misses_table(group: SlowedGroup) -> Table:
             ),
             count_text(row["steps_done"]),
         )
-        for arm in group.arms
-        for slowdown, row in arm.loops.items()
+        for configuration in group.configurations
+        for slowdown, row in configuration.loops.items()
     ]
     return Table(
         title=f"Deadlines missed in `{group.scenario}`",

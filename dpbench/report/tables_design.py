@@ -1,4 +1,4 @@
-"""Tables on the design of controllers: figures of the loop, basins, gains, all trials."""
+"""Tables on the design of controllers: figures of the loop, regions, gains, all trials."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 from dpbench.bench.design.bracket import Trial
 from dpbench.bench.design.design_file import DesignRecord
-from dpbench.bench.design.region_of_attraction import Basin
+from dpbench.bench.design.region_of_attraction import RegionOfAttraction
 from dpbench.report.formats import MISSING, and_list, plural, rounded_down, rounded_up, significant
 from dpbench.report.table import Cell, Table, row_of
 
@@ -32,18 +32,18 @@ def full_time(record: DesignRecord) -> float:
 
 
 def weathers(records: Sequence[DesignRecord]) -> list[str]:
-    """The weathers of the basins."""
-    return list(dict.fromkeys(b.weather for record in records for b in record.basins))
+    """The weathers of the regions."""
+    return list(dict.fromkeys(b.weather for record in records for b in record.regions))
 
 
-def basin_in(record: DesignRecord, weather: str) -> Basin | None:
-    """The basin of a record in some weather."""
-    return next((b for b in record.basins if b.weather == weather), None)
+def region_in(record: DesignRecord, weather: str) -> RegionOfAttraction | None:
+    """The region of a record in some weather."""
+    return next((b for b in record.regions if b.weather == weather), None)
 
 
-def basin_text(record: DesignRecord, basin: Basin) -> str:
+def region_text(record: DesignRecord, region: RegionOfAttraction) -> str:
     """The bracket in m at full size, rounded outwards."""
-    found, scale = basin.bracket, record.model_scale
+    found, scale = region.bracket, record.model_scale
     if found.fails_m is None:
         return f"≥ {scale * found.holds_m:.3g}"
     high = rounded_up(scale * found.fails_m)
@@ -65,16 +65,17 @@ def design_table(records: Sequence[DesignRecord]) -> Table:
         "controllable",
         "cond P, scaled",
         "cond P, SI",
-        *(f"basin, {weather_text(sea)} [m]" for sea in seas),
+        *(f"region, {weather_text(sea)} [m]" for sea in seas),
     )
     scaled = [f"`{r.vessel}` (1 : {r.model_scale:g})" for r in records if r.model_scale != 1.0]
     model = and_list(list(dict.fromkeys(scaled)))
     return Table(
-        title="Loop, conditioning and basin",
+        title="Loop, conditioning and region",
         note=(
             f"{plural(len(records), 'design')}. λ are the roots of paper eq. 35; the slowest mode "
             "is the time in which the largest of them decays by 1/e. P in units of z = ΔU/Δu_max "
-            "(scaled) and in N, N·m (SI). Basin: the largest sway offset held – the smallest not "
+            "(scaled) and in N, N·m (SI). RegionOfAttraction: the largest sway offset held – the "
+            "smallest not "
             f"held; ≥ where everything tried was held.{f' Of {model}:' if model else ''}"
             f"{' times and offsets at full size.' if model else ''}"
         ),
@@ -93,7 +94,7 @@ def _design_row(record: DesignRecord, name: str, seas: Sequence[str]) -> tuple[C
     radius = record.spectral_radius
     stable, whole = radius < 1.0, record.controllable == record.states
     slowest = -full_time(record) * record.sample_s / math.log(radius) if stable else math.inf
-    basins = [basin_in(record, sea) for sea in seas]
+    regions = [region_in(record, sea) for sea in seas]
     return row_of(
         f"`{record.vessel}`",
         name,
@@ -103,7 +104,7 @@ def _design_row(record: DesignRecord, name: str, seas: Sequence[str]) -> tuple[C
         Cell(f"{record.controllable} of {record.states}", "" if whole else "bad"),
         significant(record.condition_scaled),
         significant(record.condition_si),
-        *(MISSING if b is None else basin_text(record, b) for b in basins),
+        *(MISSING if b is None else region_text(record, b) for b in regions),
     )
 
 
@@ -136,7 +137,7 @@ def gains_table(records: Sequence[DesignRecord]) -> Table:
 def trials_table(records: Sequence[DesignRecord]) -> Table:
     """Every offset that was tried."""
     names = names_of(records)
-    tried = sum(len(b.bracket.tried) for record in records for b in record.basins)
+    tried = sum(len(b.bracket.tried) for record in records for b in record.regions)
     return Table(
         title="All offsets that were tried",
         note=(
@@ -153,7 +154,7 @@ def trials_table(records: Sequence[DesignRecord]) -> Table:
                 ", ".join(_tried(record, t) for t in b.bracket.tried if t.verdict != "holds"),
             )
             for record in records
-            for b in record.basins
+            for b in record.regions
         ),
         text_columns=5,
         folded=True,
@@ -207,7 +208,7 @@ def horizon_text(records: Sequence[DesignRecord]) -> str:
 
 def held_text(records: Sequence[DesignRecord], weather: str) -> str:
     """What a controller holds in some weather, in its worst vessel and in its best."""
-    found = [(r, b) for r in records if (b := basin_in(r, weather)) is not None]
+    found = [(r, b) for r in records if (b := region_in(r, weather)) is not None]
     if not found:
         return ""
     found.sort(key=lambda pair: pair[0].model_scale * pair[1].bracket.holds_m)
@@ -216,11 +217,11 @@ def held_text(records: Sequence[DesignRecord], weather: str) -> str:
         largest = min(r.model_scale * b.bracket.largest_m for r, b in found)
         vessels = "every vessel" if len(found) > 1 else f"`{found[0][0].vessel}`"
         return f"{sea} all that was tried, up to {largest:.3g} m, in {vessels}."
-    worst, best = (f"`{r.vessel}`, {basin_text(r, b)} m" for r, b in (found[0], found[-1]))
+    worst, best = (f"`{r.vessel}`, {region_text(r, b)} m" for r, b in (found[0], found[-1]))
     most = f", and most in {best}" if len(found) > 1 else ""
     return f"{sea} least in {worst}{most}."
 
 
 def count_of(records: Sequence[DesignRecord], verdict: str) -> int:
     """How many trials had this verdict."""
-    return sum(t.verdict == verdict for r in records for b in r.basins for t in b.bracket.tried)
+    return sum(t.verdict == verdict for r in records for b in r.regions for t in b.bracket.tried)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from dpbench.analysis.records import Row, View, as_float
+from dpbench.analysis.records import Records, RunRecord, as_float
 from dpbench.bench.judge.calibration import off_by_ns, within_bar
 from dpbench.report.formats import (
     MISSING,
@@ -23,23 +23,25 @@ from dpbench.solvers.calibration import CALIBRATION, COPY_ONLY, NO_OP, WAITS_NS
 MEGABYTE = 1e6
 
 
-def cost_table(view: View) -> Table | None:
-    """What the harness's own arms were measured to take; None where they did not run."""
+def cost_table(view: Records) -> Table | None:
+    """What the harness's own configurations were measured to take; None where they did not run."""
     timed = [(row, view.times(row)) for row in view.calibration]
     rows = []
     for row, times in timed:
         if times is None:
             continue
-        arm, p50 = str(row["solver"]), as_float(row["raw_p50_ns"])
-        held = within_bar(arm, p50)
+        configuration, p50 = str(row["solver"]), as_float(row["raw_p50_ns"])
+        held = within_bar(configuration, p50)
         rows.append(
             row_of(
-                Cell(arm),
+                Cell(configuration),
                 f"`{row['sequence']}`",
                 Cell("–" if held is None else "yes" if held else "no", _mark(held)),
-                significant(WAITS_NS[arm] / 1e3, 4) if arm in WAITS_NS else MISSING,
+                significant(WAITS_NS[configuration] / 1e3, 4)
+                if configuration in WAITS_NS
+                else MISSING,
                 f"{p50 / 1e3:.2f}",
-                micro_text(off_by_ns(arm, p50)),
+                micro_text(off_by_ns(configuration, p50)),
                 micro_text(as_float(row["raw_p99_ns"])),
                 micro_text(as_float(row["raw_max_ns"])),
                 *(micro_text(times.phase_ns[phase]) for phase in ("update", "solve", "read")),
@@ -51,7 +53,8 @@ def cost_table(view: View) -> Table | None:
     return Table(
         title="What the harness itself costs",
         note=(
-            f"The harness's own arms, replayed like any solver, which solve nothing and are ranked "
+            "The harness's own configurations, replayed like any solver, which solve nothing "
+            "and are ranked "
             f"nowhere. `{NO_OP}` does nothing: what is left is the clock between four calls. "
             f"`{COPY_ONLY}` copies q, l, u in and an answer out, as the contract asks of every "
             f"workspace. `busy_wait_…` waits a known time in its solve. The bar: at p50 of all "
@@ -59,7 +62,7 @@ def cost_table(view: View) -> Table | None:
             "What is measured here is subtracted from no time in this report."
         ),
         heads=(
-            "arm",
+            "configuration",
             "sequence",
             "within the bar",
             "waits [µs]",
@@ -82,7 +85,7 @@ def _mark(held: bool | None) -> Mark:
     return "bad" if held is False else ""
 
 
-def audited(rows: Sequence[Row]) -> list[Row]:
+def audited(rows: Sequence[RunRecord]) -> list[RunRecord]:
     """Solvers' replays with a step that was answered twice or more."""
     return [
         row
@@ -91,24 +94,26 @@ def audited(rows: Sequence[Row]) -> list[Row]:
     ]
 
 
-def differs(row: Row) -> bool:
-    """Whether an arm once answered the same QP in two ways, or counted other iterations."""
+def differs(row: RunRecord) -> bool:
+    """Whether a configuration once answered the same QP in two ways, or counted other
+    iterations."""
     return (
         as_float(row["bit_identical_share"]) < 1.0
         or as_float(row["iterations_identical_share"]) < 1.0
     )
 
 
-def determinism_table(rows: Sequence[Row]) -> Table | None:
-    """Arms that do not repeat themselves bit for bit; None when all do."""
+def determinism_table(rows: Sequence[RunRecord]) -> Table | None:
+    """Configurations that do not repeat themselves bit for bit; None when all do."""
     found = [row for row in audited(rows) if differs(row)]
     if not found:
         return None
     found.sort(key=lambda row: -as_float(row["answer_spread_max"]))
     return Table(
-        title="Arms that do not repeat themselves",
+        title="Configurations that do not repeat themselves",
         note=(
-            f"{plural(len(found), 'arm')} of {len(audited(rows))}. Over all rounds of a replay: "
+            f"{plural(len(found), 'configuration')} of {len(audited(rows))}. Over all rounds of "
+            "a replay: "
             "share of the steps with the same status and bits of z in every round, and the same "
             "count of iterations; largest difference between two rounds, of z in scaled units (a "
             "variable of 1 is a whole rate-limit step)."
@@ -142,9 +147,9 @@ def determinism_table(rows: Sequence[Row]) -> Table | None:
     )
 
 
-def memory_table(rows: Sequence[Row]) -> Table | None:
+def memory_table(rows: Sequence[RunRecord]) -> Table | None:
     """Memory and threads per solver, route and size of the QP; None where none was measured."""
-    groups: dict[tuple[str, ...], list[Row]] = {}
+    groups: dict[tuple[str, ...], list[RunRecord]] = {}
     for row in rows:
         own = row["solver"] in CALIBRATION
         if math.isfinite(as_float(row["peak_rss_bytes"])) and (not own or row["solver"] == NO_OP):
@@ -156,7 +161,8 @@ def memory_table(rows: Sequence[Row]) -> Table | None:
     return Table(
         title="Memory of a worker",
         note=(
-            "The largest of each solver's arms. Peak: resident memory with the solver's library "
+            "The largest of each solver's configurations. Peak: resident memory with the "
+            "solver's library "
             "loaded, above the process every worker is forked from, less the QPs and the log of "
             f"the harness; good to some 0.1 MB; `{NO_OP}` is what the harness adds. Python: "
             "medians over up to 50 untimed steps, of the memory blocks an answer leaves held and "
@@ -183,7 +189,7 @@ def memory_table(rows: Sequence[Row]) -> Table | None:
     )
 
 
-def _horizons(row: Row) -> str:
+def _horizons(row: RunRecord) -> str:
     ahead, moves = as_float(row["N_p"]), as_float(row["N_c"])
     return f"{ahead:.0f}/{moves:.0f}" if ahead == ahead else MISSING
 
@@ -197,12 +203,12 @@ _COLUMNS = {
 }
 
 
-def _most(rows: Sequence[Row], what: str) -> float:
+def _most(rows: Sequence[RunRecord], what: str) -> float:
     seen = [as_float(row[_COLUMNS[what]]) for row in rows]
     return max((value for value in seen if value == value), default=float("nan"))
 
 
-def _memory_row(key: tuple[str, ...], rows: Sequence[Row]) -> tuple[Cell, ...]:
+def _memory_row(key: tuple[str, ...], rows: Sequence[RunRecord]) -> tuple[Cell, ...]:
     name, *rest = key
     return row_of(
         Cell(name, "quiet" if name == NO_OP else ""),

@@ -7,7 +7,13 @@ from collections.abc import Sequence
 
 from dpbench.analysis.statistics import supports
 from dpbench.analysis.times.growth import LEAST_POINTS, Crossover, crossover
-from dpbench.analysis.times.horizon_sweep import Horizons, Point, Sweep, SweptArm, moves_of
+from dpbench.analysis.times.horizon_sweep import (
+    Horizons,
+    Point,
+    Sweep,
+    SweptConfiguration,
+    moves_of,
+)
 from dpbench.report.formats import (
     MISSING,
     count_text,
@@ -32,14 +38,16 @@ def horizons_text(horizons: Horizons) -> str:
     return f"{horizons[0]}/{horizons[1]}"
 
 
-def growth_table(sweep: Sweep, arms: Sequence[SweptArm], *, every: bool = False) -> Table:
-    """One row per arm; `every` gives the folded table of all ways to run a solver."""
-    compared = any(arm.formulation == SPARSE for arm in sweep.arms)
+def growth_table(
+    sweep: Sweep, configurations: Sequence[SweptConfiguration], *, every: bool = False
+) -> Table:
+    """One row per configuration; `every` gives the folded table of all ways to run a solver."""
+    compared = any(configuration.formulation == SPARSE for configuration in sweep.configurations)
     which = "every way" if every else "the best way of each solver"
     return Table(
         title=f"Growth over the horizons of `{sweep.name}`, {which}",
-        note=_note(sweep, len(arms), compared=compared)
-        + marks_legend(row for arm in arms for row in arm.rows),
+        note=_note(sweep, len(configurations), compared=compared)
+        + marks_legend(row for configuration in configurations for row in configuration.rows),
         heads=(
             "solver",
             "formulation",
@@ -52,7 +60,9 @@ def growth_table(sweep: Sweep, arms: Sequence[SweptArm], *, every: bool = False)
             *(("sparse undercuts condensed",) if compared else ()),
             *(f"p99 ≤ {limit:g} ms" for limit in LIMITS_MS if supports(sweep.steps, 99)),
         ),
-        rows=tuple(_row(sweep, arm, compared=compared) for arm in arms),
+        rows=tuple(
+            _row(sweep, configuration, compared=compared) for configuration in configurations
+        ),
         text_columns=3,
         folded=every,
     )
@@ -85,27 +95,27 @@ def _note(sweep: Sweep, rows: int, *, compared: bool) -> str:
     )
 
 
-def _row(sweep: Sweep, arm: SweptArm, *, compared: bool) -> tuple[Cell, ...]:
-    growth = arm.growth
+def _row(sweep: Sweep, configuration: SweptConfiguration, *, compared: bool) -> tuple[Cell, ...]:
+    growth = configuration.growth
     if growth is None:
         exponent, off = row_of(MISSING, MISSING), MISSING
     else:
         off = f"× {significant(growth.misfit)}"
         found = growth.exponent
         exponent = row_of(
-            Cell(significant(found.value), "" if arm.right else "quiet"),
+            Cell(significant(found.value), "" if configuration.right else "quiet"),
             interval_text(found.low, found.high),
         )
     return row_of(
-        timed_name(arm.rows[0]),
-        arm.formulation.replace("_", " "),
-        arm.way,
-        *(_time(arm.points.get(horizons)) for horizons in sweep.horizons),
+        timed_name(configuration.rows[0]),
+        configuration.formulation.replace("_", " "),
+        configuration.way,
+        *(_time(configuration.points.get(horizons)) for horizons in sweep.horizons),
         *exponent,
-        count_text(len(arm.timed)),
+        count_text(len(configuration.timed)),
         off,
-        *((_undercuts(sweep, arm),) if compared else ()),
-        *(_within(arm, limit) for limit in LIMITS_MS if supports(sweep.steps, 99)),
+        *((_undercuts(sweep, configuration),) if compared else ()),
+        *(_within(configuration, limit) for limit in LIMITS_MS if supports(sweep.steps, 99)),
     )
 
 
@@ -118,30 +128,34 @@ def _time(point: Point | None) -> Cell:
     return Cell(text) if point.right else Cell(f"{text} {MISSED}", "warn")
 
 
-def _within(arm: SweptArm, limit_ms: float) -> Cell:
-    if not any(math.isfinite(point.p99_ns) for point in arm.timed.values()):
+def _within(configuration: SweptConfiguration, limit_ms: float) -> Cell:
+    if not any(math.isfinite(point.p99_ns) for point in configuration.timed.values()):
         return Cell(MISSING, "quiet")
-    largest = arm.largest_within(limit_ms * 1e6)
-    doubt = "" if arm.settled(limit_ms * 1e6) else f" {UNSETTLED}"
+    largest = configuration.largest_within(limit_ms * 1e6)
+    doubt = "" if configuration.settled(limit_ms * 1e6) else f" {UNSETTLED}"
     if largest is None:
         return Cell(f"none{doubt}", "quiet")
-    least = "" if arm.measured_beyond(largest) else "≥ "
+    least = "" if configuration.measured_beyond(largest) else "≥ "
     return Cell(f"{least}{horizons_text(largest)}{doubt}")
 
 
-def _undercuts(sweep: Sweep, arm: SweptArm) -> Cell:
-    if arm.formulation != SPARSE:
+def _undercuts(sweep: Sweep, configuration: SweptConfiguration) -> Cell:
+    if configuration.formulation != SPARSE:
         return Cell("")
-    other = condensed_of(sweep, arm)
-    found = crossover(arm.growth, other.growth) if other is not None else None
+    other = condensed_of(sweep, configuration)
+    found = crossover(configuration.growth, other.growth) if other is not None else None
     if found is None:
         return Cell(MISSING, "quiet")
     return Cell(crossover_text(found))
 
 
-def condensed_of(sweep: Sweep, arm: SweptArm) -> SweptArm | None:
+def condensed_of(sweep: Sweep, configuration: SweptConfiguration) -> SweptConfiguration | None:
     """The best condensed way of the same solver; None where it was never given that form."""
-    mine = (a for a in sweep.best_arms if a.solver == arm.solver and a.formulation != SPARSE)
+    mine = (
+        a
+        for a in sweep.best_configurations
+        if a.solver == configuration.solver and a.formulation != SPARSE
+    )
     return next(mine, None)
 
 

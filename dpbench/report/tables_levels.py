@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import View
+from dpbench.analysis.records import Records
 from dpbench.analysis.statistics import UNKNOWN, Interval, percentile_interval
-from dpbench.analysis.verdict import ALIKE, Verdict, Verdicts, judge_all
+from dpbench.analysis.verdict import ALIKE, Verdict, Verdicts, verdicts_of
 from dpbench.report.formats import and_list, error_text, interval_text, plural, time_text
 from dpbench.report.table import Cell, Table, row_of
 from dpbench.report.verdict_text import judged_on, yardstick
@@ -40,15 +40,16 @@ def levels_of(demand: Demand) -> list[float]:
     return sorted({*LEVELS, demand.error_move}, reverse=True)
 
 
-def level_tables(view: View, demand: Demand) -> list[Table]:
-    """The headline table and, folded, the solvers behind the first; none without a right arm."""
+def level_tables(view: Records, demand: Demand) -> list[Table]:
+    """The headline table and, folded, the solvers behind the first; none without a right
+    configuration."""
     found = {
-        level: judge_all(view, replace(demand, error_move=level)) for level in levels_of(demand)
+        level: verdicts_of(view, replace(demand, error_move=level)) for level in levels_of(demand)
     }
     ways = {level: list(enumerate(v.podium, 1)) for level, v in found.items()}
     if not any(ways.values()):
         return []
-    some = next(way for placed in ways.values() for _, way in placed)
+    some = next(way for ranked_configuration in ways.values() for _, way in ranked_configuration)
     by = yardstick(some)
     head = Table(
         title=f"Fastest at an accuracy achieved on every step, by {by}",
@@ -63,15 +64,15 @@ def level_tables(view: View, demand: Demand) -> list[Table]:
         heads=HEADS,
         rows=tuple(
             _row(view, level, place, way, demand)
-            for level, placed in ways.items()
-            for place, way in placed[:FIRST]
+            for level, ranked_configuration in ways.items()
+            for place, way in ranked_configuration[:FIRST]
         ),
         text_columns=8,
     )
     rest = tuple(
         _row(view, level, place, way, demand)
-        for level, placed in ways.items()
-        for place, way in placed[FIRST:]
+        for level, ranked_configuration in ways.items()
+        for place, way in ranked_configuration[FIRST:]
     )
     if not rest:
         return [head]
@@ -102,7 +103,7 @@ def _absent(found: dict[float, Verdicts]) -> str:
     return f"No such way: {'; '.join(lines)} ({why})."
 
 
-def _row(view: View, level: float, place: int, way: Verdict, demand: Demand) -> tuple[Cell, ...]:
+def _row(view: Records, level: float, place: int, way: Verdict, demand: Demand) -> tuple[Cell, ...]:
     p50, p99 = _intervals(view, way)
     return row_of(
         Cell(f"≤ {level:g}", "good" if level == demand.error_move else ""),
@@ -123,10 +124,10 @@ def _row(view: View, level: float, place: int, way: Verdict, demand: Demand) -> 
     )
 
 
-def _intervals(view: View, way: Verdict) -> tuple[Interval, Interval]:
+def _intervals(view: Records, way: Verdict) -> tuple[Interval, Interval]:
     """Bootstrap intervals of p50 and p99 on the sequence they belong to."""
-    arm = {"route": way.route, "policy": way.policy, "settings": way.settings}
-    for row in view.replays(way.timed_on, solver=way.solver, **arm):
+    configuration = {"route": way.route, "policy": way.policy, "settings": way.settings}
+    for row in view.replays(way.timed_on, solver=way.solver, **configuration):
         times = view.times(row)
         if times is not None:
             algo = times.algo_ns

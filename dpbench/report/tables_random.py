@@ -1,4 +1,4 @@
-"""Tables of the random problems: by arm, by family, and who claimed wrongly where."""
+"""Tables of the random problems: by configuration, by family, and who claimed wrongly where."""
 
 from __future__ import annotations
 
@@ -13,30 +13,48 @@ from dpbench.report.table import Cell, Table, good_if, row_of
 HOW = (("off", "off"), ("outside", "outside"), ("empty", "empty"), ("dual", "multipliers"))
 
 
-def arms_of(claims: RandomClaims) -> list[tuple[tuple[str, ...], Tally]]:
-    """Every arm with its tally, the most wrong claims first."""
+def configurations_of(claims: RandomClaims) -> list[tuple[tuple[str, ...], Tally]]:
+    """Every configuration with its tally, the most wrong claims first."""
     found = claims.by(*ARM).items()
-    return sorted(found, key=lambda arm: (-arm[1].wrong, -arm[1].lies[2], arm[0]))
+    return sorted(
+        found,
+        key=lambda configuration: (
+            -configuration[1].wrong,
+            -configuration[1].lies[2],
+            configuration[0],
+        ),
+    )
 
 
-def arm_tables(claims: RandomClaims) -> list[Table]:
-    """The arms with a wrong claim, and, folded, those without."""
-    arms = arms_of(claims)
-    wrong = [arm for arm in arms if arm[1].wrong]
-    right = [arm for arm in arms if not arm[1].wrong]
+def configuration_tables(claims: RandomClaims) -> list[Table]:
+    """The configurations with a wrong claim, and, folded, those without."""
+    configurations = configurations_of(claims)
+    wrong = [configuration for configuration in configurations if configuration[1].wrong]
+    right = [configuration for configuration in configurations if not configuration[1].wrong]
     tables = []
     if wrong:
-        tables.append(_arm_table("Arms that claimed what is not true", wrong, folded=False))
+        tables.append(
+            _configuration_table(
+                "Configurations that claimed what is not true", wrong, folded=False
+            )
+        )
     if right:
-        tables.append(_arm_table("Arms without a false claim", right, folded=len(wrong) > 0))
+        tables.append(
+            _configuration_table(
+                "Configurations without a false claim", right, folded=len(wrong) > 0
+            )
+        )
     return tables
 
 
-def _arm_table(title: str, arms: Sequence[tuple[tuple[str, ...], Tally]], *, folded: bool) -> Table:
+def _configuration_table(
+    title: str, configurations: Sequence[tuple[tuple[str, ...], Tally]], *, folded: bool
+) -> Table:
     return Table(
         title=title,
         note=(
-            f"{plural(len(arms), 'arm')}, most false claims first. Every certified step that was "
+            f"{plural(len(configurations), 'configuration')}, most false claims first. Every "
+            "certified step that was "
             "reached stands in one column: true and claimed; claimed solved and not true (at 1e-3; "
             "those at 1e-4 and 1e-6 contain them); true and not claimed; called infeasible or "
             "unbounded, rightly or wrongly; neither a claim nor a true answer. Worst: the largest "
@@ -63,16 +81,18 @@ def _arm_table(title: str, arms: Sequence[tuple[tuple[str, ...], Tally]], *, fol
             "not reached",
             "how",
         ),
-        rows=tuple(_arm_row(arm, tally) for arm, tally in arms),
+        rows=tuple(
+            _configuration_row(configuration, tally) for configuration, tally in configurations
+        ),
         text_columns=4,
         folded=folded,
     )
 
 
-def _arm_row(arm: tuple[str, ...], tally: Tally) -> tuple[Cell, ...]:
+def _configuration_row(configuration: tuple[str, ...], tally: Tally) -> tuple[Cell, ...]:
     lies = tally.lies
     return row_of(
-        *arm,
+        *configuration,
         count_text(tally.steps),
         count_text(tally.told),
         good_if(count_text(lies[0]), not lies[0]),
@@ -103,16 +123,20 @@ def how_text(tally: Tally) -> str:
 
 def family_table(claims: RandomClaims) -> Table:
     """One row per family: what was run, how it was certified, and who claimed wrongly."""
-    certificates, by_arm = claims.certificates(), claims.by("family", *ARM)
+    certificates, by_configuration = claims.certificates(), claims.by("family", *ARM)
     rows = []
     for (family,), tally in claims.by("family").items():
-        arms = {key: t for key, t in by_arm.items() if key[0] == family}
-        rows.append(_family_row(claims, family, tally, arms, certificates.get(family, {})))
+        configurations = {key: t for key, t in by_configuration.items() if key[0] == family}
+        rows.append(
+            _family_row(claims, family, tally, configurations, certificates.get(family, {}))
+        )
     return Table(
         title="Families of random problems",
         note=(
-            "Steps: different QPs; each arm solves them all. Certificates: how the referee knows "
-            "the optimum, or that there is none. An arm is a solver on one route with one policy "
+            "Steps: different QPs; each configuration solves them all. Certificates: how the "
+            "referee knows "
+            "the optimum, or that there is none. A configuration is a solver on one route with "
+            "one policy "
             "and one settings name."
         ),
         heads=(
@@ -123,7 +147,7 @@ def family_table(claims: RandomClaims) -> Table:
             "m",
             "steps",
             "not certified",
-            "arms",
+            "configurations",
             "of them wrong",
             "claimed, not true",
             "infeasible: wrong",
@@ -139,11 +163,11 @@ def _family_row(
     claims: RandomClaims,
     family: str,
     tally: Tally,
-    arms: Mapping[tuple[str, ...], Tally],
+    configurations: Mapping[tuple[str, ...], Tally],
     kinds: Mapping[str, int],
 ) -> tuple[Cell, ...]:
     mine = [row for row in claims.rows if row["family"] == family]
-    wrong = sum(t.wrong > 0 for t in arms.values())
+    wrong = sum(t.wrong > 0 for t in configurations.values())
     return row_of(
         family.replace("_", " "),
         FAMILIES[family].shows if family in FAMILIES else MISSING,
@@ -152,12 +176,12 @@ def _family_row(
         _range([int(row["m"]) for row in mine]),
         count_text(sum(kinds.values())),
         Cell(count_text(kinds.get("none", 0)), "warn" if "none" in kinds else ""),
-        count_text(len(arms)),
+        count_text(len(configurations)),
         good_if(count_text(wrong), not wrong),
         good_if(count_text(tally.lies[0]), not tally.lies[0]),
         good_if(count_text(tally.empty_wrong), not tally.empty_wrong),
         worst_text(tally),
-        _worst_arm(arms),
+        _worst_configuration(configurations),
     )
 
 
@@ -166,9 +190,9 @@ def _range(numbers: Sequence[int]) -> str:
     return str(low) if low == high else f"{low}–{high}"
 
 
-def _worst_arm(arms: Mapping[tuple[str, ...], Tally]) -> str:
+def _worst_configuration(configurations: Mapping[tuple[str, ...], Tally]) -> str:
     """The solver and settings with the largest error of a false claim."""
-    known = {key: t.worst for key, t in arms.items() if not math.isnan(t.worst)}
+    known = {key: t.worst for key, t in configurations.items() if not math.isnan(t.worst)}
     if not known:
         return MISSING
     _, solver, _, _, settings = max(known, key=lambda key: known[key])

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dpbench.analysis.times.pooled import Arm, Pool
-from dpbench.analysis.times.ranks import Placed, Ranking
+from dpbench.analysis.times.pooled import CommonSteps, PooledConfiguration
+from dpbench.analysis.times.ranks import Ranked, Ranking
 from dpbench.analysis.times.ratios import Ratio
 from dpbench.report.formats import (
     and_list,
@@ -25,55 +25,62 @@ COLUMNS = 4
 """Of more sequences the least and the largest ratio are shown instead of each."""
 
 
-def population(pool: Pool) -> str:
-    """What the figures of a pool are taken from."""
-    names = and_list([f"`{name}`" for name in pool.sequences])
+def population(common_steps: CommonSteps) -> str:
+    """What the figures of a common_steps are taken from."""
+    names = and_list([f"`{name}`" for name in common_steps.sequences])
     more = (
-        f" {plural(pool.left_out, 'further arm')} replayed on fewer sequences stay out."
-        if pool.left_out
+        f" {plural(common_steps.left_out, 'further configuration')} replayed on fewer sequences "
+        "stay out."
+        if common_steps.left_out
         else ""
     )
-    weighing = ", each sequence of equal weight" if len(pool.sequences) > 1 else ""
+    weighing = ", each sequence of equal weight" if len(common_steps.sequences) > 1 else ""
     return (
-        f"Replay of {names}: {plural(len(pool.sequence_of), 'step')}{weighing}, "
-        f"{plural(len(pool.arms), 'arm')} in scaled units, algorithmic time.{more}"
+        f"Replay of {names}: {plural(len(common_steps.sequence_of), 'step')}{weighing}, "
+        f"{plural(len(common_steps.configurations), 'configuration')} in scaled units, "
+        f"algorithmic time.{more}"
     )
 
 
-def ratio_tables(pool: Pool, baseline: Arm, found: Sequence[Ratio]) -> list[Table]:
-    """The fastest right way of each solver against the baseline, and folded all other arms."""
+def ratio_tables(
+    common_steps: CommonSteps, baseline: PooledConfiguration, found: Sequence[Ratio]
+) -> list[Table]:
+    """The fastest right way of each solver against the baseline, and folded all other
+    configurations."""
     first = _first_of_each(found)
     rest = [ratio for ratio in found if ratio not in first]
     title = f"Step times against {baseline.label}"
-    tables = [_ratio_table(pool, title, first, len(found), folded=False)] if first else []
+    tables = [_ratio_table(common_steps, title, first, len(found), folded=False)] if first else []
     if rest:
         tables.append(
-            _ratio_table(pool, f"{title}: other ways", rest, len(found), folded=True),
+            _ratio_table(common_steps, f"{title}: other ways", rest, len(found), folded=True),
         )
     return tables
 
 
 def _first_of_each(found: Sequence[Ratio]) -> list[Ratio]:
-    """Of each solver its fastest arm, among those that meet the demand where there is one."""
+    """Of each solver its fastest configuration, among those that meet the demand where there is
+    one."""
     best: dict[str, Ratio] = {}
     for ratio in found:
-        known = best.setdefault(ratio.arm.solver, ratio)
-        if ratio.arm.right and not known.arm.right:
-            best[ratio.arm.solver] = ratio
-    return [ratio for ratio in found if best[ratio.arm.solver] is ratio]
+        known = best.setdefault(ratio.configuration.solver, ratio)
+        if ratio.configuration.right and not known.configuration.right:
+            best[ratio.configuration.solver] = ratio
+    return [ratio for ratio in found if best[ratio.configuration.solver] is ratio]
 
 
 def _ratio_table(
-    pool: Pool, title: str, shown: Sequence[Ratio], comparisons: int, *, folded: bool
+    common_steps: CommonSteps, title: str, shown: Sequence[Ratio], comparisons: int, *, folded: bool
 ) -> Table:
     return Table(
         title=title,
         note=(
-            f"{population(pool)} How many times as long an arm takes per step: geometric mean of "
+            f"{population(common_steps)} How many times as long a configuration takes per step: "
+            "geometric mean of "
             f"the paired ratios. The intervals of all {plural(comparisons, 'comparison')} hold "
             "together with 95 % (Bonferroni; standard error by block bootstrap). Where one holds "
             "1 the two cannot be told apart. "
-            f"{plural(len(shown), 'arm')} shown here."
+            f"{plural(len(shown), 'configuration')} shown here."
         ),
         heads=(
             "solver",
@@ -84,7 +91,7 @@ def _ratio_table(
             "than the baseline",
             "ratio",
             "simultaneous interval",
-            *_sequence_heads(pool.sequences),
+            *_sequence_heads(common_steps.sequences),
             "common steps",
         ),
         rows=tuple(_ratio_row(ratio) for ratio in shown),
@@ -108,13 +115,13 @@ def _sequence_values(found: Sequence[float]) -> tuple[float, ...]:
 
 
 def _ratio_row(ratio: Ratio) -> tuple[Cell, ...]:
-    arm = ratio.arm
+    configuration = ratio.configuration
     return row_of(
-        arm.solver,
-        arm.route,
-        arm.policy,
-        arm.settings,
-        Cell("yes" if arm.right else "no", "good" if arm.right else "bad"),
+        configuration.solver,
+        configuration.route,
+        configuration.policy,
+        configuration.settings,
+        Cell("yes" if configuration.right else "no", "good" if configuration.right else "bad"),
         _order(ratio),
         significant(ratio.pooled.value),
         interval_text(ratio.pooled.low, ratio.pooled.high),
@@ -124,7 +131,7 @@ def _ratio_row(ratio: Ratio) -> tuple[Cell, ...]:
 
 
 def _order(ratio: Ratio) -> Cell:
-    """Whether the arm is slower or faster, and whether that is the same everywhere."""
+    """Whether the configuration is slower or faster, and whether that is the same everywhere."""
     if ratio.pooled.value != ratio.pooled.value:
         return Cell("not compared", "quiet")
     if ratio.pooled.spans(1.0):
@@ -133,23 +140,26 @@ def _order(ratio: Ratio) -> Cell:
     return Cell(f"{word}, not on every sequence", "warn") if ratio.turns else Cell(word)
 
 
-def rank_table(pool: Pool, ranking: Ranking, *, folded: bool) -> Table:
-    """The places at one accuracy, the unstable ones marked with what flips them."""
+def rank_table(common_steps: CommonSteps, ranking: Ranking, *, folded: bool) -> Table:
+    """The places at one accuracy, the unstable ones marked with what other_ranks them."""
     penalty, shift = ranking.choice.penalty_ns, ranking.choice.shift_ns
     idle = (
         f" Not ranked, as no step is solved: {and_list(list(ranking.idle))}."
         if ranking.idle
         else ""
     )
-    first = ranking.placed[0].mean_ns if ranking.placed else float("nan")
+    first = (
+        ranking.ranked_configuration[0].mean_ns if ranking.ranked_configuration else float("nan")
+    )
     return Table(
         title=f"Ranks at error_move ≤ {ranking.level:g}, by shifted geometric mean",
         note=(
-            f"{population(pool)} {plural(len(ranking.placed), 'solver')}, each in the way that "
+            f"{population(common_steps)} {plural(len(ranking.ranked_configuration), 'solver')}, "
+            "each in the way that "
             "leaves the least unsolved and then has the smallest mean. A step is unsolved if it "
             "failed, its answer is not true or its error_move is larger; it costs "
             f"{time_text(penalty)}, the deadline. Shift {time_text(shift)}: the median of the "
-            "fastest arm that solves every step. "
+            "fastest configuration that solves every step. "
             f"Places were found again with {and_list([c.name for c in ranking.others])}; a place "
             f"that another choice changes is marked with what it becomes.{idle}"
         ),
@@ -159,41 +169,49 @@ def rank_table(pool: Pool, ranking: Ranking, *, folded: bool) -> Table:
             "route",
             "policy",
             "settings",
-            "place flips to",
+            "place other_ranks to",
             "shifted mean [µs]",
             "to the first",
             "unsolved",
             "places",
         ),
-        rows=tuple(_rank_row(placed, first) for placed in ranking.placed),
+        rows=tuple(
+            _rank_row(ranked_configuration, first)
+            for ranked_configuration in ranking.ranked_configuration
+        ),
         text_columns=6,
         folded=folded,
     )
 
 
-def _rank_row(placed: Placed, first: float) -> tuple[Cell, ...]:
-    arm = placed.arm
-    ranks = [placed.rank, *placed.flips.values()]
+def _rank_row(ranked_configuration: Ranked, first: float) -> tuple[Cell, ...]:
+    configuration = ranked_configuration.configuration
+    ranks = [ranked_configuration.rank, *ranked_configuration.other_ranks.values()]
     low, high = min(ranks), max(ranks)
     return row_of(
-        Cell(str(placed.rank), "warn" if placed.flips else "good"),
-        arm.solver,
-        arm.route,
-        arm.policy,
-        arm.settings,
-        Cell(flips_text(placed), "warn" if placed.flips else ""),
-        micro_text(placed.mean_ns),
-        significant(placed.mean_ns / first),
-        share_text(placed.unsolved),
+        Cell(
+            str(ranked_configuration.rank), "warn" if ranked_configuration.other_ranks else "good"
+        ),
+        configuration.solver,
+        configuration.route,
+        configuration.policy,
+        configuration.settings,
+        Cell(
+            sensitivity_text(ranked_configuration),
+            "warn" if ranked_configuration.other_ranks else "",
+        ),
+        micro_text(ranked_configuration.mean_ns),
+        significant(ranked_configuration.mean_ns / first),
+        share_text(ranked_configuration.unsolved),
         str(low) if low == high else f"{low}-{high}",
     )
 
 
-def flips_text(placed: Placed) -> str:
+def sensitivity_text(ranked_configuration: Ranked) -> str:
     """`3: shift × 10 and without paper; 5: penalty × 10`, or `stable`."""
-    if not placed.flips:
+    if not ranked_configuration.other_ranks:
         return "stable"
     by_place: dict[int, list[str]] = {}
-    for name, place in placed.flips.items():
+    for name, place in ranked_configuration.other_ranks.items():
         by_place.setdefault(place, []).append(name)
     return "; ".join(f"{place}: {and_list(names)}" for place, names in sorted(by_place.items()))

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from math import isfinite, nan
 
-from dpbench.analysis.records import COMMON, Row, View, as_float
+from dpbench.analysis.records import COMMON, Records, RunRecord, as_float
 from dpbench.report.formats import MISSING, count_text, plural
 from dpbench.report.table import Cell, Mark, Table, row_of
 
@@ -22,11 +22,11 @@ TINTS: dict[str, Mark] = {
 OUTCOMES = tuple(TINTS)
 
 
-def population_table(view: View) -> Table:
+def population_table(view: Records) -> Table:
     """One row per solver: version, route, and how its cells ended."""
     rows = []
-    for solver in dict.fromkeys(str(row["solver"]) for row in view.every):
-        mine = [row for row in view.every if row["solver"] == solver]
+    for solver in dict.fromkeys(str(row["solver"]) for row in view.all_runs):
+        mine = [row for row in view.all_runs if row["solver"] == solver]
         ended = Counter(str(row["outcome"]) for row in mine)
         steps = sum(len(view.steps(row)) for row in mine)
         rows.append(
@@ -46,7 +46,8 @@ def population_table(view: View) -> Table:
         )
     return Table(
         title="Solvers",
-        note=f"{plural(len(view.every), 'cell')}; a cell is one solver in one arm of an "
+        note=f"{plural(len(view.all_runs), 'cell')}; a cell is one solver in one configuration "
+        "of an "
         "experiment. Build: as the library itself tells it. Form: what the library was given. "
         "Recorded steps include warm-up rounds.",
         heads=(
@@ -64,15 +65,15 @@ def population_table(view: View) -> Table:
     )
 
 
-def _forms(rows: Sequence[Row]) -> str:
+def _forms(rows: Sequence[RunRecord]) -> str:
     return ", ".join(sorted({str(row["form"]) for row in rows if row["form"]})) or MISSING
 
 
-def experiments_table(view: View) -> Table:
+def experiments_table(view: Records) -> Table:
     """One row per experiment: mode, problem, units, settings, policy, and its counts."""
-    groups: dict[tuple[str, ...], list[Row]] = {}
+    groups: dict[tuple[str, ...], list[RunRecord]] = {}
     names = ("mode", "scenario", "sequence", "units", "settings", "route", "policy", "formulation")
-    for row in view.every:
+    for row in view.all_runs:
         # The sequences of a random family are too many to stand one by one.
         shown = {name: str(row[name]) for name in names}
         if as_float(row["slowdown"]) > 0.0:
@@ -122,15 +123,15 @@ def experiments_table(view: View) -> Table:
     )
 
 
-def _most(rows: Sequence[Row], column: str) -> float:
+def _most(rows: Sequence[RunRecord], column: str) -> float:
     """The largest entry of a column; NaN without any."""
     return max((x for row in rows if isfinite(x := as_float(row[column]))), default=nan)
 
 
-def unfinished_table(view: View) -> Table | None:
+def unfinished_table(view: Records) -> Table | None:
     """Every cell that did not finish, equal reasons together; None when all finished."""
-    groups: dict[tuple[str, str, str], list[Row]] = {}
-    for row in view.every:
+    groups: dict[tuple[str, str, str], list[RunRecord]] = {}
+    for row in view.all_runs:
         if row["outcome"] != "finished":
             reason = str(row["outcome_detail"]) or "no reason was recorded"
             groups.setdefault((str(row["solver"]), str(row["outcome"]), reason), []).append(row)
@@ -148,7 +149,8 @@ def unfinished_table(view: View) -> Table | None:
     ]
     return Table(
         title="Cells that did not finish",
-        note=f"{plural(sum(map(len, groups.values())), 'cell')} of {len(view.every)}; the reasons "
+        note=f"{plural(sum(map(len, groups.values())), 'cell')} of {len(view.all_runs)}; the "
+        "reasons "
         "are the library's or the harness's own words.",
         heads=("solver", "outcome", "cells", "where", "reason"),
         rows=tuple(rows),
@@ -157,7 +159,7 @@ def unfinished_table(view: View) -> Table | None:
     )
 
 
-def _where(rows: Sequence[Row]) -> str:
+def _where(rows: Sequence[RunRecord]) -> str:
     if len(rows) > 4:
         modes = Counter(str(row["mode"]).replace("_", " ") for row in rows)
         return ", ".join(f"{count} × {mode}" for mode, count in modes.items())

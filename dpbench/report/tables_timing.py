@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from dpbench.analysis.demand import Demand, is_right
-from dpbench.analysis.records import Row, View, as_float
+from dpbench.analysis.records import Records, RunRecord, as_float
 from dpbench.analysis.statistics import (
     percentile,
     percentile_interval,
@@ -29,40 +29,58 @@ from dpbench.report.table import Cell, Table, row_of
 from dpbench.report.tables_accuracy import settings_without_effect
 from dpbench.report.time_marks import marks_legend, timed_name
 
-Arm = tuple[Row, StepTimes]
+PooledConfiguration = tuple[RunRecord, StepTimes]
 
 
-def timed_arms(view: View, sequence: str) -> list[Arm]:
-    """Replayed arms of a sequence with their step times, fastest median first."""
-    arms = [(row, view.times(row)) for row in view.replays(sequence)]
-    timed = [(row, times) for row, times in arms if times is not None]
-    return sorted(timed, key=lambda arm: float(np.median(arm[1].algo_ns)))
+def timed_configurations(view: Records, sequence: str) -> list[PooledConfiguration]:
+    """Replayed configurations of a sequence with their step times, fastest median first."""
+    configurations = [(row, view.times(row)) for row in view.replays(sequence)]
+    timed = [(row, times) for row, times in configurations if times is not None]
+    return sorted(timed, key=lambda configuration: float(np.median(configuration[1].algo_ns)))
 
 
-def timing_tables(view: View, sequence: str, demand: Demand) -> list[Table]:
+def timing_tables(view: Records, sequence: str, demand: Demand) -> list[Table]:
     """The algorithmic step times of one sequence: settings `default`, then folded the others."""
-    arms = timed_arms(view, sequence)
-    usual = [arm for arm in arms if arm[0]["settings"] == "default"]
-    if not arms or len(usual) in (0, len(arms)):
-        return [_timing_table(view, sequence, arms, arms, demand)] if arms else []
-    others = [arm for arm in arms if arm[0]["settings"] != "default"]
-    first = _timing_table(view, sequence, arms, usual, demand)
-    rest = _timing_table(view, sequence, arms, others, demand)
+    configurations = timed_configurations(view, sequence)
+    usual = [
+        configuration
+        for configuration in configurations
+        if configuration[0]["settings"] == "default"
+    ]
+    if not configurations or len(usual) in (0, len(configurations)):
+        return (
+            [_timing_table(view, sequence, configurations, configurations, demand)]
+            if configurations
+            else []
+        )
+    others = [
+        configuration
+        for configuration in configurations
+        if configuration[0]["settings"] != "default"
+    ]
+    first = _timing_table(view, sequence, configurations, usual, demand)
+    rest = _timing_table(view, sequence, configurations, others, demand)
     return [first, replace(rest, title=f"{rest.title}, other settings", folded=True)]
 
 
 def _timing_table(
-    view: View, sequence: str, arms: Sequence[Arm], shown: Sequence[Arm], demand: Demand
+    view: Records,
+    sequence: str,
+    configurations: Sequence[PooledConfiguration],
+    shown: Sequence[PooledConfiguration],
+    demand: Demand,
 ) -> Table:
-    """Some of the arms of a sequence."""
+    """Some of the configurations of a sequence."""
     return Table(
         title=f"Step times in the replay of `{sequence}`",
         note=(
-            f"{_population(view, arms)} Algorithmic time: per step the minimum over the rounds "
+            f"{_population(view, configurations)} Algorithmic time: per step the minimum over "
+            "the rounds "
             "(set-up + update + solve + read). Of medians: the same with the median over the "
             "rounds, what a usual round takes. Intervals: 95 %, block bootstrap over steps. "
-            f"{plural(len(shown), 'arm')} shown here; the section on rankings compares them in "
-            f"pairs. {_refused_percentile(arms)}{marks_legend(row for row, _ in shown)}"
+            f"{plural(len(shown), 'configuration')} shown here; the section on rankings "
+            "compares them in "
+            f"pairs. {_refused_percentile(configurations)}{marks_legend(row for row, _ in shown)}"
         ),
         heads=(
             "solver",
@@ -81,25 +99,26 @@ def _timing_table(
             "p99 of medians 95 %",
             "steps",
         ),
-        rows=tuple(_timing_row(arm, demand) for arm in shown),
+        rows=tuple(_timing_row(configuration, demand) for configuration in shown),
         text_columns=5,
     )
 
 
-def jitter_table(view: View, sequence: str) -> Table | None:
+def jitter_table(view: Records, sequence: str) -> Table | None:
     """Raw samples, phases and iterations of one sequence; None when nothing was replayed."""
-    arms = timed_arms(view, sequence)
-    if not arms:
+    configurations = timed_configurations(view, sequence)
+    if not configurations:
         return None
     return Table(
         title=f"Raw samples and phases in the replay of `{sequence}`",
         note=(
-            f"{_population(view, arms)} Raw: all samples pooled, the machine's jitter included. "
+            f"{_population(view, configurations)} Raw: all samples pooled, the machine's jitter "
+            "included. "
             "Intervals: 95 %, block bootstrap over steps, all samples of a step together. "
             "Phases: median over all samples; on route qpsolvers the solve holds the wrapper "
             "and cannot be split further. Set-up: part of every step under policy fresh on "
             "route native, else done once before the first step. A percentile without ten "
-            f"samples beyond it is not printed.{marks_legend(row for row, _ in arms)}"
+            f"samples beyond it is not printed.{marks_legend(row for row, _ in configurations)}"
         ),
         heads=(
             "solver",
@@ -120,36 +139,36 @@ def jitter_table(view: View, sequence: str) -> Table | None:
             "iterations max",
             "samples",
         ),
-        rows=tuple(_jitter_row(arm) for arm in arms),
+        rows=tuple(_jitter_row(configuration) for configuration in configurations),
         text_columns=4,
         folded=True,
     )
 
 
-def _population(view: View, arms: Sequence[Arm]) -> str:
-    most = max(len(times.algo_ns) for _, times in arms)
-    few, many = (of(times.rounds for _, times in arms) for of in (min, max))
+def _population(view: Records, configurations: Sequence[PooledConfiguration]) -> str:
+    most = max(len(times.algo_ns) for _, times in configurations)
+    few, many = (of(times.rounds for _, times in configurations) for of in (min, max))
     rounds = plural(many, "round") if few == many else f"{few} to {plural(many, 'round')}"
-    same = settings_without_effect([row for row, _ in arms])
+    same = settings_without_effect([row for row, _ in configurations])
     shown = (
         f" Settings have no effect on {', '.join(same)}: one run under all names." if same else ""
     )
     cpu = view.machine.get("cpu_model", "an unnamed CPU")
     return (
         f"Replay of identical QPs in scaled units, {plural(most, 'step')} × "
-        f"{rounds}, {plural(len(arms), 'arm')}, {cpu}.{shown}"
+        f"{rounds}, {plural(len(configurations), 'configuration')}, {cpu}.{shown}"
     )
 
 
-def _refused_percentile(arms: Sequence[Arm]) -> str:
-    most = max(len(times.algo_ns) for _, times in arms)
+def _refused_percentile(configurations: Sequence[PooledConfiguration]) -> str:
+    most = max(len(times.algo_ns) for _, times in configurations)
     if supports(most, 99):
         return ""
     return f"{plural(most, 'step')} do not support a p99 (it takes 1000), so none is printed."
 
 
-def _timing_row(arm: Arm, demand: Demand) -> tuple[Cell, ...]:
-    row, times = arm
+def _timing_row(configuration: PooledConfiguration, demand: Demand) -> tuple[Cell, ...]:
+    row, times = configuration
     algo = times.algo_ns
     middle = percentile_interval(algo, 50)
     far = percentile_interval(algo, 99)
@@ -175,8 +194,8 @@ def _timing_row(arm: Arm, demand: Demand) -> tuple[Cell, ...]:
     )
 
 
-def _jitter_row(arm: Arm) -> tuple[Cell, ...]:
-    row, times = arm
+def _jitter_row(configuration: PooledConfiguration) -> tuple[Cell, ...]:
+    row, times = configuration
     raw = times.raw_ns
     tails = [
         text

@@ -7,16 +7,16 @@ from collections.abc import Mapping, Sequence
 from dpbench.analysis.times.routes import (
     ABOVE,
     KEPT,
-    LADDER,
+    LEVELS,
     NATIVE,
     SLOWER_NS,
     SLOWER_SHARE,
     WARM,
     WRAPPED,
     Comparison,
-    Way,
-    Ways,
-    way_text,
+    RouteComparison,
+    RoutePolicy,
+    route_policy_text,
 )
 from dpbench.report.formats import (
     MISSING,
@@ -35,8 +35,10 @@ SLOWER = (
 )
 
 
-def ladder_table(ways: Sequence[Ways], sequence: str, *, others: bool = False) -> Table | None:
-    """From the wrapper down to a warm start, one row a solver; None without a native arm.
+def route_table(
+    ways: Sequence[RouteComparison], sequence: str, *, others: bool = False
+) -> Table | None:
+    """From the wrapper down to a warm start, one row a solver; None without a native configuration.
 
     `others` gives the folded table of all settings but `default`.
     """
@@ -65,7 +67,7 @@ def ladder_table(ways: Sequence[Ways], sequence: str, *, others: bool = False) -
         ),
         heads=(
             *named,
-            *(way_text(way) for way in LADDER),
+            *(route_policy_text(way) for way in LEVELS),
             "wrapper costs [µs]",
             "wrapper ratio",
             "reuse gains",
@@ -74,20 +76,20 @@ def ladder_table(ways: Sequence[Ways], sequence: str, *, others: bool = False) -
             "warm slower",
             "warm wrong",
         ),
-        rows=tuple(_ladder_row(w, count, others=others) for w in shown),
+        rows=tuple(_route_row(w, count, others=others) for w in shown),
         text_columns=len(named),
         folded=others,
     )
 
 
-def _ladder_row(ways: Ways, count: int, *, others: bool) -> tuple[Cell, ...]:
+def _route_row(ways: RouteComparison, count: int, *, others: bool) -> tuple[Cell, ...]:
     wrapper = ways.compare(NATIVE, ways.neighbour(NATIVE), count)
     kept = ways.compare(KEPT, ways.neighbour(KEPT), count)
     warm = ways.compare(WARM, ways.neighbour(WARM), count)
     return row_of(
         ways.solver,
         *([ways.settings] if others else []),
-        *(_median(ways, way) for way in LADDER),
+        *(_median(ways, way) for way in LEVELS),
         micro_text(wrapper.saved_ns) if wrapper else MISSING,
         _gain(wrapper),
         _gain(kept),
@@ -98,14 +100,14 @@ def _ladder_row(ways: Ways, count: int, *, others: bool) -> tuple[Cell, ...]:
     )
 
 
-def _median(ways: Ways, way: Way) -> Cell:
+def _median(ways: RouteComparison, way: RoutePolicy) -> Cell:
     if way in ways.times:
         return Cell(micro_text(ways.median_ns(way)))
     row = ways.rows.get(way)
     return Cell(str(row["outcome"]).replace("_", " ") if row else MISSING, "quiet")
 
 
-def _gain(found: Comparison | None, usual: Way | None = None) -> Cell:
+def _gain(found: Comparison | None, usual: RoutePolicy | None = None) -> Cell:
     if found is None:
         return Cell(MISSING, "quiet")
     gain = found.gain
@@ -117,7 +119,7 @@ def _gain(found: Comparison | None, usual: Way | None = None) -> Cell:
     return Cell(text, "good" if gain.value > 1.0 else "bad")
 
 
-def _iterations(ways: Ways) -> str:
+def _iterations(ways: RouteComparison) -> str:
     fresh = next((ways.times[w] for w in (NATIVE, WRAPPED) if w in ways.times), None)
     before = significant(fresh.iterations[0]) if fresh else MISSING
     after = significant(ways.times[WARM].iterations[0]) if WARM in ways.times else MISSING
@@ -138,7 +140,7 @@ def _wrong(found: Comparison | None) -> Cell:
     return Cell(count_text(len(found.wrong)), "bad" if found.wrong else "")
 
 
-def kept_table(ways: Sequence[Ways], sequence: str) -> Table | None:
+def kept_table(ways: Sequence[RouteComparison], sequence: str) -> Table | None:
     """Every kept workspace beside its neighbour, on all routes and settings; None without one."""
     found = [
         (w, way, comparison)
@@ -151,7 +153,8 @@ def kept_table(ways: Sequence[Ways], sequence: str) -> Table | None:
     return Table(
         title=f"What a kept workspace gains in the replay of `{sequence}`",
         note=(
-            f"{plural(len(found), 'arm')}, each beside its neighbour: the neighbour's time over "
+            f"{plural(len(found), 'configuration')}, each beside its neighbour: the neighbour's "
+            "time over "
             "this one's, geometric mean of paired ratios per step; 95 % interval, block bootstrap "
             "over steps. Where the interval holds 1 the policy measurably makes no difference. "
             f"{SLOWER}. Wrong: not true here, true there; mended: the other way round."
@@ -172,13 +175,13 @@ def kept_table(ways: Sequence[Ways], sequence: str) -> Table | None:
             "wrong",
             "mended",
         ),
-        rows=tuple(_kept_row(*arm) for arm in found),
+        rows=tuple(_kept_row(*configuration) for configuration in found),
         text_columns=6,
         folded=True,
     )
 
 
-def _kept_row(ways: Ways, way: Way, found: Comparison) -> tuple[Cell, ...]:
+def _kept_row(ways: RouteComparison, way: RoutePolicy, found: Comparison) -> tuple[Cell, ...]:
     gain = found.gain
     if gain.spans(1.0):
         verdict = Cell("no difference", "quiet")
@@ -189,7 +192,7 @@ def _kept_row(ways: Ways, way: Way, found: Comparison) -> tuple[Cell, ...]:
         ways.settings,
         *way,
         verdict,
-        way_text(found.above),
+        route_policy_text(found.above),
         significant(gain.value),
         interval_text(gain.low, gain.high),
         f"{significant(ways.times[found.above].iterations[1])} → "
@@ -202,14 +205,14 @@ def _kept_row(ways: Ways, way: Way, found: Comparison) -> tuple[Cell, ...]:
     )
 
 
-def missing_table(by_sequence: Mapping[str, Sequence[Ways]]) -> Table | None:
+def missing_table(by_sequence: Mapping[str, Sequence[RouteComparison]]) -> Table | None:
     """The steps of the ladder that are not there, and why; None when all are."""
     places: dict[tuple[str, str, str], list[str]] = {}
     for sequence, ways in by_sequence.items():
         for w in ways:
-            for way in LADDER:
+            for way in LEVELS:
                 if way not in w.times:
-                    key = (w.solver, way_text(way), w.why_missing(way))
+                    key = (w.solver, route_policy_text(way), w.why_missing(way))
                     places.setdefault(key, []).append(f"{sequence} ({w.settings})")
     if not places:
         return None
@@ -219,9 +222,10 @@ def missing_table(by_sequence: Mapping[str, Sequence[Ways]]) -> Table | None:
         for (solver, way, reason), where in sorted(places.items())
     ]
     return Table(
-        title="Ways that are missing",
+        title="RouteComparison that are missing",
         note=(
-            f"Of the {plural(4 * every, 'arm')} behind the tables above; the reasons are the "
+            f"Of the {plural(4 * every, 'configuration')} behind the tables above; the reasons "
+            "are the "
             "library's or the harness's own words. A gain is then taken over the next way above "
             "that was measured, or not given."
         ),

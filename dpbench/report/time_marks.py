@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from dpbench.analysis.records import Row
+from dpbench.analysis.records import RunRecord
 from dpbench.bench.judge.memory_of_answers import remembers
 
 GENERIC = "†"
 REMEMBERS = "‡"
 
 
-def timed_name(row: Row) -> str:
+def timed_name(row: RunRecord) -> str:
     """The solver of a row beside whose time it stands, with its marks."""
     marks = (GENERIC if row["generic_build"] else "") + (REMEMBERS if remembers(row) else "")
     return f"{row['solver']} {marks}" if marks else str(row["solver"])
 
 
-def marks_legend(rows: Iterable[Row]) -> str:
+def marks_legend(rows: Iterable[RunRecord]) -> str:
     """What the marks of these rows mean, each in a sentence with a space before it."""
     shown = list(rows)
     builds = sorted({str(row["build"]) for row in shown if row["generic_build"]})

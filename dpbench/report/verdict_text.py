@@ -9,8 +9,13 @@ import numpy as np
 
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.recommendation import Recommendation, known_record, recommend
-from dpbench.analysis.records import Row, View, as_float, has_steps, is_contrast
-from dpbench.analysis.times.pairs import Contender, Duel, duel, fastest_first
+from dpbench.analysis.records import Records, RunRecord, as_float, has_steps, is_baseline_law
+from dpbench.analysis.times.pairs import (
+    PairedComparison,
+    TimedConfiguration,
+    fastest_first,
+    paired_comparison,
+)
 from dpbench.analysis.verdict import Finding, Outcome, Verdict, Verdicts, detail
 from dpbench.report.formats import (
     and_list,
@@ -128,7 +133,7 @@ def _labels(verdicts: Sequence[Verdict]) -> str:
     return and_list([v.label for v in verdicts])
 
 
-def recommendation(view: View, verdicts: Verdicts) -> list[str]:
+def recommendation(view: Records, verdicts: Verdicts) -> list[str]:
     """What to use, what is faster and cannot go aboard, and how clear the lead is."""
     found = recommend(verdicts)
     if found.chosen is None:
@@ -140,7 +145,7 @@ def recommendation(view: View, verdicts: Verdicts) -> list[str]:
             f"{figures(found.faster)}), which cannot go aboard as it is: {found.because}."
         )
     if found.runner_up is not None:
-        lines.append(duel_text(duel(view, found.chosen, found.runner_up)))
+        lines.append(paired_text(paired_comparison(view, found.chosen, found.runner_up)))
     return lines
 
 
@@ -170,7 +175,7 @@ def aboard(solver: str) -> str:
     )
 
 
-def _nobody(view: View, verdicts: Verdicts, found: Recommendation) -> str:
+def _nobody(view: Records, verdicts: Verdicts, found: Recommendation) -> str:
     """Why nothing is recommended."""
     if found.faster is not None:
         return (
@@ -185,9 +190,9 @@ def _nobody(view: View, verdicts: Verdicts, found: Recommendation) -> str:
     return "Nothing is recommended: no solver meets the demand in any configuration that was run."
 
 
-def yardstick(arm: Contender) -> str:
-    """What an arm is ranked by: its p99, or its largest step where there is no p99."""
-    return "p99" if math.isfinite(arm.p99_ns) else "largest step"
+def yardstick(configuration: TimedConfiguration) -> str:
+    """What a configuration is ranked by: its p99, or its largest step where there is no p99."""
+    return "p99" if math.isfinite(configuration.p99_ns) else "largest step"
 
 
 def figures(verdict: Verdict) -> str:
@@ -217,7 +222,7 @@ def slack_text(verdict: Verdict, demand: Demand) -> str:
     )
 
 
-def duel_text(found: Duel) -> str:
+def paired_text(found: PairedComparison) -> str:
     """How the top two compare, with caution where they cannot be told apart."""
     if found.steps == 0:
         return f"{found.second} is second; no step was replayed by both, so they are not compared."
@@ -311,14 +316,14 @@ def clause(finding: Finding) -> str:
     )
 
 
-def where(row: Row) -> str:
+def where(row: RunRecord) -> str:
     """The place of a run in words."""
     if row["mode"] == "replay":
         return f"the replay of `{row['sequence']}`"
     return f"`{row['scenario']}`"
 
 
-def _places(rows: Sequence[Row]) -> str:
+def _places(rows: Sequence[RunRecord]) -> str:
     loops = [f"`{row['scenario']}`" for row in rows if row["mode"] != "replay"]
     replays = [f"`{row['sequence']}`" for row in rows if row["mode"] == "replay"]
     if replays:
@@ -362,12 +367,12 @@ def elsewhere(verdicts: Verdicts, reference: Verdict) -> str:
     return text + f" Fastest way: {best.configuration.way}, {figures(best)} ({judged_on(best)})."
 
 
-def contrast(view: View) -> str:
-    """The contrast law in one sentence: it solves no QP and is never ranked."""
-    rows = [r for r in view.select(mode="closed_loop") if is_contrast(r) and has_steps(r)]
+def baseline_law(view: Records) -> str:
+    """The baseline law in one sentence: it solves no QP and is never ranked."""
+    rows = [r for r in view.select(mode="closed_loop") if is_baseline_law(r) and has_steps(r)]
     if not rows:
         return "Contrast: the clipped unconstrained law was not run."
-    longest: dict[str, Row] = {}
+    longest: dict[str, RunRecord] = {}
     for row in sorted(rows, key=lambda row: as_float(row["steps_done"])):
         longest[str(row["scenario"])] = row
     names = [name for name in view.scenarios if name in longest]

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import View, as_float
+from dpbench.analysis.records import Records, as_float
 from dpbench.bench.design.design_file import Designs, load_design
 from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.report.blocks import Page, Section
@@ -58,7 +58,7 @@ def report_and_verdict(out: str | Path, *, baseline: str | None = None) -> tuple
     folder = Path(out)
     results = load_results(folder)
     if baseline is not None:
-        check_baseline(View(results), Demand.of(results.suite), baseline)
+        check_baseline(Records(results), Demand.of(results.suite), baseline)
     figures = folder / "figures"
     figures.mkdir(exist_ok=True)
     with styled():
@@ -76,8 +76,8 @@ def report_and_verdict(out: str | Path, *, baseline: str | None = None) -> tuple
 
 def verdict_lines(results: Results) -> list[str]:
     """The verdict on results in a few plain lines."""
-    view = View(results)
-    other = view.random or view.slowed or view.calibration
+    view = Records(results)
+    other = view.random or view.delayed or view.calibration
     judged = _lines(view, Demand.of(results.suite)) if view.runs or not other else []
     return [*judged, *deadline_lines(view), *random_lines(view), *harness_lines(view)]
 
@@ -86,7 +86,7 @@ def build_page(
     results: Results, designs: Designs | None = None, *, baseline: str | None = None
 ) -> Page:
     """The whole page, figures drawn but not written; without designs no section on them."""
-    view, demand = View(results), Demand.of(results.suite)
+    view, demand = Records(results), Demand.of(results.suite)
     suite = results.suite
     return Page(
         title=f"dpbench: {suite.get('name', 'results')}",
@@ -103,10 +103,10 @@ def _baseline(suite: dict[str, Any]) -> str | None:
 
 
 def _sections(
-    view: View, demand: Demand, designs: Designs | None, baseline: str | None
+    view: Records, demand: Demand, designs: Designs | None, baseline: str | None
 ) -> list[Section]:
     """All sections; of records without a ship, those that have something to say."""
-    if view.calibration and not view.every:
+    if view.calibration and not view.all_runs:
         return [timing_section(view, demand), reading_section()]
     claims, deadline = random_section(view), deadline_section(view)
     horizon = horizon_section(view, demand)

@@ -1,8 +1,8 @@
-"""Solvers: the contract, the table, the ladder of settings and one adapter per library."""
+"""Solvers: the contract, the table, the tolerance levels and one adapter per library."""
 
 from dpbench.solvers.contract import Policy, Route, Settings, Workspace
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.settings import describe_ladder
+from dpbench.solvers.settings import describe_levels
 from dpbench.solvers.table import (
     Availability,
     available,
@@ -18,7 +18,7 @@ __all__ = [
     "Settings",
     "Workspace",
     "available",
-    "describe_ladder",
+    "describe_levels",
     "load_solver_module",
     "open_workspace",
     "record",

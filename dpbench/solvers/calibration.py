@@ -1,4 +1,4 @@
-"""The harness's own arms: workspaces of a known cost, which solve nothing.
+"""The harness's own configurations: workspaces of a known cost, which solve nothing.
 
     no_op              every method returns at once, `read` the same stored object: the harness
     copy_only          `update` copies q, l, u, `read` copies an answer out: the contract
@@ -25,7 +25,7 @@ from dpbench.solvers.shapes import check_step
 
 NO_OP, COPY_ONLY = "no_op", "copy_only"
 WAITS_NS = {f"busy_wait_{wait}us": 1000 * wait for wait in (20, 50, 200, 1000)}
-"""What each waiting arm waits [ns]."""
+"""What each waiting configuration waits [ns]."""
 
 # Waiting is the only work on this floor that takes a clock. Where there is one that nobody
 # disciplines, it is another than the harness's own, so that one checks the other.
@@ -60,7 +60,8 @@ CALIBRATION: dict[str, SolverRecord] = {
     COPY_ONLY: _record(COPY_ONLY, "none: copies q, l, u in and an answer out"),
     **{n: _record(n, f"none: waits {ns // 1000} µs in solve") for n, ns in WAITS_NS.items()},
 }
-"""The arms by name, in the order they are shown; none of them is a solver of the table."""
+"""The configurations by name, in the order they are shown; none of them is a solver of the
+table."""
 
 
 class NoOp(Workspace):
@@ -135,7 +136,7 @@ class CopyOnly(Workspace):
 
 
 def open_calibration(name: str) -> Workspace:
-    """The workspace of an arm of `CALIBRATION`."""
+    """The workspace of a configuration of `CALIBRATION`."""
     if name in WAITS_NS:
         return BusyWait(name, WAITS_NS[name])
     return NoOp(name) if name == NO_OP else CopyOnly(name)

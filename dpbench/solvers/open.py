@@ -10,7 +10,7 @@ from dpbench.solvers.contract import Policy, Route, Settings, Workspace
 from dpbench.solvers.native import NATIVE
 from dpbench.solvers.plugins import find_plugin
 from dpbench.solvers.record import SolverRecord
-from dpbench.solvers.settings import check_names, resolve, rung
+from dpbench.solvers.settings import check_names, level_options, resolve
 from dpbench.solvers.table import available, record
 from dpbench.solvers.through_qpsolvers import ADAPTERS
 from dpbench.solvers.through_qpsolvers.generic import generic_adapter
@@ -96,7 +96,7 @@ def _join(allowed: tuple[Policy, ...]) -> str:
 def _open_plugin(row: SolverRecord, policy: Policy, settings: Settings) -> Workspace:
     plugin = find_plugin(row.name)
     assert plugin is not None, "its record came from there"
-    options = rung(settings, row.name) if isinstance(settings, str) else dict(settings)
+    options = level_options(settings, row.name) if isinstance(settings, str) else dict(settings)
     workspace = plugin.open(policy, options)
     if not isinstance(workspace, Workspace):
         raise InputError(f"solver {row.name}", "open", repr(workspace), "a Workspace")
@@ -107,7 +107,7 @@ def _open_plugin(row: SolverRecord, policy: Policy, settings: Settings) -> Works
 
 def _open_own(row: SolverRecord, policy: Policy, settings: Settings) -> Workspace:
     if isinstance(settings, str):
-        options = rung(settings, row.name)
+        options = level_options(settings, row.name)
     else:
         check_names(row.name, settings, HILDRETH_KEYS if row.name == "hildreth" else ())
         options = dict(settings)

@@ -4,7 +4,7 @@ A plug-in is a module (or any object) with
 
     RECORD                   its row in the table; `solver_record` fills in what is usual
     open(policy, options)    a Workspace, not yet set up; `options` maps its own keys to values
-    LADDER                   optional: the options that "low", "mid" and "high" mean
+    LEVELS                   optional: the options that "low", "mid" and "high" mean
 
 An installed distribution names it by an entry point of the group `dpbench.solvers`, whose name is
 that of the solver; a file is loaded by `table.load_solver_module`. RECORD names the module of its
@@ -38,7 +38,7 @@ class Plugin:
 
     record: SolverRecord
     open: Callable[[Policy, Options], Workspace]
-    ladder: Mapping[str, Options]
+    levels: Mapping[str, Options]
     version: str
     origin: str
 
@@ -155,7 +155,7 @@ def _register(
         raise InputError(where, "RECORD.name", repr(record.name), f"a name not in {owner}")
     if set(record.policies) != {"native"}:
         raise InputError(where, "RECORD.policies", sorted(record.policies), "route native alone")
-    ladder = dict(getattr(found, "LADDER", {}))
-    plugin = Plugin(replace(record, extra="plugin"), opener, ladder, version, origin)
+    levels = dict(getattr(found, "LEVELS", getattr(found, "LADDER", {})))
+    plugin = Plugin(replace(record, extra="plugin"), opener, levels, version, origin)
     _LOADED[record.name] = plugin
     return plugin

@@ -1,4 +1,4 @@
-"""The ladder of settings: one place that says what each name means for each solver.
+"""The tolerance levels: one place that says what each name means for each solver.
 
 `default` is the library's own choice; `low`, `mid` and `high` ask for 1e-3, 1e-6 and 1e-9 absolute,
 relative criteria off (or at the same number where the library needs them positive), criteria on
@@ -53,7 +53,7 @@ def _proxqp(tolerance: float) -> Options:
     }
 
 
-def _rung(tolerance: float) -> dict[str, Options]:
+def _level(tolerance: float) -> dict[str, Options]:
     """What a tolerance means for each solver."""
     first_order: Options = {"eps_abs": tolerance, "eps_rel": 0.0}
     return {
@@ -109,17 +109,20 @@ FAIR: Mapping[str, Options] = {
 }
 
 
-def _fair(rung: Mapping[str, Options]) -> dict[str, Options]:
-    return {**rung, **{name: {**keys, **rung.get(name, {})} for name, keys in FAIR.items()}}
+def _fair(level_options: Mapping[str, Options]) -> dict[str, Options]:
+    return {
+        **level_options,
+        **{name: {**keys, **level_options.get(name, {})} for name, keys in FAIR.items()},
+    }
 
 
-LADDER: Mapping[str, Mapping[str, Options]] = {
+LEVELS: Mapping[str, Mapping[str, Options]] = {
     DEFAULT: _fair({}),
-    **{name: _fair(_rung(tolerance)) for name, tolerance in TOLERANCES.items()},
+    **{name: _fair(_level(tolerance)) for name, tolerance in TOLERANCES.items()},
 }
 _POLISH: Options = {"polishing": True}
 VARIANTS: Mapping[str, Mapping[str, Options]] = {
-    "osqp": {f"{name}_polished": {**LADDER[name]["osqp"], **_POLISH} for name in (DEFAULT, HIGH)},
+    "osqp": {f"{name}_polished": {**LEVELS[name]["osqp"], **_POLISH} for name in (DEFAULT, HIGH)},
 }
 """Further names that one solver has beside the ladder."""
 
@@ -139,7 +142,7 @@ class Configurable(Protocol):
 
 def settings_matter(solver: str) -> bool:
     """Whether the names of the ladder differ for this solver."""
-    return any(rung(name, solver) != rung(DEFAULT, solver) for name in LADDER)
+    return any(level_options(name, solver) != level_options(DEFAULT, solver) for name in LEVELS)
 
 
 def resolve(settings: Settings, adapter: Configurable) -> Options:
@@ -152,7 +155,7 @@ def resolve(settings: Settings, adapter: Configurable) -> Options:
     """
     name = adapter.record.name
     if isinstance(settings, str):
-        return dict(rung(settings, name))
+        return dict(level_options(settings, name))
     if adapter.option_names is not None:
         check_names(name, settings, adapter.option_names())
     if adapter.settings_object is not None:
@@ -162,16 +165,16 @@ def resolve(settings: Settings, adapter: Configurable) -> Options:
 
 def setting_names(solver: str) -> tuple[str, ...]:
     """The names of settings of a solver: the ladder and its variants."""
-    return *LADDER, *VARIANTS.get(solver, {})
+    return *LEVELS, *VARIANTS.get(solver, {})
 
 
-def rung(name: str, solver: str) -> Options:
+def level_options(name: str, solver: str) -> Options:
     """What the setting of that name means for a solver; SettingsError if there is none."""
-    if name in LADDER:
-        if solver in LADDER[name]:
-            return LADDER[name][solver]
+    if name in LEVELS:
+        if solver in LEVELS[name]:
+            return LEVELS[name][solver]
         plugin = find_plugin(solver)
-        return {} if plugin is None else plugin.ladder.get(name, {})
+        return {} if plugin is None else plugin.levels.get(name, {})
     variants = VARIANTS.get(solver, {})
     if name not in variants:
         allowed = " | ".join(setting_names(solver))
@@ -179,11 +182,11 @@ def rung(name: str, solver: str) -> Options:
     return variants[name]
 
 
-def describe_ladder(solver: str) -> str:
+def describe_levels(solver: str) -> str:
     """One line per name of its settings: what it sets, "the library's defaults" for nothing."""
     lines = []
     for name in setting_names(solver):
-        keys = ", ".join(f"{key}={value!r}" for key, value in rung(name, solver).items())
+        keys = ", ".join(f"{key}={value!r}" for key, value in level_options(name, solver).items())
         lines.append(f"{name}: {keys or _nothing(name, solver)}")
     return "\n".join(lines)
 

@@ -91,7 +91,8 @@ class Availability:
 def solver_names() -> tuple[str, ...]:
     """Every solver of the table, installed or not, and every plug-in, in alphabetical order.
 
-    The harness's own arms (`calibration.py`) have records but are no solvers, and not among them.
+    The harness's own configurations (`calibration.py`) have records but are no solvers, and not
+    among them.
     """
     return tuple(sorted({*TABLE, *loaded_names(), *entry_point_names()}))
 
@@ -99,7 +100,7 @@ def solver_names() -> tuple[str, ...]:
 def record(name: str) -> SolverRecord:
     """The row of a solver: of the table, of a plug-in, or of one that only qpsolvers knows.
 
-    The harness's own arms have a row too.
+    The harness's own configurations have a row too.
 
     Raises
     ------

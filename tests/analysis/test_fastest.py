@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.times.pooled import pool
-from dpbench.analysis.verdict import Verdicts, judge_all
+from dpbench.analysis.times.pooled import common_steps
+from dpbench.analysis.verdict import Verdicts, verdicts_of
 from dpbench.report.table import Table
 from dpbench.report.tables_levels import level_tables, levels_of
 from dpbench.report.verdict_text import judged_on, recommendation
@@ -16,7 +16,7 @@ DEMAND = Demand()
 
 
 def _found(records: Any) -> Verdicts:
-    return judge_all(records.view(), DEMAND)
+    return verdicts_of(records.view(), DEMAND)
 
 
 def _labels(records: Any) -> list[str]:
@@ -24,7 +24,8 @@ def _labels(records: Any) -> list[str]:
 
 
 def test_the_verdict_stays_on_the_default_route(records: Any) -> None:
-    """However fast or wrong a native arm is, the verdict is that of route qpsolvers, fresh."""
+    """However fast or wrong a native configuration is, the verdict is that of route qpsolvers,
+    fresh."""
     records.loop("osqp")
     records.loop("osqp", route="native", policy="warm", error=0.5)
     records.replay("osqp", route="native", policy="fresh", median_us=5.0, error=0.5)
@@ -42,8 +43,8 @@ def test_a_solver_without_wrapper_is_judged_natively(records: Any) -> None:
     assert (verdict.outcome, verdict.route) == ("meets", "native")
 
 
-def test_the_fastest_arm_is_one_with_right_answers(records: Any) -> None:
-    """A faster arm whose answers miss the demand, or fail, is no candidate."""
+def test_the_fastest_configuration_is_one_with_right_answers(records: Any) -> None:
+    """A faster configuration whose answers miss the demand, or fail, is no candidate."""
     records.replay("daqp", median_us=20.0)
     records.replay("daqp", median_us=10.0, route="native", policy="reuse")
     records.replay("daqp", median_us=5.0, route="native", policy="warm", error=0.5)
@@ -51,8 +52,8 @@ def test_the_fastest_arm_is_one_with_right_answers(records: Any) -> None:
     assert _labels(records) == ["daqp (native reuse)", "daqp (qpsolvers fresh)"]
 
 
-def test_a_closed_loop_that_contradicts_an_arm_rules_it_out(records: Any) -> None:
-    """An arm that was right on replays but not in its own closed loop is left out."""
+def test_a_closed_loop_that_contradicts_a_configuration_rules_it_out(records: Any) -> None:
+    """A configuration that was right on replays but not in its own closed loop is left out."""
     records.replay("scs", route="native", policy="warm")
     assert _labels(records) == ["scs (native warm)"]
     records.loop("scs", route="native", policy="warm", error=0.5)
@@ -80,13 +81,16 @@ def test_who_remembers_answers_is_never_the_fastest(
     found = _found(records)
     assert {v.solver: v.outcome for v in found.references} == {"table": "open", "daqp": "meets"}
     assert _labels(records) == ["daqp (qpsolvers fresh)"]
-    pooled = pool(records.view(), DEMAND)
+    pooled = common_steps(records.view(), DEMAND)
     assert pooled is not None
-    assert {arm.solver: arm.right for arm in pooled.arms} == {"table": False, "daqp": True}
+    assert {
+        configuration.solver: configuration.right for configuration in pooled.configurations
+    } == {"table": False, "daqp": True}
 
 
-def test_an_arm_has_to_be_right_on_every_sequence(records: Any) -> None:
-    """An arm that is right on one sequence and wrong on another, or absent there, is left out."""
+def test_a_configuration_has_to_be_right_on_every_sequence(records: Any) -> None:
+    """A configuration that is right on one sequence and wrong on another, or absent there, is left
+    out."""
     for sequence, error in (("paper", 1e-9), ("rough[900:1400]", 0.5)):
         records.replay("wrong_once", sequence, error=error, median_us=5.0)
         records.replay("right", sequence, median_us=20.0)
@@ -106,7 +110,7 @@ def test_figures_come_from_the_sequence_with_the_worst_p99(records: Any) -> None
     assert found.algo_max_ns == 30e3
 
 
-def test_short_sequences_have_a_fastest_arm_without_p99(records: Any) -> None:
+def test_short_sequences_have_a_fastest_configuration_without_p99(records: Any) -> None:
     """With too few steps for a p99 the largest step ranks, and the text says so."""
     records.replay("slow", steps=100, median_us=40.0)
     records.replay("fast", steps=100, median_us=10.0)
@@ -199,7 +203,7 @@ def test_places_behind_the_first_five_are_folded(records: Any) -> None:
     assert rest.folded
 
 
-def test_without_a_right_arm_there_is_no_headline(records: Any) -> None:
+def test_without_a_right_configuration_there_is_no_headline(records: Any) -> None:
     """No table is made of nobody."""
     records.replay("osqp", error=0.5)
     assert _headline(records) == []

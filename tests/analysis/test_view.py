@@ -5,22 +5,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.analysis.records import View
+from dpbench.analysis.records import Records
 from dpbench.bench.judge.rules import counting_rows
 from dpbench.bench.record.result_folder import Results
 
 
-def _spoil(records: Any, rounds: list[int]) -> View:
+def _spoil(records: Any, rounds: list[int]) -> Records:
     found = records.results()
     steps = found.steps.copy()
-    steps["spoilt"] = steps["repeat"].isin(rounds)
-    repeat, spoilt = (steps[name].to_numpy() for name in ("repeat", "spoilt"))
-    steps["counts"] = counting_rows(repeat, spoilt)
-    return View(Results(found.runs, steps, found.machine, found.suite))
+    steps["disturbed"] = steps["repeat"].isin(rounds)
+    repeat, disturbed = (steps[name].to_numpy() for name in ("repeat", "disturbed"))
+    steps["counts"] = counting_rows(repeat, disturbed)
+    return Records(Results(found.runs, steps, found.machine, found.suite))
 
 
 def test_algorithmic_time_is_the_minimum_over_rounds(records: Any) -> None:
-    """Per step the fastest counting round is the algorithmic time; all samples stay in the pool."""
+    """Per step the fastest counting round is the algorithmic time; all samples stay in the
+    common_steps."""
     records.replay("daqp", steps=100, rounds=3)
     view = records.view()
     steps = view.steps(view.runs[0])
@@ -36,7 +37,7 @@ def test_the_median_over_rounds_is_found_step_by_step(records: Any) -> None:
     records.replay("daqp", steps=50, rounds=4)
     found = records.results()
     cut = found.steps[~((found.steps["repeat"] == 4) & (found.steps["k"] >= 30))]
-    view = View(Results(found.runs, cut, found.machine, found.suite))
+    view = Records(Results(found.runs, cut, found.machine, found.suite))
     times = view.times(view.runs[0])
     assert times is not None
     medians = cut[~cut["warmup"]].astype({"total_ns": float}).groupby("k")["total_ns"].median()
@@ -45,7 +46,7 @@ def test_the_median_over_rounds_is_found_step_by_step(records: Any) -> None:
     np.testing.assert_array_equal(np.bincount(times.raw_k), [4] * 30 + [3] * 20)
 
 
-def test_spoilt_rounds_do_not_count(records: Any) -> None:
+def test_disturbed_rounds_do_not_count(records: Any) -> None:
     """A round in which the machine was slowed is left out, unless no other is left."""
     records.replay("daqp", steps=100, rounds=3)
     some = _spoil(records, [1])

@@ -56,7 +56,7 @@ class Spoiling(Workspace):
         self._inside.solve()
 
     def read(self) -> Solution:
-        """The answer, once more after everything was spoilt."""
+        """The answer, once more after everything was disturbed."""
         self._zero()
         return self._inside.read()
 

@@ -1,4 +1,5 @@
-"""Where the time of a campaign went, and how long a slow arm goes on; waits of a known length."""
+"""Where the time of a campaign went, and how long a slow configuration goes on; waits of a known
+length."""
 
 from __future__ import annotations
 
@@ -17,8 +18,8 @@ from dpbench.bench.plan.suite import ClosedLoopTable, SuiteFile
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.bench.run.formulation import in_replay
-from dpbench.bench.run.replay import ReplayArm
-from dpbench.bench.run.timed_solver import SolverPort
+from dpbench.bench.run.replay import ReplayRun
+from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.bench.workers.interleaved import FEWEST_ROUNDS
 from dpbench.report.tables_spent import spent_table
 from dpbench.solvers.calibration import NO_OP, open_calibration
@@ -27,7 +28,7 @@ STEPS, ROUNDS = 20, 6
 SUITE = f"""
 title = "Tiny"
 solvers = ["daqp", "busy_wait_1000us", "busy_wait_20us"]
-contrast = false
+baseline_law = false
 rounds = {ROUNDS}
 warmup_steps = 2
 replay_budget_s = 0.04 # less than two rounds of a wait of 1 ms
@@ -71,15 +72,16 @@ def test_a_stage_knows_its_timed_phases(results: Results) -> None:
     assert replay["timed_s"] < replay["wall_s"] < results.suite["wall_s"]
 
 
-def test_a_slow_arm_has_fewer_rounds_and_is_finished(results: Results) -> None:
-    """An arm beyond its budget ends with the fewest rounds that count, not as timed out."""
+def test_a_slow_configuration_has_fewer_rounds_and_is_finished(results: Results) -> None:
+    """A configuration beyond its budget ends with the fewest rounds that count, not as timed
+    out."""
     runs = results.runs.set_index("solver")
     slow = runs.loc["busy_wait_1000us"]
     steps = results.steps[results.steps["run_id"] == slow["run_id"]]
     assert slow["outcome"] == "finished"
-    # More than the fewest only to make up for rounds that the machine spoilt.
-    seen, spoilt = steps["repeat"].max(), slow["spoilt_rounds"] + slow["rerun_rounds"]
-    assert FEWEST_ROUNDS <= seen <= FEWEST_ROUNDS + spoilt
+    # More than the fewest only to make up for rounds that the machine disturbed.
+    seen, disturbed = steps["repeat"].max(), slow["disturbed_rounds"] + slow["rerun_rounds"]
+    assert FEWEST_ROUNDS <= seen <= FEWEST_ROUNDS + disturbed
     assert (steps.groupby("repeat").size()[1:] == STEPS).all()
 
 
@@ -126,7 +128,7 @@ def test_a_table_may_have_a_limit_of_its_own() -> None:
         ClosedLoopTable(scenarios=["calm"], steps=5),
     ]
     suite = SuiteFile(
-        title="x", solvers=["daqp"], contrast=False, cell_limit_s=7.0, closed_loop=tables
+        title="x", solvers=["daqp"], baseline_law=False, cell_limit_s=7.0, closed_loop=tables
     )
     assert [planned.cell.limit_s for planned in plan(suite)] == [1.5, 7.0]
 
@@ -137,16 +139,16 @@ def test_both_kernels_are_timed_around_every_round() -> None:
     now = iter(range(10**9))
     log = RawLog.in_memory(replay_layout(3, 3, sequence.base.n, sequence.base.m))
     made, formulated = in_replay("condensed_box", sequence)
-    port = SolverPort(open_calibration(NO_OP), formulated, lambda: next(now))
-    arm = ReplayArm(
-        made, port, log, warmup_steps=1, limit_ns=10**9, clock=lambda: next(now), preroll=0
+    timed_solver = TimedSolver(open_calibration(NO_OP), formulated, lambda: next(now))
+    configuration = ReplayRun(
+        made, timed_solver, log, warmup_steps=1, limit_ns=10**9, clock=lambda: next(now), preroll=0
     )
-    assert arm.round(1)
-    assert (log.probe_ns[1] == 1).all() and (log.load_ns[1] == 1).all()
-    assert not log.probe_ns[2].any() and not log.load_ns[2].any()
+    assert configuration.round(1)
+    assert (log.reference_kernel_ns[1] == 1).all() and (log.load_kernel_ns[1] == 1).all()
+    assert not log.reference_kernel_ns[2].any() and not log.load_kernel_ns[2].any()
 
 
-def test_a_round_that_is_run_again_costs_an_arm_nothing() -> None:
+def test_a_round_that_is_run_again_costs_a_configuration_nothing() -> None:
     """The limit is of the rounds that are kept: of two attempts the last counts."""
     sequence = record_sequence(load_scenario("paper").first(3))
     ticks = iter(range(0, 10**9, 1000))
@@ -154,16 +156,18 @@ def test_a_round_that_is_run_again_costs_an_arm_nothing() -> None:
     def clock() -> int:
         return next(ticks)
 
-    def arm_of(limit_ns: int) -> Iterator[bool]:
+    def configuration_of(limit_ns: int) -> Iterator[bool]:
         log = RawLog.in_memory(replay_layout(3, 3, sequence.base.n, sequence.base.m))
         made, formulated = in_replay("condensed_box", sequence)
-        port = SolverPort(open_calibration(NO_OP), formulated, clock)
-        arm = ReplayArm(made, port, log, warmup_steps=1, limit_ns=limit_ns, clock=clock, preroll=0)
-        return (arm.round(r) for r in (1, 1, 1, 2))
+        timed_solver = TimedSolver(open_calibration(NO_OP), formulated, clock)
+        configuration = ReplayRun(
+            made, timed_solver, log, warmup_steps=1, limit_ns=limit_ns, clock=clock, preroll=0
+        )
+        return (configuration.round(r) for r in (1, 1, 1, 2))
 
     began = next(ticks)
-    assert list(arm_of(10**9)) == [True] * 4
+    assert list(configuration_of(10**9)) == [True] * 4
     per_round = (next(ticks) - began) // 4
-    # Room for two rounds and a half, each a quarter of what the four took with their probes.
-    assert list(arm_of(round(2.5 * per_round))) == [True] * 4
-    assert not all(arm_of(per_round // 20))
+    # Room for two rounds and a half, each a quarter of what the four took with their kernel_ns.
+    assert list(configuration_of(round(2.5 * per_round))) == [True] * 4
+    assert not all(configuration_of(per_round // 20))

@@ -1,4 +1,5 @@
-"""The harness's own arms through a whole campaign, and the doctor; no time is asserted."""
+"""The harness's own configurations through a whole campaign, and the doctor; no time is
+asserted."""
 
 import gc
 import os
@@ -17,8 +18,8 @@ from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.bench.record.schema import ACCURACY_COLUMNS
 from dpbench.bench.run.formulation import in_replay
-from dpbench.bench.run.replay import ReplayArm
-from dpbench.bench.run.timed_solver import SolverPort
+from dpbench.bench.run.replay import ReplayRun
+from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.bench.sequences.sequence_file import save_sequence
 from dpbench.cli.main import main
 from dpbench.qp.program import QPSequence
@@ -30,7 +31,7 @@ SUITE = f"""
 title = "Tiny"
 solvers = ["daqp"]
 calibration = true
-contrast = false
+baseline_law = false
 rounds = {ROUNDS}
 warmup_steps = 3
 
@@ -59,7 +60,7 @@ def results(folder: Path) -> Results:
     return load_results(folder)
 
 
-def test_own_arms_run_like_any_other_and_are_judged_by_nobody(results: Results) -> None:
+def test_own_configurations_run_like_any_other_and_are_judged_by_nobody(results: Results) -> None:
     """Each is a finished row with all its samples, and no word about accuracy."""
     runs = results.runs.set_index("solver")
     own = runs.loc[list(CALIBRATION)]
@@ -82,7 +83,7 @@ def test_no_wait_is_shorter_than_it_says(results: Results) -> None:
 
 
 def test_what_disturbed_and_what_it_took_are_columns(results: Results) -> None:
-    """Counters, determinism and memory of every arm; a direct method repeats itself."""
+    """Counters, determinism and memory of every configuration; a direct method repeats itself."""
     runs = results.runs
     assert (runs["replay_s"] > 0).all()
     counts = runs[["voluntary_switches", "involuntary_switches", "rerun_rounds"]]
@@ -109,17 +110,17 @@ def test_a_round_begun_twice_was_run_again(sequence: QPSequence) -> None:
     log = RawLog.in_memory(replay_layout(3, STEPS, sequence.base.n, sequence.base.m))
     made, formulated = in_replay("condensed_box", sequence)
     clock = time.perf_counter_ns
-    port = SolverPort(open_calibration(NO_OP), formulated, clock)
-    arm = ReplayArm(made, port, log, warmup_steps=2, limit_ns=10**12, clock=clock)
+    timed_solver = TimedSolver(open_calibration(NO_OP), formulated, clock)
+    configuration = ReplayRun(made, timed_solver, log, warmup_steps=2, limit_ns=10**12, clock=clock)
     for r in (0, 1, 1, 2):
-        arm.round(r)
+        configuration.round(r)
     assert log.attempts.tolist() == [1, 2, 1]
     found = disturbance_metrics(log)
     assert found["rerun_rounds"] == 1
     assert found["replay_s"] == pytest.approx(log.counters[1:, 0].sum())
 
 
-def test_the_bar_of_each_arm() -> None:
+def test_the_bar_of_each_configuration() -> None:
     """1 µs, or 1 % of a wait where that is more; the contract's cost has no bar."""
     assert within_bar("busy_wait_50us", 50_999.0) and not within_bar("busy_wait_50us", 51_001.0)
     assert within_bar("busy_wait_1000us", 1_009_999.0)
@@ -130,7 +131,7 @@ def test_the_bar_of_each_arm() -> None:
 
 
 def test_a_quick_calibration_leaves_the_process_as_it_was() -> None:
-    """Every arm has a median; cores and garbage collector are those of before."""
+    """Every configuration has a median; cores and garbage collector are those of before."""
     before = os.sched_getaffinity(0), gc.isenabled()
     found = calibrate()
     assert (os.sched_getaffinity(0), gc.isenabled()) == before
@@ -149,7 +150,7 @@ def test_the_doctor_says_what_there_is(capsys: pytest.CaptureFixture[str]) -> No
         assert word in said
 
 
-def test_a_part_of_a_suite_may_be_an_own_arm(folder: Path, tmp_path: Path) -> None:
+def test_a_part_of_a_suite_may_be_an_own_configuration(folder: Path, tmp_path: Path) -> None:
     """`--solver no_op` runs it alone, and the report has nothing to miss."""
     out = run_campaign(folder.parent / "tiny.toml", tmp_path / "part", solvers=[NO_OP])
     runs: pd.DataFrame = load_results(out).runs

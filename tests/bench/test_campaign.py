@@ -73,7 +73,7 @@ def test_every_planned_cell_is_a_row(results: Results) -> None:
     """Finished cells, aliases of settings without effect and refused policies are all rows."""
     runs = results.runs
     closed = runs[runs["mode"] == "closed_loop"]
-    assert len(closed) == 3 + 2 * 2, "two solvers and the contrast; SI at two settings each"
+    assert len(closed) == 3 + 2 * 2, "two solvers and the baseline_law; SI at two settings each"
     replayed = runs[runs["mode"] == "replay"]
     assert len(replayed) == 2 * 2 * 2
     refused = replayed[replayed["outcome"] == "refused"]
@@ -113,8 +113,9 @@ def test_replay_rows_carry_no_ship_columns(results: Results) -> None:
     assert one.loc[~one["warmup"]].groupby("repeat").size().tolist() == [30, 30]
 
 
-def test_replayed_qps_are_the_same_for_every_arm(results: Results) -> None:
-    """All arms of a replay are judged against the same optima: same bounds and active limits."""
+def test_replayed_qps_are_the_same_for_every_configuration(results: Results) -> None:
+    """All configurations of a replay are judged against the same optima: same bounds and active
+    limits."""
     runs = results.runs
     ids = runs.loc[(runs["mode"] == "replay") & (runs["outcome"] == "finished"), "run_id"]
     first = results.steps[~results.steps["warmup"]].drop_duplicates(["run_id", "k"])

@@ -10,7 +10,7 @@ import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.analysis.random_claims import RandomClaims
-from dpbench.analysis.records import View
+from dpbench.analysis.records import Records
 from dpbench.bench.plan.cells import NOT_STRICT
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import RandomTable, ReplayTable, SuiteFile, load_suite
@@ -27,7 +27,7 @@ STEPS = 6
 SUITE = f"""
 title = "A suite for one test"
 solvers = ["quadprog", "daqp"]
-contrast = false
+baseline_law = false
 rounds = 1
 warmup_steps = 0
 cell_limit_s = 1.0
@@ -84,7 +84,7 @@ def test_a_lie_is_a_row(results: Results) -> None:
 
 def test_sound_solvers_have_no_false_claim(results: Results) -> None:
     """quadprog and daqp claim what is true and call infeasible what is."""
-    claims = RandomClaims(View(results))
+    claims = RandomClaims(Records(results))
     for solver in ("quadprog", "daqp"):
         tally = claims.by("solver")[(solver,)]
         assert tally.wrong == 0 and tally.nothing == 0
@@ -94,7 +94,7 @@ def test_sound_solvers_have_no_false_claim(results: Results) -> None:
 
 def test_every_step_is_counted_once(results: Results) -> None:
     """Lies, true answers, false "infeasible", steps without an answer and unreached ones add up."""
-    tally = RandomClaims(View(results)).by("solver")[("faulty",)]
+    tally = RandomClaims(Records(results)).by("solver")[("faulty",)]
     seen = tally.told + tally.lies[0] + tally.silent + tally.empty_right + tally.empty_wrong
     assert tally.steps == seen + tally.nothing
     assert tally.steps + tally.missed == 7 * STEPS
@@ -103,7 +103,8 @@ def test_every_step_is_counted_once(results: Results) -> None:
 
 
 def test_a_crash_or_a_hang_costs_only_its_own_cell(results: Results) -> None:
-    """The cells after one that dies or never returns are run by another process of the arm."""
+    """The cells after one that dies or never returns are run by another process of the
+    configuration."""
     found = {n: outcome(results, n) for n in range(3, 9)}
     assert found == {
         3: "finished",
@@ -134,7 +135,7 @@ def test_the_report_shows_who_lied(folder: Path) -> None:
     assert f"{2 * STEPS} answers claimed *solved* that the referee finds untrue" in text
     assert "Without any: `daqp` and `quadprog`." in text
     tables = {b.table.title: b.table for b in page.sections[0].blocks if b.kind == "table"}
-    first = tables["Arms that claimed what is not true"].rows[0]
+    first = tables["Configurations that claimed what is not true"].rows[0]
     assert first[0].text == "faulty"
     assert first[6].text == str(2 * STEPS) and first[6].mark == "bad"
     html = (folder / "report.html").read_text(encoding="utf-8")
@@ -150,7 +151,7 @@ def test_a_finished_random_cell_is_not_run_again(folder: Path, results: Results)
 
 
 def suite(**tables: object) -> SuiteFile:
-    return SuiteFile(title="x", solvers=["quadprog", "daqp"], contrast=False, **tables)  # type: ignore[arg-type] # lists of tables
+    return SuiteFile(title="x", solvers=["quadprog", "daqp"], baseline_law=False, **tables)  # type: ignore[arg-type] # lists of tables
 
 
 def test_a_choice_of_scenarios_leaves_random_problems_out() -> None:

@@ -55,7 +55,7 @@ def _spoiling(solver: str, policy: Policy, *, spoil: bool) -> Any:
 def _answers(steps: pd.DataFrame) -> pd.DataFrame:
     """All columns that no clock enters."""
     timed = [name for name in steps if str(name).endswith("_ns")]
-    return steps.drop(columns=[*timed, "spoilt", "counts", "late"])
+    return steps.drop(columns=[*timed, "disturbed", "counts", "late"])
 
 
 def _bytes(sequence: QPSequence) -> list[bytes]:
@@ -133,7 +133,7 @@ def test_the_zero_answer_to_a_cost_made_zero_is_wrong() -> None:
 SUITE = """
 title = "One solver that spoils what it gets"
 solvers = ["quadprog"]
-contrast = false
+baseline_law = false
 cell_limit_s = 60.0
 rounds = 2
 warmup_steps = 12
@@ -161,9 +161,9 @@ def test_a_worker_hands_over_the_same_qps_in_every_round(
 ) -> None:
     """In processes of their own every round of the solver that spoils is answered right, too."""
     monkeypatch.setattr(plugins, "_LOADED", {})
-    (tmp_path / "spoilt.toml").write_text(SUITE, encoding="utf-8")
+    (tmp_path / "disturbed.toml").write_text(SUITE, encoding="utf-8")
     out = run_campaign(
-        tmp_path / "spoilt.toml", tmp_path / "out", solvers=["spoiling"], solver_module=PLUGIN
+        tmp_path / "disturbed.toml", tmp_path / "out", solvers=["spoiling"], solver_module=PLUGIN
     )
     runs = load_results(out).runs
     assert (runs["outcome"] == "finished").all(), runs["outcome_detail"].tolist()

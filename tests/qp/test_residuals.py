@@ -114,11 +114,11 @@ def test_nan_in_the_problem_is_never_a_residual_of_zero() -> None:
     exact = _exact(qp)
     limits, cost = qp.u.copy(), qp.q.copy()
     limits[0], cost[0] = np.nan, np.nan
-    spoilt = QuadraticProgram(qp.P, qp.q, qp.A, qp.l, limits, qp.lb, qp.ub)
-    assert residuals(spoilt, exact).primal == INF
-    spoilt = QuadraticProgram(qp.P, cost, qp.A, qp.l, qp.u, qp.lb, qp.ub)
-    assert residuals(spoilt, exact).dual == INF
-    assert certify(spoilt).kind == "none"
+    disturbed = QuadraticProgram(qp.P, qp.q, qp.A, qp.l, limits, qp.lb, qp.ub)
+    assert residuals(disturbed, exact).primal == INF
+    disturbed = QuadraticProgram(qp.P, cost, qp.A, qp.l, qp.u, qp.lb, qp.ub)
+    assert residuals(disturbed, exact).dual == INF
+    assert certify(disturbed).kind == "none"
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -64,10 +64,10 @@ def identity(mode: str, solver: str, columns: Mapping[str, Any]) -> dict[str, An
         "cell": json.dumps({"scenario": {"name": "paper"}}),
         "steps_planned": STEPS,
         "steps_done": STEPS,
-        "probe_ns": 5e4,
+        "reference_kernel_ns": 5e4,
         "rounds": ROUNDS,
-        "spoilt_rounds": 0,
-        "counting_spoilt": 0,
+        "disturbed_rounds": 0,
+        "counting_disturbed": 0,
         "rerun_rounds": 0,
         "replay_s": 1.0,
         "involuntary_switches": 0.0,
@@ -89,12 +89,12 @@ def make(tmp_path: Path) -> Make:
         errors: Mapping[str, float] = {},
         loop: Mapping[str, Any] | None = None,
         machine_id: str = "one",
-        arms: tuple[str, ...] = ARMS,
+        configurations: tuple[str, ...] = ARMS,
         **columns: Any,
     ) -> Path:
         rng = np.random.default_rng(seed)
         runs, steps = [], []
-        for solver in arms:
+        for solver in configurations:
             factor = machine * slow.get(solver, 1.0) * np.exp(0.003 * rng.standard_normal())
             error = np.full(STEPS, 1e-6)
             error[3] = errors.get(solver, 1e-6)
@@ -124,9 +124,11 @@ def verdicts(found: pd.DataFrame) -> dict[str, str]:
 
 
 def test_planted_ratios_are_found_and_the_others_are_equivalent(make: Make) -> None:
-    """1.3 and 1/1.3 in two arms; the machine's own 1.1 is taken out and said."""
+    """1.3 and 1/1.3 in two configurations; the machine's own 1.1 is taken out and said."""
     a = make("a", seed=1)
-    b = make("b", seed=2, slow={"piqp": 1.3, "scs": 1 / 1.3}, machine=1.1, probe_ns=5.5e4)
+    b = make(
+        "b", seed=2, slow={"piqp": 1.3, "scs": 1 / 1.3}, machine=1.1, reference_kernel_ns=5.5e4
+    )
     found = compare(a, b)
     expected = dict.fromkeys(ARMS, "equivalent") | {"piqp": "slower", "scs": "faster"}
     assert verdicts(found.times) == expected
@@ -139,7 +141,7 @@ def test_planted_ratios_are_found_and_the_others_are_equivalent(make: Make) -> N
     assert any("by 1.100 the reference kernel" in line for line in found.lines)
 
 
-def test_the_verdict_of_a_solver_is_that_of_its_arms(make: Make) -> None:
+def test_the_verdict_of_a_solver_is_that_of_its_configurations(make: Make) -> None:
     """Who is slower, who is faster, who steers worse: one line each, before any other table."""
     usual = {"r_rms_m": 0.3}
     a = make("a", seed=1, loop=usual)
@@ -154,7 +156,7 @@ def test_the_verdict_of_a_solver_is_that_of_its_arms(make: Make) -> None:
     assert {solver for solver, words in said.items() if words[1] == "worse"} == steered | {"osqp"}
 
 
-def test_one_arm_slower_and_one_faster_are_both_said() -> None:
+def test_one_configuration_slower_and_one_faster_are_both_said() -> None:
     """A solver that gains in one way and loses in another is called neither."""
     order = ("slower", "faster", "no difference shown", "equivalent")
     assert _together(Counter(slower=1, faster=2, equivalent=3), order) == "slower and faster"
@@ -162,16 +164,17 @@ def test_one_arm_slower_and_one_faster_are_both_said() -> None:
     assert _together(Counter(), order) == "–"
 
 
-def test_what_all_arms_share_is_a_regression_only_beyond_the_kernel(make: Make) -> None:
-    """Twice the time in every arm is the machine where the kernel doubles too, else shared code."""
+def test_what_all_configurations_share_is_a_regression_only_beyond_the_kernel(make: Make) -> None:
+    """Twice the time in every configuration is the machine where the kernel doubles too, else
+    shared code."""
     a = make("a", seed=1)
-    machine = compare(a, make("slow", seed=2, machine=2.0, probe_ns=1e5))
+    machine = compare(a, make("slow", seed=2, machine=2.0, reference_kernel_ns=1e5))
     assert not machine.worse
     code = compare(a, make("code", seed=3, machine=2.0))
     assert code.worse
     assert set(code.times["verdict"]) == {"equivalent"}
     (line,) = [line for line in code.lines if line.startswith("`paper`")]
-    assert line.endswith("slower in a part that all arms share")
+    assert line.endswith("slower in a part that all configurations share")
 
 
 def test_what_the_harness_lost_is_no_regression(make: Make) -> None:
@@ -193,13 +196,13 @@ HIDDEN: dict[str, Any] = {"steal_s": np.nan, "replay_s": np.nan, "involuntary_sw
         (STOLEN, STOLEN, "both runs were disturbed"),
         ({}, STOLEN, "run B was disturbed"),
         (STOLEN, {}, "run A was disturbed"),
-        ({"spoilt_rounds": 1}, {}, "run A was disturbed"),
+        ({"disturbed_rounds": 1}, {}, "run A was disturbed"),
         ({}, {"involuntary_switches": 11.0}, "run B was disturbed"),
         (HIDDEN, {}, "nothing tells how quiet run A was"),
-        ({}, {"probe_ns": np.nan}, "the reference kernel was not timed"),
+        ({}, {"reference_kernel_ns": np.nan}, "the reference kernel was not timed"),
     ],
 )
-def test_what_all_arms_share_is_judged_on_a_quiet_machine_alone(
+def test_what_all_configurations_share_is_judged_on_a_quiet_machine_alone(
     make: Make,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -207,9 +210,10 @@ def test_what_all_arms_share_is_judged_on_a_quiet_machine_alone(
     after: Any,
     reason: str,
 ) -> None:
-    """1.496 in all arms, 1.025 in the kernel: said on the screen and the page alike, exit 0."""
+    """1.496 in all configurations, 1.025 in the kernel: said on the screen and the page alike, exit
+    0."""
     a = make("a", seed=1, **before)
-    b = make("b", seed=2, machine=1.496, **({"probe_ns": 1.025 * 5e4} | after))
+    b = make("b", seed=2, machine=1.496, **({"reference_kernel_ns": 1.025 * 5e4} | after))
     page = tmp_path / "compare.md"
     assert main(["compare", str(a), str(b), "--markdown", str(page)]) == 0
     said = f"{reason}, so this is not judged"
@@ -218,32 +222,41 @@ def test_what_all_arms_share_is_judged_on_a_quiet_machine_alone(
         (line,) = [line for line in lines if line.endswith(said)]
         assert "rose together by a factor 1.49" in line
     (shared,) = compare(a, b).shared
-    assert shared.judgement is None
+    assert shared.assessment is None
     assert set(compare(a, b).times["verdict"]) == {"equivalent"}
 
 
 def test_a_disturbed_kernel_stands_for_no_machine(make: Make) -> None:
-    """Two arms, both 1.5 times as slow while a disturbed kernel says 1.0, are not called slower."""
+    """Two configurations, both 1.5 times as slow while a disturbed kernel says 1.0, are not called
+    slower."""
     both = ("daqp", "piqp")
-    a = make("a", seed=1, arms=both, **STOLEN)
-    found = compare(a, make("b", seed=2, arms=both, machine=1.5, **STOLEN))
+    a = make("a", seed=1, configurations=both, **STOLEN)
+    found = compare(a, make("b", seed=2, configurations=both, machine=1.5, **STOLEN))
     assert set(found.times["verdict"]) == {"no difference shown"}
     assert found.times["machine"].tolist() == [1.0, 1.0]
     assert not found.worse
-    quiet = make("c", seed=1, arms=both), make("d", seed=2, arms=both, machine=1.5)
+    quiet = (
+        make("c", seed=1, configurations=both),
+        make("d", seed=2, configurations=both, machine=1.5),
+    )
     assert set(compare(*quiet).times["verdict"]) == {"slower"}
 
 
-def test_few_arms_are_held_against_the_kernel(make: Make) -> None:
-    """Two arms on a machine twice as slow, as the kernel says: 1.1 hides in it, 2 does not."""
+def test_few_configurations_are_held_against_the_kernel(make: Make) -> None:
+    """Two configurations on a machine twice as slow, as the kernel says: 1.1 hides in it, 2 does
+    not."""
     both = ("daqp", "piqp")
-    a = make("a", seed=1, arms=both)
+    a = make("a", seed=1, configurations=both)
     slow = {"piqp": 1.1}
-    found = compare(a, make("b", seed=2, arms=both, slow=slow, machine=2.0, probe_ns=1e5))
+    found = compare(
+        a, make("b", seed=2, configurations=both, slow=slow, machine=2.0, reference_kernel_ns=1e5)
+    )
     assert set(found.times["verdict"]) == {"no difference shown"}
     assert found.times["machine"].tolist() == pytest.approx([2.0, 2.0])
     slow = {"piqp": 2.0}
-    found = compare(a, make("c", seed=2, arms=both, slow=slow, machine=2.0, probe_ns=1e5))
+    found = compare(
+        a, make("c", seed=2, configurations=both, slow=slow, machine=2.0, reference_kernel_ns=1e5)
+    )
     assert verdicts(found.times)["piqp"] == "slower"
 
 
@@ -348,7 +361,7 @@ def test_bad_options(
 
 def test_folders_without_a_common_cell(make: Make, tmp_path: Path) -> None:
     """Nothing to compare is bad input, as is a folder that is not there."""
-    a, b = make("a", seed=1, arms=("daqp",)), make("b", seed=1, arms=("piqp",))
+    a, b = make("a", seed=1, configurations=("daqp",)), make("b", seed=1, configurations=("piqp",))
     with pytest.raises(InputError, match="no cell that the first folder has too"):
         compare(a, b)
     with pytest.raises(InputError, match="no such folder"):
@@ -357,8 +370,8 @@ def test_folders_without_a_common_cell(make: Make, tmp_path: Path) -> None:
 
 def test_cells_without_a_partner_are_named(make: Make) -> None:
     """One solver only in A, one only in B, and one whose problem changed under its name."""
-    a = make("a", seed=1, arms=("daqp", "osqp"))
-    b = make("b", seed=1, arms=("daqp", "scs"))
+    a = make("a", seed=1, configurations=("daqp", "osqp"))
+    b = make("b", seed=1, configurations=("daqp", "scs"))
     found = compare(a, b)
     assert len(found.pairs.pairs) == 1
     text = "\n".join(found.lines)
@@ -403,23 +416,24 @@ def test_settings_without_effect_are_one_piece_of_evidence(make: Make) -> None:
 
 
 def test_a_load_that_the_reference_kernel_does_not_feel_is_the_machine(make: Make) -> None:
-    """1.4 in all arms and in the load kernel, none in the other: no regression; without it, one."""
-    a = make("a", seed=1, load_ns=6e4)
-    loaded = compare(a, make("b", seed=2, machine=1.4, load_ns=1.4 * 6e4))
+    """1.4 in all configurations and in the load kernel, none in the other: no regression; without
+    it, one."""
+    a = make("a", seed=1, load_kernel_ns=6e4)
+    loaded = compare(a, make("b", seed=2, machine=1.4, load_kernel_ns=1.4 * 6e4))
     assert not loaded.worse
     (line,) = [line for line in loaded.lines if line.startswith("`paper`")]
     assert "by 1.400 the load kernel" in line
-    assert compare(a, make("c", seed=2, machine=1.4, load_ns=6e4)).worse
+    assert compare(a, make("c", seed=2, machine=1.4, load_kernel_ns=6e4)).worse
 
 
-def test_an_arm_that_met_another_neighbour_is_not_blamed_for_it(make: Make) -> None:
-    """One arm 1.1 times as slow whose load kernel is 1.2 times as slow as the others'."""
+def test_a_configuration_that_met_another_neighbour_is_not_blamed_for_it(make: Make) -> None:
+    """One configuration 1.1 times as slow whose load kernel is 1.2 times as slow as the others'."""
     plain = compare(make("a", seed=1), make("b", seed=2, slow={"piqp": 1.1}))
     assert verdicts(plain.times)["piqp"] == "slower"
-    a = make("c", seed=1, load_ns=6e4)
-    b = make("d", seed=2, slow={"piqp": 1.1}, load_ns=6e4)
+    a = make("c", seed=1, load_kernel_ns=6e4)
+    b = make("d", seed=2, slow={"piqp": 1.1}, load_kernel_ns=6e4)
     runs = pd.read_parquet(b / "runs.parquet")
-    runs.loc[runs["solver"] == "piqp", "load_ns"] *= 1.2
+    runs.loc[runs["solver"] == "piqp", "load_kernel_ns"] *= 1.2
     runs.to_parquet(b / "runs.parquet", index=False)
     found = compare(a, b).times.set_index("solver")
     assert found.loc["piqp", "verdict"] == "no difference shown"

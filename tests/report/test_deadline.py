@@ -11,7 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.slowdown import SlowedGroup, cost_ratio, slowed_groups
+from dpbench.analysis.slowdown import DelayedGroup, cost_ratio, delayed_groups
 from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.record.schema import as_steps
 from dpbench.report.figures_deadline import slowdown_figure
@@ -48,9 +48,9 @@ def fill(records: Any) -> None:
             slow(records, solver, slowdown, cost, **early)
 
 
-def group_of(records: Any) -> SlowedGroup:
+def group_of(records: Any) -> DelayedGroup:
     """The only group of the records."""
-    (group,) = slowed_groups(records.view())
+    (group,) = delayed_groups(records.view())
     return group
 
 
@@ -63,7 +63,10 @@ def column(table: Table, head: str) -> list[str]:
 def test_survival_ends_at_the_first_loop_that_costs_more(records: Any) -> None:
     """109.9 is within 10 % of 100, 111 is not; what comes after a lost loop does not count."""
     fill(records)
-    survives = {arm.name: arm.survives for arm in group_of(records).arms}
+    survives = {
+        configuration.name: configuration.survives
+        for configuration in group_of(records).configurations
+    }
     assert (survives["daqp"], survives["hildreth"]) == (1000.0, 1.0)
     assert math.isnan(survives["scs"])
 
@@ -72,14 +75,16 @@ def test_a_violated_limit_or_an_early_end_is_no_survival(records: Any) -> None:
     """A loop that broke a limit or was stopped is lost, however little it cost."""
     slow(records, "daqp", 1, 100.0, limit_violations=1)
     slow(records, "osqp", 1, 100.0, done=119, outcome="timed_out")
-    arms = group_of(records).arms
-    assert all(math.isnan(arm.survives) for arm in arms)
-    ratios = {arm.name: cost_ratio(arm.loops[1.0]) for arm in arms}
+    configurations = group_of(records).configurations
+    assert all(math.isnan(configuration.survives) for configuration in configurations)
+    ratios = {
+        configuration.name: cost_ratio(configuration.loops[1.0]) for configuration in configurations
+    }
     assert ratios["daqp"] == 1.0 and math.isnan(ratios["osqp"])
 
 
 def test_the_table_shows_cost_by_slow_down_best_first(records: Any) -> None:
-    """One row an arm, one column a slow-down; a loop that ended early says how."""
+    """One row a configuration, one column a slow-down; a loop that ended early says how."""
     fill(records)
     table = survival_table(group_of(records), "a CPU")
     assert column(table, "solver") == ["daqp", "hildreth", "scs"]
@@ -152,7 +157,7 @@ def test_a_suite_of_slow_computers_alone_has_a_report(records: Any, tmp_path: Pa
     assert "1\u202f000 ×: daqp; up to 1 ×: hildreth; at no slow-down: scs." in line
 
 
-def test_the_figure_has_a_line_per_arm_that_ends_where_runs_end(records: Any) -> None:
+def test_the_figure_has_a_line_per_configuration_that_ends_where_runs_end(records: Any) -> None:
     """Log on both axes; the loop of daqp that was stopped is no point of its line."""
     fill(records)
     with styled():
@@ -185,4 +190,4 @@ def test_budgets_are_groups_of_their_own(records: Any, budget: float) -> None:
     """Loops with another budget of a step are not compared."""
     slow(records, "daqp", 10, 100.0, deadline_s=0.2)
     slow(records, "daqp", 10, 100.0, deadline_s=budget)
-    assert [group.deadline_s for group in slowed_groups(records.view())] == [0.2, budget]
+    assert [group.deadline_s for group in delayed_groups(records.view())] == [0.2, budget]

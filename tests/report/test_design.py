@@ -11,17 +11,19 @@ import pytest
 
 from dpbench.bench.design.bracket import Trial, bracket_of
 from dpbench.bench.design.design_file import DesignRecord, Designs, MissingDesign, write_design
-from dpbench.bench.design.region_of_attraction import Basin
+from dpbench.bench.design.region_of_attraction import RegionOfAttraction
 from dpbench.report.blocks import Bullets, Paragraph, Picture, Section, Tabular
 from dpbench.report.section_design import design_section
 from dpbench.report.style import styled
 from dpbench.report.write import build_page, write_report
 
 
-def basin(weather: str, *held: float, fails: tuple[float, ...] = (), **more: Any) -> Basin:
+def region_of_attraction(
+    weather: str, *held: float, fails: tuple[float, ...] = (), **more: Any
+) -> RegionOfAttraction:
     trials = [Trial(offset, "holds") for offset in held]
     trials += [Trial(offset, **({"verdict": "fails", "side": "port"} | more)) for offset in fails]
-    return Basin(weather, bracket_of(trials))
+    return RegionOfAttraction(weather, bracket_of(trials))
 
 
 PAPER = DesignRecord(
@@ -43,9 +45,9 @@ PAPER = DesignRecord(
     controllable=9,
     condition_scaled=673.4,
     condition_si=141889.0,
-    basins=(
-        basin("still water", 0.25, 0.5, 1.0, fails=(1.046875, 2.0)),
-        basin("calm", 0.25, 0.5, fails=(0.515625, 1.0)),
+    regions=(
+        region_of_attraction("still water", 0.25, 0.5, 1.0, fails=(1.046875, 2.0)),
+        region_of_attraction("calm", 0.25, 0.5, fails=(0.515625, 1.0)),
     ),
     wall_s=8.0,
 )
@@ -55,7 +57,10 @@ ROBUST = replace(
     tuning="robust",
     N_p=60,
     N_c=10,
-    basins=(basin("still water", 0.25, 64.0), basin("calm", 0.25, 64.0)),
+    regions=(
+        region_of_attraction("still water", 0.25, 64.0),
+        region_of_attraction("calm", 0.25, 64.0),
+    ),
 )
 MODEL = replace(
     PAPER,
@@ -64,7 +69,7 @@ MODEL = replace(
     sample_s=0.03,
     ramp_s=1.1364,
     condition_si=20.0,
-    basins=(basin("still water", 0.0025, fails=(0.005,)),),
+    regions=(region_of_attraction("still water", 0.0025, fails=(0.005,)),),
 )
 
 
@@ -99,10 +104,10 @@ def test_the_table_shows_the_numbers_of_the_records() -> None:
         "controllable": "9 of 9",
         "cond P, scaled": "673",
         "cond P, SI": "142\u202f000",
-        "basin, still water [m]": "1.00 – 1.05",
-        "basin, `calm` [m]": "0.500 – 0.516",
+        "region, still water [m]": "1.00 – 1.05",
+        "region, `calm` [m]": "0.500 – 0.516",
     }
-    assert robust["basin, still water [m]"] == "≥ 64"
+    assert robust["region, still water [m]"] == "≥ 64"
 
 
 def test_the_text_says_what_the_horizon_misses_and_what_is_held() -> None:
@@ -117,11 +122,11 @@ def test_the_text_says_what_the_horizon_misses_and_what_is_held() -> None:
 
 
 def test_a_model_ship_is_shown_at_full_size() -> None:
-    """A model's times and offsets are those of full size; a missing basin is a dash."""
+    """A model's times and offsets are those of full size; a missing region is a dash."""
     _, model = rows(section_of(PAPER, MODEL), 0)
     assert model["slowest mode [s]"] == "3.02"
-    assert model["basin, still water [m]"] == "0.250 – 0.500"
-    assert model["basin, `calm` [m]"] == "–"
+    assert model["region, still water [m]"] == "0.250 – 0.500"
+    assert model["region, `calm` [m]"] == "–"
     text = words(section_of(PAPER, MODEL))
     assert "looks 9 s ahead, less than the 11.4 s" in text
     assert "SI is the better one for `model` with paper 30/5." in text
@@ -137,11 +142,11 @@ def test_an_unstable_or_uncontrollable_design_is_marked() -> None:
 
 
 def test_what_holds_beyond_the_edge_and_what_is_undecided_is_said() -> None:
-    """A basin that is no single interval, or not fully decided, is named as such."""
+    """A region that is no single interval, or not fully decided, is named as such."""
     trials = [Trial(1.0, "holds"), Trial(2.0, "undecided", "starboard"), Trial(4.0, "holds")]
-    odd = replace(PAPER, basins=(Basin("calm", bracket_of(trials)),))
+    odd = replace(PAPER, regions=(RegionOfAttraction("calm", bracket_of(trials)),))
     section = section_of(odd)
-    assert rows(section, 0)[0]["basin, `calm` [m]"] == "1.00 – 2.00, undecided"
+    assert rows(section, 0)[0]["region, `calm` [m]"] == "1.00 – 2.00, undecided"
     assert "Held again beyond the edge: 4 m (paper 30/5 in `tug`, `calm`" in words(section)
     assert "1 trial met a step without a certified optimum" in words(section)
     assert rows(section, 1)[0]["not held"] == "2 (undecided, starboard)"
@@ -149,8 +154,10 @@ def test_what_holds_beyond_the_edge_and_what_is_undecided_is_said() -> None:
 
 def test_nothing_held_is_said_to_be_below_the_smallest_offset() -> None:
     """Where even the smallest offset fails there is no lower end."""
-    (row,) = rows(section_of(replace(PAPER, basins=(basin("calm", fails=(0.25, 0.5)),))), 0)
-    assert row["basin, `calm` [m]"] == "< 0.250"
+    (row,) = rows(
+        section_of(replace(PAPER, regions=(region_of_attraction("calm", fails=(0.25, 0.5)),))), 0
+    )
+    assert row["region, `calm` [m]"] == "< 0.250"
 
 
 def test_gains_and_trials_are_folded_and_complete() -> None:
@@ -174,7 +181,7 @@ def test_controllers_of_one_tuning_are_told_apart_by_their_scenario() -> None:
 
 
 def test_both_figures_hold_every_design() -> None:
-    """A panel a controller with all roots of the upper half plane; a bar a basin."""
+    """A panel a controller with all roots of the upper half plane; a bar a region."""
     pictures = {
         b.name: b.figure for b in section_of(PAPER, ROBUST).blocks if isinstance(b, Picture)
     }
@@ -183,7 +190,7 @@ def test_both_figures_hold_every_design() -> None:
     for panel in panels:
         roots = [line for line in panel.lines if line.get_marker() == "o"]
         assert [list(line.get_xdata()) for line in roots] == [[0.9, 0.5]]
-    (bars,) = pictures["design_basins"].axes
+    (bars,) = pictures["design_regions"].axes
     ends = sorted(patch.get_x() + patch.get_width() for patch in bars.patches)
     assert ends == pytest.approx([0.5, 1.0, 64.0, 64.0])
 
@@ -204,7 +211,7 @@ def test_a_report_has_the_section_where_there_is_a_design_file(
     write_design(tmp_path, Designs.of([PAPER, ROBUST]))
     text = write_report(tmp_path).read_text(encoding="utf-8")
     assert '<section id="design">' in text
-    assert (tmp_path / "figures" / "design_basins.svg").is_file()
+    assert (tmp_path / "figures" / "design_regions.svg").is_file()
     before = (tmp_path / "figures" / "design_eigenvalues.svg").read_bytes()
     shutil.rmtree(tmp_path / "figures")
     write_report(tmp_path)

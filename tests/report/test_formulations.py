@@ -5,12 +5,12 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.times.routes import ways_of
-from dpbench.analysis.verdict import judge_all
+from dpbench.analysis.times.routes import route_comparisons
+from dpbench.analysis.verdict import verdicts_of
 from dpbench.report.formulations import OTHERS, formulation_tables
 from dpbench.report.sections_time import timing_section
 from dpbench.report.table import Table
-from dpbench.report.tables_timing import timed_arms
+from dpbench.report.tables_timing import timed_configurations
 from dpbench.report.verdict_text import sentence
 
 DEMAND = Demand()
@@ -23,8 +23,9 @@ def _row(table: Table, solver: str) -> dict[str, str]:
 
 
 def test_common_and_best_stand_side_by_side(records: Any) -> None:
-    """The ratio of two arms of known medians, 1000 paired steps of spread 0.07: 1 % is 4 sigma. A
-    form whose answers miss the demand is never the best, however fast; the fastest arm is first."""
+    """The ratio of two configurations of known medians, 1000 paired steps of spread 0.07: 1 % is 4
+    sigma. A form whose answers miss the demand is never the best, however fast; the fastest
+    configuration is first."""
     records.replay("osqp", median_us=80.0, **CALM)
     records.replay("osqp", median_us=40.0, formulation="sparse", **CALM)
     records.replay("osqp", median_us=20.0, formulation="condensed_stacked", error=0.5, **CALM)
@@ -46,14 +47,14 @@ def test_common_and_best_stand_side_by_side(records: Any) -> None:
     assert daqp["condensed stacked [µs]"] == "–"
 
 
-def test_arms_are_told_apart_and_refusals_shown(records: Any) -> None:
+def test_configurations_are_told_apart_and_refusals_shown(records: Any) -> None:
     """Route, policy, settings and units make rows and tables of their own; a refused form is a
     word, not a gap."""
     for units in ("scaled", "si"):
         for route, median in (("qpsolvers", 50.0), ("native", 40.0)):
-            arm = {"route": route, "units": units}
-            records.replay("piqp", median_us=median, **arm)
-            records.replay("piqp", median_us=90.0, formulation="sparse", **arm)
+            configuration = {"route": route, "units": units}
+            records.replay("piqp", median_us=median, **configuration)
+            records.replay("piqp", median_us=90.0, formulation="sparse", **configuration)
     records.replay("quadprog", median_us=20.0)
     records.refused("quadprog", "P is only semidefinite", "replay", formulation="sparse")
     scaled, si = formulation_tables(records.view(), DEMAND)
@@ -75,29 +76,29 @@ def test_without_a_second_formulation_there_is_nothing_to_say(records: Any) -> N
     texts = [getattr(block, "text", "") for block in timing_section(view, DEMAND).blocks]
     assert OTHERS not in texts
     # The only formulation of a sequence is its common one.
-    assert [row["formulation"] for row, _ in timed_arms(view, "rough")] == ["sparse"]
+    assert [row["formulation"] for row, _ in timed_configurations(view, "rough")] == ["sparse"]
 
 
 def test_rankings_and_verdicts_keep_to_the_common_formulation(records: Any) -> None:
-    """A sparse arm that is faster, or wrong, moves no ranking, no way and no verdict."""
+    """A sparse configuration that is faster, or wrong, moves no ranking, no way and no verdict."""
     records.replay("osqp", median_us=80.0, route="native", policy="reuse")
     records.replay("osqp", median_us=90.0, route="native", policy="fresh")
     records.loop("osqp", route="native")
     before = records.view()
     expected = (
-        [sentence(v, DEMAND) for v in judge_all(before, DEMAND).every],
-        [w.median_ns(way) for w in ways_of(before, "paper") for way in sorted(w.times)],
-        [row["run_id"] for row, _ in timed_arms(before, "paper")],
+        [sentence(v, DEMAND) for v in verdicts_of(before, DEMAND).every],
+        [w.median_ns(way) for w in route_comparisons(before, "paper") for way in sorted(w.times)],
+        [row["run_id"] for row, _ in timed_configurations(before, "paper")],
     )
-    arm = {"route": "native", "formulation": "sparse", "error": 0.7}
-    records.replay("osqp", median_us=5.0, policy="reuse", **arm)
-    records.replay("osqp", median_us=5.0, policy="fresh", **arm)
-    records.loop("osqp", failed=9, **arm)
+    configuration = {"route": "native", "formulation": "sparse", "error": 0.7}
+    records.replay("osqp", median_us=5.0, policy="reuse", **configuration)
+    records.replay("osqp", median_us=5.0, policy="fresh", **configuration)
+    records.loop("osqp", failed=9, **configuration)
     after = records.view()
     found = (
-        [sentence(v, DEMAND) for v in judge_all(after, DEMAND).every],
-        [w.median_ns(way) for w in ways_of(after, "paper") for way in sorted(w.times)],
-        [row["run_id"] for row, _ in timed_arms(after, "paper")],
+        [sentence(v, DEMAND) for v in verdicts_of(after, DEMAND).every],
+        [w.median_ns(way) for w in route_comparisons(after, "paper") for way in sorted(w.times)],
+        [row["run_id"] for row, _ in timed_configurations(after, "paper")],
     )
     assert found == expected
     assert len(after.every) == len(before.every) + 3

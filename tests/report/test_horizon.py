@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import View
+from dpbench.analysis.records import Records
 from dpbench.analysis.statistics import Interval
 from dpbench.analysis.times.growth import Growth, crossover, fit_growth
 from dpbench.analysis.times.horizon_sweep import between_ends, sweeps
@@ -55,9 +55,9 @@ def _column(table: Table, head: str) -> dict[tuple[str, str], str]:
     return {(row[0].text, row[1].text): row[where].text for row in table.rows}
 
 
-def _best_table(view: View) -> Table:
+def _best_table(view: Records) -> Table:
     (sweep,) = sweeps(view, DEMAND)
-    return growth_table(sweep, sweep.best_arms)
+    return growth_table(sweep, sweep.best_configurations)
 
 
 def _line(scale: float, power: float, low: float = 15.0, high: float = 120.0) -> Growth:
@@ -199,13 +199,19 @@ def test_a_p99_whose_interval_holds_the_limit_settles_nothing(records: Any) -> N
     for solver, factor in (("daqp", 0.99), ("osqp", 0.2)):
         for pair in PAIRS:
             _replay(records, solver, pair, median_us=10.0 * pair[1], spread=0.3, rounds=1)
-        (arm,) = (a for s in sweeps(records.view(), DEMAND) for a in s.arms if a.solver == solver)
-        limit_ns = arm.points[100, 20].p99_ns / factor
-        assert arm.settled(limit_ns) is (solver == "osqp")
+        (configuration,) = (
+            a
+            for s in sweeps(records.view(), DEMAND)
+            for a in s.configurations
+            if a.solver == solver
+        )
+        limit_ns = configuration.points[100, 20].p99_ns / factor
+        assert configuration.settled(limit_ns) is (solver == "osqp")
 
 
 def test_a_cell_that_was_stopped_is_no_point(records: Any) -> None:
-    """An arm that did not do every step at a horizon says why there, and is fitted without it."""
+    """A configuration that did not do every step at a horizon says why there, and is fitted without
+    it."""
     for pair in PAIRS[:3]:
         _replay(records, "highs", pair, median_us=float(pair[1]) ** 2, spread=0.0, rounds=1)
     asked = {"N_p": 200, "N_c": 40}
@@ -223,8 +229,8 @@ def test_the_best_way_is_right_first_and_fast_second(records: Any) -> None:
     _law(records, "osqp", 1.0, 1.0, policy="warm", error=0.4)
     _law(records, "osqp", 3.0, 1.0, policy="reuse")
     (sweep,) = sweeps(records.view(), DEMAND)
-    assert [arm.way for arm in sweep.best_arms] == ["native reuse"]
-    every = growth_table(sweep, sweep.arms, every=True)
+    assert [configuration.way for configuration in sweep.best_configurations] == ["native reuse"]
+    every = growth_table(sweep, sweep.configurations, every=True)
     assert [row[2].text for row in every.rows] == ["native warm", "native reuse"]
     assert every.folded
 
@@ -263,7 +269,7 @@ def test_points_are_hollow_where_an_answer_misses_the_demand(records: Any) -> No
     _law(records, "daqp", 1.0, 1.0, formulation="sparse", steps=60)
     (sweep,) = sweeps(records.view(), DEMAND)
     with styled():
-        first, second = growth_figure(sweep, sweep.best_arms).axes
+        first, second = growth_figure(sweep, sweep.best_configurations).axes
     assert [first.get_title(loc="left"), second.get_title(loc="left")] == [
         "condensed box",
         "sparse",
@@ -285,7 +291,8 @@ def test_names_are_kept_apart_and_in_order(places: list[float], gap: float) -> N
 
 
 def test_a_generic_build_is_marked_at_its_horizons_and_crossovers(records: Any) -> None:
-    """Rows, the sparse crossover among their cells, and sentences name the solver with the mark."""
+    """RunRecords, the sparse crossover among their cells, and sentences name the solver with the
+    mark."""
     build = {"build": "BLASFEO generic", "generic_build": True}
     _law(records, "hpipm", 0.01, 3.0, **build)
     _law(records, "hpipm", 9.0, 1.0, formulation="sparse", **build)

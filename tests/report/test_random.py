@@ -9,13 +9,13 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.random_claims import RandomClaims
-from dpbench.analysis.records import View
+from dpbench.analysis.records import Records
 from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.bench.record.schema import as_steps
 from dpbench.qp.random.recipe import RandomRecipe
 from dpbench.report.blocks import Tabular
 from dpbench.report.table import Table
-from dpbench.report.tables_random import arms_of
+from dpbench.report.tables_random import configurations_of
 from dpbench.report.write import build_page, verdict_lines, write_report
 
 INF, NAN = float("inf"), float("nan")
@@ -28,8 +28,8 @@ def cell(recipe: RandomRecipe = RECIPE) -> dict[str, str]:
     return {"scenario": "", "cell": json.dumps({"source": source})}
 
 
-def view_of(records: Any, *steps: dict[str, Any], **columns: Any) -> View:
-    """A view of one random arm with these steps."""
+def records_of(records: Any, *steps: dict[str, Any], **columns: Any) -> Records:
+    """A view of one random configuration with these steps."""
     usual: dict[str, Any] = {"status": "SOLVED", "claimed": True, "certificate": "linear"}
     usual |= {"counts": True, "primal": 0.0}
     usual |= {"true": False, "true_1e4": False, "true_1e6": False, "error_plan": 0.0}
@@ -38,13 +38,13 @@ def view_of(records: Any, *steps: dict[str, Any], **columns: Any) -> View:
     results = records.results()
     run_id = results.runs["run_id"].iloc[-1]
     rows = [{"run_id": run_id, "k": k} | usual | step for k, step in enumerate(steps)]
-    return View(Results(results.runs, as_steps(pd.DataFrame(rows)), {}, {}))
+    return Records(Results(results.runs, as_steps(pd.DataFrame(rows)), {}, {}))
 
 
 def test_each_step_counts_as_what_it_is(records: Any) -> None:
     """Every combination of claim, truth and certificate has one column, told apart by rows."""
     true = {"true": True, "true_1e4": True, "true_1e6": True}
-    view = view_of(
+    view = records_of(
         records,
         true,
         true | {"true_1e6": False, "error_plan": 1e-4},
@@ -74,7 +74,7 @@ def test_each_step_counts_as_what_it_is(records: Any) -> None:
 
 
 def test_settings_without_effect_are_counted_once(records: Any) -> None:
-    """One run shown under two names is one arm with one count, and two runs are two."""
+    """One run shown under two names is one configuration with one count, and two runs are two."""
     lie: dict[str, Any] = {"claimed": True, "true": False, "error_plan": 0.5}
     for policy, times in (("fresh", (7.0, 7.0)), ("warm", (7.0, 8.0))):
         for settings, raw_max_ns in zip(("default", "high"), times, strict=True):
@@ -82,8 +82,11 @@ def test_settings_without_effect_are_counted_once(records: Any) -> None:
             records.replay("osqp", steps=1, rounds=1, **columns, **cell())
     results = records.results()
     rows = [{"run_id": run_id, "k": 0, "counts": True} | lie for run_id in results.runs["run_id"]]
-    claims = RandomClaims(View(Results(results.runs, as_steps(pd.DataFrame(rows)), {}, {})))
-    found = {(arm[2], arm[3]): tally.lies[0] for arm, tally in arms_of(claims)}
+    claims = RandomClaims(Records(Results(results.runs, as_steps(pd.DataFrame(rows)), {}, {})))
+    found = {
+        (configuration[2], configuration[3]): tally.lies[0]
+        for configuration, tally in configurations_of(claims)
+    }
     assert found == {("fresh", "default, high"): 1, ("warm", "default"): 1, ("warm", "high"): 1}
 
 
@@ -103,7 +106,8 @@ def _tables(results: Results) -> dict[str, Table]:
 def test_random_problems_change_nothing_that_is_said_about_the_ship(
     records: Any, tmp_path: Path
 ) -> None:
-    """Verdict, accuracy and times are the same with a random arm that lies on another route."""
+    """Verdict, accuracy and times are the same with a random configuration that lies on another
+    route."""
     records.loop("daqp", route="native")
     records.replay("daqp", route="native", steps=60)
     records.write(tmp_path)
@@ -117,11 +121,13 @@ def test_random_problems_change_nothing_that_is_said_about_the_ship(
     assert keys.index("random") == keys.index("units") + 1
 
 
-def test_a_random_arm_that_never_ran_still_makes_a_report(records: Any, tmp_path: Path) -> None:
+def test_a_random_configuration_that_never_ran_still_makes_a_report(
+    records: Any, tmp_path: Path
+) -> None:
     """Refused and crashed cells alone leave a page that says so."""
     records.replay("daqp", outcome="crashed", steps_done=0, steps_planned=24, **cell())
     records.replay("ecos", outcome="refused", steps_done=0, **cell())
     write_report(records.write(tmp_path))
     text = (tmp_path / "report.md").read_text(encoding="utf-8")
-    assert "0 random QPs in 1 sequence, put to 1 arm" in text
+    assert "0 random QPs in 1 sequence, put to 1 configuration" in text
     assert "crashed" in text

@@ -12,8 +12,8 @@ from markdown_it import MarkdownIt
 
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.recommendation import recommend
-from dpbench.analysis.records import View
-from dpbench.analysis.verdict import judge_all
+from dpbench.analysis.records import Records
+from dpbench.analysis.verdict import verdicts_of
 from dpbench.bench.record.result_folder import load_results
 from dpbench.report.blocks import Tabular
 from dpbench.report.formats import rounded_down, time_text
@@ -142,8 +142,8 @@ def test_the_verdict_lines_name_the_fastest(campaign: Path) -> None:
 def test_page_markdown_terminal_and_verdicts_say_the_same(report: Path) -> None:
     """Who is recommended, in which way, at which p99 and slow-downs is one answer everywhere."""
     results = load_results(report.parent)
-    view, demand = View(results), Demand.of(results.suite)
-    verdicts = judge_all(view, demand)
+    view, demand = Records(results), Demand.of(results.suite)
+    verdicts = verdicts_of(view, demand)
     chosen = recommend(verdicts).chosen
     assert chosen is not None
     told = (
@@ -197,7 +197,7 @@ def _all_silent(records: Any) -> None:
     records.replay("ecos", error=float("inf"), failed=3000)
 
 
-def _contrast_only(records: Any) -> None:
+def _baseline_law_only(records: Any) -> None:
     records.loop("unconstrained_clipped", formulation="none", error=1.0)
 
 
@@ -217,7 +217,7 @@ PARTIAL = [
     (_single_step, "Missing: no closed loop was run in SI units"),
     (_all_crashed, "its process ended in `paper`: signal 11"),
     (_all_silent, "it leaves steps without an answer"),
-    (_contrast_only, "Contrast"),
+    (_baseline_law_only, "Contrast"),
     (_si_only, "Missing: no solver was run in scaled units"),
     (_odd_names, "was stopped at its time limit"),
 ]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.analysis.records import View
+from dpbench.analysis.records import Records
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.blocks import Paragraph
 from dpbench.report.render import render_markdown
@@ -25,8 +25,13 @@ def _states(records: Any) -> dict[str, str]:
 
 def _pair(records: Any, scenario: str = "paper", **law: Any) -> None:
     records.loop("daqp", scenario, steps=WHOLE)
-    contrast = {"steps": WHOLE, "settle_0p1m_s": 64.0, "overshoot_e": 1.13, "heading_max_deg": 0.3}
-    records.loop("unconstrained_clipped", scenario, formulation="none", **(contrast | law))
+    baseline_law = {
+        "steps": WHOLE,
+        "settle_0p1m_s": 64.0,
+        "overshoot_e": 1.13,
+        "heading_max_deg": 0.3,
+    }
+    records.loop("unconstrained_clipped", scenario, formulation="none", **(baseline_law | law))
 
 
 def test_claims_of_the_paper_case(records: Any) -> None:
@@ -131,7 +136,7 @@ def test_a_namesake_is_not_the_paper(records: Any, part: str) -> None:
             files["vessel"]["length_m"] += 1.0
 
     results = _called_paper(records, change)
-    view = View(results)
+    view = Records(results)
     assert {claim.state for claim in claims(view)} == {"not measured"}
     assert choices(view) == []
     (only,) = reproduced_section(view, designed=False).blocks

@@ -31,7 +31,7 @@ def test_pipes_do_not_break_markdown() -> None:
     assert markdown(Table("t", "", ("a",), (row_of("x | y"),))).endswith("| x \\| y |")
 
 
-def test_accuracy_is_sorted_by_error_with_the_contrast_law_last(records: Any) -> None:
+def test_accuracy_is_sorted_by_error_with_the_baseline_law_last(records: Any) -> None:
     """The most exact solver comes first, one without an answer after all others."""
     records.loop("unconstrained_clipped", formulation="none", error=1e-3)
     records.loop("silent", error=math.inf)
@@ -43,7 +43,7 @@ def test_accuracy_is_sorted_by_error_with_the_contrast_law_last(records: Any) ->
         "exact",
         "rough",
         "silent",
-        "unconstrained_clipped (contrast)",
+        "unconstrained_clipped (baseline_law)",
     ]
     assert _column(table, "error_move max")[2] == "no answer"
 

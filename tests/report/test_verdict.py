@@ -8,17 +8,17 @@ import pytest
 
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.recommendation import recommend, why_not_aboard
-from dpbench.analysis.times.pairs import duel, fastest_first
-from dpbench.analysis.verdict import judge_all
+from dpbench.analysis.times.pairs import fastest_first, paired_comparison
+from dpbench.analysis.verdict import verdicts_of
 from dpbench.report.blocks import Cards
 from dpbench.report.render import render_markdown
 from dpbench.report.section_verdict import verdict_lines, verdict_section, verdict_table
 from dpbench.report.verdict_text import (
+    baseline_law,
     clauses,
-    contrast,
     demand_text,
-    duel_text,
     elsewhere,
+    paired_text,
     recommendation,
     sentence,
     summary,
@@ -29,7 +29,7 @@ DEMAND = Demand()
 
 
 def _verdict(records: Any, solver: str, settings: str = "default") -> Any:
-    verdicts = judge_all(records.view(), DEMAND).at(settings)
+    verdicts = verdicts_of(records.view(), DEMAND).at(settings)
     return next(verdict for verdict in verdicts if verdict.solver == solver)
 
 
@@ -161,7 +161,7 @@ def test_the_demand_is_read_from_the_suite(records: Any) -> None:
     records.loop("osqp", error=0.05)
     records.replay("osqp")
     looser = Demand.of({"demand": {"error_move": 0.1, "unknown": 1}})
-    assert judge_all(records.view(), looser).references[0].outcome == "meets"
+    assert verdicts_of(records.view(), looser).references[0].outcome == "meets"
     assert _verdict(records, "osqp").outcome == "misses"
     assert "within 0.1 of a rate-limit step" in demand_text(looser)
 
@@ -190,7 +190,7 @@ def test_high_settings_rescue(records: Any) -> None:
     records.loop("osqp", settings="high")
     records.replay("osqp", error=0.4)
     records.replay("osqp", settings="high")
-    verdicts = judge_all(records.view(), DEMAND)
+    verdicts = verdicts_of(records.view(), DEMAND)
     assert [v.outcome for v in verdicts.every] == ["misses", "meets"]
     assert "Only in another configuration: osqp (qpsolvers fresh, high)." in summary(verdicts)
     text = elsewhere(verdicts, verdicts.references[0])
@@ -227,7 +227,7 @@ def test_a_level_meets_only_where_it_was_run(
     verdict = _high(records, **columns)
     assert verdict.outcome == "open"
     assert clause in sentence(verdict, DEMAND)
-    assert summary(judge_all(records.view(), DEMAND))[-1] == "osqp misses it."
+    assert summary(verdicts_of(records.view(), DEMAND))[-1] == "osqp misses it."
 
 
 def test_a_level_that_ran_everywhere_meets(records: Any) -> None:
@@ -240,7 +240,7 @@ def test_a_way_meets_only_where_it_was_run(records: Any) -> None:
     records.loop("daqp")
     records.replay("daqp", median_us=20.0)
     records.replay("daqp", median_us=5.0, route="native", policy="warm")
-    reference, warm = judge_all(records.view(), DEMAND).of["daqp"]
+    reference, warm = verdicts_of(records.view(), DEMAND).of["daqp"]
     assert (reference.outcome, warm.outcome) == ("meets", "open")
     assert clauses(warm.gaps) == "not run in `paper`"
 
@@ -257,7 +257,7 @@ def test_loops_under_any_policy_and_route_count_as_run(
     records.replay("daqp", route=route, policy=policy)
     records.loop("osqp", route=route, policy=policy, error=0.5)
     records.replay("osqp", route=route, policy=policy)
-    assert summary(judge_all(records.view(), DEMAND)) == [
+    assert summary(verdicts_of(records.view(), DEMAND)) == [
         "1 of 2 solvers that ran meets the demand in its default configuration: daqp.",
         "osqp misses it.",
     ]
@@ -266,7 +266,7 @@ def test_loops_under_any_policy_and_route_count_as_run(
 def test_loops_alone_under_a_policy_count_as_run(records: Any) -> None:
     """Loops that finished were run, whatever is missing beside them."""
     records.loop("daqp", route="native", policy="reuse")
-    (verdict,) = judge_all(records.view(), DEMAND).references
+    (verdict,) = verdicts_of(records.view(), DEMAND).references
     assert (verdict.outcome, verdict.loops) == ("open", 1)
     assert clauses(verdict.missing) == "no replay was run, so its time is not judged"
 
@@ -279,7 +279,7 @@ def test_two_slowdowns_of_one_configuration(records: Any) -> None:
     """
     records.loop("daqp")
     records.replay("daqp", median_us=20.0, spread=0.0)
-    (verdict,) = judge_all(records.view(), DEMAND).references
+    (verdict,) = verdicts_of(records.view(), DEMAND).references
     samples = records.results().steps.query("not warmup")["total_ns"]
     samples = samples[records.results().steps["run_id"] == "run0001"]
     assert verdict.slowdown(DEMAND) == pytest.approx(300e6 / 20e3, rel=1e-4)
@@ -294,11 +294,11 @@ def test_the_recommendation_can_go_aboard(records: Any) -> None:
         records.loop(solver, route=route)
         records.replay(solver, route=route, median_us=median)
     view = records.view()
-    found = recommend(judge_all(view, DEMAND))
+    found = recommend(verdicts_of(view, DEMAND))
     assert found.chosen is not None and found.runner_up is not None and found.faster is not None
     names = (found.chosen.solver, found.runner_up.solver, found.faster.solver)
     assert names == ("daqp", "scs", "paper_active_set")
-    text = " ".join(recommendation(view, judge_all(view, DEMAND)))
+    text = " ".join(recommendation(view, verdicts_of(view, DEMAND)))
     assert text.startswith("Use **daqp** (route qpsolvers, policy fresh, settings `default`)")
     assert "Licence: MIT; language: C, library-free; C code: yes, renders a workspace." in text
     assert "cannot go aboard as it is: own code of this benchmark (Python, compiled by Num" in text
@@ -308,7 +308,7 @@ def test_nobody_to_go_aboard_is_said(records: Any) -> None:
     """Where only the benchmark's own code meets the demand, nothing is recommended."""
     records.loop("hildreth", route="native")
     records.replay("hildreth", route="native")
-    (text,) = recommendation(records.view(), judge_all(records.view(), DEMAND))
+    (text,) = recommendation(records.view(), verdicts_of(records.view(), DEMAND))
     assert text.startswith("Nothing that can go aboard meets the demand; hildreth (native fresh)")
 
 
@@ -330,7 +330,7 @@ def test_the_table_names_licence_language_and_c_code(records: Any) -> None:
     records.replay("daqp")
     records.loop("daqp", route="native", policy="warm")
     records.replay("daqp", route="native", policy="warm", median_us=5.0)
-    table = verdict_table(judge_all(records.view(), DEMAND))
+    table = verdict_table(verdicts_of(records.view(), DEMAND))
     row = dict(zip(table.heads, (cell.text for cell in table.rows[0]), strict=True))
     assert row["figures of"] == "native warm"
     assert (row["can go aboard"], row["licence"]) == ("yes", "MIT")
@@ -345,7 +345,7 @@ def test_summary_counts_everybody_once(records: Any) -> None:
     records.replay("osqp")
     records.loop("scs", outcome="timed_out", done=10)
     records.refused("qpax", "not installed")
-    text = summary(judge_all(records.view(), DEMAND))
+    text = summary(verdicts_of(records.view(), DEMAND))
     assert text == [
         "1 of 3 solvers that ran meets the demand in its default configuration: daqp.",
         "osqp misses it.",
@@ -359,7 +359,7 @@ def test_order_is_by_p99(records: Any) -> None:
     for solver, median in (("slow", 90.0), ("fast", 20.0), ("middle", 40.0)):
         records.loop(solver)
         records.replay(solver, median_us=median)
-    ranked = fastest_first(judge_all(records.view(), DEMAND).references)
+    ranked = fastest_first(verdicts_of(records.view(), DEMAND).references)
     assert [v.solver for v in ranked] == ["fast", "middle", "slow"]
 
 
@@ -368,8 +368,8 @@ def _duel(records: Any, median_us: float) -> Any:
         records.loop(solver)
         records.replay(solver, median_us=median, spread=0.1)
     view = records.view()
-    ranked = fastest_first(judge_all(view, DEMAND).references)
-    return duel(view, ranked[0], ranked[1])
+    ranked = fastest_first(verdicts_of(view, DEMAND).references)
+    return paired_comparison(view, ranked[0], ranked[1])
 
 
 def test_a_clear_lead_is_called_so(records: Any) -> None:
@@ -380,14 +380,14 @@ def test_a_clear_lead_is_called_so(records: Any) -> None:
     found = _duel(records, 40.0)
     assert found.ratio.value == pytest.approx(2.0, rel=0.02)
     assert not found.tied
-    assert duel_text(found).startswith("Second: second (qpsolvers fresh) takes")
+    assert paired_text(found).startswith("Second: second (qpsolvers fresh) takes")
 
 
 def test_a_tie_is_called_a_tie(records: Any) -> None:
     """Two solvers with the same distribution of times are not ranked against each other."""
     found = _duel(records, 20.0)
     assert found.tied
-    assert "cannot be told apart" in duel_text(found)
+    assert "cannot be told apart" in paired_text(found)
 
 
 def test_an_order_that_turns_with_the_yardstick_is_called_unstable(records: Any) -> None:
@@ -397,19 +397,19 @@ def test_an_order_that_turns_with_the_yardstick_is_called_unstable(records: Any)
     records.loop("nervous")
     records.replay("nervous", median_us=20.0, spread=0.6)
     view = records.view()
-    ranked = fastest_first(judge_all(view, DEMAND).references)
+    ranked = fastest_first(verdicts_of(view, DEMAND).references)
     assert [v.solver for v in ranked] == ["steady", "nervous"]
-    text = duel_text(duel(view, *ranked))
+    text = paired_text(paired_comparison(view, *ranked))
     assert text.startswith("Caution") and "depends on the yardstick" in text
 
 
-def test_the_contrast_law_is_never_ranked(records: Any) -> None:
+def test_the_baseline_law_is_never_ranked(records: Any) -> None:
     """The clipped unconstrained law is no solver: it has a line of its own and no verdict."""
     records.loop("daqp")
     records.loop("unconstrained_clipped", steps=1000, formulation="none", tail_m=9.0, error=1.0)
-    verdicts = judge_all(records.view(), DEMAND)
+    verdicts = verdicts_of(records.view(), DEMAND)
     assert list(verdicts.of) == ["daqp"]
-    assert "9.0 m in `paper`" in contrast(records.view())
+    assert "9.0 m in `paper`" in baseline_law(records.view())
 
 
 def test_the_table_names_every_solver_best_first(records: Any) -> None:
@@ -417,7 +417,7 @@ def test_the_table_names_every_solver_best_first(records: Any) -> None:
     for solver, median, error in (("a", 50.0, 1e-9), ("b", 20.0, 1e-9), ("c", 10.0, 0.5)):
         records.loop(solver, error=error)
         records.replay(solver, median_us=median)
-    table = verdict_table(judge_all(records.view(), DEMAND))
+    table = verdict_table(verdicts_of(records.view(), DEMAND))
     assert [row[0].text for row in table.rows] == ["b", "a", "c"]
 
 
@@ -430,10 +430,10 @@ def test_terminal_lines_carry_no_markup(records: Any) -> None:
     assert not {"*", "`"} & set(text)
 
 
-def test_the_contrast_is_judged_on_whole_runs_only(records: Any) -> None:
-    """Of a contrast law that ran a part of the scenario the steps are told, and no steady error."""
+def test_the_baseline_law_is_judged_on_whole_runs_only(records: Any) -> None:
+    """Of a baseline law that ran a part of the scenario the steps are told, and no steady error."""
     records.loop("unconstrained_clipped", steps=60, formulation="none", tail_m=9.0, error=1.0)
-    text = contrast(records.view())
+    text = baseline_law(records.view())
     assert "second half" not in text
     assert "60 of 1\u202f000 steps in `paper`" in text
 

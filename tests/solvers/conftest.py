@@ -12,7 +12,7 @@ from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.record import RouteRecord
-from dpbench.solvers.settings import rung
+from dpbench.solvers.settings import level_options
 from dpbench.solvers.table import TABLE, available
 
 INF = np.inf
@@ -71,7 +71,7 @@ UNLIMITED = {"highs", "qpoases", "paper_active_set", "pyqpmad", "quadprog", "qpa
 SILENT = {(name, "qpsolvers") for name in ("clarabel", "daqp", "qtqp")}
 
 
-class Arm(NamedTuple):
+class Configuration(NamedTuple):
     """One way to run one solver."""
 
     solver: str
@@ -100,14 +100,14 @@ class Arm(NamedTuple):
         if settings is None:
             settings = TIGHTEST.get(self.solver, "high")
         if further:
-            settings = {**rung(str(settings), self.solver), **further}
+            settings = {**level_options(str(settings), self.solver), **further}
         return open_workspace(self.solver, route=self.route, policy=self.policy, settings=settings)
 
 
-# The contrast law solves another problem and has tests of its own.
+# The baseline law solves another problem and has tests of its own.
 INSTALLED = [n for n in TABLE if n != "unconstrained_clipped" and available(n).ok]
 ARMS = [
-    Arm(name, route, policy)
+    Configuration(name, route, policy)
     for name in INSTALLED
     for route, policies in TABLE[name].policies.items()
     for policy in policies
@@ -115,11 +115,15 @@ ARMS = [
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Run a test that takes an `arm` or an `installed` solver for each there is."""
+    """Run a test that takes an `configuration` or an `installed` solver for each there is."""
     limited = [a for a in ARMS if a.solver not in UNLIMITED and (a.solver, a.route) not in SILENT]
-    for name, arms in (("arm", ARMS), ("limited_arm", limited)):
+    for name, configurations in (("configuration", ARMS), ("limited_configuration", limited)):
         if name in metafunc.fixturenames:
-            metafunc.parametrize(name, arms, ids=["-".join(arm) for arm in arms])
+            metafunc.parametrize(
+                name,
+                configurations,
+                ids=["-".join(configuration) for configuration in configurations],
+            )
     if "installed" in metafunc.fixturenames:
         metafunc.parametrize("installed", INSTALLED)
 

@@ -23,5 +23,5 @@ def solve(qp, tolerance=1e-4):
 
 
 RECORD = solver_record("admm", method="ADMM", detects_infeasibility=False)
-LADDER = {"low": {"tolerance": 1e-3}, "mid": {"tolerance": 1e-6}, "high": {"tolerance": 1e-9}}
+LEVELS = {"low": {"tolerance": 1e-3}, "mid": {"tolerance": 1e-6}, "high": {"tolerance": 1e-9}}
 open = opener("admm", solve)

@@ -1,4 +1,4 @@
-"""The harness's own arms: what they do, and that no list of solvers has them."""
+"""The harness's own configurations: what they do, and that no list of solvers has them."""
 
 import itertools
 

@@ -85,15 +85,15 @@ KNOWN = {
 }
 
 
-def patience(arm):
-    """Settings under which a hopeless problem is given up soon.
+def patience(configuration):
+    """Settings under which a infeasible problem is given up soon.
 
     On a NaN, and natively on an infeasible problem, ProxQP runs to its iteration limits, which
     takes it half a minute by default.
     """
-    if not arm.solver.startswith("proxqp"):
+    if not configuration.solver.startswith("proxqp"):
         return {}
-    return {"max_iter": 50, **({"max_iter_in": 50} if arm.route == "native" else {})}
+    return {"max_iter": 50, **({"max_iter_in": 50} if configuration.route == "native" else {})}
 
 
 INFEASIBLE = problem(TWO, [-2, -6], [[1, 1]], [3], [4], [-1, -1], [1, 1])
@@ -109,47 +109,47 @@ def kkt_residual(qp, s):
 
 
 @pytest.mark.parametrize("name", KNOWN)
-def test_known_optimum(arm, name, solve_at_once):
+def test_known_optimum(configuration, name, solve_at_once):
     """Every solver finds the optimum and the signed multipliers of a problem solved by hand."""
     qp, z, y, y_box = KNOWN[name]
-    answer = solve_at_once(arm.open(), qp)
+    answer = solve_at_once(configuration.open(), qp)
     assert answer.status is Status.SOLVED
-    np.testing.assert_allclose(answer.z, z, rtol=0, atol=arm.tolerance)
-    np.testing.assert_allclose(answer.y, y, rtol=0, atol=10 * arm.tolerance)
-    np.testing.assert_allclose(answer.y_box, y_box, rtol=0, atol=10 * arm.tolerance)
+    np.testing.assert_allclose(answer.z, z, rtol=0, atol=configuration.tolerance)
+    np.testing.assert_allclose(answer.y, y, rtol=0, atol=10 * configuration.tolerance)
+    np.testing.assert_allclose(answer.y_box, y_box, rtol=0, atol=10 * configuration.tolerance)
 
 
-def test_answers_satisfy_the_optimality_conditions(arm, sequence):
+def test_answers_satisfy_the_optimality_conditions(configuration, sequence):
     """Along a sequence every answer fulfils the KKT conditions to the accuracy of its class."""
-    workspace = arm.open()
+    workspace = configuration.open()
     workspace.setup(sequence.base)
     for step in sequence.steps:
         workspace.update(step)
         workspace.solve()
         qp, answer = sequence.base.at(step), workspace.read()
         assert answer.status is Status.SOLVED
-        assert kkt_residual(qp, answer) <= 10 * arm.tolerance
+        assert kkt_residual(qp, answer) <= 10 * configuration.tolerance
 
 
-def test_update_equals_a_new_setup(arm, sequence, solve_at_once):
+def test_update_equals_a_new_setup(configuration, sequence, solve_at_once):
     """An updated workspace gives bit for bit what a new one gives; with a memory, to tolerance.
 
     Scalings, penalties and factors kept from an earlier step are such a memory, and so is a start.
     """
-    workspace = arm.open()
+    workspace = configuration.open()
     workspace.setup(sequence.base)
     for step in sequence.steps:
         workspace.update(step)
         workspace.solve()
         answer = workspace.read()
-        fresh = solve_at_once(arm.open(), sequence.base.at(step))
-        atol = 0.0 if arm.exact_again else 2 * arm.tolerance
+        fresh = solve_at_once(configuration.open(), sequence.base.at(step))
+        atol = 0.0 if configuration.exact_again else 2 * configuration.tolerance
         np.testing.assert_allclose(answer.z, fresh.z, rtol=0, atol=atol)
 
 
-def test_limits_may_become_infinite_equal_and_finite_again(arm, sequence, solve_at_once):
+def test_limits_may_become_infinite_equal_and_finite_again(configuration, sequence, solve_at_once):
     """A step may change which limits are infinite or equal."""
-    workspace = arm.open()
+    workspace = configuration.open()
     workspace.setup(sequence.base)
     first, second, third = sequence.steps[:3]
     low, high = second.l.copy(), second.u.copy()
@@ -159,12 +159,14 @@ def test_limits_may_become_infinite_equal_and_finite_again(arm, sequence, solve_
         workspace.solve()
         qp = sequence.base.at(step)
         exact = certify(qp)
-        np.testing.assert_allclose(workspace.read().z, exact.z, rtol=0, atol=arm.tolerance)
+        np.testing.assert_allclose(
+            workspace.read().z, exact.z, rtol=0, atol=configuration.tolerance
+        )
 
 
-def test_matrices_may_change(arm, sequence, solve_at_once):
+def test_matrices_may_change(configuration, sequence, solve_at_once):
     """A step that brings matrices and bounds is solved with them, and so are those after it."""
-    workspace = arm.open()
+    workspace = configuration.open()
     base, step = sequence.base, sequence.steps[0]
     workspace.setup(base)
     workspace.update(
@@ -178,16 +180,16 @@ def test_matrices_may_change(arm, sequence, solve_at_once):
         2.0 * base.P, later.q, -base.A, later.l, later.u, 0.5 * base.lb, 0.25 * base.ub
     )
     exact = certify(qp)
-    np.testing.assert_allclose(workspace.read().z, exact.z, rtol=0, atol=arm.tolerance)
+    np.testing.assert_allclose(workspace.read().z, exact.z, rtol=0, atol=configuration.tolerance)
 
 
-def test_inputs_stay_as_they_are_and_are_not_kept(arm, sequence, solve_at_once):
+def test_inputs_stay_as_they_are_and_are_not_kept(configuration, sequence, solve_at_once):
     """No solver writes to the caller's arrays, and none sees what the caller writes later."""
     base, step = sequence.base, sequence.steps[0]
     names = ("P", "q", "A", "l", "u", "lb", "ub")
     before = {name: getattr(base, name).copy() for name in names}
     vectors = [step.q.copy(), step.l.copy(), step.u.copy()]
-    workspace = arm.open()
+    workspace = configuration.open()
     solve_at_once(workspace, base)
     workspace.update(step)
     workspace.solve()
@@ -196,7 +198,7 @@ def test_inputs_stay_as_they_are_and_are_not_kept(arm, sequence, solve_at_once):
         np.testing.assert_array_equal(getattr(base, name), before[name])
     for mine, kept in zip((step.q, step.l, step.u), vectors, strict=True):
         np.testing.assert_array_equal(mine, kept)
-    again = arm.open()
+    again = configuration.open()
     again.setup(base)
     again.solve()
     again.read()
@@ -207,25 +209,25 @@ def test_inputs_stay_as_they_are_and_are_not_kept(arm, sequence, solve_at_once):
     np.testing.assert_array_equal(again.read().z, expected)
 
 
-def test_a_rebuild_uses_the_workspaces_own_matrices(arm, sequence, solve_at_once):
+def test_a_rebuild_uses_the_workspaces_own_matrices(configuration, sequence, solve_at_once):
     """What the caller writes after setup is not seen by a step that changes the pattern either."""
     base, step = sequence.base, sequence.steps[0]
     low = step.l.copy()
     low[1] = -INF
     last = QPStep(step.q, low, step.u)
     exact = certify(base.at(last))
-    workspace = arm.open()
+    workspace = configuration.open()
     workspace.setup(base)
     for array in (base.P, base.q, base.A, base.l, base.u, base.lb, base.ub):
         array.fill(np.nan)
     workspace.update(last)
     workspace.solve()
-    np.testing.assert_allclose(workspace.read().z, exact.z, rtol=0, atol=arm.tolerance)
+    np.testing.assert_allclose(workspace.read().z, exact.z, rtol=0, atol=configuration.tolerance)
 
 
-def test_an_answer_is_the_callers_own(arm, sequence):
+def test_an_answer_is_the_callers_own(configuration, sequence):
     """Neither the next solve nor a second read changes an answer, nor does writing to it."""
-    workspace = arm.open()
+    workspace = configuration.open()
     workspace.setup(sequence.base)
     workspace.solve()
     first, second = workspace.read(), workspace.read()
@@ -240,9 +242,9 @@ def test_an_answer_is_the_callers_own(arm, sequence):
 
 
 @pytest.mark.parametrize("name", ["q", "l", "u", "P", "A", "lb", "ub"])
-def test_wrong_shapes_are_refused(arm, sequence, name):
+def test_wrong_shapes_are_refused(configuration, sequence, name):
     """An array of another shape is refused by name instead of being half taken over."""
-    workspace = arm.open()
+    workspace = configuration.open()
     workspace.setup(sequence.base)
     step = sequence.steps[0]
     setattr(step, name, np.zeros((5, 5) if name in "PA" else 5))
@@ -250,10 +252,10 @@ def test_wrong_shapes_are_refused(arm, sequence, name):
         workspace.update(step)
 
 
-def test_infeasible_problems_are_not_claimed_solved(arm, solve_at_once):
+def test_infeasible_problems_are_not_claimed_solved(configuration, solve_at_once):
     """An infeasible problem is reported as such where the table says so, and never as solved."""
-    answer = solve_at_once(arm.open("default"), INFEASIBLE)
-    if arm.record.detects_infeasibility:
+    answer = solve_at_once(configuration.open("default"), INFEASIBLE)
+    if configuration.record.detects_infeasibility:
         assert answer.status is Status.PRIMAL_INFEASIBLE
     else:
         assert answer.status not in (Status.SOLVED, Status.PRIMAL_INFEASIBLE)
@@ -276,9 +278,9 @@ def spoil(step, fault):
 
 @pytest.mark.parametrize("reset", [True, False], ids=["reset", "no reset"])
 @pytest.mark.parametrize("fault", ["infeasible", "nan in q", "nan in u"])
-def test_recovery(arm, sequence, fault, reset, solve_at_once):
+def test_recovery(configuration, sequence, fault, reset, solve_at_once):
     """After a step that cannot be solved the next one is solved, with a reset and without."""
-    workspace = arm.open(**patience(arm))
+    workspace = configuration.open(**patience(configuration))
     workspace.setup(sequence.base)
     workspace.solve()
     workspace.read()
@@ -293,55 +295,57 @@ def test_recovery(arm, sequence, fault, reset, solve_at_once):
     answer = workspace.read()
     qp = sequence.base.at(after)
     assert answer.status is Status.SOLVED
-    assert kkt_residual(qp, answer) <= 10 * arm.tolerance
-    if arm.exact_again:
-        expected = solve_at_once(arm.open(**patience(arm)), qp)
+    assert kkt_residual(qp, answer) <= 10 * configuration.tolerance
+    if configuration.exact_again:
+        expected = solve_at_once(configuration.open(**patience(configuration)), qp)
         np.testing.assert_array_equal(answer.z, expected.z)
 
 
 # Multipliers may come back infinite.
 @pytest.mark.filterwarnings("ignore:invalid value encountered")
 @pytest.mark.parametrize("fault", ["nan in q", "nan in u"])
-def test_a_nan_is_not_claimed_solved(arm, sequence, fault):
+def test_a_nan_is_not_claimed_solved(configuration, sequence, fault):
     """Nobody claims to have solved a problem with a NaN in it, but for the faults in the table."""
-    workspace = arm.open(**patience(arm))
+    workspace = configuration.open(**patience(configuration))
     workspace.setup(sequence.base)
     workspace.update(spoil(sequence.steps[0], fault))
     workspace.solve()
-    assert workspace.read().claimed == (f"solved despite a {fault}" in arm.record.faults)
+    assert workspace.read().claimed == (f"solved despite a {fault}" in configuration.record.faults)
 
 
-def test_recovery_from_an_iteration_limit(limited_arm, sequence, solve_at_once):
+def test_recovery_from_an_iteration_limit(limited_configuration, sequence, solve_at_once):
     """After a step that was stopped by the iteration limit, one within the limit is solved."""
-    arm, base = limited_arm, sequence.base
+    configuration, base = limited_configuration, sequence.base
     hard = QPStep(40.0 * sequence.steps[0].q, base.l, base.u)
     easy = QPStep(0.0 * hard.q, base.l - 5.0, base.u + 5.0)
-    few, many = (solve_at_once(arm.open(), base.at(step)).iterations for step in (easy, hard))
+    few, many = (
+        solve_at_once(configuration.open(), base.at(step)).iterations for step in (easy, hard)
+    )
     assert few < many, "the problems do not tell the limits apart"
-    limit = 1 if arm.solver.startswith("proxqp") else (few + many) // 2
-    workspace = arm.open(**{arm.limit_key: limit})
+    limit = 1 if configuration.solver.startswith("proxqp") else (few + many) // 2
+    workspace = configuration.open(**{configuration.limit_key: limit})
     workspace.setup(base.at(easy))
     workspace.update(hard)
     workspace.solve()
     assert workspace.read().status in (Status.MAX_ITERATIONS, Status.INACCURATE)
-    if arm.policy == "warm":
+    if configuration.policy == "warm":
         # From a start that is far away the easy step may need more than the limit, too.
         workspace.reset()
     workspace.update(easy)
     workspace.solve()
     answer = workspace.read()
     assert answer.status is Status.SOLVED
-    assert kkt_residual(base.at(easy), answer) <= 10 * arm.tolerance
+    assert kkt_residual(base.at(easy), answer) <= 10 * configuration.tolerance
 
 
-def test_two_workspaces_do_not_disturb_each_other(arm, sequence):
+def test_two_workspaces_do_not_disturb_each_other(configuration, sequence):
     """Workspaces that take turns give bit for bit what each gives alone."""
     base = sequence.base
     other = QuadraticProgram(2.0 * base.P, base.q, -base.A, -base.u, -base.l, base.lb, base.ub)
     problems = base, other
 
     def opened():
-        workspaces = [arm.open() for _ in problems]
+        workspaces = [configuration.open() for _ in problems]
         for workspace, qp in zip(workspaces, problems, strict=True):
             workspace.setup(qp)
         return workspaces
@@ -368,7 +372,7 @@ def resident_bytes():
     return psutil.Process().memory_info().rss
 
 
-def test_workspaces_do_not_leak(arm):
+def test_workspaces_do_not_leak(configuration):
     """Workspaces that are made, used and dropped leave no memory behind."""
     n = 40
     rng = np.random.default_rng(5)
@@ -378,7 +382,7 @@ def test_workspaces_do_not_leak(arm):
 
     def cycles(count):
         for _ in range(count):
-            workspace = arm.open("default")
+            workspace = configuration.open("default")
             workspace.setup(qp)
             workspace.solve()
             workspace.read()
@@ -394,21 +398,21 @@ def test_workspaces_do_not_leak(arm):
     assert growth <= 0.1 * CYCLES * (P.nbytes + A.nbytes) + PAGES
 
 
-def test_a_cost_that_is_not_convex_enough(arm, solve_at_once):
+def test_a_cost_that_is_not_convex_enough(configuration, solve_at_once):
     """Where the table asks for strict convexity, a semidefinite cost is refused, not mis-solved."""
     qp = problem([[2, 0], [0, 0]], [-2, -1], [[1, 1]], [-9], [1], [-1, -1], [1, 0.5])
-    answer = solve_at_once(arm.open(), qp)
-    if TABLE[arm.solver].needs_strict_convexity:
+    answer = solve_at_once(configuration.open(), qp)
+    if TABLE[configuration.solver].needs_strict_convexity:
         assert not answer.claimed
     else:
         # z = (½, ½) with the row active: 2·½ − 2 + 1 = 0 and −1 + 1 = 0.
         assert answer.claimed
-        np.testing.assert_allclose(answer.z, [0.5, 0.5], rtol=0, atol=arm.tolerance)
+        np.testing.assert_allclose(answer.z, [0.5, 0.5], rtol=0, atol=configuration.tolerance)
 
 
-def test_read_before_solve_is_no_answer(arm, sequence):
+def test_read_before_solve_is_no_answer(configuration, sequence):
     """A workspace that has not solved says so."""
-    workspace = arm.open()
+    workspace = configuration.open()
     workspace.setup(sequence.base)
     answer = workspace.read()
     assert answer.status is Status.ERROR

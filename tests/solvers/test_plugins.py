@@ -18,7 +18,7 @@ from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Status
 from dpbench.solvers import plugins
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.settings import describe_ladder, settings_matter
+from dpbench.solvers.settings import describe_levels, settings_matter
 from dpbench.solvers.table import available, load_solver_module, record, solver_names
 
 EXAMPLE = Path(__file__).with_name("example_plugin.py")
@@ -77,7 +77,7 @@ def test_the_ladder_of_a_plugin_reaches_it(sequence):
     """The names of settings mean what the plug-in says, and its own keys pass through."""
     load_solver_module(EXAMPLE)
     assert settings_matter("admm")
-    assert "high: tolerance=1e-09" in describe_ladder("admm")
+    assert "high: tolerance=1e-09" in describe_levels("admm")
     counts = []
     for settings in ("low", "high", {"tolerance": 1e-1}):
         workspace = open_workspace("admm", settings=settings)

@@ -1,4 +1,4 @@
-"""The ladder of settings and the validation of a solver's own keys."""
+"""The tolerance levels and the validation of a solver's own keys."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from dpbench.qp.solution import Status
 from dpbench.solvers.native import NATIVE
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.settings import (
-    LADDER,
+    LEVELS,
     VARIANTS,
-    describe_ladder,
+    describe_levels,
     resolve,
     setting_names,
     settings_matter,
@@ -69,13 +69,13 @@ def solve(solver, settings, qp):
     return workspace.read()
 
 
-@pytest.mark.parametrize("name", LADDER)
+@pytest.mark.parametrize("name", LEVELS)
 def test_every_rung_is_accepted_by_the_library(installed, name, sequence):
     """Each key of the ladder is a key of the library, on each route, and it solves with it."""
-    rung = LADDER[name].get(installed, {})
+    level_options = LEVELS[name].get(installed, {})
     for adapters in (ADAPTERS, NATIVE):
         if installed in adapters:
-            assert resolve(dict(rung), adapters[installed]) == rung
+            assert resolve(dict(level_options), adapters[installed]) == level_options
     expected = UNREACHED.get((installed, name), Status.SOLVED)
     assert solve(installed, name, sequence.base).status is expected
 
@@ -121,7 +121,7 @@ def test_polishing_is_a_setting_of_its_own(route, name, sequence):
 
 def test_the_ladder_is_described_in_words(installed):
     """Each name of a solver's settings has a line with the keys and values that it sets."""
-    lines = describe_ladder(installed).splitlines()
+    lines = describe_levels(installed).splitlines()
     assert [line.split(":")[0] for line in lines] == list(setting_names(installed))
     if settings_matter(installed):
         assert "1e-09" in lines[3]
@@ -132,7 +132,7 @@ def test_the_ladder_is_described_in_words(installed):
 def test_osqp_adapts_its_penalty_by_iterations_on_every_rung():
     """No name of OSQP's settings leaves the interval of adaptation to a clock."""
     for name in setting_names("osqp"):
-        assert "adaptive_rho_interval=50" in describe_ladder("osqp").splitlines()[0]
+        assert "adaptive_rho_interval=50" in describe_levels("osqp").splitlines()[0]
         assert resolve(name, ADAPTERS["osqp"])["adaptive_rho_interval"] == 50
     assert resolve({"eps_abs": 1e-5}, NATIVE["osqp"])["adaptive_rho_interval"] == 50
 

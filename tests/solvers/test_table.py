@@ -134,9 +134,11 @@ def test_the_form_is_recorded(installed):
     assert open_workspace(installed).form == TABLE[installed].form
 
 
-def test_native_workspaces_set_up_anew_only_when_fresh(arm):
+def test_native_workspaces_set_up_anew_only_when_fresh(configuration):
     """The harness sets a native workspace up at every step under `fresh`, and never else."""
-    assert arm.open().setup_every_step == (arm.route == "native" and arm.policy == "fresh")
+    assert configuration.open().setup_every_step == (
+        configuration.route == "native" and configuration.policy == "fresh"
+    )
 
 
 def test_no_fact_without_a_source():

@@ -1,4 +1,4 @@
-"""Accuracy and control of the same arms in two runs: figures that no clock enters.
+"""Accuracy and control of the same configurations in two runs: figures that no clock enters.
 
 A deterministic solver repeats them bit for bit, so there is nothing to estimate: what differs by
 more than the margin, beyond what the replay rounds of one run differ among themselves, differs.
@@ -14,7 +14,7 @@ from typing import Literal
 import pandas as pd
 
 from dpbench.analysis.compare.pairs import Pair
-from dpbench.analysis.records import Row, View, as_float, has_steps
+from dpbench.analysis.records import Records, RunRecord, as_float, has_steps
 from dpbench.bench.judge.rules import decided, failed_steps
 
 Change = Literal["worse", "better", "same"]
@@ -68,7 +68,7 @@ class Answer:
     change: Change
 
 
-def compare_answers(a: View, b: View, pairs: Sequence[Pair], margin: float) -> list[Answer]:
+def compare_answers(a: Records, b: Records, pairs: Sequence[Pair], margin: float) -> list[Answer]:
     """Every figure of every pair; a pair whose outcome changed is judged by that."""
     found: list[Answer] = []
     for pair in pairs:
@@ -78,7 +78,7 @@ def compare_answers(a: View, b: View, pairs: Sequence[Pair], margin: float) -> l
             continue
         if not (has_steps(pair.a) or has_steps(pair.b)):
             continue
-        # A step limit in seconds stops a slow arm somewhere: no property of its answers.
+        # A step limit in seconds stops a slow configuration somewhere: no property of its answers.
         if pair.a["outcome"] != "timed_out":
             done = [as_float(row["steps_done"]) for row in (pair.a, pair.b)]
             found.append(_answer(pair, DONE, (done[0],) * 2, (done[1],) * 2, margin))
@@ -112,9 +112,9 @@ def _change(measure: Measure, a: Range, b: Range, margin: float) -> Change:
     return "same"
 
 
-def _accuracy(view: View, row: Row, common: int) -> dict[str, Range]:
+def _accuracy(records: Records, row: RunRecord, common: int) -> dict[str, Range]:
     """Least and largest over the counting rounds of each figure, on the first `common` steps."""
-    steps = view.steps(row)
+    steps = records.steps(row)
     counting = steps[steps["counts"] & (steps["k"] < common)]
     if counting.empty:
         once = {m.column: as_float(row[m.column]) for m in ACCURACY}

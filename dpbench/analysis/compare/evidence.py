@@ -1,12 +1,13 @@
 """Verdicts on ratios between two runs: the noise of a run, minimum effects, equivalence, Holm.
 
-Two runs of one suite are two draws of the machine's state: memory layout, frequency, neighbours.
-A factor of that kind holds for a whole run, so no resampling of steps or rounds sees it. Its part
-common to all arms of a sequence is the machine factor, taken as the median over the *other* arms,
-and stated wherever it is taken out; the spread of the arms around it is the noise between runs
-that remains. That spread is estimated robustly from few arms and moderated by a prior, as in the
-moderated t-statistic (Smyth 2004, Stat. Appl. Genet. Mol. Biol. 3(1), article 3). Errors from
-inside the runs are part of that spread, so a ratio's own counts as far as it exceeds the usual one.
+Two runs of one suite are two draws of the machine's state: memory layout, frequency, neighbours. A
+factor of that kind holds for a whole run, so no resampling of steps or rounds sees it. Its part
+common to all configurations of a sequence is the machine factor, taken as the median over the
+*other* configurations, and stated wherever it is taken out; the spread of the configurations around
+it is the noise between runs that remains. That spread is estimated robustly from few configurations
+and moderated by a prior, as in the moderated t-statistic (Smyth 2004, Stat. Appl. Genet. Mol. Biol.
+3(1), article 3). Errors from inside the runs are part of that spread, so a ratio's own counts as
+far as it exceeds the usual one.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from dpbench.analysis.statistics import Floats, Interval
 Verdict = Literal["slower", "faster", "equivalent", "no difference shown"]
 
 MIN_OTHERS = 3
-"""With fewer other arms there is no median to speak of: the reference kernel stands for it."""
+"""With fewer other configurations there is no median to speak of: the reference kernel stands for
+it."""
 MAD_EFFICIENCY = 0.37
 """Of the median absolute deviation under normal noise (Rousseeuw & Croux 1993): n values are
 worth so many times n degrees of freedom."""
@@ -43,13 +45,13 @@ class Prior:
 
 
 ARM_NOISE = Prior(sd=0.01, df=6.0)
-"""Between two runs, of one arm around all arms."""
+"""Between two runs, of one configuration around all configurations."""
 MACHINE_NOISE = Prior(sd=0.05, df=4.0)
-"""Between two runs, of all arms together, beyond what the reference kernel shows."""
+"""Between two runs, of all configurations together, beyond what the reference kernel shows."""
 
 
 @dataclass(frozen=True)
-class Judgement:
+class Assessment:
     """What two runs say of one ratio.
 
     Parameters
@@ -105,14 +107,16 @@ def gather(
     groups : (N,) which ratios share a machine factor: the sequence they were measured on.
     prior : of the noise between runs.
     kernel : (N,) log ratios of a reference kernel: the machine factor where a group has too few
-        arms to tell; NaN where no kernel tells it either, which leaves nothing known of the arm.
-        None for a machine that has no such factor.
-    own_share : of the usual variance from inside the runs, what the scatter of the arms shows.
+        configurations to tell; NaN where no kernel tells it either, which leaves nothing known of
+        the configuration. None for a machine that has no such factor.
+    own_share : of the usual variance from inside the runs, what the scatter of the configurations
+        shows.
     """
     labels = np.asarray(groups)
     centre, error, df = np.zeros(len(logs)), np.empty(len(logs)), np.empty(len(logs))
     for i in range(len(logs)):
-        # What an arm is judged by must not come from that arm: its own slow-down would count.
+        # What a configuration is judged by must not come from that configuration: its own slow-down
+        # would count.
         keep = np.arange(len(logs)) != i
         usual2 = float(np.median(own[keep] ** 2)) if keep.any() else 0.0
         spread2, df[i] = _spread(logs[keep], labels[keep], prior, own_share * usual2)
@@ -131,7 +135,7 @@ def gather(
 def _spread(
     logs: Floats, labels: NDArray[np.str_], prior: Prior, inside2: float
 ) -> tuple[float, float]:
-    """Variance of the arms around the median of their group, moderated, and its df.
+    """Variance of the configurations around the median of their group, moderated, and its df.
 
     Moderation never makes it smaller than it is found: too quiet a prior would make claims.
     `inside2` is the variance that errors from inside the runs lead to expect beside the prior's.
@@ -150,7 +154,7 @@ def _spread(
     return max(variance, found**2), prior.df + df
 
 
-def judge(found: Evidence, margin: float, alpha: float) -> list[Judgement]:
+def assess(found: Evidence, margin: float, alpha: float) -> list[Assessment]:
     """A verdict on each ratio, all of which hold together at family-wise error `alpha`.
 
     "slower" and "faster" reject a ratio within the margin (minimum-effect test of |log ratio| ≤
@@ -163,7 +167,7 @@ def judge(found: Evidence, margin: float, alpha: float) -> list[Judgement]:
     differs = holm(np.minimum(1.0, beyond))
     equal = holm(tail.sf((bound - size) / found.error))
     reach = tail.isf(alpha / 2 / max(1, len(size))) * found.error
-    verdicts: list[Judgement] = []
+    verdicts: list[Assessment] = []
     for i, effect in enumerate(found.effect):
         verdict: Verdict = "no difference shown"
         if differs[i] <= alpha:
@@ -174,5 +178,5 @@ def judge(found: Evidence, margin: float, alpha: float) -> list[Judgement]:
         machine = float(np.exp(found.machine[i]))
         interval = Interval(value, low, high)
         chance = (float(differs[i]), float(equal[i]))
-        verdicts.append(Judgement(value * machine, machine, interval, *chance, verdict))
+        verdicts.append(Assessment(value * machine, machine, interval, *chance, verdict))
     return verdicts

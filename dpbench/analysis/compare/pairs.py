@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass
 from typing import Any
 
-from dpbench.analysis.records import COMMON, Row, View, as_float
+from dpbench.analysis.records import COMMON, Records, RunRecord, as_float
 from dpbench.bench.record.result_folder import Results
 from dpbench.errors import ResultsError
 
@@ -22,7 +22,7 @@ KEY = (
     "units",
     "steps_planned",
 )
-"""Columns that two cells share when they ask the same question of the same arm."""
+"""Columns that two cells share when they ask the same question of the same configuration."""
 PROBLEM = ("scenario", "source", "first", "fallback")
 """Parts of a cell's description that they share too."""
 LASTING = ("cpu_model", "cores", "memory_GiB", "kernel", "python", "versions")
@@ -32,20 +32,21 @@ LASTING = ("cpu_model", "cores", "memory_GiB", "kernel", "python", "versions")
 class Pair:
     """A cell of folder A and the same cell of folder B."""
 
-    a: Row
-    b: Row
+    a: RunRecord
+    b: RunRecord
 
     @property
     def label(self) -> str:
-        """The arm, with both versions and builds of its solver where one of them differs."""
+        """The configuration, with both versions and builds of its solver where one of them
+        differs."""
         row = self.a
         old, new = (f"{of['solver_version']} {of['build']}".strip() for of in (row, self.b))
         versions = "" if old == new else f" {old} → {new}"
         units = "" if row["units"] == "scaled" else f", {row['units']}"
         named = "" if row["formulation"] in (COMMON, "none") else f", {row['formulation']}"
         form = named.replace("condensed_", "")
-        arm = f"{row['route']} {row['policy']}, {row['settings']}{units}{form}"
-        return f"{row['solver']}{versions} ({arm})"
+        configuration = f"{row['route']} {row['policy']}, {row['settings']}{units}{form}"
+        return f"{row['solver']}{versions} ({configuration})"
 
     @property
     def problem(self) -> str:
@@ -79,7 +80,7 @@ def check_machines(a: Results, b: Results, where: str) -> None:
     raise ResultsError(f"{where}/machine.json", "id", found, allowed)
 
 
-def pair_cells(a: View, b: View, names: tuple[str, str]) -> Pairs:
+def pair_cells(a: Records, b: Records, names: tuple[str, str]) -> Pairs:
     """Pair the cells of two folders.
 
     A cell that was refused in both is left out; one whose problem changed under the same name
@@ -109,19 +110,19 @@ def pair_cells(a: View, b: View, names: tuple[str, str]) -> Pairs:
     return Pairs(pairs, only_a, only_b, changed, lost)
 
 
-def _by_key(view: View) -> dict[tuple[str, ...], Row]:
+def _by_key(records: Records) -> dict[tuple[str, ...], RunRecord]:
     # A loop on a slow computer takes another course each time: its answers' delays are measured.
-    lasting = (row for row in view.every if not as_float(row["slowdown"]) > 0.0)
+    lasting = (row for row in records.all_runs if not as_float(row["slowdown"]) > 0.0)
     return {tuple(str(row[name]) for name in KEY): row for row in lasting}
 
 
 def _name(key: tuple[str, ...]) -> str:
-    mode, scenario, sequence, solver, *arm, steps = key
+    mode, scenario, sequence, solver, *configuration, steps = key
     what = f"{mode.replace('_', ' ')} of {steps} steps of {sequence or scenario}"
-    return f"{solver} ({' '.join(arm)}), {what}"
+    return f"{solver} ({' '.join(configuration)}), {what}"
 
 
-def _problem(row: Row) -> dict[str, Any]:
+def _problem(row: RunRecord) -> dict[str, Any]:
     """What the cell was asked, as far as its description says."""
     described = str(row["cell"])
     cell = json.loads(described) if described.startswith("{") else {}

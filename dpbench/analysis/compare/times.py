@@ -1,4 +1,5 @@
-"""Step times of the same arms in two runs: one ratio per arm and sequence, with its own noise."""
+"""Step times of the same configurations in two runs: one ratio per configuration and sequence, with
+its own noise."""
 
 from __future__ import annotations
 
@@ -9,10 +10,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from dpbench.analysis.compare.evidence import MACHINE_NOISE, Evidence, Judgement, gather, judge
+from dpbench.analysis.compare.evidence import MACHINE_NOISE, Assessment, Evidence, assess, gather
 from dpbench.analysis.compare.pairs import KEY, Pair
 from dpbench.analysis.machine import disturbed_sequences
-from dpbench.analysis.records import Row, View, as_float
+from dpbench.analysis.records import Records, RunRecord, as_float
 from dpbench.analysis.statistics import (
     BLOCK_STEPS,
     RESAMPLES,
@@ -25,20 +26,24 @@ from dpbench.analysis.statistics import (
 PARTS = 4
 """A run's rounds are cut into so many consecutive parts, each left out in turn."""
 JACKKNIFE_SHARE = 0.25
-"""Of the jackknife's variance of a minimum, which it overstates: what the scatter of 14 arms shows
-between 40 runs of unchanged code, 0.18 to 0.4 with 5 to 36 rounds. Where an arm's own is beyond
-the usual one it counts in full: such an arm may have met a neighbour in every round."""
+"""Of the jackknife's variance of a minimum, which it overstates: what the scatter of 14
+configurations shows between 40 runs of unchanged code, 0.18 to 0.4 with 5 to 36 rounds. Where a
+configuration's own is beyond the usual one it counts in full: such a configuration may have met a
+neighbour in every round."""
 LOAD_SHARE, LOAD_ERROR = 0.5, 0.3
-"""Of what the load kernel of an arm differs from that of the others, the part its step times feel,
-measured in the same runs (0.5 to 0.6), and how far that differs from arm to arm."""
+"""Of what the load kernel of a configuration differs from that of the others, the part its step
+times feel, measured in the same runs (0.5 to 0.6), and how far that differs from configuration to
+configuration."""
 LOAD_WEIGHT, LOAD_WEIGHT_ERROR = 0.8, 0.3
-"""What all arms together feel of a change of the load kernel that the reference kernel does not
-show (0.76 to 0.82 in those runs, with a correlation of 0.98), and how far that may be off."""
+"""What all configurations together feel of a change of the load kernel that the reference kernel
+does not show (0.76 to 0.82 in those runs, with a correlation of 0.98), and how far that may be
+off."""
 
 
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """log(B/A) of one arm on one sequence, its standard error from inside the runs, its sizes."""
+    """log(B/A) of one configuration on one sequence, its standard error from inside the runs, its
+    sizes."""
 
     pair: Pair
     log: float
@@ -53,18 +58,18 @@ class Compared:
     """A timing with its verdict."""
 
     timing: Timing
-    judgement: Judgement
+    assessment: Assessment
 
 
 @dataclass(frozen=True)
 class Shared:
-    """All arms of a sequence together.
+    """All configurations of a sequence together.
 
     Parameters
     ----------
-    factor : median over the arms of B/A; kernel, load : the same of the reference kernel and the
-        load kernel, NaN where a folder does not have it.
-    judgement : on factor / what the kernels lead to expect; None where it cannot be judged, for
+    factor : median over the configurations of B/A; kernel, load : the same of the reference kernel
+        and the load kernel, NaN where a folder does not have it.
+    assessment : on factor / what the kernels lead to expect; None where it cannot be judged, for
         the reason `unjudged`.
     """
 
@@ -72,12 +77,12 @@ class Shared:
     factor: float
     kernel: float
     load: float
-    arms: int
-    judgement: Judgement | None
+    configurations: int
+    assessment: Assessment | None
     unjudged: str
 
 
-def time_pairs(a: View, b: View, pairs: Sequence[Pair]) -> list[Timing]:
+def time_pairs(a: Records, b: Records, pairs: Sequence[Pair]) -> list[Timing]:
     """The timings of all replayed pairs that have one."""
     replays = [pair for pair in pairs if pair.a["mode"] == "replay"]
     once: dict[tuple[object, ...], Timing] = {}
@@ -85,13 +90,13 @@ def time_pairs(a: View, b: View, pairs: Sequence[Pair]) -> list[Timing]:
         found = _timing(pair, _rounds(a, pair.a), _rounds(b, pair.b))
         if found is not None:
             # Settings without effect are one run under several names, and one piece of evidence.
-            arm = [pair.a[name] for name in KEY if name != "settings"]
-            once.setdefault((*arm, found.log, found.own), found)
+            configuration = [pair.a[name] for name in KEY if name != "settings"]
+            once.setdefault((*configuration, found.log, found.own), found)
     return list(once.values())
 
 
 def why_unjudged(
-    a: View, b: View, timings: Sequence[Timing], *, same_machine: bool
+    a: Records, b: Records, timings: Sequence[Timing], *, same_machine: bool
 ) -> dict[str, str]:
     """Why the reference kernel cannot stand for the machine, by sequence; "" where it can.
 
@@ -125,10 +130,11 @@ def _which(of: Sequence[bool]) -> str:
 def compare_times(
     timings: Sequence[Timing], margin: float, alpha: float, unjudged: Mapping[str, str]
 ) -> tuple[list[Compared], list[Shared]]:
-    """Verdicts on the arms and on what they share: one family of claims.
+    """Verdicts on the configurations and on what they share: one family of claims.
 
     `unjudged` says of each sequence why the reference kernel cannot stand for the machine; then
-    what the arms share is not judged, nor are arms that have only that kernel to be held against.
+    what the configurations share is not judged, nor are configurations that have only that kernel
+    to be held against.
     """
     groups = [t.pair.problem for t in timings]
     labels = np.asarray(groups)
@@ -138,20 +144,20 @@ def compare_times(
     met = _load_met(timings, labels)
     own = np.hypot([t.own for t in timings], LOAD_ERROR * np.abs(met))
     less = logs - LOAD_SHARE * met
-    arms = gather(less, own, groups, kernel=fit, own_share=JACKKNIFE_SHARE)
+    configurations = gather(less, own, groups, kernel=fit, own_share=JACKKNIFE_SHARE)
     factors = {name: float(np.median(logs[labels == name])) for name in machines}
     together = [
-        (factors[name] - machine.expected, machine.error_of(arms.error[labels == name]))
+        (factors[name] - machine.expected, machine.error_of(configurations.error[labels == name]))
         for name, machine in machines.items()
         if not unjudged[name]
     ]
     family = Evidence(
-        np.concatenate([arms.effect, [effect for effect, _ in together]]),
-        np.concatenate([arms.machine + LOAD_SHARE * met, np.zeros(len(together))]),
-        np.concatenate([arms.error, [error for _, error in together]]),
-        np.concatenate([arms.df, np.full(len(together), MACHINE_NOISE.df)]),
+        np.concatenate([configurations.effect, [effect for effect, _ in together]]),
+        np.concatenate([configurations.machine + LOAD_SHARE * met, np.zeros(len(together))]),
+        np.concatenate([configurations.error, [error for _, error in together]]),
+        np.concatenate([configurations.df, np.full(len(together), MACHINE_NOISE.df)]),
     )
-    judged = judge(family, margin, alpha)
+    judged = assess(family, margin, alpha)
     compared = [Compared(*both) for both in zip(timings, judged, strict=False)]
     rest = iter(judged[len(timings) :])
     shared = [
@@ -186,20 +192,22 @@ class _Machine:
         """The factor of the step times they lead to expect."""
         return self.kernel + LOAD_WEIGHT * self.beyond
 
-    def error_of(self, arms: Floats) -> float:
-        """How far that may be off the median of arms that have the errors `arms`."""
-        median2 = np.pi / 2 * float(np.median(arms)) ** 2 / len(arms)
+    def error_of(self, configurations: Floats) -> float:
+        """How far that may be off the median of configurations that have the errors
+        `configurations`."""
+        median2 = np.pi / 2 * float(np.median(configurations)) ** 2 / len(configurations)
         return float(
             np.sqrt(MACHINE_NOISE.sd**2 + (LOAD_WEIGHT_ERROR * self.beyond) ** 2 + median2)
         )
 
 
 def _load_met(timings: Sequence[Timing], labels: NDArray[np.str_]) -> Floats:
-    """(N,) log(B/A) of the load kernel in an arm's worker less the median over its sequence.
+    """(N,) log(B/A) of the load kernel in a configuration's worker less the median over its
+    sequence.
 
-    Rounds of two arms meet different neighbours; 0 where a folder does not tell.
+    Rounds of two configurations meet different neighbours; 0 where a folder does not tell.
     """
-    logs = np.array([_log_ratio(t.pair, "load_ns") for t in timings])
+    logs = np.array([_log_ratio(t.pair, "load_kernel_ns") for t in timings])
     met = np.zeros(len(logs))
     for name in np.unique(labels):
         known = (labels == name) & np.isfinite(logs)
@@ -216,23 +224,23 @@ def _log_ratio(pair: Pair, column: str) -> float:
 def _machine(timings: Sequence[Timing]) -> _Machine:
     """The kernels of one sequence, timed in every worker; NaN where a folder does not tell."""
     medians = []
-    for column in ("probe_ns", "load_ns"):
+    for column in ("reference_kernel_ns", "load_kernel_ns"):
         logs = np.array([_log_ratio(t.pair, column) for t in timings])
         known = logs[np.isfinite(logs)]
         medians.append(float(np.median(known)) if len(known) else float(np.nan))
     return _Machine(*medians)
 
 
-def _rounds(view: View, row: Row) -> pd.DataFrame | None:
+def _rounds(records: Records, row: RunRecord) -> pd.DataFrame | None:
     """(rounds, steps) times [ns] of the rounds that count."""
-    steps = view.steps(row)
+    steps = records.steps(row)
     counting = steps[steps["counts"]]
     if counting.empty:
         return None
     times = counting.assign(total_ns=counting["total_ns"].astype("float64"))
     table = times.pivot(index="repeat", columns="k", values="total_ns")
     whole = table.dropna(axis="index")
-    # An arm that its time limit stopped in its first round has the steps it has.
+    # A configuration that its time limit stopped in its first round has the steps it has.
     return whole if len(whole) else table.dropna(axis="columns")
 
 

@@ -1,4 +1,5 @@
-"""Horizon sweeps: which replays are of one scenario under several horizons, and their arms."""
+"""Horizon sweeps: which replays are of one scenario under several horizons, and their
+configurations."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from dpbench.analysis.demand import Demand, is_right
-from dpbench.analysis.records import Row, View, as_float
+from dpbench.analysis.records import Records, RunRecord, as_float
 from dpbench.analysis.statistics import UNKNOWN, Interval, percentile, percentile_interval
 from dpbench.analysis.step_times import StepTimes
 from dpbench.analysis.times.growth import Growth, fit_growth
@@ -29,9 +30,9 @@ def moves_of(horizons: Horizons) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """One arm at one pair of horizons; `times` None where it did not do every step."""
+    """One configuration at one pair of horizons; `times` None where it did not do every step."""
 
-    row: Row
+    row: RunRecord
     times: StepTimes | None
     right: bool
 
@@ -52,7 +53,7 @@ class Point:
 
 
 @dataclass(frozen=True, eq=False)
-class SweptArm:
+class SweptConfiguration:
     """One way of running a solver on one formulation, over the horizons of a sweep."""
 
     solver: str
@@ -63,7 +64,7 @@ class SweptArm:
     points: dict[Horizons, Point]
 
     @property
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[RunRecord]:
         """The rows of its points."""
         return [point.row for point in self.points.values()]
 
@@ -117,7 +118,7 @@ class Sweep:
     name: str
     steps: int
     sequences: dict[Horizons, str]
-    arms: list[SweptArm]
+    configurations: list[SweptConfiguration]
 
     @property
     def horizons(self) -> list[Horizons]:
@@ -127,27 +128,33 @@ class Sweep:
     @property
     def formulations(self) -> list[str]:
         """The formulations that left a time."""
-        return list(dict.fromkeys(arm.formulation for arm in self.arms if arm.timed))
+        return list(
+            dict.fromkeys(
+                configuration.formulation
+                for configuration in self.configurations
+                if configuration.timed
+            )
+        )
 
     @property
-    def best_arms(self) -> list[SweptArm]:
+    def best_configurations(self) -> list[SweptConfiguration]:
         """Of each solver and formulation the best way; the fastest solvers first."""
-        best: dict[tuple[str, str], SweptArm] = {}
-        for arm in sorted(self.arms, key=_preference):
-            best.setdefault((arm.solver, arm.formulation), arm)
+        best: dict[tuple[str, str], SweptConfiguration] = {}
+        for configuration in sorted(self.configurations, key=_preference):
+            best.setdefault((configuration.solver, configuration.formulation), configuration)
         return sorted(best.values(), key=_preference)
 
 
-def sweeps(view: View, demand: Demand) -> list[Sweep]:
+def sweeps(records: Records, demand: Demand) -> list[Sweep]:
     """The sweeps in the records: scenarios that were replayed under two horizons at least."""
-    groups: dict[str, list[Row]] = {}
-    # A sweep compares formulations, which `View.select` does not.
-    replayed = (r for r in view.every if r["mode"] == "replay" and r["units"] == "scaled")
+    groups: dict[str, list[RunRecord]] = {}
+    # A sweep compares formulations, which `Records.select` does not.
+    replayed = (r for r in records.all_runs if r["mode"] == "replay" and r["units"] == "scaled")
     for row in replayed:
         key = _problem_key(row)
         if key:
             groups.setdefault(key, []).append(row)
-    found = [_sweep(view, rows, demand) for rows in groups.values()]
+    found = [_sweep(records, rows, demand) for rows in groups.values()]
     return [sweep for sweep in found if len(sweep.sequences) > 1]
 
 
@@ -163,11 +170,11 @@ def _by_moves(horizons: Horizons) -> tuple[int, int]:
     return horizons[1], horizons[0]
 
 
-def _horizons_of(row: Row) -> Horizons:
+def _horizons_of(row: RunRecord) -> Horizons:
     return int(row["N_p"]), int(row["N_c"])
 
 
-def _problem_key(row: Row) -> str:
+def _problem_key(row: RunRecord) -> str:
     """Equal for replays that differ in their horizons only; empty where there is no scenario."""
     cell = json.loads(row["cell"]) if row["cell"] else {}
     documents = cell.get("scenario", {})
@@ -180,43 +187,45 @@ def _problem_key(row: Row) -> str:
     return json.dumps([scenario, documents["vessel"], window], sort_keys=True)
 
 
-def _sweep(view: View, rows: Sequence[Row], demand: Demand) -> Sweep:
+def _sweep(records: Records, rows: Sequence[RunRecord], demand: Demand) -> Sweep:
     pairs = sorted({_horizons_of(row) for row in rows}, key=_by_moves)
     sequences = {
         pair: next(str(r["sequence"]) for r in rows if _horizons_of(r) == pair) for pair in pairs
     }
-    arms: dict[tuple[str, str, str, str, str], dict[Horizons, Point]] = {}
+    configurations: dict[tuple[str, str, str, str, str], dict[Horizons, Point]] = {}
     for row in rows:
         if row["outcome"] == "refused":
             continue
         way = str(row["route"]), str(row["policy"]), str(row["settings"])
-        points = arms.setdefault((str(row["solver"]), str(row["formulation"]), *way), {})
-        points.setdefault(_horizons_of(row), _point(view, row, demand))
+        points = configurations.setdefault((str(row["solver"]), str(row["formulation"]), *way), {})
+        points.setdefault(_horizons_of(row), _point(records, row, demand))
     return Sweep(
         name=_name(rows[0]),
         steps=int(rows[0]["steps_planned"]),
         sequences=sequences,
-        arms=[SweptArm(*key, points=points) for key, points in arms.items()],
+        configurations=[
+            SweptConfiguration(*key, points=points) for key, points in configurations.items()
+        ],
     )
 
 
-def _name(row: Row) -> str:
+def _name(row: RunRecord) -> str:
     """The sequence without its horizons: `paper-60-10[0:300]` is of the sweep `paper[0:300]`."""
     name, bracket, window = str(row["sequence"]).partition("[")
     N_p, N_c = _horizons_of(row)
     return name.removesuffix(f"-{N_p}-{N_c}") + bracket + window
 
 
-def _point(view: View, row: Row, demand: Demand) -> Point:
+def _point(records: Records, row: RunRecord, demand: Demand) -> Point:
     """A cell that was stopped before it had done every step once has no time to compare."""
-    times = view.times(row)
+    times = records.times(row)
     whole = times is not None and len(times.algo_ns) == int(row["steps_planned"])
     return Point(row, times if whole else None, is_right(row, demand))
 
 
-def _preference(arm: SweptArm) -> tuple[int, int, float, str]:
+def _preference(configuration: SweptConfiguration) -> tuple[int, int, float, str]:
     """Sort key: most horizons with right answers, most with a time, then the fastest."""
-    right = sum(point.right for point in arm.timed.values())
-    largest = max(arm.timed, key=_by_moves, default=None)
-    slow = arm.timed[largest].median_ns if largest else math.inf
-    return -right, -len(arm.timed), slow, arm.solver
+    right = sum(point.right for point in configuration.timed.values())
+    largest = max(configuration.timed, key=_by_moves, default=None)
+    slow = configuration.timed[largest].median_ns if largest else math.inf
+    return -right, -len(configuration.timed), slow, configuration.solver

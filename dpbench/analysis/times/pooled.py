@@ -1,4 +1,5 @@
-"""Step times of replayed arms on the same steps, pooled over sequences of equal weight."""
+"""Step times of replayed configurations on the same steps, pooled over sequences of equal
+weight."""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.analysis.demand import Demand, is_right
-from dpbench.analysis.records import Row, View, settings_level
+from dpbench.analysis.records import Records, RunRecord, settings_level
 from dpbench.analysis.statistics import Floats
 
 Key = tuple[str, str, str, str]
@@ -18,8 +19,8 @@ Key = tuple[str, str, str, str]
 
 
 @dataclass(frozen=True, eq=False)
-class Arm:
-    """One way to run a solver on all steps of a pool.
+class PooledConfiguration:
+    """One way to run a solver on all steps of a common_steps.
 
     Parameters
     ----------
@@ -49,21 +50,21 @@ class Arm:
 
 
 @dataclass(frozen=True, eq=False)
-class Pool:
-    """All arms that were replayed on the same sequences, in the order of the suite.
+class CommonSteps:
+    """All configurations that were replayed on the same sequences, in the order of the suite.
 
     Parameters
     ----------
     sequences : those with a step, in the order in which their steps stand.
     sequence_of : (K,) index of the sequence of each step.
-    arms : the arms that were asked for in every one of them; where settings have no effect the one
-        run that stands under several names is there once.
-    left_out : how many other arms were replayed on fewer.
+    configurations : the configurations that were asked for in every one of them; where settings
+        have no effect the one run that stands under several names is there once.
+    left_out : how many other configurations were replayed on fewer.
     """
 
     sequences: tuple[str, ...]
     sequence_of: NDArray[np.intp]
-    arms: tuple[Arm, ...]
+    configurations: tuple[PooledConfiguration, ...]
     left_out: int
 
     @cached_property
@@ -79,76 +80,93 @@ class Pool:
         return np.asarray(share / share.sum(), dtype=np.float64)
 
 
-def pool(view: View, demand: Demand) -> Pool | None:
-    """The pool of the sequences that most arms share; None when no replay left a step."""
-    rows: dict[Key, dict[str, Row]] = {}
-    for row in view.select(mode="replay", units="scaled"):
+def common_steps(records: Records, demand: Demand) -> CommonSteps | None:
+    """The common_steps of the sequences that most configurations share; None when no replay left a
+    step."""
+    rows: dict[Key, dict[str, RunRecord]] = {}
+    for row in records.select(mode="replay", units="scaled"):
         if row["outcome"] not in ("refused", "invalid"):
             rows.setdefault(_key(row), {})[str(row["sequence"])] = row
     sets = [frozenset(by_sequence) for by_sequence in rows.values()]
     if not sets:
         return None
-    # The widest set; of several as wide, the one with the most arms, then the first.
+    # The widest set; of several as wide, the one with the most configurations, then the first.
     widest = max(sets, key=lambda names: (len(names), sum(names <= other for other in sets)))
     members = {key: found for key, found in rows.items() if widest <= set(found)}
     done = {
-        name: _steps(view, [found[name] for found in members.values()])
-        for name in view.sequences
+        name: _steps(records, [found[name] for found in members.values()])
+        for name in records.sequences
         if name in widest
     }
     sequences = tuple(name for name, k in done.items() if len(k))
     steps = [done[name] for name in sequences]
     if not steps:
         return None
-    arms = [_arm(view, key, found, sequences, steps, demand) for key, found in members.items()]
-    return Pool(
+    configurations = [
+        _configuration(records, key, found, sequences, steps, demand)
+        for key, found in members.items()
+    ]
+    return CommonSteps(
         sequences,
         np.repeat(np.arange(len(sequences)), [len(k) for k in steps]),
-        tuple(_distinct([arm for arm in arms if np.isfinite(arm.time_ns).any()])),
+        tuple(
+            _distinct(
+                [
+                    configuration
+                    for configuration in configurations
+                    if np.isfinite(configuration.time_ns).any()
+                ]
+            )
+        ),
         len(rows) - len(members),
     )
 
 
-def _distinct(arms: Sequence[Arm]) -> list[Arm]:
+def _distinct(configurations: Sequence[PooledConfiguration]) -> list[PooledConfiguration]:
     """Each run once, under its most usual settings."""
-    once: dict[tuple[str, str, str, bytes], Arm] = {}
-    for arm in arms:
-        key = (arm.solver, arm.route, arm.policy, arm.time_ns.tobytes())
-        known = once.setdefault(key, arm)
-        if settings_level(arm.settings) < settings_level(known.settings):
-            once[key] = arm
+    once: dict[tuple[str, str, str, bytes], PooledConfiguration] = {}
+    for configuration in configurations:
+        key = (
+            configuration.solver,
+            configuration.route,
+            configuration.policy,
+            configuration.time_ns.tobytes(),
+        )
+        known = once.setdefault(key, configuration)
+        if settings_level(configuration.settings) < settings_level(known.settings):
+            once[key] = configuration
     return list(once.values())
 
 
-def _key(row: Row) -> Key:
+def _key(row: RunRecord) -> Key:
     return str(row["solver"]), str(row["route"]), str(row["policy"]), str(row["settings"])
 
 
-def _steps(view: View, rows: Sequence[Row]) -> NDArray[np.int64]:
-    """The steps of a sequence that any arm has done."""
-    done = [times.k for times in map(view.times, rows) if times is not None]
+def _steps(records: Records, rows: Sequence[RunRecord]) -> NDArray[np.int64]:
+    """The steps of a sequence that any configuration has done."""
+    done = [times.k for times in map(records.times, rows) if times is not None]
     return np.unique(np.concatenate(done)) if done else np.empty(0, dtype=np.int64)
 
 
-def _arm(
-    view: View,
+def _configuration(
+    records: Records,
     key: Key,
-    rows: dict[str, Row],
+    rows: dict[str, RunRecord],
     sequences: Sequence[str],
     steps: Sequence[NDArray[np.int64]],
     demand: Demand,
-) -> Arm:
+) -> PooledConfiguration:
     times, errors = [], []
     for name, asked in zip(sequences, steps, strict=True):
         time, error = np.full(len(asked), np.nan), np.full(len(asked), np.inf)
-        found = view.times(rows[name])
+        found = records.times(rows[name])
         if found is not None:
             where = np.searchsorted(asked, found.k)
             time[where], error[where] = found.algo_ns, found.error
         times.append(time)
         errors.append(error)
     first = rows[sequences[0]]
-    return Arm(
+    return PooledConfiguration(
         *key,
         time_ns=np.concatenate(times),
         error=np.concatenate(errors),

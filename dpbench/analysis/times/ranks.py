@@ -21,7 +21,7 @@ from scipy.stats import rankdata
 
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.statistics import Floats
-from dpbench.analysis.times.pooled import Arm, Pool
+from dpbench.analysis.times.pooled import CommonSteps, PooledConfiguration
 
 LEFT_OUT = math.nan
 """The penalty that leaves unsolved steps out."""
@@ -38,20 +38,20 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class Placed:
-    """An arm with its place.
+class Ranked:
+    """A configuration with its place.
 
     Parameters
     ----------
     mean_ns : shifted geometric mean; unsolved : weighted share of unsolved steps.
-    rank : its place; flips : other places by the name of the choice that leads to them.
+    rank : its place; other_ranks : other places by the name of the choice that leads to them.
     """
 
-    arm: Arm
+    configuration: PooledConfiguration
     mean_ns: float
     unsolved: float
     rank: int
-    flips: dict[str, int]
+    other_ranks: dict[str, int]
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Ranking:
     level: float
     choice: Choice
     others: tuple[Choice, ...]
-    placed: tuple[Placed, ...]
+    ranked_configuration: tuple[Ranked, ...]
     idle: tuple[str, ...]
 
 
@@ -97,73 +97,90 @@ def weighted_median(values: Floats, weights: Floats) -> float:
     return float(values[order[min(at, len(order) - 1)]])
 
 
-def scale_of(pool: Pool, level: float) -> tuple[float, Arm]:
-    """Median step time of the fastest arm, and that arm: the natural shift of the data.
+def scale_of(common_steps: CommonSteps, level: float) -> tuple[float, PooledConfiguration]:
+    """Median step time of the fastest configuration, and that configuration: the natural shift of
+    the data.
 
-    The fastest by median among the arms that solve every step; among all where none does.
+    The fastest by median among the configurations that solve every step; among all where none does.
     """
-    able = [arm for arm in pool.arms if arm.solved(level).all()] or [
-        arm for arm in pool.arms if np.isfinite(arm.time_ns).all()
+    able = [
+        configuration
+        for configuration in common_steps.configurations
+        if configuration.solved(level).all()
+    ] or [
+        configuration
+        for configuration in common_steps.configurations
+        if np.isfinite(configuration.time_ns).all()
     ]
-    able = able or list(pool.arms)
-    medians = [_median_of(arm, pool.weights) for arm in able]
+    able = able or list(common_steps.configurations)
+    medians = [_median_of(configuration, common_steps.weights) for configuration in able]
     best = int(np.argmin(medians))
     return medians[best], able[best]
 
 
-def _median_of(arm: Arm, weights: Floats) -> float:
-    done = np.isfinite(arm.time_ns)
-    return weighted_median(arm.time_ns[done], weights[done])
+def _median_of(configuration: PooledConfiguration, weights: Floats) -> float:
+    done = np.isfinite(configuration.time_ns)
+    return weighted_median(configuration.time_ns[done], weights[done])
 
 
-def best_ways(pool: Pool, level: float, choice: Choice) -> list[Arm]:
+def best_configurations(
+    common_steps: CommonSteps, level: float, choice: Choice
+) -> list[PooledConfiguration]:
     """The way of each solver that leaves the least unsolved, and of those the smallest mean.
 
     Solvers without a solved step are left out: a mean of penalties is no speed.
     """
-    best: dict[str, tuple[tuple[float, float], Arm]] = {}
-    for arm in pool.arms:
-        solved = arm.solved(level)
+    best: dict[str, tuple[tuple[float, float], PooledConfiguration]] = {}
+    for configuration in common_steps.configurations:
+        solved = configuration.solved(level)
         if solved.any():
-            mean = shifted_mean(arm.time_ns, solved, pool.weights, choice)
-            found = (_unsolved(pool, arm, level), mean), arm
-            if arm.solver not in best or found[0] < best[arm.solver][0]:
-                best[arm.solver] = found
-    return [arm for _, arm in best.values()]
+            mean = shifted_mean(configuration.time_ns, solved, common_steps.weights, choice)
+            found = (_unsolved(common_steps, configuration, level), mean), configuration
+            if configuration.solver not in best or found[0] < best[configuration.solver][0]:
+                best[configuration.solver] = found
+    return [configuration for _, configuration in best.values()]
 
 
-def _unsolved(pool: Pool, arm: Arm, level: float) -> float:
-    return float(pool.weights[~arm.solved(level)].sum())
+def _unsolved(common_steps: CommonSteps, configuration: PooledConfiguration, level: float) -> float:
+    return float(common_steps.weights[~configuration.solved(level)].sum())
 
 
-def rank(pool: Pool, level: float, demand: Demand) -> Ranking:
+def rank(common_steps: CommonSteps, level: float, demand: Demand) -> Ranking:
     """Rank the solvers at an accuracy, and mark the places that do not survive other choices."""
-    shift, _ = scale_of(pool, level)
+    shift, _ = scale_of(common_steps, level)
     base = Choice("", demand.deadline_ns, shift)
-    arms = best_ways(pool, level, base)
-    others = _others(pool, base, arms)
-    means, places = _places(pool, level, arms, base)
-    moved = {other.name: _places(pool, level, arms, other)[1] for other in others}
-    placed = [
-        Placed(
-            arm,
+    configurations = best_configurations(common_steps, level, base)
+    others = _others(common_steps, base, configurations)
+    means, places = _places(common_steps, level, configurations, base)
+    moved = {other.name: _places(common_steps, level, configurations, other)[1] for other in others}
+    ranked_configuration = [
+        Ranked(
+            configuration,
             means[i],
-            _unsolved(pool, arm, level),
+            _unsolved(common_steps, configuration, level),
             places[i],
             {name: found[i] for name, found in moved.items() if found[i] != places[i]},
         )
-        for i, arm in enumerate(arms)
+        for i, configuration in enumerate(configurations)
     ]
-    able = {arm.solver for arm in arms}
-    idle = dict.fromkeys(arm.solver for arm in pool.arms if arm.solver not in able)
-    ordered = sorted(placed, key=lambda p: (p.rank, p.arm.solver))
+    able = {configuration.solver for configuration in configurations}
+    idle = dict.fromkeys(
+        configuration.solver
+        for configuration in common_steps.configurations
+        if configuration.solver not in able
+    )
+    ordered = sorted(ranked_configuration, key=lambda p: (p.rank, p.configuration.solver))
     return Ranking(level, base, tuple(others), tuple(ordered), tuple(idle))
 
 
-def _others(pool: Pool, base: Choice, arms: Sequence[Arm]) -> list[Choice]:
+def _others(
+    common_steps: CommonSteps, base: Choice, configurations: Sequence[PooledConfiguration]
+) -> list[Choice]:
     """Every other choice, one change at a time."""
     p, s = base.penalty_ns, base.shift_ns
-    longest = max((float(np.nanmax(arm.time_ns)) for arm in arms), default=p)
+    longest = max(
+        (float(np.nanmax(configuration.time_ns)) for configuration in configurations), default=p
+    )
     found = [
         Choice("penalty × 10", 10.0 * p, s),
         Choice("penalty of the longest step", longest, s),
@@ -171,35 +188,52 @@ def _others(pool: Pool, base: Choice, arms: Sequence[Arm]) -> list[Choice]:
         Choice("shift × 0.1", p, 0.1 * s),
         Choice("shift × 10", p, 10.0 * s),
     ]
-    if len(pool.sequences) > 1:
-        found += [Choice(f"without `{name}`", p, s, i) for i, name in enumerate(pool.sequences)]
+    if len(common_steps.sequences) > 1:
+        found += [
+            Choice(f"without `{name}`", p, s, i) for i, name in enumerate(common_steps.sequences)
+        ]
     return found
 
 
 def _places(
-    pool: Pool, level: float, arms: Sequence[Arm], choice: Choice
+    common_steps: CommonSteps,
+    level: float,
+    configurations: Sequence[PooledConfiguration],
+    choice: Choice,
 ) -> tuple[list[float], list[int]]:
-    """Means and places of the arms by one choice; equal means share the better place."""
-    weights = pool.weights_without(choice.without)
-    means = [shifted_mean(arm.time_ns, arm.solved(level), weights, choice) for arm in arms]
+    """Means and places of the configurations by one choice; equal means share the better place."""
+    weights = common_steps.weights_without(choice.without)
+    means = [
+        shifted_mean(configuration.time_ns, configuration.solved(level), weights, choice)
+        for configuration in configurations
+    ]
     places = rankdata(means, method="min").astype(int).tolist() if means else []
     return means, places
 
 
-def profiles(pool: Pool, arms: Sequence[Arm], level: float) -> list[tuple[Floats, Floats]]:
-    """Performance profile of each arm: ratios to the fastest of `arms` and the shares within them.
+def profiles(
+    common_steps: CommonSteps, configurations: Sequence[PooledConfiguration], level: float
+) -> list[tuple[Floats, Floats]]:
+    """Performance profile of each configuration: ratios to the fastest of `configurations` and the
+    shares within them.
 
     Returns
     -------
-    Per arm (ratio (J,), share (J,)), ratios ascending from 1: the weighted share of all steps
-    that it solves within so many times the time of the fastest arm that solves them.
+    Per configuration (ratio (J,), share (J,)), ratios ascending from 1: the weighted share of all
+    steps that it solves within so many times the time of the fastest configuration that solves
+    them.
     """
-    times = np.array([np.where(arm.solved(level), arm.time_ns, np.inf) for arm in arms])
-    best = times.min(axis=0) if len(arms) else times
+    times = np.array(
+        [
+            np.where(configuration.solved(level), configuration.time_ns, np.inf)
+            for configuration in configurations
+        ]
+    )
+    best = times.min(axis=0) if len(configurations) else times
     found = []
     for row in times:
         solved = np.isfinite(row)
         ratios = row[solved] / best[solved]
         order = np.argsort(ratios, kind="stable")
-        found.append((ratios[order], np.cumsum(pool.weights[solved][order])))
+        found.append((ratios[order], np.cumsum(common_steps.weights[solved][order])))
     return found

@@ -1,4 +1,5 @@
-"""Ways to run a solver, from the wrapper down to a warm start, each compared with its neighbour.
+"""RouteComparison to run a solver, from the wrapper down to a warm start, each compared with its
+neighbour.
 
 The ladder is qpsolvers fresh, native fresh, native reuse, native warm: the first step down is what
 the wrapper costs, the second what a kept workspace gains, the third what a warm start gains.
@@ -11,24 +12,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dpbench.analysis.records import Row, View
+from dpbench.analysis.records import Records, RunRecord
 from dpbench.analysis.statistics import Interval, paired_ratio
 from dpbench.analysis.step_times import StepTimes
 from dpbench.analysis.times.pairs import common_steps
 from dpbench.errors import UnknownNameError
 from dpbench.solvers.table import record
 
-Way = tuple[str, str]
+RoutePolicy = tuple[str, str]
 """Route and policy."""
 
-WRAPPED, NATIVE, KEPT, WARM = LADDER = (
+WRAPPED, NATIVE, KEPT, WARM = LEVELS = (
     ("qpsolvers", "fresh"),
     ("native", "fresh"),
     ("native", "reuse"),
     ("native", "warm"),
 )
 WRAPPED_WARM = ("qpsolvers", "warm")
-ABOVE: dict[Way, tuple[Way, ...]] = {
+ABOVE: dict[RoutePolicy, tuple[RoutePolicy, ...]] = {
     NATIVE: (WRAPPED,),
     KEPT: (NATIVE,),
     WARM: (KEPT, NATIVE),
@@ -53,7 +54,7 @@ class Comparison:
     wrong : steps whose answer is not true here and true there; mended : the other way round.
     """
 
-    above: Way
+    above: RoutePolicy
     gain: Interval
     saved_ns: float
     steps: int
@@ -64,15 +65,15 @@ class Comparison:
 
 
 @dataclass(frozen=True, eq=False)
-class Ways:
+class RouteComparison:
     """All ways in which one solver was replayed on one sequence at one settings level."""
 
     solver: str
     settings: str
-    rows: dict[Way, Row]
-    times: dict[Way, StepTimes]
+    rows: dict[RoutePolicy, RunRecord]
+    times: dict[RoutePolicy, StepTimes]
 
-    def median_ns(self, way: Way) -> float:
+    def median_ns(self, way: RoutePolicy) -> float:
         """Median of the algorithmic step time; NaN where the way left no step."""
         return float(np.median(self.times[way].algo_ns)) if way in self.times else float(np.nan)
 
@@ -82,15 +83,17 @@ class Ways:
         return min(self.median_ns(way) for way in self.times)
 
     @property
-    def best_kept(self) -> Way | None:
+    def best_kept(self) -> RoutePolicy | None:
         """The faster of native reuse and native warm; None where neither left a step."""
         return min((w for w in (KEPT, WARM) if w in self.times), key=self.median_ns, default=None)
 
-    def neighbour(self, way: Way) -> Way | None:
+    def neighbour(self, way: RoutePolicy) -> RoutePolicy | None:
         """The way above it that was measured."""
         return next((above for above in ABOVE.get(way, ()) if above in self.times), None)
 
-    def compare(self, way: Way, above: Way | None, comparisons: int = 1) -> Comparison | None:
+    def compare(
+        self, way: RoutePolicy, above: RoutePolicy | None, comparisons: int = 1
+    ) -> Comparison | None:
         """`way` beside `above`; None when one of them left no common step."""
         if above is None or above not in self.times or way not in self.times:
             return None
@@ -112,7 +115,7 @@ class Ways:
             mended=int((mine.true[i] & ~theirs.true[j]).sum()),
         )
 
-    def why_missing(self, way: Way) -> str:
+    def why_missing(self, way: RoutePolicy) -> str:
         """Why a way left no step, in the library's or the harness's own words."""
         row = self.rows.get(way)
         if row is None:
@@ -123,7 +126,7 @@ class Ways:
         return detail or f"{str(row['outcome']).replace('_', ' ')}, no reason was recorded"
 
 
-def _not_offered(solver: str, way: Way) -> str:
+def _not_offered(solver: str, way: RoutePolicy) -> str:
     try:
         routes = record(solver).policies
     except UnknownNameError:
@@ -133,28 +136,29 @@ def _not_offered(solver: str, way: Way) -> str:
     return "the suite does not run it"
 
 
-def ways_of(view: View, sequence: str) -> list[Ways]:
+def route_comparisons(records: Records, sequence: str) -> list[RouteComparison]:
     """All solvers at all settings levels of a sequence, the fastest first; none without a step."""
-    found: dict[tuple[str, str], dict[Way, Row]] = {}
-    for row in view.replays(sequence):
-        arms = found.setdefault((str(row["solver"]), str(row["settings"])), {})
-        arms[str(row["route"]), str(row["policy"])] = row
+    found: dict[tuple[str, str], dict[RoutePolicy, RunRecord]] = {}
+    for row in records.replays(sequence):
+        configurations = found.setdefault((str(row["solver"]), str(row["settings"])), {})
+        configurations[str(row["route"]), str(row["policy"])] = row
     ways = []
     for (solver, settings), rows in found.items():
-        timed = {way: view.times(row) for way, row in rows.items()}
+        timed = {way: records.times(row) for way, row in rows.items()}
         times = {way: t for way, t in timed.items() if t is not None}
         if times:
-            ways.append(Ways(solver, settings, rows, times))
+            ways.append(RouteComparison(solver, settings, rows, times))
     return sorted(ways, key=lambda w: (w.best_ns, w.solver))
 
 
-def native_ways(ways: Sequence[Ways]) -> list[Ways]:
-    """Those with a native arm; none when not one of them has a neighbour to be compared with."""
+def native_comparisons(ways: Sequence[RouteComparison]) -> list[RouteComparison]:
+    """Those with a native configuration; none when not one of them has a neighbour to be compared
+    with."""
     native = [w for w in ways if any(route == "native" for route, _ in w.times)]
     compared = any(w.neighbour(way) for w in native for way in w.times if way[0] == "native")
     return native if compared else []
 
 
-def way_text(way: Way) -> str:
+def route_policy_text(way: RoutePolicy) -> str:
     """`native warm`."""
     return " ".join(way)

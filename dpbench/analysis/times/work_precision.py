@@ -1,4 +1,4 @@
-"""What accuracy costs: the settings ladder of each solver as points of time and achieved error."""
+"""What accuracy costs: the tolerance levels of each solver as points of time and achieved error."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dpbench.analysis.records import Row, View, settings_level, values
+from dpbench.analysis.records import Records, RunRecord, settings_level, values
 from dpbench.analysis.statistics import percentile, supports
 
 
 @dataclass(frozen=True)
-class Rung:
+class LevelPoint:
     """A solver run in one way at one settings level, over all sequences.
 
     Parameters
@@ -34,52 +34,54 @@ class Rung:
     failed: int
 
 
-def usual_ladders(view: View, sequences: Sequence[str]) -> dict[str, list[Rung]]:
-    """Per solver its rungs on the default route with policy fresh."""
-    return _ladders(
-        view, sequences, lambda row: bool(row["default_route"]) and row["policy"] == "fresh"
+def default_route_levels(records: Records, sequences: Sequence[str]) -> dict[str, list[LevelPoint]]:
+    """Per solver its points on the default route with policy fresh."""
+    return _levels(
+        records, sequences, lambda row: bool(row["default_route"]) and row["policy"] == "fresh"
     )
 
 
-def native_ladders(view: View, sequences: Sequence[str]) -> dict[str, list[Rung]]:
-    """Per solver its rungs on route native, all with one policy: a line joins settings alone.
+def native_route_levels(records: Records, sequences: Sequence[str]) -> dict[str, list[LevelPoint]]:
+    """Per solver its points on route native, all with one policy: a line joins settings alone.
 
     It is the policy of least p50 at the most usual settings.
     """
-    return _ladders(view, sequences, lambda row: row["route"] == "native")
+    return _levels(records, sequences, lambda row: row["route"] == "native")
 
 
-def _ladders(
-    view: View, sequences: Sequence[str], wanted: Callable[[Row], bool]
-) -> dict[str, list[Rung]]:
-    arms: dict[tuple[str, str, str, str], dict[str, Row]] = {}
-    for row in view.select(mode="replay", units="scaled", sequence=tuple(sequences)):
+def _levels(
+    records: Records, sequences: Sequence[str], wanted: Callable[[RunRecord], bool]
+) -> dict[str, list[LevelPoint]]:
+    configurations: dict[tuple[str, str, str, str], dict[str, RunRecord]] = {}
+    for row in records.select(mode="replay", units="scaled", sequence=tuple(sequences)):
         if wanted(row):
             key = (str(row["solver"]), str(row["route"]), str(row["policy"]), str(row["settings"]))
-            arms.setdefault(key, {})[str(row["sequence"])] = row
-    rungs = [
-        rung
-        for key, rows in arms.items()
+            configurations.setdefault(key, {})[str(row["sequence"])] = row
+    points = [
+        point
+        for key, rows in configurations.items()
         if len(rows) == len(sequences)
-        and (rung := _rung(view, key, list(rows.values()))) is not None
+        and (point := _level_point(records, key, list(rows.values()))) is not None
     ]
     # The first of a solver has its policy: that of least p50 at the most usual settings.
-    rungs.sort(key=lambda r: (settings_level(r.settings), r.p50_ns))
-    ladders: dict[str, list[Rung]] = {}
-    for rung in rungs:
-        mine = ladders.setdefault(rung.solver, [])
-        if not mine or mine[0].policy == rung.policy:
-            mine.append(rung)
-    return ladders
+    points.sort(key=lambda r: (settings_level(r.settings), r.p50_ns))
+    levels_by_solver: dict[str, list[LevelPoint]] = {}
+    for point in points:
+        mine = levels_by_solver.setdefault(point.solver, [])
+        if not mine or mine[0].policy == point.policy:
+            mine.append(point)
+    return levels_by_solver
 
 
-def _rung(view: View, key: tuple[str, str, str, str], rows: Sequence[Row]) -> Rung | None:
-    times = [view.times(row) for row in rows]
+def _level_point(
+    records: Records, key: tuple[str, str, str, str], rows: Sequence[RunRecord]
+) -> LevelPoint | None:
+    times = [records.times(row) for row in rows]
     timed = [found.algo_ns for found in times if found is not None]
     if len(timed) < len(rows):
         return None
     whole = [algo for algo in timed if supports(len(algo), 99)]
-    return Rung(
+    return LevelPoint(
         *key,
         p50_ns=max(float(np.median(algo)) for algo in whole or timed),
         p99_ns=max((percentile(algo, 99) for algo in whole), default=math.nan),
@@ -88,13 +90,15 @@ def _rung(view: View, key: tuple[str, str, str, str], rows: Sequence[Row]) -> Ru
     )
 
 
-def fastest_at(ladders: Mapping[str, Sequence[Rung]], error_move: float) -> list[str]:
-    """Solvers with a rung of this accuracy and without a failed step, the fastest p50 first."""
+def fastest_at(
+    levels_by_solver: Mapping[str, Sequence[LevelPoint]], error_move: float
+) -> list[str]:
+    """Solvers with a point of this accuracy and without a failed step, the fastest p50 first."""
     best = {
         solver: min(
-            (r.p50_ns for r in rungs if r.failed == 0 and r.error_move <= error_move),
+            (r.p50_ns for r in points if r.failed == 0 and r.error_move <= error_move),
             default=math.inf,
         )
-        for solver, rungs in ladders.items()
+        for solver, points in levels_by_solver.items()
     }
     return sorted((s for s in best if math.isfinite(best[s])), key=lambda solver: best[solver])

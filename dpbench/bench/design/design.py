@@ -1,4 +1,4 @@
-"""Look into the design of controllers in ships: eigenvalues, gains, conditioning, basin.
+"""Look into the design of controllers in ships: eigenvalues, gains, conditioning, region.
 
 A design is the controller of one scenario in one vessel, in the weather of `calm` and in still
 water.
@@ -16,7 +16,7 @@ import numpy as np
 
 from dpbench.arrays import Matrix
 from dpbench.bench.design.design_file import DesignRecord, Rows
-from dpbench.bench.design.region_of_attraction import DURATION_S, basin, froude_of
+from dpbench.bench.design.region_of_attraction import DURATION_S, froude_of, region_of_attraction
 from dpbench.bench.plan.suite import DesignTable
 from dpbench.errors import InputError
 from dpbench.mpc.design import design_figures
@@ -75,13 +75,13 @@ def plan_designs(table: DesignTable, beside: Path | None = None) -> list[Design]
 
 
 def design_record(design: Design) -> DesignRecord:
-    """Look into a design; the some fifty trials of its basins take about ten seconds."""
+    """Look into a design; the some fifty trials of its regions take about ten seconds."""
     began = time.perf_counter()
     scenario = scenario_of(design.files)
     documents = design.files["scenario"]
     still = scenario_of(design.files | {"scenario": documents | {"environment": {}}})
     figures, vessel = design_figures(scenario.control_problem()), scenario.vessel
-    basins = basin(still, STILL), basin(scenario, WEATHER)
+    regions = region_of_attraction(still, STILL), region_of_attraction(scenario, WEATHER)
     largest = np.maximum(vessel.tau_max, -vessel.tau_min)
     return DesignRecord(
         vessel=design.vessel,
@@ -102,7 +102,7 @@ def design_record(design: Design) -> DesignRecord:
         controllable=figures.controllable,
         condition_scaled=figures.condition_scaled,
         condition_si=figures.condition_si,
-        basins=basins,
+        regions=regions,
         wall_s=time.perf_counter() - began,
     )
 

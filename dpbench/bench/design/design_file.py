@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from dpbench.bench.design.region_of_attraction import Basin
+from dpbench.bench.design.region_of_attraction import RegionOfAttraction
 from dpbench.bench.record.result_folder import write_json
 from dpbench.errors import ResultsError
 
@@ -34,7 +34,7 @@ class DesignRecord:
     K_mpc, K_y : rows of the gains (paper eq. 33).
     controllable : dimension of the controllable subspace, of so many `states`.
     condition_scaled, condition_si : condition numbers of P.
-    basins : one for each weather.
+    regions : one for each weather.
     wall_s : what finding all this took.
     """
 
@@ -56,7 +56,7 @@ class DesignRecord:
     controllable: int
     condition_scaled: float
     condition_si: float
-    basins: tuple[Basin, ...]
+    regions: tuple[RegionOfAttraction, ...]
     wall_s: float
 
 

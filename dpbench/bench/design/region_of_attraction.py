@@ -34,7 +34,7 @@ _SIDES: tuple[tuple[Side, float], ...] = (("starboard", 1.0), ("port", -1.0))
 
 
 @dataclass(frozen=True)
-class Basin:
+class RegionOfAttraction:
     """The edge of the sway offsets [m] a controller brings the ship back from, in some weather."""
 
     weather: str
@@ -72,7 +72,9 @@ def trial(scenario: Scenario, offset_m: float) -> Trial:
     return Trial(offset_m, "holds")
 
 
-def basin(scenario: Scenario, weather: str) -> Basin:
-    """The basin of a scenario's controller in the weather of the scenario, which is called so."""
+def region_of_attraction(scenario: Scenario, weather: str) -> RegionOfAttraction:
+    """The region of a scenario's controller in the weather of the scenario, which is called so."""
     grid = [offset * froude_of(scenario).length for offset in OFFSETS_M]
-    return Basin(weather, find_edge(lambda offset: trial(scenario, offset), grid, WIDTH))
+    return RegionOfAttraction(
+        weather, find_edge(lambda offset: trial(scenario, offset), grid, WIDTH)
+    )

@@ -1,4 +1,5 @@
-"""What the harness's own arms say: the bar each is held to, and a quick run of all of them here."""
+"""What the harness's own configurations say: the bar each is held to, and a quick run of all of
+them here."""
 
 from __future__ import annotations
 
@@ -9,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dpbench.bench.judge.rules import WARM_UP, spoilt_rounds
+from dpbench.bench.judge.rules import WARM_UP, disturbed_rounds
 from dpbench.bench.record.disturbance import Disturbance, disturbance_metrics
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.run.formulation import in_replay
-from dpbench.bench.run.replay import ReplayArm
-from dpbench.bench.run.timed_solver import SolverPort
+from dpbench.bench.run.replay import ReplayRun
+from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.solvers.calibration import CALIBRATION, NO_OP, WAITS_NS, open_calibration
 
@@ -25,28 +26,32 @@ _SIZE, _STEPS, _ROUNDS = 15, 200, 5
 _NO_LIMIT = 2**62
 
 
-def off_by_ns(arm: str, p50_ns: float) -> float:
-    """What an arm was measured to take beyond what it waits [ns]."""
-    return p50_ns - WAITS_NS.get(arm, 0)
+def off_by_ns(configuration: str, p50_ns: float) -> float:
+    """What a configuration was measured to take beyond what it waits [ns]."""
+    return p50_ns - WAITS_NS.get(configuration, 0)
 
 
-def within_bar(arm: str, p50_ns: float) -> bool | None:
-    """Whether the measured median is what is known of the arm; None where nothing is known."""
-    if arm not in WAITS_NS and arm != NO_OP:
+def within_bar(configuration: str, p50_ns: float) -> bool | None:
+    """Whether the measured median is what is known of the configuration; None where nothing is
+    known."""
+    if configuration not in WAITS_NS and configuration != NO_OP:
         return None
-    return abs(off_by_ns(arm, p50_ns)) <= max(BAR_NS, BAR_SHARE * WAITS_NS.get(arm, 0))
+    return abs(off_by_ns(configuration, p50_ns)) <= max(
+        BAR_NS, BAR_SHARE * WAITS_NS.get(configuration, 0)
+    )
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Medians of all samples by arm [ns], and what disturbed the machine meanwhile."""
+    """Medians of all samples by configuration [ns], and what disturbed the machine meanwhile."""
 
     p50_ns: dict[str, float]
     disturbance: Disturbance
 
 
 def calibrate() -> Calibration:
-    """Replay made-up QPs through every arm in this process, pinned to its last core meanwhile."""
+    """Replay made-up QPs through every configuration in this process, pinned to its last core
+    meanwhile."""
     allowed = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {max(allowed)})
     collecting = gc.isenabled()
@@ -73,17 +78,17 @@ def _replayed(name: str) -> tuple[float, Disturbance]:
     log = RawLog.in_memory(replay_layout(_ROUNDS + 1, _STEPS, _SIZE, _SIZE))
     steps, formulated = in_replay("condensed_box", _made_up())
     clock = time.perf_counter_ns
-    port = SolverPort(open_calibration(name), formulated, clock)
-    arm = ReplayArm(steps, port, log, warmup_steps=_STEPS, limit_ns=_NO_LIMIT, clock=clock)
+    timed_solver = TimedSolver(open_calibration(name), formulated, clock)
+    run = ReplayRun(steps, timed_solver, log, warmup_steps=_STEPS, limit_ns=_NO_LIMIT, clock=clock)
     for r in range(_ROUNDS + 1):
-        arm.round(r)
+        run.round(r)
     phases = np.maximum(log.times[1:, :, 1:5], 0).sum(axis=2)
     rounds = np.arange(_ROUNDS + 1, dtype=np.int32)
-    slowed = spoilt_rounds(rounds, log.probe_ns) != WARM_UP
+    slowed = disturbed_rounds(rounds, log.reference_kernel_ns) != WARM_UP
     seen = disturbance_metrics(log)
     return float(np.median(phases)), Disturbance(
         rounds=_ROUNDS,
-        spoilt=float(slowed.sum()),
+        disturbed=float(slowed.sum()),
         rerun=0.0,
         seconds=seen["replay_s"],
         involuntary=seen["involuntary_switches"],

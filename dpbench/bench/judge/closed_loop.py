@@ -17,16 +17,16 @@ from dpbench.bench.judge.control_metrics import control_metrics
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import COUNTERS, TIMES, RawLog
 from dpbench.bench.run.exact_loop import ExactLoop, base_problem
-from dpbench.bench.run.qp_builder import Emitter
+from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Units
-from dpbench.qp.referee.referee import ACTIVE_MULTIPLIER, Optimum, Referee, error_of, judge_claim
+from dpbench.qp.referee.referee import ACTIVE_MULTIPLIER, Optimum, Referee, claim_is_true, error_of
 from dpbench.qp.residuals import Residuals, best_multipliers, is_true, residuals
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import scenario_of
 
 Columns = dict[str, NDArray[Any]]
 """Arrays of several types over the recorded rows of a cell."""
-GRADES = (
+EVALUATION = (
     "primal",
     "dual",
     "complementarity",
@@ -47,7 +47,7 @@ _SOLVE = TIMES.index("solve")
 
 
 @dataclass(frozen=True, eq=False)
-class Graded:
+class Evaluated:
     """Columns of a judged cell: arrays over its recorded rows, and the metrics of the run."""
 
     columns: Columns
@@ -63,7 +63,7 @@ class Graded:
         part.replace(path)
 
     @classmethod
-    def load(cls, path: Path) -> Graded:
+    def load(cls, path: Path) -> Evaluated:
         """Read what `save` wrote."""
         with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
             columns = {name[2:]: data[name] for name in data.files if name.startswith("c_")}
@@ -73,7 +73,7 @@ class Graded:
         return cls(columns, metrics)
 
 
-class StepJudge:
+class StepEvaluator:
     """Judges answers to the QPs of one base problem.
 
     Parameters
@@ -100,10 +100,10 @@ class StepJudge:
             self._referee = Referee(qp.P, qp.A, qp.lb, qp.ub)
         return self._referee.certify(step.q, step.l, step.u)
 
-    def judge(
+    def evaluate(
         self, scaled: QPStep, own: QPStep, answer: Solution, optimum: Optimum
     ) -> tuple[float, ...]:
-        """The numbers of `GRADES` for one answer in the solver's own units."""
+        """The numbers of `EVALUATION` for one answer in the solver's own units."""
         own_qp = self._own.at(own)
         found = _with_multipliers(own_qp, answer)
         in_own = residuals(own_qp, found)
@@ -118,7 +118,7 @@ class StepJudge:
             in_scaled = residuals(qp, mapped)
         move, plan = error_of(mapped.z, optimum, qp.block, qp.moves)
         if answer.status in _NO_ANSWER_CLAIMS:
-            levels: tuple[bool, ...] = (judge_claim(qp, mapped, optimum),) * 3
+            levels: tuple[bool, ...] = (claim_is_true(qp, mapped, optimum),) * 3
         else:
             levels = _truth(qp, in_scaled, plan)
         return (*_numbers(in_scaled, in_own), move, plan, *_facts(optimum), *map(float, levels))
@@ -158,30 +158,30 @@ def recorded_answer(log: RawLog, r: int, k: int) -> Solution:
     return Solution(Status(int(log.status[r, k])), log.z[r, k], log.y[r, k], log.y_box[r, k])
 
 
-def grade_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Graded:
+def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
     """The judged columns and metrics of a closed loop."""
     scenario = scenario_of(cell.scenario).first(cell.steps)
-    scaled = Emitter(scenario)
-    own = scaled if cell.units == "scaled" else Emitter(scenario, cell.units)
+    scaled = QPBuilder(scenario)
+    own = scaled if cell.units == "scaled" else QPBuilder(scenario, cell.units)
     done = int(log.done[0])
-    grades = np.full((done, len(GRADES)), np.nan)
+    evaluations = np.full((done, len(EVALUATION)), np.nan)
     certificates = np.full(done, CERTIFICATES.index("none"), dtype=np.int8)
-    # On a slow computer a step may pass without a computation: it has no answer to judge.
+    # On a slow computer a step may pass without a computation: it has no answer to evaluator.
     asked = log.times[0, :done, _SOLVE] >= 0
     matrix_steps = 0
     if done:
-        base = base_problem(scaled.builder)
-        own_base = base if own is scaled else base_problem(own.builder)
-        judge = StepJudge(base, own_base, own.builder.scale)
+        base = base_problem(scaled.condensed)
+        own_base = base if own is scaled else base_problem(own.condensed)
+        evaluator = StepEvaluator(base, own_base, own.condensed.scale)
         for k in np.flatnonzero(asked).tolist():
-            step = scaled.again(k, log.theta[k])
-            step_own = step if own is scaled else own.again(k, log.theta[k])
-            judge.follow(step, step_own)
-            optimum = judge.certify(step)
-            grades[k] = judge.judge(step, step_own, recorded_answer(log, 0, k), optimum)
+            step = scaled.rebuild(k, log.theta[k])
+            step_own = step if own is scaled else own.rebuild(k, log.theta[k])
+            evaluator.follow(step, step_own)
+            optimum = evaluator.certify(step)
+            evaluations[k] = evaluator.evaluate(step, step_own, recorded_answer(log, 0, k), optimum)
             certificates[k] = CERTIFICATES.index(optimum.kind)
             matrix_steps += Refresh.MATRICES in step.refresh
-    columns = common_columns(log, [0], [done], grades, certificates)
+    columns = common_columns(log, [0], [done], evaluations, certificates)
     columns |= {
         "t_s": np.arange(done) * scenario.sample_s,
         "asked": asked,
@@ -205,17 +205,18 @@ def grade_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Graded:
         )
         metrics["matrix_steps"] = float(matrix_steps)
         metrics |= dict(zip(COUNTERS, log.counters[0].tolist(), strict=True))
-    return Graded(columns, metrics)
+    return Evaluated(columns, metrics)
 
 
 def common_columns(
     log: RawLog,
     rounds: list[int],
     counts: list[int],
-    grades: NDArray[np.float64],
+    evaluations: NDArray[np.float64],
     certificates: NDArray[np.int8],
 ) -> Columns:
-    """The columns of both modes: `counts` recorded steps of each of `rounds`, and their grades."""
+    """The columns of both modes: `counts` recorded steps of each of `rounds`, and their
+    evaluations."""
 
     def rows(array: NDArray[Any]) -> NDArray[Any]:
         parts = [array[r, :count] for r, count in zip(rounds, counts, strict=True)]
@@ -231,5 +232,5 @@ def common_columns(
         "setup_once_ns": log.setup_once_ns.copy(),
         "matrix_updates": log.matrix_updates.copy(),
         "certificate": certificates,
-        "grades": grades,
+        "evaluations": evaluations,
     }

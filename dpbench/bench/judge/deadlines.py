@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from dpbench.bench.run.slow_computer import Pace
+from dpbench.bench.run.slow_computer import ComputationalDelay
 
 Flags = NDArray[np.bool_]
 
 
 def late_columns(
-    pace: Pace, latency_ns: NDArray[np.int64], total_ns: pd.Series[Any]
+    delay: ComputationalDelay, latency_ns: NDArray[np.int64], total_ns: pd.Series[Any]
 ) -> dict[str, Any]:
     """`late` and, on a slow computer, `latency_ns` of the steps of a loop.
 
@@ -22,11 +22,11 @@ def late_columns(
     ----------
     latency_ns : (K,) as the slow computer left them; total_ns : (K,) measured times.
     """
-    if not pace.simulated:
-        return {"late": total_ns > pace.budget_ns}
+    if not delay.simulated:
+        return {"late": total_ns > delay.budget_ns}
     idle = latency_ns < 0
     latency = pd.arrays.IntegerArray(np.where(idle, 0, latency_ns), idle)
-    return {"late": idle | (latency_ns > pace.budget_ns), "latency_ns": latency}
+    return {"late": idle | (latency_ns > delay.budget_ns), "latency_ns": latency}
 
 
 def longest_streak(flags: Flags) -> int:

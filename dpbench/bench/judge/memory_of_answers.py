@@ -76,10 +76,10 @@ def _shortest_later(log: RawLog, total: NDArray[np.int64], r: int) -> NDArray[np
 
 def _slower(log: RawLog, r: int) -> float:
     """How much slower the machine was around the first attempt of round r than at its best."""
-    seen = log.probe_ns[log.probe_ns > 0]
-    if not len(seen) or not log.first_probe_ns[r] > 0:
+    seen = log.reference_kernel_ns[log.reference_kernel_ns > 0]
+    if not len(seen) or not log.first_reference_kernel_ns[r] > 0:
         return 1.0
-    return max(1.0, float(log.first_probe_ns[r] / seen.min()))
+    return max(1.0, float(log.first_reference_kernel_ns[r] / seen.min()))
 
 
 def remembers(row: Mapping[str, Any]) -> bool:

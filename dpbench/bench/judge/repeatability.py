@@ -9,7 +9,8 @@ from dpbench.bench.record.raw_log import RawLog
 
 
 def repeatability(log: RawLog, own_per_scaled: NDArray[np.float64]) -> dict[str, float]:
-    """The columns on how a replay repeats itself, over all rounds, the warm-up and spoilt ones too.
+    """The columns on how a replay repeats itself, over all rounds, the warm-up and disturbed ones
+    too.
 
     Parameters
     ----------

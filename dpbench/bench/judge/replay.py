@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from dpbench.bench.judge.closed_loop import (
     CERTIFICATES,
-    GRADES,
-    Graded,
-    StepJudge,
+    EVALUATION,
+    Evaluated,
+    StepEvaluator,
     common_columns,
     recorded_answer,
 )
@@ -24,33 +24,33 @@ from dpbench.qp.program import QPSequence, Units
 from dpbench.qp.referee.referee import Optimum
 
 
-def grade_sequence(
+def evaluate_sequence(
     log: RawLog,
     own: QPSequence,
     sample_s: float,
     optima: Sequence[Optimum] | None = None,
     *,
     judged: bool = True,
-) -> Graded:
+) -> Evaluated:
     """The judged columns of a replay of the sequence `own`; `optima` where they are certified.
 
     Without `judged` the answers are none, and nothing is said of them.
     """
     rounds = [r for r in range(len(log.done)) if log.done[r] > 0]
     counts = [int(log.done[r]) for r in rounds]
-    grades = np.full((sum(counts), len(GRADES)), np.nan)
+    evaluations = np.full((sum(counts), len(EVALUATION)), np.nan)
     certificates = np.full(sum(counts), CERTIFICATES.index("none"), dtype=np.int8)
     units = _units(own)
     if judged:
-        _judge_rounds(log, own, units, optima, rounds, counts, grades, certificates)
-    columns = common_columns(log, rounds, counts, grades, certificates)
+        _evaluate_rounds(log, own, units, optima, rounds, counts, evaluations, certificates)
+    columns = common_columns(log, rounds, counts, evaluations, certificates)
     first, every = int(own.meta.get("first", 0)), int(own.meta.get("every", 1))
     columns["t_s"] = (first + every * columns["k"]) * sample_s
-    columns["probe_ns"] = log.probe_ns[rounds].copy()
-    columns["load_ns"] = log.load_ns[rounds].copy()
+    columns["reference_kernel_ns"] = log.reference_kernel_ns[rounds].copy()
+    columns["load_kernel_ns"] = log.load_kernel_ns[rounds].copy()
     metrics = repeatability(log, units.z) | disturbance_metrics(log) | footprint_metrics(log)
     metrics |= memory_metrics(log)
-    return Graded(columns, metrics)
+    return Evaluated(columns, metrics)
 
 
 def _units(own: QPSequence) -> Units:
@@ -58,33 +58,33 @@ def _units(own: QPSequence) -> Units:
     return Units(ones, ones) if own.units is None else own.units
 
 
-def _judge_rounds(
+def _evaluate_rounds(
     log: RawLog,
     own: QPSequence,
     units: Units,
     optima: Sequence[Optimum] | None,
     rounds: list[int],
     counts: list[int],
-    grades: NDArray[np.float64],
+    evaluations: NDArray[np.float64],
     certificates: NDArray[np.int8],
 ) -> None:
-    """Judge the answers of all rounds into the rows of `grades` and `certificates`."""
+    """Judge the answers of all rounds into the rows of `evaluations` and `certificates`."""
     scaled: QPSequence = own if own.scaled is None else own.scaled
-    judge = StepJudge(scaled.base, own.base, units)
+    evaluator = StepEvaluator(scaled.base, own.base, units)
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(int)
     for k in range(max(counts, default=0)):
         step = scaled.step(k)
         step_own = step if own is scaled else own.step(k)
-        judge.follow(step, step_own)
-        optimum = judge.certify(step) if optima is None else optima[k]
+        evaluator.follow(step, step_own)
+        optimum = evaluator.certify(step) if optima is None else optima[k]
         seen: dict[bytes, tuple[float, ...]] = {}
         for r, start, count in zip(rounds, starts, counts, strict=True):
             if k >= count:
                 continue
-            # Most solvers repeat themselves bit for bit; an identical answer has its judgement.
+            # Most solvers repeat themselves bit for bit; an identical answer has its assessment.
             answer = recorded_answer(log, r, k)
             identity = answer.identity
             if identity not in seen:
-                seen[identity] = judge.judge(step, step_own, answer, optimum)
-            grades[start + k] = seen[identity]
+                seen[identity] = evaluator.evaluate(step, step_own, answer, optimum)
+            evaluations[start + k] = seen[identity]
             certificates[start + k] = CERTIFICATES.index(optimum.kind)

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from dpbench.bench.judge.closed_loop import CERTIFICATES, GRADES, Columns, Graded
+from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Columns, Evaluated
 from dpbench.bench.judge.deadlines import (
     deadline_metrics,
     late_columns,
@@ -26,11 +26,11 @@ from dpbench.bench.judge.rules import (
     true_not_claimed,
     unusable,
 )
-from dpbench.bench.judge.timing import spoilt_rounds_of, timing_metrics
+from dpbench.bench.judge.timing import disturbed_rounds_of, timing_metrics
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import TIMES
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_steps
-from dpbench.bench.run.slow_computer import pace_of
+from dpbench.bench.run.slow_computer import delay_of
 from dpbench.qp.solution import Status
 from dpbench.scenario.scenario import scenario_of
 from dpbench.solvers.calibration import CALIBRATION
@@ -39,9 +39,9 @@ from dpbench.solvers.table import Availability
 _STATUS_NAMES = np.array([status.name for status in Status])
 
 
-def step_rows(run_id: str, cell: Cell, graded: Graded) -> pd.DataFrame:
+def step_rows(run_id: str, cell: Cell, evaluated: Evaluated) -> pd.DataFrame:
     """The rows of `steps.parquet` of one cell."""
-    columns = graded.columns
+    columns = evaluated.columns
     rows: dict[str, Any] = {
         "run_id": run_id,
         "repeat": columns["repeat"],
@@ -64,20 +64,20 @@ def step_rows(run_id: str, cell: Cell, graded: Graded) -> pd.DataFrame:
     frame["total_ns"] = _nullable(np.where((inside < 0).all(axis=1), -1, total))
     frame["iterations"] = _nullable(columns["iterations"])
     frame["reported_ns"] = _nullable(columns["reported_ns"])
-    for i, grade in enumerate(GRADES):
-        values = columns["grades"][:, i]
-        frame[grade] = values == 1.0 if grade.startswith("true") else values
+    for i, figure in enumerate(EVALUATION):
+        values = columns["evaluations"][:, i]
+        frame[figure] = values == 1.0 if figure.startswith("true") else values
     frame["n_active"] = np.nan_to_num(frame["n_active"]).astype(np.int32)
     if cell.mode == "replay":
-        spoilt = np.isin(columns["repeat"], spoilt_rounds_of(columns))
-        frame["warmup"], frame["spoilt"] = frame["repeat"] == WARM_UP, spoilt
-        frame["counts"] = counting_rows(columns["repeat"], spoilt)
+        disturbed = np.isin(columns["repeat"], disturbed_rounds_of(columns))
+        frame["warmup"], frame["disturbed"] = frame["repeat"] == WARM_UP, disturbed
+        frame["counts"] = counting_rows(columns["repeat"], disturbed)
         frame["unconverged"] = frame["status"].isin(["INACCURATE", "MAX_ITERATIONS"])
         frame["fallback"] = unusable(frame)
         return as_steps(frame)
     frame["counts"] = True
-    pace = pace_of(cell, scenario_of(cell.scenario).sample_s)
-    frame = frame.assign(**late_columns(pace, columns["latency_ns"], frame["total_ns"]))
+    delay = delay_of(cell, scenario_of(cell.scenario).sample_s)
+    frame = frame.assign(**late_columns(delay, columns["latency_ns"], frame["total_ns"]))
     return as_steps(pd.concat([frame, _ship_columns(columns)], axis=1))
 
 
@@ -105,7 +105,7 @@ def run_row(
     outcome: Outcome,
     library: Availability,
     machine_id: str,
-    graded: Graded | None,
+    evaluated: Evaluated | None,
     steps: pd.DataFrame | None,
 ) -> dict[str, Any]:
     """The row of `runs.parquet` of one cell; a cell without steps has its identity only."""
@@ -136,15 +136,15 @@ def run_row(
         "steps_planned": cell.steps,
         "steps_done": 0,
     }
-    if graded is None or steps is None or steps.empty:
+    if evaluated is None or steps is None or steps.empty:
         return row
     counting = steps[steps["counts"]]
     if counting.empty:
         # It ended within its warm-up, which says nothing about it.
-        return row | graded.metrics
+        return row | evaluated.metrics
     row["steps_done"] = int(counting.groupby("repeat")["k"].count().max())
-    judged = _judged(cell, counting)
-    row |= graded.metrics | timing_metrics(cell, graded, judged)
+    judged = _evaluated(cell, counting)
+    row |= evaluated.metrics | timing_metrics(cell, evaluated, judged)
     if cell.solver not in CALIBRATION:
         row |= _accuracy(judged)
     if cell.mode == "closed_loop":
@@ -171,7 +171,7 @@ def _sizes(cell: Cell, outcome: Outcome) -> dict[str, Any]:
     return {name: pd.NA if value is None else int(value) for name, value in found.items()}
 
 
-def _judged(cell: Cell, steps: pd.DataFrame) -> pd.DataFrame:
+def _evaluated(cell: Cell, steps: pd.DataFrame) -> pd.DataFrame:
     """The steps with an answer to judge; a late one is not for that reason a failed one."""
     if cell.slowdown == 0.0:
         return steps

@@ -22,8 +22,9 @@ Level = Literal["true", "true_1e4", "true_1e6"]
 
 WARM_UP = 0
 """The round of a replay that never counts."""
-SPOILT_FACTOR = 1.25
-"""A round whose reference kernel took this much longer than the arm's best is marked spoilt."""
+DISTURBED_FACTOR = 1.25
+"""A round whose reference kernel took this much longer than the configuration's best is marked
+disturbed."""
 BEYOND = 10
 """So many samples have to lie beyond a percentile before it is printed."""
 
@@ -35,38 +36,40 @@ NO_ANSWER_CLAIMS = ("PRIMAL_INFEASIBLE", "DUAL_INFEASIBLE")
 _NO_USE = tuple(status.name for status in Status if not status.usable)
 
 
-def is_spoilt(probe_ns: Floats) -> Flags:
-    """(R,) in which rounds the reference kernel was slowed by more than `SPOILT_FACTOR`.
+def is_disturbed(reference_kernel_ns: Floats) -> Flags:
+    """(R,) in which rounds the reference kernel was slowed by more than `DISTURBED_FACTOR`.
 
     Parameters
     ----------
-    probe_ns : (R, 2) the kernel before and after each round [ns], 0 where it was not timed.
+    reference_kernel_ns : (R, 2) the kernel before and after each round [ns], 0 where it was not
+        timed.
     """
-    seen = probe_ns[probe_ns > 0]
+    seen = reference_kernel_ns[reference_kernel_ns > 0]
     best = seen.min() if seen.size else np.inf
     # Where it was not timed it is zero, and slower than nothing.
-    slowed: Flags = probe_ns.max(axis=1) > SPOILT_FACTOR * best
+    slowed: Flags = reference_kernel_ns.max(axis=1) > DISTURBED_FACTOR * best
     return slowed
 
 
-def spoilt_rounds(rounds: NDArray[np.int32], probe_ns: Floats) -> NDArray[np.int32]:
-    """Of `rounds` (R,) those that are spoilt, by their `probe_ns` (R, 2); see `is_spoilt`."""
-    return rounds[is_spoilt(probe_ns)]
+def disturbed_rounds(rounds: NDArray[np.int32], reference_kernel_ns: Floats) -> NDArray[np.int32]:
+    """Of `rounds` (R,) those that are disturbed, by their `reference_kernel_ns` (R, 2); see
+    `is_disturbed`."""
+    return rounds[is_disturbed(reference_kernel_ns)]
 
 
-def counting_rows(repeat: NDArray[np.int32], spoilt: Flags) -> Flags:
-    """(N,) which rows of a replay count: never the warm-up, and no spoilt round.
+def counting_rows(repeat: NDArray[np.int32], disturbed: Flags) -> Flags:
+    """(N,) which rows of a replay count: never the warm-up, and no disturbed round.
 
-    Where every round is spoilt all of them count but the warm-up, and `counting_spoilt` of
+    Where every round is disturbed all of them count but the warm-up, and `counting_disturbed` of
     `runs.parquet` says so.
 
     Parameters
     ----------
-    repeat : (N,) round of each row; spoilt : (N,) whether it is a spoilt one.
+    repeat : (N,) round of each row; disturbed : (N,) whether it is a disturbed one.
     """
     rounds: Flags = repeat != WARM_UP
-    calm = rounds & ~spoilt
-    return calm if calm.any() else rounds
+    undisturbed = rounds & ~disturbed
+    return undisturbed if undisturbed.any() else rounds
 
 
 def supports(samples: int, percent: float) -> bool:

@@ -7,7 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from dpbench.bench.plan.configurations import CONTRAST, Arm, Table, arms_of, module_of, refusal_of
+from dpbench.bench.plan.configurations import (
+    BASELINE_LAW,
+    Configuration,
+    Table,
+    configurations_of,
+    module_of,
+    refusal_of,
+)
 from dpbench.bench.plan.suite import ClosedLoopTable, RandomTable, RecordedTable, SuiteFile
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.sequences.recording import read_sequence
@@ -25,7 +32,7 @@ NO_MODEL = "sparse: there is no model whose states to keep"
 
 
 @dataclass(frozen=True)
-class Planned:
+class PlannedCell:
     """A cell to run, or the reason why it is a row without running.
 
     `alias_settings` are further names of the same settings, shown as rows of their own.
@@ -37,28 +44,33 @@ class Planned:
 
 
 def cell_of(
-    arm: Arm, suite: SuiteFile, table: Table, *, no_stages: str = NO_MODEL, **more: Any
-) -> Planned:
-    """The cell of one arm of a table, or why it is refused.
+    configuration: Configuration,
+    suite: SuiteFile,
+    table: Table,
+    *,
+    no_stages: str = NO_MODEL,
+    **more: Any,
+) -> PlannedCell:
+    """The cell of one configuration of a table, or why it is refused.
 
     Parameters
     ----------
     no_stages : why the QPs cannot be formulated with the states kept; "" where they can.
     more : the fields of the cell's mode.
     """
-    contrast = arm.solver == CONTRAST
+    baseline_law = configuration.solver == BASELINE_LAW
     cell = Cell(
-        solver=arm.solver,
-        route=arm.route,
-        policy=arm.policy,
-        settings=arm.settings,
-        formulation="none" if contrast else arm.formulation,
-        units=arm.units,
-        limit_s=(_own_limit_s(table) or suite.cell_limit_s) + _waiting_s(arm, **more),
-        solver_module=module_of(arm.solver),
+        solver=configuration.solver,
+        route=configuration.route,
+        policy=configuration.policy,
+        settings=configuration.settings,
+        formulation="none" if baseline_law else configuration.formulation,
+        units=configuration.units,
+        limit_s=(_own_limit_s(table) or suite.cell_limit_s) + _waiting_s(configuration, **more),
+        solver_module=module_of(configuration.solver),
         **more,
     )
-    planned = Planned(cell, refusal_of(arm), arm.alias)
+    planned = PlannedCell(cell, refusal_of(configuration), configuration.alias)
     if cell.formulation != "sparse":
         return planned
     # States cost nothing along most of their directions, so P is only semidefinite.
@@ -70,14 +82,15 @@ def _own_limit_s(table: Table) -> float | None:
     return table.limit_s if isinstance(table, ClosedLoopTable) else None
 
 
-def _waiting_s(arm: Arm, steps: int, rounds: int = 0, **_: Any) -> float:
-    """What a waiting arm waits on purpose, every round run again; 0 for every other arm."""
-    return 2e-9 * WAITS_NS.get(arm.solver, 0) * steps * (rounds + 1)
+def _waiting_s(configuration: Configuration, steps: int, rounds: int = 0, **_: Any) -> float:
+    """What a waiting configuration waits on purpose, every round run again; 0 for every other
+    configuration."""
+    return 2e-9 * WAITS_NS.get(configuration.solver, 0) * steps * (rounds + 1)
 
 
 def recorded_cells(
     suite: SuiteFile, solvers: Sequence[str], beside: Path | None, taken: Sequence[str]
-) -> list[Planned]:
+) -> list[PlannedCell]:
     """The cells of all recorded sequences of a suite.
 
     Parameters
@@ -88,7 +101,7 @@ def recorded_cells(
     ------
     InputError : for a file that is no sequence, or two sequences of one name.
     """
-    cells: list[Planned] = []
+    cells: list[PlannedCell] = []
     places: dict[str, str] = {}
     for table in suite.recorded:
         path = sequence_path(table.sequence, beside)
@@ -109,12 +122,12 @@ def _of_sequence(
     solvers: Sequence[str],
     sequence: QPSequence,
     source: dict[str, Any],
-) -> list[Planned]:
+) -> list[PlannedCell]:
     matrices = [sequence.base.P] if sequence.P is None else list(sequence.P)
     strict = all(positive_definite(P) for P in matrices)
     cells = [
         cell_of(
-            arm,
+            configuration,
             suite,
             table,
             mode="replay",
@@ -126,24 +139,25 @@ def _of_sequence(
             repeat_budget_s=suite.repeat_budget_s,
             source=source,
         )
-        for arm in arms_of(solvers, table)
-        if arm.solver != CONTRAST
+        for configuration in configurations_of(solvers, table)
+        if configuration.solver != BASELINE_LAW
     ]
     return cells if strict else [_if_semidefinite(planned) for planned in cells]
 
 
-def _if_semidefinite(planned: Planned) -> Planned:
+def _if_semidefinite(planned: PlannedCell) -> PlannedCell:
     """The same cell, refused if its solver needs P > 0."""
     needs = record(planned.cell.solver).needs_strict_convexity
     return replace(planned, refused=planned.refused or NOT_STRICT) if needs else planned
 
 
-def random_cells(suite: SuiteFile, table: RandomTable, solvers: Sequence[str]) -> list[Planned]:
+def random_cells(suite: SuiteFile, table: RandomTable, solvers: Sequence[str]) -> list[PlannedCell]:
     """The cells of a table of random sequences."""
-    # What depends on the arm alone is found out once: a table may make thousands of cells.
+    # What depends on the configuration alone is found out once: a table may make thousands of
+    # cells.
     blanks = [
         cell_of(
-            arm,
+            configuration,
             suite,
             table,
             mode="replay",
@@ -152,12 +166,12 @@ def random_cells(suite: SuiteFile, table: RandomTable, solvers: Sequence[str]) -
             rounds=suite.rounds,
             warmup_steps=min(suite.warmup_steps, table.steps),
         )
-        for arm in arms_of(solvers, table)
-        if arm.solver != CONTRAST
+        for configuration in configurations_of(solvers, table)
+        if configuration.solver != BASELINE_LAW
     ]
     return [_of_recipe(blank, recipe) for recipe in table.recipes() for blank in blanks]
 
 
-def _of_recipe(blank: Planned, recipe: RandomRecipe) -> Planned:
+def _of_recipe(blank: PlannedCell, recipe: RandomRecipe) -> PlannedCell:
     planned = replace(blank, cell=replace(blank.cell, source=random_source(recipe)))
     return _if_semidefinite(planned) if FAMILIES[recipe.family].semidefinite else planned

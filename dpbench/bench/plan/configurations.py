@@ -1,4 +1,5 @@
-"""The arms of a suite: which solvers it means, and every way to run one that it asks for."""
+"""The configurations of a suite: which solvers it means, and every way to run one that it asks
+for."""
 
 from __future__ import annotations
 
@@ -31,12 +32,12 @@ from dpbench.solvers.table import (
     solver_names,
 )
 
-CONTRAST = UNCONSTRAINED_CLIPPED.name
+BASELINE_LAW = UNCONSTRAINED_CLIPPED.name
 Table = ClosedLoopTable | ReplayTable | RandomTable | RecordedTable
 
 
 @dataclass(frozen=True)
-class Arm:
+class Configuration:
     """One way of running one solver; `alias` are further names of the same settings."""
 
     solver: str
@@ -70,8 +71,8 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
     if baseline is not None and baseline not in named:
         raise InputError("suite", "report.baseline", repr(baseline), allowed)
     chosen = _named(only) if only else named
-    if not only and suite.contrast:
-        chosen.append(CONTRAST)
+    if not only and suite.baseline_law:
+        chosen.append(BASELINE_LAW)
     if not only and suite.calibration:
         chosen += CALIBRATION
     return list(dict.fromkeys(chosen))
@@ -90,7 +91,7 @@ def _named(names: Sequence[str]) -> list[str]:
     chosen: list[str] = []
     for name in names:
         if name == "all":
-            chosen += [s for s in solver_names() if s != CONTRAST and _by_default(s)]
+            chosen += [s for s in solver_names() if s != BASELINE_LAW and _by_default(s)]
         else:
             chosen.append(record(name).name)
     return list(dict.fromkeys(chosen))
@@ -106,13 +107,13 @@ def module_of(solver: str) -> str:
     return plugin.origin if plugin is not None and Path(plugin.origin).is_file() else ""
 
 
-def arms_of(solvers: Sequence[str], table: Table) -> list[Arm]:
-    """The arms of one table of a suite; a solver is left out of a route it does not have.
+def configurations_of(solvers: Sequence[str], table: Table) -> list[Configuration]:
+    """The configurations of one table of a suite; a solver is left out of a route it does not have.
 
     A table may name solvers of its own: those of them that the suite has, too, take part.
 
-    The harness's own arms have one way to run, whatever the table asks for, and take part in timed
-    replays alone.
+    The harness's own configurations have one way to run, whatever the table asks for, and take part
+    in timed replays alone.
     """
     solvers = _taking_part(solvers, table)
     if not solvers:
@@ -123,7 +124,7 @@ def arms_of(solvers: Sequence[str], table: Table) -> list[Arm]:
             raise SettingsError("settings", "", repr(name), " | ".join(dict.fromkeys(known)))
     own = [name for name in solvers if name in CALIBRATION]
     solvers = [name for name in solvers if name not in CALIBRATION]
-    arms: list[Arm] = []
+    configurations: list[Configuration] = []
     for units, formulation, policy, wanted, solver in product(
         table.units, table.formulations, table.policies, table.routes, solvers
     ):
@@ -133,12 +134,18 @@ def arms_of(solvers: Sequence[str], table: Table) -> list[Arm]:
             continue
         names = [name for name in table.settings if name in setting_names(solver)]
         if settings_matter(solver):
-            arms += [Arm(solver, route, policy, units, name, formulation) for name in names]
+            configurations += [
+                Configuration(solver, route, policy, units, name, formulation) for name in names
+            ]
         elif names:
             alias = tuple(names[1:])
-            arms.append(Arm(solver, route, policy, units, names[0], formulation, alias))
+            configurations.append(
+                Configuration(solver, route, policy, units, names[0], formulation, alias)
+            )
     timed = isinstance(table, ReplayTable | RecordedTable)
-    return arms + [Arm(name, "native", "reuse", "scaled", "default") for name in own if timed]
+    return configurations + [
+        Configuration(name, "native", "reuse", "scaled", "default") for name in own if timed
+    ]
 
 
 def _taking_part(solvers: Sequence[str], table: Table) -> list[str]:
@@ -150,12 +157,13 @@ def _taking_part(solvers: Sequence[str], table: Table) -> list[str]:
     return [name for name in solvers if name in named and name not in without]
 
 
-def refusal_of(arm: Arm) -> str:
-    """Why an arm cannot run; "" where it can."""
-    found, row = available(arm.solver), record(arm.solver)
+def refusal_of(configuration: Configuration) -> str:
+    """Why a configuration cannot run; "" where it can."""
+    found, row = available(configuration.solver), record(configuration.solver)
     if not found.ok:
         return found.reason
-    if arm.policy in row.policies[arm.route]:
+    if configuration.policy in row.policies[configuration.route]:
         return ""
-    reason = row.refused.get((arm.route, arm.policy), "")
-    return f"policy {arm.policy}: {reason or REFUSED_BY_QPSOLVERS.get(arm.policy, 'not offered')}"
+    reason = row.refused.get((configuration.route, configuration.policy), "")
+    return f"policy {configuration.policy}: "
+    f"{reason or REFUSED_BY_QPSOLVERS.get(configuration.policy, 'not offered')}"

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from dpbench.bench.plan.cells import Planned, cell_of, random_cells, recorded_cells
-from dpbench.bench.plan.configurations import CONTRAST, arms_of, choose_solvers
+from dpbench.bench.plan.cells import PlannedCell, cell_of, random_cells, recorded_cells
+from dpbench.bench.plan.configurations import BASELINE_LAW, choose_solvers, configurations_of
 from dpbench.bench.plan.suite import ClosedLoopTable, ReplayTable, SuiteFile
 from dpbench.bench.sequences.recording import with_horizons
 from dpbench.errors import InputError
@@ -21,7 +21,7 @@ def plan(
     solvers: Sequence[str] | None = None,
     scenarios: Sequence[str] | None = None,
     beside: Path | None = None,
-) -> list[Planned]:
+) -> list[PlannedCell]:
     """All cells of a suite in the order they run: closed loops, replays, recorded, random ones.
 
     Paths of scenarios and sequences are relative to the folder `beside`, that of the suite. A
@@ -42,7 +42,7 @@ def plan(
     swept = _under_horizons(suite, loaded)
     stems = _different_names([*loaded.values(), *swept.values()])
     wanted = set(scenarios) if scenarios else set(known)
-    cells: list[Planned] = []
+    cells: list[PlannedCell] = []
     for closed in suite.closed_loop:
         for name in closed.names:
             if name in wanted:
@@ -77,12 +77,12 @@ def _under_horizons(
     return {(name, pair): with_horizons(loaded[name], *pair) for name, pair in sorted(asked)}
 
 
-def _merged(cells: Sequence[Planned]) -> list[Planned]:
+def _merged(cells: Sequence[PlannedCell]) -> list[PlannedCell]:
     """Each cell once, with all names of its settings.
 
     Two tables may ask for the same cell, e.g. by its route's name and as the default one.
     """
-    once: dict[str, Planned] = {}
+    once: dict[str, PlannedCell] = {}
     for planned in cells:
         key = planned.cell.to_json()
         known = once.setdefault(key, planned)
@@ -94,16 +94,17 @@ def _merged(cells: Sequence[Planned]) -> list[Planned]:
 
 def _closed_loop_cells(
     suite: SuiteFile, table: ClosedLoopTable, scenario: Scenario, solvers: Sequence[str]
-) -> list[Planned]:
+) -> list[PlannedCell]:
     steps = min(table.steps or scenario.steps, scenario.steps)
     if table.deadline_s > scenario.sample_s:
         where, allowed = f"suite: closed loop of {scenario.name}", f"at most {scenario.sample_s:g}"
         raise InputError(where, "deadline_s", table.deadline_s, f"{allowed}, its sample")
-    # The contrast law does not look at units or settings: it runs where the default arms do.
+    # The baseline law does not look at units or settings: it runs where the default configurations
+    # do.
     plain = ("scaled", "default", "fresh")
     return [
         cell_of(
-            arm,
+            configuration,
             suite,
             table,
             no_stages=no_stages(scenario),
@@ -115,14 +116,15 @@ def _closed_loop_cells(
             deadline_s=table.deadline_s,
         )
         for slowdown in table.slowdowns
-        for arm in arms_of(solvers, table)
-        if arm.solver != CONTRAST or (arm.units, arm.settings, arm.policy) == plain
+        for configuration in configurations_of(solvers, table)
+        if configuration.solver != BASELINE_LAW
+        or (configuration.units, configuration.settings, configuration.policy) == plain
     ]
 
 
 def _replay_cells(
     suite: SuiteFile, table: ReplayTable, scenario: Scenario, solvers: Sequence[str]
-) -> list[Planned]:
+) -> list[PlannedCell]:
     if table.first >= scenario.steps:
         raise InputError(
             f"suite: replay of {scenario.name}", "first", table.first, f"below {scenario.steps}"
@@ -130,7 +132,7 @@ def _replay_cells(
     steps = min(table.steps or scenario.steps, scenario.steps - table.first)
     return [
         cell_of(
-            arm,
+            configuration,
             suite,
             table,
             no_stages=no_stages(scenario),
@@ -143,6 +145,6 @@ def _replay_cells(
             budget_s=suite.replay_budget_s,
             repeat_budget_s=suite.repeat_budget_s,
         )
-        for arm in arms_of(solvers, table)
-        if arm.solver != CONTRAST
+        for configuration in configurations_of(solvers, table)
+        if configuration.solver != BASELINE_LAW
     ]

@@ -14,7 +14,7 @@ from dpbench.errors import InputError
 from dpbench.qp.random.recipe import RandomRecipe
 from dpbench.scenario.horizons import Horizons, different_horizons, parse_horizons
 from dpbench.scenario.problem_files import FileModel, problem_path, read_model
-from dpbench.solvers.settings import LADDER
+from dpbench.solvers.settings import LEVELS
 
 Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
@@ -145,7 +145,8 @@ class RecordedTable(FileModel):
 
 
 class DesignTable(FileModel):
-    """Stability and basin of controllers, those of some scenarios, in vessels; no solver's part."""
+    """Stability and region of attraction of controllers, those of some scenarios, in vessels; no
+    solver's part."""
 
     controllers: Annotated[list[str], Field(min_length=1)]
     vessels: Annotated[list[str], Field(min_length=1)]
@@ -162,14 +163,14 @@ class SuiteFile(FileModel):
 
     A replay that has taken `replay_budget_s` gets no further round, once `FEWEST_ROUNDS`
     (`interleave.py`) count; 0 for all of them whatever they take. Rounds in which other work slowed
-    the load kernel run again, for up to `repeat_budget_s` of each replay (`robbed.py`).
-    With `contrast` the clipped unconstrained law steers too; with `calibration` the harness's own
-    arms, whose cost is known, take part in every replay.
+    the load kernel run again, for up to `repeat_budget_s` of each replay (`robbed.py`). With
+    `baseline_law` the clipped unconstrained law steers too; with `calibration` the harness's own
+    configurations, whose cost is known, take part in every replay.
     """
 
     title: str
     solvers: Annotated[list[str], Field(min_length=1)] = ["all"]
-    contrast: bool = True
+    baseline_law: bool = True
     calibration: bool = False
     cell_limit_s: Positive = 5.0
     replay_budget_s: Annotated[float, Field(ge=0)] = 0.0
@@ -206,7 +207,7 @@ def load_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
 _WAY: dict[str, Collection[str]] = {
     "route": get_args(RouteName),
     "policy": get_args(PolicyName),
-    "settings": tuple(LADDER),
+    "settings": tuple(LEVELS),
 }
 _TABLE_KEY = {"route": "routes", "policy": "policies", "settings": "settings"}
 
@@ -214,14 +215,14 @@ _TABLE_KEY = {"route": "routes", "policy": "policies", "settings": "settings"}
 def sequence_suite(path: str | Path, meta: Mapping[str, object] | None = None) -> SuiteFile:
     """The suite that replays one recorded sequence through every solver, default and high.
 
-    What a hunt found, as `meta` of the sequence says, is replayed in the way its solver was run as
-    well: another route or policy shows other iterations, or none.
+    What a search found, as `meta` of the sequence says, is replayed in the way its solver was run
+    as well: another route or policy shows other iterations, or none.
     """
     ways: list[dict[str, list[str]]] = [{"settings": ["default", "high"]}]
-    hunted = {key: (meta or {}).get(f"hunt_{key}") for key in _WAY}
+    worst_case = {key: (meta or {}).get(f"worst_case_{key}") for key in _WAY}
     # A file may say anything, and not every solver has the settings one of them has.
-    if all(name in known for name, known in zip(hunted.values(), _WAY.values(), strict=True)):
-        ways.append({_TABLE_KEY[key]: [str(name)] for key, name in hunted.items()})
+    if all(name in known for name, known in zip(worst_case.values(), _WAY.values(), strict=True)):
+        ways.append({_TABLE_KEY[key]: [str(name)] for key, name in worst_case.items()})
     tables = [RecordedTable.model_validate({"sequence": str(path)} | way) for way in ways]
     title = f"Recorded sequence {Path(path).name}"
-    return SuiteFile(title=title, contrast=False, recorded=tables)
+    return SuiteFile(title=title, baseline_law=False, recorded=tables)

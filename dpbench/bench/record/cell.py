@@ -1,4 +1,4 @@
-"""A cell: one arm of the benchmark as a JSON description that runs it again."""
+"""A cell: one configuration of the benchmark as a JSON description that runs it again."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Cell:
     slowdown, deadline_s : closed loop only: how much slower than this machine the ship's computer
         is, ≥ 1, and what a step may take of its time; 0 for a loop that waits for every answer,
         and for the whole sample (`slow.py`).
-    seed : of the order of arms within a round.
+    seed : of the order of configurations within a round.
     solver_module : file of the plug-in that brings the solver; "" for none.
     source : replay only: what its QPs are made from where that is no scenario; its `kind`, the
         `name` of the sequence, and whatever else `source.py` needs.

@@ -22,15 +22,16 @@ _STEAL = 8
 """Place of the steal time in a line of /proc/stat (proc(5)), behind the name of the core."""
 _THROTTLE = ("core_throttle_count", "package_throttle_count")
 
-MAX_SPOILT_SHARE = 0.05
-"""Of the rounds, those still spoilt after they were run again."""
+MAX_DISTURBED_SHARE = 0.05
+"""Of the rounds, those still disturbed after they were run again."""
 MAX_STEAL_SHARE = 0.01
 """Of the time of the replays."""
 MAX_SWITCHES_PER_S = 10.0
 """At ten a second fewer than one in a hundred samples of 1 ms is hit, so a p99 is still a solver's;
 of shorter samples fewer are."""
 RULE = (
-    f"at most {100 * MAX_SPOILT_SHARE:g} % of the rounds still spoilt after a second attempt, "
+    f"at most {100 * MAX_DISTURBED_SHARE:g} % of the rounds still disturbed after a second "
+    "attempt, "
     f"steal time at most {100 * MAX_STEAL_SHARE:g} % of the replays' time, at most "
     f"{MAX_SWITCHES_PER_S:g} involuntary context switches a second, no throttling"
 )
@@ -89,13 +90,13 @@ class Disturbance:
 
     Parameters
     ----------
-    rounds, spoilt, rerun : rounds that count, those still spoilt, those run again.
+    rounds, disturbed, rerun : rounds that count, those still disturbed, those run again.
     seconds : how long they took; steal_s : of it taken by the host.
     involuntary : context switches against the worker's will; throttled : throttle events.
     """
 
     rounds: float
-    spoilt: float
+    disturbed: float
     rerun: float
     seconds: float
     involuntary: float
@@ -122,8 +123,8 @@ class Disturbance:
     def complaints(self) -> list[str]:
         """What disturbed them by `RULE`; none for a quiet machine."""
         found = []
-        if self.rounds > 0 and self.spoilt > MAX_SPOILT_SHARE * self.rounds:
-            found.append(f"{self.spoilt:.0f} of {self.rounds:.0f} rounds spoilt twice")
+        if self.rounds > 0 and self.disturbed > MAX_DISTURBED_SHARE * self.rounds:
+            found.append(f"{self.disturbed:.0f} of {self.rounds:.0f} rounds disturbed twice")
         if self.steal_share > MAX_STEAL_SHARE:
             found.append(f"{100 * self.steal_share:.1f} % of the time stolen by the host")
         if self.switches_per_s > MAX_SWITCHES_PER_S:

@@ -45,8 +45,8 @@ def clock_read_ns(samples: int = 20_000) -> tuple[float, int]:
 def describe_machine() -> dict[str, Any]:
     """What `machine.json` holds; `id` hashes what makes timings comparable.
 
-    The id covers CPU model, cores, memory, kernel release, Python and the libraries every arm
-    uses; a solver's own version is part of each cell's key instead.
+    The id covers CPU model, cores, memory, kernel release, Python and the libraries every
+    configuration uses; a solver's own version is part of each cell's key instead.
     """
     read_cost, resolution = clock_read_ns()
     lasting: dict[str, Any] = {

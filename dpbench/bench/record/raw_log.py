@@ -60,11 +60,11 @@ def replay_layout(
 ) -> dict[str, tuple[str, tuple[int, ...]]]:
     """Arrays of a replay log: round 0 is the warm-up."""
     return _answers(rounds, steps, n, m) | {
-        "probe_ns": ("f8", (rounds, 2)),
-        "load_ns": ("f8", (rounds, 2, LOAD_PASSES)),
+        "reference_kernel_ns": ("f8", (rounds, 2)),
+        "load_kernel_ns": ("f8", (rounds, 2, LOAD_PASSES)),
         "attempts": ("i8", (rounds,)),
         "first_ns": ("i8", (steps,)),
-        "first_probe_ns": ("f8", (rounds,)),
+        "first_reference_kernel_ns": ("f8", (rounds,)),
         "counters": ("f8", (rounds, len(COUNTERS))),
         "footprint": ("f8", (len(FOOTPRINT),)),
     }
@@ -92,8 +92,8 @@ class RawLog:
     `done[r]` counts the completed steps of round r and is written last, so whatever it covers is
     whole. `flags` (steps, 3) holds fallback, unconverged, clipped; `attempts[r]` how often round r
     was begun; `first_ns` (steps,) the time of the first visit of each step, −1 where it had no
-    record, and `first_probe_ns[r]` the larger reference time around the first attempt of round r;
-    `latency_ns` (steps,) what `slow.py` writes, nothing in other loops.
+    record, and `first_reference_kernel_ns[r]` the larger reference time around the first attempt of
+    round r; `latency_ns` (steps,) what `slow.py` writes, nothing in other loops.
     """
 
     done: NDArray[np.int64]
@@ -113,11 +113,11 @@ class RawLog:
     command: NDArray[np.float64]
     flags: NDArray[np.uint8]
     latency_ns: NDArray[np.int64]
-    probe_ns: NDArray[np.float64]
-    load_ns: NDArray[np.float64]
+    reference_kernel_ns: NDArray[np.float64]
+    load_kernel_ns: NDArray[np.float64]
     attempts: NDArray[np.int64]
     first_ns: NDArray[np.int64]
-    first_probe_ns: NDArray[np.float64]
+    first_reference_kernel_ns: NDArray[np.float64]
     counters: NDArray[np.float64]
     footprint: NDArray[np.float64]
 
@@ -202,6 +202,6 @@ def is_whole(path: Path) -> bool:
 
 
 def discard(path: Path) -> None:
-    """Remove a log that has been graded."""
+    """Remove a log that has been evaluated."""
     path.unlink(missing_ok=True)
     path.with_suffix(".layout").unlink(missing_ok=True)

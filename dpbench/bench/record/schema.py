@@ -24,8 +24,8 @@ STEP_COLUMNS: Columns = {
     "run_id": ("str", "cell the row belongs to"),
     "repeat": ("int32", "replay round, 0 in closed loop"),
     "warmup": ("bool", "a round recorded before the ones that count"),
-    "spoilt": ("bool", "a round in which the reference kernel was slowed"),
-    "counts": ("bool", "the row counts: no warm-up, and no spoilt round unless all are"),
+    "disturbed": ("bool", "a round in which the reference kernel was slowed"),
+    "counts": ("bool", "the row counts: no warm-up, and no disturbed round unless all are"),
     "k": ("int32", "step"),
     "t_s": ("float64", "time of the step; NaN in a random sequence"),
     "emit_ns": ("Int64", "θ → q, l, u; null in replay"),
@@ -149,17 +149,20 @@ TIMING_COLUMNS: Columns = {
         "updates with which the workspace took over new matrices, in one pass; 0 if set up anew",
     ),
     "rounds": ("Int64", "replay rounds that count"),
-    "spoilt_rounds": ("Int64", "rounds marked as spoilt, which do not count unless all are"),
-    "counting_spoilt": (
+    "disturbed_rounds": ("Int64", "rounds marked as disturbed, which do not count unless all are"),
+    "counting_disturbed": (
         "Int64",
-        "spoilt rounds among those that count: none, or all of them as nothing better is left",
+        "disturbed rounds among those that count: none, or all of them as nothing better is left",
     ),
     "rerun_rounds": (
         "Int64",
         "rounds run again because the machine was busy; the last attempt counts",
     ),
-    "probe_ns": ("float64", "the reference kernel, median over rounds: is the machine slower?"),
-    "load_ns": (
+    "reference_kernel_ns": (
+        "float64",
+        "the reference kernel, median over rounds: is the machine slower?",
+    ),
+    "load_kernel_ns": (
         "float64",
         "the load kernel, timed as a step is: what else ran on the machine? (minimum over rounds)",
     ),

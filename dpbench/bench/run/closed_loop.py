@@ -19,9 +19,9 @@ from dpbench.arrays import Vector
 from dpbench.bench.record.cell import Fallback
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.fallback import FallbackLaw, limit_move
-from dpbench.bench.run.qp_builder import Emitter
-from dpbench.bench.run.slow_computer import Pace, SlowComputer, Usage, never_preempted
-from dpbench.bench.run.timed_solver import Clock, SolverPort, record_answer
+from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.slow_computer import ComputationalDelay, SlowComputer, Usage, never_preempted
+from dpbench.bench.run.timed_solver import Clock, TimedSolver, record_answer
 from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Status
 from dpbench.scenario.scenario import Scenario
@@ -33,45 +33,45 @@ _UNFINISHED = frozenset({Status.INACCURATE, Status.MAX_ITERATIONS})
 
 
 @dataclass(slots=True, eq=False)
-class Voyage:
+class ClosedLoopSetup:
     """What a closed loop is made of: the run, what emits its QPs, the solver, where steps go.
 
-    `fallback` acts without a usable answer; `limit_ns` of own run time end the voyage; `clock`
-    tells nanoseconds. `pace` is that of a slow computer, whose answers come late; None where the
+    `fallback` acts without a usable answer; `limit_ns` of own run time end the run; `clock`
+    tells nanoseconds. `delay` is that of a slow computer, whose answers come late; None where the
     ship waits for them; `usage` is what the kernel says of this process there.
     """
 
     scenario: Scenario
-    emitter: Emitter
-    port: SolverPort
+    builder: QPBuilder
+    solver: TimedSolver
     log: RawLog
     fallback: Fallback
     limit_ns: int
     clock: Clock
-    pace: Pace | None = None
+    delay: ComputationalDelay | None = None
     usage: Usage = never_preempted
 
 
-def closed_loop(voyage: Voyage) -> bool:
-    """Run the scenario with the solver behind the port and record every step in the log.
+def closed_loop(setup: ClosedLoopSetup) -> bool:
+    """Run the scenario with the solver behind the clock and record every step in the log.
 
     Returns
     -------
     True when all steps were done, False when the time limit stopped the run after a step.
     """
-    scenario, emitter, log = voyage.scenario, voyage.emitter, voyage.log
-    clock, limit_ns, steps = voyage.clock, voyage.limit_ns, scenario.steps
+    scenario, builder, log = setup.scenario, setup.builder, setup.log
+    clock, limit_ns, steps = setup.clock, setup.limit_ns, scenario.steps
     plant = _plant(scenario)
     weather, du_max = scenario.environment, scenario.du_max
     sea = weather.stage_table(steps, scenario.sample_s, SUBSTEPS)
     sensors, estimator = Sensors(weather, steps, scenario.sample_s), scenario.estimator()
-    port, law, emit = _steering(voyage)
-    formulate, answer, moves = port.formulate, port.answer, emitter.builder.moves
-    state, reference = plant.state, emitter.reference
+    solver, law, emit = _steering(setup)
+    formulate, answer, moves = solver.formulate, solver.answer, builder.condensed.moves
+    state, reference = plant.state, builder.reference
     x, u = np.zeros(9), np.zeros(3)
     sense, estimate = sensors.sense, estimator.update
     log.counters[:] = np.nan
-    log.setup_once_ns[0] = port.prepare()
+    log.setup_once_ns[0] = solver.prepare()
     log.theta[:, 9:12], log.theta[:, 15] = reference[:steps], 1.0
     log.state[0] = state
     began = clock()
@@ -91,9 +91,9 @@ def closed_loop(voyage: Voyage) -> bool:
             du = law.remember(moves(solution.z))
         else:
             du = law.move(x, reference[k])
-            port.reset()
+            solver.reset()
         np.add(u, du, out=log.command[k])
-        u_min, u_max = emitter.tau_min[k], emitter.tau_max[k]
+        u_min, u_max = builder.tau_min[k], builder.tau_max[k]
         clipped = limit_move(u, du, du_max, u_min, u_max, log.tau[k])
         u[...] = log.tau[k]
         log.flags[k] = (law.acted, usable and solution.status in _UNFINISHED, clipped)
@@ -101,8 +101,8 @@ def closed_loop(voyage: Voyage) -> bool:
         plant.advance(u, sea[k])
         log.state[k + 1] = state
         t4 = clock()
-        log.times[0, k] = (t2 - t1, *port.phases_ns, t4 - t0 - (t3 - t2))
-        log.matrix_updates[0] = port.matrix_updates
+        log.times[0, k] = (t2 - t1, *solver.phases_ns, t4 - t0 - (t3 - t2))
+        log.matrix_updates[0] = solver.matrix_updates
         log.done[0] = k + 1
         if t4 - began > limit_ns and k + 1 < steps:
             return False
@@ -110,14 +110,14 @@ def closed_loop(voyage: Voyage) -> bool:
 
 
 def _steering(
-    voyage: Voyage,
-) -> tuple[SolverPort | SlowComputer, FallbackLaw | SlowComputer, Emit]:
+    setup: ClosedLoopSetup,
+) -> tuple[TimedSolver | SlowComputer, FallbackLaw | SlowComputer, Emit]:
     """Who answers, who acts without an answer, and who emits: on a slow computer one and all."""
-    law = FallbackLaw(voyage.fallback, voyage.emitter.builder)
-    if voyage.pace is None or not voyage.pace.simulated:
-        return voyage.port, law, voyage.emitter.emit
-    latency_ns = voyage.log.latency_ns
-    computer = SlowComputer(voyage.pace, voyage.port, voyage.emitter, law, latency_ns, voyage.usage)
+    law = FallbackLaw(setup.fallback, setup.builder.condensed)
+    if setup.delay is None or not setup.delay.simulated:
+        return setup.solver, law, setup.builder.emit
+    latency_ns = setup.log.latency_ns
+    computer = SlowComputer(setup.delay, setup.solver, setup.builder, law, latency_ns, setup.usage)
     return computer, computer, computer.emit
 
 

@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from dpbench.arrays import Matrix
 from dpbench.bench.record.npz import DAMAGE
 from dpbench.bench.record.raw_log import RawLog, loop_layout
-from dpbench.bench.run.closed_loop import Voyage, closed_loop
+from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.formulation import Box
-from dpbench.bench.run.qp_builder import Emitter
-from dpbench.bench.run.timed_solver import SolverPort
+from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.errors import CertificateError, ResultsError
 from dpbench.mpc.condense import UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, SparseTwin
+from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, SparseEquivalent
 from dpbench.qp.referee.joint import Kind
 from dpbench.qp.referee.referee import Optimum, Referee
 from dpbench.qp.solution import Solution, Status
@@ -85,7 +85,7 @@ class ExactLoop:
 
     theta (K, 16) : [x; y_ref; u_prev; 1] of each step; state (K + 1, 6); tau (K, 3); z (K, n).
     optima : the certified optimum of each step in scaled units, so that no replay has to certify
-        the same QP again for every one of its arms.
+        the same QP again for every one of its configurations.
     """
 
     theta: Matrix
@@ -147,12 +147,16 @@ def solve_exactly(scenario: Scenario) -> ExactLoop:
     ------
     CertificateError : when a step has neither a certified optimum nor that proof.
     """
-    emitter = Emitter(scenario)
-    log = RawLog.in_memory(loop_layout(scenario.steps, *emitter.sizes))
-    base = base_problem(emitter.builder)
+    builder = QPBuilder(scenario)
+    log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes))
+    base = base_problem(builder.condensed)
     workspace = ExactWorkspace()
-    port = SolverPort(workspace, Box(base), time.perf_counter_ns)
-    closed_loop(Voyage(scenario, emitter, port, log, "shifted_plan", 2**62, time.perf_counter_ns))
+    timed_solver = TimedSolver(workspace, Box(base), time.perf_counter_ns)
+    closed_loop(
+        ClosedLoopSetup(
+            scenario, builder, timed_solver, log, "shifted_plan", 2**62, time.perf_counter_ns
+        )
+    )
     without = log.flags[:, 0].astype(bool) & (log.status[0] != Status.PRIMAL_INFEASIBLE)
     if without.any():
         k = int(np.flatnonzero(without)[0])
@@ -185,11 +189,11 @@ def sequence_of(
             f"{first}:{last}",
             f"steps within 0:{len(exact.theta)}",
         )
-    emitter = Emitter(scenario, units)
-    builder = emitter.builder
-    head = emitter.again(first, exact.theta[first])
-    base = builder.problem(head)
-    steps = [head, *(emitter.again(k, exact.theta[k]) for k in range(first + 1, last))]
+    builder = QPBuilder(scenario, units)
+    condensed = builder.condensed
+    head = builder.rebuild(first, exact.theta[first])
+    base = condensed.problem(head)
+    steps = [head, *(builder.rebuild(k, exact.theta[k]) for k in range(first + 1, last))]
     name = scenario.name if first == 0 else f"{scenario.name}[{first}:{last}]"
     return QPSequence(
         name=name,
@@ -199,23 +203,25 @@ def sequence_of(
         q=np.array([step.q for step in steps]),
         l=np.array([step.l for step in steps]),
         u=np.array([step.u for step in steps]),
-        units=None if units == "scaled" else builder.scale,
+        units=None if units == "scaled" else condensed.scale,
         scaled=None
         if units == "scaled"
         else sequence_of(scenario, exact, first=first, count=last - first),
         meta={"scenario": scenario.name, "sample_s": scenario.sample_s, "first": first},
-        twin=partial(_twin, scenario, exact.theta[first:last], units, first, name),
+        sparse_equivalent=partial(
+            _sparse_equivalent, scenario, exact.theta[first:last], units, first, name
+        ),
     )
 
 
-def _twin(
+def _sparse_equivalent(
     scenario: Scenario, theta: Matrix, units: UnitSystem, first: int, name: str
-) -> SparseTwin:
+) -> SparseEquivalent:
     """The QPs along θ (K, 16) from step `first` on with the states kept; InputError if refused."""
-    emitter = Emitter(scenario, units, sparse=True)
-    staged = emitter.staged
+    builder = QPBuilder(scenario, units, sparse=True)
+    staged = builder.staged
     assert staged is not None, "asked for"
-    steps = [emitter.again(k, row) for k, row in enumerate(theta, first)]
+    steps = [builder.rebuild(k, row) for k, row in enumerate(theta, first)]
     sequence = QPSequence(
         name=name,
         base=staged.problem(steps[0]),
@@ -223,7 +229,7 @@ def _twin(
         l=np.array([step.l for step in steps]),
         u=np.array([step.u for step in steps]),
     )
-    return SparseTwin(sequence, staged.condensed)
+    return SparseEquivalent(sequence, staged.condensed)
 
 
 def _stack(matrices: list[Matrix | None]) -> NDArray[np.float64] | None:

@@ -19,7 +19,7 @@ import numpy as np
 from threadpoolctl import threadpool_info
 
 from dpbench.bench.record.raw_log import FOOTPRINT, RawLog
-from dpbench.bench.run.timed_solver import SolverPort
+from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence
 
 MOST_STEPS = 50
@@ -120,7 +120,9 @@ def affordable_steps(log: RawLog) -> int:
     return int(min(MOST_STEPS, log.times.shape[1], LIMIT_NS / _PASSES / max(1.0, slowest)))
 
 
-def measure_steps(sequence: QPSequence, port: SolverPort, steps: int) -> tuple[float, float, float]:
+def measure_steps(
+    sequence: QPSequence, solver: TimedSolver, steps: int
+) -> tuple[float, float, float]:
     """Allocations of answering one step, outside all timed rounds.
 
     Returns
@@ -131,11 +133,11 @@ def measure_steps(sequence: QPSequence, port: SolverPort, steps: int) -> tuple[f
     """
     if steps < 1:
         return float("nan"), float("nan"), float("nan")
-    made = [port.formulate(sequence.step(k)) for k in range(steps)]
+    made = [solver.formulate(sequence.step(k)) for k in range(steps)]
 
     def answer(k: int) -> None:
-        if not port.answer(made[k]).status.usable:
-            port.reset()
+        if not solver.answer(made[k]).status.usable:
+            solver.reset()
 
     growth = []
     for _ in range(_PASSES - 1):
@@ -150,11 +152,11 @@ def measure_steps(sequence: QPSequence, port: SolverPort, steps: int) -> tuple[f
         tracemalloc.reset_peak()
         peaks[k] -= tracemalloc.get_traced_memory()[0]
         blocks[k] -= sys.getallocatedblocks()
-        solution = port.answer(made[k])
+        solution = solver.answer(made[k])
         blocks[k] += sys.getallocatedblocks()
         peaks[k] += tracemalloc.get_traced_memory()[1]
         if not solution.status.usable:
-            port.reset()
+            solver.reset()
         # Or the next step would free this answer while its own are counted.
         del solution
     tracemalloc.stop()

@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from dpbench.bench.record.cell import Formulation
-from dpbench.bench.run.qp_builder import Emitter
+from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution
@@ -96,16 +96,16 @@ class Sparse(Box):
         return self._condensed(answer)
 
 
-def in_loop(formulation: Formulation, emitter: Emitter, base: QuadraticProgram) -> Formulated:
-    """The formulation of a closed loop; `base` is a condensed problem of the emitter.
+def in_loop(formulation: Formulation, builder: QPBuilder, base: QuadraticProgram) -> Formulated:
+    """The formulation of a closed loop; `base` is a condensed problem of the builder.
 
-    The steps of "sparse" are those of an emitter that was told so.
+    The steps of "sparse" are those of a builder that was told so.
     """
-    if emitter.staged is None:
+    if builder.staged is None:
         return _of_condensed(formulation, base)
-    model = emitter.staged.control.model
+    model = builder.staged.control.model
     at_rest = np.zeros(model.n_x), np.zeros(model.n_y), np.zeros(model.n_u)
-    staged = emitter.staged
+    staged = builder.staged
     return Sparse(staged.problem(staged.emit(*at_rest)), staged.condensed)
 
 
@@ -118,10 +118,12 @@ def in_replay(formulation: Formulation, sequence: QPSequence) -> tuple[QPSequenc
     """
     if formulation != "sparse":
         return sequence, _of_condensed(formulation, sequence.base)
-    if sequence.twin is None:
+    if sequence.sparse_equivalent is None:
         raise InputError(f"sequence {sequence.name}", "formulation", "'sparse'", NO_MODEL)
-    twin = sequence.twin()
-    return twin.sequence, Sparse(twin.sequence.base, twin.condensed)
+    sparse_equivalent = sequence.sparse_equivalent()
+    return sparse_equivalent.sequence, Sparse(
+        sparse_equivalent.sequence.base, sparse_equivalent.condensed
+    )
 
 
 def _of_condensed(formulation: Formulation, base: QuadraticProgram) -> Formulated:

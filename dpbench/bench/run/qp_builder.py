@@ -1,7 +1,7 @@
 """The QPs of a run: what the builder emits at step k for the state, the reference and the limits of
 that step.
 
-The loop emits along the way; graders and sequences emit the same QPs again from the recorded θ.
+The loop emits along the way; evaluators and sequences emit the same QPs again from the recorded θ.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dpbench.qp.program import QPStep
 from dpbench.scenario.scenario import Scenario, condense, keep_states
 
 
-class Emitter:
+class QPBuilder:
     """Emits the QPs of a scenario.
 
     Parameters
@@ -21,16 +21,17 @@ class Emitter:
 
     Attributes
     ----------
-    builder : the builder of the condensed QPs; staged : that of the sparse ones, if they are meant.
+    condensed : the builder of the condensed QPs; staged : that of the sparse ones, if they are
+        meant.
     reference (K + N_p, 3), tau_min, tau_max (K, 3) : what is wanted and allowed at each sample.
     """
 
     def __init__(
         self, scenario: Scenario, units: UnitSystem = "scaled", *, sparse: bool = False
     ) -> None:
-        self.builder = condense(scenario, units=units)
+        self.condensed = condense(scenario, units=units)
         self.staged = keep_states(scenario, units=units) if sparse else None
-        self._emit = self.builder.emit if self.staged is None else self.staged.emit
+        self._emit = self.condensed.emit if self.staged is None else self.staged.emit
         self.reference: Matrix = scenario.reference_table(scenario.steps + scenario.N_p)
         self.tau_min, self.tau_max = scenario.limit_tables(scenario.steps)
         self._horizon = scenario.N_p if scenario.preview else 0
@@ -40,7 +41,7 @@ class Emitter:
     @property
     def sizes(self) -> tuple[int, int, int]:
         """n and m of the condensed QPs, and the length of [θ; 1]."""
-        return self.builder.n, self.builder.m, int(self.builder.Z.shape[1])
+        return self.condensed.n, self.condensed.m, int(self.condensed.Z.shape[1])
 
     def emit(self, k: int, x: Vector, u_prev: Vector) -> QPStep:
         """The QP of step k: x (9,), u_prev (3,) as for `CondensedQP.emit`."""
@@ -51,8 +52,8 @@ class Emitter:
         limits = self.tau_min[k], self.tau_max[k]
         return self._emit(x, y_ref, u_prev, limits=limits)
 
-    def again(self, k: int, theta: Vector) -> QPStep:
+    def rebuild(self, k: int, theta: Vector) -> QPStep:
         """The QP of step k from its recorded [x; y_ref; u_prev; 1]."""
-        model = self.builder.control.model
+        model = self.condensed.control.model
         n_x, n_y = model.n_x, model.n_y
         return self.emit(k, theta[:n_x], theta[n_x + n_y : -1])

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from dpbench.bench.record.disturbance import counters
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.run.timed_solver import Clock, SolverPort, record_answer
+from dpbench.bench.run.timed_solver import Clock, TimedSolver, record_answer
 from dpbench.qp.program import QPSequence
 
-PROBE_REPEATS = 12
+KERNEL_REPEATS = 12
 PREROLL = 3
 
 
@@ -33,7 +33,7 @@ def _reference_kernel(v):  # type: ignore[no-untyped-def] # compiled by numba
     return s
 
 
-_PROBE_DATA = np.linspace(0.0, 1.0, 256)
+_KERNEL_DATA = np.linspace(0.0, 1.0, 256)
 _LOAD_MATRIX = np.eye(40) + 0.01
 _LOAD_VECTOR = np.linspace(0.0, 1.0, 40)
 _LOAD_RESULT = np.empty(40)
@@ -47,9 +47,9 @@ def _load_kernel() -> None:
     """Python calls, small NumPy calls, a LAPACK inverse: some 60 µs of what steps are made of.
 
     Other work on a machine may slow all of it by a factor of two, which the dependent chain hardly
-    notices. Over 40 runs on such a machine the factor that 14 arms had in common correlated at 0.98
-    with that of these three parts, at 0.7 with that of the reference kernel, and at 0.6 to 0.9 with
-    those of walks through 256 kB and 1 MB.
+    notices. Over 40 runs on such a machine the factor that 14 configurations had in common
+    correlated at 0.98 with that of these three parts, at 0.7 with that of the reference kernel, and
+    at 0.6 to 0.9 with those of walks through 256 kB and 1 MB.
     """
     value = 0
     for _ in range(100):
@@ -60,38 +60,38 @@ def _load_kernel() -> None:
     np.linalg.inv(_LOAD_MATRIX)
 
 
-def probe_ns(clock: Clock, load_ns: NDArray[np.float64] | None = None) -> int:
+def reference_kernel_ns(clock: Clock, load_kernel_ns: NDArray[np.float64] | None = None) -> int:
     """The smallest of a few timings of the reference kernel [ns].
 
-    By turns with it the load kernel is timed, once for each place of `load_ns` [ns].
+    By turns with it the load kernel is timed, once for each place of `load_kernel_ns` [ns].
     """
-    best, turn = 2**62, 0 if load_ns is None else PROBE_REPEATS // len(load_ns)
-    for i in range(PROBE_REPEATS):
+    best, turn = 2**62, 0 if load_kernel_ns is None else KERNEL_REPEATS // len(load_kernel_ns)
+    for i in range(KERNEL_REPEATS):
         started = clock()
-        _reference_kernel(_PROBE_DATA)
+        _reference_kernel(_KERNEL_DATA)
         best = min(best, clock() - started)
-        if load_ns is not None and i % turn == 0:
+        if load_kernel_ns is not None and i % turn == 0:
             started = clock()
             _load_kernel()
-            load_ns[i // turn] = clock() - started
+            load_kernel_ns[i // turn] = clock() - started
     return best
 
 
-class ReplayArm:
+class ReplayRun:
     """One solver replaying one sequence.
 
     Parameters
     ----------
-    sequence : the QPs; port : the solver; log : where each round goes.
+    sequence : the QPs; solver : timed; log : where each round goes.
     warmup_steps : length of round 0; preroll : steps solved before each round without a record.
-    limit_ns : own run time of all rounds together after which the arm stops; of a round that is run
-        again because the machine was slow, the last attempt counts.
+    limit_ns : own run time of all rounds together after which the configuration stops; of a round
+        that is run again because the machine was slow, the last attempt counts.
     """
 
     def __init__(
         self,
         sequence: QPSequence,
-        port: SolverPort,
+        solver: TimedSolver,
         log: RawLog,
         *,
         warmup_steps: int,
@@ -99,12 +99,12 @@ class ReplayArm:
         clock: Clock,
         preroll: int = PREROLL,
     ) -> None:
-        self.sequence, self._port, self._log, self._clock = sequence, port, log, clock
+        self.sequence, self._solver, self._log, self._clock = sequence, solver, log, clock
         self._warmup_steps = warmup_steps
         self._limit_ns, self._preroll = limit_ns, preroll
         self._spent_ns = np.zeros(len(log.done), dtype=np.int64)
         log.footprint[:] = np.nan
-        log.setup_once_ns[0] = port.prepare()
+        log.setup_once_ns[0] = solver.prepare()
         log.started[0] = 1
 
     def round(self, r: int) -> bool:
@@ -113,7 +113,7 @@ class ReplayArm:
         The first `preroll` steps are solved without a record beforehand: the worker slept on its
         pipe until now, and cold caches are no property of step 0.
         """
-        log, clock, port, sequence = self._log, self._clock, self._port, self.sequence
+        log, clock, solver, sequence = self._log, self._clock, self._solver, self.sequence
         steps = self._warmup_steps if r == 0 else len(sequence)
         times = log.times[r]
         log.done[r] = 0
@@ -122,30 +122,30 @@ class ReplayArm:
         self._spent_ns[r] = 0
         limit_ns = self._limit_ns - int(self._spent_ns.sum())
         before = counters()
-        log.probe_ns[r, 0] = probe_ns(clock, log.load_ns[r, 0])
+        log.reference_kernel_ns[r, 0] = reference_kernel_ns(clock, log.load_kernel_ns[r, 0])
         began = clock()
         for k in range(min(self._preroll, steps)):
-            port.answer(port.formulate(sequence.step(k)))
+            solver.answer(solver.formulate(sequence.step(k)))
             # Whoever remembers answers has seen this step now, and its time is in no row.
             log.first_ns[k] = log.first_ns[k] or -1
-        port.reset()
-        updates_before = port.matrix_updates
+        solver.reset()
+        updates_before = solver.matrix_updates
         for k in range(steps):
-            step = port.formulate(sequence.step(k))
-            solution = port.answer(step)
+            step = solver.formulate(sequence.step(k))
+            solution = solver.answer(step)
             record_answer(log, r, k, solution)
             if not (solution.status.usable and math.isfinite(solution.z.sum())):
-                port.reset()
-            times[k] = (-1, *port.phases_ns, -1)
+                solver.reset()
+            times[k] = (-1, *solver.phases_ns, -1)
             if log.first_ns[k] == 0:
-                log.first_ns[k] = sum(ns for ns in port.phases_ns if ns > 0)
-            log.matrix_updates[r] = port.matrix_updates - updates_before
+                log.first_ns[k] = sum(ns for ns in solver.phases_ns if ns > 0)
+            log.matrix_updates[r] = solver.matrix_updates - updates_before
             log.done[r] = k + 1
             if clock() - began > limit_ns:
                 return False
         self._spent_ns[r] = clock() - began
-        log.probe_ns[r, 1] = probe_ns(clock, log.load_ns[r, 1])
+        log.reference_kernel_ns[r, 1] = reference_kernel_ns(clock, log.load_kernel_ns[r, 1])
         if log.attempts[r] == 1:
-            log.first_probe_ns[r] = log.probe_ns[r].max()
+            log.first_reference_kernel_ns[r] = log.reference_kernel_ns[r].max()
         np.subtract(counters(), before, out=log.counters[r])
         return True

@@ -29,8 +29,8 @@ from numpy.typing import NDArray
 from dpbench.arrays import Matrix, Vector
 from dpbench.bench.record.cell import SLOWEST, Cell
 from dpbench.bench.run.fallback import FallbackLaw
-from dpbench.bench.run.qp_builder import Emitter
-from dpbench.bench.run.timed_solver import SolverPort
+from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.errors import InputError
 from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Solution, Status
@@ -45,7 +45,7 @@ NO_STEP = QPStep(np.empty(0), np.empty(0), np.empty(0))
 
 
 @dataclass(frozen=True)
-class Pace:
+class ComputationalDelay:
     """How slow the computer is, and how long it may take.
 
     slowdown : ≥ 1; budget_ns : of a step; sample_ns : between two steps.
@@ -82,15 +82,17 @@ def never_preempted() -> tuple[int, int]:
     return 0, 0
 
 
-def pace_of(cell: Cell, sample_s: float) -> Pace:
-    """The pace of a closed-loop cell; InputError for one that cannot be."""
+def delay_of(cell: Cell, sample_s: float) -> ComputationalDelay:
+    """The delay of a closed-loop cell; InputError for one that cannot be."""
     slowdown, deadline_s = cell.slowdown, cell.deadline_s
     if not (slowdown == 0.0 or 1.0 <= slowdown <= SLOWEST):
         raise InputError("closed loop", "slowdown", slowdown, f"0 (off), or 1 to {SLOWEST:g}")
     if not 0.0 <= deadline_s <= sample_s:
         allowed = f"a budget within the sample of {sample_s:g} s; 0 for the sample itself"
         raise InputError("closed loop", "deadline_s", deadline_s, allowed)
-    return Pace(slowdown, round((deadline_s or sample_s) * 1e9), round(sample_s * 1e9))
+    return ComputationalDelay(
+        slowdown, round((deadline_s or sample_s) * 1e9), round(sample_s * 1e9)
+    )
 
 
 class SlowComputer:
@@ -98,30 +100,30 @@ class SlowComputer:
 
     Parameters
     ----------
-    pace : how slow; port : the solver; emitter : of the run; law : what acts without an answer.
+    delay : how slow; solver : timed; builder : of the run; law : what acts without an answer.
     latency_ns : (K,) where the latency of each answer goes, −1 where no computation began.
     usage : what the kernel says of this process.
 
     Attributes
     ----------
-    phases_ns : as of `SolverPort`, all −1 in a step in which no computation began.
+    phases_ns : as of `TimedSolver`, all −1 in a step in which no computation began.
     acted : whether the last move was the fallback's, and not one of an answer that is in time or
         arrived just now.
     """
 
     def __init__(
         self,
-        pace: Pace,
-        port: SolverPort,
-        emitter: Emitter,
+        delay: ComputationalDelay,
+        solver: TimedSolver,
+        builder: QPBuilder,
         law: FallbackLaw,
         latency_ns: NDArray[np.int64],
         usage: Usage,
     ) -> None:
-        self._pace, self._port, self._emitter, self._law = pace, port, emitter, law
+        self._delay, self._solver, self._builder, self._law = delay, solver, builder, law
         self._usage, self._latency_ns = usage, latency_ns
         latency_ns[:] = -1
-        n, m, _ = emitter.sizes
+        n, m, _ = builder.sizes
         self._nothing = Solution.missing(n, m, Status.UNKNOWN)
         self._k, self._x, self._u = 0, np.zeros(9), np.zeros(3)
         # The step at which the processor is free, and the plan that arrives then.
@@ -137,12 +139,12 @@ class SlowComputer:
     @property
     def matrix_updates(self) -> int:
         """Those of the solver."""
-        return self._port.matrix_updates
+        return self._solver.matrix_updates
 
     def prepare(self) -> int:
-        """Set up as `SolverPort.prepare`, then solve without a record until nothing is cold."""
-        spent = self._port.prepare()
-        self._port.warm_up(WARM_UP)
+        """Set up as `TimedSolver.prepare`, then solve without a record until nothing is cold."""
+        spent = self._solver.prepare()
+        self._solver.warm_up(WARM_UP)
         return spent
 
     def emit(self, k: int, x: Vector, u_prev: Vector) -> QPStep:
@@ -152,11 +154,11 @@ class SlowComputer:
         self._arrived = not self._busy and self._coming is not None
         if self._arrived:
             self._plan, self._since, self._coming = self._coming, self._started, None
-        return NO_STEP if self._busy else self._emitter.emit(k, x, u_prev)
+        return NO_STEP if self._busy else self._builder.emit(k, x, u_prev)
 
     def formulate(self, step: QPStep) -> QPStep:
         """The step in the formulation of the solver."""
-        return step if self._busy else self._port.formulate(step)
+        return step if self._busy else self._solver.formulate(step)
 
     def answer(self, step: QPStep) -> Solution:
         """Solve, however long it takes; without a computation, no answer."""
@@ -164,14 +166,14 @@ class SlowComputer:
             self.phases_ns = NOT_RUN
             return self._nothing
         switches, used_ns = self._usage()
-        solution = self._port.answer(step)
+        solution = self._solver.answer(step)
         switches_after, used_after_ns = self._usage()
-        self.phases_ns = self._port.phases_ns
+        self.phases_ns = self._solver.phases_ns
         spent_ns = sum(phase for phase in self.phases_ns if phase > 0)
         if switches_after > switches:
             spent_ns = min(spent_ns, used_after_ns - used_ns)
-        latency_ns = self._pace.latency_ns(spent_ns)
-        samples = self._pace.samples_late(latency_ns)
+        latency_ns = self._delay.latency_ns(spent_ns)
+        samples = self._delay.samples_late(latency_ns)
         self._latency_ns[self._k] = latency_ns
         self._late = samples > 0
         self._started, self._free = self._k, self._k + max(1, samples)
@@ -191,9 +193,9 @@ class SlowComputer:
         return self._go_on()
 
     def reset(self) -> None:
-        """As `SolverPort.reset`, unless the solver was not asked."""
+        """As `TimedSolver.reset`, unless the solver was not asked."""
         if not self._busy:
-            self._port.reset()
+            self._solver.reset()
 
     def _go_on(self) -> Vector:
         """Δu (n_u,) without an answer in time: of the plan that arrives now, or the fallback's."""
@@ -202,4 +204,4 @@ class SlowComputer:
             age = min(self._k - self._since, len(self._plan) - 1)
             to_plan: Vector = self._plan[age] - self._u
             return to_plan
-        return self._law.move(self._x, self._emitter.reference[self._k])
+        return self._law.move(self._x, self._builder.reference[self._k])

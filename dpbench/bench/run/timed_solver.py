@@ -15,7 +15,7 @@ from dpbench.solvers.contract import Workspace
 Clock = Callable[[], int]
 
 
-class SolverPort:
+class TimedSolver:
     """The harness's side of a workspace: formulation, phases and failures of one solver.
 
     After `answer`, `phases_ns` holds set-up, update, solve and read of that step; −1 where a phase

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from dpbench.bench.run.exact_loop import sequence_of, solve_exactly
-from dpbench.bench.run.qp_builder import Emitter
+from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.sequences.qpsolvers_files import is_problem, natural_order, read_folder
 from dpbench.bench.sequences.sequence_file import Recorded, load_recorded
 from dpbench.errors import InputError
@@ -52,7 +52,7 @@ def record(
     sequence = sequence_of(scenario, solve_exactly(scenario))
     meta = sequence.meta | {"N_p": scenario.N_p, "N_c": scenario.N_c}
     sequence = thinned(replace(sequence, meta=meta), None, every)
-    units = Emitter(scenario, "si").builder.scale
+    units = QPBuilder(scenario, "si").condensed.scale
     return Recorded(sequence, certified(sequence), units, scenario.files)
 
 
@@ -84,7 +84,7 @@ def thinned(sequence: QPSequence, steps: int | None, every: int = 1) -> QPSequen
         scaled=None if sequence.scaled is None else thinned(sequence.scaled, steps, every),
         meta=sequence.meta | {"every": stride},
         # It would have all steps.
-        twin=None,
+        sparse_equivalent=None,
         **cut,
     )
 

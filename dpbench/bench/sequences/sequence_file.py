@@ -75,7 +75,7 @@ def save_sequence(
 
     Parameters
     ----------
-    sequence : one in SI is written as its scaled twin, with its units.
+    sequence : one in SI is written as its scaled form, with its units.
     optima : those of `certified`, which finds them where they are not given.
     units, documents : as in `Recorded`.
     """
@@ -121,7 +121,7 @@ def active_set(optimum: Optimum) -> NDArray[np.int8]:
 
 
 def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> QPSequence:
-    """The QPs that `save_sequence` wrote, in scaled units or, with their scaled twin, in SI.
+    """The QPs that `save_sequence` wrote, in scaled units or, with their scaled form, in SI.
 
     Parameters
     ----------

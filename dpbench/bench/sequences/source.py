@@ -2,7 +2,7 @@
 what others recorded.
 
 What takes long is done once per source, in a process of its own, and kept in a file that workers
-and graders read: the loop, or the sequence with its certified optima.
+and evaluators read: the loop, or the sequence with its certified optima.
 """
 
 from __future__ import annotations

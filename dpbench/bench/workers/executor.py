@@ -14,28 +14,28 @@ from dataclasses import dataclass
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
-from dpbench.bench.judge.closed_loop import Graded
-from dpbench.bench.plan.cells import Planned
+from dpbench.bench.judge.closed_loop import Evaluated
+from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import HARNESS_VERSION, OUTCOMES, Cell, Outcome
 from dpbench.bench.record.npz import DAMAGE
 from dpbench.bench.record.raw_log import discard
 from dpbench.bench.record.result_folder import write_json
 from dpbench.bench.sequences.source import log_size, source_key
-from dpbench.bench.workers.batch import GRADING_LIMIT_S, Chain, arm_of, not_judged
+from dpbench.bench.workers.batch import GRADING_LIMIT_S, CellBatch, configuration_of, not_evaluated
 from dpbench.bench.workers.child import Child, in_slots, with_log
 from dpbench.bench.workers.interleaved import ReplayGroup
 from dpbench.bench.workers.scratch import NoRoomError, Scratch
-from dpbench.bench.workers.worker import Link, grade_cell, make_source, run_closed_loop_cell
+from dpbench.bench.workers.worker import BatchCell, evaluate_cell, make_source, run_closed_loop_cell
 from dpbench.errors import InputError
 from dpbench.solvers.table import Availability
 
 
 @dataclass(eq=False)
-class Job:
+class CellJob:
     """A planned cell on its way through the campaign."""
 
-    planned: Planned
+    planned: PlannedCell
     run_id: str
     library: Availability
     outcome: Outcome | None = None
@@ -53,11 +53,11 @@ class CellStore:
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
 
-    def graded_path(self, job: Job) -> Path:
+    def evaluated_path(self, job: CellJob) -> Path:
         """Where the judged columns of a cell go."""
         return self.folder / f"{job.run_id}.npz"
 
-    def finished(self, job: Job) -> Outcome | None:
+    def finished(self, job: CellJob) -> Outcome | None:
         """The outcome of a cell that was finished earlier, None if there is none to rely on.
 
         None is that of a cell that was lost, or of which something is damaged or gone.
@@ -71,10 +71,10 @@ class CellStore:
             return None
         if outcome.outcome not in OUTCOMES or outcome.outcome == "lost":
             return None
-        sound = (self.graded(job) is not None) == with_steps
+        sound = (self.evaluated(job) is not None) == with_steps
         return outcome if sound else None
 
-    def finish(self, job: Job, outcome: Outcome, *, judged: bool = False) -> None:
+    def finish(self, job: CellJob, outcome: Outcome, *, judged: bool = False) -> None:
         """Keep a cell's outcome; its columns were written before if it was `judged`.
 
         Columns of an earlier time do not stay beside the outcome of this one.
@@ -82,14 +82,14 @@ class CellStore:
         job.outcome = outcome
         with_steps = judged and outcome.outcome != "lost"
         if not with_steps:
-            self.graded_path(job).unlink(missing_ok=True)
+            self.evaluated_path(job).unlink(missing_ok=True)
         found = outcome.__dict__ | {"with_steps": with_steps}
         write_json(self.folder / f"{job.run_id}.json", found)
 
-    def graded(self, job: Job) -> Graded | None:
+    def evaluated(self, job: CellJob) -> Evaluated | None:
         """The judged columns of a cell, None if it left no steps, or they are damaged."""
         try:
-            return Graded.load(self.graded_path(job))
+            return Evaluated.load(self.evaluated_path(job))
         except (*DAMAGE, OSError, KeyError):
             return None
 
@@ -137,7 +137,7 @@ class Bench:
         """The core of each of so many slots."""
         return [self._cores[i % len(self._cores)] for i in range(count)]
 
-    def _room_for(self, jobs: Sequence[Job], sizes: Sequence[int], what: str) -> bool:
+    def _room_for(self, jobs: Sequence[CellJob], sizes: Sequence[int], what: str) -> bool:
         """Choose where the logs of `jobs` lie; without room for `sizes` [B] they are lost."""
         try:
             self._folder = self._scratch.folder(sum(sizes), what)
@@ -148,8 +148,8 @@ class Bench:
         return True
 
     def _sized(
-        self, jobs: Sequence[Job], sources: dict[str, Path]
-    ) -> tuple[list[Job], dict[str, int]]:
+        self, jobs: Sequence[CellJob], sources: dict[str, Path]
+    ) -> tuple[list[CellJob], dict[str, int]]:
         """The jobs whose source can be read, and what each of their logs takes [B]."""
         sound, sizes = [], {}
         for job in jobs:
@@ -162,70 +162,70 @@ class Bench:
             sound.append(job)
         return sound, sizes
 
-    def _lose(self, job: Job, cause: str) -> None:
+    def _lose(self, job: CellJob, cause: str) -> None:
         self._store.finish(job, Outcome("lost", cause))
         self._progress.advance(work_of(job.cell), "lost")
 
-    def closed_loops(self, jobs: Sequence[Job], exact: dict[str, Path], slots: int) -> None:
+    def closed_loops(self, jobs: Sequence[CellJob], exact: dict[str, Path], slots: int) -> None:
         """Run closed-loop cells on up to `slots` cores, each judged right after it ran."""
         jobs, sizes = self._sized(jobs, exact)
         if not jobs or not self._room_for(jobs, sorted(sizes.values())[-slots:], "closed loops"):
             return
 
-        def ended(job: Job, child: Child, core: int) -> Child | None:
+        def ended(job: CellJob, child: Child, core: int) -> Child | None:
             if job.outcome is None:
                 job.outcome = with_log(child.outcome(), child.raw_path)
                 if job.outcome.outcome != "lost" and child.raw_path.exists():
-                    return self._grade(job, exact[source_key(job.cell, HARNESS_VERSION)], core)
+                    return self._evaluate(job, exact[source_key(job.cell, HARNESS_VERSION)], core)
             elif not child.has_verdict:
-                job.outcome = not_judged(child.outcome())
+                job.outcome = not_evaluated(child.outcome())
             self._finish(job)
             return None
 
         in_slots(jobs, self._slots(slots), self._start, ended)
 
-    def _start(self, job: Job, core: int) -> Child:
+    def _start(self, job: CellJob, core: int) -> Child:
         args = (job.cell.to_json(), self._folder, job.run_id, core)
         limit_s = job.cell.limit_s
         return Child(
             self._context, run_closed_loop_cell, args, self._folder, job.run_id, limit_s=limit_s
         )
 
-    def _grade(self, job: Job, exact: Path, core: int) -> Child:
+    def _evaluate(self, job: CellJob, exact: Path, core: int) -> Child:
         args = (
             job.cell.to_json(),
             self._folder,
             job.run_id,
             core,
             exact,
-            self._store.graded_path(job),
+            self._store.evaluated_path(job),
         )
         return Child(
             self._context,
-            grade_cell,
+            evaluate_cell,
             args,
             self._folder,
             job.run_id,
             limit_s=GRADING_LIMIT_S,
-            verdict="graded.json",
+            verdict="evaluated.json",
         )
 
-    def _finish(self, job: Job) -> None:
+    def _finish(self, job: CellJob) -> None:
         """Keep the outcome of a cell and drop what it left behind."""
         self._put_away(job)
         what = job.cell.scenario_name or job.cell.sequence
         self._progress.advance(work_of(job.cell), f"{job.cell.solver} {what}")
 
-    def _put_away(self, job: Job) -> None:
-        judged = (self._folder / f"{job.run_id}.graded.json").exists()
+    def _put_away(self, job: CellJob) -> None:
+        judged = (self._folder / f"{job.run_id}.evaluated.json").exists()
         outcome = job.outcome or Outcome("lost", "it was not run")
         self._store.finish(job, outcome, judged=judged)
         discard(self._folder / f"{job.run_id}.raw")
-        for suffix in ("json", "graded.json", "noise"):
+        for suffix in ("json", "evaluated.json", "noise"):
             (self._folder / f"{job.run_id}.{suffix}").unlink(missing_ok=True)
 
-    def replays(self, jobs: Sequence[Job], exact: Path) -> None:
-        """Replay one sequence through all its arms, interleaved, then judge them all."""
+    def replays(self, jobs: Sequence[CellJob], exact: Path) -> None:
+        """Replay one sequence through all its configurations, interleaved, then judge them all."""
         name = jobs[0].cell.sequence
         jobs, sizes = self._sized(jobs, {source_key(j.cell, HARNESS_VERSION): exact for j in jobs})
         if not jobs or not self._room_for(jobs, [*sizes.values()], f"the replays of {name}"):
@@ -242,52 +242,53 @@ class Bench:
         for job in jobs:
             job.outcome = with_log(group.outcomes[job.run_id], raws[job.run_id])
         stepped = [j for j in jobs if j.outcome and j.outcome.outcome != "lost"]
-        self._judge_all([j for j in stepped if raws[j.run_id].exists()], exact)
+        self._evaluate_all([j for j in stepped if raws[j.run_id].exists()], exact)
         for job in jobs:
             self._put_away(job)
 
-    def _judge_all(self, jobs: Sequence[Job], exact: Path) -> None:
+    def _evaluate_all(self, jobs: Sequence[CellJob], exact: Path) -> None:
         """Judge what was replayed, on every core some of it."""
         by_id = {job.run_id: job for job in jobs}
         shares = [jobs[i :: len(self._cores)] for i in range(len(self._cores))]
         sources = {source_key(job.cell, HARNESS_VERSION): exact for job in jobs}
-        chains = [self._chain(share, sources) for share in shares if share]
-        in_slots(chains, self._cores, Chain.judge, Chain.follow)
-        for chain in chains:
-            for run_id, lost in chain.outcomes.items():
+        batches = [self._batch(share, sources) for share in shares if share]
+        in_slots(batches, self._cores, CellBatch.evaluate, CellBatch.follow)
+        for batch in batches:
+            for run_id, lost in batch.outcomes.items():
                 by_id[run_id].outcome = lost
 
-    def random(self, jobs: Sequence[Job], sources: dict[str, Path], slots: int) -> None:
-        """Replay random sequences arm by arm, up to `slots` arms at a time, and judge them."""
+    def random(self, jobs: Sequence[CellJob], sources: dict[str, Path], slots: int) -> None:
+        """Replay random sequences configuration by configuration, up to `slots` configurations at a
+        time, and judge them."""
         jobs, sizes = self._sized(jobs, sources)
-        arms: dict[tuple[str, ...], list[Job]] = {}
+        configurations: dict[tuple[str, ...], list[CellJob]] = {}
         for job in jobs:
-            arms.setdefault(arm_of(job.cell), []).append(job)
-        # An arm keeps the logs of all its cells until they are judged.
-        needs = sorted(sum(sizes[job.run_id] for job in mine) for mine in arms.values())
+            configurations.setdefault(configuration_of(job.cell), []).append(job)
+        # A configuration keeps the logs of all its cells until they are judged.
+        needs = sorted(sum(sizes[job.run_id] for job in mine) for mine in configurations.values())
         if not jobs or not self._room_for(jobs, needs[-slots:], "random problems"):
             return
-        chains = [(self._chain(mine, sources), mine) for mine in arms.values()]
+        batches = [(self._batch(mine, sources), mine) for mine in configurations.values()]
 
-        def ended(task: tuple[Chain, list[Job]], child: Child, core: int) -> Child | None:
-            chain, mine = task
-            following = chain.follow(child, core)
+        def ended(task: tuple[CellBatch, list[CellJob]], child: Child, core: int) -> Child | None:
+            batch, mine = task
+            following = batch.follow(child, core)
             if following is None:
                 for job in mine:
-                    job.outcome = chain.outcomes[job.run_id]
+                    job.outcome = batch.outcomes[job.run_id]
                     self._finish(job)
             return following
 
-        in_slots(chains, self._slots(slots), lambda task, core: task[0].start(core), ended)
+        in_slots(batches, self._slots(slots), lambda task, core: task[0].start(core), ended)
 
-    def _chain(self, jobs: Sequence[Job], sources: dict[str, Path]) -> Chain:
-        links = [
-            Link(
+    def _batch(self, jobs: Sequence[CellJob], sources: dict[str, Path]) -> CellBatch:
+        cells = [
+            BatchCell(
                 job.run_id,
                 job.cell.to_json(),
                 sources[source_key(job.cell, HARNESS_VERSION)],
-                self._store.graded_path(job),
+                self._store.evaluated_path(job),
             )
             for job in jobs
         ]
-        return Chain(self._context, self._folder, links, jobs[0].cell.limit_s)
+        return CellBatch(self._context, self._folder, cells, jobs[0].cell.limit_s)

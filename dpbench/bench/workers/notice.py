@@ -58,16 +58,16 @@ class Notice:
         """The process has it; the descriptor is needed no more."""
         os.close(self._descriptor)
 
-    def post(self, who: AtWork, link: int | None = None) -> None:
+    def post(self, who: AtWork, place: int | None = None) -> None:
         """Say who is at work from now on, and on which cell of several."""
-        at = self.link if link is None else link
+        at = self.place if place is None else place
         _HEAD.pack_into(self._page, 0, who, at, 0)
 
     def leave(self, who: AtWork, words: str) -> None:
         """Say by whose doing the process ends, and why."""
         text = " ".join(words.split()).encode()[:_ROOM]
         self._page[_HEAD.size : _HEAD.size + len(text)] = text
-        _HEAD.pack_into(self._page, 0, who, self.link, len(text))
+        _HEAD.pack_into(self._page, 0, who, self.place, len(text))
 
     @property
     def who(self) -> AtWork:
@@ -75,7 +75,7 @@ class Notice:
         return AtWork(_HEAD.unpack_from(self._page)[0])
 
     @property
-    def link(self) -> int:
+    def place(self) -> int:
         """On which cell."""
         return int(_HEAD.unpack_from(self._page)[1])
 
@@ -99,10 +99,10 @@ _here: list[Notice] = []
 """The notice of this process; none in one that nobody supervises."""
 
 
-def post(who: AtWork, link: int | None = None) -> None:
+def post(who: AtWork, place: int | None = None) -> None:
     """Say who is at work in this process from now on, and on which cell of several."""
     for notice in _here:
-        notice.post(who, link)
+        notice.post(who, place)
 
 
 def run(notice: Notice, target: Callable[..., None], args: tuple[Any, ...]) -> None:

@@ -1,7 +1,7 @@
 """Rounds that other work on the machine robbed of speed: which, and again within a budget.
 
 A neighbour may slow every step of a round by up to a factor of two, for milliseconds or for
-minutes. The counters do not show it: over 14 runs of 14 arms on a shared machine
+minutes. The counters do not show it: over 14 runs of 14 configurations on a shared machine
 the slow-down of a round correlated with the load kernel around it at 0.8, with steal time at 0.2
 and with involuntary switches at 0.3. What those two take hits few steps of a round, and the
 minimum over the rounds passes over them.
@@ -23,11 +23,12 @@ from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import RawLog
 
 ROBBED_FACTOR = 1.25
-"""A round whose load kernel took this much longer than in the quietest round of any arm."""
+"""A round whose load kernel took this much longer than in the quietest round of any
+configuration."""
 
 
 class Served(Protocol):
-    """An arm of a group of replays; `spent_s` is what its rounds took so far."""
+    """A configuration of a group of replays; `spent_s` is what its rounds took so far."""
 
     run_id: str
     cell: Cell
@@ -35,7 +36,7 @@ class Served(Protocol):
     spent_s: float
 
 
-Arm = TypeVar("Arm", bound=Served)
+Replayed = TypeVar("Replayed", bound=Served)
 
 
 def load_levels(log: RawLog) -> NDArray[np.float64]:
@@ -43,7 +44,7 @@ def load_levels(log: RawLog) -> NDArray[np.float64]:
 
     NaN for a round that was not finished, and for the warm-up, which does not count.
     """
-    levels: NDArray[np.float64] = np.median(log.load_ns, axis=2).min(axis=1)
+    levels: NDArray[np.float64] = np.median(log.load_kernel_ns, axis=2).min(axis=1)
     levels[(levels <= 0.0) | (log.done == 0)] = np.nan
     levels[0] = np.nan
     return levels
@@ -56,36 +57,42 @@ def most_robbed(levels: NDArray[np.float64], quietest: float) -> int | None:
 
 
 def repeat_robbed(
-    arms: Sequence[Arm],
+    configurations: Sequence[Replayed],
     logs: Mapping[str, RawLog],
-    serve: Callable[[Arm, int], None],
+    serve: Callable[[Replayed, int], None],
     order: Random,
 ) -> None:
-    """Run robbed rounds again, one of each arm by turns, while its budget lasts.
+    """Run robbed rounds again, one of each configuration by turns, while its budget lasts.
 
-    The last attempt counts. Arms take turns because a neighbour stays for longer than a round.
+    The last attempt counts. Configurations take turns because a neighbour stays for longer than a
+    round.
 
     Parameters
     ----------
-    logs : the raw log of each arm; serve : runs a round of an arm into it.
-    order : of the arms within a turn.
+    logs : the raw log of each configuration; serve : runs a round of a configuration into it.
+    order : of the configurations within a turn.
     """
-    # Within its own limit too: a repetition must not end an arm that had done its work.
-    end_s = {a.run_id: min(a.spent_s + a.cell.repeat_budget_s, a.cell.limit_s) for a in arms}
+    # Within its own limit too: a repetition must not end a configuration that had done its work.
+    end_s = {
+        a.run_id: min(a.spent_s + a.cell.repeat_budget_s, a.cell.limit_s) for a in configurations
+    }
     while True:
-        serving = [arm for arm in arms if arm.serving]
-        levels = {arm.run_id: load_levels(logs[arm.run_id]) for arm in serving}
+        serving = [configuration for configuration in configurations if configuration.serving]
+        levels = {
+            configuration.run_id: load_levels(logs[configuration.run_id])
+            for configuration in serving
+        }
         quietest = np.fmin.reduce(
             [np.fmin.reduce(found) for found in levels.values()], initial=np.nan
         )
         due = []
-        for arm in serving:
-            r = most_robbed(levels[arm.run_id], float(quietest))
+        for configuration in serving:
+            r = most_robbed(levels[configuration.run_id], float(quietest))
             if r is not None:
-                took_s = float(np.nan_to_num(logs[arm.run_id].counters[r, 0]))
-                if arm.spent_s + took_s < end_s[arm.run_id]:
-                    due.append((arm, r))
+                took_s = float(np.nan_to_num(logs[configuration.run_id].counters[r, 0]))
+                if configuration.spent_s + took_s < end_s[configuration.run_id]:
+                    due.append((configuration, r))
         if not due:
             return
-        for arm, r in order.sample(due, len(due)):
-            serve(arm, r)
+        for configuration, r in order.sample(due, len(due)):
+            serve(configuration, r)

@@ -12,7 +12,7 @@ import time
 import numpy as np
 
 from dpbench.bench.run.fallback import limit_move
-from dpbench.bench.run.replay import probe_ns
+from dpbench.bench.run.replay import reference_kernel_ns
 from dpbench.bench.workers import worker
 from dpbench.bench.workers.interrupts import forget_interrupts
 from dpbench.mpc.condense import ControlProblem
@@ -34,7 +34,7 @@ def _prime() -> None:
     limit_move(three, three, three, -three, three, np.empty(3))
     model = prediction_model(ship.M, ship.D, 0.0, 0.1)
     CondensedQP(ControlProblem(model, 3, 2, np.eye(3), np.eye(3), -three, three, three))
-    probe_ns(time.perf_counter_ns)
+    reference_kernel_ns(time.perf_counter_ns)
     paper_active_set.prime()
 
 

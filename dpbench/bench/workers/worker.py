@@ -16,19 +16,19 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.bench.judge.closed_loop import Graded, grade_log
-from dpbench.bench.judge.replay import grade_sequence
+from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
+from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.disturbance import counters
 from dpbench.bench.record.raw_log import RawLog, loop_layout, replay_layout
-from dpbench.bench.run.closed_loop import Voyage, closed_loop
+from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.exact_loop import ExactLoop, base_problem
 from dpbench.bench.run.footprint import MemoryWatch, affordable_steps, measure_steps, threads
 from dpbench.bench.run.formulation import in_loop, in_replay
-from dpbench.bench.run.qp_builder import Emitter
-from dpbench.bench.run.replay import PREROLL, ReplayArm
-from dpbench.bench.run.slow_computer import pace_of, usage_of_process
-from dpbench.bench.run.timed_solver import SolverPort
+from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.replay import PREROLL, ReplayRun
+from dpbench.bench.run.slow_computer import delay_of, usage_of_process
+from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.bench.sequences.source import source_of
 from dpbench.bench.workers.notice import AtWork, post
 from dpbench.bench.workers.process_setup import pin, settle, verdict_of, write_verdict
@@ -44,13 +44,13 @@ clock = time.perf_counter_ns
 
 
 @dataclass(frozen=True)
-class Link:
-    """A cell of a chain: its name and JSON, the file behind its QPs, where its columns go."""
+class BatchCell:
+    """A cell of a batch: its name and JSON, the file behind its QPs, where its columns go."""
 
     name: str
     cell: str
     source: Path
-    graded: Path
+    evaluated: Path
 
 
 def _open(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Workspace | None:
@@ -74,11 +74,11 @@ def _open(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Work
     return workspace
 
 
-def _worst_detail(port: SolverPort) -> str:
+def _worst_detail(timed_solver: TimedSolver) -> str:
     """The most frequent words of the library about its failures, with their count."""
-    if not port.details:
+    if not timed_solver.details:
         return ""
-    words, count = max(port.details.items(), key=lambda item: item[1])
+    words, count = max(timed_solver.details.items(), key=lambda item: item[1])
     return f"{count} × {words}"
 
 
@@ -91,25 +91,33 @@ def run_closed_loop_cell(text: str, folder: Path, name: str, core: int) -> None:
     if workspace is None:
         return
     scenario = scenario_of(cell.scenario).first(cell.steps)
-    emitter = Emitter(scenario, cell.units, sparse=cell.formulation == "sparse")
-    log = RawLog.create(folder / f"{name}.raw", loop_layout(scenario.steps, *emitter.sizes))
-    formulated = in_loop(cell.formulation, emitter, base_problem(emitter.builder))
-    port = SolverPort(workspace, formulated, clock)
-    limit_ns, pace = round(cell.limit_s * 1e9), pace_of(cell, scenario.sample_s)
-    voyage = Voyage(
-        scenario, emitter, port, log, cell.fallback, limit_ns, clock, pace, usage_of_process
+    builder = QPBuilder(scenario, cell.units, sparse=cell.formulation == "sparse")
+    log = RawLog.create(folder / f"{name}.raw", loop_layout(scenario.steps, *builder.sizes))
+    formulated = in_loop(cell.formulation, builder, base_problem(builder.condensed))
+    timed_solver = TimedSolver(workspace, formulated, clock)
+    limit_ns, delay = round(cell.limit_s * 1e9), delay_of(cell, scenario.sample_s)
+    setup = ClosedLoopSetup(
+        scenario,
+        builder,
+        timed_solver,
+        log,
+        cell.fallback,
+        limit_ns,
+        clock,
+        delay,
+        usage_of_process,
     )
     before = counters()
     post(AtWork.SOLVER)
-    complete = closed_loop(voyage)
+    complete = closed_loop(setup)
     post(AtWork.HARNESS)
     np.subtract(counters(), before, out=log.counters[0])
-    detail = _worst_detail(port)
+    detail = _worst_detail(timed_solver)
     if not complete:
         stop = f"stopped after {cell.limit_s:g} s with {int(log.done[0])} steps"
         detail = f"{stop}; {detail}" if detail else stop
     ended = "finished" if complete else "timed_out"
-    write_verdict(verdict_path, verdict_of(ended, detail, workspace.form, port.size))
+    write_verdict(verdict_path, verdict_of(ended, detail, workspace.form, timed_solver.size))
 
 
 def run_replay_cell(
@@ -125,23 +133,29 @@ def run_replay_cell(
         orders.send(None)
         return
     memory.opened()
-    arm, port, log = _replay_arm(cell, workspace, folder / f"{name}.raw", source, memory=memory)
+    configuration, timed_solver, log = _replay_run(
+        cell, workspace, folder / f"{name}.raw", source, memory=memory
+    )
     # Pinned only now, so that several workers can import their libraries side by side.
     pin(core)
     orders.send(True)
     complete = True
     while (r := orders.recv()) is not None:
-        complete = arm.round(r)
+        complete = configuration.round(r)
         orders.send(complete)
     post(AtWork.HARNESS)
     log.footprint[:3] = (memory.peak_bytes(), *threads())
-    write_verdict(folder / f"{name}.json", _replay_verdict(cell, workspace, port, log, complete))
+    write_verdict(
+        folder / f"{name}.json", _replay_verdict(cell, workspace, timed_solver, log, complete)
+    )
     # The verdict stands: what happens from here on is no part of the replay.
     if complete:
-        log.footprint[3:] = measure_steps(arm.sequence, port, affordable_steps(log))
+        log.footprint[3:] = measure_steps(
+            configuration.sequence, timed_solver, affordable_steps(log)
+        )
 
 
-def _replay_arm(
+def _replay_run(
     cell: Cell,
     workspace: Workspace,
     raw: Path,
@@ -149,56 +163,58 @@ def _replay_arm(
     *,
     preroll: int = PREROLL,
     memory: MemoryWatch | None = None,
-) -> tuple[ReplayArm, SolverPort, RawLog]:
+) -> tuple[ReplayRun, TimedSolver, RawLog]:
     sequence = source_of(cell).load(cell, source).sequence
     layout = replay_layout(cell.rounds + 1, len(sequence), sequence.base.n, sequence.base.m)
     log = RawLog.create(raw, layout)
     steps, formulated = in_replay(cell.formulation, sequence)
-    port = SolverPort(workspace, formulated, clock)
+    timed_solver = TimedSolver(workspace, formulated, clock)
     if memory is not None:
         memory.loaded(log)
     post(AtWork.SOLVER)
-    arm = ReplayArm(
+    configuration = ReplayRun(
         steps,
-        port,
+        timed_solver,
         log,
         warmup_steps=cell.warmup_steps,
         limit_ns=round(cell.limit_s * 1e9),
         clock=clock,
         preroll=preroll,
     )
-    return arm, port, log
+    return configuration, timed_solver, log
 
 
 def _replay_verdict(
-    cell: Cell, workspace: Workspace, port: SolverPort, log: RawLog, complete: bool
+    cell: Cell, workspace: Workspace, timed_solver: TimedSolver, log: RawLog, complete: bool
 ) -> dict[str, Any]:
-    detail = _worst_detail(port)
+    detail = _worst_detail(timed_solver)
     if not complete:
         stop = f"stopped after {cell.limit_s:g} s in round {int((log.done > 0).sum()) - 1}"
         detail = f"{stop}; {detail}" if detail else stop
     ended = "finished" if complete else "timed_out"
-    return verdict_of(ended, detail, workspace.form, port.size)
+    return verdict_of(ended, detail, workspace.form, timed_solver.size)
 
 
-def run_replay_chain(links: Sequence[Link], folder: Path, core: int) -> None:
-    """Replay the cells of one arm, each with a raw log and a verdict of its own."""
+def run_replay_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
+    """Replay the cells of one configuration, each with a raw log and a verdict of its own."""
     pin(core)
-    for i, link in enumerate(links):
+    for i, batch_cell in enumerate(cells):
         post(AtWork.HARNESS, i)
-        cell = Cell.from_json(link.cell)
-        workspace = _open(cell, folder, link.name, settled=i > 0)
+        cell = Cell.from_json(batch_cell.cell)
+        workspace = _open(cell, folder, batch_cell.name, settled=i > 0)
         if workspace is None:
             continue
-        raw = folder / f"{link.name}.raw"
+        raw = folder / f"{batch_cell.name}.raw"
         # Without a time to take, cold caches do no harm, and a step that hangs should be recorded.
-        arm, port, log = _replay_arm(cell, workspace, raw, link.source, preroll=0)
-        complete = all(arm.round(r) for r in range(cell.rounds + 1))
+        configuration, timed_solver, log = _replay_run(
+            cell, workspace, raw, batch_cell.source, preroll=0
+        )
+        complete = all(configuration.round(r) for r in range(cell.rounds + 1))
         post(AtWork.HARNESS)
-        verdict = _replay_verdict(cell, workspace, port, log, complete)
-        write_verdict(folder / f"{link.name}.json", verdict)
+        verdict = _replay_verdict(cell, workspace, timed_solver, log, complete)
+        write_verdict(folder / f"{batch_cell.name}.json", verdict)
         # The collector is off while a solver works.
-        del workspace, arm, port, log
+        del workspace, configuration, timed_solver, log
         gc.collect()
 
 
@@ -218,31 +234,33 @@ def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> No
     write_verdict(folder / f"{name}.json", verdict_of("finished", ""))
 
 
-def grade_cell(text: str, folder: Path, name: str, core: int, source: Path, graded: Path) -> None:
-    """Let the referee judge the raw log of a cell; the columns appear in `graded` (.npz).
+def evaluate_cell(
+    text: str, folder: Path, name: str, core: int, source: Path, evaluated: Path
+) -> None:
+    """Let the referee judge the raw log of a cell; the columns appear in `evaluated` (.npz).
 
     Runs in a process of its own, in which the solver under test was never loaded.
     """
-    grade_chain([Link(name, text, source, graded)], folder, core)
+    evaluate_batch([BatchCell(name, text, source, evaluated)], folder, core)
 
 
-def grade_chain(links: Sequence[Link], folder: Path, core: int) -> None:
-    """As `grade_cell`, for several cells one after the other."""
+def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
+    """As `evaluate_cell`, for several cells one after the other."""
     pin(core)
-    settle(folder / f"{links[0].name}.noise")
-    for i, link in enumerate(links):
+    settle(folder / f"{cells[0].name}.noise")
+    for i, batch_cell in enumerate(cells):
         post(AtWork.HARNESS, i)
-        log, began = RawLog.open(folder / f"{link.name}.raw"), clock()
-        graded = _grade(link, log)
-        graded.columns["referee_ns"] = np.array([clock() - began])
-        graded.save(link.graded)
-        write_verdict(folder / f"{link.name}.graded.json", verdict_of("finished", ""))
+        log, began = RawLog.open(folder / f"{batch_cell.name}.raw"), clock()
+        evaluated = _evaluate(batch_cell, log)
+        evaluated.columns["referee_ns"] = np.array([clock() - began])
+        evaluated.save(batch_cell.evaluated)
+        write_verdict(folder / f"{batch_cell.name}.evaluated.json", verdict_of("finished", ""))
 
 
-def _grade(link: Link, log: RawLog) -> Graded:
-    cell = Cell.from_json(link.cell)
+def _evaluate(batch_cell: BatchCell, log: RawLog) -> Evaluated:
+    cell = Cell.from_json(batch_cell.cell)
     if cell.mode == "replay":
-        found = source_of(cell).load(cell, link.source)
+        found = source_of(cell).load(cell, batch_cell.source)
         judged = cell.solver not in CALIBRATION
-        return grade_sequence(log, found.sequence, found.sample_s, found.optima, judged=judged)
-    return grade_log(cell, log, ExactLoop.load(link.source))
+        return evaluate_sequence(log, found.sequence, found.sample_s, found.optima, judged=judged)
+    return evaluate_log(cell, log, ExactLoop.load(batch_cell.source))

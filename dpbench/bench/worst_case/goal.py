@@ -1,4 +1,4 @@
-"""What a hunt is after, and which step of a judged replay is the worst by that measure."""
+"""What a search is after, and which step of a judged replay is the worst by that measure."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from dpbench.bench.judge.closed_loop import CERTIFICATES, GRADES, Graded
+from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
 from dpbench.bench.judge.rules import INFEASIBLE, WARM_UP, decided
 from dpbench.qp.solution import Status
 
@@ -34,7 +34,7 @@ class Worst:
     error_plan : as in `steps.parquet`.
     bound : of the certified optimum it is measured against.
     status : what the solver claimed.
-    severity : how bad it is by the goal; the worse of two steps has the larger one.
+    objective : how bad it is by the goal; the worse of two steps has the larger one.
     score : of the whole replay, what a search climbs; equal severities may differ in it.
     """
 
@@ -43,7 +43,7 @@ class Worst:
     error_plan: float
     bound: float
     status: Status
-    severity: float
+    objective: float
     score: float
 
     def figure(self, goal: Goal) -> str:
@@ -51,13 +51,13 @@ class Worst:
         if goal == "iterations":
             return f"{self.iterations} iterations ({self.status.name.lower()})"
         claim = "claimed" if self.status is Status.SOLVED else self.status.name.lower()
-        if self.severity < self.error_plan:
-            claim = f"{claim}, which counts as {self.severity:g}"
+        if self.objective < self.error_plan:
+            claim = f"{claim}, which counts as {self.objective:g}"
         near = f", known to {self.bound:.0e}" if self.bound > 0.01 * self.error_plan else ""
         return f"error_plan {self.error_plan:.2e} ({claim}{near})"
 
 
-def worst_of(graded: Graded, goal: Goal) -> Worst | None:
+def worst_of(evaluated: Evaluated, goal: Goal) -> Worst | None:
     """The worst step of the counting rounds of a judged replay; None where no step has a figure.
 
     Goal "iterations": the most iterations, whatever the answer. Goal "error": an answer that is
@@ -65,45 +65,48 @@ def worst_of(graded: Graded, goal: Goal) -> Worst | None:
     counts at most `DECLINED`, because a controller can act on a refusal and not on a lie; a false
     "infeasible", and a "solved" of what has no feasible point, count as infinite.
     """
-    columns = graded.columns
+    columns = evaluated.columns
     counting = columns["repeat"] != WARM_UP
     iterations = columns["iterations"][counting]
     if goal == "iterations":
         if not (iterations >= 0).any():
             return None
-        severity = iterations.astype(np.float64)
+        objective = iterations.astype(np.float64)
     else:
-        severity = _severity_of_errors(graded)[counting]
-    if not len(severity):
+        objective = _objective_of_errors(evaluated)[counting]
+    if not len(objective):
         return None
-    at = int(severity.argmax())
-    worst = float(severity[at])
+    at = int(objective.argmax())
+    worst = float(objective[at])
     if goal == "iterations":
         # Counts tie often; of two equal ones the busier replay is nearer to a worse step.
-        score = worst + float(np.maximum(severity, 0.0).mean()) / (1.0 + worst)
+        score = worst + float(np.maximum(objective, 0.0).mean()) / (1.0 + worst)
     else:
         score = float(np.log10(np.clip(worst, _ROUNDING, _LARGEST)))
-    grades = columns["grades"][counting][at]
+    evaluations = columns["evaluations"][counting][at]
     return Worst(
         int(columns["k"][counting][at]),
         int(iterations[at]),
-        float(grades[GRADES.index("error_plan")]),
-        float(grades[GRADES.index("optimum_bound")]),
+        float(evaluations[EVALUATION.index("error_plan")]),
+        float(evaluations[EVALUATION.index("optimum_bound")]),
         Status(int(columns["status"][counting][at])),
         worst,
         score,
     )
 
 
-def _severity_of_errors(graded: Graded) -> NDArray[np.float64]:
-    columns = graded.columns
-    status, grades = columns["status"], columns["grades"]
-    error, true = grades[:, GRADES.index("error_plan")], grades[:, GRADES.index("true")] == 1.0
+def _objective_of_errors(evaluated: Evaluated) -> NDArray[np.float64]:
+    columns = evaluated.columns
+    status, evaluations = columns["status"], columns["evaluations"]
+    error, true = (
+        evaluations[:, EVALUATION.index("error_plan")],
+        evaluations[:, EVALUATION.index("true")] == 1.0,
+    )
     solved, empty = status == Status.SOLVED, np.isin(status, _INFEASIBLE_CLAIMS)
     certificate = pd.DataFrame({"certificate": np.array(CERTIFICATES)[columns["certificate"]]})
-    hopeless = (certificate["certificate"] == INFEASIBLE).to_numpy()
-    severity = np.where(solved, error, np.minimum(error, DECLINED))
-    severity[(empty & ~true) | (solved & hopeless)] = np.inf
-    severity[~decided(certificate).to_numpy()] = 0.0
+    infeasible = (certificate["certificate"] == INFEASIBLE).to_numpy()
+    objective = np.where(solved, error, np.minimum(error, DECLINED))
+    objective[(empty & ~true) | (solved & infeasible)] = np.inf
+    objective[~decided(certificate).to_numpy()] = 0.0
     # No optimum to compare with, and nothing false about it.
-    return np.nan_to_num(severity, nan=0.0, posinf=np.inf)
+    return np.nan_to_num(objective, nan=0.0, posinf=np.inf)

@@ -1,4 +1,4 @@
-"""The hunted solver in a process of its own, which answers one sequence after the other.
+"""The searched solver in a process of its own, which answers one sequence after the other.
 
 A solver that crashes or hangs costs the sequence it failed on; the next one gets a new process.
 Every sequence is answered by a new workspace in the way `inprocess.replay` and a campaign do it (a
@@ -15,13 +15,13 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
-from dpbench.bench.judge.closed_loop import Graded
-from dpbench.bench.judge.replay import grade_sequence
+from dpbench.bench.judge.closed_loop import Evaluated
+from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.run.formulation import in_replay
-from dpbench.bench.run.replay import ReplayArm
-from dpbench.bench.run.timed_solver import SolverPort
+from dpbench.bench.run.replay import ReplayRun
+from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.bench.workers.child import GRACE_S, START_ALLOWANCE_S, Child
 from dpbench.bench.workers.notice import AtWork, post
 from dpbench.bench.workers.process_setup import settle
@@ -34,21 +34,21 @@ from dpbench.solvers.table import load_solver_module
 
 ROUNDS = 2
 """The warm-up and one that counts."""
-_NAME = "hunted"
+_NAME = "searched"
 
 
-class HuntedSolver:
-    """One arm, ready to answer sequences.
+class SearchedSolver:
+    """One configuration, ready to answer sequences.
 
     Parameters
     ----------
     context : what forks its processes; folder : where they leave raw logs and noise.
-    cell : the arm: solver, route, policy, settings, formulation, warm-up, plug-in; what else a
-        cell says is not looked at.
+    cell : the configuration: solver, route, policy, settings, formulation, warm-up, plug-in; what
+        else a cell says is not looked at.
 
     Raises
     ------
-    InputError : the arm cannot run, for the reason it gives.
+    InputError : the configuration cannot run, for the reason it gives.
     """
 
     def __init__(self, context: ForkServerContext, folder: Path, cell: Cell) -> None:
@@ -68,7 +68,7 @@ class HuntedSolver:
             where, detail = f"solver {self._cell.solver}", f"{outcome.outcome}: {outcome.detail}"
             raise InputError(where, "", detail, "a solver that starts in a process of its own")
 
-    def answer(self, sequence: QPSequence, limit_s: float) -> tuple[Outcome, Graded | None]:
+    def answer(self, sequence: QPSequence, limit_s: float) -> tuple[Outcome, Evaluated | None]:
         """Replay a sequence in at most `limit_s` of run time, and judge the answers.
 
         Returns
@@ -81,7 +81,7 @@ class HuntedSolver:
         # A process that died after its last answer is found dead by the wait for the next one.
         with suppress(OSError):
             # How to make it in another form is not needed there, and large.
-            self._orders.send((replace(sequence, twin=None), limit_s))
+            self._orders.send((replace(sequence, sparse_equivalent=None), limit_s))
         reply = self._wait(limit_s + GRACE_S)
         outcome = Outcome("finished", "")
         if reply is False:
@@ -93,7 +93,7 @@ class HuntedSolver:
         if not raw.exists():
             return outcome, None
         sample_s = float(sequence.meta.get("sample_s", float("nan")))
-        return outcome, grade_sequence(RawLog.open(raw), sequence, sample_s)
+        return outcome, evaluate_sequence(RawLog.open(raw), sequence, sample_s)
 
     def _wait(self, limit_s: float) -> object:
         """The next word of the process; None when it died, or hung and was killed."""
@@ -116,7 +116,8 @@ class HuntedSolver:
 
 
 def serve(text: str, folder: Path, orders: Connection) -> None:
-    """Open the arm of a cell and answer sequences until None is ordered; a process's target."""
+    """Open the configuration of a cell and answer sequences until None is ordered; a process's
+    target."""
     settle(folder / f"{_NAME}.noise")
     cell = Cell.from_json(text)
     post(AtWork.OPENING)
@@ -146,13 +147,13 @@ def _answer(cell: Cell, sequence: QPSequence, limit_s: float, raw: Path) -> bool
     log = RawLog.create(raw, replay_layout(ROUNDS, steps, base.n, base.m))
     made, formulated = in_replay(cell.formulation, sequence)
     post(AtWork.SOLVER)
-    port = SolverPort(_open(cell), formulated, clock)
-    arm = ReplayArm(
+    timed_solver = TimedSolver(_open(cell), formulated, clock)
+    configuration = ReplayRun(
         made,
-        port,
+        timed_solver,
         log,
         warmup_steps=min(cell.warmup_steps, steps),
         limit_ns=round(limit_s * 1e9),
         clock=clock,
     )
-    return all(arm.round(r) for r in range(ROUNDS))
+    return all(configuration.round(r) for r in range(ROUNDS))

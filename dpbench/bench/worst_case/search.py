@@ -1,4 +1,4 @@
-"""The search of a hunt: cases by differential evolution, the worst of them kept."""
+"""The search of a search: cases by differential evolution, the worst of them kept."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.run.exact_loop import record_sequence
 from dpbench.bench.worst_case.goal import Goal, Worst, worst_of
-from dpbench.bench.worst_case.process import HuntedSolver
-from dpbench.bench.worst_case.space import HuntSpace
+from dpbench.bench.worst_case.process import SearchedSolver
+from dpbench.bench.worst_case.space import SearchSpace
 from dpbench.errors import CertificateError, InputError
 from dpbench.qp.program import QPSequence
 from dpbench.scenario.scenario import Scenario
@@ -49,7 +49,7 @@ class Search:
 
     Parameters
     ----------
-    hunted : the solver; space : the cases; goal : what makes one worse than another.
+    solver_process : the solver; space : the cases; goal : what makes one worse than another.
     budget : cases to try; progress : told how far the search is.
 
     Attributes
@@ -61,9 +61,14 @@ class Search:
     """
 
     def __init__(
-        self, hunted: HuntedSolver, space: HuntSpace, goal: Goal, budget: int, progress: Progress
+        self,
+        solver_process: SearchedSolver,
+        space: SearchSpace,
+        goal: Goal,
+        budget: int,
+        progress: Progress,
     ) -> None:
-        self._hunted, self._space, self._goal = hunted, space, goal
+        self._solver_process, self._space, self._goal = solver_process, space, goal
         self._budget, self._progress = budget, progress
         self.baseline: Worst | None = None
         self.baseline_outcome = Outcome("timed_out", "not tried")
@@ -93,9 +98,9 @@ class Search:
 
     def _see(self, base: Scenario) -> None:
         self._progress.advance(0, f"{base.name} itself, {base.steps} steps")
-        outcome, graded = self._hunted.answer(record_sequence(base), BASELINE_LIMIT_S)
+        outcome, evaluated = self._solver_process.answer(record_sequence(base), BASELINE_LIMIT_S)
         self.baseline_outcome = outcome
-        self.baseline = None if graded is None else worst_of(graded, self._goal)
+        self.baseline = None if evaluated is None else worst_of(evaluated, self._goal)
         if self._goal == "iterations" and outcome.outcome == "finished" and self.baseline is None:
             allowed = "a solver that counts its iterations on this route, or --goal error"
             raise InputError("--goal", "", "iterations, of which the solver gives none", allowed)
@@ -134,7 +139,7 @@ class Search:
             # Without a certified loop there is nothing to judge by.
             return None
         try:
-            outcome, graded = self._hunted.answer(sequence, CASE_LIMIT_S)
+            outcome, evaluated = self._solver_process.answer(sequence, CASE_LIMIT_S)
         except InputError as error:
             # It ran before, so nobody's input is to blame; what was found so far is kept.
             self.stopped = f"stopped: {error}"
@@ -143,13 +148,13 @@ class Search:
             # No failure of the solver, and the next case would fare no better.
             self.stopped = f"stopped: {outcome.detail}"
             raise _BudgetError
-        if outcome.outcome != "finished" or graded is None:
+        if outcome.outcome != "finished" or evaluated is None:
             case = Case(scenario, sequence, outcome, None)
             count, first = self.failures.get(outcome.outcome, (0, case))
             self.failures[outcome.outcome] = count + 1, first
             return None
-        worst = worst_of(graded, self._goal)
+        worst = worst_of(evaluated, self._goal)
         known = None if self.best is None else self.best.worst
-        if worst is not None and (known is None or worst.severity > known.severity):
+        if worst is not None and (known is None or worst.objective > known.objective):
             self.best = Case(scenario, sequence, outcome, worst)
         return worst

@@ -1,4 +1,4 @@
-"""What a hunt may change of a scenario: how the ship starts, and what pushes it.
+"""What a search may change of a scenario: how the ship starts, and what pushes it.
 
 A point x in [−1, 1]^d makes a scenario with documents of its own, so that what is found is as
 legitimate as any file under `problems/scenarios/` and can be made again from its documents:
@@ -36,7 +36,7 @@ to its station."""
 _PER_KN = 1e-3
 
 
-class HuntSpace:
+class SearchSpace:
     """The variants of one scenario.
 
     Parameters

@@ -324,7 +324,7 @@ def certified(sequence: QPSequence) -> list[Optimum]:
     return list(each_certified(sequence))
 
 
-def judge_claim(qp: QuadraticProgram, solution: Solution, optimum: Optimum) -> bool:
+def claim_is_true(qp: QuadraticProgram, solution: Solution, optimum: Optimum) -> bool:
     """Whether the status PRIMAL_INFEASIBLE or DUAL_INFEASIBLE of `solution` is proven true.
 
     The solver's own certificate in (y, y_box), or direction in z, is accepted if it is valid;

@@ -52,7 +52,7 @@ class NativeWorkspace(Workspace):
         self._n, self._m, self._block = -1, -1, 0
         self._converted = self._used = False
         self._matrices_given: tuple[Matrix, ...] = ()
-        self._done = self._unread = self._spoilt = False
+        self._done = self._unread = self._disturbed = False
         self._failure = ""
 
     def _convert(self) -> None:
@@ -115,7 +115,7 @@ class NativeWorkspace(Workspace):
         if matrices:
             self.matrix_updates += 1
             self._keep(step)
-        if matrices or self._spoilt or self.setup_every_step:
+        if matrices or self._disturbed or self.setup_every_step:
             self._q[:], self._l[:], self._u[:] = q, low, high
             self._rebuild()
             return
@@ -134,7 +134,7 @@ class NativeWorkspace(Workspace):
         self._converted, self._matrices_given = False, ()
 
     def _rebuild(self) -> None:
-        self._spoilt = self._used = False
+        self._disturbed = self._used = False
         self._failure = ""
         try:
             if not self._converted:
@@ -147,7 +147,7 @@ class NativeWorkspace(Workspace):
             self._fail(error)
 
     def _fail(self, error: BaseException) -> None:
-        self._failure, self._spoilt = f"{type(error).__name__}: {error}", True
+        self._failure, self._disturbed = f"{type(error).__name__}: {error}", True
 
     def solve(self) -> None:
         """Solve; whatever the library raises is kept for `read`."""
@@ -175,8 +175,8 @@ class NativeWorkspace(Workspace):
             self._unread = False
             # The square of z tells whether there is a NaN or an infinity in it.
             z = solution.z
-            self._spoilt = not (solution.status.usable and isfinite(z.dot(z)))
-            if self._warm and not self._spoilt:
+            self._disturbed = not (solution.status.usable and isfinite(z.dot(z)))
+            if self._warm and not self._disturbed:
                 self._remember(solution)
         return solution
 
@@ -192,13 +192,13 @@ class NativeWorkspace(Workspace):
 
     def reset(self) -> None:
         """Make the library object anew, unless it has not been used since it was made."""
-        stale = self._used or self._spoilt
+        stale = self._used or self._disturbed
         self._forget()
         if stale and not self.setup_every_step:
             self._rebuild()
 
     def _forget(self) -> None:
-        self._done = self._unread = self._spoilt = False
+        self._done = self._unread = self._disturbed = False
         self._failure = ""
 
 

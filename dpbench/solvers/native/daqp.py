@@ -76,7 +76,7 @@ class DaqpWorkspace(NativeWorkspace):
         self._update, self._solve = self._model.update, self._model.solve
         self._refused = min(flag, 0)
         # A model that refused its problem cannot be updated.
-        self._spoilt = flag < 0
+        self._disturbed = flag < 0
 
     def update(self, step: QPStep) -> None:
         """As inherited, written out for the usual step: DAQP itself takes 1.5 µs for it.
@@ -85,7 +85,7 @@ class DaqpWorkspace(NativeWorkspace):
         """
         if (
             self._found[2] != 1
-            or self._spoilt
+            or self._disturbed
             or self.setup_every_step
             or step.P is not None
             or step.A is not None

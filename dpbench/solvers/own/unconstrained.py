@@ -1,4 +1,4 @@
-"""The contrast law: the unconstrained optimum, whatever the constraints say.
+"""The baseline law: the unconstrained optimum, whatever the constraints say.
 
     z = −P⁻¹ q                                                                        (eq. 27)
 

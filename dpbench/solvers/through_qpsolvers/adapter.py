@@ -1,4 +1,4 @@
-"""What one library's adapter consists of, and how its answer becomes a verdict.
+"""What one library's adapter consists of, and how its answer becomes a claimed_status.
 
 An adapter is data and two small functions; the workspace that drives it is common to all.
 """
@@ -15,7 +15,7 @@ from dpbench.solvers.record import SolverRecord
 Options = Mapping[str, object]
 
 
-class Verdict(NamedTuple):
+class ClaimedStatus(NamedTuple):
     """What the library says about its answer; -1 and "" where it says nothing."""
 
     status: Status
@@ -24,12 +24,12 @@ class Verdict(NamedTuple):
     detail: str = ""
 
 
-NO_REASON = Verdict(Status.UNKNOWN, detail="not found; qpsolvers does not pass the reason on")
+NO_REASON = ClaimedStatus(Status.UNKNOWN, detail="not found; qpsolvers does not pass the reason on")
 
 
-def found_is_all(answer: Any, options: Options) -> Verdict:
-    """The judge of a library of which qpsolvers passes on `found` and nothing else."""
-    return Verdict(Status.SOLVED) if answer.found else NO_REASON
+def status_of_found(answer: Any, options: Options) -> ClaimedStatus:
+    """The read_status of a library of which qpsolvers passes on `found` and nothing else."""
+    return ClaimedStatus(Status.SOLVED) if answer.found else NO_REASON
 
 
 @dataclass(frozen=True)
@@ -39,35 +39,36 @@ class Adapter:
     Parameters
     ----------
     record : its row in the table.
-    judge : maps a `qpsolvers.Solution` with extras, and the options of the call, to a verdict.
+    read_status : maps a `qpsolvers.Solution` with extras, and the options of the call, to a
+        claimed_status.
     option_names : the names of the library's settings, asked of the library itself; the members
         of a group of settings as "group.name"; None where they are not known and not checked.
     settings_object : a fresh settings object of the library that takes options as attributes,
         None where it takes them as keywords.
     fixed : arguments of every call that are not settings of the algorithm.
-    not_found : the verdict where nothing was found and nothing is said about it.
+    not_found : the claimed_status where nothing was found and nothing is said about it.
     prepare : called once when a workspace is opened, for what is no argument of a call.
     iterate_when_not_found : whether x means anything then; a vector of zeros does not.
     """
 
     record: SolverRecord
-    judge: Callable[[Any, Options], Verdict]
+    read_status: Callable[[Any, Options], ClaimedStatus]
     option_names: Callable[[], Iterable[str]] | None
     settings_object: Callable[[], Any] | None = None
     fixed: Options = field(default_factory=dict)
-    not_found: Verdict = NO_REASON
+    not_found: ClaimedStatus = NO_REASON
     prepare: Callable[[], None] | None = None
     iterate_when_not_found: bool = True
 
-    def verdict(self, answer: Any, options: Options) -> Verdict:
+    def claimed_status(self, answer: Any, options: Options) -> ClaimedStatus:
         """Status, iterations and reported time of a `qpsolvers.Solution`.
 
         Problems without constraints are answered by qpsolvers itself for some libraries; such an
         answer has no extras.
         """
         if answer.extras:
-            return self.judge(answer, options)
-        return Verdict(Status.SOLVED) if answer.found else self.not_found
+            return self.read_status(answer, options)
+        return ClaimedStatus(Status.SOLVED) if answer.found else self.not_found
 
 
 def attributes(settings: Any) -> list[str]:

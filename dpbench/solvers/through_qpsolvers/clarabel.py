@@ -7,7 +7,7 @@ from typing import Any
 
 from dpbench.qp.solution import Status
 from dpbench.solvers.record import SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict, attributes
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, ClaimedStatus, Options, attributes
 
 RECORD = SolverRecord(
     name="clarabel",
@@ -35,11 +35,11 @@ STATUS = {
 }
 
 
-def judge(answer: Any, options: Options) -> Verdict:
+def read_status(answer: Any, options: Options) -> ClaimedStatus:
     """Clarabel counts its set-up in the time it reports."""
     name = str(answer.extras["status"])
     status = STATUS.get(name, Status.UNKNOWN)
-    return Verdict(status, reported_ns=round(answer.extras["solve_time"] * 1e9), detail=name)
+    return ClaimedStatus(status, reported_ns=round(answer.extras["solve_time"] * 1e9), detail=name)
 
 
 def settings_object() -> Any:
@@ -47,4 +47,4 @@ def settings_object() -> Any:
     return import_module("clarabel").DefaultSettings()
 
 
-ADAPTER = Adapter(RECORD, judge, lambda: attributes(settings_object()), settings_object)
+ADAPTER = Adapter(RECORD, read_status, lambda: attributes(settings_object()), settings_object)

@@ -10,7 +10,7 @@ from typing import Any
 
 from dpbench.qp.solution import Status
 from dpbench.solvers.record import NAN_ANSWER, NAN_IGNORED, SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, ClaimedStatus, Options
 
 # The user guide of CVXOPT, section "Algorithm parameters", and the source of `coneqp`; the
 # library keeps no object to ask and ignores what it does not know.
@@ -26,7 +26,7 @@ OPTION_NAMES = (
 DEFAULT_MAXITERS = 100
 
 
-def judge(answer: Any, options: Options) -> Verdict:
+def read_status(answer: Any, options: Options) -> ClaimedStatus:
     """Status and iterations; `coneqp` reports no time."""
     name, iterations = str(answer.extras["status"]), int(answer.extras["iterations"])
     if name == "optimal":
@@ -35,7 +35,7 @@ def judge(answer: Any, options: Options) -> Verdict:
         status = Status.MAX_ITERATIONS
     else:
         status = Status.NUMERICAL_ERROR
-    return Verdict(status, iterations, detail=name)
+    return ClaimedStatus(status, iterations, detail=name)
 
 
 def _record(name: str) -> SolverRecord:
@@ -54,5 +54,5 @@ def _record(name: str) -> SolverRecord:
     )
 
 
-CVXOPT = Adapter(_record("cvxopt"), judge, lambda: OPTION_NAMES)
-KVXOPT = Adapter(_record("kvxopt"), judge, lambda: OPTION_NAMES)
+CVXOPT = Adapter(_record("cvxopt"), read_status, lambda: OPTION_NAMES)
+KVXOPT = Adapter(_record("kvxopt"), read_status, lambda: OPTION_NAMES)

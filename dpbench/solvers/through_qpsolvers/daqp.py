@@ -6,7 +6,7 @@ import inspect
 from importlib import import_module
 
 from dpbench.solvers.record import NAN_ANSWER, NAN_IGNORED, SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, found_is_all
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, status_of_found
 
 RECORD = SolverRecord(
     name="daqp",
@@ -32,4 +32,4 @@ def option_names() -> list[str]:
     return [name for name in names if name not in DATA | STARTS]
 
 
-ADAPTER = Adapter(RECORD, found_is_all, option_names)
+ADAPTER = Adapter(RECORD, status_of_found, option_names)

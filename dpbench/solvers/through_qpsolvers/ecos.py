@@ -6,7 +6,7 @@ from typing import Any
 
 from dpbench.qp.solution import Status
 from dpbench.solvers.record import SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, ClaimedStatus, Options
 
 # Dense, because qpsolvers builds the cone program from dense P and G.
 RECORD = SolverRecord(
@@ -48,10 +48,10 @@ OPTION_NAMES = (
 )
 
 
-def judge(answer: Any, options: Options) -> Verdict:
+def read_status(answer: Any, options: Options) -> ClaimedStatus:
     """Exit flag, iterations and the run time with set-up."""
     info = answer.extras
-    return Verdict(
+    return ClaimedStatus(
         STATUS.get(int(info["exitFlag"]), Status.UNKNOWN),
         int(info["iter"]),
         round(info["timing"]["runtime"] * 1e9),
@@ -59,4 +59,4 @@ def judge(answer: Any, options: Options) -> Verdict:
     )
 
 
-ADAPTER = Adapter(RECORD, judge, lambda: OPTION_NAMES)
+ADAPTER = Adapter(RECORD, read_status, lambda: OPTION_NAMES)

@@ -11,7 +11,7 @@ from importlib.machinery import PathFinder
 from importlib.util import find_spec
 
 from dpbench.solvers.record import SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, found_is_all
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, status_of_found
 
 
 def is_served(name: str) -> bool:
@@ -38,4 +38,4 @@ def generic_adapter(name: str) -> Adapter:
         detects_infeasibility=False,
         refused={("qpsolvers", "warm"): "whether it takes a start is not known"},
     )
-    return Adapter(record, found_is_all, None)
+    return Adapter(record, status_of_found, None)

@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import Any
 
 from dpbench.solvers.record import NAN_IGNORED, SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, attributes, found_is_all
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, attributes, status_of_found
 
 RECORD = SolverRecord(
     name="highs",
@@ -30,7 +30,7 @@ def settings_object() -> Any:
 # Without a solution HiGHS fills x with zeros, which must not be taken for an iterate.
 ADAPTER = Adapter(
     RECORD,
-    found_is_all,
+    status_of_found,
     lambda: attributes(settings_object()),
     settings_object,
     iterate_when_not_found=False,

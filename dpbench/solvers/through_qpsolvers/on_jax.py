@@ -8,7 +8,7 @@ from typing import Any
 
 from dpbench.qp.solution import Status
 from dpbench.solvers.record import SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, ClaimedStatus, Options
 
 # BoxOSQP.SOLVED, .DUAL_INFEASIBLE, .PRIMAL_INFEASIBLE of jaxopt; 0 is "unsolved", its word for
 # a run that ended at the iteration limit.
@@ -26,19 +26,19 @@ QPAX_OPTION_NAMES = ("linear_solver", "max_iter", "solver_tol")
 QPAX_MAX_ITER = 30
 
 
-def judge_qpax(answer: Any, options: Options) -> Verdict:
+def read_qpax_status(answer: Any, options: Options) -> ClaimedStatus:
     """Converged or not; when not, the iteration limit is the one reason it knows."""
     iterations = int(answer.extras["info"]["iterations"])
     if bool(answer.found):
-        return Verdict(Status.SOLVED, iterations)
+        return ClaimedStatus(Status.SOLVED, iterations)
     ended = iterations >= int(str(options.get("max_iter", QPAX_MAX_ITER)))
-    return Verdict(Status.MAX_ITERATIONS if ended else Status.UNKNOWN, iterations)
+    return ClaimedStatus(Status.MAX_ITERATIONS if ended else Status.UNKNOWN, iterations)
 
 
-def judge_jaxopt(answer: Any, options: Options) -> Verdict:
+def read_jaxopt_status(answer: Any, options: Options) -> ClaimedStatus:
     """Status and iterations."""
     status = JAXOPT_STATUS.get(int(answer.extras["status"]), Status.UNKNOWN)
-    return Verdict(status, int(answer.extras["iter_num"]))
+    return ClaimedStatus(status, int(answer.extras["iter_num"]))
 
 
 def jaxopt_option_names() -> list[str]:
@@ -64,7 +64,7 @@ QPAX = Adapter(
         policies={"qpsolvers": ("fresh",)},
         detects_infeasibility=False,
     ),
-    judge_qpax,
+    read_qpax_status,
     lambda: QPAX_OPTION_NAMES,
     prepare=use_double_precision,
 )
@@ -81,7 +81,7 @@ JAXOPT = Adapter(
         detects_infeasibility=False,
         qpsolvers_name="jaxopt_osqp",
     ),
-    judge_jaxopt,
+    read_jaxopt_status,
     jaxopt_option_names,
     prepare=use_double_precision,
 )

@@ -7,7 +7,7 @@ from typing import Any
 
 from dpbench.qp.solution import Status
 from dpbench.solvers.record import Build, SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict, attributes
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, ClaimedStatus, Options, attributes
 
 
 def build() -> Build:
@@ -42,11 +42,11 @@ STATUS = {
 }
 
 
-def judge(answer: Any, options: Options) -> Verdict:
+def read_status(answer: Any, options: Options) -> ClaimedStatus:
     """Status, iterations and the run time with set-up."""
     info = answer.extras["info"]
     status = STATUS.get(int(info.status_val), Status.UNKNOWN)
-    return Verdict(status, int(info.iter), round(info.run_time * 1e9), str(info.status))
+    return ClaimedStatus(status, int(info.iter), round(info.run_time * 1e9), str(info.status))
 
 
 def settings_object() -> Any:
@@ -60,7 +60,7 @@ def settings_object() -> Any:
 # Without raise_error, osqp 1.1 raises a warning at every solve.
 ADAPTER = Adapter(
     RECORD,
-    judge,
+    read_status,
     lambda: attributes(settings_object()),
     settings_object,
     fixed={"raise_error": False},

@@ -7,7 +7,7 @@ from typing import Any
 
 from dpbench.qp.solution import Status
 from dpbench.solvers.record import NAN_IGNORED, Build, SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict, attributes
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, ClaimedStatus, Options, attributes
 from dpbench.solvers.through_qpsolvers.vectorised import vectorised_build
 
 
@@ -39,12 +39,12 @@ STATUS = {
 }
 
 
-def judge(answer: Any, options: Options) -> Verdict:
+def read_status(answer: Any, options: Options) -> ClaimedStatus:
     """Status and iterations; PIQP times itself only when `compute_timings` asks for it."""
     info = answer.extras["info"]
     name = info.status.name
     timed = bool(options.get("compute_timings", False))
-    return Verdict(
+    return ClaimedStatus(
         STATUS.get(name, Status.UNKNOWN),
         int(info.iter),
         round(info.run_time * 1e9) if timed else -1,
@@ -57,4 +57,4 @@ def settings_object() -> Any:
     return import_module("piqp").DenseSolver().settings
 
 
-ADAPTER = Adapter(RECORD, judge, lambda: attributes(settings_object()), settings_object)
+ADAPTER = Adapter(RECORD, read_status, lambda: attributes(settings_object()), settings_object)

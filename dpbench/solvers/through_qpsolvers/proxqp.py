@@ -8,7 +8,7 @@ from typing import Any
 
 from dpbench.qp.solution import Status
 from dpbench.solvers.record import NAN_IGNORED, Build, SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, ClaimedStatus, Options
 from dpbench.solvers.through_qpsolvers.vectorised import vectorised_build
 
 
@@ -43,12 +43,12 @@ STATUS = {
 DATA = {"H", "g", "A", "b", "C", "l", "u", "l_box", "u_box", "x", "y", "z", "verbose"}
 
 
-def judge(answer: Any, options: Options) -> Verdict:
+def read_status(answer: Any, options: Options) -> ClaimedStatus:
     """Status, outer plus inner iterations; it times itself only when `compute_timings` asks."""
     info = answer.extras["info"]
     name = info.status.name
     timed = bool(options.get("compute_timings", False))
-    return Verdict(
+    return ClaimedStatus(
         STATUS.get(name, Status.UNKNOWN),
         int(info.iter),
         round(info.run_time * 1e3) if timed else -1,
@@ -62,4 +62,4 @@ def option_names() -> list[str]:
     return [name for name in re.findall(r"[(,] ?(\w+): ", signature) if name not in DATA]
 
 
-ADAPTER = Adapter(RECORD, judge, option_names)
+ADAPTER = Adapter(RECORD, read_status, option_names)

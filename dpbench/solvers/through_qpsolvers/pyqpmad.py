@@ -7,7 +7,7 @@ from typing import Any
 
 from dpbench.qp.solution import Status
 from dpbench.solvers.record import NAN_ANSWER, NAN_IGNORED, SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict, attributes
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, ClaimedStatus, Options, attributes
 
 RECORD = SolverRecord(
     name="pyqpmad",
@@ -24,9 +24,9 @@ RECORD = SolverRecord(
 )
 
 
-def judge(answer: Any, options: Options) -> Verdict:
+def read_status(answer: Any, options: Options) -> ClaimedStatus:
     """Only an answer that was found has extras, and they hold the iterations alone."""
-    return Verdict(Status.SOLVED, int(answer.extras["num_iterations"]))
+    return ClaimedStatus(Status.SOLVED, int(answer.extras["num_iterations"]))
 
 
 def settings_object() -> Any:
@@ -34,4 +34,4 @@ def settings_object() -> Any:
     return import_module("pyqpmad").SolverParameters()
 
 
-ADAPTER = Adapter(RECORD, judge, lambda: attributes(settings_object()), settings_object)
+ADAPTER = Adapter(RECORD, read_status, lambda: attributes(settings_object()), settings_object)

@@ -7,7 +7,7 @@ from typing import Any
 
 from dpbench.qp.solution import Status
 from dpbench.solvers.record import SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict, attributes
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, ClaimedStatus, Options, attributes
 
 RECORD = SolverRecord(
     name="qpalm",
@@ -36,12 +36,12 @@ STATUS = {
 }
 
 
-def judge(answer: Any, options: Options) -> Verdict:
+def read_status(answer: Any, options: Options) -> ClaimedStatus:
     """Status, iterations and the run time with set-up."""
     info = answer.extras["info"]
     name = str(info.status)
     status = STATUS.get(name, Status.UNKNOWN)
-    return Verdict(status, int(info.iter), round(info.run_time * 1e9), name)
+    return ClaimedStatus(status, int(info.iter), round(info.run_time * 1e9), name)
 
 
 def settings_object() -> Any:
@@ -49,4 +49,4 @@ def settings_object() -> Any:
     return import_module("qpalm").Settings()
 
 
-ADAPTER = Adapter(RECORD, judge, lambda: attributes(settings_object()), settings_object)
+ADAPTER = Adapter(RECORD, read_status, lambda: attributes(settings_object()), settings_object)

@@ -8,7 +8,7 @@ from typing import Any
 
 from dpbench.qp.solution import Status
 from dpbench.solvers.record import SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, ClaimedStatus, Options
 
 RECORD = SolverRecord(
     name="qtqp",
@@ -35,11 +35,11 @@ STATUS = {
 }
 
 
-def judge(answer: Any, options: Options) -> Verdict:
+def read_status(answer: Any, options: Options) -> ClaimedStatus:
     """Status, and iterations where `collect_stats` asks for a row per iteration."""
     name = str(answer.extras["status"].value)
     rows = answer.extras["stats"]
-    return Verdict(STATUS.get(name, Status.UNKNOWN), len(rows) if rows else -1, detail=name)
+    return ClaimedStatus(STATUS.get(name, Status.UNKNOWN), len(rows) if rows else -1, detail=name)
 
 
 def option_names() -> list[str]:
@@ -48,4 +48,4 @@ def option_names() -> list[str]:
     return [name for name in names if name not in ("self", "verbose", "warm_start")]
 
 
-ADAPTER = Adapter(RECORD, judge, option_names)
+ADAPTER = Adapter(RECORD, read_status, option_names)

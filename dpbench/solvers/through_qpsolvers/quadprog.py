@@ -6,7 +6,7 @@ from typing import Any
 
 from dpbench.qp.solution import Status
 from dpbench.solvers.record import NAN_ANSWER, NAN_IGNORED, SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, ClaimedStatus, Options
 
 RECORD = SolverRecord(
     name="quadprog",
@@ -22,9 +22,9 @@ RECORD = SolverRecord(
 )
 
 
-def judge(answer: Any, options: Options) -> Verdict:
+def read_status(answer: Any, options: Options) -> ClaimedStatus:
     """Only an answer that was found has extras; quadprog counts rows added and rows dropped."""
-    return Verdict(Status.SOLVED, int(answer.extras["iterations"][0]))
+    return ClaimedStatus(Status.SOLVED, int(answer.extras["iterations"][0]))
 
 
 # The library raises ValueError for arrays of the wrong kind, for a P that is not positive definite
@@ -32,7 +32,7 @@ def judge(answer: Any, options: Options) -> Verdict:
 # apart, so "not found" is the third. Its one keyword, `factorized`, says what P is: no setting.
 ADAPTER = Adapter(
     RECORD,
-    judge,
+    read_status,
     lambda: (),
-    not_found=Verdict(Status.PRIMAL_INFEASIBLE, detail="constraints are inconsistent"),
+    not_found=ClaimedStatus(Status.PRIMAL_INFEASIBLE, detail="constraints are inconsistent"),
 )

@@ -7,7 +7,7 @@ from typing import Any
 
 from dpbench.qp.solution import Status
 from dpbench.solvers.record import SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, ClaimedStatus, Options
 
 RECORD = SolverRecord(
     name="scs",
@@ -60,12 +60,12 @@ def status_of(info: Mapping[str, Any]) -> Status:
     return status
 
 
-def judge(answer: Any, options: Options) -> Verdict:
+def read_status(answer: Any, options: Options) -> ClaimedStatus:
     """Status, iterations and the sum of set-up and solve time."""
     info = answer.extras
     status = status_of(info)
     milliseconds = info["setup_time"] + info["solve_time"]
-    return Verdict(status, int(info["iter"]), round(milliseconds * 1e6), str(info["status"]))
+    return ClaimedStatus(status, int(info["iter"]), round(milliseconds * 1e6), str(info["status"]))
 
 
-ADAPTER = Adapter(RECORD, judge, lambda: OPTION_NAMES)
+ADAPTER = Adapter(RECORD, read_status, lambda: OPTION_NAMES)

@@ -7,7 +7,7 @@ from typing import Any
 
 from dpbench.qp.solution import Status
 from dpbench.solvers.record import SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, Options, Verdict, attributes
+from dpbench.solvers.through_qpsolvers.adapter import Adapter, ClaimedStatus, Options, attributes
 
 RECORD = SolverRecord(
     name="sip",
@@ -46,11 +46,11 @@ GROUPS = (
 OF_QPSOLVERS = ("eps_abs", "eps_rel", "time_limit")
 
 
-def judge(answer: Any, options: Options) -> Verdict:
+def read_status(answer: Any, options: Options) -> ClaimedStatus:
     """Status and iterations."""
     info = answer.extras["sip_output"]
     name = info.exit_status.name
-    return Verdict(STATUS.get(name, Status.UNKNOWN), int(info.num_iterations), detail=name)
+    return ClaimedStatus(STATUS.get(name, Status.UNKNOWN), int(info.num_iterations), detail=name)
 
 
 def option_names() -> list[str]:
@@ -67,4 +67,4 @@ def option_names() -> list[str]:
     return [*OF_QPSOLVERS, *plain, *grouped]
 
 
-ADAPTER = Adapter(RECORD, judge, option_names)
+ADAPTER = Adapter(RECORD, read_status, option_names)

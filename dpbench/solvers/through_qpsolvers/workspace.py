@@ -116,7 +116,9 @@ class QpsolversWorkspace(Workspace):
         answer = self._answer
         if answer is None:
             return Solution.missing(n, m, Status.ERROR, self._failure)
-        status, iterations, reported_ns, detail = self._adapter.verdict(answer, self._options)
+        status, iterations, reported_ns, detail = self._adapter.claimed_status(
+            answer, self._options
+        )
         if status is Status.SOLVED:
             detail = ""
         absent = answer.x is None or np.shape(answer.x) != (n,)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from dpbench.analysis.compare.evidence import ARM_NOISE, Evidence, Prior, gather, holm, judge
+from dpbench.analysis.compare.evidence import ARM_NOISE, Evidence, Prior, assess, gather, holm
 
 FLAT = Prior(sd=0.01, df=6.0)
 """The prior of the simulations, whose noise is drawn with this standard deviation."""
@@ -36,7 +36,9 @@ def test_holm_rejects_what_the_step_down_procedure_rejects(p: list[float], alpha
     assert ((holm(values) <= alpha) == wanted).all()
 
 
-def arms(rng: np.random.Generator, count: int, sd: float) -> tuple[np.ndarray, np.ndarray]:
+def configurations(
+    rng: np.random.Generator, count: int, sd: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Log ratios of two runs without a change on a machine that is 30 % slower the second time."""
     return np.log(1.3) + sd * rng.standard_normal(count), np.full(count, 1e-4)
 
@@ -45,14 +47,14 @@ def arms(rng: np.random.Generator, count: int, sd: float) -> tuple[np.ndarray, n
 def test_no_change_is_no_claim(count: int) -> None:
     """Noise as the prior says, ratios at 1: over 300 tables at most 5 % hold a claim.
 
-    With 4 arms or more a machine factor of 1.3 is in them, without one below that. The bound is
-    the 99.9 % quantile of a binomial at 5 %.
+    With 4 configurations or more a machine factor of 1.3 is in them, without one below that. The
+    bound is the 99.9 % quantile of a binomial at 5 %.
     """
     rng, false = np.random.default_rng(3), 0
     for _ in range(300):
-        logs, own = arms(rng, count, FLAT.sd)
+        logs, own = configurations(rng, count, FLAT.sd)
         logs = logs - (np.log(1.3) if count < 4 else 0.0)
-        found = judge(gather(logs, own, ["paper"] * count, FLAT), 0.05, 0.05)
+        found = assess(gather(logs, own, ["paper"] * count, FLAT), 0.05, 0.05)
         false += any(one.verdict in ("slower", "faster") for one in found)
     assert false <= stats.binom.ppf(0.999, 300, 0.05)
 
@@ -68,7 +70,7 @@ def test_a_change_at_the_margin_is_the_hardest_no_claim() -> None:
     known = np.full(6, 0.01), np.full(6, 1e6)
     for _ in range(400):
         effect = at + 0.01 * rng.standard_normal(6)
-        found = judge(Evidence(effect, np.zeros(6), *known), 0.05, 0.05)
+        found = assess(Evidence(effect, np.zeros(6), *known), 0.05, 0.05)
         false += any(one.verdict in ("slower", "faster") for one in found)
     assert stats.binom.ppf(0.001, 400, 0.025) <= false <= stats.binom.ppf(0.999, 400, 0.05)
 
@@ -80,20 +82,21 @@ def test_equivalence_at_the_margin_is_not_claimed() -> None:
     for _ in range(400):
         effect = at + 0.01 * rng.standard_normal(6)
         known = Evidence(effect, np.zeros(6), np.full(6, 0.01), np.full(6, 1e6))
-        false += any(one.verdict == "equivalent" for one in judge(known, 0.05, 0.05))
+        false += any(one.verdict == "equivalent" for one in assess(known, 0.05, 0.05))
     assert false <= stats.binom.ppf(0.999, 400, 0.05)
 
 
-def test_a_planted_change_is_found_and_no_other_arm_pays_for_it() -> None:
-    """One of 12 arms takes 1.15 times as long on a machine that is 30 % slower: found in 95 %.
+def test_a_planted_change_is_found_and_no_other_configuration_pays_for_it() -> None:
+    """One of 12 configurations takes 1.15 times as long on a machine that is 30 % slower: found in
+    95 %.
 
     What the other 11 claim stays within the family-wise error.
     """
     rng, hit, false = np.random.default_rng(6), 0, 0
     for _ in range(200):
-        logs, own = arms(rng, 12, FLAT.sd)
+        logs, own = configurations(rng, 12, FLAT.sd)
         logs[4] += np.log(1.15)
-        found = judge(gather(logs, own, ["paper"] * 12, FLAT), 0.05, 0.05)
+        found = assess(gather(logs, own, ["paper"] * 12, FLAT), 0.05, 0.05)
         hit += found[4].verdict == "slower"
         false += any(one.verdict in ("slower", "faster") for one in found[:4] + found[5:])
     assert hit >= 190
@@ -101,17 +104,19 @@ def test_a_planted_change_is_found_and_no_other_arm_pays_for_it() -> None:
 
 
 def test_a_noisy_machine_is_noticed() -> None:
-    """Arms that scatter by 8 % hide a change of 15 %, which the prior alone would have claimed."""
+    """Configurations that scatter by 8 % hide a change of 15 %, which the prior alone would have
+    claimed."""
     rng, hit = np.random.default_rng(7), 0
     for _ in range(100):
-        logs, own = arms(rng, 12, 0.08)
+        logs, own = configurations(rng, 12, 0.08)
         logs[0] += np.log(1.15)
-        hit += judge(gather(logs, own, ["paper"] * 12, FLAT), 0.05, 0.05)[0].verdict == "slower"
+        hit += assess(gather(logs, own, ["paper"] * 12, FLAT), 0.05, 0.05)[0].verdict == "slower"
     assert hit <= 30
 
 
-def test_the_machine_factor_is_that_of_the_sequence_and_never_the_arms_own() -> None:
-    """Two sequences with machine factors 1.2 and 0.9; each arm is judged by its neighbours."""
+def test_the_machine_factor_is_that_of_the_sequence_and_never_the_configurations_own() -> None:
+    """Two sequences with machine factors 1.2 and 0.9; each configuration is judged by its
+    neighbours."""
     logs = np.log(np.array([1.2, 1.2, 1.2, 1.2, 0.9, 0.9, 0.9, 1.8]))
     found = gather(logs, np.zeros(8), ["paper"] * 4 + ["rough"] * 4, ARM_NOISE)
     assert np.exp(found.machine) == pytest.approx([1.2] * 4 + [0.9] * 4)
@@ -119,25 +124,25 @@ def test_the_machine_factor_is_that_of_the_sequence_and_never_the_arms_own() -> 
 
 
 def test_the_error_inside_the_runs_counts() -> None:
-    """A wide error of an arm's own leaves a large ratio without a verdict."""
+    """A wide error of a configuration's own leaves a large ratio without a verdict."""
     logs = np.array([0.0, 0.0, 0.0, 0.0, np.log(1.3)])
-    quiet = judge(gather(logs, np.zeros(5), ["paper"] * 5), 0.05, 0.05)
+    quiet = assess(gather(logs, np.zeros(5), ["paper"] * 5), 0.05, 0.05)
     own = np.array([0.0, 0.0, 0.0, 0.0, 0.2])
-    loud = judge(gather(logs, own, ["paper"] * 5), 0.05, 0.05)
+    loud = assess(gather(logs, own, ["paper"] * 5), 0.05, 0.05)
     assert (quiet[4].verdict, loud[4].verdict) == ("slower", "no difference shown")
 
 
 def test_the_error_inside_the_runs_counts_once() -> None:
-    """Noise inside the runs that all arms have alike is in their scatter already.
+    """Noise inside the runs that all configurations have alike is in their scatter already.
 
-    12 arms of known own error 0.02 and no other noise; 1.15 in one is found in 60 % of 200 tables,
-    where counting both finds 56 %, and the others claim within the family-wise error.
+    12 configurations of known own error 0.02 and no other noise; 1.15 in one is found in 60 % of
+    200 tables, where counting both finds 56 %, and the others claim within the family-wise error.
     """
     rng, hit, false = np.random.default_rng(8), 0, 0
     for _ in range(200):
         logs = 0.02 * rng.standard_normal(12)
         logs[4] += np.log(1.15)
-        found = judge(gather(logs, np.full(12, 0.02), ["paper"] * 12, FLAT), 0.05, 0.05)
+        found = assess(gather(logs, np.full(12, 0.02), ["paper"] * 12, FLAT), 0.05, 0.05)
         hit += found[4].verdict == "slower"
         false += any(one.verdict in ("slower", "faster") for one in found[:4] + found[5:])
     assert hit >= 120
@@ -145,9 +150,9 @@ def test_the_error_inside_the_runs_counts_once() -> None:
 
 
 def test_a_machine_that_nothing_tells_leaves_no_verdict() -> None:
-    """Two arms, no kernel that stands for the machine: any ratio may be the machine's."""
+    """Two configurations, no kernel that stands for the machine: any ratio may be the machine's."""
     unknown = np.full(2, np.nan)
     logs = np.log([3.0, 1.0])
-    found = judge(gather(logs, np.zeros(2), ["paper"] * 2, kernel=unknown), 0.05, 0.05)
+    found = assess(gather(logs, np.zeros(2), ["paper"] * 2, kernel=unknown), 0.05, 0.05)
     assert [one.verdict for one in found] == ["no difference shown"] * 2
     assert [(one.ratio.low, one.ratio.high) for one in found] == [(0.0, np.inf)] * 2

@@ -9,7 +9,7 @@ import pytest
 
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.statistics import pooled_mean
-from dpbench.analysis.times.pooled import Arm, Pool, pool
+from dpbench.analysis.times.pooled import CommonSteps, PooledConfiguration, common_steps
 from dpbench.analysis.times.ratios import baseline_of, ratios
 from dpbench.bench.plan.configurations import choose_solvers
 from dpbench.bench.plan.suite import ReportTable, SuiteFile
@@ -21,21 +21,26 @@ from dpbench.report.write import write_report
 DEMAND = Demand()
 
 
-def _pool(records: Any) -> Pool:
-    found = pool(records.view(), DEMAND)
+def _pool(records: Any) -> CommonSteps:
+    found = common_steps(records.view(), DEMAND)
     assert found is not None
     return found
 
 
-def _arm(solver: str, times: list[float]) -> Arm:
+def _configuration(solver: str, times: list[float]) -> PooledConfiguration:
     time = np.array(times)
-    return Arm(solver, "native", "fresh", "default", time, np.zeros(len(time)), True, True)
+    return PooledConfiguration(
+        solver, "native", "fresh", "default", time, np.zeros(len(time)), True, True
+    )
 
 
 def test_sequences_weigh_the_same_in_a_ratio() -> None:
     """Twice as long on 1000 steps and 8 times on 80 is 4 times, exactly and without doubt."""
-    base, other = _arm("base", [3.0] * 1080), _arm("other", [6.0] * 1000 + [24.0] * 80)
-    pooled = Pool(("a", "b"), np.repeat([0, 1], [1000, 80]), (base, other), 0)
+    base, other = (
+        _configuration("base", [3.0] * 1080),
+        _configuration("other", [6.0] * 1000 + [24.0] * 80),
+    )
+    pooled = CommonSteps(("a", "b"), np.repeat([0, 1], [1000, 80]), (base, other), 0)
     (found,) = ratios(pooled, base)
     assert found.per_sequence == pytest.approx((2.0, 8.0))
     interval = (found.pooled.value, found.pooled.low, found.pooled.high)
@@ -45,15 +50,18 @@ def test_sequences_weigh_the_same_in_a_ratio() -> None:
 
 def test_a_ratio_that_turns_with_the_sequence_is_marked() -> None:
     """Faster on one sequence and slower on the other."""
-    base, other = _arm("base", [2.0] * 8), _arm("other", [1.0] * 4 + [8.0] * 4)
-    (found,) = ratios(Pool(("a", "b"), np.repeat([0, 1], 4), (base, other), 0), base)
+    base, other = _configuration("base", [2.0] * 8), _configuration("other", [1.0] * 4 + [8.0] * 4)
+    (found,) = ratios(CommonSteps(("a", "b"), np.repeat([0, 1], 4), (base, other), 0), base)
     assert found.turns
 
 
 def test_only_common_steps_are_compared() -> None:
     """A step that one of the two has not done says nothing about either."""
-    base, other = _arm("base", [1.0, 1.0, np.nan, 1.0]), _arm("other", [2.0, np.nan, 9.0, 2.0])
-    (found,) = ratios(Pool(("a",), np.zeros(4, dtype=int), (base, other), 0), base)
+    base, other = (
+        _configuration("base", [1.0, 1.0, np.nan, 1.0]),
+        _configuration("other", [2.0, np.nan, 9.0, 2.0]),
+    )
+    (found,) = ratios(CommonSteps(("a",), np.zeros(4, dtype=int), (base, other), 0), base)
     assert (found.steps, found.pooled.value) == (2, pytest.approx(2.0))
 
 
@@ -63,8 +71,11 @@ def test_only_common_steps_are_compared() -> None:
 )
 def test_many_sequences_are_shown_by_their_extremes(count: int, shown: list[str]) -> None:
     """One sequence needs no column of its own, and six would make the table too wide."""
-    base, other = _arm("base", [1.0] * count), _arm("other", [i + 1.0 for i in range(count)])
-    pooled = Pool(tuple("abcdef"[:count]), np.arange(count), (base, other), 0)
+    base, other = (
+        _configuration("base", [1.0] * count),
+        _configuration("other", [i + 1.0 for i in range(count)]),
+    )
+    pooled = CommonSteps(tuple("abcdef"[:count]), np.arange(count), (base, other), 0)
     (table,) = ratio_tables(pooled, base, ratios(pooled, base))
     at = table.heads.index("simultaneous interval") + 1
     assert [cell.text for cell in table.rows[0][at:-1]] == shown
@@ -92,8 +103,8 @@ def test_correction_widens_intervals() -> None:
     assert widths[1] / widths[0] == pytest.approx(3.4808 / 1.95996, rel=1e-3)
 
 
-def test_the_baseline_is_the_fastest_right_arm(records: Any) -> None:
-    """A faster arm with wrong answers is not what others are measured against."""
+def test_the_baseline_is_the_fastest_right_configuration(records: Any) -> None:
+    """A faster configuration with wrong answers is not what others are measured against."""
     records.replay("wrong", median_us=1.0, error=0.5)
     records.replay("right", median_us=10.0, policy="warm")
     records.replay("right", median_us=20.0)
@@ -109,7 +120,7 @@ def test_settings_without_effect_are_compared_once(records: Any) -> None:
     records.replay("other", median_us=5.0)
     for settings in ("high", "default"):
         records.replay("quadprog", settings=settings, spread=0.0, rounds=1)
-    assert [(a.solver, a.settings) for a in _pool(records).arms] == [
+    assert [(a.solver, a.settings) for a in _pool(records).configurations] == [
         ("other", "default"),
         ("quadprog", "default"),
     ]
@@ -142,7 +153,7 @@ def test_the_command_line_names_the_baseline(
 @pytest.mark.parametrize(
     ("named", "against", "says"),
     [
-        (None, "daqp", "the fastest arm"),
+        (None, "daqp", "the fastest configuration"),
         ("piqp", "piqp", "the fastest way of the solver chosen"),
         ("scs", "daqp", "The suite names scs as baseline, which was not replayed here."),
     ],

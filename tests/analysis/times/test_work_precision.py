@@ -1,11 +1,15 @@
-"""Settings ladders against hand-made replays, and the suite that carries them."""
+"""Settings levels_by_solver against hand-made replays, and the suite that carries them."""
 
 import math
 from typing import Any
 
 import pytest
 
-from dpbench.analysis.times.work_precision import fastest_at, native_ladders, usual_ladders
+from dpbench.analysis.times.work_precision import (
+    default_route_levels,
+    fastest_at,
+    native_route_levels,
+)
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import load_suite
 from dpbench.solvers.settings import setting_names
@@ -18,17 +22,17 @@ def test_a_rung_is_the_worst_of_its_sequences(records: Any) -> None:
     """Worst p50 and p99, largest error, of two sequences long enough for a p99."""
     records.replay("osqp", BOTH[0], median_us=10.0, spread=0.0, error=1e-5)
     records.replay("osqp", BOTH[1], median_us=30.0, spread=0.0, error=1e-3)
-    (rung,) = usual_ladders(records.view(), BOTH)["osqp"]
-    assert (rung.p50_ns, rung.p99_ns, rung.error_move) == (30e3, 30e3, 1e-3)
+    (point,) = default_route_levels(records.view(), BOTH)["osqp"]
+    assert (point.p50_ns, point.p99_ns, point.error_move) == (30e3, 30e3, 1e-3)
 
 
 def test_both_times_of_a_rung_are_of_the_same_steps(records: Any) -> None:
     """A sequence too short for a p99 gives no p50 either, or that would exceed the p99."""
     records.replay("osqp", BOTH[0], median_us=10.0, spread=0.0, error=1e-5)
     records.replay("osqp", BOTH[1], steps=500, median_us=30.0, spread=0.0, error=1e-3)
-    (rung,) = usual_ladders(records.view(), BOTH)["osqp"]
-    assert (rung.p50_ns, rung.p99_ns, rung.error_move) == (10e3, 10e3, 1e-3)
-    (short,) = usual_ladders(records.view(), BOTH[1:])["osqp"]
+    (point,) = default_route_levels(records.view(), BOTH)["osqp"]
+    assert (point.p50_ns, point.p99_ns, point.error_move) == (10e3, 10e3, 1e-3)
+    (short,) = default_route_levels(records.view(), BOTH[1:])["osqp"]
     assert short.p50_ns == 30e3 and math.isnan(short.p99_ns)
 
 
@@ -37,9 +41,9 @@ def test_a_ladder_has_its_levels_in_order_and_leaves_out_other_ways(records: Any
     for settings in ("high", "default", "low", "mid"):
         records.replay("osqp", settings=settings)
     records.replay("osqp", settings="mid", policy="warm", median_us=1.0)
-    (ladder,) = usual_ladders(records.view(), BOTH[:1]).values()
-    assert [rung.settings for rung in ladder] == ["default", "low", "mid", "high"]
-    assert {rung.policy for rung in ladder} == {"fresh"}
+    (points,) = default_route_levels(records.view(), BOTH[:1]).values()
+    assert [point.settings for point in points] == ["default", "low", "mid", "high"]
+    assert {point.policy for point in points} == {"fresh"}
 
 
 def test_a_native_ladder_takes_the_fastest_policy(records: Any) -> None:
@@ -50,10 +54,10 @@ def test_a_native_ladder_takes_the_fastest_policy(records: Any) -> None:
         way = {"route": "native", "policy": policy, "settings": "high"}
         records.replay("osqp", **way, median_us=us, spread=0.0)
     records.replay("osqp", median_us=1.0)
-    (ladder,) = native_ladders(records.view(), BOTH[:1]).values()
-    found = [(rung.policy, rung.settings, rung.p50_ns) for rung in ladder]
+    (points,) = native_route_levels(records.view(), BOTH[:1]).values()
+    found = [(point.policy, point.settings, point.p50_ns) for point in points]
     assert found == [("warm", "default", 5e3), ("warm", "high", 60e3)]
-    assert {rung.route for rung in ladder} == {"native"}
+    assert {point.route for point in points} == {"native"}
 
 
 def test_a_solver_on_one_sequence_of_two_has_no_rung(records: Any) -> None:
@@ -61,24 +65,24 @@ def test_a_solver_on_one_sequence_of_two_has_no_rung(records: Any) -> None:
     records.replay("whole", BOTH[0])
     records.replay("whole", BOTH[1])
     records.replay("half", BOTH[0])
-    assert list(usual_ladders(records.view(), BOTH)) == ["whole"]
+    assert list(default_route_levels(records.view(), BOTH)) == ["whole"]
 
 
 def test_the_fastest_at_an_accuracy_fail_no_step(records: Any) -> None:
-    """A failing rung and an inaccurate one are passed over; a tighter rung may step in."""
+    """A failing point and an inaccurate one are passed over; a tighter point may step in."""
     records.replay("failing", median_us=1.0, failed=1)
     records.replay("osqp", median_us=2.0, error=0.5)
     records.replay("osqp", median_us=30.0, settings="high")
     records.replay("daqp", median_us=10.0)
-    ladders = usual_ladders(records.view(), BOTH[:1])
-    assert fastest_at(ladders, 1e-2) == ["daqp", "osqp"]
+    levels_by_solver = default_route_levels(records.view(), BOTH[:1])
+    assert fastest_at(levels_by_solver, 1e-2) == ["daqp", "osqp"]
 
 
 @pytest.mark.parametrize("sequence", ["paper", "rough"])
 def test_the_ladder_suite_runs_every_level_of_every_solver(sequence: str) -> None:
     """Each solver whose settings matter is replayed at each of its four levels, long enough for
     a p99; the others run once and stand under all names."""
-    _, suite = load_suite("ladder")
+    _, suite = load_suite("points")
     levels = ("default", "low", "mid", "high")
     found: dict[str, set[str]] = {}
     for planned in plan(suite):

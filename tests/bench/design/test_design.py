@@ -1,4 +1,4 @@
-"""The design of the paper's controller: basin, poles, and the processes they are found in."""
+"""The design of the paper's controller: region, poles, and the processes they are found in."""
 
 from __future__ import annotations
 
@@ -70,19 +70,19 @@ def test_what_it_does_not_hold_ends_in_a_limit_cycle_of_some_five_metres(still: 
     assert 5.0 < away.max() < 6.0
 
 
-def test_the_basin_of_the_paper_lies_between_the_two(found: Designs) -> None:
+def test_the_region_of_attraction_of_the_paper_lies_between_the_two(found: Designs) -> None:
     """The edge in still water is bracketed within 1.65 to 1.8 m, to 5 %; no offset holds beyond."""
-    basin = found.records[0].basins[0]
-    assert basin.weather == "still water"
-    assert basin.bracket.fails_m is not None
-    assert 1.65 <= basin.bracket.holds_m < basin.bracket.fails_m <= 1.8
-    assert basin.bracket.fails_m - basin.bracket.holds_m <= 0.05 * basin.bracket.fails_m
-    assert basin.bracket.above_m == ()
+    region = found.records[0].regions[0]
+    assert region.weather == "still water"
+    assert region.bracket.fails_m is not None
+    assert 1.65 <= region.bracket.holds_m < region.bracket.fails_m <= 1.8
+    assert region.bracket.fails_m - region.bracket.holds_m <= 0.05 * region.bracket.fails_m
+    assert region.bracket.above_m == ()
 
 
-def test_weather_makes_the_basin_smaller_from_one_side(found: Designs) -> None:
+def test_weather_makes_the_region_of_attraction_smaller_from_one_side(found: Designs) -> None:
     """In the weather of `calm`, which pushes to starboard, port is the side that fails first."""
-    still, calm = (basin.bracket for basin in found.records[0].basins)
+    still, calm = (region.bracket for region in found.records[0].regions)
     assert calm.edge is not None
     assert calm.edge.side == "port"
     assert calm.holds_m < still.holds_m

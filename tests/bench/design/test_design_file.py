@@ -17,7 +17,7 @@ from dpbench.bench.design.design_file import (
     load_design,
     write_design,
 )
-from dpbench.bench.design.region_of_attraction import Basin
+from dpbench.bench.design.region_of_attraction import RegionOfAttraction
 from dpbench.errors import ResultsError
 
 TRIALS = (Trial(0.1 + 0.2, "holds"), Trial(0.5, "undecided", "port"), Trial(1.0, "fails"))
@@ -40,7 +40,10 @@ RECORD = DesignRecord(
     controllable=9,
     condition_scaled=673.4,
     condition_si=1.4e5,
-    basins=(Basin("calm", bracket_of(TRIALS)), Basin("still water", bracket_of(TRIALS[:1]))),
+    regions=(
+        RegionOfAttraction("calm", bracket_of(TRIALS)),
+        RegionOfAttraction("still water", bracket_of(TRIALS[:1])),
+    ),
     wall_s=8.0,
 )
 FOUND = Designs.of([RECORD], [MissingDesign("osv", "paper", "killed by SIGKILL")])
@@ -90,7 +93,7 @@ DAMAGE = {
         "records.0.condition_si: found nan",
     ),
     "an unknown verdict": (
-        _edited(lambda d: d["records"][0]["basins"][0]["bracket"]["tried"][0].update(verdict="?")),
+        _edited(lambda d: d["records"][0]["regions"][0]["bracket"]["tried"][0].update(verdict="?")),
         "tried.0.verdict: found '?'",
     ),
 }

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dpbench import condense, load_scenario
-from dpbench.bench.judge.closed_loop import GRADES, StepJudge
+from dpbench.bench.judge.closed_loop import EVALUATION, StepEvaluator
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Solution, Status
@@ -14,8 +14,8 @@ from dpbench.qp.solution import Solution, Status
 
 def judged(builder: CondensedQP, step: QPStep, answer: Solution) -> dict[str, float]:
     base = builder.problem(step)
-    judge = StepJudge(base, base, builder.scale)
-    return dict(zip(GRADES, judge.judge(step, step, answer, judge.certify(step)), strict=True))
+    judge = StepEvaluator(base, base, builder.scale)
+    return dict(zip(EVALUATION, judge.judge(step, step, answer, judge.certify(step)), strict=True))
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def step(builder: CondensedQP) -> QPStep:
 @pytest.fixture(scope="module")
 def optimum(builder: CondensedQP, step: QPStep) -> Solution:
     base = builder.problem(step)
-    found = StepJudge(base, base, builder.scale).certify(step)
+    found = StepEvaluator(base, base, builder.scale).certify(step)
     return Solution(Status.SOLVED, found.z, found.y, found.y_box)
 
 
@@ -57,9 +57,9 @@ def test_a_true_infeasible_is_true(builder: CondensedQP, step: QPStep) -> None:
     """A step whose amplitude limit cannot be reached is infeasible, and saying so is true."""
     impossible = QPStep(step.q, np.full(15, 3.0), np.full(15, 4.0))
     answer = Solution.missing(15, 15, Status.PRIMAL_INFEASIBLE)
-    grades = judged(builder, impossible, answer)
-    assert grades["true"] == 1.0
-    assert np.isnan(grades["error_move"]), "there is no optimum to be away from"
+    evaluations = judged(builder, impossible, answer)
+    assert evaluations["true"] == 1.0
+    assert np.isnan(evaluations["error_move"]), "there is no optimum to be away from"
 
 
 def test_missing_multipliers_are_found_by_the_referee(
@@ -67,8 +67,8 @@ def test_missing_multipliers_are_found_by_the_referee(
 ) -> None:
     """An exact plan without multipliers is judged by the best ones there are."""
     nan = np.full(15, np.nan)
-    grades = judged(builder, step, Solution(Status.SOLVED, optimum.z, nan, nan))
-    assert grades["true_1e6"] == 1.0
+    evaluations = judged(builder, step, Solution(Status.SOLVED, optimum.z, nan, nan))
+    assert evaluations["true_1e6"] == 1.0
 
 
 def test_error_move_looks_at_the_first_move_only(
@@ -77,18 +77,18 @@ def test_error_move_looks_at_the_first_move_only(
     """A wrong last move is an error of the plan, not of the move that is applied."""
     z = optimum.z.copy()
     z[-1] += 0.5
-    grades = judged(builder, step, Solution(Status.SOLVED, z, optimum.y, optimum.y_box))
-    assert grades["error_move"] < 1e-12
-    assert grades["error_plan"] == pytest.approx(0.5, abs=1e-12)
-    assert grades["true"] == 0.0
+    evaluations = judged(builder, step, Solution(Status.SOLVED, z, optimum.y, optimum.y_box))
+    assert evaluations["error_move"] < 1e-12
+    assert evaluations["error_plan"] == pytest.approx(0.5, abs=1e-12)
+    assert evaluations["true"] == 0.0
 
 
 def test_no_answer_is_infinitely_wrong(builder: CondensedQP, step: QPStep) -> None:
     """NaN in the iterate makes residuals and errors infinite, never small."""
-    grades = judged(builder, step, Solution.missing(15, 15, Status.SOLVED))
-    assert grades["error_move"] == grades["error_plan"] == np.inf
-    assert grades["primal"] == grades["dual"] == np.inf
-    assert grades["true"] == 0.0
+    evaluations = judged(builder, step, Solution.missing(15, 15, Status.SOLVED))
+    assert evaluations["error_move"] == evaluations["error_plan"] == np.inf
+    assert evaluations["primal"] == evaluations["dual"] == np.inf
+    assert evaluations["true"] == 0.0
 
 
 def test_raw_units_are_judged_in_scaled_ones() -> None:
@@ -98,13 +98,13 @@ def test_raw_units_are_judged_in_scaled_ones() -> None:
     x = np.array([0, 0, 0, 0, 0, 0, 1.2, 1.3, 0.0])
     theta = (x, np.zeros(3), np.zeros(3))
     step, step_si = scaled.emit(*theta), si.emit(*theta)
-    judge = StepJudge(scaled.problem(step), si.problem(step_si), si.scale)
+    judge = StepEvaluator(scaled.problem(step), si.problem(step_si), si.scale)
     best = judge.certify(step)
     scale = si.scale.z
     answer = Solution(Status.SOLVED, best.z * scale, best.y / scale, best.y_box / scale)
-    grades = dict(zip(GRADES, judge.judge(step, step_si, answer, best), strict=True))
-    assert grades["true_1e6"] == 1.0
-    assert grades["error_move"] < 1e-14
+    evaluations = dict(zip(EVALUATION, judge.judge(step, step_si, answer, best), strict=True))
+    assert evaluations["true_1e6"] == 1.0
+    assert evaluations["error_move"] < 1e-14
     answer.z[0] += 0.01 * scale[0]
-    grades = dict(zip(GRADES, judge.judge(step, step_si, answer, best), strict=True))
-    assert grades["error_move"] == pytest.approx(0.01, rel=1e-9)
+    evaluations = dict(zip(EVALUATION, judge.judge(step, step_si, answer, best), strict=True))
+    assert evaluations["error_move"] == pytest.approx(0.01, rel=1e-9)

@@ -12,14 +12,14 @@ import pandas as pd
 import pytest
 
 from dpbench import load_scenario, open_workspace, record_sequence, replay, run_closed_loop
-from dpbench.bench.judge.closed_loop import GRADES
-from dpbench.bench.judge.replay import grade_sequence
+from dpbench.bench.judge.closed_loop import EVALUATION
+from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.record.cell import Formulation
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.run.exact_loop import ExactWorkspace
 from dpbench.bench.run.formulation import in_replay
-from dpbench.bench.run.replay import ReplayArm
-from dpbench.bench.run.timed_solver import SolverPort
+from dpbench.bench.run.replay import ReplayRun
+from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario
@@ -81,7 +81,7 @@ class Planted(Workspace):
         return self._spoil(found) if self._asked == AT else found  # type: ignore[no-any-return] # the fault
 
     def reset(self) -> None:
-        """Called for the spoilt answer, and where a round begins."""
+        """Called for the disturbed answer, and where a round begins."""
         self._inside.reset()
         if self._asked != AT:
             self._asked = -1
@@ -152,25 +152,25 @@ def test_a_malformed_answer_is_one_failed_step_of_a_loop(name: str, scenario: Sc
 
 @pytest.mark.parametrize("name", MALFORMED)
 def test_a_malformed_answer_is_one_failed_step_of_a_round(name: str, recorded: QPSequence) -> None:
-    """Of each round of a replay, too; the port keeps the words."""
+    """Of each round of a replay, too; the timed_solver keeps the words."""
     formulated = in_replay("condensed_box", recorded)[1]
     spoil, words = MALFORMED[name]
-    port = SolverPort(Planted(spoil), formulated, time.perf_counter_ns)
+    timed_solver = TimedSolver(Planted(spoil), formulated, time.perf_counter_ns)
     log = RawLog.in_memory(replay_layout(2, STEPS, 15, 15))
-    arm = ReplayArm(
+    configuration = ReplayRun(
         recorded,
-        port,
+        timed_solver,
         log,
         warmup_steps=STEPS,
         limit_ns=2**62,
         clock=time.perf_counter_ns,
         preroll=0,
     )
-    assert arm.round(0) and arm.round(1)
+    assert configuration.round(0) and configuration.round(1)
     assert (log.status == Status.ERROR).sum(axis=1).tolist() == [1, 1]
     assert np.isnan(log.z[1, AT]).all()
-    (detail,) = port.details
-    assert detail.startswith(f"malformed answer: {words}") and port.details[detail] == 2
+    (detail,) = timed_solver.details
+    assert detail.startswith(f"malformed answer: {words}") and timed_solver.details[detail] == 2
 
 
 @pytest.mark.parametrize("formulation", ["condensed_stacked", "sparse"])
@@ -245,6 +245,6 @@ def test_the_status_is_part_of_an_answer() -> None:
     log.z[:], log.y[:], log.y_box[:] = -sequence.q, 0.0, 0.0
     log.status[:, 0] = (Status.SOLVED, Status.SOLVED, Status.PRIMAL_INFEASIBLE)
     log.done[:] = 1
-    graded = grade_sequence(log, sequence, 1.0)
-    assert graded.columns["grades"][:, GRADES.index("true")].tolist() == [1.0, 1.0, 0.0]
-    assert graded.metrics["bit_identical_share"] == 0.0
+    evaluated = evaluate_sequence(log, sequence, 1.0)
+    assert evaluated.columns["evaluations"][:, EVALUATION.index("true")].tolist() == [1.0, 1.0, 0.0]
+    assert evaluated.metrics["bit_identical_share"] == 0.0

@@ -22,8 +22,8 @@ from dpbench.bench.judge.memory_of_answers import (
 )
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.run.formulation import in_replay
-from dpbench.bench.run.replay import ReplayArm
-from dpbench.bench.run.timed_solver import SolverPort
+from dpbench.bench.run.replay import ReplayRun
+from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution
 from dpbench.solvers import plugins
@@ -167,12 +167,14 @@ def replayed(
     base, steps = sequence.base, len(sequence)
     log = RawLog.in_memory(replay_layout(len(attempts), steps, base.n, base.m))
     made, formulated = in_replay("condensed_box", sequence)
-    port = SolverPort(make(clock), formulated, clock)
-    arm = ReplayArm(made, port, log, warmup_steps=warm_up, limit_ns=2**62, clock=clock)
+    timed_solver = TimedSolver(make(clock), formulated, clock)
+    configuration = ReplayRun(
+        made, timed_solver, log, warmup_steps=warm_up, limit_ns=2**62, clock=clock
+    )
     for r, times in enumerate(attempts):
         for attempt in range(times):
             clock.speed = 5.0 if r == slow_round and attempt == 0 else 1.0
-            assert arm.round(r)
+            assert configuration.round(r)
     return log
 
 
@@ -189,7 +191,7 @@ def row(first: float = np.nan, loop: float = np.nan) -> dict[str, float]:
 def test_whoever_remembers_is_marked(make: type[Honest], again: int, sequence: QPSequence) -> None:
     """By bytes, by the number of the step, from round 2 on, across the warm-up: always seen.
 
-    A spoilt round 1 that is run again does not hide the first visits.
+    A disturbed round 1 that is run again does not hide the first visits.
     """
     attempts = (1, again, *(1,) * (ROUNDS - 1))
     found = ratio(replayed(make, sequence, attempts=attempts))
@@ -247,10 +249,15 @@ def test_a_table_from_disk_is_told_by_the_loop_it_steers() -> None:
     The longest loop of the same configuration and scenario counts, without a failure and on a
     computer that is not slowed.
     """
-    arm = {"scenario": "paper", "route": "native", "policy": "fresh", "settings": "default"}
-    arm |= {"formulation": "condensed_box", "units": "scaled", "slowdown": 0.0}
-    arm |= {"outcome": "finished", "failed_steps": 0}
-    loop = arm | {"mode": "closed_loop"}
+    configuration = {
+        "scenario": "paper",
+        "route": "native",
+        "policy": "fresh",
+        "settings": "default",
+    }
+    configuration |= {"formulation": "condensed_box", "units": "scaled", "slowdown": 0.0}
+    configuration |= {"outcome": "finished", "failed_steps": 0}
+    loop = configuration | {"mode": "closed_loop"}
     runs = pd.DataFrame(
         [
             loop | {"solver": "table", "steps_done": 400, "raw_p50_ns": 2e6},
@@ -259,10 +266,14 @@ def test_a_table_from_disk_is_told_by_the_loop_it_steers() -> None:
             loop | {"solver": "honest", "steps_done": 400, "raw_p50_ns": 3e4},
             loop | {"solver": "lost", "steps_done": 400, "raw_p50_ns": 9e9, "failed_steps": 1},
             loop | {"solver": "lost", "steps_done": 9, "raw_p50_ns": 9e9, "outcome": "timed_out"},
-            arm | {"mode": "replay", "solver": "table", "steps_done": 400, "raw_p50_ns": 14e3},
-            arm | {"mode": "replay", "solver": "honest", "steps_done": 400, "raw_p50_ns": 2e4},
-            arm | {"mode": "replay", "solver": "alone", "steps_done": 400, "raw_p50_ns": 2e4},
-            arm | {"mode": "replay", "solver": "lost", "steps_done": 400, "raw_p50_ns": 2e4},
+            configuration
+            | {"mode": "replay", "solver": "table", "steps_done": 400, "raw_p50_ns": 14e3},
+            configuration
+            | {"mode": "replay", "solver": "honest", "steps_done": 400, "raw_p50_ns": 2e4},
+            configuration
+            | {"mode": "replay", "solver": "alone", "steps_done": 400, "raw_p50_ns": 2e4},
+            configuration
+            | {"mode": "replay", "solver": "lost", "steps_done": 400, "raw_p50_ns": 2e4},
         ]
     ).assign(first_visit_ratio=1.0)
     found = with_loop_ratio(runs)
@@ -304,7 +315,7 @@ open = opener("table", solve)
 SUITE = """
 title = "Memory"
 solvers = ["table", "quadprog"]
-contrast = false
+baseline_law = false
 cell_limit_s = 60.0  # what a loaded machine keeps
 rounds = 3
 warmup_steps = 10

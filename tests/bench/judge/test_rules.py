@@ -10,10 +10,10 @@ import pandas as pd
 import pytest
 
 from dpbench.analysis.step_times import step_times_of
-from dpbench.bench.judge.closed_loop import CERTIFICATES, GRADES, Graded
-from dpbench.bench.judge.replay import grade_sequence
+from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
+from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.judge.rows import run_row, step_rows
-from dpbench.bench.judge.rules import counting_rows, percentile, spoilt_rounds, supports
+from dpbench.bench.judge.rules import counting_rows, disturbed_rounds, percentile, supports
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import TIMES, RawLog, replay_layout
 from dpbench.bench.record.schema import as_runs
@@ -27,13 +27,13 @@ WARM_UP_STEPS, STEPS, N = 50, 120, 2
 CALM, SLOWED = 5e4, 9e4
 
 
-def _log(probes: list[float], statuses: list[Status] | None = None) -> RawLog:
+def _log(kernel_ns: list[float], statuses: list[Status] | None = None) -> RawLog:
     """A warm-up and full rounds with the reference kernel as given, every answer the optimum 0."""
-    log = RawLog.in_memory(replay_layout(len(probes), STEPS, N, N))
-    log.done[:] = [WARM_UP_STEPS] + [STEPS] * (len(probes) - 1)
-    log.probe_ns[:] = np.array(probes)[:, None]
+    log = RawLog.in_memory(replay_layout(len(kernel_ns), STEPS, N, N))
+    log.done[:] = [WARM_UP_STEPS] + [STEPS] * (len(kernel_ns) - 1)
+    log.reference_kernel_ns[:] = np.array(kernel_ns)[:, None]
     log.times[:] = -1
-    log.times[:, :, TIMES.index("solve")] = 1000 + np.arange(len(probes))[:, None]
+    log.times[:, :, TIMES.index("solve")] = 1000 + np.arange(len(kernel_ns))[:, None]
     log.counters[:] = 1.0
     if statuses is not None:
         log.status[:, : len(statuses)] = statuses
@@ -47,36 +47,41 @@ def _sequence() -> QPSequence:
     return QPSequence("made up", base, zero, zero - 1, zero + 1)
 
 
-def _tables(graded: Graded) -> tuple[pd.DataFrame, Any]:
+def _tables(evaluated: Evaluated) -> tuple[pd.DataFrame, Any]:
     """The rows of both tables."""
     scenario = {"name": "made up"}
-    arm = {"solver": "planted", "route": "native", "policy": "fresh", "settings": "default"}
-    cell = Cell(mode="replay", scenario=scenario, steps=STEPS, rounds=3, **arm)
-    steps = step_rows("planted", cell, graded)
+    configuration = {
+        "solver": "planted",
+        "route": "native",
+        "policy": "fresh",
+        "settings": "default",
+    }
+    cell = Cell(mode="replay", scenario=scenario, steps=STEPS, rounds=3, **configuration)
+    steps = step_rows("planted", cell, evaluated)
     outcome, library = Outcome("finished", ""), Availability(True)
-    row = run_row("planted", cell, outcome, library, "", graded, steps)
+    row = run_row("planted", cell, outcome, library, "", evaluated, steps)
     return steps, as_runs(pd.DataFrame([row])).iloc[0]
 
 
-def _judged(log: RawLog) -> Graded:
-    return grade_sequence(log, _sequence(), 0.3)
+def _judged(log: RawLog) -> Evaluated:
+    return evaluate_sequence(log, _sequence(), 0.3)
 
 
 @pytest.mark.parametrize(
-    ("slowed", "rounds", "spoilt", "counting_spoilt"),
+    ("slowed", "rounds", "disturbed", "counting_disturbed"),
     [((), 3, 0, 0), ((2,), 2, 1, 0), ((1, 2, 3), 3, 3, 3), ((0,), 3, 0, 0)],
 )
 def test_the_run_counts_the_rounds_that_the_report_counts(
-    slowed: tuple[int, ...], rounds: int, spoilt: int, counting_spoilt: int
+    slowed: tuple[int, ...], rounds: int, disturbed: int, counting_disturbed: int
 ) -> None:
-    """Never the warm-up, no spoilt round; where all are spoilt, all but the warm-up, and it is
-    said."""
+    """Never the warm-up, no disturbed round; where all are disturbed, all but the warm-up, and it
+    is said."""
     steps, run = _tables(_judged(_log([SLOWED if r in slowed else CALM for r in range(4)])))
     shown = step_times_of(steps)
     assert shown is not None
     assert (run["rounds"], shown.rounds) == (rounds, rounds)
     assert run["raw_samples"] == len(shown.raw_ns) == rounds * STEPS
-    assert (run["spoilt_rounds"], run["counting_spoilt"]) == (spoilt, counting_spoilt)
+    assert (run["disturbed_rounds"], run["counting_disturbed"]) == (disturbed, counting_disturbed)
     assert run["steps_done"] == STEPS
 
 
@@ -90,31 +95,31 @@ def test_a_replay_that_ended_in_its_warm_up_has_no_figures() -> None:
     assert pd.isna(run["raw_samples"]) and np.isnan(run["error_move_max"])
 
 
-def test_a_round_is_spoilt_beyond_the_factor_of_the_best_kernel_seen() -> None:
+def test_a_round_is_disturbed_beyond_the_factor_of_the_best_kernel_seen() -> None:
     """Kernels of 4 and at most 5 are calm, 5.01 is not; one that was never timed spoils nothing."""
-    probes = np.array([[4.0, 5.0], [5.0, 5.0], [4.0, 5.01], [0.0, 4.5], [0.0, 0.0]])
+    kernel_ns = np.array([[4.0, 5.0], [5.0, 5.0], [4.0, 5.01], [0.0, 4.5], [0.0, 0.0]])
     rounds = np.arange(5, dtype=np.int32)
-    assert spoilt_rounds(rounds, probes).tolist() == [2]
-    assert spoilt_rounds(rounds, np.zeros((5, 2))).tolist() == []
+    assert disturbed_rounds(rounds, kernel_ns).tolist() == [2]
+    assert disturbed_rounds(rounds, np.zeros((5, 2))).tolist() == []
 
 
 def test_only_warm_ups_leave_nothing_to_count() -> None:
-    """Round 0 does not count, spoilt or not."""
+    """Round 0 does not count, disturbed or not."""
     repeat = np.zeros(3, dtype=np.int32)
     assert not counting_rows(repeat, np.array([True, False, True])).any()
 
 
-def _certified(kind: str, count: int, log: RawLog) -> Graded:
-    """A judgement whose first steps of each round have another certificate, as the referee has it
+def _certified(kind: str, count: int, log: RawLog) -> Evaluated:
+    """A assessment whose first steps of each round have another certificate, as the referee has it
     where there is no optimum: residuals of the answer, no error and nothing true."""
-    graded = _judged(log)
-    first = graded.columns["k"] < count
-    graded.columns["certificate"][first] = CERTIFICATES.index(kind)
+    evaluated = _judged(log)
+    first = evaluated.columns["k"] < count
+    evaluated.columns["certificate"][first] = CERTIFICATES.index(kind)
     names = ("error_move", "error_plan", "optimum_bound", "true", "true_1e4", "true_1e6")
     values = (np.nan, np.nan, np.inf, 0.0, 0.0, 0.0)
     for name, value in zip(names, values, strict=True):
-        graded.columns["grades"][first, GRADES.index(name)] = value
-    return graded
+        evaluated.columns["evaluations"][first, EVALUATION.index(name)] = value
+    return evaluated
 
 
 def test_without_a_certificate_no_claim_is_false() -> None:
@@ -130,15 +135,15 @@ def test_a_step_undecided_at_rounding_is_charged_to_nobody(status: Status) -> No
     """Whatever is answered there, it is neither failed nor false, and counted as undecided."""
     log = _log([CALM] * 3, [status] * 6)
     log.z[:, :6] = np.nan
-    graded = _certified("undecided", 6, log)
-    steps, run = _tables(graded)
+    evaluated = _certified("undecided", 6, log)
+    steps, run = _tables(evaluated)
     assert (run["uncertified"], run["undecided_steps"]) == (0, 12)
     assert (run["claimed_not_true"], run["true_not_claimed"], run["failed_steps"]) == (0, 0, 0)
     assert run["true_share"] == 1.0 and run["error_move_max"] == 0.0 and run["primal_max"] == 0.0
     times = step_times_of(steps)
     assert times is not None and times.true.all() and not times.error.any()
-    worst = worst_of(graded, "error")
-    assert worst is not None and worst.severity == 0.0
+    worst = worst_of(evaluated, "error")
+    assert worst is not None and worst.objective == 0.0
 
 
 def test_nobody_fails_where_no_point_is_feasible_but_who_answers_all_the_same() -> None:
@@ -174,7 +179,7 @@ def test_a_limit_violated_by_rounding_is_charged_to_nobody() -> None:
     base = replace(sequence.base, lb=low[0], ub=high)
     sequence = replace(sequence, base=base, lb=low, ub=np.zeros((STEPS, N)))
     for status in (Status.SOLVED, Status.PRIMAL_INFEASIBLE):
-        _, run = _tables(grade_sequence(_log([CALM] * 3, [status] * 6), sequence, 0.3))
+        _, run = _tables(evaluate_sequence(_log([CALM] * 3, [status] * 6), sequence, 0.3))
         assert (run["undecided_steps"], run["uncertified"], run["infeasible_steps"]) == (12, 0, 0)
         assert (run["claimed_not_true"], run["failed_steps"], run["true_share"]) == (0, 0, 1.0)
     exact = ExactWorkspace()

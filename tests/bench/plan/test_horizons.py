@@ -23,7 +23,7 @@ from dpbench.scenario.scenario import scenario_of
 SUITE = """
 title = "Two horizons"
 solvers = ["daqp"]
-contrast = false
+baseline_law = false
 cell_limit_s = 60.0
 rounds = 1
 warmup_steps = 2
@@ -43,7 +43,7 @@ sizes = [[5, 8]]
 
 def _suite(*horizons: str, scenario: str = "paper") -> SuiteFile:
     table = ReplayTable(scenario=scenario, steps=12, horizons=list(horizons))
-    return SuiteFile(title="x", solvers=["daqp"], contrast=False, replay=[table])
+    return SuiteFile(title="x", solvers=["daqp"], baseline_law=False, replay=[table])
 
 
 def _written(folder: Path, horizons: str) -> Path:
@@ -65,7 +65,7 @@ def test_each_pair_of_horizons_is_a_problem_of_its_own() -> None:
 def test_without_horizons_those_of_the_tuning_hold_under_the_plain_name() -> None:
     """An empty list is the scenario as it is, beside a sweep of it too."""
     plain, swept = ReplayTable(scenario="paper"), ReplayTable(scenario="paper", horizons=["9/3"])
-    suite = SuiteFile(title="x", solvers=["daqp"], contrast=False, replay=[plain, swept])
+    suite = SuiteFile(title="x", solvers=["daqp"], baseline_law=False, replay=[plain, swept])
     cells = [planned.cell for planned in plan(suite)]
     assert [cell.sequence for cell in cells] == ["paper", "paper-9-3"]
     assert cells[0].scenario == load_scenario("paper").files
@@ -102,7 +102,7 @@ def test_names_of_sweeps_must_differ_from_those_of_scenarios(tmp_path: Path) -> 
     text = Path(__file__).parents[3] / "problems" / "scenarios" / "rough.toml"
     theirs.write_text(text.read_text(encoding="utf-8"), encoding="utf-8")
     tables = [*_suite("60/10").replay, ReplayTable(scenario=str(theirs), steps=12)]
-    suite = SuiteFile(title="x", solvers=["daqp"], contrast=False, replay=tables)
+    suite = SuiteFile(title="x", solvers=["daqp"], baseline_law=False, replay=tables)
     with pytest.raises(InputError, match=r"two scenarios called 'paper-60-10'"):
         plan(suite)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dpbench.bench.campaign import run_campaign
-from dpbench.bench.plan.configurations import CONTRAST
+from dpbench.bench.plan.configurations import BASELINE_LAW
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import ClosedLoopTable, ReplayTable, SuiteFile, load_suite
 from dpbench.bench.record.cell import Cell
@@ -18,12 +18,13 @@ from dpbench.solvers.table import record
 
 
 def test_a_cell_asked_for_twice_keeps_all_names_of_its_settings() -> None:
-    """The same arm by its route's name and as the default one is one cell with both aliases."""
+    """The same configuration by its route's name and as the default one is one cell with both
+    aliases."""
     tables = [
         ReplayTable(scenario="paper", steps=20, settings=["default", "high"]),
         ReplayTable(scenario="paper", steps=20, routes=["native"]),
     ]
-    suite = SuiteFile(title="x", solvers=["paper_active_set"], contrast=False, replay=tables)
+    suite = SuiteFile(title="x", solvers=["paper_active_set"], baseline_law=False, replay=tables)
     (planned,) = plan(suite)
     assert planned.cell.settings == "default"
     assert planned.alias_settings == ("high",)
@@ -45,7 +46,7 @@ def test_the_standard_suite_runs_what_its_verdict_needs() -> None:
     places: dict[str, dict[tuple[str, str, str], dict[tuple[str, str], int]]] = {}
     for planned in plan(suite):
         cell = planned.cell
-        if planned.refused or cell.units == "si" or cell.solver in {*CALIBRATION, CONTRAST}:
+        if planned.refused or cell.units == "si" or cell.solver in {*CALIBRATION, BASELINE_LAW}:
             continue
         for settings in (cell.settings, *planned.alias_settings):
             place = (cell.mode, cell.sequence or cell.scenario_name)
@@ -67,10 +68,10 @@ def test_a_table_of_loops_may_ask_only_some_solvers_of_its_suite() -> None:
         ClosedLoopTable(scenarios=["calm"], steps=5, solvers=["daqp"]),
         ClosedLoopTable(scenarios=["rough"], steps=5, without=["daqp"]),
     ]
-    suite = SuiteFile(title="x", solvers=["daqp", "osqp"], contrast=False, closed_loop=tables)
+    suite = SuiteFile(title="x", solvers=["daqp", "osqp"], baseline_law=False, closed_loop=tables)
     cells = [(p.cell.scenario_name, p.cell.solver) for p in plan(suite)]
     assert cells == [("calm", "daqp"), ("rough", "osqp")]
-    wrong = SuiteFile(title="x", solvers=["osqp"], contrast=False, closed_loop=tables)
+    wrong = SuiteFile(title="x", solvers=["osqp"], baseline_law=False, closed_loop=tables)
     with pytest.raises(InputError, match=r"closed_loop\.solvers"):
         plan(wrong)
 
@@ -80,7 +81,7 @@ def test_vessels_multiply_the_scenarios_and_fallbacks_tell_rows_apart() -> None:
     table = ClosedLoopTable(
         scenarios=["calm", "rough"], vessels=["osv", "cybership2"], fallback="hold", steps=5
     )
-    suite = SuiteFile(title="x", solvers=["daqp"], contrast=False, closed_loop=[table])
+    suite = SuiteFile(title="x", solvers=["daqp"], baseline_law=False, closed_loop=[table])
     cells = [planned.cell for planned in plan(suite)]
     assert [cell.scenario_name for cell in cells] == [
         "calm@osv (hold)",
@@ -91,14 +92,14 @@ def test_vessels_multiply_the_scenarios_and_fallbacks_tell_rows_apart() -> None:
     assert [cell.scenario["vessel_name"] for cell in cells] == ["osv", "cybership2"] * 2
 
 
-def test_the_harness_own_arms_run_once_per_timed_sequence_and_never_steer() -> None:
+def test_the_harness_own_configurations_run_once_per_timed_sequence_and_never_steer() -> None:
     """Whatever ways a table asks for they have one; `all` does not mean them, a name does."""
     ways = {"settings": ["default", "high"], "units": ["scaled", "si"]}
     policies = {"policies": ["fresh", "warm"]}
     document = {
         "title": "x",
         "solvers": ["daqp"],
-        "contrast": False,
+        "baseline_law": False,
         "closed_loop": [{"scenarios": ["paper"], "steps": 5, **ways}],
         "replay": [
             {"scenario": "paper", "steps": 5, **ways, **policies},
@@ -113,14 +114,14 @@ def test_the_harness_own_arms_run_once_per_timed_sequence_and_never_steer() -> N
         return [cell for cell in cells if cell.solver in CALIBRATION]
 
     assert own() == [] and own(solvers=["all"]) == []
-    arms = own(calibration=True)
-    assert sorted(cell.solver for cell in arms) == sorted(CALIBRATION)
-    assert {(cell.mode, cell.route, cell.policy, cell.units) for cell in arms} == {
+    configurations = own(calibration=True)
+    assert sorted(cell.solver for cell in configurations) == sorted(CALIBRATION)
+    assert {(cell.mode, cell.route, cell.policy, cell.units) for cell in configurations} == {
         ("replay", "native", "reuse", "scaled")
     }
     assert [cell.solver for cell in own("no_op")] == ["no_op"]
     # A millisecond of waiting, five steps, five rounds and a warm-up, each run twice.
-    limits = {cell.solver: cell.limit_s for cell in arms}
+    limits = {cell.solver: cell.limit_s for cell in configurations}
     assert limits["busy_wait_1000us"] - limits["no_op"] == pytest.approx(0.06)
 
 
@@ -129,7 +130,7 @@ def test_a_replay_may_ask_only_some_solvers_of_its_suite() -> None:
 
     def solvers_of(*names: str) -> list[str]:
         table = ReplayTable(scenario="paper", steps=5, solvers=list(names))
-        suite = SuiteFile(title="x", solvers=["daqp", "osqp"], contrast=False, replay=[table])
+        suite = SuiteFile(title="x", solvers=["daqp", "osqp"], baseline_law=False, replay=[table])
         return [planned.cell.solver for planned in plan(suite)]
 
     assert solvers_of() == ["daqp", "osqp"]

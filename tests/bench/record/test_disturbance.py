@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dpbench.bench.record.disturbance import (
-    MAX_SPOILT_SHARE,
+    MAX_DISTURBED_SHARE,
     MAX_STEAL_SHARE,
     MAX_SWITCHES_PER_S,
     Disturbance,
@@ -19,7 +19,7 @@ from dpbench.bench.record.raw_log import COUNTERS, RawLog, replay_layout
 
 QUIET = Disturbance(
     rounds=100.0,
-    spoilt=100 * MAX_SPOILT_SHARE,
+    disturbed=100 * MAX_DISTURBED_SHARE,
     rerun=30.0,
     seconds=10.0,
     involuntary=10 * MAX_SWITCHES_PER_S,
@@ -74,7 +74,7 @@ def test_at_the_limits_a_machine_is_quiet() -> None:
 @pytest.mark.parametrize(
     ("field", "value", "word"),
     [
-        ("spoilt", 6.0, "spoilt"),
+        ("disturbed", 6.0, "disturbed"),
         ("involuntary", 150.0, "context switches"),
         ("steal_s", 0.2, "stolen"),
         ("throttled", 1.0, "throttle"),

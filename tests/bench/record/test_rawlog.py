@@ -32,7 +32,7 @@ def test_arrays_do_not_overlap() -> None:
 
 
 def test_discard_removes_log_and_layout(tmp_path: Path) -> None:
-    """Nothing of a graded log stays behind."""
+    """Nothing of a evaluated log stays behind."""
     path = tmp_path / "cell.raw"
     RawLog.create(path, replay_layout(1, 2, 3, 3))
     discard(path)

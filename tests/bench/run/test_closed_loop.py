@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from dpbench import load_scenario
 from dpbench.bench.record.cell import Fallback
 from dpbench.bench.record.raw_log import RawLog, loop_layout
-from dpbench.bench.run.closed_loop import Voyage, closed_loop
+from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.exact_loop import base_problem
 from dpbench.bench.run.fallback import FallbackLaw, limit_move
 from dpbench.bench.run.formulation import Box
-from dpbench.bench.run.qp_builder import Emitter
-from dpbench.bench.run.timed_solver import SolverPort
+from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.mpc.law import gains
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
@@ -58,13 +58,15 @@ class Scripted(Workspace):
 def run(
     scenario: Scenario, answer: Answer, fallback: Fallback = "shifted_plan", limit_ns: int = 2**62
 ) -> tuple[RawLog, Scripted, bool]:
-    emitter = Emitter(scenario)
-    log = RawLog.in_memory(loop_layout(scenario.steps, *emitter.sizes))
+    builder = QPBuilder(scenario)
+    log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes))
     workspace = Scripted(answer)
-    base = base_problem(emitter.builder)
-    port = SolverPort(workspace, Box(base), time.perf_counter_ns)
-    voyage = Voyage(scenario, emitter, port, log, fallback, limit_ns, time.perf_counter_ns)
-    complete = closed_loop(voyage)
+    base = base_problem(builder.condensed)
+    timed_solver = TimedSolver(workspace, Box(base), time.perf_counter_ns)
+    setup = ClosedLoopSetup(
+        scenario, builder, timed_solver, log, fallback, limit_ns, time.perf_counter_ns
+    )
+    complete = closed_loop(setup)
     return log, workspace, complete
 
 

@@ -18,7 +18,7 @@ from dpbench.bench.run.footprint import (
     threads,
 )
 from dpbench.bench.run.formulation import in_replay
-from dpbench.bench.run.timed_solver import SolverPort
+from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram
 from dpbench.solvers.calibration import COPY_ONLY, NO_OP, NoOp, open_calibration
 from dpbench.solvers.contract import Workspace
@@ -34,9 +34,9 @@ def _sequence(n: int = 3, steps: int = 12) -> QPSequence:
 
 def _measured(workspace: Workspace, n: int = 3) -> tuple[float, float, float]:
     made, formulated = in_replay("condensed_box", _sequence(n))
-    port = SolverPort(workspace, formulated, time.perf_counter_ns)
-    port.prepare()
-    return measure_steps(made, port, 10)
+    timed_solver = TimedSolver(workspace, formulated, time.perf_counter_ns)
+    timed_solver.prepare()
+    return measure_steps(made, timed_solver, 10)
 
 
 def test_no_op_holds_nothing_and_copy_only_an_answer() -> None:
@@ -78,7 +78,7 @@ def test_a_library_that_leaks_is_seen() -> None:
 
 
 def test_nothing_is_measured_without_a_step() -> None:
-    """An arm whose slowest step takes too long has no numbers instead of a hang."""
+    """A configuration whose slowest step takes too long has no numbers instead of a hang."""
     log = RawLog.in_memory(replay_layout(2, 30, 3, 3))
     log.times[:] = -1
     assert affordable_steps(log) == 30
@@ -86,8 +86,8 @@ def test_nothing_is_measured_without_a_step() -> None:
     assert affordable_steps(log) == 12, "half a second in four passes of 10 ms steps"
     log.times[1, 7, 3] = 2_000_000_000
     assert affordable_steps(log) == 0
-    port: Any = None
-    assert all(math.isnan(value) for value in measure_steps(_sequence(), port, 0))
+    timed_solver: Any = None
+    assert all(math.isnan(value) for value in measure_steps(_sequence(), timed_solver, 0))
 
 
 def test_peak_memory_counts_the_solver_and_not_the_log() -> None:

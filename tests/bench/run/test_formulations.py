@@ -1,4 +1,4 @@
-"""Formulations as an axis: the same problems, the same judgement, refused where there are none."""
+"""Formulations as an axis: the same problems, the same assessment, refused where there are none."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from dpbench.bench.plan.suite import (
     load_suite,
 )
 from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.bench.run.qp_builder import Emitter
+from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence, QuadraticProgram
@@ -110,8 +110,8 @@ def test_a_sparse_closed_loop_is_judged_true(name: str) -> None:
 
 @pytest.mark.parametrize("policy", ["fresh", "reuse"])
 def test_a_sparse_replay_is_judged_true(policy: Policy) -> None:
-    """Steps with states along the exactly solved loop; the judgement is that of the condensed
-    sequence, whose twin the solver got."""
+    """Steps with states along the exactly solved loop; the assessment is that of the condensed
+    sequence, whose sparse_equivalent the solver got."""
     sequence = record_sequence(load_scenario("paper").first(25))
     inner = open_workspace(SOLVER, route="native", policy=policy, settings=HIGH)
     run = replay(sequence, inner, repeats=2, formulation="sparse")
@@ -124,7 +124,9 @@ def test_the_twin_in_newtons_is_the_scaled_one_in_other_units() -> None:
     """Moves and forces times Δu_max, states as they are: the same problem, entry by entry. Few
     solvers survive it in N and N·m, so none is asked."""
     scenario = load_scenario("paper").first(4)
-    scaled, own = (record_sequence(scenario, units=units).twin for units in ("scaled", "si"))
+    scaled, own = (
+        record_sequence(scenario, units=units).sparse_equivalent for units in ("scaled", "si")
+    )
     assert scaled is not None and own is not None
     du, one = scenario.du_max, np.ones(9)
     moved, rest = scenario.N_c, np.ones((scenario.N_p - scenario.N_c) * 9)
@@ -151,14 +153,14 @@ def test_the_steps_of_a_sparse_replay_are_those_of_its_closed_loop() -> None:
     scenario = replace(early_loss().first(24), N_p=6, N_c=3)
     assert scenario.faults[0][0] == 20
     exact, sequence = solve_exactly(scenario), record_sequence(scenario)
-    assert sequence.twin is not None
-    twin, emitter = sequence.twin(), Emitter(scenario, sparse=True)
+    assert sequence.sparse_equivalent is not None
+    sparse_equivalent, builder = sequence.sparse_equivalent(), QPBuilder(scenario, sparse=True)
     for k in range(len(sequence)):
-        emitted, step = emitter.again(k, exact.theta[k]), twin.sequence.step(k)
+        emitted, step = builder.rebuild(k, exact.theta[k]), sparse_equivalent.sequence.step(k)
         for name in ("q", "l", "u"):
             np.testing.assert_array_equal(getattr(emitted, name), getattr(step, name))
-        found = certify(twin.sequence.problem(k))
-        from_states = twin.condensed(Solution(0, found.z, found.y, found.y_box))
+        found = certify(sparse_equivalent.sequence.problem(k))
+        from_states = sparse_equivalent.condensed(Solution(0, found.z, found.y, found.y_box))
         expected = certify(sequence.problem(k))
         np.testing.assert_allclose(from_states.z, expected.z, rtol=0, atol=1e-8)
 
@@ -179,7 +181,7 @@ def test_formulations_are_an_axis_of_the_tables() -> None:
 
 
 def _suite(solvers: tuple[str, ...] = ("daqp",), **tables: object) -> SuiteFile:
-    return SuiteFile(title="x", solvers=list(solvers), contrast=False, **tables)
+    return SuiteFile(title="x", solvers=list(solvers), baseline_law=False, **tables)
 
 
 @pytest.mark.parametrize(
@@ -202,7 +204,7 @@ def test_a_scenario_without_stages_is_a_refused_row(scenario: str, why: str) -> 
     assert no_stages(load_scenario(scenario)) == sparse.refused
     if why:
         with pytest.raises(InputError, match=why):
-            Emitter(load_scenario(scenario), sparse=True)
+            QPBuilder(load_scenario(scenario), sparse=True)
 
 
 def test_a_solver_that_needs_a_definite_cost_is_refused_the_states() -> None:
@@ -221,7 +223,7 @@ def test_a_solver_that_needs_a_definite_cost_is_refused_the_states() -> None:
 
 
 def test_a_recorded_sequence_has_no_states_to_keep(tmp_path: Path) -> None:
-    """Planned as a refused row; asked for in process, one line."""
+    """PlannedCell as a refused row; asked for in process, one line."""
     assert main(["export", "paper", "--steps", "3", "--out", str(tmp_path / "short.npz")]) == 0
     table = RecordedTable(sequence="short.npz", formulations=["condensed_box", "sparse"])
     planned = plan(_suite(recorded=[table]), beside=tmp_path)
@@ -249,13 +251,13 @@ def test_the_old_key_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 
 def test_a_campaign_shows_formulations_side_by_side(tmp_path: Path) -> None:
-    """Three formulations end to end, in processes of their own: rows, judgement and the report."""
+    """Three formulations end to end, in processes of their own: rows, assessment and the report."""
     suite = tmp_path / "three.toml"
     suite.write_text(
         """
 title = "Three formulations"
 solvers = ["clarabel", "quadprog"]
-contrast = false
+baseline_law = false
 cell_limit_s = 60.0
 rounds = 2
 warmup_steps = 5

@@ -11,7 +11,7 @@ import pytest
 from dpbench import load_scenario, open_workspace, run_closed_loop
 from dpbench.bench.judge.control_metrics import control_metrics
 from dpbench.bench.run.exact_loop import ExactLoop, sequence_of, solve_exactly
-from dpbench.bench.run.qp_builder import Emitter
+from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.scenario.problem_files import problem_names
 from dpbench.scenario.scenario import Scenario
 from dpbench.solvers.contract import Policy
@@ -26,10 +26,10 @@ def exact(name: str) -> ExactLoop:
 
 def measured(scenario: Scenario, loop: ExactLoop) -> dict[str, float]:
     """The metrics of a loop."""
-    emitter = Emitter(scenario)
-    limits = emitter.tau_min, emitter.tau_max
+    builder = QPBuilder(scenario)
+    limits = builder.tau_min, builder.tau_max
     away = loop.state, loop.tau
-    return control_metrics(scenario, loop.state, loop.tau, emitter.reference, limits, away)
+    return control_metrics(scenario, loop.state, loop.tau, builder.reference, limits, away)
 
 
 def metrics(name: str) -> dict[str, float]:

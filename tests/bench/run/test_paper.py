@@ -1,4 +1,4 @@
-"""What the paper claims, on the exactly solved loop and on its contrast law."""
+"""What the paper claims, on the exactly solved loop and on its baseline law."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ def test_paper_constrained_settles_first_and_overshoots_less(
     r = radius(scenario, exact.state)
     t = np.arange(len(r)) * scenario.sample_s
     assert r[t >= 55.0].max() <= 0.1
-    contrast = clipped(scenario)
-    assert -exact.state[:, 4].min() < -contrast["e_m"].min()
-    r_clipped = np.hypot(contrast["n_m"], contrast["e_m"]).to_numpy()
+    baseline_law = clipped(scenario)
+    assert -exact.state[:, 4].min() < -baseline_law["e_m"].min()
+    r_clipped = np.hypot(baseline_law["n_m"], baseline_law["e_m"]).to_numpy()
     assert r_clipped[t[:-1] >= 55.0].max() > 0.1
 
 
@@ -50,15 +50,15 @@ def test_paper_tight_only_the_constrained_law_holds(
     scenario, exact = loops["paper_tight"]
     late = np.arange(scenario.steps) * scenario.sample_s > 150.0
     assert radius(scenario, exact.state)[:-1][late].max() <= 0.1
-    contrast = clipped(scenario)
-    assert np.hypot(contrast["n_m"], contrast["e_m"]).to_numpy()[late].max() > 3.0
+    baseline_law = clipped(scenario)
+    assert np.hypot(baseline_law["n_m"], baseline_law["e_m"]).to_numpy()[late].max() > 3.0
 
 
 def test_calm_has_no_active_limit(loops: dict[str, tuple[Scenario, ExactLoop]]) -> None:
     """In `calm` both laws give the same force, because no limit is ever active."""
     scenario, exact = loops["calm"]
-    contrast = clipped(scenario)
-    tau = contrast[["tau_x_N", "tau_y_N", "tau_n_Nm"]].to_numpy()
+    baseline_law = clipped(scenario)
+    tau = baseline_law[["tau_x_N", "tau_y_N", "tau_n_Nm"]].to_numpy()
     np.testing.assert_allclose(tau, exact.tau, rtol=0, atol=1e-6 * scenario.du_max.min())
 
 

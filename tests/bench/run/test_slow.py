@@ -11,18 +11,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpbench import load_scenario, open_workspace, run_closed_loop
-from dpbench.bench.judge.closed_loop import GRADES, grade_log
+from dpbench.bench.judge.closed_loop import EVALUATION, evaluate_log
 from dpbench.bench.judge.deadlines import longest_streak, steps_to_recover
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import ClosedLoopTable, SuiteFile
 from dpbench.bench.record.cell import SLOWEST, Cell, Fallback
 from dpbench.bench.record.raw_log import RawLog, loop_layout
-from dpbench.bench.run.closed_loop import Voyage, closed_loop
+from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.exact_loop import base_problem, solve_exactly
 from dpbench.bench.run.formulation import Box
-from dpbench.bench.run.qp_builder import Emitter
-from dpbench.bench.run.slow_computer import WARM_UP, Pace, SlowComputer
-from dpbench.bench.run.timed_solver import SolverPort
+from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.slow_computer import WARM_UP, ComputationalDelay, SlowComputer
+from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.errors import InputError
 from dpbench.mpc.law import gains
 from dpbench.qp.program import QPStep, QuadraticProgram
@@ -80,12 +80,14 @@ def run(
     fallback: Fallback = "shifted_plan",
 ) -> RawLog:
     """A loop whose latencies are those of the workspace times the slow-down, in samples."""
-    emitter = Emitter(scenario)
-    log = RawLog.in_memory(loop_layout(scenario.steps, *emitter.sizes))
-    port = SolverPort(workspace, Box(base_problem(emitter.builder)), workspace.clock)
-    pace = Pace(slowdown, round(budget * SAMPLE_NS), SAMPLE_NS)
-    voyage = Voyage(scenario, emitter, port, log, fallback, 2**62, workspace.clock, pace)
-    assert closed_loop(voyage)
+    builder = QPBuilder(scenario)
+    log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes))
+    timed_solver = TimedSolver(workspace, Box(base_problem(builder.condensed)), workspace.clock)
+    delay = ComputationalDelay(slowdown, round(budget * SAMPLE_NS), SAMPLE_NS)
+    setup = ClosedLoopSetup(
+        scenario, builder, timed_solver, log, fallback, 2**62, workspace.clock, delay
+    )
+    assert closed_loop(setup)
     return log
 
 
@@ -273,16 +275,16 @@ def test_the_exact_loop_costs_what_the_exact_solver_pays() -> None:
 )
 def test_a_pace_that_cannot_be_is_refused_in_one_line(key: str, value: float) -> None:
     """Faster than this machine, a billion times slower, or a budget beyond the sample."""
-    pace = {key: value}
+    delay = {key: value}
     with pytest.raises(InputError, match=key):
-        run_closed_loop(load_scenario("paper").first(3), open_workspace("quadprog"), **pace)
+        run_closed_loop(load_scenario("paper").first(3), open_workspace("quadprog"), **delay)
 
 
 def test_slowdowns_are_an_axis_of_a_suite_and_leave_other_cells_alone() -> None:
     """A cell for each slow-down; one without any has the description it always had."""
     table = ClosedLoopTable(scenarios=["paper"], slowdowns=[0, 1, 100], deadline_s=0.1, steps=9)
     plain = ClosedLoopTable(scenarios=["paper"], steps=9)
-    suite = SuiteFile(title="x", solvers=["daqp"], contrast=False, closed_loop=[table, plain])
+    suite = SuiteFile(title="x", solvers=["daqp"], baseline_law=False, closed_loop=[table, plain])
     cells = [planned.cell for planned in plan(suite)]
     assert [cell.slowdown for cell in cells] == [0.0, 1.0, 100.0, 0.0]
     assert [cell.deadline_s for cell in cells] == [0.1, 0.1, 0.1, 0.0]
@@ -290,7 +292,7 @@ def test_slowdowns_are_an_axis_of_a_suite_and_leave_other_cells_alone() -> None:
     assert not {"slowdown", "deadline_s"} & set(cells[3].to_json().replace('"', " ").split())
     late = ClosedLoopTable(scenarios=["paper"], deadline_s=0.4)
     with pytest.raises(InputError, match="deadline_s"):
-        plan(SuiteFile(title="x", solvers=["daqp"], contrast=False, closed_loop=[late]))
+        plan(SuiteFile(title="x", solvers=["daqp"], baseline_law=False, closed_loop=[late]))
 
 
 def test_the_slow_computer_is_out_of_the_way_of_ordinary_loops(
@@ -318,20 +320,20 @@ def test_time_that_others_took_is_no_latency(scenario: Scenario) -> None:
         switches, used = next(looks)
         return switches, round(used * SAMPLE_NS)
 
-    emitter = Emitter(scenario.first(12))
-    log = RawLog.in_memory(loop_layout(12, *emitter.sizes))
-    port = SolverPort(workspace, Box(base_problem(emitter.builder)), workspace.clock)
-    pace = Pace(1.0, SAMPLE_NS, SAMPLE_NS)
+    builder = QPBuilder(scenario.first(12))
+    log = RawLog.in_memory(loop_layout(12, *builder.sizes))
+    timed_solver = TimedSolver(workspace, Box(base_problem(builder.condensed)), workspace.clock)
+    delay = ComputationalDelay(1.0, SAMPLE_NS, SAMPLE_NS)
     closed_loop(
-        Voyage(
+        ClosedLoopSetup(
             scenario.first(12),
-            emitter,
-            port,
+            builder,
+            timed_solver,
             log,
             "shifted_plan",
             2**62,
             workspace.clock,
-            pace,
+            delay,
             usage,
         )
     )
@@ -347,20 +349,22 @@ def test_a_model_that_turns_is_judged_on_the_steps_that_were_computed() -> None:
     """
     scenario = load_scenario("turn").first(150)
     workspace = open_workspace("quadprog")
-    emitter = Emitter(scenario)
-    log = RawLog.in_memory(loop_layout(scenario.steps, *emitter.sizes))
+    builder = QPBuilder(scenario)
+    log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes))
     ticks = iter(range(0, 10**12, SAMPLE_NS // 2))
     # Set-up, solve and read take half a sample each: an answer takes one and a half.
-    port = SolverPort(workspace, Box(base_problem(emitter.builder)), lambda: next(ticks))
-    pace = Pace(1.0, SAMPLE_NS, SAMPLE_NS)
-    voyage = Voyage(scenario, emitter, port, log, "shifted_plan", 2**62, lambda: 0, pace)
-    assert closed_loop(voyage)
+    timed_solver = TimedSolver(workspace, Box(base_problem(builder.condensed)), lambda: next(ticks))
+    delay = ComputationalDelay(1.0, SAMPLE_NS, SAMPLE_NS)
+    setup = ClosedLoopSetup(
+        scenario, builder, timed_solver, log, "shifted_plan", 2**62, lambda: 0, delay
+    )
+    assert closed_loop(setup)
     began = asked(log)
     assert began == list(range(0, 150, 2))
     cell = Cell(
         "closed_loop", scenario.files, "quadprog", "qpsolvers", "fresh", "", 150, slowdown=1.0
     )
-    graded = grade_log(cell, log, solve_exactly(scenario))
-    move = graded.columns["grades"][:, GRADES.index("error_move")]
+    evaluated = evaluate_log(cell, log, solve_exactly(scenario))
+    move = evaluated.columns["evaluations"][:, EVALUATION.index("error_move")]
     assert (move[began] < 1e-9).all() and np.isnan(np.delete(move, began)).all()
-    assert graded.metrics["matrix_steps"] > 1
+    assert evaluated.metrics["matrix_steps"] > 1

@@ -199,9 +199,9 @@ def test_a_suite_names_a_sequence_beside_it(folder: Path) -> None:
     suite = SuiteFile(title="x", solvers=["daqp"], recorded=[RecordedTable(sequence="robot")])
     (planned,) = plan(suite, beside=folder.parent)
     assert (planned.cell.sequence, planned.cell.steps) == ("robot", 3)
-    twin = folder.parent / "twin" / "robot"
-    twin.mkdir(parents=True)
-    hand_made(3.0).save(str(twin / "0.npz"))
-    both = [RecordedTable(sequence="robot"), RecordedTable(sequence=str(twin))]
+    sparse_equivalent = folder.parent / "sparse_equivalent" / "robot"
+    sparse_equivalent.mkdir(parents=True)
+    hand_made(3.0).save(str(sparse_equivalent / "0.npz"))
+    both = [RecordedTable(sequence="robot"), RecordedTable(sequence=str(sparse_equivalent))]
     with pytest.raises(InputError, match="'robot'"):
         plan(SuiteFile(title="x", solvers=["daqp"], recorded=both), beside=folder.parent)

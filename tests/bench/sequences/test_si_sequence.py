@@ -68,7 +68,7 @@ def test_bounds_in_si_are_the_rate_limits(tmp_path: Path) -> None:
 
 
 def test_read_in_si_and_written_it_is_the_same_file(tmp_path: Path) -> None:
-    """What is written is the scaled twin with the units, bit for bit."""
+    """What is written is the scaled form with the units, bit for bit."""
     path = saved("paper", tmp_path / "one.npz")
     again = tmp_path / "two.npz"
     documents = record(load_scenario("paper"), steps=5).documents

@@ -18,7 +18,7 @@ import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.bench.campaign import Campaign
-from dpbench.bench.plan.cells import Planned
+from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import RawLog, is_whole, replay_layout
 from dpbench.bench.record.result_folder import accidents
@@ -26,7 +26,7 @@ from dpbench.bench.sequences.source import is_sound
 from dpbench.bench.workers import child as supervise
 from dpbench.bench.workers import interleaved as interleave
 from dpbench.bench.workers import scratch
-from dpbench.bench.workers.executor import CellStore, Job
+from dpbench.bench.workers.executor import CellJob, CellStore
 from dpbench.cli.main import main
 from dpbench.solvers import plugins
 
@@ -34,7 +34,7 @@ STEPS = 8
 SUITE = f"""
 title = "A suite for one test"
 solvers = ["quadprog"]
-contrast = false
+baseline_law = false
 cell_limit_s = 60.0
 rounds = 1
 warmup_steps = 0
@@ -206,14 +206,15 @@ def test_a_library_that_dies_when_it_is_let_go_costs_no_cell(
 
 
 def test_a_worker_that_died_between_rounds_ends_no_campaign(tmp_path: Path) -> None:
-    """Nobody is at the other end when the next round is asked for: that arm serves no more."""
+    """Nobody is at the other end when the next round is asked for: that configuration serves no
+    more."""
     ours, theirs = Pipe()
     theirs.close()
     cell = cast(Cell, SimpleNamespace(limit_s=1.0))
-    arm = interleave._Arm("a", cell, cast(supervise.Child, None), ours)
+    configuration = interleave._Arm("a", cell, cast(supervise.Child, None), ours)
     group = interleave.ReplayGroup(cast(Any, None), tmp_path, tmp_path, 0, [])
-    group._serve(arm, 1)
-    assert not arm.serving
+    group._serve(configuration, 1)
+    assert not configuration.serving
 
 
 def mounted(size: str) -> list[str]:
@@ -386,7 +387,7 @@ def test_a_source_damaged_after_it_was_looked_at(
 def test_a_damaged_cell_is_not_finished(suffix: str, damage: str, copied: Path) -> None:
     """Nothing of it is relied on, whichever of its two files is damaged."""
     cells = copied / "out" / "cells"
-    job = Job(cast(Planned, None), load_results(copied / "out").runs["run_id"].iloc[0], "")
+    job = CellJob(cast(PlannedCell, None), load_results(copied / "out").runs["run_id"].iloc[0], "")
     known = CellStore(cells).finished(job)
     assert known is not None and known.outcome == "finished"
     DAMAGE[damage](cells / f"{job.run_id}.{suffix}")
@@ -396,7 +397,7 @@ def test_a_damaged_cell_is_not_finished(suffix: str, damage: str, copied: Path) 
 def test_an_outcome_nobody_knows_is_none(copied: Path) -> None:
     """What stands in a cell's JSON is believed only where it is an outcome of a cell."""
     cells = copied / "out" / "cells"
-    job = Job(cast(Planned, None), load_results(copied / "out").runs["run_id"].iloc[0], "")
+    job = CellJob(cast(PlannedCell, None), load_results(copied / "out").runs["run_id"].iloc[0], "")
     path = cells / f"{job.run_id}.json"
     for outcome in ("splendid", "lost"):
         path.write_text(json.dumps({"outcome": outcome, "detail": "", "with_steps": True}))

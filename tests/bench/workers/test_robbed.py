@@ -18,8 +18,8 @@ ROUND_S = 0.1
 
 
 @dataclass
-class Arm:
-    """An arm whose rounds take `ROUND_S`."""
+class Replayed:
+    """A configuration whose rounds take `ROUND_S`."""
 
     run_id: str
     cell: Cell
@@ -27,9 +27,9 @@ class Arm:
     spent_s: float = 0.0
 
 
-def arm(name: str, budget_s: float) -> Arm:
-    """An arm with a budget for repetitions."""
-    return Arm(
+def configuration(name: str, budget_s: float) -> Replayed:
+    """A configuration with a budget for repetitions."""
+    return Replayed(
         name, Cell("replay", {}, name, "native", "fresh", "default", 2, repeat_budget_s=budget_s)
     )
 
@@ -38,67 +38,74 @@ def recorded(*busy: int) -> RawLog:
     """A log of finished rounds, in those of `busy` the load kernel is slow."""
     log = RawLog.in_memory(replay_layout(ROUNDS + 1, 2, 1, 1))
     log.done[:] = 2
-    log.load_ns[:] = QUIET_NS
-    log.load_ns[list(busy)] = BUSY_NS
+    log.load_kernel_ns[:] = QUIET_NS
+    log.load_kernel_ns[list(busy)] = BUSY_NS
     log.counters[:, 0] = ROUND_S
     return log
 
 
-def served(arms: list[Arm], logs: dict[str, RawLog], level_ns: float) -> list[tuple[str, int]]:
+def served(
+    configurations: list[Replayed], logs: dict[str, RawLog], level_ns: float
+) -> list[tuple[str, int]]:
     """What `repeat_robbed` has served again, in rounds whose load kernel then takes `level_ns`."""
     again = []
 
-    def serve(one: Arm, r: int) -> None:
+    def serve(one: Replayed, r: int) -> None:
         again.append((one.run_id, r))
         one.spent_s += ROUND_S
-        logs[one.run_id].load_ns[r] = level_ns
+        logs[one.run_id].load_kernel_ns[r] = level_ns
 
-    repeat_robbed(arms, logs, serve, random.Random(0))
+    repeat_robbed(configurations, logs, serve, random.Random(0))
     return again
 
 
 def test_robbed_rounds_run_again_until_they_are_quiet() -> None:
     """Each once where the second attempt is quiet; the warm-up and quiet rounds never."""
-    arms = [arm("a", 10.0), arm("b", 10.0)]
+    configurations = [configuration("a", 10.0), configuration("b", 10.0)]
     logs = {"a": recorded(0, 1, 3), "b": recorded()}
-    assert sorted(served(arms, logs, QUIET_NS)) == [("a", 1), ("a", 3)]
+    assert sorted(served(configurations, logs, QUIET_NS)) == [("a", 1), ("a", 3)]
 
 
 def test_on_a_quiet_machine_nothing_runs_again() -> None:
     """Rounds up to the factor above the quietest are quiet."""
     logs = {"a": recorded()}
-    logs["a"].load_ns[2] = ROBBED_FACTOR * QUIET_NS
-    assert served([arm("a", 10.0)], logs, QUIET_NS) == []
+    logs["a"].load_kernel_ns[2] = ROBBED_FACTOR * QUIET_NS
+    assert served([configuration("a", 10.0)], logs, QUIET_NS) == []
 
 
 @pytest.mark.parametrize(("budget_s", "times"), [(0.0, 0), (0.25, 2), (0.45, 4)])
 def test_the_budget_ends_it_where_the_machine_stays_busy(budget_s: float, times: int) -> None:
-    """As many repetitions as the budget holds, of every arm alike; none without one."""
-    arms = [arm("a", budget_s), arm("b", budget_s)]
+    """As many repetitions as the budget holds, of every configuration alike; none without one."""
+    configurations = [configuration("a", budget_s), configuration("b", budget_s)]
     logs = {"a": recorded(1, 2), "b": recorded(1)}
-    again = served(arms, logs, BUSY_NS)
+    again = served(configurations, logs, BUSY_NS)
     assert [name for name, _ in again].count("a") == times
     assert [name for name, _ in again].count("b") == times
 
 
-def test_a_busy_run_of_one_arm_is_told_by_the_others() -> None:
-    """What is quiet is the quietest round of any arm: an arm that saw none is robbed throughout."""
-    arms = [arm("a", 10.0), arm("b", 10.0)]
+def test_a_busy_run_of_one_configuration_is_told_by_the_others() -> None:
+    """What is quiet is the quietest round of any configuration: a configuration that saw none is
+    robbed throughout."""
+    configurations = [configuration("a", 10.0), configuration("b", 10.0)]
     logs = {"a": recorded(1, 2, 3, 4), "b": recorded()}
-    assert sorted(served(arms, logs, QUIET_NS)) == [("a", r) for r in range(1, ROUNDS + 1)]
+    assert sorted(served(configurations, logs, QUIET_NS)) == [
+        ("a", r) for r in range(1, ROUNDS + 1)
+    ]
 
 
-def test_an_arm_that_stopped_is_left_alone() -> None:
+def test_a_configuration_that_stopped_is_left_alone() -> None:
     """One that died while a round was repeated gets no further one."""
-    dying = arm("a", 10.0)
+    dying = configuration("a", 10.0)
     logs = {"a": recorded(1, 2)}
     again = []
 
-    def serve(one: Arm, r: int) -> None:
+    def serve(one: Replayed, r: int) -> None:
         again.append(r)
         one.serving = False
 
-    repeat_robbed([dying, arm("b", 10.0)], logs | {"b": recorded()}, serve, random.Random(0))
+    repeat_robbed(
+        [dying, configuration("b", 10.0)], logs | {"b": recorded()}, serve, random.Random(0)
+    )
     assert len(again) == 1
 
 
@@ -106,14 +113,14 @@ def test_step_times_choose_no_round() -> None:
     """Ten times as long steps beside a quiet load kernel are the solver's, and stay as they are."""
     slow = recorded()
     slow.times[2] = 10 * QUIET_NS
-    assert served([arm("a", 10.0)], {"a": slow}, QUIET_NS) == []
+    assert served([configuration("a", 10.0)], {"a": slow}, QUIET_NS) == []
 
 
 def test_the_level_of_a_round_is_that_of_its_quieter_side() -> None:
     """Median of the passes, so that one interrupted pass is none; NaN where nothing counts."""
     log = recorded()
-    log.load_ns[1, 0] = BUSY_NS
-    log.load_ns[2, :, 0] = 100 * BUSY_NS
+    log.load_kernel_ns[1, 0] = BUSY_NS
+    log.load_kernel_ns[2, :, 0] = 100 * BUSY_NS
     log.done[3] = 0
     found = load_levels(log)
     assert LOAD_PASSES >= 3

@@ -66,20 +66,21 @@ def test_who_is_at_work_when_a_process_ends_has_ended_it(
 def test_what_the_harness_raises_is_not_charged_to_the_solver(
     context: ForkServerContext, tmp_path: Path
 ) -> None:
-    """An error of the harness in the midst of a loop is `lost`; one through the port is not."""
+    """An error of the harness in the midst of a loop is `lost`; one through the timed_solver is
+    not."""
     raises = "raise OSError(28, 'No space left on device')"
     said = "OSError: [Errno 28] No space left on device"
     assert ended(context, tmp_path, SOLVER + raises) == ("lost", said)
     through = (
         "from types import SimpleNamespace as N\n"
-        "from dpbench.bench.run.timed_solver import SolverPort\n"
+        "from dpbench.bench.run.timed_solver import TimedSolver\n"
         "def setup(qp): raise ValueError('bad matrix')\n"
         "work = N(setup_every_step=False, setup=setup)\n"
         "import numpy as np\n"
         "from dpbench.qp.program import QuadraticProgram\n"
         "one = np.ones(1)\n"
         "base = QuadraticProgram(np.eye(1), one, np.eye(1), -one, one, -one, one)\n"
-        "SolverPort(work, N(step=None, base=base), time.perf_counter_ns).prepare()"
+        "TimedSolver(work, N(step=None, base=base), time.perf_counter_ns).prepare()"
     )
     assert ended(context, tmp_path, SOLVER + through) == ("crashed", "ValueError: bad matrix")
 

@@ -20,7 +20,7 @@ from dpbench.qp.residuals import best_multipliers, is_true, residuals
 from dpbench.qp.solution import Solution, Status
 
 BOUND = 1e-9
-"""What the judgement of errors of 1e-6 and more needs, with room to spare."""
+"""What the assessment of errors of 1e-6 and more needs, with room to spare."""
 ROLES = ("strict", "weak", "equal", "inactive", "one_sided", "free", "copy_strict", "copy_weak")
 
 

@@ -14,7 +14,7 @@ from dpbench.qp.referee.feasibility.farkas import (
     farkas_valid,
     unbounded_valid,
 )
-from dpbench.qp.referee.referee import certify, error_of, judge_claim
+from dpbench.qp.referee.referee import certify, claim_is_true, error_of
 from dpbench.qp.solution import Solution, Status
 
 INF = np.inf
@@ -141,7 +141,7 @@ def test_crossed_limits(row: bool) -> None:
 
 
 def _claim(qp: QuadraticProgram, status: Status) -> bool:
-    return judge_claim(qp, Solution.missing(qp.n, qp.m, status), certify(qp))
+    return claim_is_true(qp, Solution.missing(qp.n, qp.m, status), certify(qp))
 
 
 def test_a_false_infeasible_is_as_wrong_as_a_false_solved() -> None:
@@ -155,8 +155,8 @@ def test_a_false_infeasible_is_as_wrong_as_a_false_solved() -> None:
     assert not _claim(full, Status.DUAL_INFEASIBLE)
     assert not _claim(empty, Status.SOLVED)
     forged = Solution(Status.PRIMAL_INFEASIBLE, np.zeros(3), y, -(y @ empty.A))
-    assert not judge_claim(full, forged, certify(full))
-    assert judge_claim(empty, forged, certify(full))
+    assert not claim_is_true(full, forged, certify(full))
+    assert claim_is_true(empty, forged, certify(full))
 
 
 def test_unbounded_problems() -> None:

@@ -1,4 +1,4 @@
-"""The paper's active-set method on problems built from their optimum, and on hopeless ones."""
+"""The paper's active-set method on problems built from their optimum, and on infeasible ones."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def test_what_it_calls_solved_the_referee_finds_true(seed):
         answer, qp = solver.read(), base.at(step)
         optimum = referee.certify(qp.q, qp.l, qp.u)
         if not answer.claimed:
-            # Limits through one point that rounding has moved apart: hopeless.
+            # Limits through one point that rounding has moved apart: infeasible.
             assert optimum.kind != "linear"
             solver.reset()
             continue

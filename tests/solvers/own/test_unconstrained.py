@@ -1,4 +1,4 @@
-"""The contrast law."""
+"""The baseline law."""
 
 from __future__ import annotations
 

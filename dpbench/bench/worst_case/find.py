@@ -1,9 +1,10 @@
-"""`dpbench hunt`: the worst step of one solver, searched for over starts and disturbances.
+"""`dpbench worst-case`: the worst step of one solver, searched for over starts and disturbances.
 
-A point of the `HuntSpace` makes a scenario; its exactly solved loop gives a short sequence of QPs;
-the solver answers it in a process of its own; the worst step of the judged answers is the point's
-score. Differential evolution (Storn & Price 1997, J. Global Optimization 11, as in SciPy) from a
-Sobol sample climbs it. Chance has a part by the seed only: the same versions find the same case.
+A point of the `SearchSpace` makes a scenario; its exactly solved loop gives a short sequence of
+QPs; the solver answers it in a process of its own; the worst step of the judged answers is the
+point's score. Differential evolution (Storn & Price 1997, J. Global Optimization 11, as in SciPy)
+from a Sobol sample climbs it. Chance has a part by the seed only: the same versions find the same
+case.
 """
 
 from __future__ import annotations
@@ -12,19 +13,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
-from dpbench.bench.plan.configurations import Arm, module_of, refusal_of
+from dpbench.bench.plan.configurations import Configuration, module_of, refusal_of
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.run.qp_builder import Emitter
+from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.sequences.sequence_file import save_sequence
 from dpbench.bench.workers.child import template_context
 from dpbench.bench.workers.interrupts import one_interrupt
 from dpbench.bench.workers.scratch import scratch_folder
 from dpbench.bench.worst_case.goal import Goal, Worst
-from dpbench.bench.worst_case.hunt_input import check_input, make_room, output_path
-from dpbench.bench.worst_case.process import HuntedSolver
+from dpbench.bench.worst_case.process import SearchedSolver
+from dpbench.bench.worst_case.request import check_input, make_room, output_path
 from dpbench.bench.worst_case.search import Case, Search
-from dpbench.bench.worst_case.space import HuntSpace
+from dpbench.bench.worst_case.space import SearchSpace
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import Scenario, load_scenario
 from dpbench.solvers.contract import Policy, Route
@@ -40,12 +41,12 @@ _WORDS = {"timed_out": "slow"}
 
 
 @dataclass(frozen=True, eq=False)
-class Hunt:
-    """What a hunt found.
+class WorstCase:
+    """What a search found.
 
     Parameters
     ----------
-    goal, cell : what was hunted, and how it was run on which scenario.
+    goal, cell : what was solver_process, and how it was run on which scenario.
     search : baseline, best case and failures.
     path : where the best case is saved; nothing is there where there is none.
     failures : where the first case of each failure is saved, by its name in `search.failures`.
@@ -66,13 +67,13 @@ class Hunt:
     def beats_baseline(self) -> bool:
         """Whether it is worse than any step of the scenario itself."""
         own = self.search.baseline
-        return self.worst is not None and (own is None or self.worst.severity > own.severity)
+        return self.worst is not None and (own is None or self.worst.objective > own.objective)
 
     @property
     def lines(self) -> list[str]:
         """The findings in plain words, a line each."""
         search, cell, worst = self.search, self.cell, self.worst
-        arm = f"{cell.solver} {cell.route} {cell.policy} {cell.settings}"
+        configuration = f"{cell.solver} {cell.route} {cell.policy} {cell.settings}"
         found = "nothing found"
         if worst is not None:
             found = f"{worst.figure(self.goal)} at step {worst.step} of {self.path}"
@@ -85,7 +86,7 @@ class Hunt:
             "" if worst is None else "worse than " if self.beats_baseline else "not worse than "
         )
         lines = [
-            f"{arm}: {found}; {search.evaluations} cases tried{early}",
+            f"{configuration}: {found}; {search.evaluations} cases tried{early}",
             f"{beside}the {cell.steps} steps of {cell.scenario_name} itself: {own}",
         ]
         for what, path in self.failures.items():
@@ -95,7 +96,7 @@ class Hunt:
         return lines
 
 
-def hunt(
+def find_worst_case(
     solver: str,
     *,
     scenario: str | Path = "paper",
@@ -109,7 +110,7 @@ def hunt(
     out: str | Path | None = None,
     solver_module: str | Path | None = None,
     progress: Progress | None = None,
-) -> Hunt:
+) -> WorstCase:
     """Search for the worst step of a solver and save its sequence, which replays to the same.
 
     Parameters
@@ -117,17 +118,17 @@ def hunt(
     scenario : whose ship, controller and weather the cases share; goal : as in `worst_of`.
     route, policy, settings : how the solver is run; None is native where it has that route.
     budget : cases tried; steps : length of each; seed : of the search.
-    out : the `.npz`; by default `hunts/<solver>-<goal>.npz`. A case that crashes or hangs the
+    out : the `.npz`; by default `worst-cases/<solver>-<goal>.npz`. A case that crashes or hangs the
         solver goes beside it.
-    progress : told how far the hunt is.
+    progress : told how far the search is.
 
     Returns
     -------
-    The hunt. Ctrl-C ends it early with the best case so far.
+    The search. Ctrl-C ends it early with the best case so far.
 
     Raises
     ------
-    InputError : for bad input, or an arm that cannot run.
+    InputError : for bad input, or a configuration that cannot run.
     """
     if solver_module is not None:
         load_solver_module(solver_module)
@@ -136,10 +137,10 @@ def hunt(
     base = load_scenario(scenario)
     cell = _cell(solver, route, policy, settings, base)
     make_room(path)
-    space = HuntSpace(base, steps, f"{base.name}-hunt-{solver}-{goal}")
+    space = SearchSpace(base, steps, f"{base.name}-worst-{solver}-{goal}")
     with one_interrupt():
         search = _searched(cell, space, goal, budget, base, seed, progress or Silent())
-        return _saved(Hunt(goal, cell, search, path, {}), seed)
+        return _saved(WorstCase(goal, cell, search, path, {}), seed)
 
 
 def _cell(solver: str, route: Route | None, policy: Policy, settings: str, base: Scenario) -> Cell:
@@ -156,9 +157,9 @@ def _cell(solver: str, route: Route | None, policy: Policy, settings: str, base:
     names = setting_names(solver)
     if settings not in names:
         raise InputError("--settings", "", repr(settings), f"of {solver}: {', '.join(names)}")
-    reason = refusal_of(Arm(solver, chosen, policy, "scaled", settings))
+    reason = refusal_of(Configuration(solver, chosen, policy, "scaled", settings))
     if reason:
-        raise InputError(f"solver {solver}", "", reason, "an arm that can run")
+        raise InputError(f"solver {solver}", "", reason, "a configuration that can run")
     return Cell(
         mode="replay",
         scenario=base.files,
@@ -174,7 +175,7 @@ def _cell(solver: str, route: Route | None, policy: Policy, settings: str, base:
 
 def _searched(
     cell: Cell,
-    space: HuntSpace,
+    space: SearchSpace,
     goal: Goal,
     budget: int,
     base: Scenario,
@@ -183,28 +184,28 @@ def _searched(
 ) -> Search:
     """The search, done or interrupted; its solver's process has ended."""
     with scratch_folder() as folder:
-        hunted = HuntedSolver(template_context(), Path(folder), cell)
+        solver_process = SearchedSolver(template_context(), Path(folder), cell)
         try:
-            search = Search(hunted, space, goal, budget, progress)
+            search = Search(solver_process, space, goal, budget, progress)
             search.run(base, seed)
         finally:
-            hunted.close()
+            solver_process.close()
     return search
 
 
-def _saved(hunt: Hunt, seed: int) -> Hunt:
+def _saved(worst_case: WorstCase, seed: int) -> WorstCase:
     """Write what was found."""
-    search, cell, path = hunt.search, hunt.cell, hunt.path
+    search, cell, path = worst_case.search, worst_case.cell, worst_case.path
     facts: dict[str, Any] = {
-        "hunt_goal": hunt.goal,
-        "hunt_solver": cell.solver,
-        "hunt_solver_version": available(cell.solver).version,
-        "hunt_route": cell.route,
-        "hunt_policy": cell.policy,
-        "hunt_settings": cell.settings,
-        "hunt_scenario": cell.scenario_name,
-        "hunt_seed": seed,
-        "hunt_evaluations": search.evaluations,
+        "worst_case_goal": worst_case.goal,
+        "worst_case_solver": cell.solver,
+        "worst_case_solver_version": available(cell.solver).version,
+        "worst_case_route": cell.route,
+        "worst_case_policy": cell.policy,
+        "worst_case_settings": cell.settings,
+        "worst_case_scenario": cell.scenario_name,
+        "worst_case_seed": seed,
+        "worst_case_evaluations": search.evaluations,
     }
     if search.best is not None:
         _write(path, search.best, facts)
@@ -214,21 +215,21 @@ def _saved(hunt: Hunt, seed: int) -> Hunt:
     }
     for what, place in places.items():
         _write(place, search.failures[what][1], facts)
-    return replace(hunt, failures=places)
+    return replace(worst_case, failures=places)
 
 
 def _write(path: Path, case: Case, facts: dict[str, Any]) -> None:
     scenario, worst = case.scenario, case.worst
-    found: dict[str, Any] = {"hunt_outcome": case.outcome.outcome}
+    found: dict[str, Any] = {"worst_case_outcome": case.outcome.outcome}
     if worst is not None:
         found |= {
-            "hunt_step": worst.step,
-            "hunt_iterations": worst.iterations,
+            "worst_case_step": worst.step,
+            "worst_case_iterations": worst.iterations,
             # JSON has no word for an infinite error.
-            "hunt_error_plan": repr(worst.error_plan),
-            "hunt_status": worst.status.name.lower(),
+            "worst_case_error_plan": repr(worst.error_plan),
+            "worst_case_status": worst.status.name.lower(),
         }
     horizons = {"N_p": scenario.N_p, "N_c": scenario.N_c}
     sequence = replace(case.sequence, meta=case.sequence.meta | horizons | facts | found)
-    units = Emitter(scenario, "si").builder.scale
+    units = QPBuilder(scenario, "si").condensed.scale
     save_sequence(path, sequence, units=units, documents=scenario.files)

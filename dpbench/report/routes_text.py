@@ -14,9 +14,9 @@ from dpbench.analysis.times.routes import (
     WRAPPED,
     WRAPPED_WARM,
     Comparison,
-    Way,
-    Ways,
-    way_text,
+    RouteComparison,
+    RoutePolicy,
+    route_policy_text,
 )
 from dpbench.errors import UnknownNameError
 from dpbench.report.formats import (
@@ -36,7 +36,7 @@ NAMED_STEPS = 8
 KEEPING = {"reuse": "a kept workspace", "warm": "a warm start"}
 
 
-def remarks(ways: Ways, comparisons: int) -> list[str]:
+def remarks(ways: RouteComparison, comparisons: int) -> list[str]:
     """Plain clauses about one solver at one settings level; none when nothing stands out.
 
     comparisons : how many intervals are to hold together.
@@ -50,7 +50,7 @@ def remarks(ways: Ways, comparisons: int) -> list[str]:
     return clauses + _kept_beside_wrapped(ways, comparisons)
 
 
-def beside_wrapped(sequence: str, ways: Sequence[Ways]) -> str:
+def beside_wrapped(sequence: str, ways: Sequence[RouteComparison]) -> str:
     """How many solvers are faster kept natively than through qpsolvers; empty without any."""
     ratios = {
         w.solver: found.gain.value
@@ -69,7 +69,7 @@ def beside_wrapped(sequence: str, ways: Sequence[Ways]) -> str:
     )
 
 
-def _breaks(ways: Ways) -> list[str]:
+def _breaks(ways: RouteComparison) -> list[str]:
     """Answers that a kept workspace or a warm start breaks."""
     clauses = []
     for way in (WRAPPED_WARM, KEPT, WARM):
@@ -79,14 +79,15 @@ def _breaks(ways: Ways) -> list[str]:
             more = ", …" if len(found.wrong) > NAMED_STEPS else ""
             be = "is" if len(found.wrong) == 1 else "are"
             clauses.append(
-                f"{way_text(way)} breaks answers: {len(found.wrong)} of "
-                f"{plural(found.steps, 'step')} {be} not true on which {way_text(found.above)} is "
+                f"{route_policy_text(way)} breaks answers: {len(found.wrong)} of "
+                f"{plural(found.steps, 'step')} {be} not true on which "
+                f"{route_policy_text(found.above)} is "
                 f"right (k = {named}{more}){_kept_state(ways, way)}"
             )
     return clauses
 
 
-def _kept_state(ways: Ways, way: Way) -> str:
+def _kept_state(ways: RouteComparison, way: RoutePolicy) -> str:
     """Why a kept workspace answers otherwise than a new one, where the table of solvers knows."""
     try:
         keeps = record(ways.solver).on("native").keeps if way == KEPT else ""
@@ -97,12 +98,12 @@ def _kept_state(ways: Ways, way: Way) -> str:
     return f": it keeps {keeps}, so at a loose tolerance it stops elsewhere than a new one"
 
 
-def _costs(ways: Ways, way: Way, comparisons: int) -> list[str]:
+def _costs(ways: RouteComparison, way: RoutePolicy, comparisons: int) -> list[str]:
     """A clause when a kept workspace or a warm start costs time, or does so on many steps."""
     found = ways.compare(way, ways.neighbour(way), comparisons)
     if found is None:
         return []
-    beside, name = way_text(found.above), way_text(way)
+    beside, name = route_policy_text(found.above), route_policy_text(way)
     more = iterations_text(ways.times[way], ways.times[found.above])
     count = plural(found.steps, "step")
     if found.gain.high < 1.0 and found.gain.value < 1.0 / (1.0 + SLOWER_SHARE):
@@ -121,7 +122,7 @@ def _costs(ways: Ways, way: Way, comparisons: int) -> list[str]:
 
 
 def iterations_text(mine: StepTimes, theirs: StepTimes) -> str:
-    """The mean iterations of two arms where they differ; empty where they do not."""
+    """The mean iterations of two configurations where they differ; empty where they do not."""
     a, b = mine.iterations[1], theirs.iterations[1]
     if not (math.isfinite(a) and math.isfinite(b)) or significant(a) == significant(b):
         return ""
@@ -134,7 +135,7 @@ def _times(found: Comparison) -> str:
     return f"{significant(1 / gain.value)} times {interval_text(1 / gain.high, 1 / gain.low)}"
 
 
-def _kept_beside_wrapped(ways: Ways, comparisons: int) -> list[str]:
+def _kept_beside_wrapped(ways: RouteComparison, comparisons: int) -> list[str]:
     """A clause when neither reuse nor warm is as fast as the solver's own qpsolvers fresh."""
     best = ways.best_kept
     found = ways.compare(best, WRAPPED, comparisons) if best else None
@@ -142,20 +143,21 @@ def _kept_beside_wrapped(ways: Ways, comparisons: int) -> list[str]:
         return []
     if found.gain.high >= 1.0:
         return [
-            f"{way_text(best)} cannot be told apart from its own qpsolvers fresh "
+            f"{route_policy_text(best)} cannot be told apart from its own qpsolvers fresh "
             f"(× {significant(1 / found.gain.value)})"
         ]
     return [_slower_than_wrapped(ways, best, found)]
 
 
-def _slower_than_wrapped(ways: Ways, way: Way, found: Comparison) -> str:
+def _slower_than_wrapped(ways: RouteComparison, way: RoutePolicy, found: Comparison) -> str:
     return (
-        f"{way_text(way)} takes {_times(found)} as long as its own qpsolvers fresh; the rows show "
+        f"{route_policy_text(way)} takes {_times(found)} as long as its own qpsolvers fresh; "
+        "the rows show "
         f"{and_list(evidence(ways, way))}"
     )
 
 
-def evidence(ways: Ways, way: Way) -> list[str]:
+def evidence(ways: RouteComparison, way: RoutePolicy) -> list[str]:
     """What the rows show about the time of a native way beside qpsolvers fresh."""
     mine, theirs = ways.times[way], ways.times[WRAPPED]
     shown = []
@@ -173,7 +175,7 @@ def evidence(ways: Ways, way: Way) -> list[str]:
     return [*shown, f"against a solve of {time_text(theirs.phase_ns['solve'])} through qpsolvers"]
 
 
-def remark_lines(ways: Sequence[Ways]) -> list[tuple[str, str, str]]:
+def remark_lines(ways: Sequence[RouteComparison]) -> list[tuple[str, str, str]]:
     """Solver, settings and sentence for all in which something stands out."""
     lines = []
     for w in ways:

@@ -1,4 +1,4 @@
-"""What `dpbench hunt` is asked for, and whether that can be; said before anything runs."""
+"""What `dpbench worst-case` is asked for, and whether that can be; said before anything runs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def check_input(goal: str, budget: int, steps: int, seed: int) -> None:
 
 def output_path(out: str | Path | None, solver: str, goal: Goal) -> Path:
     """Where the worst case is saved; InputError for a name of another kind of file."""
-    path = Path("hunts") / f"{solver}-{goal}.npz" if out is None else Path(out)
+    path = Path("worst-cases") / f"{solver}-{goal}.npz" if out is None else Path(out)
     if path.suffix != ".npz":
         raise InputError("--out", "", repr(path.name), "a file name that ends in .npz")
     return path

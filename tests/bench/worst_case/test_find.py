@@ -1,4 +1,4 @@
-"""The hunt: what it finds is worse than the scenario itself, and replays to the same figures."""
+"""The search: what it finds is worse than the scenario itself, and replays to the same figures."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from dpbench import (
     open_workspace,
     replay,
 )
-from dpbench.bench.judge.closed_loop import CERTIFICATES, GRADES, Graded
+from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
 from dpbench.bench.plan.suite import sequence_suite
 from dpbench.bench.sequences.recording import record
 from dpbench.bench.sequences.sequence_file import load_recorded
 from dpbench.bench.worst_case import process as hunt_process
 from dpbench.bench.worst_case import search as hunt_search
+from dpbench.bench.worst_case.find import find_worst_case
 from dpbench.bench.worst_case.goal import worst_of
-from dpbench.bench.worst_case.hunt import hunt
-from dpbench.bench.worst_case.space import HuntSpace
+from dpbench.bench.worst_case.space import SearchSpace
 from dpbench.cli.main import main
 from dpbench.qp.solution import Status
 from dpbench.scenario.scenario import scenario_of
 from dpbench.solvers import plugins
 
-FAULTY = Path(__file__).with_name("faulty_hunted.py")
+FAULTY = Path(__file__).with_name("faulty_searched.py")
 BIG = 1e9
 """A claimed error beyond anything a limited plan can have."""
 
@@ -52,52 +52,60 @@ def test_what_is_found_replays_to_the_same_figures(
 ) -> None:
     """The saved step shows the same count and error in another process, and is the worst there."""
     path = tmp_path / "found.npz"
-    found = hunt(solver, goal=goal, route=route, policy=policy, budget=16, out=path)
+    found = find_worst_case(solver, goal=goal, route=route, policy=policy, budget=16, out=path)
     assert found.worst is not None and found.search.evaluations == 16
     assert found.beats_baseline, found.lines
     run = replay(load_sequence(path), open_workspace(solver, route=route, policy=policy), repeats=2)
     meta = load_sequence(path).meta
     counting = run.steps[~run.steps["warmup"]]
-    step = counting[counting["k"] == meta["hunt_step"]]
+    step = counting[counting["k"] == meta["worst_case_step"]]
     assert len(step) == 2
-    assert (step["iterations"] == meta["hunt_iterations"]).all()
-    saved = float(meta["hunt_error_plan"])
+    assert (step["iterations"] == meta["worst_case_iterations"]).all()
+    saved = float(meta["worst_case_error_plan"])
     np.testing.assert_allclose(step["error_plan"], saved, rtol=1e-12)
     column = "iterations" if goal == "iterations" else "error_plan"
     assert counting[column].max() == step[column].max()
 
 
 def test_the_command_replays_what_is_found_in_the_way_it_was_found(tmp_path: Path) -> None:
-    """`dpbench run --sequence` shows the hunted count, which the default route does not know."""
+    """`dpbench run --sequence` shows the searched count, which the default route does not know."""
     found, out = tmp_path / "found.npz", tmp_path / "out"
-    hunt("daqp", policy="warm", settings="low", budget=9, steps=12, out=found)
+    find_worst_case("daqp", policy="warm", settings="low", budget=9, steps=12, out=found)
     command = ["run", "--sequence", str(found), "--solver", "daqp", "--out", str(out)]
     assert main(command) == 0
     results, meta = load_results(out), load_sequence(found).meta
     runs = results.runs.set_index(["route", "policy", "settings"])["run_id"]
     assert sorted(runs.index)[0] == ("native", "warm", "low") and len(runs) == 3
-    steps = results.steps[(results.steps["k"] == meta["hunt_step"]) & ~results.steps["warmup"]]
-    hunted = steps[steps["run_id"] == runs["native", "warm", "low"]]
-    assert (hunted["iterations"] == meta["hunt_iterations"]).all() and len(hunted) > 0
-    np.testing.assert_allclose(hunted["error_plan"], float(meta["hunt_error_plan"]), rtol=1e-12)
+    steps = results.steps[
+        (results.steps["k"] == meta["worst_case_step"]) & ~results.steps["warmup"]
+    ]
+    searched = steps[steps["run_id"] == runs["native", "warm", "low"]]
+    assert (searched["iterations"] == meta["worst_case_iterations"]).all() and len(searched) > 0
+    np.testing.assert_allclose(
+        searched["error_plan"], float(meta["worst_case_error_plan"]), rtol=1e-12
+    )
     plain = steps[steps["run_id"] == runs["qpsolvers", "fresh", "default"]]
     assert plain["iterations"].isna().all() and len(plain) > 0
 
 
 def test_a_way_that_cannot_be_is_not_replayed() -> None:
-    """What a file says of its hunt may be nonsense; it is replayed like any other then."""
+    """What a file says of its worst_case may be nonsense; it is replayed like any other then."""
     plain = sequence_suite("x.npz")
-    assert sequence_suite("x.npz", {"hunt_route": "native"}) == plain
+    assert sequence_suite("x.npz", {"worst_case_route": "native"}) == plain
     for key, nonsense in (("route", "sideways"), ("policy", 3), ("settings", ["best"])):
-        way = {"hunt_route": "native", "hunt_policy": "warm", "hunt_settings": "low"}
+        way = {
+            "worst_case_route": "native",
+            "worst_case_policy": "warm",
+            "worst_case_settings": "low",
+        }
         assert len(sequence_suite("x.npz", way).recorded) == 2
-        assert sequence_suite("x.npz", way | {f"hunt_{key}": nonsense}) == plain
+        assert sequence_suite("x.npz", way | {f"worst_case_{key}": nonsense}) == plain
 
 
 def test_the_documents_make_the_same_sequence_again(tmp_path: Path) -> None:
     """What is found is a scenario like any other: its documents give its QPs, bit for bit."""
     path = tmp_path / "found.npz"
-    hunt("daqp", scenario="turn", budget=3, steps=12, out=path)
+    find_worst_case("daqp", scenario="turn", budget=3, steps=12, out=path)
     saved = load_recorded(path)
     again = record(scenario_of(saved.documents))
     assert again.sequence.P is not None, "each step of a turn has a matrix of its own"
@@ -111,7 +119,7 @@ def test_the_seed_decides(tmp_path: Path) -> None:
     """The same seed writes the same bytes, another one another case."""
     files = [tmp_path / f"{i}.npz" for i in range(3)]
     for path, seed in zip(files, (1, 1, 2), strict=True):
-        hunt("daqp", route="native", budget=9, steps=8, seed=seed, out=path)
+        find_worst_case("daqp", route="native", budget=9, steps=8, seed=seed, out=path)
     assert files[0].read_bytes() == files[1].read_bytes()
     assert (load_sequence(files[0]).q != load_sequence(files[2]).q).any()
 
@@ -135,14 +143,16 @@ def test_a_solver_that_dies_or_hangs_does_not_end_the_hunt(
     monkeypatch.setattr(hunt_search, "CASE_LIMIT_S", 0.3)
     monkeypatch.setattr(hunt_search, "BASELINE_LIMIT_S", 0.3)
     monkeypatch.setattr(hunt_process, "GRACE_S", 0.3)
-    module = tmp_path / "faulty_hunted.py"
+    module = tmp_path / "faulty_searched.py"
     module.write_text(FAULTY.read_text(encoding="utf-8").replace('"none"', f'"{mode}"'))
     out = tmp_path / "found.npz"
-    found = hunt("hunted", goal="error", budget=12, steps=6, out=out, solver_module=module)
+    found = find_worst_case(
+        "searched", goal="error", budget=12, steps=6, out=out, solver_module=module
+    )
     count, _ = found.search.failures[outcome]
     assert 0 < count < 12 and found.search.evaluations == 12
     assert backs_off(found.failures[outcome]) and not backs_off(out)
-    assert load_sequence(found.failures[outcome]).meta["hunt_outcome"] == outcome
+    assert load_sequence(found.failures[outcome]).meta["worst_case_outcome"] == outcome
     assert any(f"in {count} cases" in line for line in found.lines)
 
 
@@ -176,7 +186,7 @@ class _Interrupts:
 def test_ctrl_c_keeps_the_best_so_far(tmp_path: Path) -> None:
     """The worst of the cases before is saved, and the words say that it ended early."""
     path = tmp_path / "found.npz"
-    found = hunt("daqp", budget=50, steps=8, out=path, progress=_Interrupts(4))
+    found = find_worst_case("daqp", budget=50, steps=8, out=path, progress=_Interrupts(4))
     assert (found.search.evaluations, found.search.stopped) == (4, "interrupted")
     assert len(load_sequence(path)) == 8
     assert "4 cases tried (interrupted)" in found.lines[0]
@@ -185,21 +195,24 @@ def test_ctrl_c_keeps_the_best_so_far(tmp_path: Path) -> None:
 Row = tuple[Status, float, bool, int, str]
 
 
-def judged(*rows: Row) -> Graded:
+def judged(*rows: Row) -> Evaluated:
     """A replay of a warm-up step, which must not count, and a row per answer."""
     all_rows: list[Row] = [(Status.SOLVED, BIG, False, 10**6, "linear"), *rows]
     status, error, true, iterations, kind = zip(*all_rows, strict=True)
-    grades = np.zeros((len(all_rows), len(GRADES)))
-    grades[:, GRADES.index("error_plan")], grades[:, GRADES.index("true")] = error, true
+    evaluations = np.zeros((len(all_rows), len(EVALUATION)))
+    evaluations[:, EVALUATION.index("error_plan")], evaluations[:, EVALUATION.index("true")] = (
+        error,
+        true,
+    )
     columns = {
         "repeat": np.array([0] + [1] * len(rows)),
         "k": np.array([0, *range(len(rows))]),
         "status": np.array(status),
         "iterations": np.array(iterations),
         "certificate": np.array([CERTIFICATES.index(name) for name in kind]),
-        "grades": grades,
+        "evaluations": evaluations,
     }
-    return Graded(columns, {})
+    return Evaluated(columns, {})
 
 
 ACCURATE: Row = (Status.SOLVED, 1e-9, True, 5, "linear")
@@ -221,7 +234,7 @@ def test_a_lie_is_worse_than_a_refusal_and_a_refusal_worse_than_a_poor_answer() 
             assert found is not None and found.step == 1, (better, worse)
     for lie in (FALSE_INFEASIBLE, SOLVED_THE_IMPOSSIBLE):
         found = worst_of(judged(WRONG, lie), "error")
-        assert found is not None and found.step == 1 and np.isinf(found.severity)
+        assert found is not None and found.step == 1 and np.isinf(found.objective)
         assert np.isfinite(found.score), "a search can climb it"
 
 
@@ -229,7 +242,7 @@ def test_an_error_that_is_not_claimed_says_what_it_counts_as() -> None:
     """Its own figure may be larger than that of a lie, which is worse."""
     refused = worst_of(judged((Status.MAX_ITERATIONS, 75.0, False, 9, "linear")), "error")
     lied = worst_of(judged(WRONG), "error")
-    assert refused is not None and lied is not None and lied.severity > refused.severity
+    assert refused is not None and lied is not None and lied.objective > refused.objective
     assert refused.figure("error").endswith("(max_iterations, which counts as 0.01)")
     assert lied.figure("error") == "error_plan 5.00e-02 (claimed)"
 
@@ -241,7 +254,7 @@ def test_iterations_are_counted_whatever_the_answer() -> None:
     busier = worst_of(judged(ACCURATE, WRONG, WRONG), "iterations")
     idler = worst_of(judged(ACCURATE, ACCURATE, WRONG), "iterations")
     assert busier is not None and idler is not None
-    assert busier.severity == idler.severity and busier.score > idler.score
+    assert busier.objective == idler.objective and busier.score > idler.score
     assert int(busier.score) == int(idler.score) == 7
     assert worst_of(judged((Status.SOLVED, 0.0, True, -1, "linear")), "iterations") is None
 
@@ -251,7 +264,7 @@ def test_iterations_are_counted_whatever_the_answer() -> None:
 def test_a_case_is_what_its_point_says(point: Any) -> None:
     """Start and speed within reach, a force the ship can hold, then at most twice that back."""
     own = load_scenario("paper")
-    scenario = HuntSpace(own, 20, "case").scenario(point)
+    scenario = SearchSpace(own, 20, "case").scenario(point)
     assert (scenario.steps, scenario.N_p, scenario.name) == (20, own.N_p, "case")
     assert (np.abs(scenario.start) <= [20.0, 20.0, np.radians(20.0) + 1e-12]).all()
     np.testing.assert_array_equal(np.sign(scenario.start), np.sign(point[:3] * np.abs(point[:3])))
@@ -271,7 +284,7 @@ def test_a_case_is_what_its_point_says(point: Any) -> None:
 
 def test_a_fault_of_the_scenario_happens_within_the_case() -> None:
     """A thruster that is lost after two minutes is lost at the moment the last number says."""
-    space = HuntSpace(load_scenario("thruster_loss"), 20, "case")
+    space = SearchSpace(load_scenario("thruster_loss"), 20, "case")
     assert space.dimensions == 14
     faults = [space.scenario(np.array([0.0] * 13 + [x])).faults[0][0] for x in (-1.0, 0.0, 1.0)]
     assert faults[0] == 0 and faults[1] in (9, 10) and faults[2] == 19
@@ -282,7 +295,7 @@ def test_a_model_ship_is_pushed_by_what_it_can_hold() -> None:
     and a start at 1 m/s one at 1/√70 m/s."""
     model = load_scenario("calm@cybership2")
     point = np.array([0.0] * 3 + [1.0, 0.0, 0.0] + [1.0] * 3 + [0.0] * 4)
-    scenario = HuntSpace(model, 20, "case").scenario(point)
+    scenario = SearchSpace(model, 20, "case").scenario(point)
     np.testing.assert_allclose(scenario.velocity, [70**-0.5, 0.0, 0.0], rtol=1e-12)
     np.testing.assert_allclose(
         scenario.environment.mean, np.minimum(-model.vessel.tau_min, model.vessel.tau_max)
@@ -310,7 +323,7 @@ def test_bad_input_is_one_line(
     arguments: list[str], named: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Exit code 2 and one line that names the mistake, before anything runs."""
-    assert main(["hunt", *arguments]) == 2
+    assert main(["worst-case", *arguments]) == 2
     said = capsys.readouterr().err.strip()
     assert named in said and len(said.splitlines()) == 1
 
@@ -327,7 +340,7 @@ def test_where_nothing_can_be_written_nothing_is_hunted(
     (tmp_path / "a_folder.npz").mkdir()
     (tmp_path / "a_file").write_text("mine", encoding="utf-8")
     before = sorted(tmp_path.rglob("*"))
-    assert main(["hunt", "daqp", "--out", str(tmp_path / place)]) == 2
+    assert main(["worst-case", "daqp", "--out", str(tmp_path / place)]) == 2
     said = capsys.readouterr().err.strip()
     assert "--out" in said and place.rpartition("/")[2] in said and len(said.splitlines()) == 1
     assert sorted(tmp_path.rglob("*")) == before
@@ -338,7 +351,9 @@ def test_iterations_of_a_solver_that_counts_none_are_refused(
 ) -> None:
     """A goal that has no figure is said at once, with the goal that has one."""
     with pytest.raises(InputError, match="--goal error"):
-        hunt("hunted", budget=2, steps=4, out=tmp_path / "found.npz", solver_module=FAULTY)
+        find_worst_case(
+            "searched", budget=2, steps=4, out=tmp_path / "found.npz", solver_module=FAULTY
+        )
 
 
 def test_the_command_says_what_was_found_and_what_it_beats(
@@ -346,7 +361,7 @@ def test_the_command_says_what_was_found_and_what_it_beats(
 ) -> None:
     """Two lines: the found step with its file, and the scenario's own worst."""
     out = tmp_path / "deep" / "found.npz"
-    arguments = ["hunt", "daqp", "--route", "native", "--budget", "8", "--out", str(out)]
+    arguments = ["worst-case", "daqp", "--route", "native", "--budget", "8", "--out", str(out)]
     assert main(arguments) == 0
     first, second = capsys.readouterr().out.strip().splitlines()[-2:]
     meta = load_sequence(out).meta

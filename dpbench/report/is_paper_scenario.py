@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from dpbench.analysis.records import View
+from dpbench.analysis.records import Records
 from dpbench.scenario.scenario import Scenario, load_scenario
 
 OF_PAPER = ("paper", "paper_tight")
@@ -13,7 +13,7 @@ PROSE = ("title", "shows", "source")
 """Entries of a problem file that nothing is computed from."""
 
 
-def is_of_paper(view: View, name: str) -> bool:
+def is_of_paper(view: Records, name: str) -> bool:
     """Whether a scenario of the rows is the paper's own of that name, and not one named alike."""
     found = view.scenario(name) if name in OF_PAPER else None
     return found is not None and _content(found) == _content(load_scenario(name))

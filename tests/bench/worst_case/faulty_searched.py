@@ -27,5 +27,5 @@ def solve(qp):
     return Solution(Status.SOLVED, z, np.full(qp.m, np.nan), np.full(qp.n, np.nan))
 
 
-RECORD = solver_record("hunted", method="none", module="quadprog", distribution="quadprog")
-open = opener("hunted", solve)
+RECORD = solver_record("searched", method="none", module="quadprog", distribution="quadprog")
+open = opener("searched", solve)
