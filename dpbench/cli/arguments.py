@@ -92,7 +92,7 @@ def _worst_case(commands: Commands) -> None:
     worst_case = commands.add_parser(
         "worst-case", help="search for a solver's slowest or least accurate step"
     )
-    worst_case.add_argument("solver", help="the solver to hunt")
+    worst_case.add_argument("solver", help="the solver to search")
     worst_case.add_argument("--goal", default="iterations", help="iterations (default) or error")
     worst_case.add_argument(
         "--scenario", default="paper", metavar="N", help="whose starts are varied"

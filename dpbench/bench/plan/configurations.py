@@ -165,5 +165,5 @@ def refusal_of(configuration: Configuration) -> str:
     if configuration.policy in row.policies[configuration.route]:
         return ""
     reason = row.refused.get((configuration.route, configuration.policy), "")
-    return f"policy {configuration.policy}: "
-    f"{reason or REFUSED_BY_QPSOLVERS.get(configuration.policy, 'not offered')}"
+    reason = reason or REFUSED_BY_QPSOLVERS.get(configuration.policy, "not offered")
+    return f"policy {configuration.policy}: {reason}"

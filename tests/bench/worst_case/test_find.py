@@ -23,8 +23,8 @@ from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
 from dpbench.bench.plan.suite import sequence_suite
 from dpbench.bench.sequences.recording import record
 from dpbench.bench.sequences.sequence_file import load_recorded
-from dpbench.bench.worst_case import process as hunt_process
-from dpbench.bench.worst_case import search as hunt_search
+from dpbench.bench.worst_case import process as solver_process
+from dpbench.bench.worst_case import search as case_search
 from dpbench.bench.worst_case.find import find_worst_case
 from dpbench.bench.worst_case.goal import worst_of
 from dpbench.bench.worst_case.space import SearchSpace
@@ -132,7 +132,7 @@ def backs_off(path: Path) -> bool:
 
 
 @pytest.mark.parametrize(("mode", "outcome"), [("crash", "crashed"), ("hang", "hung")])
-def test_a_solver_that_dies_or_hangs_does_not_end_the_hunt(
+def test_a_solver_that_dies_or_hangs_does_not_end_the_search(
     mode: str,
     outcome: str,
     tmp_path: Path,
@@ -140,9 +140,9 @@ def test_a_solver_that_dies_or_hangs_does_not_end_the_hunt(
     no_plugins: None,
 ) -> None:
     """Those cases are counted, the first is kept beside the worst, and the budget is spent."""
-    monkeypatch.setattr(hunt_search, "CASE_LIMIT_S", 0.3)
-    monkeypatch.setattr(hunt_search, "BASELINE_LIMIT_S", 0.3)
-    monkeypatch.setattr(hunt_process, "GRACE_S", 0.3)
+    monkeypatch.setattr(case_search, "CASE_LIMIT_S", 0.3)
+    monkeypatch.setattr(case_search, "BASELINE_LIMIT_S", 0.3)
+    monkeypatch.setattr(solver_process, "GRACE_S", 0.3)
     module = tmp_path / "faulty_searched.py"
     module.write_text(FAULTY.read_text(encoding="utf-8").replace('"none"', f'"{mode}"'))
     out = tmp_path / "found.npz"
@@ -156,13 +156,13 @@ def test_a_solver_that_dies_or_hangs_does_not_end_the_hunt(
     assert any(f"in {count} cases" in line for line in found.lines)
 
 
-def test_a_process_that_comes_after_the_hunt_says_nothing(
+def test_a_process_that_comes_after_the_search_says_nothing(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """Ctrl-C while it was on its way took the folder along; it ends without a traceback."""
     ours, theirs = Pipe()
     with pytest.raises(SystemExit) as ended:
-        hunt_process.serve("{}", tmp_path / "gone", theirs)
+        solver_process.serve("{}", tmp_path / "gone", theirs)
     assert ended.value.code is None
     assert not ours.poll()
     assert capfd.readouterr() == ("", "")
@@ -329,14 +329,14 @@ def test_bad_input_is_one_line(
 
 
 @pytest.mark.parametrize("place", ["a_folder.npz", "a_file/found.npz"])
-def test_where_nothing_can_be_written_nothing_is_hunted(
+def test_where_nothing_can_be_written_nothing_is_searched(
     place: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """A folder in the file's place, a file in the folder's: said before the search, not after."""
-    monkeypatch.setattr(hunt_search.Search, "run", None)
+    monkeypatch.setattr(case_search.Search, "run", None)
     (tmp_path / "a_folder.npz").mkdir()
     (tmp_path / "a_file").write_text("mine", encoding="utf-8")
     before = sorted(tmp_path.rglob("*"))
@@ -365,5 +365,5 @@ def test_the_command_says_what_was_found_and_what_it_beats(
     assert main(arguments) == 0
     first, second = capsys.readouterr().out.strip().splitlines()[-2:]
     meta = load_sequence(out).meta
-    assert f"{meta['hunt_iterations']} iterations" in first and str(out) in first
+    assert f"{meta['worst_case_iterations']} iterations" in first and str(out) in first
     assert "1000 steps of paper itself" in second
