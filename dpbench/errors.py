@@ -7,6 +7,8 @@ that leaves the run: it is a `Status` in a record.
 
 from __future__ import annotations
 
+import warnings
+
 
 class DpbenchError(Exception):
     """Base class of all errors raised by dpbench."""
@@ -58,6 +60,15 @@ class SolverUnavailableError(InputError):
 
 class ResultsError(InputError):
     """A result folder or file that is missing, damaged or of another schema."""
+
+
+class RenamedWarning(FutureWarning):
+    """An old word in a person's file or command, still read; the message names the new one."""
+
+
+def renamed(where: str, old: str, new: str) -> None:
+    """Say that `old`, found in `where`, is now called `new`."""
+    warnings.warn(f"{where}: {old} is now called {new}", RenamedWarning, stacklevel=3)
 
 
 class CertificateError(DpbenchError):

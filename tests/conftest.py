@@ -43,7 +43,7 @@ SUITE: dict[str, Any] = {
 }
 
 
-class RecordsOf:
+class MadeRecords:
     """Builds the records of a campaign that never ran, cell by cell."""
 
     def __init__(self) -> None:
@@ -267,9 +267,9 @@ class RecordsOf:
             as_runs(runs), as_steps(pd.concat(steps, ignore_index=True)), MACHINE, self.suite
         )
 
-    def view(self) -> RecordsOf:
+    def view(self) -> Records:
         """The view of the records so far."""
-        return RecordsOf(self.results())
+        return Records(self.results())
 
     def write(self, folder: Path) -> Path:
         """Write a result folder."""
@@ -278,18 +278,18 @@ class RecordsOf:
 
 
 @pytest.fixture
-def records() -> RecordsOf:
+def records() -> MadeRecords:
     """An empty campaign."""
-    return RecordsOf()
+    return MadeRecords()
 
 
 @pytest.fixture(scope="session")
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A result folder with the shapes of the standard suite in small."""
-    return standard(Records()).write(tmp_path_factory.mktemp("results") / "standard")
+    return standard(MadeRecords()).write(tmp_path_factory.mktemp("results") / "standard")
 
 
-def standard(records: Records, scale: float = 1.0) -> RecordsOf:
+def standard(records: MadeRecords, scale: float = 1.0) -> MadeRecords:
     """Fill `records` like the standard suite: good, inexact, failing, slow and absent solvers."""
     configurations = {
         "daqp": (1e-13, 18.0),

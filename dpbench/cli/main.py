@@ -9,17 +9,44 @@ from __future__ import annotations
 
 import argparse
 import sys
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from dpbench.cli.arguments import parser
-from dpbench.errors import DpbenchError, InputError
+from dpbench.errors import DpbenchError, InputError, RenamedWarning, renamed
+
+OLD_COMMANDS = {"hunt": "worst-case"}
+"""Old names of commands that are still read, with what they are called now."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    arguments = parser(_CALLS).parse_args(argv)
+    words = list(sys.argv[1:] if argv is None else argv)
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", RenamedWarning)
+        warnings.showwarning = _one_line
+        if words and words[0] in OLD_COMMANDS:
+            renamed("command", words[0], OLD_COMMANDS[words[0]])
+            words[0] = OLD_COMMANDS[words[0]]
+        return _exit_code(parser(_CALLS).parse_args(words))
+
+
+def _one_line(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """A warning as one line; an old word without the name of its class."""
+    kind = "" if issubclass(category, RenamedWarning) else f"{category.__name__}: "
+    print(f"dpbench: {kind}{message}", file=sys.stderr)
+
+
+def _exit_code(arguments: argparse.Namespace) -> int:
     try:
         return int(arguments.call(arguments))
     except InputError as error:

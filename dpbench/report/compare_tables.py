@@ -116,8 +116,8 @@ def shared_line(shared: Shared) -> str:
     """What all configurations of a sequence have in common, and whether that is the machine."""
     moved = "rose" if shared.factor >= 1.0 else "fell"
     said = f"`{shared.sequence}`: step times of "
-    f"{plural(shared.configurations, 'configuration')} {moved} together by "
-    said += f"a factor {shared.factor:.3f}"
+    said += f"{plural(shared.configurations, 'configuration')} {moved} together "
+    said += f"by a factor {shared.factor:.3f}"
     if shared.kernel == shared.kernel:
         said += f", by {shared.kernel:.3f} the reference kernel"
     if shared.load == shared.load:

@@ -206,7 +206,7 @@ def _kept_row(ways: RouteComparison, way: RoutePolicy, found: Comparison) -> tup
 
 
 def missing_table(by_sequence: Mapping[str, Sequence[RouteComparison]]) -> Table | None:
-    """The steps of the ladder that are not there, and why; None when all are."""
+    """The routes and policies that are not there, and why; None when all are."""
     places: dict[tuple[str, str, str], list[str]] = {}
     for sequence, ways in by_sequence.items():
         for w in ways:

@@ -10,21 +10,26 @@ import difflib
 import os
 import tomllib
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from dpbench.errors import InputError, UnknownNameError
+from dpbench.errors import InputError, UnknownNameError, renamed
 
 KINDS = ("vessels", "scenarios", "suites")
 SEQUENCES = "sequences"
 """The kind of the recorded sequences, which are `.npz` files beside one TOML file."""
+OLD_NAMES = {("suites", "ladder"): "levels"}
+"""Old names of shipped files that are still read, with what they are called now."""
 _PACKAGE = Path(__file__).resolve().parents[1]
 _Model = TypeVar("_Model", bound=BaseModel)
 
 
 class FileModel(BaseModel):
     """Base of everything read from TOML: unknown keys and loose types are refused."""
+
+    old_keys: ClassVar[dict[str, str]] = {}
+    """Old names of keys that are still read, with what they are called now."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
@@ -50,6 +55,9 @@ def problem_path(kind: str, name: str | Path, beside: Path | None = None) -> Pat
     InputError : when it looks like a path and no such file exists.
     """
     text = str(name)
+    if (kind, text) in OLD_NAMES:
+        renamed(f"{kind[:-1]} name", text, OLD_NAMES[kind, text])
+        text = OLD_NAMES[kind, text]
     if not text.endswith(".toml") and "/" not in text:
         path = problems_root() / kind / f"{text}.toml"
         if os.path.isfile(path):
@@ -118,6 +126,10 @@ def read_model(path: Path, model: type[_Model]) -> _Model:
 
 def parse_model(document: dict[str, Any], model: type[_Model], where: str) -> _Model:
     """`document` as a `model`; `where` names it in errors."""
+    for old, new in getattr(model, "old_keys", {}).items():
+        if old in document and new not in document:
+            renamed(where, old, new)
+            document = {new if key == old else key: value for key, value in document.items()}
     try:
         return model.model_validate(document)
     except ValidationError as error:

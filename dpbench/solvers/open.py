@@ -41,7 +41,7 @@ def open_workspace(
     solver : a name of the table, of a plug-in, or one that qpsolvers serves.
     route : "qpsolvers" or "native"; None takes the solver's own default.
     policy : "fresh", "reuse" or "warm", where the route has it.
-    settings : a name of the ladder, or a mapping of the solver's own keys.
+    settings : a tolerance level, or a mapping of the solver's own keys.
 
     Raises
     ------

@@ -24,7 +24,7 @@ from inspect import getsource
 from pathlib import Path
 from typing import Any
 
-from dpbench.errors import InputError
+from dpbench.errors import InputError, renamed
 from dpbench.solvers.contract import Policy, Workspace
 from dpbench.solvers.record import Form, SolverRecord
 from dpbench.solvers.through_qpsolvers.adapter import Options
@@ -155,6 +155,8 @@ def _register(
         raise InputError(where, "RECORD.name", repr(record.name), f"a name not in {owner}")
     if set(record.policies) != {"native"}:
         raise InputError(where, "RECORD.policies", sorted(record.policies), "route native alone")
+    if not hasattr(found, "LEVELS") and hasattr(found, "LADDER"):
+        renamed(where, "LADDER", "LEVELS")
     levels = dict(getattr(found, "LEVELS", getattr(found, "LADDER", {})))
     plugin = Plugin(replace(record, extra="plugin"), opener, levels, version, origin)
     _LOADED[record.name] = plugin

@@ -124,7 +124,7 @@ _POLISH: Options = {"polishing": True}
 VARIANTS: Mapping[str, Mapping[str, Options]] = {
     "osqp": {f"{name}_polished": {**LEVELS[name]["osqp"], **_POLISH} for name in (DEFAULT, HIGH)},
 }
-"""Further names that one solver has beside the ladder."""
+"""Further names that one solver has beside the tolerance levels."""
 
 
 class Configurable(Protocol):
@@ -141,7 +141,7 @@ class Configurable(Protocol):
 
 
 def settings_matter(solver: str) -> bool:
-    """Whether the names of the ladder differ for this solver."""
+    """Whether the tolerance levels differ for this solver."""
     return any(level_options(name, solver) != level_options(DEFAULT, solver) for name in LEVELS)
 
 
@@ -150,7 +150,7 @@ def resolve(settings: Settings, adapter: Configurable) -> Options:
 
     Raises
     ------
-    SettingsError : for a name that is not in the ladder, a key the library does not have, or a
+    SettingsError : for a name that is no tolerance level, a key the library does not have, or a
         value that its settings object refuses.
     """
     name = adapter.record.name
@@ -164,7 +164,7 @@ def resolve(settings: Settings, adapter: Configurable) -> Options:
 
 
 def setting_names(solver: str) -> tuple[str, ...]:
-    """The names of settings of a solver: the ladder and its variants."""
+    """The names of settings of a solver: the tolerance levels and its variants."""
     return *LEVELS, *VARIANTS.get(solver, {})
 
 

@@ -101,4 +101,4 @@ def test_rankings_and_verdicts_keep_to_the_common_formulation(records: Any) -> N
         [row["run_id"] for row, _ in timed_configurations(after, "paper")],
     )
     assert found == expected
-    assert len(after.every) == len(before.every) + 3
+    assert len(after.all_runs) == len(before.all_runs) + 3

@@ -291,7 +291,7 @@ def test_names_are_kept_apart_and_in_order(places: list[float], gap: float) -> N
 
 
 def test_a_generic_build_is_marked_at_its_horizons_and_crossovers(records: Any) -> None:
-    """RunRecords, the sparse crossover among their cells, and sentences name the solver with the
+    """Rows, the sparse crossover among their cells, and sentences name the solver with the
     mark."""
     build = {"build": "BLASFEO generic", "generic_build": True}
     _law(records, "hpipm", 0.01, 3.0, **build)

@@ -73,7 +73,7 @@ def test_a_files_version_is_its_content(tmp_path):
     assert available("admm").version != before
 
 
-def test_the_ladder_of_a_plugin_reaches_it(sequence):
+def test_the_levels_of_a_plugin_reaches_it(sequence):
     """The names of settings mean what the plug-in says, and its own keys pass through."""
     load_solver_module(EXAMPLE)
     assert settings_matter("admm")

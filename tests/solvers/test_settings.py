@@ -58,7 +58,7 @@ WRITTEN_DOWN = {
     },
 }
 WRITTEN_DOWN["kvxopt"] = WRITTEN_DOWN["cvxopt"]
-# Exact answers that the library does not claim, see the ladder.
+# Exact answers that the library does not claim, see the tolerance levels.
 UNREACHED = {("qpax", "high"): Status.MAX_ITERATIONS}
 
 
@@ -70,8 +70,8 @@ def solve(solver, settings, qp):
 
 
 @pytest.mark.parametrize("name", LEVELS)
-def test_every_rung_is_accepted_by_the_library(installed, name, sequence):
-    """Each key of the ladder is a key of the library, on each route, and it solves with it."""
+def test_every_level_is_accepted_by_the_library(installed, name, sequence):
+    """Each key of a tolerance level is a key of the library, on each route; it solves with it."""
     level_options = LEVELS[name].get(installed, {})
     for adapters in (ADAPTERS, NATIVE):
         if installed in adapters:
@@ -91,7 +91,7 @@ def test_high_is_more_accurate_than_default(installed, sequence):
     assert high <= default if settings_matter(installed) else high == default
 
 
-def test_settings_matter_where_the_ladder_has_an_entry():
+def test_settings_matter_where_the_levels_has_an_entry():
     """Solvers without a tolerance are known as such."""
     without = {name for name in TABLE if not settings_matter(name)}
     assert without == {
@@ -119,7 +119,7 @@ def test_polishing_is_a_setting_of_its_own(route, name, sequence):
     assert errors[1] > 1e-6
 
 
-def test_the_ladder_is_described_in_words(installed):
+def test_the_levels_is_described_in_words(installed):
     """Each name of a solver's settings has a line with the keys and values that it sets."""
     lines = describe_levels(installed).splitlines()
     assert [line.split(":")[0] for line in lines] == list(setting_names(installed))
@@ -129,7 +129,7 @@ def test_the_ladder_is_described_in_words(installed):
         assert "no tolerance to set" in lines[3]
 
 
-def test_osqp_adapts_its_penalty_by_iterations_on_every_rung():
+def test_osqp_adapts_its_penalty_by_iterations_on_every_level():
     """No name of OSQP's settings leaves the interval of adaptation to a clock."""
     for name in setting_names("osqp"):
         assert "adaptive_rho_interval=50" in describe_levels("osqp").splitlines()[0]
@@ -171,7 +171,7 @@ def test_a_value_of_the_wrong_kind_is_refused(solver):
 
 
 def test_an_unknown_name_is_refused(installed):
-    """A name that is not in the ladder is refused with those that are."""
+    """A name that is no tolerance level is refused with those that are."""
     with pytest.raises(SettingsError, match=r"'hihg'; allowed: default \| low \| mid \| high"):
         open_workspace(installed, settings="hihg")
 

@@ -1,7 +1,7 @@
 """RouteComparison to run a solver, from the wrapper down to a warm start, each compared with its
 neighbour.
 
-The ladder is qpsolvers fresh, native fresh, native reuse, native warm: the first step down is what
+The order is qpsolvers fresh, native fresh, native reuse, native warm: the first step down is what
 the wrapper costs, the second what a kept workspace gains, the third what a warm start gains.
 """
 

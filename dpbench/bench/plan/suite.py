@@ -168,6 +168,8 @@ class SuiteFile(FileModel):
     configurations, whose cost is known, take part in every replay.
     """
 
+    old_keys: ClassVar[dict[str, str]] = {"contrast": "baseline_law"}
+
     title: str
     solvers: Annotated[list[str], Field(min_length=1)] = ["all"]
     baseline_law: bool = True
@@ -219,7 +221,9 @@ def sequence_suite(path: str | Path, meta: Mapping[str, object] | None = None) -
     as well: another route or policy shows other iterations, or none.
     """
     ways: list[dict[str, list[str]]] = [{"settings": ["default", "high"]}]
-    worst_case = {key: (meta or {}).get(f"worst_case_{key}") for key in _WAY}
+    meta = meta or {}
+    # Files of version 0.1 say "hunt" for it.
+    worst_case = {key: meta.get(f"worst_case_{key}", meta.get(f"hunt_{key}")) for key in _WAY}
     # A file may say anything, and not every solver has the settings one of them has.
     if all(name in known for name, known in zip(worst_case.values(), _WAY.values(), strict=True)):
         ways.append({_TABLE_KEY[key]: [str(name)] for key, name in worst_case.items()})

@@ -13,8 +13,16 @@ from typing import Any
 import pandas as pd
 import pyarrow as pa
 
-from dpbench.bench.record.schema import RUN_COLUMNS, SCHEMA_VERSION, STEP_COLUMNS, as_runs, as_steps
-from dpbench.errors import InputError, ResultsError
+from dpbench.bench.record.schema import (
+    RENAMED,
+    RENAMED_IN,
+    RUN_COLUMNS,
+    SCHEMA_VERSION,
+    STEP_COLUMNS,
+    as_runs,
+    as_steps,
+)
+from dpbench.errors import InputError, ResultsError, renamed
 
 TABLES = {"runs": RUN_COLUMNS, "steps": STEP_COLUMNS}
 
@@ -132,10 +140,14 @@ def _read_table(folder: Path, name: str) -> pd.DataFrame:
         ) from error
     if "schema" in frame:
         versions = set(frame["schema"].unique().tolist())
-        if versions - {SCHEMA_VERSION}:
+        if versions - {SCHEMA_VERSION, RENAMED_IN - 1}:
             # Said before its columns are looked at: those of another schema are others.
             found, allowed = f"schema {sorted(versions)}", f"schema {SCHEMA_VERSION}; run again"
             raise ResultsError(str(path), "schema", found, allowed)
+    old = {column: RENAMED[column] for column in frame.columns if column in RENAMED}
+    if old:
+        renamed(str(path), f"column {', '.join(old)}", ", ".join(old.values()))
+        frame = frame.rename(columns=old)
     missing = sorted(set(TABLES[name]) - set(frame.columns))
     if missing:
         named = ", ".join(missing[:3]) + (", …" if len(missing) > 3 else "")

@@ -11,7 +11,17 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
+RENAMED_IN = 5
+"""A table of the schema before this one differs from it in the names of columns alone."""
+RENAMED = {
+    "spoilt": "disturbed",
+    "spoilt_rounds": "disturbed_rounds",
+    "counting_spoilt": "counting_disturbed",
+    "probe_ns": "reference_kernel_ns",
+    "load_ns": "load_kernel_ns",
+}
+"""Old names of columns that are still read, with what they are called now."""
 
 DType = Literal["str", "bool", "int32", "int64", "Int64", "float64"]
 Columns = dict[str, tuple[DType, str]]

@@ -18,7 +18,7 @@ from dpbench.solvers.table import record, settings_matter
 BOTH = ("paper", "rough[900:1400]")
 
 
-def test_a_rung_is_the_worst_of_its_sequences(records: Any) -> None:
+def test_a_point_is_the_worst_of_its_sequences(records: Any) -> None:
     """Worst p50 and p99, largest error, of two sequences long enough for a p99."""
     records.replay("osqp", BOTH[0], median_us=10.0, spread=0.0, error=1e-5)
     records.replay("osqp", BOTH[1], median_us=30.0, spread=0.0, error=1e-3)
@@ -26,7 +26,7 @@ def test_a_rung_is_the_worst_of_its_sequences(records: Any) -> None:
     assert (point.p50_ns, point.p99_ns, point.error_move) == (30e3, 30e3, 1e-3)
 
 
-def test_both_times_of_a_rung_are_of_the_same_steps(records: Any) -> None:
+def test_both_times_of_a_point_are_of_the_same_steps(records: Any) -> None:
     """A sequence too short for a p99 gives no p50 either, or that would exceed the p99."""
     records.replay("osqp", BOTH[0], median_us=10.0, spread=0.0, error=1e-5)
     records.replay("osqp", BOTH[1], steps=500, median_us=30.0, spread=0.0, error=1e-3)
@@ -36,7 +36,7 @@ def test_both_times_of_a_rung_are_of_the_same_steps(records: Any) -> None:
     assert short.p50_ns == 30e3 and math.isnan(short.p99_ns)
 
 
-def test_a_ladder_has_its_levels_in_order_and_leaves_out_other_ways(records: Any) -> None:
+def test_the_points_have_their_levels_in_order_and_leaves_out_other_ways(records: Any) -> None:
     """Default, low, mid, high on the default route; warm starts are another way."""
     for settings in ("high", "default", "low", "mid"):
         records.replay("osqp", settings=settings)
@@ -46,7 +46,7 @@ def test_a_ladder_has_its_levels_in_order_and_leaves_out_other_ways(records: Any
     assert {point.policy for point in points} == {"fresh"}
 
 
-def test_a_native_ladder_takes_the_fastest_policy(records: Any) -> None:
+def test_a_native_route_takes_the_fastest_policy(records: Any) -> None:
     """One policy for the whole line, that of least p50 at the most usual settings."""
     for policy, us in (("fresh", 20.0), ("warm", 5.0), ("reuse", 8.0)):
         records.replay("osqp", route="native", policy=policy, median_us=us, spread=0.0)
@@ -60,7 +60,7 @@ def test_a_native_ladder_takes_the_fastest_policy(records: Any) -> None:
     assert {point.route for point in points} == {"native"}
 
 
-def test_a_solver_on_one_sequence_of_two_has_no_rung(records: Any) -> None:
+def test_a_solver_on_one_sequence_of_two_has_no_point(records: Any) -> None:
     """Times of other QPs are not drawn in the same figure."""
     records.replay("whole", BOTH[0])
     records.replay("whole", BOTH[1])
@@ -79,10 +79,10 @@ def test_the_fastest_at_an_accuracy_fail_no_step(records: Any) -> None:
 
 
 @pytest.mark.parametrize("sequence", ["paper", "rough"])
-def test_the_ladder_suite_runs_every_level_of_every_solver(sequence: str) -> None:
+def test_the_levels_suite_runs_every_level_of_every_solver(sequence: str) -> None:
     """Each solver whose settings matter is replayed at each of its four levels, long enough for
     a p99; the others run once and stand under all names."""
-    _, suite = load_suite("points")
+    _, suite = load_suite("levels")
     levels = ("default", "low", "mid", "high")
     found: dict[str, set[str]] = {}
     for planned in plan(suite):

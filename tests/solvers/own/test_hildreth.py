@@ -73,7 +73,7 @@ def test_by_default_it_stops_where_the_textbook_does():
 
 @pytest.mark.parametrize(("settings", "tolerance"), [("low", 1e-3), ("mid", 1e-6), ("high", 1e-9)])
 def test_the_ladder_keeps_what_it_promises(sequence, settings, tolerance):
-    """A step of the ladder bounds the residuals of P ≥ 1 by its number, give or take ten."""
+    """A tolerance level bounds the residuals of P ≥ 1 by its number, give or take ten."""
     workspace = open_workspace("hildreth", policy="reuse", settings=settings)
     workspace.setup(sequence.base)
     for step in sequence.steps:
