@@ -15,7 +15,11 @@ from dpbench.qp.solution import Solution, Status
 def judged(builder: CondensedQP, step: QPStep, answer: Solution) -> dict[str, float]:
     base = builder.problem(step)
     evaluator = StepEvaluator(base, base, builder.scale)
-    return dict(zip(EVALUATION, evaluator.evaluate(step, step, answer, evaluator.certify(step)), strict=True))
+    return dict(
+        zip(
+            EVALUATION, evaluator.evaluate(step, step, answer, evaluator.certify(step)), strict=True
+        )
+    )
 
 
 @pytest.fixture(scope="module")
@@ -102,9 +106,13 @@ def test_raw_units_are_judged_in_scaled_ones() -> None:
     best = evaluator.certify(step)
     scale = si.scale.z
     answer = Solution(Status.SOLVED, best.z * scale, best.y / scale, best.y_box / scale)
-    evaluations = dict(zip(EVALUATION, evaluator.evaluate(step, step_si, answer, best), strict=True))
+    evaluations = dict(
+        zip(EVALUATION, evaluator.evaluate(step, step_si, answer, best), strict=True)
+    )
     assert evaluations["true_1e6"] == 1.0
     assert evaluations["error_move"] < 1e-14
     answer.z[0] += 0.01 * scale[0]
-    evaluations = dict(zip(EVALUATION, evaluator.evaluate(step, step_si, answer, best), strict=True))
+    evaluations = dict(
+        zip(EVALUATION, evaluator.evaluate(step, step_si, answer, best), strict=True)
+    )
     assert evaluations["error_move"] == pytest.approx(0.01, rel=1e-9)
