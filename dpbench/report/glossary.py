@@ -1,0 +1,38 @@
+"""The glossary: every term that is printed, out of one file, as pages and tooltips need it."""
+
+from __future__ import annotations
+
+import tomllib
+from functools import cache
+from pathlib import Path
+
+_FILE = Path(__file__).with_name("glossary.toml")
+_HEAD = "# Glossary\n\nEvery term that dpbench prints. Columns stand in the reference of columns.\n"
+
+
+@cache
+def topics() -> dict[str, dict[str, str]]:
+    """Meaning by term, by title of the topic."""
+    tables = tomllib.loads(_FILE.read_text(encoding="utf-8"))
+    return {table.pop("title"): table for table in tables.values()}
+
+
+@cache
+def meanings() -> dict[str, str]:
+    """Meaning by term, whatever the topic."""
+    return {term: text for terms in topics().values() for term, text in terms.items()}
+
+
+def as_markdown() -> str:
+    """`docs/glossary.md`."""
+    parts = [_HEAD]
+    for title, terms in topics().items():
+        rows = "\n".join(
+            f"| {term} | {text.replace('|', '&#124;')} |" for term, text in terms.items()
+        )
+        parts.append(f"## {title}\n\n| term | meaning |\n|---|---|\n{rows}\n")
+    return "\n".join(parts)
+
+
+if __name__ == "__main__":
+    print(as_markdown(), end="")
