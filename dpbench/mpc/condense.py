@@ -1,5 +1,6 @@
 """The condensed QP of the paper (eq. 16-25) as constant matrices and one affine map of θ.
 
+    Y = F x(k) + Φ ΔU,   F = [C A; …; C A^{N_p}],   Φ_ij = h_{i−j},   h_t = C A^t B  (eq. 13-15)
     J = ½ (Y_d − Y)ᵀ Q̄ (Y_d − Y) + ½ ΔUᵀ R̄ ΔU                               (eq. 17)
       = ½ ΔUᵀ E ΔU + ΔUᵀ F_k + J0,   E = Φᵀ Q̄ Φ + R̄                          (eq. 24)
     F_k = −Φᵀ Q̄ (D y_d − F x)                                                 (eq. 24)
@@ -8,6 +9,7 @@
 With z = ΔU/Δu_max (`units="scaled"`) the rows are divided by Δu_max too, so that A = C2, lb = −1,
 ub = 1 and the cost keeps its value; `units="si"` leaves everything in N and N·m. In both,
 [q; l; u] is an affine map of θ = [x; y_ref; u_prev], so a step is one matrix-vector product.
+One recursion G_t = C A^t (never a matrix power) gives every block of F and of Φ.
 """
 
 from __future__ import annotations
@@ -17,13 +19,13 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError, ShapeError
-from dpbench.mpc.kernels import condense_blocks, hessian_blocks, map_blocks
+from dpbench.mpc.kernels import condense_blocks, hessian_blocks, map_blocks, markov_blocks
 from dpbench.mpc.model import StateSpace, rotated
-from dpbench.mpc.prediction import toeplitz
 from dpbench.mpc.terminal import TerminalCost, terminal_cost
 
 UnitSystem = Literal["scaled", "si"]
@@ -73,6 +75,29 @@ class ControlProblem:
     def turned(self, turn_rad: float) -> ControlProblem:
         """The same problem with the ship's model linearised `turn_rad` further (eq. 5)."""
         return replace(self, model=rotated(self.model, turn_rad))
+
+
+def markov(model: StateSpace, N_p: int) -> tuple[Matrix, NDArray[np.float64]]:
+    """F (N_p·n_y, n_x) of eq. 15 and the Markov parameters h (N_p, n_y, n_u)."""
+    F = np.empty((N_p * model.n_y, model.n_x))
+    h = np.empty((N_p, model.n_y, model.n_u))
+    markov_blocks(model.A, model.B, model.C, F, h)
+    return F, h
+
+
+def toeplitz(h: NDArray[np.float64], N_c: int) -> Matrix:
+    """Φ (N_p·n_y, N_c·n_u) of eq. 15, the block-Toeplitz matrix of h (N_p, n_y, n_u)."""
+    N_p, n_y, n_u = h.shape
+    padded = np.zeros((N_c - 1 + N_p, n_y, n_u))
+    padded[N_c - 1 :] = h
+    s_block, s_row, s_column = padded.strides
+    blocks = as_strided(
+        padded[N_c - 1 :],
+        shape=(N_p, n_y, N_c, n_u),
+        strides=(s_block, s_row, -s_block, s_column),
+        writeable=False,
+    )
+    return blocks.reshape(N_p * n_y, N_c * n_u)
 
 
 def hessian(h: NDArray[np.float64], Q: Matrix, R: Matrix, N_c: int) -> Matrix:

@@ -1,4 +1,4 @@
-"""Compiled kernels of condensing: the recursions of `prediction.py` and `condense.py` as loops.
+"""Compiled kernels of condensing: the recursions of `condense.py` as loops.
 
 At 30/5 the algebra is a few thousand multiply-adds; as array expressions it costs twenty times
 that in calls. All arrays are C-contiguous float64; blocks are counted from 0 here.

@@ -15,9 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpbench.errors import InputError, ShapeError
-from dpbench.mpc.condense import ControlProblem, condense_matrices, hessian
+from dpbench.mpc.condense import ControlProblem, condense_matrices, hessian, markov, toeplitz
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.prediction import markov, toeplitz
 
 RELATIVE = 1e-11
 

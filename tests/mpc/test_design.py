@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.design import design_figures
+from dpbench.mpc.law import design_figures
 
 DESIGNS = {
     "paper": ({}, 0.94949),

@@ -19,7 +19,7 @@ from dpbench.bench.design.design_file import DesignRecord, Rows
 from dpbench.bench.design.region_of_attraction import DURATION_S, froude_of, region_of_attraction
 from dpbench.bench.plan.suite import DesignTable
 from dpbench.errors import InputError
-from dpbench.mpc.design import design_figures
+from dpbench.mpc.law import design_figures
 from dpbench.scenario.problem_files import problem_path
 from dpbench.scenario.scenario import load_scenario, scenario_of
 
