@@ -11,6 +11,7 @@ import numpy as np
 
 from dpbench.arrays import Vector
 from dpbench.errors import InputError
+from dpbench.ship.layout import AXES
 from dpbench.ship.validation import finite_array
 
 
@@ -25,18 +26,18 @@ class Actuators:
     where : the file named in errors.
     """
 
-    efficiency: Vector = field(default_factory=lambda: np.ones(3))
+    efficiency: Vector = field(default_factory=lambda: np.ones(AXES))
     delay_samples: int = 0
     where: str = "Actuators"
 
     def __post_init__(self) -> None:
-        share = finite_array(self.where, "efficiency", self.efficiency, (3,))
+        share = finite_array(self.where, "efficiency", self.efficiency, (AXES,))
         object.__setattr__(self, "efficiency", share)
         if not ((share >= 0).all() and (share <= 1).all()):
             raise InputError(self.where, "efficiency", share.tolist(), "shares from 0 to 1")
         if not (self.delay_samples >= 0 and self.delay_samples == int(self.delay_samples)):
-            found = self.delay_samples
-            raise InputError(self.where, "delay_samples", found, "whole samples, 0 or more")
+            allowed = "whole samples, 0 or more"
+            raise InputError(self.where, "delay_samples", self.delay_samples, allowed)
 
 
 class Thrust:
@@ -44,9 +45,9 @@ class Thrust:
 
     def __init__(self, actuators: Actuators) -> None:
         self._efficiency = actuators.efficiency
-        self._ring = np.zeros((actuators.delay_samples + 1, 3))
+        self._ring = np.zeros((actuators.delay_samples + 1, AXES))
         self._newest = 0
-        self._delivered = np.zeros(3)
+        self._delivered = np.zeros(AXES)
 
     def deliver(self, tau: Vector) -> Vector:
         """The force on the hull in this sample for the command tau (3,); valid until the next."""

@@ -18,6 +18,18 @@ from numpy.typing import ArrayLike
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
+from dpbench.ship.layout import (
+    AIR,
+    AXES,
+    COEFFICIENTS,
+    DRIFT_U,
+    LOADED,
+    PLAIN,
+    STATE,
+    WATER,
+    WAVE,
+    WIND_U,
+)
 from dpbench.ship.sensors import SensorNoise
 from dpbench.ship.validation import finite_array
 from dpbench.ship.vessel import Vessel
@@ -59,7 +71,7 @@ class Environment:
 
     def __post_init__(self) -> None:
         for name in ("mean", "amplitude", "period_s", "phase_rad"):
-            array = finite_array(self.where, name, getattr(self, name), (3,))
+            array = finite_array(self.where, name, getattr(self, name), (AXES,))
             object.__setattr__(self, name, array)
         if not (self.period_s > 0).all():
             raise InputError(self.where, "period_s", self.period_s.tolist(), "positive periods")
@@ -87,8 +99,8 @@ class Environment:
         """The weather at the stage times of Runge-Kutta 4: (steps, 2·substeps + 1, 3 or 9).
 
         Entry [k, 2i] is the start of sub-step i of sample k, [k, 2i + 1] its middle, and the last
-        entry the end of the sample. The columns are b; where wind, current or drift are present,
-        then the velocities of air and water and the wave envelope follow, north and east each
+        entry the end of the sample. The columns are those of `layout`: b, and where wind, current
+        or drift are present the velocities of air and water and the wave envelope
         [m/s, m/s, m].
         """
         start = sample_s * np.arange(steps, dtype=np.float64)
@@ -97,18 +109,18 @@ class Environment:
         b = np.ascontiguousarray(self.force(t))
         if not self.moves_with_the_ship:
             return b
-        table = np.zeros((*t.shape, 9))
-        table[..., :3] = b
+        table = np.zeros((*t.shape, LOADED))
+        table[..., :PLAIN] = b
         if self.wind is not None:
             speed = self.wind.speed(start, offset, self.seed)
-            table[..., 3:5] = _along(speed, self.wind.to_rad)
+            table[..., AIR] = _along(speed, self.wind.to_rad)
         if self.current is not None:
-            table[..., 5:7] = self.current.velocity
+            table[..., WATER] = self.current.velocity
         if self.drift is not None:
             height = self.drift.envelope(start, offset, self.seed)
-            table[..., 7:9] = _along(height, self.drift.sea.to_rad)
+            table[..., WAVE] = _along(height, self.drift.sea.to_rad)
         if self.ramp_s > 0:
-            table[..., 3:] *= np.minimum(t / self.ramp_s, 1.0)[..., np.newaxis]
+            table[..., PLAIN:] *= np.minimum(t / self.ramp_s, 1.0)[..., np.newaxis]
         return table
 
     def load_coefficients(self, vessel: Vessel) -> Vector | None:
@@ -124,31 +136,31 @@ class Environment:
         """
         if not self.moves_with_the_ship:
             return None
-        coefficients = np.zeros(6)
+        coefficients = np.zeros(COEFFICIENTS)
         if self.wind is not None:
             if vessel.windage is None:
                 allowed = "wind areas and coefficients, because the weather has wind"
                 raise InputError(vessel.where, "windage", "none", allowed)
-            coefficients[:3] = vessel.windage.coefficients(vessel.length_m)
+            coefficients[WIND_U:DRIFT_U] = vessel.windage.coefficients(vessel.length_m)
         if self.drift is not None:
             if vessel.reflection is None:
                 allowed = "a breadth and wave reflection, because the weather has wave drift"
                 raise InputError(vessel.where, "reflection", "none", allowed)
-            coefficients[3:] = vessel.reflection.coefficients(vessel.length_m, self.drift.sea)
+            coefficients[DRIFT_U:] = vessel.reflection.coefficients(vessel.length_m, self.drift.sea)
         return coefficients
 
     def measured_motion(self, samples: int, sample_s: float) -> Matrix:
         """Wave-frequency motion at the samples: (samples, 6) = [n, e, ψ, ṅ, ė, ψ̇], NED, SI."""
         if self.motion is None:
-            return np.zeros((samples, 6))
+            return np.zeros((samples, STATE))
         t = sample_s * np.arange(samples, dtype=np.float64)
         return self.motion.table(t, self.seed)
 
     def noise_table(self, samples: int) -> Matrix:
         """Noise of the measured pose at the samples: (samples, 3) [m, m, rad]."""
-        return (
-            np.zeros((samples, 3)) if self.noise is None else self.noise.table(samples, self.seed)
-        )
+        if self.noise is None:
+            return np.zeros((samples, AXES))
+        return self.noise.table(samples, self.seed)
 
 
 def _along(length: Matrix, to_rad: float) -> Matrix:

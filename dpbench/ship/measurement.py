@@ -10,17 +10,28 @@ from numba import njit
 
 from dpbench.arrays import Vector
 from dpbench.ship.environment import Environment
+from dpbench.ship.layout import (
+    AXES,
+    HEADING,
+    RATE_EAST,
+    RATE_HEADING,
+    RATE_NORTH,
+    STATE,
+    R,
+    U,
+    V,
+)
 
 
 @njit(cache=True)
 def _sense(state, motion, noise, measured):  # type: ignore[no-untyped-def] # compiled by numba
     """The measurement (6,) into measured, of state (6,), motion (6,) in NED and noise (3,)."""
-    c, s = np.cos(state[5]), np.sin(state[5])
-    measured[0] = state[0] + c * motion[3] + s * motion[4]
-    measured[1] = state[1] - s * motion[3] + c * motion[4]
-    measured[2] = state[2] + motion[5]
-    for i in range(3):
-        measured[3 + i] = state[3 + i] + motion[i] + noise[i]
+    c, s = np.cos(state[HEADING]), np.sin(state[HEADING])
+    measured[U] = state[U] + c * motion[RATE_NORTH] + s * motion[RATE_EAST]
+    measured[V] = state[V] - s * motion[RATE_NORTH] + c * motion[RATE_EAST]
+    measured[R] = state[R] + motion[RATE_HEADING]
+    for i in range(AXES):
+        measured[AXES + i] = state[AXES + i] + motion[i] + noise[i]
 
 
 class Sensors:
@@ -30,7 +41,7 @@ class Sensors:
         self._ideal = environment.motion is None and environment.noise is None
         self._motion = environment.measured_motion(samples, sample_s)
         self._noise = environment.noise_table(samples)
-        self._measured = np.empty(6)
+        self._measured = np.empty(STATE)
 
     def sense(self, state: Vector, k: int) -> Vector:
         """[u, v, r, n, e, ψ] as measured at sample k; valid until the next."""

@@ -14,7 +14,8 @@ import numpy as np
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.ship.actuators import Actuators, Thrust
-from dpbench.ship.kernels import advance, advance_loaded
+from dpbench.ship.kernels import STAGES, advance, advance_loaded
+from dpbench.ship.layout import STATE
 from dpbench.ship.vessel import Vessel
 
 SUBSTEPS = 10
@@ -51,7 +52,7 @@ class Plant:
         self._loads = None if loads is None else np.array(loads, dtype=np.float64)
         self._thrust = None if actuators is None else Thrust(actuators)
         self._h = sample_s / substeps
-        self._work = np.empty((5, 6))
+        self._work = np.empty((STAGES + 1, STATE))
 
     def advance(self, tau: Vector, stages: Matrix) -> None:
         """One sample under the commanded force tau (3,) and weather (2·substeps + 1, 3 or 9).

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dpbench.errors import InputError, ShapeError
+from dpbench.ship.layout import AXES
 
 
 def finite_array(
@@ -41,3 +42,19 @@ def not_negative(where: str, **values: float) -> None:
     for key, value in values.items():
         if not (math.isfinite(value) and value >= 0):
             raise InputError(where, key, value, "0 or more")
+
+
+def store_positive_vectors(owner: object, where: str, *names: str) -> None:
+    """Keep the named fields of a frozen dataclass as (3,) positive finite floats.
+
+    Raises
+    ------
+    ShapeError, InputError : naming `where` and the field.
+    """
+    for name in names:
+        array = np.ascontiguousarray(getattr(owner, name), dtype=np.float64)
+        if array.shape != (AXES,):
+            raise ShapeError.of(where, name, array.shape, f"shape {(AXES,)}")
+        if not (np.isfinite(array) & (array > 0)).all():
+            raise InputError(where, name, array.tolist(), "positive finite numbers")
+        object.__setattr__(owner, name, array)

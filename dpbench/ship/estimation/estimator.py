@@ -16,6 +16,7 @@ from numba import njit
 
 from dpbench.arrays import Vector
 from dpbench.errors import InputError, ShapeError
+from dpbench.ship.layout import HEADING, STATE
 
 TURN = 2.0 * math.pi
 
@@ -69,7 +70,7 @@ class MeasuredState(Estimator):
     """
 
     def __init__(self) -> None:
-        self._estimate, self.change = np.zeros(6), np.zeros(6)
+        self._estimate, self.change = np.zeros(STATE), np.zeros(STATE)
         self._first = True
 
     def start(self, state: Vector) -> None:
@@ -79,15 +80,15 @@ class MeasuredState(Estimator):
 
     def update(self, measured: Vector, tau: Vector) -> Vector:
         """The measurement and its difference to the last; ShapeError unless it is (6,)."""
-        if measured.shape != (6,):
+        if measured.shape != (STATE,):
             raise ShapeError.of("MeasuredState", "measured", measured.shape, "shape (6,)")
         estimate, change = self._estimate, self.change
-        before = estimate[5]
+        heading_before = estimate[HEADING]
         np.subtract(measured, estimate, out=change)
-        turns = TURN * round(change[5] / TURN)
+        turns = TURN * round(change[HEADING] / TURN)
         estimate[...] = measured
-        estimate[5] -= turns
-        change[5] = estimate[5] - before
+        estimate[HEADING] -= turns
+        change[HEADING] = estimate[HEADING] - heading_before
         if self._first:
             change[...] = 0.0
             self._first = False
@@ -99,13 +100,3 @@ def checked_sample(where: str, sample_s: float) -> float:
     if not 0.0 < sample_s < math.inf:
         raise InputError(where, "sample_s", sample_s, "a positive number of seconds")
     return float(sample_s)
-
-
-def positive_vector(where: str, key: str, value: object) -> Vector:
-    """The value as (3,) positive finite floats; ShapeError or InputError names where and key."""
-    array = np.ascontiguousarray(value, dtype=np.float64)
-    if array.shape != (3,):
-        raise ShapeError.of(where, key, array.shape, "shape (3,)")
-    if not (np.isfinite(array) & (array > 0)).all():
-        raise InputError(where, key, array.tolist(), "positive finite numbers")
-    return array

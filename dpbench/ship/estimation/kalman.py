@@ -5,7 +5,8 @@
 T(ψ) turns vessel-parallel axes into north-east ones, ψ being the *measured* heading. The gain is
 computed once, in vessel-parallel axes, where the model does not depend on the heading; positions,
 bias and wave states are remembered in north-east axes, so that a turn of the ship moves none of
-them. What is left out is the turn within one sample and the wave part of the measured heading,
+them. Of the state x (see `observer` for its layout) these are η, b, ξ1, ξ2; ν is along the ship in
+both. What is left out is the turn within one sample and the wave part of the measured heading,
 both a degree or so.
 """
 
@@ -15,20 +16,30 @@ import numpy as np
 from numba import njit
 
 from dpbench.arrays import Vector
-from dpbench.ship.estimation.estimator import Estimator, nearest_turn
+from dpbench.ship.estimation.estimator import nearest_turn
 from dpbench.ship.estimation.kalman_model import KalmanModel, KalmanTuning, kalman_model
-from dpbench.ship.estimation.model_change import change_matrix, model_change
+from dpbench.ship.estimation.model_change import model_change
+from dpbench.ship.estimation.observer import (
+    BIAS,
+    ETA,
+    NU,
+    WITHOUT_WAVES,
+    XI1,
+    XI2,
+    ModelObserver,
+)
+from dpbench.ship.layout import AXES
 from dpbench.ship.vessel import Vessel
 
 
 @njit(cache=True)
 def _turned(x, c, s):  # type: ignore[no-untyped-def] # compiled by numba
     """Turn η, b, ξ1, ξ2 of the state x in place by the angle of cosine c and sine s."""
-    for i in (0, 3, 9, 12):
-        if i < len(x):
-            a = c * x[i] - s * x[i + 1]
-            x[i + 1] = s * x[i] + c * x[i + 1]
-            x[i] = a
+    for first in (ETA, BIAS, XI1, XI2):
+        if first < len(x):
+            turned = c * x[first] - s * x[first + 1]
+            x[first + 1] = s * x[first] + c * x[first + 1]
+            x[first] = turned
 
 
 @njit(cache=True)
@@ -36,8 +47,8 @@ def _filter_step(  # type: ignore[no-untyped-def] # compiled by numba
     x, measured, tau, Phi, Gamma, K, J, advance, epsilon, estimate, change
 ):
     """One update of the state x (n,) in place; fills epsilon (3,), estimate and change (6,)."""
-    n, pose = len(x), len(measured) - 3
-    heading = nearest_turn(measured[pose + 2], x[2])
+    n, pose = len(x), len(measured) - AXES
+    heading = nearest_turn(measured[pose + 2], x[ETA + 2])
     c, s = np.cos(heading), np.sin(heading)
     _turned(x, c, -s)
     predicted = x.copy()
@@ -46,27 +57,27 @@ def _filter_step(  # type: ignore[no-untyped-def] # compiled by numba
             total = 0.0
             for j in range(n):
                 total += Phi[i, j] * x[j]
-            for j in range(3):
+            for j in range(AXES):
                 total += Gamma[i, j] * tau[j]
             predicted[i] = total
     north, east = measured[pose], measured[pose + 1]
-    epsilon[0] = c * north + s * east - predicted[0]
-    epsilon[1] = c * east - s * north - predicted[1]
-    epsilon[2] = heading - predicted[2]
-    if n > 9:
-        for j in range(3):
-            epsilon[j] -= predicted[12 + j]
+    epsilon[0] = c * north + s * east - predicted[ETA]
+    epsilon[1] = c * east - s * north - predicted[ETA + 1]
+    epsilon[2] = heading - predicted[ETA + 2]
+    if n > WITHOUT_WAVES:
+        for j in range(AXES):
+            epsilon[j] -= predicted[XI2 + j]
     for i in range(n):
         x[i] = predicted[i] + K[i, 0] * epsilon[0] + K[i, 1] * epsilon[1] + K[i, 2] * epsilon[2]
     _turned(x, c, s)
-    for j in range(3):
-        estimate[j] = x[6 + j]
-        estimate[3 + j] = x[j]
+    for j in range(AXES):
+        estimate[j] = x[NU + j]
+        estimate[AXES + j] = x[ETA + j]
     if advance:
-        model_change(J, estimate, tau, x[3:6], change)
+        model_change(J, estimate, tau, x[BIAS:NU], change)
 
 
-class KalmanFilter(Estimator):
+class KalmanFilter(ModelObserver):
     """Steady-state Kalman filter.
 
     Parameters
@@ -82,21 +93,10 @@ class KalmanFilter(Estimator):
 
     def __init__(self, ship: Vessel, tuning: KalmanTuning, sample_s: float) -> None:
         self.model: KalmanModel = kalman_model(ship, tuning, sample_s)
+        super().__init__(ship, sample_s, len(self.model.Phi))
         self._Phi, self._Gamma, self._K = self.model.Phi, self.model.Gamma, self.model.K
-        self._J = change_matrix(ship, sample_s)
-        self._x = np.zeros(len(self._Phi))
-        self._estimate, self.change = np.zeros(6), np.zeros(6)
-        self._advance = False
-        self.innovation: Vector = np.zeros(3)
+        self.innovation: Vector = np.zeros(AXES)
         """ε (3,) of the last update, in vessel-parallel axes [m, m, rad]; overwritten."""
-
-    def start(self, state: Vector) -> None:
-        """Begin at the state (6,), with neither bias nor wave motion."""
-        self._x[...] = 0.0
-        self._x[0:3], self._x[6:9] = state[3:], state[:3]
-        self._estimate[...] = state
-        self.change[...] = 0.0
-        self._advance = False
 
     def update(self, measured: Vector, tau: Vector) -> Vector:
         _filter_step(
@@ -114,8 +114,3 @@ class KalmanFilter(Estimator):
         )
         self._advance = True
         return self._estimate
-
-    @property
-    def bias(self) -> Vector:
-        """Estimated bias (3,), north, east, yaw [N, N, N·m]."""
-        return self._x[3:6].copy()

@@ -8,6 +8,38 @@ In vessel-parallel axes (positions and forces turned by the measured heading), s
 
 Discrete: Φ = e^{Ah}, Γ = ∫ e^{As} B ds, Q = ∫ e^{As} E Eᵀ e^{Aᵀs} ds over a sample (Van Loan 1978),
 P = Φ (P − P Cᵀ S⁻¹ C P) Φᵀ + Q,   S = C P Cᵀ + R,   K = P Cᵀ S⁻¹.
+
+The matrices in blocks of three (0 left out; without the wave filter the last two rows and columns
+of blocks are not there), the order of x that of `observer`:
+
+    A       η    b       ν       ξ1     ξ2          B         E   on bias  on speed  on waves
+    η                    I                          η         η
+    b          −I/T_b                               b         b   E_b
+    ν           M⁻¹     −M⁻¹D                       ν  M⁻¹    ν            M⁻¹E_f
+    ξ1                                  I           ξ1        ξ1
+    ξ2                          −ω0²   −2λω0        ξ2        ξ2                     K_w
+    C       I                           I
+
+Two examples to follow by hand. A trolley of mass 1 on rails, ṗ = v, v̇ = u + w: over h = 2 s a held
+force of 1 moves it by h²/2 = 2 and makes it faster by h = 2, and white noise leaves the variances
+h³/3 = 8/3 of p, h = 2 of v and h²/2 = 2 between them.
+
+>>> A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
+>>> Phi, Gamma, Q = discretise(A, B, B, 2.0)
+>>> bool(np.allclose(Phi, [[1, 2], [0, 1]]) and np.allclose(Gamma, [[2], [2]]))
+True
+>>> bool(np.allclose(Q, [[8 / 3, 2], [2, 2]]))
+True
+
+Three positions that walk at random, x⁺ = x + w and y = x + v with unit variances, each on its own:
+p = p − p²/(p + 1) + 1, that is p² = p + 1, so p = (1 + √5)/2 = 1.618, s = p + 1 = 2.618 and
+k = p/s = 1/p = 0.618. Of what a measurement says anew the filter believes that share.
+
+>>> one = np.eye(3)
+>>> P, S, K = _steady_state(one, one, one, "random walk")
+>>> golden = (1 + math.sqrt(5)) / 2
+>>> [bool(np.allclose(X, x * one)) for X, x in ((P, golden), (S, golden + 1), (K, 1 / golden))]
+[True, True, True]
 """
 
 from __future__ import annotations
@@ -20,10 +52,23 @@ from scipy.linalg import LinAlgError, expm, solve_discrete_are
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
-from dpbench.ship.estimation.estimator import checked_sample, positive_vector
+from dpbench.ship.estimation.estimator import checked_sample
+from dpbench.ship.estimation.observer import (
+    BIAS,
+    ETA,
+    NU,
+    WITH_WAVES,
+    WITHOUT_WAVES,
+    XI1,
+    XI2,
+)
 from dpbench.ship.estimation.wave_filter import WaveModel
+from dpbench.ship.layout import AXES
+from dpbench.ship.validation import store_positive_vectors
 from dpbench.ship.vessel import Vessel
 
+NOISES = range(0, 3 * AXES, AXES)
+"""First entry of w that drives the bias, the speed and, with the wave filter, the waves."""
 SENSOR_STD = np.array([0.1, 0.1, np.radians(0.1)])
 """White noise of satellite position and gyrocompass [m, m, rad], per sample."""
 FORCE_SHARE = 0.005
@@ -66,9 +111,7 @@ class KalmanTuning:
     where: str = "KalmanTuning"
 
     def __post_init__(self) -> None:
-        for name in ("measurement_std", "force_noise", "bias_noise"):
-            array = positive_vector(self.where, name, getattr(self, name))
-            object.__setattr__(self, name, array)
+        store_positive_vectors(self, self.where, "measurement_std", "force_noise", "bias_noise")
         if not self.bias_time_s > 0:
             raise InputError(self.where, "bias_time_s", self.bias_time_s, "a positive time or inf")
 
@@ -163,42 +206,46 @@ def discretise(A: Matrix, B: Matrix, E: Matrix, h: float) -> tuple[Matrix, Matri
 
 def _steady_state(Phi: Matrix, C: Matrix, Q: Matrix, where: str) -> tuple[Matrix, Matrix, Matrix]:
     """P, S, K of the module's equations for R = I, verified; InputError where there is none."""
-    n = len(Phi)
+    n, one = len(Phi), np.eye(AXES)
     allowed = "noises of comparable effect"
     try:
         # Our own units balance it; LAPACK's balancing overflows where the noises differ too much.
-        P = np.asarray(solve_discrete_are(Phi.T, C.T, Q, np.eye(3), balanced=False), np.float64)
+        P = np.asarray(solve_discrete_are(Phi.T, C.T, Q, one, balanced=False), np.float64)
     except (LinAlgError, ValueError) as error:
         raise InputError(where, "", f"no steady state ({error})", allowed) from error
-    S = C @ P @ C.T + np.eye(3)
+    S = C @ P @ C.T + one
     K = np.asarray(np.linalg.solve(S, C @ P).T, np.float64)
     spread = np.sqrt(np.abs(np.diag(P)))
     rest = (Phi @ (P - K @ S @ K.T) @ Phi.T + Q - P) / np.outer(spread, spread)
     residual = float(np.abs(rest).max())
     radius = float(np.abs(np.linalg.eigvals((np.eye(n) - K @ C) @ Phi)).max())
     if not (residual < RESIDUAL_MAX and radius < RADIUS_MAX):
-        found = f"no steady state (Riccati residual {residual:.1e}, spectral radius {radius:.12f})"
-        raise InputError(where, "", found, allowed)
+        measured = f"Riccati residual {residual:.1e}, spectral radius {radius:.12f}"
+        raise InputError(where, "", f"no steady state ({measured})", allowed)
     return P, S, K
 
 
 def _continuous(ship: Vessel, tuning: KalmanTuning) -> tuple[Matrix, Matrix, Matrix, Matrix]:
     """A, B, E, C of the module's equations, in SI."""
-    n = 9 if tuning.waves is None else 15
+    n = WITHOUT_WAVES if tuning.waves is None else WITH_WAVES
     Minv = np.linalg.inv(ship.M)
-    A, B, E, C = np.zeros((n, n)), np.zeros((n, 3)), np.zeros((n, n - 3)), np.zeros((3, n))
-    eta, b, nu, xi1, xi2 = (slice(i, i + 3) for i in range(0, 15, 3))
-    A[eta, nu] = C[:, eta] = np.eye(3)
-    A[b, b] = -np.eye(3) / tuning.bias_time_s
+    A, B, C = np.zeros((n, n)), np.zeros((n, AXES)), np.zeros((AXES, n))
+    # A column a state less the pose; those of ξ1, which nothing drives, stay zero at the end.
+    E = np.zeros((n, n - AXES))
+    eta, b, nu, xi1, xi2 = (slice(first, first + AXES) for first in (ETA, BIAS, NU, XI1, XI2))
+    on_bias, on_speed, on_waves = (slice(first, first + AXES) for first in NOISES)
+    one = np.eye(AXES)
+    A[eta, nu] = C[:, eta] = one
+    A[b, b] = -one / tuning.bias_time_s
     A[nu, b] = B[nu] = Minv
     A[nu, nu] = -Minv @ ship.D
-    E[b, 0:3], E[nu, 3:6] = np.diag(tuning.bias_noise), Minv * tuning.force_noise
+    E[b, on_bias], E[nu, on_speed] = np.diag(tuning.bias_noise), Minv * tuning.force_noise
     if tuning.waves is not None:
         omega0 = tuning.waves.omega0_radps
-        A[xi1, xi2] = C[:, xi2] = np.eye(3)
+        A[xi1, xi2] = C[:, xi2] = one
         A[xi2, xi1] = -np.diag(omega0**2)
         A[xi2, xi2] = -np.diag(2 * tuning.waves.damping * omega0)
-        E[xi2, 6:9] = np.diag(tuning.waves.K_w)
+        E[xi2, on_waves] = np.diag(tuning.waves.K_w)
     return A, B, E, C
 
 

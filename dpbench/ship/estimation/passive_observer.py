@@ -16,9 +16,11 @@ import numpy as np
 from numba import njit
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.ship.estimation.estimator import Estimator, checked_sample, nearest_turn
-from dpbench.ship.estimation.model_change import change_matrix, model_change
+from dpbench.ship.estimation.estimator import checked_sample, nearest_turn
+from dpbench.ship.estimation.model_change import model_change
+from dpbench.ship.estimation.observer import BIAS, ETA, NU, WITH_WAVES, XI1, XI2, ModelObserver
 from dpbench.ship.estimation.passive_tuning import PassiveTuning
+from dpbench.ship.layout import AXES, POSE
 from dpbench.ship.vessel import Vessel
 
 OBSERVER_SUBSTEPS = 2
@@ -32,23 +34,24 @@ _K11, _K12, _K2, _K3, _K4, _STIFF, _DAMP, _LEAK = range(8)
 def _derivative(x, y, tau, Minv, MinvD, rows, out):  # type: ignore[no-untyped-def] # compiled by numba
     """ẋ of x = [η̂, b̂, ν̂, ξ̂1, ξ̂2] (15,) at the measured pose y (3,), into out."""
     c, s = np.cos(y[2]), np.sin(y[2])
-    e = (y[0] - x[0] - x[12], y[1] - x[1] - x[13], y[2] - x[2] - x[14])
-    north, east = x[3] + rows[_K4, 0] * e[0], x[4] + rows[_K4, 1] * e[1]
+    eta, bias, nu, xi1, xi2 = x[ETA:BIAS], x[BIAS:NU], x[NU:XI1], x[XI1:XI2], x[XI2:]
+    e = (y[0] - eta[0] - xi2[0], y[1] - eta[1] - xi2[1], y[2] - eta[2] - xi2[2])
+    north, east = bias[0] + rows[_K4, 0] * e[0], bias[1] + rows[_K4, 1] * e[1]
     force = (
         tau[0] + c * north + s * east,
         tau[1] + c * east - s * north,
-        tau[2] + x[5] + rows[_K4, 2] * e[2],
+        tau[2] + bias[2] + rows[_K4, 2] * e[2],
     )
-    velocity = (c * x[6] - s * x[7], s * x[6] + c * x[7], x[8])
-    for i in range(3):
+    velocity = (c * nu[0] - s * nu[1], s * nu[0] + c * nu[1], nu[2])
+    for i in range(AXES):
         acceleration = 0.0
-        for j in range(3):
-            acceleration += Minv[i, j] * force[j] - MinvD[i, j] * x[6 + j]
-        out[i] = velocity[i] + rows[_K2, i] * e[i]
-        out[3 + i] = rows[_K3, i] * e[i] - rows[_LEAK, i] * x[3 + i]
-        out[6 + i] = acceleration
-        out[9 + i] = x[12 + i] + rows[_K11, i] * e[i]
-        out[12 + i] = rows[_K12, i] * e[i] - rows[_STIFF, i] * x[9 + i] - rows[_DAMP, i] * x[12 + i]
+        for j in range(AXES):
+            acceleration += Minv[i, j] * force[j] - MinvD[i, j] * nu[j]
+        out[ETA + i] = velocity[i] + rows[_K2, i] * e[i]
+        out[BIAS + i] = rows[_K3, i] * e[i] - rows[_LEAK, i] * bias[i]
+        out[NU + i] = acceleration
+        out[XI1 + i] = xi2[i] + rows[_K11, i] * e[i]
+        out[XI2 + i] = rows[_K12, i] * e[i] - rows[_STIFF, i] * xi1[i] - rows[_DAMP, i] * xi2[i]
 
 
 @njit(cache=True)
@@ -56,7 +59,7 @@ def _observer_step(  # type: ignore[no-untyped-def] # compiled by numba
     x, before, measured, tau, Minv, MinvD, rows, J, h, substeps, estimate, change
 ):
     """Advance x (15,) from the pose `before` (3,) to the measured one, which it becomes."""
-    pose, work, y = len(measured) - 3, np.empty((5, 15)), np.empty(3)
+    pose, work, y = len(measured) - AXES, np.empty((5, WITH_WAVES)), np.empty(AXES)
     k1, k2, k3, k4, mid = work[0], work[1], work[2], work[3], work[4]
     rise = (
         measured[pose] - before[0],
@@ -64,32 +67,32 @@ def _observer_step(  # type: ignore[no-untyped-def] # compiled by numba
         nearest_turn(measured[pose + 2], before[2]) - before[2],
     )
     for step in range(substeps):
-        for j in range(3):
+        for j in range(AXES):
             y[j] = before[j] + rise[j] * step / substeps
         _derivative(x, y, tau, Minv, MinvD, rows, k1)
-        for j in range(3):
+        for j in range(AXES):
             y[j] = before[j] + rise[j] * (step + 0.5) / substeps
-        for j in range(15):
+        for j in range(WITH_WAVES):
             mid[j] = x[j] + 0.5 * h * k1[j]
         _derivative(mid, y, tau, Minv, MinvD, rows, k2)
-        for j in range(15):
+        for j in range(WITH_WAVES):
             mid[j] = x[j] + 0.5 * h * k2[j]
         _derivative(mid, y, tau, Minv, MinvD, rows, k3)
-        for j in range(3):
+        for j in range(AXES):
             y[j] = before[j] + rise[j] * (step + 1) / substeps
-        for j in range(15):
+        for j in range(WITH_WAVES):
             mid[j] = x[j] + h * k3[j]
         _derivative(mid, y, tau, Minv, MinvD, rows, k4)
-        for j in range(15):
+        for j in range(WITH_WAVES):
             x[j] += h / 6.0 * (k1[j] + 2.0 * k2[j] + 2.0 * k3[j] + k4[j])
-    for j in range(3):
+    for j in range(AXES):
         before[j] += rise[j]
-        estimate[j], estimate[3 + j] = x[6 + j], x[j]
+        estimate[j], estimate[AXES + j] = x[NU + j], x[ETA + j]
     if substeps > 0:
-        model_change(J, estimate, tau, x[3:6], change)
+        model_change(J, estimate, tau, x[BIAS:NU], change)
 
 
-class PassiveObserver(Estimator):
+class PassiveObserver(ModelObserver):
     """Fossen and Strand's observer.
 
     Parameters
@@ -111,6 +114,8 @@ class PassiveObserver(Estimator):
         sample_s: float,
         substeps: int = OBSERVER_SUBSTEPS,
     ) -> None:
+        h = checked_sample(tuning.where, sample_s) / substeps
+        super().__init__(ship, sample_s, WITH_WAVES)
         waves = tuning.waves
         omega0 = waves.omega0_radps
         self._rows: Matrix = np.array(
@@ -118,21 +123,13 @@ class PassiveObserver(Estimator):
         )
         self._Minv: Matrix = np.ascontiguousarray(np.linalg.inv(ship.M))
         self._MinvD: Matrix = np.ascontiguousarray(np.linalg.solve(ship.M, ship.D))
-        self._h = checked_sample(tuning.where, sample_s) / substeps
-        self._substeps = substeps
-        self._J = change_matrix(ship, sample_s)
-        self._x, self._pose = np.zeros(15), np.zeros(3)
-        self._estimate, self.change = np.zeros(6), np.zeros(6)
-        self._advance = False
+        self._h, self._substeps = h, substeps
+        self._pose = np.zeros(AXES)
 
     def start(self, state: Vector) -> None:
-        """Begin at the state (6,), with neither bias nor wave motion."""
-        self._x[...] = 0.0
-        self._x[0:3], self._x[6:9] = state[3:], state[:3]
-        self._pose[...] = state[3:]
-        self._estimate[...] = state
-        self.change[...] = 0.0
-        self._advance = False
+        """Begin at the state (6,), with neither bias nor wave motion, measured where it is."""
+        super().start(state)
+        self._pose[...] = state[POSE]
 
     def update(self, measured: Vector, tau: Vector) -> Vector:
         _observer_step(
@@ -151,8 +148,3 @@ class PassiveObserver(Estimator):
         )
         self._advance = True
         return self._estimate
-
-    @property
-    def bias(self) -> Vector:
-        """Estimated bias (3,), north, east, yaw [N, N, N·m]."""
-        return self._x[3:6].copy()

@@ -14,8 +14,8 @@ import numpy as np
 
 from dpbench.arrays import Vector
 from dpbench.errors import InputError
-from dpbench.ship.estimation.estimator import positive_vector
 from dpbench.ship.estimation.wave_filter import WaveModel
+from dpbench.ship.validation import store_positive_vectors
 from dpbench.ship.vessel import Vessel
 
 CUTOFF_RATIO = 1.5
@@ -59,9 +59,8 @@ class PassiveTuning:
     where: str = "PassiveTuning"
 
     def __post_init__(self) -> None:
-        for name in ("notch_damping", "cutoff_radps", "K4", "bias_rate_radps", "bias_time_s"):
-            array = positive_vector(self.where, name, getattr(self, name))
-            object.__setattr__(self, name, array)
+        gains = "notch_damping", "cutoff_radps", "K4", "bias_rate_radps", "bias_time_s"
+        store_positive_vectors(self, self.where, *gains)
         omega0, damping = self.waves.omega0_radps, self.waves.damping
         rules = (
             ("notch_damping", self.notch_damping > damping, f"above {damping.tolist()}"),

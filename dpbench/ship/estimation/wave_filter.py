@@ -15,7 +15,7 @@ import numpy as np
 
 from dpbench.arrays import Vector
 from dpbench.errors import InputError
-from dpbench.ship.estimation.estimator import positive_vector
+from dpbench.ship.validation import store_positive_vectors
 
 JONSWAP_DAMPING = 0.1
 """λ that fits a JONSWAP spectrum of γ = 3.3; 0.26 fits Pierson-Moskowitz (Fossen 2021)."""
@@ -44,9 +44,7 @@ class WaveModel:
     where: str = "WaveModel"
 
     def __post_init__(self) -> None:
-        for name in ("peak_period_s", "damping", "std"):
-            array = positive_vector(self.where, name, getattr(self, name))
-            object.__setattr__(self, name, array)
+        store_positive_vectors(self, self.where, "peak_period_s", "damping", "std")
         if not (self.damping < 1).all():
             raise InputError(self.where, "damping", self.damping.tolist(), "numbers below 1")
 
