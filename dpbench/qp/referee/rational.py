@@ -7,6 +7,38 @@ optimum or at a proof that there is no feasible point, however degenerate the pr
 
 All data are scaled by powers of two to integers: with P = 2^p P', C = 2^c C', z = 2^e z',
 q = 2^(p+e) q', [L; U] = 2^(c+e) [L'; U'], the multipliers are λ = 2^(p+e−c) λ'.
+
+A set W is solved for two right-hand sides at once, in integers over one positive denominator: the
+point, and what it changes by when the multiplier μ of a row g to be brought in grows by 1.
+
+              n    w                                 point   slope
+        n  ┌  P   Gᵀ ┐   ┌ z  dz/dμ ┐           ┌     −q      −g  ┐
+        w  └  G   0  ┘   └ λ  dλ/dμ ┘     =     └   limits     0  ┘        G = C_W
+
+An example to follow by hand: the point nearest (1, ½) with 3 z₁ ≤ 1. Alone, z = (1, ½) violates the
+row g = (3, 0) by 2. Along μ, dz/dμ = −g, so that g·z falls by 9 for 1 of μ: at μ = 2/9 the row is
+met, W = {0} has G = (3, 0), z = (⅓, ½) and λ = 2/9, both exact. Rounded once, ⅓ is off by ⅓·2⁻⁵⁴.
+
+>>> from dpbench.qp.program import QuadraticProgram
+>>> free = np.full(2, np.inf)
+>>> row = [[3, 0]], [-np.inf], [1], -free, free
+>>> problem = JointQP.of(QuadraticProgram(np.eye(2), [-1, -0.5], *row))
+>>> exact = ExactMatrices.of(problem.P, problem.C)
+>>> qp, nobody = _IntegerQP.of(problem, exact), np.zeros(3, dtype=np.int8)
+>>> active, at = _start(qp, nobody)
+>>> unit = Fraction(2) ** qp.z_exponent
+>>> [str(Fraction(z, at.denominator) * unit) for z in at.point]
+['1', '1/2']
+>>> _most_violated(qp, at), _hold(qp, active, 0, 1), active.rows
+((0, 1), None, [0])
+>>> at = active.solve(np.zeros(2, dtype=object))
+>>> [str(Fraction(z, at.denominator) * unit) for z in at.point[:2]]
+['1/3', '1/2']
+>>> str(Fraction(at.point[2], at.denominator) * Fraction(2) ** qp.y_exponent)
+'2/9'
+>>> proof = rational_certificate(problem, exact, nobody)
+>>> proof.z.tolist() == [1 / 3, 1 / 2], bool(np.isclose(proof.bound, 2**-54 / 3, rtol=1e-9, atol=0))
+(True, True)
 """
 
 from __future__ import annotations
@@ -121,14 +153,14 @@ class _ActiveSet:
 def _most_violated(qp: _IntegerQP, at: _Iterate) -> tuple[int, int] | None:
     """Row and sign of the limit that the point violates most, exactly; None if it is feasible."""
     value = qp.C @ at.point[: len(qp.q)]
-    worst, found = 0, None
+    violation, limit = 0, None
     for row, number in enumerate(value.tolist()):
         lower, upper = qp.lower[row], qp.upper[row]
         above = 0 if upper is None else number - upper * at.denominator
         below = 0 if lower is None else lower * at.denominator - number
-        if max(above, below) > worst:
-            worst, found = max(above, below), (row, 1 if above > below else -1)
-    return found
+        if max(above, below) > violation:
+            violation, limit = max(above, below), (row, 1 if above > below else -1)
+    return limit
 
 
 def _start(qp: _IntegerQP, signs: Signs) -> tuple[_ActiveSet, _Iterate] | None:

@@ -4,6 +4,40 @@ In order: the linear certificate with the active set of the step before, then wi
 guess; the gap certificate where rows are weakly active; the rational one for small problems; all
 of it again in other units, with equality rows enclosed, as the last resort (`last_resort`).
 Nobody's word is taken for anything: every certificate stands on its own.
+
+What every certificate works on are the rows of C = [A; I], rows first and bounds behind them; a set
+of active ones is an array of signs over them, and an inverse is kept for each set by its bytes:
+
+    row of C      0 … m−1      m … m+n−1                        n      w
+    limits     L  l            lb                            ┌  P     C_Wᵀ ┐  ┌ z   ┐     ┌ −q  ┐
+               U  u            ub                     K_W =  └  C_W   0    ┘  └ λ_W ┘  =  └ b_W ┘
+    signs      +1 at U, −1 at L, 0 inactive           b_W the limits that the signs of W name
+    result     y            y_box                     X ≈ K_W⁻¹ and a proof of how near
+
+An example to follow by hand, the point nearest (3, 3) under z₁ ≤ 1 and z₂ ≤ 1: W = {1, 2},
+C_W = I, z = (1, 1) and λ = (3, 3) − z = (2, 2). How that is certified depends on a row
+l ≤ z₁ + z₂ ≤ u beside them:
+
+- u = 2.5: the slack of ½ and the multipliers of 2 are beyond doubt, "linear".
+- u = 2: the row is met without a multiplier, and no rounding may decide whether it is active. Held
+  at limits moved inwards by τ = 2⁻¹²⁰, z = (1 − τ, 1 − τ) is feasible, the gap is Σ λ·slack = 4 τ,
+  and √(2·gap) = 2.5e-18 and the rounding of z to float64, 2.2e-16, bound the error: "gap".
+- l = 3: 1·z₁ + 1·z₂ ≤ 2 and −1·(z₁ + z₂) ≤ −3 add up to 0 ≤ −1: y = −1, y_box = (1, 1) times any
+  positive number prove it "infeasible".
+
+>>> def nearest(l, u):
+...     free = np.full(2, -np.inf)
+...     rows = [[1, 1]], [l], [u], free, [1, 1]
+...     return certify(QuadraticProgram(np.eye(2), [-3, -3], *rows))
+>>> apart, touching, empty = nearest(-np.inf, 2.5), nearest(-np.inf, 2), nearest(3, np.inf)
+>>> apart.kind, touching.kind, empty.kind
+('linear', 'gap', 'infeasible')
+>>> apart.z.round(12).tolist(), apart.y.tolist(), apart.y_box.round(12).tolist()
+([1.0, 1.0], [0.0], [2.0, 2.0])
+>>> touching.z.tolist(), f"{touching.bound:.1e}"
+([1.0, 1.0], '2.2e-16')
+>>> (empty.y_box / -empty.y).round(12).tolist(), bool(empty.y[0] < 0.0)
+([1.0, 1.0], True)
 """
 
 from __future__ import annotations
@@ -162,9 +196,9 @@ class Referee:
                 return empty
         if self._last_resort is None:
             self._last_resort = LastResort(self._P, self._C, convex=self._convex)
-        found = self._last_resort.certify(posed)
-        if found is not None and (known is None or found.bound < known.bound):
-            return self._explained(problem, found)
+        closer = self._last_resort.certify(posed)
+        if closer is not None and (known is None or closer.bound < known.bound):
+            return self._explained(problem, closer)
         if known is not None:
             return self._optimum(known) if posed is problem else self._explained(problem, known)
         refuted = refute(self._program(problem))
@@ -245,8 +279,8 @@ class Referee:
 
     def _infeasible(self, problem: JointQP) -> Optimum | None:
         """The verdict "infeasible" or "undecided" with a verified vector, if there is one."""
-        found = certify_infeasible(self._program(problem))
-        return None if found is None else self._refuted(problem, *found)
+        farkas = certify_infeasible(self._program(problem))
+        return None if farkas is None else self._refuted(problem, *farkas)
 
     def _refuted(self, problem: JointQP, y: Vector, y_box: Vector) -> Optimum:
         """The verdict on a problem that (y, y_box) proves to have no feasible point."""

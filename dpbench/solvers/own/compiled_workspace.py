@@ -1,6 +1,6 @@
 """What the solvers of this house that are compiled have in common: all of a step but the solve.
 
-The problem is kept as the array S of `active_set_constants.py`; `solve` of a subclass is a compiled
+The problem is kept as the array S of `active_set.layout`; `solve` of a subclass is a compiled
 call on it and leaves its ending in `_ending`: the number of iterations, or a negative number.
 """
 
@@ -64,9 +64,9 @@ class CompiledWorkspace(Workspace):
             raise DpbenchError("update before setup: call setup with the whole problem first")
         check_step(step, base.n, base.m)
         if step.refresh is Refresh.VECTORS:
-            mine = vectors(self._S, base.n, base.m)
-            for own, array in zip(mine, (step.q, step.l, step.u), strict=True):
-                own[:] = array
+            kept = vectors(self._S, base.n, base.m)
+            for vector, new in zip(kept, (step.q, step.l, step.u), strict=True):
+                vector[:] = new
         else:
             self.matrix_updates += 1
             self._prepare(owned(base.at(step)))
@@ -88,9 +88,9 @@ class CompiledWorkspace(Workspace):
             return self._missing(Status.ERROR, "q is not finite")
         if ending == layout.CROSSED:
             return self._crossed()
-        found = self._unusual
-        z, y, y_box = found.z.copy(), found.y.copy(), found.y_box.copy()
-        return Solution(found.status, z, y, y_box, found.iterations, detail=found.detail)
+        answer = self._unusual
+        z, y, y_box = answer.z.copy(), answer.y.copy(), answer.y_box.copy()
+        return Solution(answer.status, z, y, y_box, answer.iterations, detail=answer.detail)
 
     def _crossed(self) -> Solution:
         """Limits that contradict each other on their own, or are no numbers."""

@@ -5,6 +5,33 @@ set to the value that is best while the others stay:
 
     own = v_i + H_ii λ_i
     λ_i = (own − u_i)/H_ii if own > u_i,  (own − l_i)/H_ii if own < l_i,  else 0
+
+Of the array S (`active_set.layout`) only H, K, the limits and V0, V, LAM, Z take part; BEFORE keeps
+the multipliers of the sweep before.
+
+An example to follow by hand: the point nearest (2, 2) under z₁ ≤ ½ and z₁ + z₂ ≤ 2, rows 0 and 16
+of C, with H = [1 1; 1 2] on them. In a sweep each row is met in turn:
+
+    sweep    row 0: λ₀ so that z₁ = ½      row 16: λ₁₆ so that z₁ + z₂ = 2    z = (2, 2) − Cᵀλ
+    1        2 − ½          = 1.5          (½ + 2 − 2)/2         = 0.25       (0.25, 1.75)
+    2        0.25 + 1.5 − ½ = 1.25         (½ + 1.75 + ½ − 2)/2  = 0.375      (0.375, 1.625)
+    k        1 + 2^−k                      ½ − 2^−(k+1)                       → (½, 1.5)
+
+>>> import numpy as np
+>>> from dpbench.qp.program import QuadraticProgram
+>>> from dpbench.solvers.own.active_set.constants import empty, fill
+>>> none = np.full(2, np.inf)
+>>> limits = [-np.inf], [2], -none, [0.5, np.inf]
+>>> S = empty(n=2, m=1)
+>>> fill(S, QuadraticProgram(np.eye(2), [-2, -2], [[1, 1]], *limits), keep=False)
+''
+>>> def multipliers_after(sweeps):
+...     hildreth_step(S, sweeps, 0.0, 0.0)
+...     return S[LAM, [0, 16]].tolist()
+>>> multipliers_after(1), multipliers_after(2)
+([1.5, 0.25], [1.25, 0.375])
+>>> multipliers_after(10) == [1 + 2**-10, 0.5 - 2**-11]
+True
 """
 
 from __future__ import annotations
@@ -33,13 +60,13 @@ from dpbench.solvers.own.active_set.layout import (
     STAMP,
     UNDECIDED,
     V0,
-    VECTORS,
     M,
     N,
     V,
     Z,
     compiled,
     stamp,
+    starts,
 )
 
 
@@ -108,9 +135,9 @@ def impossible(S: Matrix, H: int, width: int) -> bool:
 @compiled
 def ascend(S: Matrix, max_iter: int, eps_change: float, eps_row: float) -> int:
     n, width = int(S[HEAD, N_PAD]) & MASK, S.shape[1] & MASK
-    H = VECTORS + 2 * n
+    K, _, H, _, _, _ = starts(n, width)
     carry_over(S, width)
-    size = begin(S, VECTORS, width)
+    size = begin(S, K, width)
     if size < 0.0:
         return int(size)
     if impossible(S, H, width):

@@ -1,9 +1,9 @@
 """The paper's own method (eq. 30-32) as a solver: the active set by its multipliers.
 
 The paper's E, F, M, γ are P, q, the signed rows of [I; A] and their limits. A step is one compiled
-call of `active_set_kernel.py`; what rounding keeps that call from deciding is left to
-`careful_active_set.py`, and no answer of either is called solved that misses the optimality
-conditions of `active_set_check.py`, or whose place rounding decides (`sensitivity.py`).
+call of `active_set.kernel`; what rounding keeps that call from deciding is left to
+`safeguards.careful`, and no answer of either is called solved that misses the optimality
+conditions of `active_set.check`, or whose place rounding decides (`safeguards.sensitivity`).
 """
 
 from __future__ import annotations

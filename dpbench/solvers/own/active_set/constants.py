@@ -4,12 +4,13 @@ With P = L Lᵀ, C = [I; A] and J = L⁻¹ Cᵀ,
 
     K = −P⁻¹ Cᵀ = −L⁻ᵀ J,   H = C P⁻¹ Cᵀ = JᵀJ                                      (eq. 31, 32)
 
-S has one row per vector of the method and then, block by block, the rows of K, [P Aᵀ], H, Jᵀ, A
-and room for the Cholesky factor of H_WW. A row is as long as C is high. Lengths are padded to
-`LANES` and rows begin on a cache line, without which the compiled loops take twice as long.
+`layout` shows what stands where in S. Lengths are padded to `LANES` and rows begin on a cache line,
+without which the compiled loops take twice as long.
 """
 
 from __future__ import annotations
+
+import itertools
 
 import numpy as np
 import scipy.linalg
@@ -45,7 +46,8 @@ def empty(n: int, m: int) -> Matrix:
     """S for n variables and m rows, all zero but for the sizes."""
     n_pad, m_pad = _padded(n), _padded(m)
     width = n_pad + m_pad
-    S = _aligned(layout.VECTORS + 3 * n_pad + 2 * width + m_pad, width)
+    L = layout.block_starts(n_pad, width)[-1]
+    S = _aligned(L + n_pad, width)
     head = S[layout.HEAD]
     head[layout.N], head[layout.N_PAD], head[layout.M] = n, n_pad, m
     head[layout.LIMIT] = ITERATIONS_PER_ROW * (n + m)
@@ -93,9 +95,8 @@ def fill(S: Matrix, qp: QuadraticProgram, *, keep: bool) -> str:
 
 def _blocks(S: Matrix, n_pad: int) -> tuple[Matrix, ...]:
     """K, [P Aᵀ], H, Jᵀ, A as views of S."""
-    width = S.shape[1]
-    ends = np.cumsum([layout.VECTORS, n_pad, n_pad, width, width, width - n_pad])
-    return tuple(S[ends[k] : ends[k + 1]] for k in range(5))
+    firsts = layout.block_starts(n_pad, S.shape[1])
+    return tuple(S[first:end] for first, end in itertools.pairwise(firsts))
 
 
 def _unit(H: Matrix, n: int, rows: slice) -> Vector:

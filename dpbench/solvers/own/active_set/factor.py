@@ -163,7 +163,7 @@ def most_violated(S: Matrix, width: int, noise: float) -> int:
         excess += (over if over > 0.0 else 0.0) + (under if under > 0.0 else 0.0)
     if excess == 0.0:
         return -1
-    most, found = 0.0, -1
+    most, worst = 0.0, -1
     for i in range(width):
         over, under = S[V, i] - S[HIGH, i], S[LOW, i] - S[V, i]
         e = over if over >= under else under
@@ -171,5 +171,5 @@ def most_violated(S: Matrix, width: int, noise: float) -> int:
             e *= S[UNIT, i]
             g = S[HIGH, i] if over >= under else S[LOW, i]
             if e > most and e > noise + VIOLATED * abs(g) * S[UNIT, i]:
-                most, found = e, i
-    return found
+                most, worst = e, i
+    return worst

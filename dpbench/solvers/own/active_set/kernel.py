@@ -8,7 +8,53 @@ data,
     P δz + C_Wᵀ δλ = −(P z + q + Cᵀλ),   C_W δz = g − C_W z,
 
 until the correction is rounding, and is checked against every row again if it is not at once; in
-full (`active_set_check.py`) where rounding of large multipliers or of a long plan may show.
+full (`check`) where rounding of large multipliers or of a long plan may show. `layout` shows the
+array S that all of it works on, and what its indices mean.
+
+An example to follow by hand: the point nearest (3, 3) under z₁ ≤ 1, z₂ ≤ 1 and z₁ + z₂ ≤ 2.5, that
+is P = I and q = (−3, −3). Bounds are rows 0 and 1 of C, the row of A is row 16 as n is padded to
+16. H holds the products of the rows: 1 for a bound with itself, 1 for a bound with the row of A, 2
+for that row with itself.
+
+     what happens                                          λ₀    λ₁    λ₁₆    z
+     start: q alone; violated, in lengths of the rows,                        (3, 3)
+       are the bounds by 2 each, row 16 by 3.5/√2 = 2.47
+     1 row 16 comes in: λ₁₆ = 3.5/H = 3.5/2                            1.75   (1.25, 1.25)
+     2 row 0, the first of two violated by 0.25: of it
+       ½ lies along row 16, so that 1 − ½·1 = ½ of its
+       length² is its own; λ₀ = 0.25/½, λ₁₆ −= ½·λ₀        0.5         1.5    (1, 1.5)
+     3 row 1, violated by 0.5, is row 16 less row 0: no
+       step along z; as λ₁ grows, λ₁₆ falls and λ₀ grows
+       alike. At 1.5 λ₁₆ is zero and row 16 is dropped     2.0   (1.5) 0      (1, 1.5)
+     4 row 1 at last is free of row 0: λ₁ += 0.5/1         2.0   2.0          (1, 1)
+
+The slope there is z − (3, 3) + (λ₀, λ₁) = 0 with both λ ≥ 0: the optimum. Allowed fewer iterations,
+the method stops where the table does:
+
+>>> import numpy as np
+>>> from dpbench.qp.program import QuadraticProgram
+>>> from dpbench.solvers.own.active_set.constants import empty, fill
+>>> from dpbench.solvers.own.active_set.layout import ACTIVE, LAM, LIMIT, Z
+>>> upper = np.ones(2)
+>>> nearest = np.eye(2), [-3, -3], [[1, 1]], [-10], [2.5], -10 * upper, upper
+>>> S = empty(n=2, m=1)
+>>> fill(S, QuadraticProgram(*nearest), keep=False)
+''
+>>> def multipliers_after(iterations):
+...     S[HEAD, LIMIT] = iterations
+...     solve_step(S)
+...     active = S[ACTIVE, : int(S[HEAD, COUNT])].astype(int)
+...     return {int(i): round(float(S[LAM, i]), 12) for i in active}
+>>> multipliers_after(1)
+{16: 1.75}
+>>> multipliers_after(2)
+{16: 1.5, 0: 0.5}
+>>> multipliers_after(3)
+{0: 2.0}
+>>> multipliers_after(4)
+{0: 2.0, 1: 2.0}
+>>> solve_step(S), S[Z, :2].round(12).tolist()
+(4, [1.0, 1.0])
 """
 
 from __future__ import annotations
@@ -62,6 +108,7 @@ from dpbench.solvers.own.active_set.layout import (
     V,
     compiled,
     stamp,
+    starts,
 )
 from dpbench.solvers.own.active_set.moves import bring_in, forget, shift, take_up
 from dpbench.solvers.own.active_set.refine import evaluate, refine, settle_signs
@@ -163,8 +210,7 @@ def solved(S: Matrix, P: int, H: int, size: float, clear: bool) -> int:
 @compiled
 def solve(S: Matrix) -> int:
     n, width = int(S[HEAD, N_PAD]) & MASK, S.shape[1] & MASK
-    K, P, H = VECTORS, VECTORS + n, VECTORS + 2 * n
-    J, A, L = H + width, H + 2 * width, H + 3 * width - n
+    K, P, H, J, A, L = starts(n, width)
     size = begin(S, K, width)
     if size < 0.0:
         return int(size)
@@ -224,8 +270,8 @@ def _entry_points(version: int) -> tuple[Callable[..., Any], ...]:
     @njit("f8(f8[:, ::1])", cache=True, fastmath=REORDER, error_model="numpy")
     def excess_of(S):  # type: ignore[no-untyped-def] # compiled by numba
         S[HEAD, STAMP] = version
-        n = int(S[HEAD, N_PAD]) & MASK
-        return excess(S, VECTORS + n, n, S.shape[1] & MASK)
+        n, width = int(S[HEAD, N_PAD]) & MASK, S.shape[1] & MASK
+        return excess(S, starts(n, width)[1], n, width)
 
     # Without Numba's dispatcher, which takes 0.1 µs a call to find the type of S again.
     return solve_step.get_overload(solve_step.signatures[0]), take_over, excess_of

@@ -1,8 +1,31 @@
 """The array S on which the compiled active-set method works, and how its functions are compiled.
 
 S is one array so that a step is one call with one argument, which is what a call costs most for.
-Its first rows hold vectors; the rows of K, [P Aᵀ], H, Jᵀ, A and L follow, in this order: see
-`active_set_constants.py` for their contents.
+With n variables and m rows, both padded to multiples of 16, C = [I; A] has `width` places for rows:
+
+    i of a row of C    0 … n−1          n_pad … n_pad+m−1           width = n_pad + m_pad
+                       │bounds│ padding │rows of A│ padding │
+
+    rows of S                     what stands there                           columns
+     0  HEAD     1  CHECK         sizes, counters, switches: slots below      slot
+     2  Q       17  Z             q, z                                        variable
+     3  LOW      4  HIGH          [lb; l], [ub; u]                            i
+     5  UNIT     6  SUM           1/√H_ii, Σ|entries| of a column of [P Aᵀ]   i
+     7  V0       8  V             −C P⁻¹q, C z                                i
+     9  LAM     10  SIDE          λ, and +1 active at HIGH, −1 at LOW, 0 not  i
+    11  ACTIVE  12  INVERSE       i of the k-th active row, 1/L_kk            k
+    13  R       14  STEP          scratch                                     k
+    15  X       16  E             scratch                                     k or variable or i
+    18  BEFORE                    what λ or SIDE was                          i or k
+    ── blocks ─────────────────────────────────────────────────────────────────────
+    K   n_pad rows                −P⁻¹Cᵀ                                      i
+    P   n_pad rows                [P Aᵀ]                                      i
+    H   width rows                C P⁻¹Cᵀ, row i                              i
+    J   width rows                row i of C L⁻ᵀ, P = L Lᵀ                    variable
+    A   m_pad rows                A                                           variable
+    L   n_pad rows                Cholesky factor of H_WW, row k              k
+
+W are the active rows in the order they came; what is indexed by k has `COUNT` entries.
 """
 
 from __future__ import annotations
@@ -22,6 +45,8 @@ VECTORS = 19
 # Slots of row HEAD, and of row CHECK; there is room for sixteen in a row.
 N, N_PAD, M, COUNT, ASIDE, ITERATIONS, LIMIT, KEEP, STALE, BLOCK, STAMP = range(11)
 SIZE, MOST, LARGEST, LENGTH, WORST, PINNED = range(6)
+PUT_ASIDE = 2.0
+"""SIDE of a row that is the active ones written twice: not active, its multiplier part of v₀."""
 MASK = 0xFFFFFF
 """An integer is taken with it so that the compiler knows that an index is not negative."""
 
@@ -40,6 +65,20 @@ def compiled(function: F) -> F:
     assert isinstance(function, FunctionType)
     _compiled.append(function)
     return cast(F, njit(fastmath=REORDER, error_model="numpy")(function))
+
+
+def block_starts(n_pad: int, width: int) -> tuple[int, int, int, int, int, int]:
+    """The first rows of K, P, H, J, A and L in S."""
+    K = VECTORS
+    P = K + n_pad
+    H = P + n_pad
+    J = H + width
+    A = J + width
+    return K, P, H, J, A, A + width - n_pad
+
+
+starts = compiled(block_starts)
+"""`block_starts` for compiled functions."""
 
 
 def stamp() -> int:

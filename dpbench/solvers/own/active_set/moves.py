@@ -27,6 +27,7 @@ from dpbench.solvers.own.active_set.layout import (
     LOW,
     MASK,
     N_PAD,
+    PUT_ASIDE,
     SIDE,
     STALE,
     STEP,
@@ -113,7 +114,7 @@ def ray(S: Matrix, j: int, side: float, w: int) -> int:
 @compiled
 def put_aside(S: Matrix, H: int, j: int, lam: float) -> int:
     """Row j is the active ones written twice: what multiplier it has gathered stays in v₀."""
-    S[SIDE, j], S[LAM, j] = 2.0, lam
+    S[SIDE, j], S[LAM, j] = PUT_ASIDE, lam
     S[HEAD, ASIDE] += 1
     for i in range(S.shape[1]):
         S[V0, i] -= lam * S[H + j, i]
@@ -177,20 +178,20 @@ def bring_in(S: Matrix, L: int, H: int, J: int, j: int, size: float) -> int:
 @compiled
 def take_up(S: Matrix, H: int, size: float) -> int:
     """The row put aside that is violated most, if by more than rounding, as any other row again."""
-    most, found = 1.0, -1
+    most, row = 1.0, -1
     for i in range(S.shape[1]):
-        if S[SIDE, i] == 2.0:
+        if S[SIDE, i] == PUT_ASIDE:
             over, under = S[V, i] - S[HIGH, i], S[LOW, i] - S[V, i]
             e, g = (over, S[HIGH, i]) if over >= under else (under, S[LOW, i])
             share = e * S[UNIT, i] / (CONTRADICTION * (abs(g) * S[UNIT, i] + size))
             if share > most:
-                most, found = share, i
-    if found >= 0:
-        S[SIDE, found] = 0.0
+                most, row = share, i
+    if row >= 0:
+        S[SIDE, row] = 0.0
         S[HEAD, ASIDE] -= 1
         for i in range(S.shape[1]):
-            S[V0, i] += S[LAM, found] * S[H + found, i]
-    return found
+            S[V0, i] += S[LAM, row] * S[H + row, i]
+    return row
 
 
 @compiled

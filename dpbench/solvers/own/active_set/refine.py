@@ -27,6 +27,7 @@ from dpbench.solvers.own.active_set.layout import (
     LARGEST,
     MASK,
     N_PAD,
+    PUT_ASIDE,
     SIDE,
     STEP,
     UNIT,
@@ -75,7 +76,7 @@ def refine(S: Matrix, K: int, P: int, H: int, A: int, L: int) -> float:
         _add_row(S, A, i, n, S[LAM, i])
     if S[HEAD, ASIDE] > 0.0:
         for i in range(S.shape[1]):
-            if S[SIDE, i] == 2.0:
+            if S[SIDE, i] == PUT_ASIDE:
                 _add_row(S, A, i, n, S[LAM, i])
     product(S, E, K, X, n, 0, n)
     correction = 0.0

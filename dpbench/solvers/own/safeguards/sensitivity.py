@@ -38,7 +38,7 @@ def is_sensitive(S: Matrix, qp: QuadraticProgram) -> bool:
 
     Parameters
     ----------
-    S : of `active_set_constants`, with an answer to `qp`.
+    S : of `active_set.layout`, with an answer to `qp`.
     """
     n_pad = int(S[layout.HEAD, layout.N_PAD])
     vectors, factor = S[: layout.VECTORS], S[-n_pad:]
@@ -61,8 +61,8 @@ def is_sensitive(S: Matrix, qp: QuadraticProgram) -> bool:
             ending = solve_step(S)
             # The careful method takes a second at n = 200: it is asked where all limits move.
             if ending != layout.UNDECIDED or k < 2:
-                found = _answer(S, qp, columns, ending, start)
-                if not (np.abs(found - z) <= allowed).all():
+                followed = _answer(S, qp, columns, ending, start)
+                if not (np.abs(followed - z) <= allowed).all():
                     return True
             vectors[:], factor[:] = before
         return False
