@@ -23,10 +23,11 @@ from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.errors import InputError, ShapeError
+from dpbench.errors import InputError
 from dpbench.mpc.kernels import condense_blocks, hessian_blocks, map_blocks, markov_blocks
 from dpbench.mpc.model import StateSpace, rotated
 from dpbench.mpc.terminal import TerminalCost, terminal_cost
+from dpbench.qp.program import shaped
 
 UnitSystem = Literal["scaled", "si"]
 Terminal = Literal["none", "riccati"]
@@ -60,13 +61,11 @@ class ControlProblem:
         shapes: dict[str, tuple[int, ...]] = {"Q": (n_y, n_y), "R": (n_u, n_u)}
         shapes |= {"u_min": (n_u,), "u_max": (n_u,), "du_max": (n_u,)}
         for name, shape in shapes.items():
-            array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
-            if array.shape != shape:
-                raise ShapeError.of("ControlProblem", name, array.shape, f"shape {shape}")
+            array = shaped("ControlProblem", name, getattr(self, name), shape)
             object.__setattr__(self, name, array)
         if not 1 <= self.N_c <= self.N_p:
-            found = f"N_c = {self.N_c}, N_p = {self.N_p}"
-            raise InputError("ControlProblem", "N_c", found, "1 ≤ N_c ≤ N_p")
+            horizons = f"N_c = {self.N_c}, N_p = {self.N_p}"
+            raise InputError("ControlProblem", "N_c", horizons, "1 ≤ N_c ≤ N_p")
         if self.terminal not in ("none", "riccati"):
             raise InputError(
                 "ControlProblem", "terminal", repr(self.terminal), '"none" or "riccati"'

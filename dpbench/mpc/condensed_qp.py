@@ -20,6 +20,7 @@ from dpbench.mpc.condense import (
     condense_matrices,
     summed_moves,
 )
+from dpbench.mpc.model import HORIZONTAL
 from dpbench.mpc.outputs import OutputBounds, instants, output_layers
 from dpbench.mpc.soft_limits import Penalty, amplitude_layer, lay
 from dpbench.qp.program import QPStep, QuadraticProgram, Units
@@ -113,14 +114,14 @@ class CondensedQP:
         self.P, self.A, self.lb, self.ub, self.Z = own.P, own.A, own.lb, own.ub, own.Z
 
     def _prepare_emit(self) -> None:
-        n_x, n_y, n_u = self.control.model.n_x, self.control.model.n_y, self.control.model.n_u
-        theta = np.ones(n_x + n_y + n_u + 1)
+        n_u, at = self.control.model.n_u, self.control.model.theta
+        theta = np.ones(at.size)
         # One tuple of locals instead of eight look-ups, and the bound method, which costs half of
         # numpy.dot(Z, theta): emitting is measured against the bare product.
         self._parts = (
-            theta[:n_x],
-            theta[n_x : n_x + n_y],
-            theta[n_x + n_y : -1],
+            theta[at.x],
+            theta[at.y_ref],
+            theta[at.u_prev],
             theta,
             self.Z.dot,
             self.n,
@@ -179,10 +180,11 @@ class CondensedQP:
             # The circle moves with the reference as it does with the one that is held.
             first = self._lower[1].stop
             circle = slice(first, first + bounds.sides)
-            n_x = self.control.model.n_x
-            map_ = self.Z[self.n + self.m :].reshape(*self._shape, -1)[0, circle, n_x : n_x + 2]
-            at = instants(self.control.N_p, self.control.N_c) - 1
-            step.u.reshape(self._shape)[:, circle] += change[at, :2] @ map_.T
+            upper_map = self.Z[self.n + self.m :].reshape(*self._shape, -1)
+            of_position = upper_map[0, circle, self.control.model.theta.y_ref][:, HORIZONTAL]
+            bounded = instants(self.control.N_p, self.control.N_c) - 1
+            moved = change[bounded, HORIZONTAL] @ of_position.T
+            step.u.reshape(self._shape)[:, circle] += moved
 
     def _reference_map(self) -> Matrix:
         """F_y (N_c·n_u, N_p·n_y) in SI units."""
@@ -230,13 +232,5 @@ class CondensedQP:
         """The answer mapped to scaled units: the same plan, multipliers of the scaled rows."""
         if self.units == "scaled":
             return solution
-        own = self.scale
-        return Solution(
-            solution.status,
-            solution.z / own.z,
-            solution.y * own.row,
-            solution.y_box * own.z,
-            solution.iterations,
-            solution.reported_ns,
-            solution.detail,
-        )
+        z, row = self.scale.z, self.scale.row
+        return solution.with_iterate(solution.z / z, solution.y * row, solution.y_box * z)

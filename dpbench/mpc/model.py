@@ -11,12 +11,33 @@ paper's u = τ + Rᵀb (eq. 7) differs from τ by a constant at low frequency, a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
 
 from dpbench.arrays import Matrix
 from dpbench.errors import ShapeError
+from dpbench.qp.program import shaped
+from dpbench.ship.layout import AXES
+
+SPEED_CHANGE, POSE_CHANGE, POSE = (slice(first, first + AXES) for first in (0, AXES, 2 * AXES))
+"""Δν, Δη and y = η in the state x of a ship's incremental model."""
+SHIP_STATES = 3 * AXES
+HEADING = SHIP_STATES - 1
+"""The measured heading in x."""
+HORIZONTAL = slice(0, 2)
+"""North and east among the outputs."""
+
+
+class ThetaLayout(NamedTuple):
+    """Where the parts of [θ; 1] = [x; y_ref; u_prev; 1] stand, and its length."""
+
+    x: slice
+    y_ref: slice
+    u_prev: slice
+    one: int
+    size: int
 
 
 def rotation(psi_rad: float) -> Matrix:
@@ -34,15 +55,10 @@ class StateSpace:
     C: Matrix
 
     def __post_init__(self) -> None:
-        for name in ("A", "B", "C"):
-            array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
+        n_x, n_u, n_y = np.shape(self.A)[0], np.shape(self.B)[-1], np.shape(self.C)[0]
+        for name, shape in {"A": (n_x, n_x), "B": (n_x, n_u), "C": (n_y, n_x)}.items():
+            array = shaped("StateSpace", name, getattr(self, name), shape)
             object.__setattr__(self, name, array)
-        n_x = self.A.shape[0]
-        expected = {"A": (n_x, n_x), "B": (n_x, self.B.shape[-1]), "C": (self.C.shape[0], n_x)}
-        for name, shape in expected.items():
-            found = getattr(self, name).shape
-            if found != shape:
-                raise ShapeError.of("StateSpace", name, found, f"shape {shape}")
 
     @property
     def n_x(self) -> int:
@@ -59,13 +75,21 @@ class StateSpace:
         """Number of outputs."""
         return int(self.C.shape[0])
 
+    @property
+    def theta(self) -> ThetaLayout:
+        """The layout of what a step of this model depends on."""
+        reference, force = self.n_x, self.n_x + self.n_y
+        one = force + self.n_u
+        parts = slice(0, reference), slice(reference, force), slice(force, one)
+        return ThetaLayout(*parts, one, one + 1)
+
 
 def linearise(M: Matrix, D: Matrix, psi0_rad: float) -> StateSpace:
     """The continuous model A_c, B_c, C_c at heading ψ0 (paper eq. 5-8); x_m (6,) = [ν; η]."""
-    zero = np.zeros((3, 3))
+    zero = np.zeros((AXES, AXES))
     A_c = np.block([[-np.linalg.solve(M, D), zero], [rotation(psi0_rad), zero]])
     B_c = np.vstack([np.linalg.inv(M), zero])
-    C_c = np.hstack([zero, np.eye(3)])
+    C_c = np.hstack([zero, np.eye(AXES)])
     return StateSpace(A_c, B_c, C_c)
 
 
@@ -112,11 +136,11 @@ def rotated(model: StateSpace, turn_rad: float) -> StateSpace:
     model : (9 states, 3 outputs) of `prediction_model`, at any heading.
     turn_rad : by how much the heading of linearisation moves.
     """
-    if (model.n_x, model.n_y) != (9, 3):
-        found = (model.n_x, model.n_y)
-        raise ShapeError.of("rotated", "model", found, "the 9 states and 3 outputs of a ship")
+    sizes = model.n_x, model.n_y
+    if sizes != (SHIP_STATES, AXES):
+        raise ShapeError.of("rotated", "model", sizes, "the 9 states and 3 outputs of a ship")
     R, A, B = rotation(turn_rad), model.A.copy(), model.B.copy()
-    for rows in (slice(3, 6), slice(6, 9)):
-        A[rows, :3] = R @ A[rows, :3]
+    for rows in (POSE_CHANGE, POSE):
+        A[rows, SPEED_CHANGE] = R @ A[rows, SPEED_CHANGE]
         B[rows] = R @ B[rows]
     return StateSpace(A, B, model.C)

@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError, ShapeError
 from dpbench.mpc.condense import CondensedMatrices, ControlProblem
+from dpbench.mpc.model import HORIZONTAL, ThetaLayout
 from dpbench.mpc.soft_limits import Layer, unlimited
+from dpbench.ship.layout import AXES
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +53,8 @@ class OutputBounds:
         if self.sides < 3:
             raise InputError("OutputBounds", "sides", self.sides, "3 or more")
         if self.centre_m is not None and np.shape(self.centre_m) != (2,):
-            found = np.shape(self.centre_m)
-            raise ShapeError.of("OutputBounds", "centre_m", found, "shape (2,)")
+            shape = np.shape(self.centre_m)
+            raise ShapeError.of("OutputBounds", "centre_m", shape, "shape (2,)")
 
     @property
     def directions(self) -> Matrix:
@@ -76,17 +78,17 @@ def output_layers(
 ) -> list[Layer]:
     """The layer of the watch circle and the one of the speed, whichever are asked for."""
     n_y, n_x, n = problem.model.n_y, problem.model.n_x, len(matrices.E)
-    if n_y != 3:
+    if n_y != AXES:
         raise ShapeError.of("OutputBounds", "model.C", problem.model.C.shape, "3 outputs of a ship")
     # Outputs at steps 0 … N_p as maps of the state and of the scaled plan; north and east only.
-    free = np.vstack((problem.model.C, matrices.F)).reshape(-1, n_y, n_x)[:, :2]
+    free = np.vstack((problem.model.C, matrices.F)).reshape(-1, n_y, n_x)[:, HORIZONTAL]
     moved = matrices.Phi * np.tile(problem.du_max, problem.N_c)
-    moved = np.vstack((np.zeros((n_y, n)), moved)).reshape(-1, n_y, n)[:, :2]
+    moved = np.vstack((np.zeros((n_y, n)), moved)).reshape(-1, n_y, n)[:, HORIZONTAL]
     i = instants(problem.N_p, problem.N_c)
     layers = []
     if bounds.radius_m is not None:
         layer = _polygon(problem, bounds, free[i], moved[i], bounds.radius_m, rho)
-        _centre(layer, bounds, n_x)
+        _centre(layer, bounds, problem.model.theta)
         layers.append(layer)
     if bounds.speed_mps is not None:
         per_s = 1.0 / bounds.sample_s
@@ -108,21 +110,21 @@ def _polygon(
     One unit of a row is what a full rate-limit step at k of the strongest axis does at the last
     instant; it is the same at every heading.
     """
-    K, n_u = bounds.sides, problem.model.n_u
+    K, n_u, theta = bounds.sides, problem.model.n_u, problem.model.theta
     unit = float(np.linalg.norm(moved[-1, :, :n_u], axis=0).max())
     d = bounds.directions / unit
-    high = np.zeros((len(free), K, problem.model.n_x + problem.model.n_y + n_u + 1))
-    high[:, :, : problem.model.n_x] = -(d @ free)
-    high[:, :, -1] = bounds.inside * radius / unit
+    high = np.zeros((len(free), K, theta.size))
+    high[:, :, theta.x] = -(d @ free)
+    high[:, :, theta.one] = bounds.inside * radius / unit
     units = np.full(K, unit)
     rows = d @ moved
     return Layer(rows, -np.eye(K), unlimited(high, -1.0), high, units, units, np.full(K, rho))
 
 
-def _centre(layer: Layer, bounds: OutputBounds, n_x: int) -> None:
+def _centre(layer: Layer, bounds: OutputBounds, theta: ThetaLayout) -> None:
     """Move the polygon of a layer from the origin to the centre of the circle."""
     d = bounds.directions / layer.row_unit[0]
     if bounds.centre_m is None:
-        layer.high[:, :, n_x : n_x + 2] = d
+        layer.high[:, :, theta.y_ref][:, :, HORIZONTAL] = d
     else:
-        layer.high[:, :, -1] += d @ bounds.centre_m
+        layer.high[:, :, theta.one] += d @ bounds.centre_m

@@ -15,6 +15,9 @@ import scipy.linalg
 from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.ship.estimation.estimator import nearest_turn
+from dpbench.ship.layout import YAW
+
+FILTER_ORDER = 3
 
 
 @dataclass(frozen=True)
@@ -35,7 +38,7 @@ class ReferenceFilter:
 def nearest_pose(target: Vector, start: Vector) -> Vector:
     """The pose `target` (3,), its heading within π of the start's: the error is wrapped once."""
     reference = target.copy()
-    reference[2] = nearest_turn(target[2], start[2])
+    reference[YAW] = nearest_turn(target[YAW], start[YAW])
     return reference
 
 
@@ -62,7 +65,7 @@ def reference_table(
     A[2, 2] = -(2 * zeta + 1) * omega
     advance = scipy.linalg.expm(A * sample_s)
     # Distance to the goal, its first and second derivative; the goal is the filter's equilibrium.
-    away = np.zeros((3, 3))
+    away = np.zeros((FILTER_ORDER, len(goal)))
     away[0] = start - goal
     for k in range(samples):
         table[k] = goal + away[0]

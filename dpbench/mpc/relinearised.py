@@ -25,6 +25,7 @@ from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.mpc.condense import CondensedMatrices, ControlProblem, UnitSystem, condense_matrices
 from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
+from dpbench.mpc.model import HEADING
 from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.soft_limits import Penalty
 from dpbench.qp.program import QPStep
@@ -82,7 +83,7 @@ def _waves(c: Wave, s: Wave) -> tuple[Wave, Wave, Wave, Wave]:
 
 
 class RelinearisedQP(CondensedQP):
-    """The DP MPC problem re-linearised at the heading x[8] of the step.
+    """The DP MPC problem re-linearised at the heading in x of each step.
 
     Parameters
     ----------
@@ -147,11 +148,12 @@ class RelinearisedQP(CondensedQP):
 
     def _check(self, check: CondensedQP) -> None:
         for name, series in self._series.items():
-            expected, found = getattr(check, name), getattr(self, name).copy()
-            series.write(_CHECKED_TURN, found)
-            finite = np.isfinite(expected)
-            expected, found = np.where(finite, expected, 0.0), np.where(finite, found, 0.0)
-            if (np.abs(found - expected) > _DEGREE_TWO * np.abs(expected).max(axis=0)).any():
+            condensed, interpolated = getattr(check, name), getattr(self, name).copy()
+            series.write(_CHECKED_TURN, interpolated)
+            finite = np.isfinite(condensed)
+            expected = np.where(finite, condensed, 0.0)
+            error = np.abs(np.where(finite, interpolated, 0.0) - expected)
+            if (error > _DEGREE_TWO * np.abs(expected).max(axis=0)).any():
                 allowed = "a terminal cost and weights that turn with the ship"
                 raise InputError("RelinearisedQP", name, "another function of heading", allowed)
 
@@ -200,7 +202,7 @@ class RelinearisedQP(CondensedQP):
         A re-linearised step brings P (see `always`), and A where its entries depend on the heading:
         those of output bounds do, scaled amplitude rows do not.
         """
-        psi_rad = x[8]
+        psi_rad = x[HEADING]
         if not abs(psi_rad - self.heading_rad) >= self.threshold_rad:
             return super().emit(x, y_ref, u_prev, limits=limits)
         self.linearise(psi_rad)

@@ -205,12 +205,8 @@ class StagedQP:
 
         An entry that is NaN stays so; a claim of infeasibility keeps its proof (see the module).
         """
-        return Solution(
-            solution.status,
+        return solution.with_iterate(
             self._moves(solution.z).reshape(-1),
             self._amplitudes(solution.y).reshape(-1),
             self._moves(solution.y_box).reshape(-1),
-            solution.iterations,
-            solution.reported_ns,
-            solution.detail,
         )

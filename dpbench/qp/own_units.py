@@ -30,9 +30,9 @@ def in_own_units(scaled: QPSequence, units: Units) -> QPSequence:
     ShapeError : for units of another size than the QPs.
     """
     base = scaled.base
-    for name, found, size in (("z", units.z, base.n), ("row", units.row, base.m)):
-        if found.shape != (size,):
-            raise ShapeError.of("Units", name, found.shape, f"shape {(size,)}")
+    for name, factors, size in (("z", units.z, base.n), ("row", units.row, base.m)):
+        if factors.shape != (size,):
+            raise ShapeError.of("Units", name, factors.shape, f"shape {(size,)}")
     z, row = units.z, units.row
     factor: dict[str, Any] = {
         "P": 1.0 / np.outer(z, z),

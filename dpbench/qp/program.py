@@ -33,10 +33,11 @@ class Refresh(Flag):
     MATRICES = auto()
 
 
-def _array(name: str, value: object, shape: tuple[int, ...]) -> NDArray[np.float64]:
+def shaped(where: str, name: str, value: object, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """`value` as a contiguous float64 array; ShapeError naming where and name unless of `shape`."""
     array = np.ascontiguousarray(value, dtype=np.float64)
     if array.shape != shape:
-        raise ShapeError.of("QuadraticProgram", name, array.shape, f"shape {shape}")
+        raise ShapeError.of(where, name, array.shape, f"shape {shape}")
     return array
 
 
@@ -80,7 +81,8 @@ class QuadraticProgram:
             raise ShapeError.of("QuadraticProgram", "A", np.shape(self.A), f"shape (m, {n})")
         shapes = {"P": (n, n), "q": (n,), "A": (m, n), "l": (m,), "u": (m,), "lb": (n,), "ub": (n,)}
         for name, shape in shapes.items():
-            object.__setattr__(self, name, _array(name, getattr(self, name), shape))
+            array = shaped("QuadraticProgram", name, getattr(self, name), shape)
+            object.__setattr__(self, name, array)
         if self.block and (n % self.block or m % self.block):
             raise ShapeError.of(
                 "QuadraticProgram", "block", (self.block,), f"a divisor of n={n} and m={m}, or 0"
@@ -98,6 +100,10 @@ class QuadraticProgram:
     def m(self) -> int:
         """Number of rows."""
         return int(self.A.shape[0])
+
+    def limits(self) -> tuple[Vector, Vector]:
+        """[l; lb] and [u; ub], the lower and upper limits of the rows of [A; I]: (m + n,) each."""
+        return np.concatenate((self.l, self.lb)), np.concatenate((self.u, self.ub))
 
     def objective(self, z: Vector) -> float:
         """½ zᵀPz + qᵀz."""
@@ -210,9 +216,7 @@ class QPSequence:
         for name, shape in shapes.items():
             if getattr(self, name) is None and name in CONSTANT:
                 continue
-            array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
-            if array.shape != shape:
-                raise ShapeError.of("QPSequence", name, array.shape, f"shape {shape}")
+            array = shaped("QPSequence", name, getattr(self, name), shape)
             object.__setattr__(self, name, array)
 
     def __len__(self) -> int:

@@ -12,7 +12,7 @@ The gap is an upper bound of |primal − dual objective| (the identity is p − 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
+from math import inf, isnan
 
 import numpy as np
 from scipy.optimize import nnls
@@ -52,8 +52,8 @@ def residuals(qp: QuadraticProgram, solution: Solution) -> Residuals:
         if not abs(z.sum()) < inf:
             return _NOTHING
         value = np.concatenate((qp.A @ z, z))
-        to_upper = np.concatenate((qp.u, qp.ub)) - value
-        to_lower = value - np.concatenate((qp.l, qp.lb))
+        lower, upper = qp.limits()
+        to_upper, to_lower = upper - value, value - lower
         worst = np.minimum(to_upper, to_lower).min()
         primal = 0.0 if worst >= 0.0 else _number(-worst)
         multiplier = np.concatenate((y, y_box))
@@ -64,9 +64,9 @@ def residuals(qp: QuadraticProgram, solution: Solution) -> Residuals:
         r += y @ qp.A
         r += y_box
         size = np.abs(multiplier)
-        upper = multiplier > 0.0
-        named = np.abs(np.where(upper, to_upper, to_lower))
-        other = np.abs(np.where(upper, to_lower, to_upper))
+        at_upper = multiplier > 0.0
+        named = np.abs(np.where(at_upper, to_upper, to_lower))
+        other = np.abs(np.where(at_upper, to_lower, to_upper))
         wrong = named > other + OPPOSITE
         named[named == inf] = 1.0
         product = size * np.where(wrong, np.maximum(named, 1.0), named)
@@ -82,7 +82,7 @@ def residuals(qp: QuadraticProgram, solution: Solution) -> Residuals:
 
 def _number(value: float) -> float:
     """The value as a float, with NaN as the error it is."""
-    return float(value) if value == value else inf
+    return inf if isnan(value) else float(value)
 
 
 def best_multipliers(qp: QuadraticProgram, z: Vector, tol: float) -> tuple[Vector, Vector]:
@@ -101,9 +101,9 @@ def best_multipliers(qp: QuadraticProgram, z: Vector, tol: float) -> tuple[Vecto
     C = np.vstack((qp.A, np.eye(n)))
     value = C @ z
     multiplier = np.zeros(m + n)
-    limits = np.concatenate((qp.u, qp.ub)), np.concatenate((qp.l, qp.lb))
+    lower, upper = qp.limits()
     rows, signs = [], []
-    for limit, sign in zip(limits, (1.0, -1.0), strict=True):
+    for limit, sign in ((upper, 1.0), (lower, -1.0)):
         met = np.flatnonzero(sign * (value - limit) >= -tol * (1.0 + np.abs(limit)))
         met = met[np.isfinite(limit[met])]
         rows.append(met)

@@ -90,6 +90,11 @@ class Solution:
         nan = np.nan
         return cls(status, np.full(n, nan), np.full(m, nan), np.full(n, nan), detail=detail)
 
+    def with_iterate(self, z: Vector, y: Vector, y_box: Vector) -> Solution:
+        """The same claim, count, time and words with other numbers, which are not copied."""
+        told = self.iterations, self.reported_ns, self.detail
+        return Solution(self.status, z, y, y_box, *told)
+
     @property
     def claimed(self) -> bool:
         """Whether the solver claims to have solved the problem."""
@@ -174,8 +179,8 @@ def _array(name: str, value: Any, size: int) -> Vector:
     # Of a subclass the numbers in its memory, and nothing it would do when asked for them.
     array: Any = np.array(value, subok=False)
     if array.dtype != _FLOAT64 or array.shape != (size,):
-        found = f"{array.dtype} of shape {array.shape}"
-        raise _MalformedError(f"{name} is {found}, not float64 of shape ({size},)")
+        given = f"{array.dtype} of shape {array.shape}"
+        raise _MalformedError(f"{name} is {given}, not float64 of shape ({size},)")
     return np.ascontiguousarray(array, dtype=np.float64)
 
 

@@ -1,6 +1,7 @@
 """The paper's stacked one-sided form (eq. 23-25) of a two-sided QP, and the way back.
 
     M z ≤ γ   with   M = [−A; A; −I; I],   γ = [−l; u; −lb; ub]
+    rows                 0    m  2m  2m+n  2m+2n
 
 For N_p 30, N_c 5 these are the paper's 60 rows: M1 = [−C2; C2], M2 = [−I; I]. The multipliers of
 the two sides of one row combine to y = λ_upper − λ_lower.
@@ -53,12 +54,5 @@ def unstack(solution: Solution, m: int) -> Solution:
     """The solution of the two-sided problem with m rows, from that of the stacked one."""
     n = solution.z.shape[0]
     lam = solution.y
-    return Solution(
-        solution.status,
-        solution.z,
-        lam[m : 2 * m] - lam[:m],
-        lam[2 * m + n :] - lam[2 * m : 2 * m + n],
-        solution.iterations,
-        solution.reported_ns,
-        solution.detail,
-    )
+    y, y_box = lam[m : 2 * m] - lam[:m], lam[2 * m + n :] - lam[2 * m : 2 * m + n]
+    return solution.with_iterate(solution.z, y, y_box)

@@ -67,8 +67,8 @@ def problem_path(kind: str, name: str | Path, beside: Path | None = None) -> Pat
         # Unlike Path.is_file, this is False for a name that is too long to exist.
         if os.path.isfile(base / text):
             return base / text
-    found = "a folder" if os.path.isdir(text) else "no such file"
-    raise InputError(text, "", found, f"a readable {kind[:-1]} file in TOML")
+    instead = "a folder" if os.path.isdir(text) else "no such file"
+    raise InputError(text, "", instead, f"a readable {kind[:-1]} file in TOML")
 
 
 def sequence_path(name_or_path: str | Path, beside: Path | None = None) -> Path:
@@ -133,9 +133,9 @@ def parse_model(document: dict[str, Any], model: type[_Model], where: str) -> _M
     try:
         return model.model_validate(document)
     except ValidationError as error:
-        found = error.errors(include_url=False)
+        faults = error.errors(include_url=False)
         # A misspelled required key is both missing and unknown; the second says more.
-        first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])
+        first = next((fault for fault in faults if fault["type"] == "extra_forbidden"), faults[0])
         keys = [str(part) for part in first["loc"]]
         key = ".".join(keys)
         if first["type"] == "extra_forbidden":

@@ -16,6 +16,8 @@ from __future__ import annotations
 
 AXES = 3
 """Surge, sway, yaw along the ship; or north, east, heading over ground."""
+YAW = 2
+"""The moment among forces, the heading in a pose."""
 
 U, V, R, NORTH, EAST, HEADING = range(6)
 STATE = 6

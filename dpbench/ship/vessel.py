@@ -58,8 +58,8 @@ class Vessel:
             object.__setattr__(self, name, array)
         self._check_matrices()
         if not (self.tau_min < 0).all() or not (self.tau_max > 0).all():
-            found = f"[{self.tau_min.tolist()}, {self.tau_max.tolist()}]"
-            raise InputError(self.where, "tau_min, tau_max", found, "limits with zero inside")
+            limits = f"[{self.tau_min.tolist()}, {self.tau_max.tolist()}]"
+            raise InputError(self.where, "tau_min, tau_max", limits, "limits with zero inside")
         if not (self.rate_max > 0).all():
             raise InputError(self.where, "rate_max", self.rate_max.tolist(), "positive rates")
 
@@ -70,8 +70,8 @@ class Vessel:
             matrix = getattr(self, name)
             smallest = float(np.linalg.eigvalsh(0.5 * (matrix + matrix.T))[0])
             if smallest <= 0.0:
-                found = f"a matrix with smallest eigenvalue {smallest:.3g}"
-                raise InputError(self.where, name, found, "a positive definite matrix")
+                indefinite = f"a matrix with smallest eigenvalue {smallest:.3g}"
+                raise InputError(self.where, name, indefinite, "a positive definite matrix")
 
     def step_max(self, sample_s: float) -> Vector:
         """Δu_max (3,) [N, N, N·m]: the largest change of the force in one sample."""

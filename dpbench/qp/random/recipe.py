@@ -111,11 +111,11 @@ class RandomRecipe:
     @property
     def name(self) -> str:
         """A name that tells recipes apart, e.g. `plain-n12-m30-s1`."""
-        usual = {field.name: field.default for field in fields(self)}
+        defaults = {field.name: field.default for field in fields(self)}
         extra = "".join(
             f"-{key}{getattr(self, key):g}"
             for key in ("steps", "block", "cond")
-            if getattr(self, key) != usual[key]
+            if getattr(self, key) != defaults[key]
         )
         return f"{self.family}-n{self.n}-m{self.m}-s{self.seed}{extra}"
 

@@ -83,14 +83,14 @@ def enclosure_certificate(
         equality-like rows.
     convex : whether P is proven positive semidefinite.
     """
-    found = _feasible(problem, exact, system, inward)
-    if found is None:
+    near = _feasible(problem, exact, system, inward)
+    if near is None:
         return None
     rows = system.rows
     equal = problem.L[rows] == problem.U[rows]
     # A multiplier of the wrong sign is zero here and its row becomes part of r.
-    keep = equal | (found.lam.signs() == system.signs)
-    lam = Dyadic(np.where(keep, found.lam.whole, 0), found.lam.exponent)
+    keep = equal | (near.lam.signs() == system.signs)
+    lam = Dyadic(np.where(keep, near.lam.whole, 0), near.lam.exponent)
     size = np.abs(lam.floats())
     support = equal | (size > max(NO_MULTIPLIER * size.max(initial=0.0), LEAST_MULTIPLIER))
     inverse = _inverse(problem, rows[support], rows[equal], convex=convex)
@@ -98,16 +98,16 @@ def enclosure_certificate(
         return None
     weight = _weight(problem.P)
     omega = float((weight / size[support & ~equal] ** 2).sum()) * OUTWARD
-    slack = np.abs(found.slack.floats()) + np.abs(problem.C[rows]) @ found.e
+    slack = np.abs(near.slack.floats()) + np.abs(problem.C[rows]) @ near.e
     gap = float((size * slack)[~equal].sum()) * OUTWARD
-    r = exact.P @ found.z + Dyadic.of(problem.q) + exact.C[rows].T @ lam
-    r_abs = (np.abs(r.floats()) + np.abs(problem.P) @ found.e) * OUTWARD
+    r = exact.P @ near.z + Dyadic.of(problem.q) + exact.C[rows].T @ lam
+    r_abs = (np.abs(r.floats()) + np.abs(problem.P) @ near.e) * OUTWARD
     x = _radius(float(np.sqrt(r_abs @ inverse @ r_abs)) * OUTWARD, gap, omega)
     if x is None:
         return None
-    z = found.z.floats()
+    z = near.z.floats()
     # z.floats() is off by half a unit in the last place at most.
-    bound = x * np.sqrt(np.diagonal(inverse)) + found.e + np.spacing(np.abs(z))
+    bound = x * np.sqrt(np.diagonal(inverse)) + near.e + np.spacing(np.abs(z))
     y = np.zeros(len(problem.L))
     y[rows] = lam.floats()
     return Enclosed(z, y, np.asarray(bound * OUTWARD, dtype=np.float64))

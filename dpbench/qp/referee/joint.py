@@ -34,7 +34,7 @@ class JointQP:
     def of(cls, qp: QuadraticProgram) -> JointQP:
         """The joint form of `qp`."""
         C = np.vstack((qp.A, np.eye(qp.n)))
-        return cls(qp.P, qp.q, C, np.concatenate((qp.l, qp.lb)), np.concatenate((qp.u, qp.ub)))
+        return cls(qp.P, qp.q, C, *qp.limits())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

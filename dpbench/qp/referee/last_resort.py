@@ -142,10 +142,10 @@ class LastResort:
             return None, touched
         if not system.proven:
             return None, None
-        found = enclosure_certificate(problem, self._exact, system, inward, convex=self._convex)
-        if found is None:
+        enclosed = enclosure_certificate(problem, self._exact, system, inward, convex=self._convex)
+        if enclosed is None:
             return None, None
-        return self._back(found.z, found.y, found.bound, "gap"), None
+        return self._back(enclosed.z, enclosed.y, enclosed.bound, "gap"), None
 
     def _back(self, z: Vector, y: Vector, bound: Vector, kind: Kind) -> Proof:
         """The proof in the units of the problem as posed."""

@@ -89,13 +89,12 @@ class CompiledWorkspace(Workspace):
         if ending == layout.CROSSED:
             return self._crossed()
         answer = self._unusual
-        z, y, y_box = answer.z.copy(), answer.y.copy(), answer.y_box.copy()
-        return Solution(answer.status, z, y, y_box, answer.iterations, detail=answer.detail)
+        return answer.with_iterate(answer.z.copy(), answer.y.copy(), answer.y_box.copy())
 
     def _crossed(self) -> Solution:
         """Limits that contradict each other on their own, or are no numbers."""
         qp = self._problem()
-        low, high = np.concatenate([qp.l, qp.lb]), np.concatenate([qp.u, qp.ub])
+        low, high = qp.limits()
         if np.isnan(low).any() or np.isnan(high).any():
             return self._missing(Status.ERROR, "a limit is NaN")
         row = np.flatnonzero((low > high) | (low == np.inf) | (high == -np.inf))[0]

@@ -30,11 +30,11 @@ DENOMINATORS = (1, 12, 60, 1000)
 def crossed(qp: QuadraticProgram) -> Vector | None:
     """The unit vector (m + n,) of a row or bound whose lower limit exceeds its upper one."""
     problem = JointQP.of(qp)
-    found = np.flatnonzero(problem.L > problem.U)
-    if not len(found):
+    crossing = np.flatnonzero(problem.L > problem.U)
+    if not len(crossing):
         return None
     unit = np.zeros(len(problem.L))
-    unit[found[0]] = 1.0
+    unit[crossing[0]] = 1.0
     return unit
 
 
@@ -115,15 +115,15 @@ def _fractions(vector: Vector) -> list[Vector]:
     """Integer vectors near multiples of `vector`."""
     size = float(np.abs(vector).max(initial=0.0))
     smallest = float(np.abs(vector[np.abs(vector) > 1e-7 * size]).min(initial=size))
-    found = []
+    vectors = []
     for unit in {size, smallest} - {0.0}:
         for limit in DENOMINATORS:
             parts = [Fraction(value / unit).limit_denominator(limit) for value in vector.tolist()]
             common = lcm(*(part.denominator for part in parts))
             whole = [part * common for part in parts]
             if all(abs(number) < 1 << 53 for number in whole):
-                found.append(np.array([float(number) for number in whole]))
-    return found
+                vectors.append(np.array([float(number) for number in whole]))
+    return vectors
 
 
 def unbounded_valid(qp: QuadraticProgram, d: Vector) -> bool:

@@ -31,17 +31,17 @@ def fix_forced(problem: JointQP) -> JointQP | None:
     lb, ub = problem.L[m:], problem.U[m:]
     # The lower side of a row is the upper side of its negative.
     sides = ((A, U[:m]), (-A, -L[:m]))
-    found = [_forcing(rows, lb, ub, limit) for rows, limit in sides]
-    if not any(len(rows) for rows in found):
+    forcing_rows = [_forcing(rows, lb, ub, limit) for rows, limit in sides]
+    if not any(len(rows) for rows in forcing_rows):
         return None
-    for (signed, _), forcing in zip(sides, found, strict=True):
+    for (signed, _), forcing in zip(sides, forcing_rows, strict=True):
         for i in forcing:
             down, up = signed[i] > 0, signed[i] < 0
             U[m:][down] = lb[down]
             L[m:][up] = ub[up]
     if (L > U).any():
         return None
-    dropped = np.concatenate(found)
+    dropped = np.concatenate(forcing_rows)
     L[dropped], U[dropped] = -np.inf, np.inf
     return JointQP(problem.P, problem.q, problem.C, L, U)
 

@@ -56,8 +56,8 @@ def with_implied(problem: JointQP, touched: Signs) -> JointQP | None:
             return None
         if not _balanced(problem, limits, exact):
             return None
-        found = np.flatnonzero((exact != 0.0) & ~equal)
-        L[found] = U[found] = limits[found]
+        never_slack = np.flatnonzero((exact != 0.0) & ~equal)
+        L[never_slack] = U[never_slack] = limits[never_slack]
     return _independent_equalities(JointQP(problem.P, problem.q, problem.C, L, U))
 
 

@@ -110,10 +110,10 @@ def _reach(C: Matrix, limits: Matrix, gamma: float) -> Vector:
     reach = np.zeros(C.shape[1])
     for j, column in enumerate(C.T):
         mentions = column > 0.0
-        found = limits[:, mentions] / column[mentions]
-        found = found[found > 0.0]
-        if len(found):
-            reach[j] = found[found > gamma * np.median(found)].min()
+        distance = limits[:, mentions] / column[mentions]
+        distance = distance[distance > 0.0]
+        if len(distance):
+            reach[j] = distance[distance > gamma * np.median(distance)].min()
     return reach
 
 
@@ -153,9 +153,9 @@ def refute(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
     for point in _points(problem, upper, lower):
         if point.violation == 0.0:
             return None
-        found = first_valid(qp, point.y)
-        if found is not None:
-            return found
+        farkas = first_valid(qp, point.y)
+        if farkas is not None:
+            return farkas
     return None
 
 
@@ -199,10 +199,10 @@ def _points(problem: JointQP, upper: Vector, lower: Vector) -> Iterator[_Point]:
             return
         z = z + Dyadic.of(step[0] / magnified)
         slack = limits - exact @ z
-        found = _worst(slack, size)
+        violation = _worst(slack, size)
         y = np.zeros(len(problem.L))
         np.add.at(y, rows, turn * step[1])
-        yield _Point(found, y)
+        yield _Point(violation, y)
         magnified *= GAIN
 
 

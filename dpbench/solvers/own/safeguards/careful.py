@@ -104,5 +104,4 @@ class _Problem:
 
 def _prepared(qp: QuadraticProgram) -> _Problem:
     M = np.vstack([qp.A, np.eye(qp.n)])
-    lower, upper = np.concatenate([qp.l, qp.lb]), np.concatenate([qp.u, qp.ub])
-    return _Problem(qp, M, lower, upper, Projection.of(qp.P, M))
+    return _Problem(qp, M, *qp.limits(), Projection.of(qp.P, M))

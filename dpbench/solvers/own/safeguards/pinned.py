@@ -29,7 +29,7 @@ def determined(qp: QuadraticProgram) -> bool:
 
     Where long double is no longer than double, rows redundant to rounding count as exactly so.
     """
-    low, high = np.concatenate([qp.l, qp.lb]), np.concatenate([qp.u, qp.ub])
+    low, high = qp.limits()
     rows, limits = np.vstack([qp.A, np.eye(qp.n)])[low == high], low[low == high]
     rows, limits = rows[rows.any(axis=1)], limits[rows.any(axis=1)]
     if len(rows) < 2:

@@ -43,7 +43,7 @@ def contradicts(qp: QuadraticProgram, y: Vector, y_box: Vector) -> bool:
         return False
     unbounded = np.isinf(np.where(box > 0.0, qp.ub, qp.lb))
     ray = np.concatenate([y, np.where(unbounded, 0.0, box)])
-    low, high = np.concatenate([qp.l, qp.lb]), np.concatenate([qp.u, qp.ub])
+    low, high = qp.limits()
     used = ray != 0.0
     reach = ray[used] * np.where(ray[used] > 0.0, high[used], low[used])
     left = np.abs(box[unbounded]).sum() / max(float(terms.max()), np.finfo(float).tiny)
