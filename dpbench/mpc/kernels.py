@@ -2,6 +2,32 @@
 
 At 30/5 the algebra is a few thousand multiply-adds; as array expressions it costs twenty times
 that in calls. All arrays are C-contiguous float64; blocks are counted from 0 here.
+
+    h  (N_p, n_y, n_u)    h[t] = C A^t B                         F  (N_p·n_y, n_x)   F_t = C A^{t+1}
+
+    Φ (never formed)   move  0       1       …  N_c−1      E  (N_c·n_u, N_c·n_u) in blocks n_u
+    instant    0             h0      0                        E_00   E_01   …
+               1             h1      h0                       E_10   E_11   …
+               …             …       …                        …             …
+               N_p−1         hN_p−1  hN_p−2  …                last row: sums over all instants;
+                                                              E_ij: E_i+1,j+1 and one product
+
+    Z  (3n, n_x + n_y + n_u + 1)      x         y_ref        u_prev     1
+        n rows    q                   F_x       F_held       0          0
+        n rows    l                   0         0            −1         u_min
+        n rows    u                   0         0            −1         u_max     in units of `unit`
+
+By hand, with one state, input and output, A = 2, B = C = Q = R = 1, N_p = 3, N_c = 2: h = 1, 2, 4
+and Φ has the columns (1, 2, 4) and (0, 1, 2), so that E = ΦᵀΦ + I = [22 10; 10 6]. The last row by
+sums is 1·2 + 2·4 = 10 and 1 + 4 + 1 = 6; the corner is E_11 − 1 and one product, 4·4, and 1: 22.
+F = (2, 4, 8), so F_x = ΦᵀF = (2 + 8 + 32, 4 + 16) and F_held = −Φᵀ(1, 1, 1) = (−7, −3).
+
+>>> one = np.ones((1, 1))
+>>> E, F_x, F_held, F, h = condense_blocks(2 * one, one, one, one, one, 3, 2)
+>>> h.ravel().tolist(), F.ravel().tolist()
+([1.0, 2.0, 4.0], [2.0, 4.0, 8.0])
+>>> E.tolist(), F_x.ravel().tolist(), F_held.ravel().tolist()
+([[22.0, 10.0], [10.0, 6.0]], [42.0, 20.0], [-7.0, -3.0])
 """
 
 # The functions are compiled by numba, which infers their types.

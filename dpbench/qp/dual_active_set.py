@@ -13,6 +13,23 @@ from the empty set (eq. 27), bring in the most violated row, and drop the row wh
 reaches zero first. Every row brought in raises the dual objective strictly, and between two of
 them the set only shrinks, so that no set returns and the method ends, degenerate or not (their
 theorem 3). Ties go to the lowest index.
+
+    J (n, p)    column i: row i of M in the coordinates x, of unit length (scaled by the caller)
+    active W    positions k → rows i, in the order they came       J_W = Q R,  Q (n, w), R (w, w)
+    side, lam   (p,) by row i, zero where it is not active
+
+By hand, one step of the example in `solvers.own.active_set.kernel`: with J = [1 0 s; 0 1 s],
+s = 1/√2, the limits (1, 1, 2.5 s) and x0 = (3, 3), the rows are violated by 2, 2 and 3.5 s = 2.47,
+so that row 2 comes first and λ₂ = 3.5 s. Three more iterations end at x = (1, 1), λ = (2, 2, 0).
+
+>>> s = 0.5**0.5
+>>> J, upper = np.array([[1.0, 0.0, s], [0.0, 1.0, s]]), np.array([1.0, 1.0, 2.5 * s])
+>>> method = DualActiveSet(J, np.array([3.0, 3.0]), -upper - 10.0, upper, limit=9)
+>>> method._most_violated(), method._bring_in(2, 1.0), bool(np.isclose(method._lam[2], 3.5 * s))
+((2, 1.0), None, True)
+>>> outcome = method.run()
+>>> outcome.multipliers.round(12).tolist(), outcome.iterations
+([2.0, 2.0, 0.0], 4)
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from __future__ import annotations
 from math import inf
 
 from dpbench.arrays import Matrix
-from dpbench.solvers.own.active_set.factor import product
+from dpbench.solvers.own.active_set.factor import row_values
 from dpbench.solvers.own.active_set.layout import (
     ACTIVE,
     CHECK,
@@ -72,11 +72,7 @@ def excess_of_rows(S: Matrix, P: int, n: int, width: int) -> float:
     """
     size, most = largest(S, Z, n), 0.0
     S[CHECK, WORST] = -1.0
-    for i in range(n):
-        S[E, i] = S[Z, i]
-    for i in range(n, width):
-        S[E, i] = 0.0
-    product(S, E, P, Z, n, n, width)
+    row_values(S, E, P, n, width)
     for i in range(width):
         v, a = S[E, i], S[LAM, i]
         terms = size if i < n else size * S[SUM, i]

@@ -31,6 +31,7 @@ from dpbench.solvers.own.active_set.layout import (
     R,
     V,
     X,
+    Z,
     compiled,
 )
 
@@ -139,16 +140,32 @@ def repair(S: Matrix, L: int) -> None:
 
 
 @compiled
+def row_values(S: Matrix, out: int, P: int, n: int, width: int) -> None:
+    """S[out] = C Z, in the problem's own rows."""
+    for i in range(n):
+        S[out, i] = S[Z, i]
+    for i in range(n, width):
+        S[out, i] = 0.0
+    product(S, out, P, Z, n, n, width)
+
+
+@compiled
+def add_active(S: Matrix, out: int, sign: float, H: int, width: int) -> None:
+    """S[out] += sign · H_:W λ_W."""
+    for k in range(int(S[HEAD, COUNT]) & MASK):
+        r = int(S[ACTIVE, k]) & MASK
+        a = sign * S[LAM, r]
+        for i in range(width):
+            S[out, i] += a * S[H + r, i]
+
+
+@compiled
 def values(S: Matrix, H: int, width: int) -> None:
     """v of the active set (eq. 32)."""
     w = int(S[HEAD, COUNT]) & MASK
     for i in range(width):
         S[V, i] = S[V0, i]
-    for k in range(w):
-        r = int(S[ACTIVE, k]) & MASK
-        a = S[LAM, r]
-        for i in range(width):
-            S[V, i] -= a * S[H + r, i]
+    add_active(S, V, -1.0, H, width)
     for k in range(w):
         i = int(S[ACTIVE, k]) & MASK
         S[V, i] = limit_of(S, i)

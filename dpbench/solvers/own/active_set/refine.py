@@ -10,12 +10,14 @@ from __future__ import annotations
 
 from dpbench.arrays import Matrix
 from dpbench.solvers.own.active_set.factor import (
+    add_active,
     backward,
     drop,
     forward,
     is_wrong,
     limit_of,
     product,
+    row_values,
 )
 from dpbench.solvers.own.active_set.layout import (
     ACTIVE,
@@ -103,19 +105,10 @@ def refine(S: Matrix, K: int, P: int, H: int, A: int, L: int) -> float:
 @compiled
 def evaluate(S: Matrix, P: int, H: int, width: int) -> None:
     """v anew from Z, in the problem's own rows, and v₀ from v."""
-    n, w = int(S[HEAD, N_PAD]) & MASK, int(S[HEAD, COUNT]) & MASK
-    for i in range(n):
-        S[V, i] = S[Z, i]
-    for i in range(n, width):
-        S[V, i] = 0.0
-    product(S, V, P, Z, n, n, width)
+    row_values(S, V, P, int(S[HEAD, N_PAD]) & MASK, width)
     for i in range(width):
         S[V0, i] = S[V, i]
-    for k in range(w):
-        r = int(S[ACTIVE, k]) & MASK
-        a = S[LAM, r]
-        for i in range(width):
-            S[V0, i] += a * S[H + r, i]
+    add_active(S, V0, 1.0, H, width)
 
 
 @compiled
