@@ -34,7 +34,7 @@ so that row 2 comes first and λ₂ = 3.5 s. Three more iterations end at x = (1
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -60,6 +60,8 @@ ROUNDING, AT_VERTEX = 1e-15, 1e-25
 
 # A dependent row is an active one written twice if violated by no more than this before any step.
 WRITTEN_TWICE = 1e-9
+# A guard against rounding only: the method ends by itself, usually within n + m iterations.
+ITERATIONS_PER_ROW = 5
 _State = tuple[list[int], Vector, Vector, Matrix, Matrix]
 
 
@@ -285,3 +287,46 @@ class DualActiveSet:
 def _triangular(R: Matrix, b: Vector, *, lower: bool = False) -> Vector:
     x = scipy.linalg.solve_triangular(R, b, lower=lower, check_finite=False)
     return np.asarray(x, dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """The constant part of the QPs of one P and C: L (n, n), scaled J (n, N), scale (N,).
+
+    The columns of J are scaled to unit length, which makes the method independent of the units of
+    z and of the rows.
+    """
+
+    L: Matrix
+    J: Matrix
+    scale: Vector
+
+    @classmethod
+    def of(cls, P: Matrix, C: Matrix) -> Projection:
+        """For P (n, n) and rows C (N, n); LinAlgError if P is not positive definite."""
+        L = np.linalg.cholesky(0.5 * (P + P.T)).astype(np.float64)
+        J = scipy.linalg.solve_triangular(L, C.T, lower=True)
+        length = np.linalg.norm(J, axis=0)
+        scale = np.ones(length.size)
+        np.divide(1.0, length, out=scale, where=length > 0.0)
+        return cls(L, J * scale, scale)
+
+    def solve(
+        self,
+        q: Vector,
+        lower: Vector,
+        upper: Vector,
+        *,
+        start: Vector | None = None,
+        contradiction: float = CONTRADICTION,
+    ) -> Outcome:
+        """Where the dual active-set method ends; multipliers are those of the unscaled rows.
+
+        start : (N,) signs of the rows to begin with, as in `DualActiveSet.run`.
+        """
+        x0 = -np.linalg.solve(self.L, q).astype(np.float64)
+        limit = ITERATIONS_PER_ROW * self.scale.size
+        low, high = lower * self.scale, upper * self.scale
+        method = DualActiveSet(self.J, x0, low, high, limit=limit, contradiction=contradiction)
+        outcome = method.run(start)
+        return replace(outcome, multipliers=outcome.multipliers * self.scale)

@@ -12,8 +12,7 @@ from importlib import import_module
 import numpy as np
 
 from dpbench.arrays import Vector
-from dpbench.qp.dual_active_set import Ending
-from dpbench.qp.projection import Projection
+from dpbench.qp.dual_active_set import Ending, Projection
 from dpbench.qp.referee.joint import JointQP, Signs
 
 FREE = 1e30

@@ -38,7 +38,7 @@ class Estimator(ABC):
     """(6,) [Δu, Δv, Δr, Δn, Δe, Δψ] over the sample before the last update, zero at the first.
 
     What the law is to take for Δν, Δη: a filter's is free of the corrections that the difference
-    of two of its estimates holds (`model_change`). Overwritten by the next update.
+    of two of its estimates holds (`observer`). Overwritten by the next update.
     """
 
     @abstractmethod

@@ -18,7 +18,6 @@ from numba import njit
 from dpbench.arrays import Vector
 from dpbench.ship.estimation.estimator import nearest_turn
 from dpbench.ship.estimation.kalman_model import KalmanModel, KalmanTuning, kalman_model
-from dpbench.ship.estimation.model_change import model_change
 from dpbench.ship.estimation.observer import (
     BIAS,
     ETA,
@@ -27,6 +26,7 @@ from dpbench.ship.estimation.observer import (
     XI1,
     XI2,
     ModelObserver,
+    model_change,
 )
 from dpbench.ship.layout import AXES
 from dpbench.ship.vessel import Vessel

@@ -17,8 +17,16 @@ from numba import njit
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.ship.estimation.estimator import checked_sample, nearest_turn
-from dpbench.ship.estimation.model_change import model_change
-from dpbench.ship.estimation.observer import BIAS, ETA, NU, WITH_WAVES, XI1, XI2, ModelObserver
+from dpbench.ship.estimation.observer import (
+    BIAS,
+    ETA,
+    NU,
+    WITH_WAVES,
+    XI1,
+    XI2,
+    ModelObserver,
+    model_change,
+)
 from dpbench.ship.estimation.passive_tuning import PassiveTuning
 from dpbench.ship.layout import AXES, POSE
 from dpbench.ship.vessel import Vessel

@@ -13,7 +13,7 @@ from dpbench.ship.environment import Environment
 from dpbench.ship.estimation.estimator import Estimator, MeasuredState
 from dpbench.ship.estimation.kalman import KalmanFilter
 from dpbench.ship.estimation.kalman_model import SENSOR_STD, KalmanTuning
-from dpbench.ship.estimation.model_change import change_matrix, model_change
+from dpbench.ship.estimation.observer import change_matrix, model_change
 from dpbench.ship.estimation.passive_observer import PassiveObserver
 from dpbench.ship.estimation.passive_tuning import PassiveTuning
 from dpbench.ship.estimation.wave_filter import WaveModel

@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.qp.dual_active_set import CONTRADICTION, Ending, Outcome
+from dpbench.qp.dual_active_set import CONTRADICTION, Ending, Outcome, Projection
 from dpbench.qp.program import QuadraticProgram
-from dpbench.qp.projection import Projection
 from dpbench.qp.solution import Solution, Status
 
 STATUS = {
