@@ -42,24 +42,25 @@ _K11, _K12, _K2, _K3, _K4, _STIFF, _DAMP, _LEAK = range(8)
 def _derivative(x, y, tau, Minv, MinvD, rows, out):  # type: ignore[no-untyped-def] # compiled by numba
     """ẋ of x = [η̂, b̂, ν̂, ξ̂1, ξ̂2] (15,) at the measured pose y (3,), into out."""
     c, s = np.cos(y[2]), np.sin(y[2])
-    eta, bias, nu, xi1, xi2 = x[ETA:BIAS], x[BIAS:NU], x[NU:XI1], x[XI1:XI2], x[XI2:]
-    e = (y[0] - eta[0] - xi2[0], y[1] - eta[1] - xi2[1], y[2] - eta[2] - xi2[2])
-    north, east = bias[0] + rows[_K4, 0] * e[0], bias[1] + rows[_K4, 1] * e[1]
+    e = (y[0] - x[ETA] - x[XI2], y[1] - x[ETA + 1] - x[XI2 + 1], y[2] - x[ETA + 2] - x[XI2 + 2])
+    north, east = x[BIAS] + rows[_K4, 0] * e[0], x[BIAS + 1] + rows[_K4, 1] * e[1]
     force = (
         tau[0] + c * north + s * east,
         tau[1] + c * east - s * north,
-        tau[2] + bias[2] + rows[_K4, 2] * e[2],
+        tau[2] + x[BIAS + 2] + rows[_K4, 2] * e[2],
     )
-    velocity = (c * nu[0] - s * nu[1], s * nu[0] + c * nu[1], nu[2])
+    velocity = (c * x[NU] - s * x[NU + 1], s * x[NU] + c * x[NU + 1], x[NU + 2])
     for i in range(AXES):
         acceleration = 0.0
         for j in range(AXES):
-            acceleration += Minv[i, j] * force[j] - MinvD[i, j] * nu[j]
+            acceleration += Minv[i, j] * force[j] - MinvD[i, j] * x[NU + j]
         out[ETA + i] = velocity[i] + rows[_K2, i] * e[i]
-        out[BIAS + i] = rows[_K3, i] * e[i] - rows[_LEAK, i] * bias[i]
+        out[BIAS + i] = rows[_K3, i] * e[i] - rows[_LEAK, i] * x[BIAS + i]
         out[NU + i] = acceleration
-        out[XI1 + i] = xi2[i] + rows[_K11, i] * e[i]
-        out[XI2 + i] = rows[_K12, i] * e[i] - rows[_STIFF, i] * xi1[i] - rows[_DAMP, i] * xi2[i]
+        out[XI1 + i] = x[XI2 + i] + rows[_K11, i] * e[i]
+        out[XI2 + i] = (
+            rows[_K12, i] * e[i] - rows[_STIFF, i] * x[XI1 + i] - rows[_DAMP, i] * x[XI2 + i]
+        )
 
 
 @njit(cache=True)
