@@ -12,8 +12,7 @@ from dpbench.report.formats import MISSING, and_list, plural
 from dpbench.report.table import Cell, Table, row_of
 from dpbench.solvers.contract import Policy, Route
 from dpbench.solvers.open import REFUSED_BY_QPSOLVERS
-from dpbench.solvers.project import Fact
-from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.record import Fact, SolverRecord
 from dpbench.solvers.table import record
 
 POLICIES: tuple[Policy, ...] = ("fresh", "reuse", "warm")

@@ -19,9 +19,8 @@ import numpy as np
 from dpbench.errors import DpbenchError
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Workspace
+from dpbench.solvers.contract import Workspace, check_step
 from dpbench.solvers.record import SolverRecord
-from dpbench.solvers.shapes import check_step
 
 NO_OP, COPY_ONLY = "no_op", "copy_only"
 WAITS_NS = {f"busy_wait_{wait}us": 1000 * wait for wait in (20, 50, 200, 1000)}

@@ -11,9 +11,7 @@ from typing import Concatenate
 from dpbench.errors import DpbenchError
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status, received
-from dpbench.solvers.contract import Policy, Workspace
-from dpbench.solvers.shapes import check_step, owned
-from dpbench.solvers.through_qpsolvers.adapter import Options
+from dpbench.solvers.contract import Options, Policy, Workspace, check_step, owned
 
 Solve = Callable[Concatenate[QuadraticProgram, ...], Solution]
 

@@ -25,9 +25,8 @@ from pathlib import Path
 from typing import Any
 
 from dpbench.errors import InputError, renamed
-from dpbench.solvers.contract import Policy, Workspace
+from dpbench.solvers.contract import Options, Policy, Workspace
 from dpbench.solvers.record import Form, SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Options
 
 GROUP = "dpbench.solvers"
 

@@ -5,7 +5,7 @@ A cell without a source is not stated by the project, as far as is known here; n
 
 from __future__ import annotations
 
-from dpbench.solvers.project import Fact, Project
+from dpbench.solvers.record import Fact, Project
 
 
 def _known(

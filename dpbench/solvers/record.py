@@ -6,12 +6,12 @@ conformance tests are generated from them and the report prints them.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from dpbench.solvers.contract import Policy, Route
-from dpbench.solvers.project import NOT_STATED, Project
 
 Form = Literal["dense", "csc"]
 Box = Literal["native", "rows"]
@@ -39,10 +39,53 @@ class Build:
 
 
 UNREAD = Build()
+BUILDS = {"_avx512": "AVX-512", "_avx2": "AVX2", "": "no AVX"}
+"""What the end of a module's name says it was compiled for."""
+
+
+def vectorised_build(module: str) -> Build:
+    """The build that an imported library chose; it is never less than the processor has.
+
+    Parameters
+    ----------
+    module : the name its compiled modules share, without what they were compiled for.
+    """
+    found = (text for end, text in BUILDS.items() if sys.modules.get(f"{module}{end}") is not None)
+    return Build(next(found, ""))
 
 
 def _unread() -> Build:
     return UNREAD
+
+
+@dataclass(frozen=True)
+class Fact:
+    """A statement and where the project makes it, in words; no source, no statement."""
+
+    value: str = "not stated"
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class Project:
+    """Facts about a solver's project.
+
+    Parameters
+    ----------
+    licence, language : of the solver itself, not of its Python interface.
+    c_code : whether it generates C code for a problem, or is C code one can embed.
+    allocation_free : whether a solve after set-up allocates no memory.
+    single_precision : whether it can be built in single precision.
+    """
+
+    licence: Fact = Fact()
+    language: Fact = Fact()
+    c_code: Fact = Fact()
+    allocation_free: Fact = Fact()
+    single_precision: Fact = Fact()
+
+
+NOT_STATED = Project()
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,9 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Protocol
 
 from dpbench.errors import SettingsError
-from dpbench.solvers.contract import Settings
+from dpbench.solvers.contract import Options, Settings
 from dpbench.solvers.plugins import find_plugin
 from dpbench.solvers.record import SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Options
 
 DEFAULT, LOW, MID, HIGH = "default", "low", "mid", "high"
 TOLERANCES = {LOW: 1e-3, MID: 1e-6, HIGH: 1e-9}

@@ -12,9 +12,8 @@ from dpbench.errors import UnknownNameError
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.native import NATIVE
 from dpbench.solvers.plugins import entry_point_names, find_plugin, load_file, loaded_names
-from dpbench.solvers.project import NOT_STATED
 from dpbench.solvers.projects import PROJECTS
-from dpbench.solvers.record import UNREAD, Build, SolverRecord
+from dpbench.solvers.record import NOT_STATED, UNREAD, Build, SolverRecord
 from dpbench.solvers.settings import settings_matter
 from dpbench.solvers.through_qpsolvers import ADAPTERS
 from dpbench.solvers.through_qpsolvers.generic import generic_adapter, is_served

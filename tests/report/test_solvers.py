@@ -9,7 +9,7 @@ from dpbench.report import section_solvers
 from dpbench.report.blocks import Tabular
 from dpbench.report.section_solvers import solvers_section
 from dpbench.report.table import Table
-from dpbench.solvers.project import Fact, Project
+from dpbench.solvers.record import Fact, Project
 from dpbench.solvers.table import record
 
 

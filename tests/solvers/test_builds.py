@@ -11,9 +11,8 @@ from types import ModuleType
 import pytest
 
 from dpbench.solvers.native.hpipm.library import build_of
-from dpbench.solvers.record import Build
+from dpbench.solvers.record import Build, vectorised_build
 from dpbench.solvers.table import Availability, available
-from dpbench.solvers.through_qpsolvers.vectorised import vectorised_build
 
 AVX2, FMA = 0x2, 0x4
 

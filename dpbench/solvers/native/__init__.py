@@ -1,5 +1,6 @@
 """The libraries through their own interfaces, one adapter each."""
 
+from dpbench.solvers.adapter import NativeAdapter
 from dpbench.solvers.native import (
     clarabel,
     daqp,
@@ -13,7 +14,6 @@ from dpbench.solvers.native import (
     quadprog,
     scs,
 )
-from dpbench.solvers.native.adapter import NativeAdapter
 from dpbench.solvers.native.hpipm import dense as hpipm
 from dpbench.solvers.native.hpipm import ocp as hpipm_ocp
 

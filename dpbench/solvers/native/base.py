@@ -19,10 +19,9 @@ from dpbench.arrays import Matrix, Vector
 from dpbench.errors import DpbenchError
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Policy, Workspace
+from dpbench.solvers.contract import Options, Policy, Workspace, check_step
+from dpbench.solvers.one_sided import OneSidedForm
 from dpbench.solvers.record import Form
-from dpbench.solvers.shapes import check_step
-from dpbench.solvers.through_qpsolvers.adapter import Options
 
 NOT_SET_UP = "{} before setup: call setup with the whole problem first"
 NOT_SOLVED = "read before solve"
@@ -200,6 +199,56 @@ class NativeWorkspace(Workspace):
     def _forget(self) -> None:
         self._done = self._unread = self._disturbed = False
         self._failure = ""
+
+
+class OneSidedWorkspace(NativeWorkspace):
+    """A library that takes one side of a limit only: A z = b and G z ≤ h.
+
+    Rows with l = u are equalities and infinite sides are left out, by the pattern at setup; a step
+    of another pattern makes the library object anew. A subclass gives `_create` (a new library
+    object) and `_send` (the vectors in `_form`).
+    """
+
+    _form: OneSidedForm
+
+    @abstractmethod
+    def _create(self) -> None:
+        """Make a new library object from `_form`."""
+
+    @abstractmethod
+    def _send(self) -> None:
+        """Give the library the vectors in `_form`."""
+
+    def _arrange(self) -> None:
+        """Bring the matrices of a new `_form` into what `_create` needs; by default nothing."""
+
+    def _convert(self) -> None:
+        qp = QuadraticProgram(
+            self._P, self._q, self._A, self._l, self._u, self._lb, self._ub, self._block
+        )
+        self._form = OneSidedForm(qp, "dense", "rows")
+        self._arrange()
+
+    def _build(self) -> None:
+        if not self._form.fits(self._l, self._u):
+            self._convert()
+        self._form.fill(self._q, self._l, self._u)
+        self._create()
+
+    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
+        if self._form.fits(low, high):
+            self._form.fill(q, low, high)
+            self._send()
+        else:
+            self._q[:], self._l[:], self._u[:] = q, low, high
+            self._build()
+
+    def _rows(self) -> tuple[Matrix, int, int]:
+        """[A; G], the number of equalities and that of inequalities."""
+        parts = [M for M in (self._form.A, self._form.G) if M is not None]
+        rows = np.vstack(parts) if parts else np.empty((0, self._n))
+        equalities = 0 if self._form.b is None else self._form.b.size
+        return rows, equalities, rows.shape[0] - equalities
 
 
 class Start:

@@ -11,12 +11,11 @@ import numpy as np
 from dpbench.arrays import Vector
 from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Policy
-from dpbench.solvers.native.adapter import NativeAdapter
+from dpbench.solvers.adapter import NativeAdapter
+from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.native.base import NativeWorkspace
 from dpbench.solvers.record import NAN_ANSWER, NAN_IGNORED, RouteRecord, SolverRecord
 from dpbench.solvers.through_qpsolvers import daqp as wrapped
-from dpbench.solvers.through_qpsolvers.adapter import Options
 
 # A start with the active set shifted by one move goes through `sense`, whose update costs 3 µs;
 # on the paper's sequence it also takes more iterations (1.40) than the set as it was (1.08).

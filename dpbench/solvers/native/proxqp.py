@@ -22,12 +22,11 @@ import scipy.sparse
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Policy
-from dpbench.solvers.native.adapter import NativeAdapter
+from dpbench.solvers.adapter import NativeAdapter, attributes
+from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.native.base import NativeWorkspace, shift_into, stacked
 from dpbench.solvers.record import NAN_IGNORED, RouteRecord, SolverRecord
 from dpbench.solvers.through_qpsolvers import proxqp as wrapped
-from dpbench.solvers.through_qpsolvers.adapter import Options, attributes
 
 NATIVE = RouteRecord(
     policies=("fresh", "reuse", "warm"),

@@ -16,11 +16,10 @@ import numpy as np
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Policy
-from dpbench.solvers.native.adapter import NativeAdapter
+from dpbench.solvers.adapter import NativeAdapter
+from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.native.base import NativeWorkspace
 from dpbench.solvers.record import NAN_ANSWER, SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Options
 
 RECORD = SolverRecord(
     name="qpoases",

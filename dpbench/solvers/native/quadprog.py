@@ -9,12 +9,11 @@ import numpy as np
 import scipy.linalg
 
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Policy
-from dpbench.solvers.native.adapter import NativeAdapter
-from dpbench.solvers.native.one_sided import OneSidedWorkspace
+from dpbench.solvers.adapter import NativeAdapter
+from dpbench.solvers.contract import Options, Policy
+from dpbench.solvers.native.base import OneSidedWorkspace
 from dpbench.solvers.record import NAN_ANSWER, NAN_IGNORED, RouteRecord, SolverRecord
 from dpbench.solvers.through_qpsolvers import quadprog as wrapped
-from dpbench.solvers.through_qpsolvers.adapter import Options
 
 NATIVE = RouteRecord(
     policies=("fresh", "reuse"),

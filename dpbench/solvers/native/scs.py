@@ -10,13 +10,11 @@ import scipy.sparse
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Policy
-from dpbench.solvers.native.adapter import NativeAdapter
-from dpbench.solvers.native.base import Start
-from dpbench.solvers.native.one_sided import OneSidedWorkspace
+from dpbench.solvers.adapter import NativeAdapter
+from dpbench.solvers.contract import Options, Policy
+from dpbench.solvers.native.base import OneSidedWorkspace, Start
 from dpbench.solvers.record import RouteRecord, SolverRecord
 from dpbench.solvers.through_qpsolvers import scs as wrapped
-from dpbench.solvers.through_qpsolvers.adapter import Options
 
 NATIVE = RouteRecord(
     policies=("fresh", "reuse", "warm"),

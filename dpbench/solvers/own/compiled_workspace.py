@@ -12,11 +12,10 @@ from dpbench.arrays import Matrix
 from dpbench.errors import DpbenchError
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Policy, Route, Workspace
+from dpbench.solvers.contract import Policy, Route, Workspace, check_step, owned
 from dpbench.solvers.own.active_set import layout as layout
 from dpbench.solvers.own.active_set.constants import empty, fill, results, vectors
 from dpbench.solvers.own.active_set.kernel import take_over
-from dpbench.solvers.shapes import check_step, owned
 
 SOLVED = Status.SOLVED
 NOT_SOLVED_YET = -100

@@ -14,8 +14,7 @@ from dpbench.arrays import Vector
 from dpbench.errors import DpbenchError
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Policy, Route, Workspace
-from dpbench.solvers.shapes import check_step, owned
+from dpbench.solvers.contract import Policy, Route, Workspace, check_step, owned
 
 
 class Unconstrained(Workspace):

@@ -1,5 +1,6 @@
 """The libraries behind qpsolvers, one adapter each."""
 
+from dpbench.solvers.adapter import Adapter
 from dpbench.solvers.through_qpsolvers import (
     clarabel,
     coneqp,
@@ -17,7 +18,6 @@ from dpbench.solvers.through_qpsolvers import (
     scs,
     sip,
 )
-from dpbench.solvers.through_qpsolvers.adapter import Adapter
 
 ADAPTERS: dict[str, Adapter] = {
     adapter.record.name: adapter

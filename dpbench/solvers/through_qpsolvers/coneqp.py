@@ -9,8 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 from dpbench.qp.solution import Status
+from dpbench.solvers.adapter import Adapter, ClaimedStatus
+from dpbench.solvers.contract import Options
 from dpbench.solvers.record import NAN_ANSWER, NAN_IGNORED, SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, ClaimedStatus, Options
 
 # The user guide of CVXOPT, section "Algorithm parameters", and the source of `coneqp`; the
 # library keeps no object to ask and ignores what it does not know.

@@ -5,8 +5,8 @@ from __future__ import annotations
 import inspect
 from importlib import import_module
 
+from dpbench.solvers.adapter import Adapter, status_of_found
 from dpbench.solvers.record import NAN_ANSWER, NAN_IGNORED, SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, status_of_found
 
 RECORD = SolverRecord(
     name="daqp",

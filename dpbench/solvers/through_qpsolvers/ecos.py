@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from dpbench.qp.solution import Status
+from dpbench.solvers.adapter import Adapter, ClaimedStatus
+from dpbench.solvers.contract import Options
 from dpbench.solvers.record import SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, ClaimedStatus, Options
 
 # Dense, because qpsolvers builds the cone program from dense P and G.
 RECORD = SolverRecord(

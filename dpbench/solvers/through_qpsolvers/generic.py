@@ -10,8 +10,8 @@ import sys
 from importlib.machinery import PathFinder
 from importlib.util import find_spec
 
+from dpbench.solvers.adapter import Adapter, status_of_found
 from dpbench.solvers.record import SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, status_of_found
 
 
 def is_served(name: str) -> bool:

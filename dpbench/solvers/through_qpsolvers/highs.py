@@ -5,8 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
+from dpbench.solvers.adapter import Adapter, attributes, status_of_found
 from dpbench.solvers.record import NAN_IGNORED, SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, attributes, status_of_found
 
 RECORD = SolverRecord(
     name="highs",

@@ -7,8 +7,9 @@ from importlib import import_module
 from typing import Any
 
 from dpbench.qp.solution import Status
+from dpbench.solvers.adapter import Adapter, ClaimedStatus
+from dpbench.solvers.contract import Options
 from dpbench.solvers.record import SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, ClaimedStatus, Options
 
 # BoxOSQP.SOLVED, .DUAL_INFEASIBLE, .PRIMAL_INFEASIBLE of jaxopt; 0 is "unsolved", its word for
 # a run that ended at the iteration limit.

@@ -7,9 +7,9 @@ from importlib import import_module
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.record import NAN_IGNORED, Build, SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, ClaimedStatus, Options
-from dpbench.solvers.through_qpsolvers.vectorised import vectorised_build
+from dpbench.solvers.adapter import Adapter, ClaimedStatus
+from dpbench.solvers.contract import Options
+from dpbench.solvers.record import NAN_IGNORED, Build, SolverRecord, vectorised_build
 
 
 def build() -> Build:

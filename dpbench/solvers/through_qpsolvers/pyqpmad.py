@@ -6,8 +6,9 @@ from importlib import import_module
 from typing import Any
 
 from dpbench.qp.solution import Status
+from dpbench.solvers.adapter import Adapter, ClaimedStatus, attributes
+from dpbench.solvers.contract import Options
 from dpbench.solvers.record import NAN_ANSWER, NAN_IGNORED, SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, ClaimedStatus, Options, attributes
 
 RECORD = SolverRecord(
     name="pyqpmad",

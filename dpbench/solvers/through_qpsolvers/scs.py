@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from dpbench.qp.solution import Status
+from dpbench.solvers.adapter import Adapter, ClaimedStatus
+from dpbench.solvers.contract import Options
 from dpbench.solvers.record import SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Adapter, ClaimedStatus, Options
 
 RECORD = SolverRecord(
     name="scs",

@@ -16,11 +16,9 @@ from qpsolvers import Problem, solve_problem
 from dpbench.errors import DpbenchError
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Policy, Workspace
+from dpbench.solvers.contract import Options, Policy, Workspace, check_step, owned
 from dpbench.solvers.one_sided import OneSidedForm
-from dpbench.solvers.shapes import check_step, owned
 from dpbench.solvers.through_qpsolvers import Adapter
-from dpbench.solvers.through_qpsolvers.adapter import Options
 
 IGNORE_ALL = ("ignore", None, Warning, None, 0)
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Policy
-from dpbench.solvers.native.adapter import NativeAdapter
+from dpbench.solvers.adapter import NativeAdapter
+from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.native.base import NativeWorkspace, Start, stacked
 from dpbench.solvers.native.hpipm.library import (
     OPTION_NAMES,
@@ -26,7 +26,6 @@ from dpbench.solvers.native.hpipm.library import (
     pointer,
 )
 from dpbench.solvers.record import SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Options
 
 RECORD = SolverRecord(
     name="hpipm",

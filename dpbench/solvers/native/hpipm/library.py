@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
+from dpbench.solvers.contract import Options
 from dpbench.solvers.record import Build
-from dpbench.solvers.through_qpsolvers.adapter import Options
 
 MODES = ("SPEED_ABS", "SPEED", "BALANCE", "ROBUST")
 REALS = ("mu0", "tol_stat", "tol_eq", "tol_ineq", "tol_comp", "reg_prim", "alpha_min")

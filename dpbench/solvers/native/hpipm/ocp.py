@@ -13,8 +13,8 @@ import numpy as np
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Policy
-from dpbench.solvers.native.adapter import NativeAdapter
+from dpbench.solvers.adapter import NativeAdapter
+from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.native.base import NativeWorkspace, Start
 from dpbench.solvers.native.hpipm import dense as hpipm
 from dpbench.solvers.native.hpipm.library import (
@@ -27,7 +27,6 @@ from dpbench.solvers.native.hpipm.library import (
 from dpbench.solvers.native.hpipm.stage_data import Part, StageData, addresses
 from dpbench.solvers.native.hpipm.stages import find_stages
 from dpbench.solvers.record import SolverRecord
-from dpbench.solvers.through_qpsolvers.adapter import Options
 
 RECORD = replace(
     hpipm.RECORD,

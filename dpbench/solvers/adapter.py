@@ -1,18 +1,36 @@
-"""What one library's adapter consists of, and how its answer becomes a claimed_status.
+"""What the adapter of one library consists of: on route native, and on route qpsolvers.
 
-An adapter is data and two small functions; the workspace that drives it is common to all.
+Behind qpsolvers it is data and two small functions; the workspace that drives it is common to all.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from dpbench.qp.solution import Status
+from dpbench.solvers.contract import Options, Policy, Workspace
 from dpbench.solvers.record import SolverRecord
 
-Options = Mapping[str, object]
+
+@dataclass(frozen=True)
+class NativeAdapter:
+    """One library through its own interface.
+
+    Parameters
+    ----------
+    record : its row in the table, with what it can do on route native.
+    workspace : makes a workspace of its record, a policy and validated options.
+    option_names : the names of the library's settings, asked of the library itself.
+    settings_object : a fresh settings object of the library that takes options as attributes,
+        None where it takes them otherwise.
+    """
+
+    record: SolverRecord
+    workspace: Callable[[SolverRecord, Policy, Options], Workspace]
+    option_names: Callable[[], Iterable[str]] | None
+    settings_object: Callable[[], Any] | None = None
 
 
 class ClaimedStatus(NamedTuple):
