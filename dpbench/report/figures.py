@@ -23,12 +23,11 @@ from dpbench.analysis.records import (
 from dpbench.analysis.statistics import percentile
 from dpbench.report.formats import count_text, error_text, plural, share_text
 from dpbench.report.style import (
-    FAMILY_COLOURS,
     GREY,
     INK,
     PALE,
     colour_of,
-    family_of,
+    family_colours,
     log_time,
     log_x,
     new_figure,
@@ -77,8 +76,8 @@ def step_times(configurations: Sequence[PooledConfiguration], demand: Demand) ->
 
 
 def _family_patches(solvers: Sequence[str]) -> list[Patch]:
-    present = {family_of(solver.partition(" (")[0]) for solver in solvers}
-    return [Patch(color=c, label=name) for name, c in FAMILY_COLOURS.items() if name in present]
+    colours = family_colours(solver.partition(" (")[0] for solver in solvers)
+    return [Patch(color=colour, label=name) for name, colour in colours.items()]
 
 
 def _legend(figure: Figure, handles: Sequence[Line2D | Patch]) -> None:

@@ -18,11 +18,10 @@ from dpbench.analysis.slowdown import (
 )
 from dpbench.report.labels import name_ends
 from dpbench.report.style import (
-    FAMILY_COLOURS,
     GREY,
     INK,
     colour_of,
-    family_of,
+    family_colours,
     log_y,
     one_axes,
 )
@@ -39,11 +38,9 @@ def slowdown_figure(group: DelayedGroup) -> Figure:
     for configuration in group.configurations:
         _line(ax, configuration)
     _axes(ax, group)
-    present = {family_of(configuration.solver) for configuration in group.configurations}
     marks = [
         Line2D([], [], color=colour, marker="o", ms=4.5, label=name)
-        for name, colour in FAMILY_COLOURS.items()
-        if name in present
+        for name, colour in family_colours(each.solver for each in group.configurations).items()
     ]
     beyond = f"beyond {100 * MARGIN:g} %"
     hollow = Line2D([], [], marker="o", color=GREY, mfc="white", ls="", label=beyond)

@@ -12,10 +12,9 @@ from matplotlib.ticker import FixedLocator, NullLocator
 from dpbench.analysis.times.horizon_sweep import Horizons, Sweep, SweptConfiguration, moves_of
 from dpbench.report.labels import name_ends
 from dpbench.report.style import (
-    FAMILY_COLOURS,
     GREY,
     colour_of,
-    family_of,
+    family_colours,
     log_time_y,
     new_figure,
 )
@@ -39,11 +38,9 @@ def growth_figure(sweep: Sweep, configurations: Sequence[SweptConfiguration]) ->
         ax.set_title(form.replace("_", " "))
         ax.set_ylabel("median step time [µs]")
     _axes(panels[-1], sweep.horizons)
-    present = {family_of(configuration.solver) for configuration in configurations}
     marks = [
         Line2D([], [], color=colour, marker="o", ms=4.5, label=name)
-        for name, colour in FAMILY_COLOURS.items()
-        if name in present
+        for name, colour in family_colours(each.solver for each in configurations).items()
     ]
     hollow = Line2D(
         [], [], marker="o", color=GREY, mfc="white", ls="", label="an answer misses the demand"

@@ -10,12 +10,9 @@ from dpbench.errors import UnknownNameError
 from dpbench.report.blocks import Block, Paragraph, Section, Tabular, missing
 from dpbench.report.formats import MISSING, and_list, plural
 from dpbench.report.table import Cell, Table, row_of
-from dpbench.solvers.contract import Policy, Route
-from dpbench.solvers.open import REFUSED_BY_QPSOLVERS
-from dpbench.solvers.record import Fact, SolverRecord
+from dpbench.solvers.contract import Route
+from dpbench.solvers.record import POLICIES, Fact, SolverRecord
 from dpbench.solvers.table import record
-
-POLICIES: tuple[Policy, ...] = ("fresh", "reuse", "warm")
 
 
 def solvers_section(view: Records) -> Section:
@@ -92,12 +89,7 @@ def _abilities_table(known: Sequence[SolverRecord]) -> Table:
 
 def _ability_row(solver: SolverRecord, route: Route) -> tuple[Cell, ...]:
     can = solver.on(route)
-    wrapped = REFUSED_BY_QPSOLVERS if route == "qpsolvers" else {}
-    refused = {
-        policy: can.refused.get(policy) or wrapped.get(policy, "not offered")
-        for policy in POLICIES
-        if policy not in can.policies
-    }
+    refused = {p: why for p in POLICIES if (why := solver.refusal(route, p))}
     return row_of(
         solver.name,
         solver.method,

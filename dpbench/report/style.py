@@ -6,7 +6,7 @@ Colours are those of Okabe & Ito (2008), told apart by readers with any common c
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, cast
@@ -16,6 +16,10 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from dpbench.errors import InputError
+from dpbench.solvers.record import Family
+from dpbench.solvers.table import record
 
 BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY = (
     "#0072B2",
@@ -29,39 +33,18 @@ _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 INK, GREY, PALE = "#222222", "#767676", "#DDDDDD"
 CONSTRAINED, CLIPPED, LIMIT = BLUE, VERMILLION, INK
 
-FAMILIES = {
-    "active set": ("daqp", "highs", "paper_active_set", "pyqpmad", "qpoases", "quadprog"),
-    "interior point": (
-        "clarabel",
-        "cvxopt",
-        "ecos",
-        "hpipm",
-        "hpipm_ocp",
-        "kvxopt",
-        "piqp",
-        "piqp_multistage",
-        "piqp_sparse",
-        "qoco",
-        "qpax",
-        "qtqp",
-        "sip",
-    ),
-    "first order, augmented Lagrangian": (
-        "hildreth",
-        "jaxopt",
-        "osqp",
-        "proxqp",
-        "proxqp_sparse",
-        "qpalm",
-        "scs",
-    ),
+_BY_STEPS = "first order, augmented Lagrangian"
+FAMILIES: dict[Family, tuple[str, str]] = {
+    "active set": ("active set", BLUE),
+    "interior point": ("interior point", VERMILLION),
+    "first order": (_BY_STEPS, GREEN),
+    "augmented Lagrangian": (_BY_STEPS, GREEN),
+    "baseline law": ("baseline law", GREY),
+    "harness": ("harness", GREY),
+    "not stated": ("family not stated", GREY),
 }
-FAMILY_COLOURS = {
-    "active set": BLUE,
-    "interior point": VERMILLION,
-    "first order, augmented Lagrangian": GREEN,
-    "other": GREY,
-}
+"""What a figure calls the family of a solver's record, and its colour; few colours are told apart,
+so that two families share one."""
 
 STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",
@@ -102,13 +85,26 @@ def styled() -> Iterator[None]:
 
 
 def family_of(solver: str) -> str:
-    """The method family of a solver."""
-    return next((name for name, solvers in FAMILIES.items() if solver in solvers), "other")
+    """What a figure calls the method family of a solver, also of one that is not known here."""
+    return _family(solver)[0]
 
 
 def colour_of(solver: str) -> str:
     """The colour of a solver's method family."""
-    return FAMILY_COLOURS[family_of(solver)]
+    return _family(solver)[1]
+
+
+def family_colours(solvers: Iterable[str]) -> dict[str, str]:
+    """The families of some solvers by their names, in the order of a legend, and their colours."""
+    present = {family_of(solver) for solver in solvers}
+    return {name: colour for name, colour in FAMILIES.values() if name in present}
+
+
+def _family(solver: str) -> tuple[str, str]:
+    try:
+        return FAMILIES[record(solver).family]
+    except InputError:  # of a plug-in that is not installed, or fails, where the report is written
+        return FAMILIES["not stated"]
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:

@@ -1,4 +1,4 @@
-"""The harness's own configurations: workspaces of a known cost, which solve nothing.
+"""The harness's own solvers: workspaces of a known cost, which solve nothing.
 
     no_op              every method returns at once, `read` the same stored object: the harness
     copy_only          `update` copies q, l, u, `read` copies an answer out: the contract
@@ -16,15 +16,14 @@ from functools import partial
 
 import numpy as np
 
-from dpbench.errors import DpbenchError
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Workspace, check_step
-from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.contract import Workspace, check_step, not_set_up
+from dpbench.solvers.record import NOT_STATED, RouteRecord, SolverRecord
 
 NO_OP, COPY_ONLY = "no_op", "copy_only"
 WAITS_NS = {f"busy_wait_{wait}us": 1000 * wait for wait in (20, 50, 200, 1000)}
-"""What each waiting configuration waits [ns]."""
+"""What each that waits does so for [ns]."""
 
 # Waiting is the only work on this floor that takes a clock. Where there is one that nobody
 # disciplines, it is another than the harness's own, so that one checks the other.
@@ -38,19 +37,22 @@ _steady_ns: Callable[[], int] = (
 def _record(name: str, method: str) -> SolverRecord:
     return SolverRecord(
         name=name,
+        family="harness",
+        method=method,
         distribution="",
         module="",
-        method=method,
         extra="own",
         form="dense",
-        box="native",
-        policies={"native": ("reuse",)},
-        gives_multipliers=False,
-        detects_infeasibility=False,
-        refused={
-            ("native", "fresh"): "it has nothing to set up",
-            ("native", "warm"): "it has no start",
+        routes={
+            "native": RouteRecord(
+                ("reuse",),
+                gives_multipliers=False,
+                detects_infeasibility=False,
+                refused={"fresh": "it has nothing to set up", "warm": "it has no start"},
+            )
         },
+        levels={},
+        project=NOT_STATED,
     )
 
 
@@ -59,8 +61,7 @@ CALIBRATION: dict[str, SolverRecord] = {
     COPY_ONLY: _record(COPY_ONLY, "none: copies q, l, u in and an answer out"),
     **{n: _record(n, f"none: waits {ns // 1000} µs in solve") for n, ns in WAITS_NS.items()},
 }
-"""The configurations by name, in the order they are shown; none of them is a solver of the
-table."""
+"""By name, in the order they are shown; none of them is a solver of the table."""
 
 
 class NoOp(Workspace):
@@ -83,7 +84,7 @@ class NoOp(Workspace):
     def read(self) -> Solution:
         """The stored object: unlike a solver's, not in memory of its own."""
         if self._answer is None:
-            raise DpbenchError("read before setup: call setup with the whole problem first")
+            raise not_set_up("read")
         return self._answer
 
 
@@ -118,7 +119,7 @@ class CopyOnly(Workspace):
     def update(self, step: QPStep) -> None:
         """Check the shapes and copy q, l, u."""
         if self._size is None:
-            raise DpbenchError("update before setup: call setup with the whole problem first")
+            raise not_set_up("update")
         check_step(step, *self._size)
         self.q[:] = step.q
         self.l[:] = step.l
@@ -130,12 +131,12 @@ class CopyOnly(Workspace):
     def read(self) -> Solution:
         """Copies of an answer that is none."""
         if self._size is None:
-            raise DpbenchError("read before setup: call setup with the whole problem first")
+            raise not_set_up("read")
         return Solution(Status.UNKNOWN, self._z.copy(), self._y.copy(), self._z.copy())
 
 
 def open_calibration(name: str) -> Workspace:
-    """The workspace of a configuration of `CALIBRATION`."""
+    """The workspace of one of `CALIBRATION`."""
     if name in WAITS_NS:
         return BusyWait(name, WAITS_NS[name])
     return NoOp(name) if name == NO_OP else CopyOnly(name)

@@ -19,7 +19,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Literal
 
-from dpbench.errors import ShapeError
+from dpbench.arrays import Vector
+from dpbench.errors import DpbenchError, ShapeError
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution
 
@@ -27,6 +28,7 @@ Route = Literal["qpsolvers", "native"]
 Policy = Literal["fresh", "reuse", "warm"]
 Options = Mapping[str, object]
 Settings = str | Options
+Form = Literal["dense", "csc"]
 
 
 class Workspace(ABC):
@@ -43,7 +45,7 @@ class Workspace(ABC):
 
     setup_every_step: bool = False
     matrix_updates: int = 0
-    form: str = "dense"
+    form: Form = "dense"
 
     def __init__(self, solver: str, route: Route, policy: Policy) -> None:
         self.solver, self.route, self.policy = solver, route, policy
@@ -87,3 +89,17 @@ def owned(qp: QuadraticProgram) -> QuadraticProgram:
         array.copy() for array in (qp.P, qp.q, qp.A, qp.l, qp.u, qp.lb, qp.ub)
     )
     return QuadraticProgram(P, q, A, l, u, lb, ub, qp.block)
+
+
+def not_set_up(call: str) -> DpbenchError:
+    """What is raised when a workspace is used before its set-up."""
+    return DpbenchError(f"{call} before setup: call setup with the whole problem first")
+
+
+def shift_into(target: Vector, kept: Vector, block: int) -> None:
+    """target = kept, one block earlier; the last block is zero."""
+    if block == 0:
+        target[:] = kept
+    elif target.size:
+        target[:-block] = kept[block:]
+        target[-block:] = 0.0

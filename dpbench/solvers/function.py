@@ -8,10 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Concatenate
 
-from dpbench.errors import DpbenchError
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status, received
-from dpbench.solvers.contract import Options, Policy, Workspace, check_step, owned
+from dpbench.solvers.contract import Options, Policy, Workspace, check_step, not_set_up, owned
 
 Solve = Callable[Concatenate[QuadraticProgram, ...], Solution]
 
@@ -33,7 +32,7 @@ class FunctionWorkspace(Workspace):
     def update(self, step: QPStep) -> None:
         """Copy the problem with what `step` changes."""
         if self._qp is None:
-            raise DpbenchError("update before setup: call setup with the whole problem first")
+            raise not_set_up("update")
         check_step(step, self._qp.n, self._qp.m)
         self.matrix_updates += step.refresh is not Refresh.VECTORS
         self.setup(self._qp.at(step))
@@ -42,25 +41,25 @@ class FunctionWorkspace(Workspace):
         """Call the function."""
         assert self._qp is not None, "setup comes first"
         try:
-            found = self._function(self._qp, **self._options)
+            answer = self._function(self._qp, **self._options)
             # None stands for no call here, so a function that gives it is answered for.
-            self._solution = received(found, self._qp.n, self._qp.m) if found is None else found
+            self._solution = received(answer, self._qp.n, self._qp.m) if answer is None else answer
         except Exception as error:
             self._solution = self._missing(f"{type(error).__name__}: {error}")
 
     def read(self) -> Solution:
         """The function's answer, copied."""
-        found = self._solution
-        if found is None:
+        answer = self._solution
+        if answer is None:
             return self._missing("read before solve")
         try:
-            z, y, y_box = found.z.copy(), found.y.copy(), found.y_box.copy()
+            z, y, y_box = answer.z.copy(), answer.y.copy(), answer.y_box.copy()
         except AttributeError:
             # No solution, or not of arrays: the words for what it is.
             assert self._qp is not None, "setup comes first"
-            return received(found, self._qp.n, self._qp.m)
+            return received(answer, self._qp.n, self._qp.m)
         return Solution(
-            found.status, z, y, y_box, found.iterations, found.reported_ns, found.detail
+            answer.status, z, y, y_box, answer.iterations, answer.reported_ns, answer.detail
         )
 
     def _missing(self, detail: str) -> Solution:

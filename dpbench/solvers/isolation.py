@@ -23,8 +23,6 @@ OTHERS = (
     "qpoases",
     "qpSWIFT",
 )
-# SIP orders its matrices with the AMD of CVXOPT.
-NEEDS = {"sip": ("cvxopt",), "jaxopt": ("jax",), "qpax": ("jax",)}
 
 
 def isolate(solver: str) -> None:
@@ -38,7 +36,7 @@ def isolate(solver: str) -> None:
     row = record(solver)
     if "qpsolvers" in sys.modules:
         raise DpbenchError("isolate comes too late: qpsolvers has been imported in this process")
-    keep = {row.module, *NEEDS.get(solver, ())}
+    keep = {row.module, *row.needs_modules}
     modules = {entry.module for entry in TABLE.values() if entry.module}
     # What a solver outside the table needs is not known.
     others = () if row.extra == "qpsolvers" else OTHERS

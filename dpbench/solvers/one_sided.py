@@ -8,7 +8,7 @@ y = y_up − y_lo on inequalities and as they are on equalities.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import scipy.sparse
@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.qp.program import QuadraticProgram
-from dpbench.solvers.record import Box, Form
+from dpbench.solvers.contract import Form
 
+Box = Literal["native", "rows"]
 Indices = NDArray[np.intp]
 
 

@@ -22,11 +22,22 @@ from functools import cache
 from importlib import metadata
 from inspect import getsource
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, get_args
 
 from dpbench.errors import InputError, renamed
-from dpbench.solvers.contract import Options, Policy, Workspace
-from dpbench.solvers.record import Form, SolverRecord
+from dpbench.solvers.adapter import NativeAdapter, Opened
+from dpbench.solvers.contract import Form, Options, Policy, Workspace
+from dpbench.solvers.record import (
+    NOT_STATED,
+    Build,
+    Family,
+    Levels,
+    Project,
+    RouteRecord,
+    SolverRecord,
+    unread,
+)
 
 GROUP = "dpbench.solvers"
 
@@ -35,11 +46,14 @@ GROUP = "dpbench.solvers"
 class Plugin:
     """A solver of a third party; `version` is that of its distribution, or a digest of its file."""
 
-    record: SolverRecord
-    open: Callable[[Policy, Options], Workspace]
-    levels: Mapping[str, Options]
+    adapter: NativeAdapter
     version: str
     origin: str
+
+    @property
+    def record(self) -> SolverRecord:
+        """Its row in the table."""
+        return self.adapter.record
 
 
 _LOADED: dict[str, Plugin] = {}
@@ -49,23 +63,38 @@ def solver_record(
     name: str,
     *,
     method: str,
+    family: Family = "not stated",
     policies: tuple[Policy, ...] = ("fresh",),
     form: Form = "dense",
     distribution: str = "",
     module: str = "",
-    **capabilities: Any,
+    project: Project = NOT_STATED,
+    needs_strict_convexity: bool = False,
+    build: Callable[[], Build] = unread,
+    refused: Mapping[Any, str] = MappingProxyType({}),
+    **abilities: Any,
 ) -> SolverRecord:
-    """The record of a plug-in; `capabilities` are further fields of `SolverRecord`."""
+    """The record of a plug-in.
+
+    Parameters
+    ----------
+    refused : why a policy is not there, by the policy, or by ("native", policy) as it once was.
+    abilities : further fields of `RouteRecord`; all else as in `SolverRecord`.
+    """
+    why = {key[-1] if isinstance(key, tuple) else key: reason for key, reason in refused.items()}
     return SolverRecord(
         name=name,
+        family=family,
+        method=method,
         distribution=distribution,
         module=module,
-        method=method,
         extra="plugin",
         form=form,
-        box="native",
-        policies={"native": policies},
-        **capabilities,
+        routes={"native": RouteRecord(policies, refused=why, **abilities)},
+        levels={},
+        project=project,
+        needs_strict_convexity=needs_strict_convexity,
+        build=build,
     )
 
 
@@ -124,12 +153,12 @@ def find_plugin(name: str) -> Plugin | None:
         return None
     where = f"entry point {point.name} = {point.value}"
     try:
-        found = point.load()
+        module = point.load()
     except Exception as error:  # a stranger's code may raise anything; it becomes an InputError
         reason = f"{type(error).__name__}: {error}"
         raise InputError(where, "", reason, "an object that loads") from error
     version = point.dist.version if point.dist is not None else ""
-    plugin = _register(where, found, version, point.value)
+    plugin = _register(where, module, version, point.value)
     if plugin.record.name != name:
         raise InputError(where, "RECORD.name", repr(plugin.record.name), repr(name))
     return plugin
@@ -141,9 +170,9 @@ def loaded_names() -> tuple[str, ...]:
 
 
 def _register(
-    where: str, found: Any, version: str, origin: str, taken: Collection[str] = ()
+    where: str, module: Any, version: str, origin: str, taken: Collection[str] = ()
 ) -> Plugin:
-    record, opener = getattr(found, "RECORD", None), getattr(found, "open", None)
+    record, opener = getattr(module, "RECORD", None), getattr(module, "open", None)
     if not isinstance(record, SolverRecord):
         raise InputError(where, "RECORD", repr(record), "a SolverRecord, see solver_record")
     if not callable(opener):
@@ -152,11 +181,30 @@ def _register(
     if record.name in taken or (other is not None and other.origin != origin):
         owner = "dpbench's own table" if other is None else other.origin
         raise InputError(where, "RECORD.name", repr(record.name), f"a name not in {owner}")
-    if set(record.policies) != {"native"}:
-        raise InputError(where, "RECORD.policies", sorted(record.policies), "route native alone")
-    if not hasattr(found, "LEVELS") and hasattr(found, "LADDER"):
-        renamed(where, "LADDER", "LEVELS")
-    levels = dict(getattr(found, "LEVELS", getattr(found, "LADDER", {})))
-    plugin = Plugin(replace(record, extra="plugin"), opener, levels, version, origin)
-    _LOADED[record.name] = plugin
+    if set(record.routes) != {"native"}:
+        raise InputError(where, "RECORD.routes", sorted(record.routes), "route native alone")
+    if record.family not in get_args(Family):
+        raise InputError(where, "RECORD.family", repr(record.family), " | ".join(get_args(Family)))
+    row = replace(record, extra="plugin", levels=_levels_of(where, module, record))
+    plugin = Plugin(NativeAdapter(row, _opened_by(opener), None), version, origin)
+    _LOADED[row.name] = plugin
     return plugin
+
+
+def _levels_of(where: str, module: Any, record: SolverRecord) -> Levels:
+    """Its tolerance levels, also by the name they once had."""
+    if not hasattr(module, "LEVELS") and hasattr(module, "LADDER"):
+        renamed(where, "LADDER", "LEVELS")
+    return dict(getattr(module, "LEVELS", getattr(module, "LADDER", record.levels)))
+
+
+def _opened_by(opener: Callable[[Policy, Options], Workspace]) -> Opened:
+    def open_plugin(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
+        workspace = opener(policy, options)
+        if not isinstance(workspace, Workspace):
+            raise InputError(f"solver {record.name}", "open", repr(workspace), "a Workspace")
+        # A plug-in's author need not know how the harness tells a fresh workspace.
+        workspace.setup_every_step = policy == "fresh"
+        return workspace
+
+    return open_plugin

@@ -1,7 +1,8 @@
-"""The record of one solver: what it is, in which form it gets its matrices, what it can do.
+"""The record of one solver: all that dpbench says about it, in one place.
 
-What a library can do depends on the way it is reached, so each route has a record of its own; the
-conformance tests are generated from them and the report prints them.
+Its row in every table, its colour and place in a legend, its tolerance levels, the conformance
+tests and why it may not go aboard are read from here. Nothing has a default that would hide what
+was forgotten: what is not known is said to be `UNSTATED`.
 """
 
 from __future__ import annotations
@@ -11,17 +12,59 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from dpbench.solvers.contract import Policy, Route
+from dpbench.solvers.contract import Form, Options, Policy, Route
 
-Form = Literal["dense", "csc"]
-Box = Literal["native", "rows"]
 Start = Literal["none", "primal", "dual", "primal and dual", "active set"]
 Updates = Literal["nothing", "vectors", "vectors and matrices"]
 Extra = Literal["core", "solvers", "jax", "casadi", "own", "plugin", "qpsolvers"]
+Family = Literal[
+    "active set",
+    "interior point",
+    "first order",
+    "augmented Lagrangian",
+    "baseline law",
+    "harness",
+    "not stated",
+]
+"""What kind of method it is; "harness" is none, "not stated" a plug-in whose author is silent."""
+Levels = Mapping[str, Options]
+"""The options that each name of settings means; a tolerance level that is missing sets nothing."""
+
+POLICIES: Mapping[Policy, str] = {
+    "fresh": "set up from nothing at each step",
+    "reuse": "factorisation and memory kept, start reset",
+    "warm": "previous answer kept as start",
+}
+# Why a policy is missing, where a record does not say more.
+NOT_OFFERED = "not offered"
+REFUSED_BY_QPSOLVERS: Mapping[Policy, str] = {
+    "reuse": "qpsolvers sets the library up anew at every solve, so nothing can be reused",
+    "warm": "it ignores a start handed over by qpsolvers, so it cannot differ from fresh",
+}
 
 # Faults several libraries share. A NaN compares false with everything.
 NAN_ANSWER = {"solved despite a nan in q": "a NaN in q passes its tests of convergence"}
 NAN_IGNORED = {"solved despite a nan in u": "a NaN limit is never violated, so it limits nothing"}
+NAN_FAULTS = {**NAN_ANSWER, **NAN_IGNORED}
+
+DEFAULT, LOW, MID, HIGH = LEVELS = ("default", "low", "mid", "high")
+"""The tolerance levels: the library's own choice, then 1e-3, 1e-6 and 1e-9."""
+TOLERANCES = {LOW: 1e-3, MID: 1e-6, HIGH: 1e-9}
+
+
+def by_tolerance(*criteria: str, always: Options | None = None, **beside: object) -> Levels:
+    """The levels of a solver: at `low`, `mid` and `high` its absolute criteria are the tolerance.
+
+    Parameters
+    ----------
+    criteria : options that become the tolerance; relative ones where it needs them positive.
+    always : options of every level, and of a person's own settings.
+    beside : options of the three levels that are the same for each: relative criteria off, those
+        on the duality gap on, iteration limits high enough to get there.
+    """
+    always = always or {}
+    asked = {k: {**dict.fromkeys(criteria, eps), **beside} for k, eps in TOLERANCES.items()}
+    return {DEFAULT: always} | {name: {**always, **options} for name, options in asked.items()}
 
 
 @dataclass(frozen=True)
@@ -50,11 +93,12 @@ def vectorised_build(module: str) -> Build:
     ----------
     module : the name its compiled modules share, without what they were compiled for.
     """
-    found = (text for end, text in BUILDS.items() if sys.modules.get(f"{module}{end}") is not None)
-    return Build(next(found, ""))
+    built = (text for end, text in BUILDS.items() if sys.modules.get(f"{module}{end}") is not None)
+    return Build(next(built, ""))
 
 
-def _unread() -> Build:
+def unread() -> Build:
+    """Nothing is known of the build."""
     return UNREAD
 
 
@@ -68,7 +112,7 @@ class Fact:
 
 @dataclass(frozen=True)
 class Project:
-    """Facts about a solver's project.
+    """What a controller's author asks about a solver, as its own documentation answers it.
 
     Parameters
     ----------
@@ -78,14 +122,28 @@ class Project:
     single_precision : whether it can be built in single precision.
     """
 
-    licence: Fact = Fact()
-    language: Fact = Fact()
-    c_code: Fact = Fact()
-    allocation_free: Fact = Fact()
-    single_precision: Fact = Fact()
+    licence: Fact
+    language: Fact
+    c_code: Fact
+    allocation_free: Fact
+    single_precision: Fact
 
 
-NOT_STATED = Project()
+def stated(
+    *,
+    licence: tuple[str, str] | None,
+    language: tuple[str, str] | None,
+    c_code: tuple[str, str] | None,
+    allocation_free: tuple[str, str] | None,
+    single_precision: tuple[str, str] | None,
+) -> Project:
+    """What a project states, each with the place; None where it does not, as far as is known here:
+    nothing is inferred, and nothing can be left out."""
+    facts = (licence, language, c_code, allocation_free, single_precision)
+    return Project(*(Fact() if fact is None else Fact(*fact) for fact in facts))
+
+
+NOT_STATED = Project(*(Fact() for _ in range(5)))
 
 
 @dataclass(frozen=True)
@@ -94,7 +152,8 @@ class RouteRecord:
 
     Parameters
     ----------
-    policies : those it runs; `refused` says why a missing one is missing.
+    policies : those it runs; `refused` says why a missing one is missing, where there is more to
+        say than that.
     updates : what the library takes over without being set up anew.
     start : what a warm start is made of.
     keeps : what a kept workspace carries into the next solve beside factors, memory and a start;
@@ -108,7 +167,7 @@ class RouteRecord:
     """
 
     policies: tuple[Policy, ...]
-    updates: Updates = "vectors"
+    updates: Updates = "nothing"
     start: Start = "none"
     keeps: str = ""
     two_sided: bool = False
@@ -118,56 +177,50 @@ class RouteRecord:
     faults: Mapping[str, str] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SolverRecord:
     """One row of the table of solvers.
 
     Parameters
     ----------
-    name : its name in dpbench; `qpsolvers_name` where qpsolvers calls it otherwise.
+    name : its name in dpbench.
+    family, method : the kind of method, and the algorithm in a line.
     distribution, module : what `pip` installs and what Python imports; "" for dpbench's own.
-    method : the algorithm, in a line.
     extra : which part of dpbench's dependencies brings it; "own" needs nothing, "plugin" and
         "qpsolvers" are none of dpbench's business.
     form : the form its matrices are kept in, its own fastest.
-    box : on route qpsolvers, whether bounds reach it as bounds, or as rows prepared once because
-        qpsolvers would otherwise append an identity matrix at every solve.
-    policies : the policies of each route; the first route is the default.
-    refused : why a policy of a route is not there, where there is more to say than that.
-    start, gives_multipliers, detects_infeasibility : as in `RouteRecord`, of the default route.
-    needs_strict_convexity : whether P has to be positive definite.
-    native : what it can do on route native, where qpsolvers is its default route.
-    updates, two_sided, faults : as in `RouteRecord`, of the default route.
+    routes : what it can do on each route; the first is the default.
+    levels : what each name of settings means, see `by_tolerance`; {} without a tolerance to set.
     project : what its own documentation says to a controller's author.
+    needs_strict_convexity : whether P has to be positive definite.
+    needs_modules : further libraries that it imports, which isolation must not hide.
     build : reads from the installed library how it was built, where that can be read and decides
         how fast it is.
     """
 
     name: str
+    family: Family
+    method: str
     distribution: str
     module: str
-    method: str
     extra: Extra
     form: Form
-    box: Box
-    policies: Mapping[Route, tuple[Policy, ...]]
-    start: Start = "none"
+    routes: Mapping[Route, RouteRecord]
+    levels: Levels
+    project: Project
     needs_strict_convexity: bool = False
-    gives_multipliers: bool = True
-    detects_infeasibility: bool = True
-    qpsolvers_name: str = ""
-    refused: Mapping[tuple[Route, Policy], str] = field(default_factory=dict)
-    native: RouteRecord | None = None
-    updates: Updates = "nothing"
-    two_sided: bool = False
-    faults: Mapping[str, str] = field(default_factory=dict)
-    project: Project = NOT_STATED
-    build: Callable[[], Build] = _unread
+    needs_modules: tuple[str, ...] = ()
+    build: Callable[[], Build] = unread
 
     @property
     def default_route(self) -> Route:
         """The route taken when none is asked for."""
-        return next(iter(self.policies))
+        return next(iter(self.routes))
+
+    @property
+    def policies(self) -> dict[Route, tuple[Policy, ...]]:
+        """The policies of each route."""
+        return {route: can.policies for route, can in self.routes.items()}
 
     @property
     def remedy(self) -> str:
@@ -188,23 +241,16 @@ class SolverRecord:
 
     def on(self, route: Route) -> RouteRecord:
         """What it can do on a route it has; KeyError on one it does not have."""
-        if route == "native" and self.native is not None:
-            return self.native
-        return RouteRecord(
-            policies=self.policies[route],
-            updates=self.updates,
-            start=self.start,
-            two_sided=self.two_sided,
-            gives_multipliers=self.gives_multipliers,
-            detects_infeasibility=self.detects_infeasibility,
-            refused={p: why for (r, p), why in self.refused.items() if r == route},
-            faults=self.faults,
-        )
+        return self.routes[route]
+
+    def refusal(self, route: Route, policy: Policy) -> str:
+        """Why a route it has does not run a policy; "" where it does."""
+        can = self.routes[route]
+        if policy in can.policies:
+            return ""
+        usual = REFUSED_BY_QPSOLVERS if route == "qpsolvers" else {}
+        return can.refused.get(policy) or usual.get(policy, NOT_OFFERED)
 
     def with_native(self, native: RouteRecord) -> SolverRecord:
         """The same solver, reached through its own interface as well."""
-        refused: dict[tuple[Route, Policy], str] = dict(self.refused)
-        refused.update({("native", policy): why for policy, why in native.refused.items()})
-        policies: dict[Route, tuple[Policy, ...]] = dict(self.policies)
-        policies["native"] = native.policies
-        return replace(self, policies=policies, refused=refused, native=native)
+        return replace(self, routes={**self.routes, "native": native})

@@ -4,72 +4,26 @@ from __future__ import annotations
 
 import importlib
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
 from dpbench.errors import UnknownNameError
-from dpbench.solvers.calibration import CALIBRATION
+from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter
+from dpbench.solvers.calibration import CALIBRATION, open_calibration
 from dpbench.solvers.native import NATIVE
+from dpbench.solvers.own.adapters import OWN
 from dpbench.solvers.plugins import entry_point_names, find_plugin, load_file, loaded_names
-from dpbench.solvers.projects import PROJECTS
-from dpbench.solvers.record import NOT_STATED, UNREAD, Build, SolverRecord
-from dpbench.solvers.settings import settings_matter
+from dpbench.solvers.record import UNREAD, Build, SolverRecord
 from dpbench.solvers.through_qpsolvers import ADAPTERS
 from dpbench.solvers.through_qpsolvers.generic import generic_adapter, is_served
 
-PAPER_ACTIVE_SET = SolverRecord(
-    name="paper_active_set",
-    distribution="",
-    module="",
-    method="active set by its multipliers (paper eq. 30-32), pivoting of Goldfarb-Idnani",
-    extra="own",
-    form="dense",
-    box="native",
-    policies={"native": ("fresh", "reuse", "warm")},
-    start="active set",
-    needs_strict_convexity=True,
-    updates="vectors",
-    two_sided=True,
-)
-HILDRETH = SolverRecord(
-    name="hildreth",
-    distribution="",
-    module="",
-    method="dual coordinate ascent (Hildreth 1957), stopped as in Wang's textbook (2009)",
-    extra="own",
-    form="dense",
-    box="native",
-    policies={"native": ("fresh", "reuse", "warm")},
-    start="dual",
-    needs_strict_convexity=True,
-    updates="vectors",
-    two_sided=True,
-)
-UNCONSTRAINED_CLIPPED = SolverRecord(
-    name="unconstrained_clipped",
-    distribution="",
-    module="",
-    method="unconstrained law z = −P⁻¹q (paper eq. 27), to be clipped by the loop",
-    extra="own",
-    form="dense",
-    box="native",
-    policies={"native": ("fresh", "reuse")},
-    start="none",
-    needs_strict_convexity=True,
-    gives_multipliers=False,
-    detects_infeasibility=False,
-    refused={("native", "warm"): "a direct solve has no start"},
-)
-_RECORDS: dict[str, SolverRecord] = {
-    **{name: adapter.record for name, adapter in ADAPTERS.items()},
-    **{name: adapter.record for name, adapter in NATIVE.items()},
-    **{row.name: row for row in (HILDRETH, PAPER_ACTIVE_SET, UNCONSTRAINED_CLIPPED)},
-}
+_ON_NATIVE: dict[str, NativeAdapter] = {**NATIVE, **OWN}
 TABLE: dict[str, SolverRecord] = {
-    name: replace(_RECORDS[name], project=PROJECTS.get(name, NOT_STATED))
-    for name in sorted(_RECORDS)
+    name: _ON_NATIVE[name].record if name in _ON_NATIVE else ADAPTERS[name].record
+    for name in sorted({*_ON_NATIVE, *ADAPTERS})
 }
+"""The solvers of this house and the libraries it has adapters for, in alphabetical order."""
 
 
 @dataclass(frozen=True)
@@ -90,8 +44,7 @@ class Availability:
 def solver_names() -> tuple[str, ...]:
     """Every solver of the table, installed or not, and every plug-in, in alphabetical order.
 
-    The harness's own configurations (`calibration.py`) have records but are no solvers, and not
-    among them.
+    The harness's own (`calibration.py`) have records but are no solvers, and not among them.
     """
     return tuple(sorted({*TABLE, *loaded_names(), *entry_point_names()}))
 
@@ -99,7 +52,7 @@ def solver_names() -> tuple[str, ...]:
 def record(name: str) -> SolverRecord:
     """The row of a solver: of the table, of a plug-in, or of one that only qpsolvers knows.
 
-    The harness's own configurations have a row too.
+    The harness's own have a row too.
 
     Raises
     ------
@@ -116,6 +69,21 @@ def record(name: str) -> SolverRecord:
     if is_served(name):
         return generic_adapter(name).record
     raise UnknownNameError("solver", "", repr(name), ", ".join(solver_names()))
+
+
+def native_adapter(name: str) -> NativeAdapter:
+    """The adapter of a solver that has route native, a plug-in's too; KeyError for another."""
+    if name in CALIBRATION:
+        return NativeAdapter(
+            CALIBRATION[name], lambda record, policy, options: open_calibration(name), lambda: ()
+        )
+    plugin = None if name in TABLE else find_plugin(name)
+    return _ON_NATIVE[name] if plugin is None else plugin.adapter
+
+
+def qpsolvers_adapter(name: str) -> QpsolversAdapter:
+    """The adapter of a solver on route qpsolvers."""
+    return ADAPTERS[name] if name in ADAPTERS else generic_adapter(name)
 
 
 def load_solver_module(path: str | Path) -> SolverRecord:
@@ -171,14 +139,3 @@ def _through_qpsolvers(name: str) -> Availability:
         return Availability(True, metadata.version(name))
     except metadata.PackageNotFoundError:
         return Availability(True, f"qpsolvers {metadata.version('qpsolvers')}")
-
-
-__all__ = [
-    "TABLE",
-    "Availability",
-    "available",
-    "load_solver_module",
-    "record",
-    "settings_matter",
-    "solver_names",
-]

@@ -105,4 +105,4 @@ def test_a_plugin_may_still_say_ladder(tmp_path: Path) -> None:
     with pytest.warns(RenamedWarning, match="LADDER is now called LEVELS"):
         load_file(path, ())
     plugin = find_plugin("old_admm")
-    assert plugin is not None and set(plugin.levels) == {"low", "mid", "high"}
+    assert plugin is not None and set(plugin.record.levels) == {"low", "mid", "high"}

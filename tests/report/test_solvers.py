@@ -9,7 +9,7 @@ from dpbench.report import section_solvers
 from dpbench.report.blocks import Tabular
 from dpbench.report.section_solvers import solvers_section
 from dpbench.report.table import Table
-from dpbench.solvers.record import Fact, Project
+from dpbench.solvers.record import NOT_STATED, Fact
 from dpbench.solvers.table import record
 
 
@@ -47,7 +47,8 @@ def test_only_unknown_solvers_leave_the_section_empty(records: Any) -> None:
 
 def test_a_statement_carries_its_source(records: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Equal sources share a number, a statement without one has none, and no link leads out."""
-    facts = Project(
+    facts = replace(
+        NOT_STATED,
         licence=Fact("MIT", "https://example.org/LICENSE"),
         language=Fact("C", "https://example.org/manual"),
         c_code=Fact("yes", "https://example.org/LICENSE"),

@@ -11,7 +11,7 @@ import pytest
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.record import RouteRecord
+from dpbench.solvers.record import Family, RouteRecord
 from dpbench.solvers.settings import level_options
 from dpbench.solvers.table import TABLE, available
 
@@ -21,52 +21,21 @@ INF = np.inf
 # an active set is exact but for rounding; a first-order method ends at residuals of 1e-9, which
 # the conditioning of these problems lets grow by some hundred; an interior point ends at a gap of
 # 1e-9, which allows |z − z*| ≤ √(2·gap) = 4.5e-5.
-EXACT, FIRST_ORDER, INTERIOR = 1e-9, 1e-6, 1e-4
-TOLERANCE = {
-    "clarabel": INTERIOR,
-    "cvxopt": INTERIOR,
-    "daqp": EXACT,
-    "ecos": INTERIOR,
-    "highs": EXACT,
-    "hildreth": FIRST_ORDER,
-    "hpipm": INTERIOR,
-    "hpipm_ocp": INTERIOR,
-    "jaxopt": FIRST_ORDER,
-    "kvxopt": INTERIOR,
-    "osqp": FIRST_ORDER,
-    "paper_active_set": EXACT,
-    "piqp": INTERIOR,
-    "piqp_multistage": INTERIOR,
-    "piqp_sparse": INTERIOR,
-    "proxqp": FIRST_ORDER,
-    "proxqp_sparse": FIRST_ORDER,
-    "pyqpmad": EXACT,
-    "qoco": INTERIOR,
-    "qpalm": FIRST_ORDER,
-    "qpoases": EXACT,
-    "qpax": 2e-3,  # √(2·gap) for the gap of 1e-6 it can reach
-    "qtqp": INTERIOR,
-    "quadprog": EXACT,
-    "scs": FIRST_ORDER,
-    "sip": INTERIOR,
+TOLERANCE: dict[Family, float] = {
+    "active set": 1e-9,
+    "interior point": 1e-4,
+    "first order": 1e-6,
+    "augmented Lagrangian": 1e-6,
 }
-# qpax stalls between 1e-6 and 1e-7 in its own measure.
+# qpax stalls between 1e-6 and 1e-7 in its own measure, and √(2·gap) is that much larger.
 TIGHTEST = {"qpax": {"solver_tol": 1e-6}}
+LARGEST = {"qpax": 2e-3}
 
-LIMIT_KEY = {
-    "cvxopt": "maxiters",
-    "daqp": "iter_limit",
-    "ecos": "max_iters",
-    "hpipm": "iter_max",
-    "hpipm_ocp": "iter_max",
-    "kvxopt": "maxiters",
-    "qoco": "max_iters",
-    "scs": "max_iters",
-    "sip": "max_iterations",
-}
-"""The key of the iteration limit where it is not `max_iter`."""
-# HiGHS and qpOASES have a limit, but count the same for the two problems of the test.
-UNLIMITED = {"highs", "qpoases", "paper_active_set", "pyqpmad", "quadprog", "qpax"}
+LIMIT_KEY = {"daqp": "iter_limit", "proxqp": "max_iter", "proxqp_sparse": "max_iter"}
+LIMIT_KEY |= {"sip": "max_iterations"}
+"""The key of the iteration limit where the tolerance levels set none."""
+# It has a limit, and counts the same for the two problems of the test.
+UNLIMITED = {"qpax"}
 # Where qpsolvers passes no status or no count on.
 SILENT = {(name, "qpsolvers") for name in ("clarabel", "daqp", "qtqp")}
 
@@ -80,11 +49,13 @@ class Configuration(NamedTuple):
 
     @property
     def tolerance(self) -> float:
-        return TOLERANCE[self.solver]
+        return LARGEST.get(self.solver, TOLERANCE[TABLE[self.solver].family])
 
     @property
     def limit_key(self) -> str:
-        return LIMIT_KEY.get(self.solver, "max_iter")
+        """The option that limits its iterations; "" where none is known."""
+        named = (key for key in level_options("high", self.solver) if "iter" in key)
+        return "" if self.solver in UNLIMITED else LIMIT_KEY.get(self.solver, next(named, ""))
 
     @property
     def record(self) -> RouteRecord:
@@ -115,8 +86,8 @@ ARMS = [
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Run a test that takes an `configuration` or an `installed` solver for each there is."""
-    limited = [a for a in ARMS if a.solver not in UNLIMITED and (a.solver, a.route) not in SILENT]
+    """Run a test that takes a `configuration` or an `installed` solver for each there is."""
+    limited = [a for a in ARMS if a.limit_key and (a.solver, a.route) not in SILENT]
     for name, configurations in (("configuration", ARMS), ("limited_configuration", limited)):
         if name in metafunc.fixturenames:
             metafunc.parametrize(

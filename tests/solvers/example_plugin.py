@@ -22,6 +22,6 @@ def solve(qp, tolerance=1e-4):
     return Solution(Status.MAX_ITERATIONS, z, y[: qp.m], y[qp.m :], k)
 
 
-RECORD = solver_record("admm", method="ADMM", detects_infeasibility=False)
+RECORD = solver_record("admm", method="ADMM", family="first order", detects_infeasibility=False)
 LEVELS = {"low": {"tolerance": 1e-3}, "mid": {"tolerance": 1e-6}, "high": {"tolerance": 1e-9}}
 open = opener("admm", solve)

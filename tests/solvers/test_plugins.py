@@ -91,6 +91,32 @@ def test_the_levels_of_a_plugin_reaches_it(sequence):
         open_workspace("admm", policy="warm")
 
 
+def test_a_plugin_of_yesterday_is_read(tmp_path):
+    """Old words are read: LADDER with a line that names LEVELS, no family, a refusal by route."""
+    old = (
+        EXAMPLE.read_text().replace("LEVELS = ", "LADDER = ").replace('family="first order", ', "")
+    )
+    file = tmp_path / "old.py"
+    refused = 'refused={("native", "warm"): "it has no start"}'
+    file.write_text(old.replace("detects_infeasibility=False", refused))
+    with pytest.warns(FutureWarning, match=r"old.py: LADDER is now called LEVELS$"):
+        row = load_solver_module(file)
+    assert row.family == "not stated"
+    assert "high: tolerance=1e-09" in describe_levels("admm")
+    assert row.refusal("native", "warm") == "it has no start"
+    assert row.refusal("native", "reuse") == "not offered"
+
+
+def test_an_unknown_family_is_refused(tmp_path):
+    """A family is one of those there are, so that no figure paints a solver without a word."""
+    file = tmp_path / "mine.py"
+    file.write_text(EXAMPLE.read_text().replace("first order", "first ordre"))
+    with pytest.raises(
+        InputError, match=r"RECORD.family: found 'first ordre'; allowed: active set"
+    ):
+        load_solver_module(file)
+
+
 def test_what_a_plugin_raises_is_an_answer(sequence):
     """An option that the function does not have becomes the status ERROR with Python's words."""
     load_solver_module(EXAMPLE)

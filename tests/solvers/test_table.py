@@ -5,8 +5,10 @@ from __future__ import annotations
 import dataclasses
 import importlib.metadata
 import os
+import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -14,8 +16,10 @@ import pytest
 import dpbench
 from dpbench.errors import DpbenchError, PolicyError, SolverUnavailableError, UnknownNameError
 from dpbench.solvers.isolation import isolate
+from dpbench.solvers.native import NATIVE
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import TABLE, available, record, solver_names
+from dpbench.solvers.table import TABLE, available, qpsolvers_adapter, record, solver_names
+from dpbench.solvers.through_qpsolvers import ADAPTERS
 
 NATIVE_ONLY = [
     "hpipm",
@@ -51,23 +55,41 @@ def test_every_promised_solver_is_in_the_table():
     """The table holds all that qpsolvers serves from wheels, the native ones and the own ones."""
     own = [name for name, row in TABLE.items() if row.extra == "own"]
     assert {"paper_active_set", "unconstrained_clipped"} <= set(own)
-    assert list(solver_names()) == sorted([*SERVED, *NATIVE_ONLY, *own])
+    assert {*SERVED, *NATIVE_ONLY, *own} <= set(solver_names())
+    assert list(solver_names()) == sorted(TABLE)
+
+
+def test_no_adapter_is_hidden_by_another():
+    """A solver with an adapter on each route has both of them in its row, wrapped by default."""
+    for name in ADAPTERS:
+        assert TABLE[name].default_route == "qpsolvers"
+    assert all("native" in TABLE[name].routes for name in NATIVE)
+
+
+def test_a_distribution_is_declared_where_its_record_says():
+    """The part of dpbench's dependencies that a record names brings its distribution."""
+    root = Path(dpbench.__file__).parents[1]
+    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
+    declared = {"core": project["dependencies"], **project["optional-dependencies"]}
+    for row in TABLE.values():
+        if row.extra != "own":
+            names = [re.split(r"[<>=]", asked)[0] for asked in declared[row.extra]]
+            assert row.distribution in names, row.name
 
 
 def test_names_are_those_of_qpsolvers(installed):
     """Every installed library is known to qpsolvers under the name the table gives."""
     import qpsolvers
 
-    row = record(installed)
-    if "qpsolvers" in row.policies:
-        assert (row.qpsolvers_name or row.name) in qpsolvers.available_solvers
+    if "qpsolvers" in record(installed).routes:
+        assert qpsolvers_adapter(installed).called in qpsolvers.available_solvers
 
 
 def test_an_available_solver_has_the_version_of_its_distribution(installed):
     """The version is the one the package index knows."""
-    row, found = record(installed), available(installed)
+    row = record(installed)
     if row.extra != "own":
-        assert found.version == importlib.metadata.version(row.distribution)
+        assert available(installed).version == importlib.metadata.version(row.distribution)
 
 
 def test_a_missing_distribution_is_listed_with_reason_and_remedy(monkeypatch):

@@ -20,17 +20,10 @@ from dpbench.bench.plan.suite import (
 from dpbench.errors import InputError, SettingsError, UnknownNameError
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Policy, Route
-from dpbench.solvers.open import REFUSED_BY_QPSOLVERS
+from dpbench.solvers.own.adapters import UNCONSTRAINED_CLIPPED
 from dpbench.solvers.plugins import find_plugin
-from dpbench.solvers.settings import setting_names
-from dpbench.solvers.table import (
-    TABLE,
-    UNCONSTRAINED_CLIPPED,
-    available,
-    record,
-    settings_matter,
-    solver_names,
-)
+from dpbench.solvers.settings import setting_names, settings_matter
+from dpbench.solvers.table import TABLE, available, record, solver_names
 
 BASELINE_LAW = UNCONSTRAINED_CLIPPED.name
 Table = ClosedLoopTable | ReplayTable | RandomTable | RecordedTable
@@ -159,11 +152,9 @@ def _taking_part(solvers: Sequence[str], table: Table) -> list[str]:
 
 def refusal_of(configuration: Configuration) -> str:
     """Why a configuration cannot run; "" where it can."""
-    found, row = available(configuration.solver), record(configuration.solver)
-    if not found.ok:
-        return found.reason
-    if configuration.policy in row.policies[configuration.route]:
-        return ""
-    reason = row.refused.get((configuration.route, configuration.policy), "")
-    reason = reason or REFUSED_BY_QPSOLVERS.get(configuration.policy, "not offered")
-    return f"policy {configuration.policy}: {reason}"
+    here = available(configuration.solver)
+    if not here.ok:
+        return here.reason
+    policy = configuration.policy
+    reason = record(configuration.solver).refusal(configuration.route, policy)
+    return f"policy {policy}: {reason}" if reason else ""

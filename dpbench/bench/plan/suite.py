@@ -14,7 +14,7 @@ from dpbench.errors import InputError
 from dpbench.qp.random.recipe import RandomRecipe
 from dpbench.scenario.horizons import Horizons, different_horizons, parse_horizons
 from dpbench.scenario.problem_files import FileModel, problem_path, read_model
-from dpbench.solvers.settings import LEVELS
+from dpbench.solvers.record import LEVELS
 
 Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
@@ -209,7 +209,7 @@ def load_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
 _WAY: dict[str, Collection[str]] = {
     "route": get_args(RouteName),
     "policy": get_args(PolicyName),
-    "settings": tuple(LEVELS),
+    "settings": LEVELS,
 }
 _TABLE_KEY = {"route": "routes", "policy": "policies", "settings": "settings"}
 

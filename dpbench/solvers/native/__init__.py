@@ -1,42 +1,6 @@
-"""The libraries through their own interfaces, one adapter each."""
+"""The libraries through their own interfaces, one module each: to write it is to register it."""
 
-from dpbench.solvers.adapter import NativeAdapter
-from dpbench.solvers.native import (
-    clarabel,
-    daqp,
-    highs,
-    osqp,
-    piqp,
-    proxqp,
-    qoco,
-    qpalm,
-    qpoases,
-    quadprog,
-    scs,
-)
-from dpbench.solvers.native.hpipm import dense as hpipm
-from dpbench.solvers.native.hpipm import ocp as hpipm_ocp
+from dpbench.solvers.adapter import NativeAdapter, adapters_in
 
-NATIVE: dict[str, NativeAdapter] = {
-    adapter.record.name: adapter
-    for adapter in (
-        clarabel.ADAPTER,
-        daqp.ADAPTER,
-        highs.ADAPTER,
-        hpipm.ADAPTER,
-        hpipm_ocp.ADAPTER,
-        osqp.ADAPTER,
-        piqp.ADAPTER,
-        piqp.SPARSE_ADAPTER,
-        piqp.MULTISTAGE_ADAPTER,
-        proxqp.ADAPTER,
-        proxqp.SPARSE_ADAPTER,
-        qoco.ADAPTER,
-        qpalm.ADAPTER,
-        qpoases.ADAPTER,
-        quadprog.ADAPTER,
-        scs.ADAPTER,
-    )
-}
-
-__all__ = ["NATIVE", "NativeAdapter"]
+NATIVE = adapters_in(__name__, NativeAdapter, besides=("base",))
+"""By the name of the solver."""

@@ -11,20 +11,21 @@ A library that raised, or left an answer nobody can use, is made anew before the
 from __future__ import annotations
 
 from abc import abstractmethod
+from importlib import import_module
 from math import isfinite
+from typing import Any
 
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.errors import DpbenchError
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Options, Policy, Workspace, check_step
+from dpbench.solvers.contract import Options, Policy, Workspace, check_step, not_set_up, shift_into
 from dpbench.solvers.one_sided import OneSidedForm
-from dpbench.solvers.record import Form
+from dpbench.solvers.record import SolverRecord
 
-NOT_SET_UP = "{} before setup: call setup with the whole problem first"
 NOT_SOLVED = "read before solve"
+SOLVED = Status.SOLVED  # looking it up in its class takes 50 ns
 
 
 class NativeWorkspace(Workspace):
@@ -32,26 +33,28 @@ class NativeWorkspace(Workspace):
 
     A subclass gives `_convert` (the matrices `_P, _A, _lb, _ub` in the library's form, once, as
     route qpsolvers does), `_build` (a new library object from these and `_q, _l, _u`),
-    `_hand_over` (the vectors of a step), `_call` (the solve) and `_answer` (the `Solution`);
+    `_hand_over` (the vectors of a step), `_call` (the solve) and `_answer` (the `Solution`, with
+    the library's word for its status as `detail`);
     whatever these raise becomes the status ERROR with the library's words.
 
     Parameters
     ----------
-    solver : its name in the table; form : the form of its matrices.
+    record : its row in the table; the module it names is imported as `_library`.
     policy : "fresh", "reuse" or "warm", already checked against the table.
     options : the library's own settings, already validated.
     """
 
-    def __init__(self, solver: str, form: Form, policy: Policy, options: Options) -> None:
-        super().__init__(solver, "native", policy)
-        self.form = form
+    def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
+        super().__init__(record.name, "native", policy)
+        self.form = record.form
+        self._library: Any = import_module(record.module)
         self.setup_every_step = policy == "fresh"
         self._warm = policy == "warm"
         self._options = dict(options)
         self._n, self._m, self._block = -1, -1, 0
         self._converted = self._used = False
         self._matrices_given: tuple[Matrix, ...] = ()
-        self._done = self._unread = self._disturbed = False
+        self._done = self._unread = self._unusable = False
         self._failure = ""
 
     def _convert(self) -> None:
@@ -73,6 +76,21 @@ class NativeWorkspace(Workspace):
     def _answer(self) -> Solution:
         """The library's last answer in memory of its own."""
 
+    def _configure(self, settings: Any) -> None:
+        """Write the options into a settings object of the library."""
+        for name, value in self._options.items():
+            setattr(settings, name, value)
+
+    def _limits_of_all(self) -> tuple[Vector, Vector]:
+        """New buffers for the limits of [A; I], with the bounds in their places."""
+        rows = np.empty(self._m)
+        return np.concatenate([rows, self._lb]), np.concatenate([rows, self._ub])
+
+    def _build_for(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Keep the vectors of a step and make a new library object for them."""
+        self._q[:], self._l[:], self._u[:] = q, low, high
+        self._build()
+
     def setup(self, qp: QuadraticProgram) -> None:
         """Copy the problem and make a new library object; forgets every earlier answer."""
         self._forget()
@@ -87,10 +105,8 @@ class NativeWorkspace(Workspace):
 
     def _same_matrices(self, qp: QuadraticProgram) -> bool:
         """Whether the matrices are those kept; the very arrays are, if nobody can write to them."""
-        given, brought = self._matrices_given, (qp.P, qp.A, qp.lb, qp.ub)
-        if given and all(
-            a is b and not b.flags.writeable for a, b in zip(given, brought, strict=True)
-        ):
+        kept, given = self._matrices_given, (qp.P, qp.A, qp.lb, qp.ub)
+        if kept and all(a is b and not b.flags.writeable for a, b in zip(kept, given, strict=True)):
             return True
         return (
             _same(self._P, qp.P)
@@ -103,7 +119,7 @@ class NativeWorkspace(Workspace):
         """Hand over the vectors; new matrices are kept and the library object made anew."""
         n, m = self._n, self._m
         if n < 0:
-            raise DpbenchError(NOT_SET_UP.format("update"))
+            raise not_set_up("update")
         q, low, high = step.q, step.l, step.u
         matrices = not (step.P is None and step.A is None and step.lb is None and step.ub is None)
         if matrices or q.shape != (n,) or low.shape != (m,) or high.shape != (m,):
@@ -114,7 +130,7 @@ class NativeWorkspace(Workspace):
         if matrices:
             self.matrix_updates += 1
             self._keep(step)
-        if matrices or self._disturbed or self.setup_every_step:
+        if matrices or self._unusable or self.setup_every_step:
             self._q[:], self._l[:], self._u[:] = q, low, high
             self._rebuild()
             return
@@ -133,7 +149,7 @@ class NativeWorkspace(Workspace):
         self._converted, self._matrices_given = False, ()
 
     def _rebuild(self) -> None:
-        self._disturbed = self._used = False
+        self._unusable = self._used = False
         self._failure = ""
         try:
             if not self._converted:
@@ -146,7 +162,7 @@ class NativeWorkspace(Workspace):
             self._fail(error)
 
     def _fail(self, error: BaseException) -> None:
-        self._failure, self._disturbed = f"{type(error).__name__}: {error}", True
+        self._failure, self._unusable = f"{type(error).__name__}: {error}", True
 
     def solve(self) -> None:
         """Solve; whatever the library raises is kept for `read`."""
@@ -163,19 +179,21 @@ class NativeWorkspace(Workspace):
     def read(self) -> Solution:
         """The answer; one that nobody can use makes the next update start from nothing."""
         if self._n < 0:
-            raise DpbenchError(NOT_SET_UP.format("read"))
+            raise not_set_up("read")
         if self._failure:
             self._unread = False
             return self._missing(Status.ERROR, self._failure)
         if not self._done:
             return self._missing(Status.ERROR, NOT_SOLVED)
         solution = self._answer()
+        if solution.status is SOLVED:
+            solution.detail = ""
         if self._unread:
             self._unread = False
             # The square of z tells whether there is a NaN or an infinity in it.
             z = solution.z
-            self._disturbed = not (solution.status.usable and isfinite(z.dot(z)))
-            if self._warm and not self._disturbed:
+            self._unusable = not (solution.status.usable and isfinite(z.dot(z)))
+            if self._warm and not self._unusable:
                 self._remember(solution)
         return solution
 
@@ -191,13 +209,13 @@ class NativeWorkspace(Workspace):
 
     def reset(self) -> None:
         """Make the library object anew, unless it has not been used since it was made."""
-        stale = self._used or self._disturbed
+        stale = self._used or self._unusable
         self._forget()
         if stale and not self.setup_every_step:
             self._rebuild()
 
     def _forget(self) -> None:
-        self._done = self._unread = self._disturbed = False
+        self._done = self._unread = self._unusable = False
         self._failure = ""
 
 
@@ -240,8 +258,7 @@ class OneSidedWorkspace(NativeWorkspace):
             self._form.fill(q, low, high)
             self._send()
         else:
-            self._q[:], self._l[:], self._u[:] = q, low, high
-            self._build()
+            self._build_for(q, low, high)
 
     def _rows(self) -> tuple[Matrix, int, int]:
         """[A; G], the number of equalities and that of inequalities."""
@@ -268,8 +285,8 @@ class Start:
 
     def remember(self, solution: Solution) -> None:
         """Keep a copy of an answer."""
-        found = (solution.z, solution.y, solution.y_box)
-        for (_, kept), value in zip(self._kept, found, strict=True):
+        answer = (solution.z, solution.y, solution.y_box)
+        for (_, kept), value in zip(self._kept, answer, strict=True):
             kept[:] = value
         self.known = True
 
@@ -281,18 +298,9 @@ class Start:
         return self.known
 
 
-def shift_into(target: Vector, kept: Vector, block: int) -> None:
-    """target = kept, one block earlier; the last block is zero."""
-    if block == 0:
-        target[:] = kept
-    elif target.size:
-        target[:-block] = kept[block:]
-        target[-block:] = 0.0
-
-
-def _same(mine: Matrix, given: Matrix) -> bool:
+def _same(kept: Matrix, given: Matrix) -> bool:
     """Whether two arrays hold the same bytes, which is the cheapest way to know."""
-    return mine.shape == given.shape and mine.tobytes() == given.tobytes()
+    return kept.shape == given.shape and kept.tobytes() == given.tobytes()
 
 
 def stacked(A: Matrix, n: int) -> Matrix:

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 import scipy.sparse
 
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.adapter import NativeAdapter
-from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.native.base import OneSidedWorkspace
-from dpbench.solvers.record import RouteRecord, SolverRecord
+from dpbench.solvers.record import RouteRecord
 from dpbench.solvers.through_qpsolvers import clarabel as wrapped
 
 NATIVE = RouteRecord(
     policies=("fresh", "reuse"),
+    updates="vectors",
     keeps="the equilibration it took from P, A and q at its set-up",
     refused={"warm": "Clarabel has no interface for a start"},
 )
@@ -27,10 +25,7 @@ STATUS = wrapped.STATUS
 class ClarabelWorkspace(OneSidedWorkspace):
     """Clarabel on [A; G] z + s = [b; h] with a zero cone and a nonnegative cone."""
 
-    def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
-        super().__init__(record.name, "csc", policy, options)
-        self._library = import_module("clarabel")
-        self._found: Any = None
+    _result: Any
 
     def _arrange(self) -> None:
         rows, equalities, inequalities = self._rows()
@@ -45,8 +40,7 @@ class ClarabelWorkspace(OneSidedWorkspace):
         settings = wrapped.settings_object()
         # Presolve would drop rows, and with them the right to update.
         settings.verbose, settings.presolve_enable = False, False
-        for name, value in self._options.items():
-            setattr(settings, name, value)
+        self._configure(settings)
         form = self._form
         self._solver = self._library.DefaultSolver(
             self._P_upper, form.q, self._matrix, form.bh, self._cones, settings
@@ -56,24 +50,18 @@ class ClarabelWorkspace(OneSidedWorkspace):
         self._solver.update(q=self._form.q, b=self._form.bh)
 
     def _call(self) -> None:
-        self._found = self._solver.solve()
+        self._result = self._solver.solve()
 
     def _answer(self) -> Solution:
-        found, form = self._found, self._form
-        detail = str(found.status)
+        result = self._result
+        detail = str(result.status)
         status = STATUS.get(detail, Status.UNKNOWN)
-        iterations, reported_ns = int(found.iterations), round(found.solve_time * 1e9)
+        iterations, reported_ns = int(result.iterations), round(result.solve_time * 1e9)
         if not status.usable:
             return self._missing(status, detail, iterations, reported_ns)
-        dual, count = np.array(found.z), self._equalities
-        y, y_box = form.two_sided(dual[count:], dual[:count])
-        detail = "" if status is Status.SOLVED else detail
-        return Solution(status, np.array(found.x), y, y_box, iterations, reported_ns, detail)
+        dual, count = np.array(result.z), self._equalities
+        y, y_box = self._form.two_sided(dual[count:], dual[:count])
+        return Solution(status, np.array(result.x), y, y_box, iterations, reported_ns, detail)
 
 
-ADAPTER = NativeAdapter(
-    wrapped.RECORD.with_native(NATIVE),
-    ClarabelWorkspace,
-    wrapped.ADAPTER.option_names,
-    wrapped.settings_object,
-)
+ADAPTER = wrapped.ADAPTER.natively(NATIVE, ClarabelWorkspace)

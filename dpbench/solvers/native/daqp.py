@@ -13,17 +13,18 @@ from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.adapter import NativeAdapter
 from dpbench.solvers.contract import Options, Policy
-from dpbench.solvers.native.base import NativeWorkspace
-from dpbench.solvers.record import NAN_ANSWER, NAN_IGNORED, RouteRecord, SolverRecord
+from dpbench.solvers.native.base import SOLVED, NativeWorkspace
+from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord
 from dpbench.solvers.through_qpsolvers import daqp as wrapped
 
 # A start with the active set shifted by one move goes through `sense`, whose update costs 3 µs;
 # on the paper's sequence it also takes more iterations (1.40) than the set as it was (1.08).
 NATIVE = RouteRecord(
     policies=("fresh", "reuse", "warm"),
+    updates="vectors",
     start="active set",
     two_sided=True,
-    faults={**NAN_ANSWER, **NAN_IGNORED},
+    faults=NAN_FAULTS,
 )
 
 STATUS = {
@@ -39,17 +40,13 @@ STATUS = {
 }
 
 
-SOLVED = Status.SOLVED  # looking it up in its class takes 50 ns
-
-
 class DaqpWorkspace(NativeWorkspace):
     """DAQP; `warm` keeps the active set of the previous solve, `reuse` empties it."""
 
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
-        super().__init__(record.name, "dense", policy, options)
-        self._model_of = import_module("daqp").Model
+        super().__init__(record, policy, options)
         self._refused = 0
-        self._found: tuple[Any, float, int, Any] = (None, 0.0, 0, {})
+        self._result: tuple[Any, float, int, Any] = (None, 0.0, 0, {})
 
     def _convert(self) -> None:
         n, m = self._n, self._m
@@ -68,14 +65,14 @@ class DaqpWorkspace(NativeWorkspace):
 
     def _build(self) -> None:
         self._f[:], self._low_rows[:], self._high_rows[:] = self._q, self._l, self._u
-        self._model = self._model_of()
+        self._model = self._library.Model()
         if self._options:
             self._model.settings = self._options
         flag, _ = self._model.setup(self._P, self._f, self._A, self._high, self._low, self._sense)
         self._update, self._solve = self._model.update, self._model.solve
         self._refused = min(flag, 0)
         # A model that refused its problem cannot be updated.
-        self._disturbed = flag < 0
+        self._unusable = flag < 0
 
     def update(self, step: QPStep) -> None:
         """As inherited, written out for the usual step: DAQP itself takes 1.5 µs for it.
@@ -83,8 +80,8 @@ class DaqpWorkspace(NativeWorkspace):
         Assigning to a memoryview copies faster than NumPy does and refuses another shape.
         """
         if (
-            self._found[2] != 1
-            or self._disturbed
+            self._result[2] != 1
+            or self._unusable
             or self.setup_every_step
             or step.P is not None
             or step.A is not None
@@ -113,17 +110,17 @@ class DaqpWorkspace(NativeWorkspace):
             super().solve()
             return
         self._done = self._unread = self._used = True
-        self._found = self._solve()
+        self._result = self._solve()
 
     def _call(self) -> None:
         if self._refused:
-            self._found = (None, 0.0, self._refused, {"iterations": -1, "solve_time": 0.0})
+            self._result = (None, 0.0, self._refused, {"iterations": -1, "solve_time": 0.0})
         else:
-            self._found = self._solve()
+            self._result = self._solve()
 
     def read(self) -> Solution:
         """As inherited, written out for the usual answer."""
-        z, value, flag, info = self._found
+        z, value, flag, info = self._result
         if flag != 1 or not self._done or not isfinite(value):
             return super().read()
         self._unread = False
@@ -132,7 +129,7 @@ class DaqpWorkspace(NativeWorkspace):
         return Solution(SOLVED, z.copy(), dual[n:], dual[:n], info["iterations"], reported_ns)
 
     def _answer(self) -> Solution:
-        z, _, flag, info = self._found
+        z, _, flag, info = self._result
         status = STATUS.get(flag, Status.UNKNOWN)
         iterations, reported_ns = info["iterations"], int(info["solve_time"] * 1e9)
         if z is None or not status.usable:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -11,14 +10,13 @@ import scipy.sparse
 from dpbench.arrays import Vector
 from dpbench.errors import DpbenchError
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.adapter import NativeAdapter
-from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.native.base import NativeWorkspace
-from dpbench.solvers.record import RouteRecord, SolverRecord
+from dpbench.solvers.record import RouteRecord
 from dpbench.solvers.through_qpsolvers import highs as wrapped
 
 NATIVE = RouteRecord(
     policies=("fresh", "reuse"),
+    updates="vectors",
     two_sided=True,
     refused={
         "warm": "its QP solver takes no start: with the basis kept or cleared the answers and "
@@ -49,10 +47,6 @@ STATUS = {
 
 class HighsWorkspace(NativeWorkspace):
     """HiGHS with rows and bounds as they are."""
-
-    def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
-        super().__init__(record.name, "csc", policy, options)
-        self._library = import_module("highspy")
 
     def _convert(self) -> None:
         n, m, library = self._n, self._m, self._library
@@ -98,22 +92,16 @@ class HighsWorkspace(NativeWorkspace):
         name = str(solver.getModelStatus().name)
         status = STATUS.get(name, Status.UNKNOWN)
         iterations = int(solver.getInfo().qp_iteration_count)
-        found = solver.getSolution()
-        if not (status.usable and found.value_valid):
+        solution = solver.getSolution()
+        if not (status.usable and solution.value_valid):
             return self._missing(status, name, iterations)
-        z = np.array(found.col_value)
-        if found.dual_valid:
+        z = np.array(solution.col_value)
+        if solution.dual_valid:
             # Its multipliers are positive at a lower limit.
-            y, y_box = -np.array(found.row_dual), -np.array(found.col_dual)
+            y, y_box = -np.array(solution.row_dual), -np.array(solution.col_dual)
         else:
             y, y_box = np.full(self._m, np.nan), np.full(self._n, np.nan)
-        detail = "" if status is Status.SOLVED else name
-        return Solution(status, z, y, y_box, iterations, detail=detail)
+        return Solution(status, z, y, y_box, iterations, detail=name)
 
 
-ADAPTER = NativeAdapter(
-    wrapped.RECORD.with_native(NATIVE),
-    HighsWorkspace,
-    wrapped.ADAPTER.option_names,
-    wrapped.settings_object,
-)
+ADAPTER = wrapped.ADAPTER.natively(NATIVE, HighsWorkspace)

@@ -10,7 +10,6 @@ import scipy.sparse
 from dpbench.arrays import Vector
 from dpbench.errors import DpbenchError
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.adapter import NativeAdapter
 from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.native.base import NativeWorkspace, Start, stacked
 from dpbench.solvers.record import RouteRecord, SolverRecord
@@ -18,6 +17,7 @@ from dpbench.solvers.through_qpsolvers import osqp as wrapped
 
 NATIVE = RouteRecord(
     policies=("fresh", "reuse", "warm"),
+    updates="vectors",
     keeps="the step size ρ it has adapted, and the scale of the cost it took from q at its set-up",
     start="primal and dual",
     two_sided=True,
@@ -31,7 +31,7 @@ class OsqpWorkspace(NativeWorkspace):
     """OSQP on rows [A; I]; `reuse` keeps the factorisation and ρ, and starts at zero."""
 
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
-        super().__init__(record.name, "csc", policy, options)
+        super().__init__(record, policy, options)
         self._library = import_module("osqp.ext_builtin")
 
     def _convert(self) -> None:
@@ -50,8 +50,7 @@ class OsqpWorkspace(NativeWorkspace):
     def _build(self) -> None:
         settings = wrapped.settings_object()
         settings.verbose, settings.warm_starting = False, self._warm
-        for name, value in self._options.items():
-            setattr(settings, name, value)
+        self._configure(settings)
         self._fill(self._l, self._u)
         n, m = self._n, self._m
         self._solver = self._library.OSQPSolver(
@@ -75,18 +74,12 @@ class OsqpWorkspace(NativeWorkspace):
         reported_ns, detail = round(info.solve_time * 1e9), str(info.status)
         if not status.usable:
             return self._missing(status, detail, info.iter, reported_ns)
-        found = self._solver.solution
-        z, y = found.x, found.y  # copies, made by the library's interface
-        detail = "" if status is Status.SOLVED else detail
+        solution = self._solver.solution
+        z, y = solution.x, solution.y  # copies, made by the library's interface
         return Solution(status, z, y[:m], y[m:], info.iter, reported_ns, detail)
 
     def _remember(self, solution: Solution) -> None:
         self._start.remember(solution)
 
 
-ADAPTER = NativeAdapter(
-    wrapped.RECORD.with_native(NATIVE),
-    OsqpWorkspace,
-    wrapped.ADAPTER.option_names,
-    wrapped.settings_object,
-)
+ADAPTER = wrapped.ADAPTER.natively(NATIVE, OsqpWorkspace)

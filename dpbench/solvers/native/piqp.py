@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -11,28 +10,18 @@ import scipy.sparse
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.adapter import NativeAdapter
-from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.native.base import NativeWorkspace
-from dpbench.solvers.record import NAN_IGNORED, RouteRecord, SolverRecord
+from dpbench.solvers.record import NAN_IGNORED, RouteRecord
 from dpbench.solvers.through_qpsolvers import piqp as wrapped
 
 NATIVE = RouteRecord(
     policies=("fresh", "reuse"),
+    updates="vectors",
     two_sided=True,
     refused={"warm": "PIQP has no interface for a start"},
     faults=NAN_IGNORED,
 )
-SPARSE = replace(
-    wrapped.RECORD,
-    name="piqp_sparse",
-    form="csc",
-    policies={"native": NATIVE.policies},
-    refused={("native", policy): why for policy, why in NATIVE.refused.items()},
-    updates=NATIVE.updates,
-    two_sided=NATIVE.two_sided,
-    faults=NATIVE.faults,
-)
+SPARSE = replace(wrapped.RECORD, name="piqp_sparse", form="csc", routes={"native": NATIVE})
 MULTISTAGE = replace(
     SPARSE,
     name="piqp_multistage",
@@ -49,12 +38,6 @@ class PiqpWorkspace(NativeWorkspace):
     asked at every step; another pattern makes the library object anew.
     """
 
-    def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
-        super().__init__(record.name, record.form, policy, options)
-        self._library = import_module("piqp")
-        sparse = record.form == "csc"
-        self._new = self._library.SparseSolver if sparse else self._library.DenseSolver
-
     def _convert(self) -> None:
         as_form = scipy.sparse.csc_matrix if self.form == "csc" else np.asfortranarray
         equal = self._l == self._u
@@ -67,15 +50,15 @@ class PiqpWorkspace(NativeWorkspace):
 
     def _library_object(self) -> Any:
         """An object of the library at its defaults."""
-        return self._new()
+        library = self._library
+        return library.SparseSolver() if self.form == "csc" else library.DenseSolver()
 
     def _build(self) -> None:
         if (self._l == self._u).tobytes() != self._pattern:
             self._convert()
         solver = self._library_object()
         solver.settings.verbose = False
-        for name, value in self._options.items():
-            setattr(solver.settings, name, value)
+        self._configure(solver.settings)
         limits = self._limits(self._l, self._u)
         b, low, high = (limits.get(name) for name in ("b", "h_l", "h_u"))
         solver.setup(
@@ -96,15 +79,14 @@ class PiqpWorkspace(NativeWorkspace):
         if (low == high).tobytes() == self._pattern:
             self._solver.update(c=q, **self._limits(low, high))
             return
-        self._q[:], self._l[:], self._u[:] = q, low, high
-        self._build()
+        self._build_for(q, low, high)
 
     def _call(self) -> None:
         self._solver.solve()
 
     def _answer(self) -> Solution:
-        found = self._solver.result
-        info = found.info
+        result = self._solver.result
+        info = result.info
         name = info.status.name
         status = STATUS.get(name, Status.UNKNOWN)
         timed = bool(self._options.get("compute_timings", False))
@@ -112,12 +94,11 @@ class PiqpWorkspace(NativeWorkspace):
         if not status.usable:
             return self._missing(status, name, int(info.iter), reported_ns)
         # x is a view of the library's memory.
-        z, y, y_box = found.x.copy(), found.z_u - found.z_l, found.z_bu - found.z_bl
+        z, y, y_box = result.x.copy(), result.z_u - result.z_l, result.z_bu - result.z_bl
         if self._equal.size:
             inequalities, y = y, np.empty(self._m)
-            y[self._equal], y[self._unequal] = found.y, inequalities
-        detail = "" if status is Status.SOLVED else name
-        return Solution(status, z, y, y_box, int(info.iter), reported_ns, detail)
+            y[self._equal], y[self._unequal] = result.y, inequalities
+        return Solution(status, z, y, y_box, int(info.iter), reported_ns, name)
 
 
 class MultistageWorkspace(PiqpWorkspace):
@@ -129,15 +110,6 @@ class MultistageWorkspace(PiqpWorkspace):
         return solver
 
 
-ADAPTER = NativeAdapter(
-    wrapped.RECORD.with_native(NATIVE),
-    PiqpWorkspace,
-    wrapped.ADAPTER.option_names,
-    wrapped.settings_object,
-)
-SPARSE_ADAPTER = NativeAdapter(
-    SPARSE, PiqpWorkspace, wrapped.ADAPTER.option_names, wrapped.settings_object
-)
-MULTISTAGE_ADAPTER = NativeAdapter(
-    MULTISTAGE, MultistageWorkspace, wrapped.ADAPTER.option_names, wrapped.settings_object
-)
+ADAPTER = wrapped.ADAPTER.natively(NATIVE, PiqpWorkspace)
+SPARSE_ADAPTER = replace(ADAPTER, record=SPARSE)
+MULTISTAGE_ADAPTER = replace(ADAPTER, record=MULTISTAGE, workspace=MultistageWorkspace)

@@ -23,29 +23,20 @@ import scipy.sparse
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.adapter import NativeAdapter, attributes
-from dpbench.solvers.contract import Options, Policy
-from dpbench.solvers.native.base import NativeWorkspace, shift_into, stacked
+from dpbench.solvers.contract import Options, Policy, shift_into
+from dpbench.solvers.native.base import NativeWorkspace, stacked
 from dpbench.solvers.record import NAN_IGNORED, RouteRecord, SolverRecord
 from dpbench.solvers.through_qpsolvers import proxqp as wrapped
 
 NATIVE = RouteRecord(
     policies=("fresh", "reuse", "warm"),
+    updates="vectors",
     start="primal and dual",
     two_sided=True,
     detects_infeasibility=False,
     faults=NAN_IGNORED,
 )
-SPARSE = replace(
-    wrapped.RECORD,
-    name="proxqp_sparse",
-    form="csc",
-    policies={"native": NATIVE.policies},
-    start=NATIVE.start,
-    detects_infeasibility=NATIVE.detects_infeasibility,
-    updates=NATIVE.updates,
-    two_sided=NATIVE.two_sided,
-    faults=NATIVE.faults,
-)
+SPARSE = replace(wrapped.RECORD, name="proxqp_sparse", form="csc", routes={"native": NATIVE})
 
 STATUS = wrapped.STATUS
 
@@ -54,18 +45,17 @@ class ProxqpWorkspace(NativeWorkspace):
     """ProxQP with rows l ≤ C x ≤ u; bounds are bounds in its dense and rows in its sparse form."""
 
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
-        super().__init__(record.name, record.form, policy, options)
-        self._library = import_module("proxsuite").proxqp
+        super().__init__(record, policy, options)
+        self._library = self._library.proxqp
 
     def _convert(self) -> None:
         n, m = self._n, self._m
         self._sparse = self.form == "csc"
-        rows = m + n if self._sparse else m
-        self._low, self._high = np.empty(rows), np.empty(rows)
+        self._low, self._high = np.empty(m), np.empty(m)
         if self._sparse:
+            self._low, self._high = self._limits_of_all()
             self._H = scipy.sparse.csc_matrix(self._P)
             self._C = scipy.sparse.csc_matrix(stacked(self._A, n))
-            self._low[m:], self._high[m:] = self._lb, self._ub
 
     def _build(self) -> None:
         n, m, library = self._n, self._m, self._library
@@ -74,7 +64,7 @@ class ProxqpWorkspace(NativeWorkspace):
             self._solver = library.sparse.QP(n, 0, m + n)
         else:
             self._solver = library.dense.QP(n, 0, m, True)
-        self._apply(self._solver.settings)
+        self._configure(self._solver.settings)
         if self._sparse:
             self._solver.init(self._H, self._q, None, None, self._C, self._low, self._high)
         else:
@@ -91,14 +81,9 @@ class ProxqpWorkspace(NativeWorkspace):
             )
         self._shiftable = self._stuck = False
 
-    def _apply(self, settings: Any) -> None:
-        for name, value in self._options.items():
-            setattr(settings, name, value)
-
     def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
         if self._stuck:
-            self._q[:], self._l[:], self._u[:] = q, low, high
-            self._build()
+            self._build_for(q, low, high)
             return
         m, solver = self._m, self._solver
         self._low[:m], self._high[:m] = low, high
@@ -134,8 +119,7 @@ class ProxqpWorkspace(NativeWorkspace):
             return self._missing(status, name, int(info.iter), reported_ns)
         # Both are views of the library's memory.
         z, y = results.x.copy(), results.z.copy()
-        detail = "" if status is Status.SOLVED else name
-        return Solution(status, z, y[:m], y[m:], int(info.iter), reported_ns, detail)
+        return Solution(status, z, y[:m], y[m:], int(info.iter), reported_ns, name)
 
     def _remember(self, solution: Solution) -> None:
         self._shiftable = True
@@ -154,4 +138,4 @@ def option_names() -> list[str]:
 ADAPTER = NativeAdapter(
     wrapped.RECORD.with_native(NATIVE), ProxqpWorkspace, option_names, settings_object
 )
-SPARSE_ADAPTER = NativeAdapter(SPARSE, ProxqpWorkspace, option_names, settings_object)
+SPARSE_ADAPTER = replace(ADAPTER, record=SPARSE)

@@ -10,22 +10,33 @@ import scipy.sparse
 
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.adapter import NativeAdapter, attributes
-from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.native.base import OneSidedWorkspace
-from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
 
 RECORD = SolverRecord(
     name="qoco",
+    family="interior point",
+    method="primal-dual interior point for second-order cone programs",
     distribution="qoco",
     module="qoco",
-    method="primal-dual interior point for second-order cone programs",
     extra="solvers",
     form="csc",
-    box="rows",
-    policies={"native": ("fresh", "reuse")},
-    refused={("native", "warm"): "QOCO has no interface for a start"},
-    detects_infeasibility=False,
-    updates="vectors",
+    routes={
+        "native": RouteRecord(
+            ("fresh", "reuse"),
+            updates="vectors",
+            detects_infeasibility=False,
+            refused={"warm": "QOCO has no interface for a start"},
+        )
+    },
+    levels=by_tolerance("abstol", "reltol", max_iters=500),
+    project=stated(
+        licence=("BSD-3-Clause", "QOCO README, License"),
+        language=("C", "QOCO documentation"),
+        c_code=("yes, by QOCOGEN", "QOCOGEN README"),
+        allocation_free=("yes, generated code", "QOCOGEN README: static memory allocation only"),
+        single_precision=None,
+    ),
 )
 
 STATUS = {
@@ -40,10 +51,7 @@ STATUS = {
 class QocoWorkspace(OneSidedWorkspace):
     """QOCO on A z = b, G z ≤ h."""
 
-    def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
-        super().__init__(record.name, "csc", policy, options)
-        self._library = import_module("qoco")
-        self._found: Any = None
+    _result: Any
 
     def _arrange(self) -> None:
         form, csc = self._form, scipy.sparse.csc_matrix
@@ -77,18 +85,17 @@ class QocoWorkspace(OneSidedWorkspace):
         self._solver.update_vector_data(c=form.q, b=form.b, h=form.h)
 
     def _call(self) -> None:
-        self._found = self._solver.solve()
+        self._result = self._solver.solve()
 
     def _answer(self) -> Solution:
-        found = self._found
-        name = str(found.status)
+        result = self._result
+        name = str(result.status)
         status = STATUS.get(name, Status.UNKNOWN)
-        iterations, reported_ns = int(found.iters), round(found.solve_time_sec * 1e9)
+        iterations, reported_ns = int(result.iters), round(result.solve_time_sec * 1e9)
         if not status.usable:
             return self._missing(status, name, iterations, reported_ns)
-        y, y_box = self._form.two_sided(np.array(found.z), np.array(found.y))
-        detail = "" if status is Status.SOLVED else name
-        return Solution(status, np.array(found.x), y, y_box, iterations, reported_ns, detail)
+        y, y_box = self._form.two_sided(np.array(result.z), np.array(result.y))
+        return Solution(status, np.array(result.x), y, y_box, iterations, reported_ns, name)
 
 
 def settings_object() -> Any:

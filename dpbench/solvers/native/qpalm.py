@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-
-import numpy as np
 import scipy.sparse
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.adapter import NativeAdapter
-from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.native.base import NativeWorkspace, Start, stacked
-from dpbench.solvers.record import RouteRecord, SolverRecord
+from dpbench.solvers.record import RouteRecord
 from dpbench.solvers.through_qpsolvers import qpalm as wrapped
 
 NATIVE = RouteRecord(
     policies=("fresh", "reuse", "warm"),
+    updates="vectors",
     start="primal and dual",
     two_sided=True,
     faults={
@@ -30,17 +26,12 @@ STATUS = wrapped.STATUS
 class QpalmWorkspace(NativeWorkspace):
     """QPALM on rows [A; I]; without a start given for it, a solve begins at zero."""
 
-    def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
-        super().__init__(record.name, "csc", policy, options)
-        self._library = import_module("qpalm")
-
     def _convert(self) -> None:
         n, m = self._n, self._m
         self._data = self._library.Data(n, m + n)
         self._data.Q = scipy.sparse.csc_matrix(self._P)
         self._data.A = scipy.sparse.csc_matrix(stacked(self._A, n))
-        self._low, self._high = np.empty(m + n), np.empty(m + n)
-        self._low[m:], self._high[m:] = self._lb, self._ub
+        self._low, self._high = self._limits_of_all()
 
     def _build(self) -> None:
         n, m, data = self._n, self._m, self._data
@@ -48,8 +39,7 @@ class QpalmWorkspace(NativeWorkspace):
         data.q, data.bmin, data.bmax = self._q, self._low, self._high
         settings = wrapped.settings_object()
         settings.verbose = False
-        for name, value in self._options.items():
-            setattr(settings, name, value)
+        self._configure(settings)
         self._solver = self._library.Solver(data, settings)
         self._start = Start(n, m, self._block)
 
@@ -72,18 +62,12 @@ class QpalmWorkspace(NativeWorkspace):
         if not status.usable:
             return self._missing(status, name, iterations, reported_ns)
         # Both are views of the library's memory.
-        found = self._solver.solution
-        z, y = found.x.copy(), found.y.copy()
-        detail = "" if status is Status.SOLVED else name
-        return Solution(status, z, y[:m], y[m:], iterations, reported_ns, detail)
+        solution = self._solver.solution
+        z, y = solution.x.copy(), solution.y.copy()
+        return Solution(status, z, y[:m], y[m:], iterations, reported_ns, name)
 
     def _remember(self, solution: Solution) -> None:
         self._start.remember(solution)
 
 
-ADAPTER = NativeAdapter(
-    wrapped.RECORD.with_native(NATIVE),
-    QpalmWorkspace,
-    wrapped.ADAPTER.option_names,
-    wrapped.settings_object,
-)
+ADAPTER = wrapped.ADAPTER.natively(NATIVE, QpalmWorkspace)

@@ -17,27 +17,38 @@ import numpy as np
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.adapter import NativeAdapter
-from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.native.base import NativeWorkspace
-from dpbench.solvers.record import NAN_ANSWER, SolverRecord
+from dpbench.solvers.record import NAN_ANSWER, RouteRecord, SolverRecord, stated
 
 RECORD = SolverRecord(
     name="qpoases",
+    family="active set",
+    method="parametric (online) active set",
     distribution="casadi",
     module="casadi",
-    method="parametric (online) active set",
     extra="casadi",
     form="dense",
-    box="native",
-    policies={"native": ("fresh", "warm")},
-    refused={
-        ("native", "reuse"): "casadi keeps its working set from solve to solve and cannot reset "
-        "it without making everything anew, which is fresh"
+    routes={
+        "native": RouteRecord(
+            ("fresh", "warm"),
+            updates="vectors",
+            start="active set",
+            two_sided=True,
+            refused={
+                "reuse": "casadi keeps its working set from solve to solve and cannot reset it "
+                "without making everything anew, which is fresh"
+            },
+            faults=NAN_ANSWER,
+        )
     },
-    start="active set",
-    updates="vectors",
-    two_sided=True,
-    faults=NAN_ANSWER,
+    levels={},
+    project=stated(
+        licence=("LGPL-2.1-or-later", "qpOASES source, head of each file"),
+        language=("C++", "qpOASES manual, Introduction"),
+        c_code=None,
+        allocation_free=None,
+        single_precision=("yes, __USE_SINGLE_PRECISION__", "qpOASES source, Constants.hpp"),
+    ),
 )
 
 # casadi's unified return status.
@@ -54,10 +65,6 @@ FIXED = {"printLevel": "none", "error_on_fail": False}
 
 class QpoasesWorkspace(NativeWorkspace):
     """qpOASES looking at buffers of ours; a solve after the first is a hot start."""
-
-    def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
-        super().__init__(record.name, "dense", policy, options)
-        self._library = import_module("casadi")
 
     def _convert(self) -> None:
         n, m = self._n, self._m
@@ -106,8 +113,8 @@ class QpoasesWorkspace(NativeWorkspace):
         # Where it says no more than that it failed, its x may be that of an earlier problem.
         if status is Status.UNKNOWN or not status.usable:
             return self._missing(status, f"return status {flag}", iterations)
-        found = self._outputs
-        z, y, y_box = found["x"].copy(), found["lam_a"].copy(), found["lam_x"].copy()
+        outputs = self._outputs
+        z, y, y_box = outputs["x"].copy(), outputs["lam_a"].copy(), outputs["lam_x"].copy()
         detail = "" if status is Status.SOLVED else f"return status {flag}"
         return Solution(status, z, y, y_box, iterations, detail=detail)
 

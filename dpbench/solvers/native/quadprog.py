@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 import scipy.linalg
 
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.adapter import NativeAdapter
 from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.native.base import OneSidedWorkspace
-from dpbench.solvers.record import NAN_ANSWER, NAN_IGNORED, RouteRecord, SolverRecord
+from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord
 from dpbench.solvers.through_qpsolvers import quadprog as wrapped
 
 NATIVE = RouteRecord(
     policies=("fresh", "reuse"),
-    updates="nothing",
     refused={"warm": "it starts from the unconstrained optimum"},
-    faults={**NAN_ANSWER, **NAN_IGNORED},
+    faults=NAN_FAULTS,
 )
 
 # It raises what it has to say.
@@ -33,9 +30,9 @@ class QuadprogWorkspace(OneSidedWorkspace):
     """quadprog on Cᵀ z ≥ b; it has no state, so `reuse` means P = RᵀR comes as R⁻¹."""
 
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
-        super().__init__(record.name, "dense", policy, options)
-        self._solve_qp = import_module("quadprog").solve_qp
-        self._found: Any = None
+        super().__init__(record, policy, options)
+        self._solve_qp = self._library.solve_qp
+        self._result: Any = None
         self._status, self._words = Status.UNKNOWN, ""
 
     def _arrange(self) -> None:
@@ -62,9 +59,9 @@ class QuadprogWorkspace(OneSidedWorkspace):
             np.negative(form.bh[count:], out=self._b[count:])
 
     def _call(self) -> None:
-        self._found = None
+        self._result = None
         try:
-            self._found = self._solve_qp(
+            self._result = self._solve_qp(
                 self._matrix, self._a, self._C, self._b, self._equalities, self._factorized
             )
         except ValueError as error:
@@ -72,12 +69,12 @@ class QuadprogWorkspace(OneSidedWorkspace):
             self._status = STATUS.get(self._words, Status.UNKNOWN)
 
     def _answer(self) -> Solution:
-        if self._found is None:
+        if self._result is None:
             return self._missing(self._status, self._words)
-        z, _, _, iterations, dual, _ = self._found
+        z, _, _, iterations, dual, _ = self._result
         count = self._equalities
         y, y_box = self._form.two_sided(dual[count:], -dual[:count])
         return Solution(Status.SOLVED, z.copy(), y, y_box, int(iterations[0]))
 
 
-ADAPTER = NativeAdapter(wrapped.RECORD.with_native(NATIVE), QuadprogWorkspace, lambda: ())
+ADAPTER = wrapped.ADAPTER.natively(NATIVE, QuadprogWorkspace)

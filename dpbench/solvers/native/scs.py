@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 import scipy.sparse
 
 from dpbench.arrays import Vector
-from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.adapter import NativeAdapter
-from dpbench.solvers.contract import Options, Policy
+from dpbench.qp.solution import Solution
 from dpbench.solvers.native.base import OneSidedWorkspace, Start
-from dpbench.solvers.record import RouteRecord, SolverRecord
+from dpbench.solvers.record import RouteRecord
 from dpbench.solvers.through_qpsolvers import scs as wrapped
 
 NATIVE = RouteRecord(
     policies=("fresh", "reuse", "warm"),
+    updates="vectors",
     keeps="the scale it has adapted, the normalisation of b and c at its set-up, and the "
     "memory of its acceleration",
     start="primal and dual",
@@ -29,10 +27,7 @@ STATUS = wrapped.STATUS
 class ScsWorkspace(OneSidedWorkspace):
     """SCS on [A; G] z + s = [b; h]; `warm` gives it x, y and the slacks s that go with x."""
 
-    def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
-        super().__init__(record.name, "csc", policy, options)
-        self._library = import_module("scs")
-        self._found: Any = None
+    _result: Any
 
     def _arrange(self) -> None:
         rows, equalities, inequalities = self._rows()
@@ -72,13 +67,13 @@ class ScsWorkspace(OneSidedWorkspace):
 
     def _call(self) -> None:
         if self._given:
-            self._found = self._solver.solve(True, self._start.z, self._y, self._s)
+            self._result = self._solver.solve(True, self._start.z, self._y, self._s)
         else:
-            self._found = self._solver.solve(False)
+            self._result = self._solver.solve(False)
 
     def _answer(self) -> Solution:
-        found = self._found
-        info = found["info"]
+        result = self._result
+        info = result["info"]
         detail = str(info["status"])
         status = wrapped.status_of(info)
         iterations, reported_ns = int(info["iter"]), round(info["solve_time"] * 1e6)
@@ -88,14 +83,11 @@ class ScsWorkspace(OneSidedWorkspace):
         if self._empty:
             y, y_box = np.zeros(self._m), np.zeros(self._n)
         else:
-            y, y_box = self._form.two_sided(found["y"][count:], found["y"][:count])
-        detail = "" if status is Status.SOLVED else detail
-        return Solution(status, found["x"].copy(), y, y_box, iterations, reported_ns, detail)
+            y, y_box = self._form.two_sided(result["y"][count:], result["y"][:count])
+        return Solution(status, result["x"].copy(), y, y_box, iterations, reported_ns, detail)
 
     def _remember(self, solution: Solution) -> None:
         self._start.remember(solution)
 
 
-ADAPTER = NativeAdapter(
-    wrapped.RECORD.with_native(NATIVE), ScsWorkspace, wrapped.ADAPTER.option_names
-)
+ADAPTER = wrapped.ADAPTER.natively(NATIVE, ScsWorkspace)

@@ -6,19 +6,27 @@ from importlib import import_module
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Adapter, ClaimedStatus, attributes
+from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter, attributes
 from dpbench.solvers.contract import Options
-from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
 
 RECORD = SolverRecord(
     name="clarabel",
+    family="interior point",
+    method="primal-dual interior point, homogeneous embedding",
     distribution="clarabel",
     module="clarabel",
-    method="primal-dual interior point, homogeneous embedding",
     extra="core",
     form="csc",
-    box="rows",
-    policies={"qpsolvers": ("fresh",)},
+    routes={"qpsolvers": RouteRecord(("fresh",))},
+    levels=by_tolerance("tol_gap_abs", "tol_gap_rel", "tol_feas", max_iter=500),
+    project=stated(
+        licence=("Apache-2.0", "Clarabel, metadata of its distribution"),
+        language=("Rust", "Clarabel, metadata of its distribution"),
+        c_code=None,
+        allocation_free=None,
+        single_precision=("yes, generic in its float type", "Clarabel.rs source, algebra/floats"),
+    ),
 )
 
 # The "almost" infeasibility claims meet the reduced tolerances; they are claims all the same.
@@ -48,4 +56,6 @@ def settings_object() -> Any:
     return import_module("clarabel").DefaultSettings()
 
 
-ADAPTER = Adapter(RECORD, read_status, lambda: attributes(settings_object()), settings_object)
+ADAPTER = QpsolversAdapter(
+    RECORD, "rows", read_status, lambda: attributes(settings_object()), settings_object
+)

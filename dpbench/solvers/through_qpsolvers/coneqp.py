@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Adapter, ClaimedStatus
+from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter
 from dpbench.solvers.contract import Options
-from dpbench.solvers.record import NAN_ANSWER, NAN_IGNORED, SolverRecord
+from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord, by_tolerance, stated
 
 # The user guide of CVXOPT, section "Algorithm parameters", and the source of `coneqp`; the
 # library keeps no object to ask and ignores what it does not know.
@@ -39,21 +39,40 @@ def read_status(answer: Any, options: Options) -> ClaimedStatus:
     return ClaimedStatus(status, iterations, detail=name)
 
 
-def _record(name: str) -> SolverRecord:
+def _record(name: str, licensed: str) -> SolverRecord:
     return SolverRecord(
         name=name,
+        family="interior point",
+        method="primal-dual interior point with Nesterov-Todd scaling (coneqp)",
         distribution=name,
         module=name,
-        method="primal-dual interior point with Nesterov-Todd scaling (coneqp)",
         extra="solvers",
         form="dense",
-        box="rows",
-        policies={"qpsolvers": ("fresh", "warm")},
-        start="primal",
-        detects_infeasibility=False,
-        faults={**NAN_ANSWER, **NAN_IGNORED},
+        routes={
+            "qpsolvers": RouteRecord(
+                ("fresh", "warm"),
+                start="primal",
+                detects_infeasibility=False,
+                faults=NAN_FAULTS,
+            )
+        },
+        levels=by_tolerance("abstol", "reltol", "feastol", maxiters=200),
+        project=stated(
+            licence=("GPL-3.0-or-later", licensed),
+            language=("Python and C", f"{name.upper()}, metadata of its distribution"),
+            c_code=None,
+            allocation_free=None,
+            single_precision=None,
+        ),
     )
 
 
-CVXOPT = Adapter(_record("cvxopt"), read_status, lambda: OPTION_NAMES)
-KVXOPT = Adapter(_record("kvxopt"), read_status, lambda: OPTION_NAMES)
+CVXOPT = QpsolversAdapter(
+    _record("cvxopt", "CVXOPT, Copyright and license"), "rows", read_status, lambda: OPTION_NAMES
+)
+KVXOPT = QpsolversAdapter(
+    _record("kvxopt", "KVXOPT, metadata of its distribution"),
+    "rows",
+    read_status,
+    lambda: OPTION_NAMES,
+)

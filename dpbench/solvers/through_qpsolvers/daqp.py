@@ -5,21 +5,35 @@ from __future__ import annotations
 import inspect
 from importlib import import_module
 
-from dpbench.solvers.adapter import Adapter, status_of_found
-from dpbench.solvers.record import NAN_ANSWER, NAN_IGNORED, SolverRecord
+from dpbench.solvers.adapter import QpsolversAdapter, found_is_all
+from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord, by_tolerance, stated
 
 RECORD = SolverRecord(
     name="daqp",
+    family="active set",
+    method="dual active set, LDLᵀ updates of the Gram matrix of the active rows",
     distribution="daqp",
     module="daqp",
-    method="dual active set, LDLᵀ updates of the Gram matrix of the active rows",
     extra="core",
     form="dense",
-    box="native",
-    policies={"qpsolvers": ("fresh", "warm")},
-    start="primal",
-    detects_infeasibility=False,
-    faults={**NAN_ANSWER, **NAN_IGNORED},
+    routes={
+        "qpsolvers": RouteRecord(
+            ("fresh", "warm"),
+            start="primal",
+            detects_infeasibility=False,
+            faults=NAN_FAULTS,
+        )
+    },
+    # dual_tol stays at DAQP's own 1e-12, which is tighter.
+    # A semidefinite P it solves by proximal steps, which end by a tolerance of their own.
+    levels=by_tolerance("primal_tol", "eta_prox"),
+    project=stated(
+        licence=("MIT", "DAQP, metadata of its distribution"),
+        language=("C, library-free", "DAQP README"),
+        c_code=("yes, renders a workspace", "DAQP source, codegen"),
+        allocation_free=("yes, after setup", "DAQP Python interface, docstring of Model"),
+        single_precision=("yes, DAQP_SINGLE_PRECISION", "DAQP source, include/types.h"),
+    ),
 )
 
 DATA = {"H", "f", "A", "bupper", "blower", "sense", "break_points", "is_avi"}
@@ -32,4 +46,4 @@ def option_names() -> list[str]:
     return [name for name in names if name not in DATA | STARTS]
 
 
-ADAPTER = Adapter(RECORD, status_of_found, option_names)
+ADAPTER = QpsolversAdapter(RECORD, "native", found_is_all, option_names)

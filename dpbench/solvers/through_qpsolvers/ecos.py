@@ -5,20 +5,28 @@ from __future__ import annotations
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Adapter, ClaimedStatus
+from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter
 from dpbench.solvers.contract import Options
-from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
 
 # Dense, because qpsolvers builds the cone program from dense P and G.
 RECORD = SolverRecord(
     name="ecos",
+    family="interior point",
+    method="primal-dual interior point on the equivalent second-order cone program",
     distribution="ecos",
     module="ecos",
-    method="primal-dual interior point on the equivalent second-order cone program",
     extra="solvers",
     form="dense",
-    box="rows",
-    policies={"qpsolvers": ("fresh",)},
+    routes={"qpsolvers": RouteRecord(("fresh",))},
+    levels=by_tolerance("abstol", "reltol", "feastol", max_iters=500),
+    project=stated(
+        licence=("GPL-3.0", "ECOS, metadata of its distribution"),
+        language=("C", "ECOS README"),
+        c_code=None,
+        allocation_free=None,
+        single_precision=None,
+    ),
     needs_strict_convexity=True,
 )
 
@@ -60,4 +68,4 @@ def read_status(answer: Any, options: Options) -> ClaimedStatus:
     )
 
 
-ADAPTER = Adapter(RECORD, read_status, lambda: OPTION_NAMES)
+ADAPTER = QpsolversAdapter(RECORD, "rows", read_status, lambda: OPTION_NAMES)

@@ -10,8 +10,9 @@ import sys
 from importlib.machinery import PathFinder
 from importlib.util import find_spec
 
-from dpbench.solvers.adapter import Adapter, status_of_found
-from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.adapter import QpsolversAdapter, found_is_all
+from dpbench.solvers.contract import Policy
+from dpbench.solvers.record import NOT_STATED, RouteRecord, SolverRecord
 
 
 def is_served(name: str) -> bool:
@@ -24,18 +25,19 @@ def is_served(name: str) -> bool:
     return name.isidentifier() and PathFinder.find_spec(f"{name}_", places) is not None
 
 
-def generic_adapter(name: str) -> Adapter:
+def generic_adapter(name: str) -> QpsolversAdapter:
     """The adapter of a solver of which only the name is known; it checks no settings."""
+    unknown: dict[Policy, str] = {"warm": "whether it takes a start is not known"}
     record = SolverRecord(
         name=name,
+        family="not stated",
+        method="not in the table; as qpsolvers drives it",
         distribution=name,
         module="qpsolvers",
-        method="not in the table; as qpsolvers drives it",
         extra="qpsolvers",
         form="dense",
-        box="native",
-        policies={"qpsolvers": ("fresh",)},
-        detects_infeasibility=False,
-        refused={("qpsolvers", "warm"): "whether it takes a start is not known"},
+        routes={"qpsolvers": RouteRecord(("fresh",), detects_infeasibility=False, refused=unknown)},
+        levels={},
+        project=NOT_STATED,
     )
-    return Adapter(record, status_of_found, None)
+    return QpsolversAdapter(record, "native", found_is_all, None)

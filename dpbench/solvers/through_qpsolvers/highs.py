@@ -5,20 +5,28 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-from dpbench.solvers.adapter import Adapter, attributes, status_of_found
-from dpbench.solvers.record import NAN_IGNORED, SolverRecord
+from dpbench.solvers.adapter import QpsolversAdapter, attributes, found_is_all
+from dpbench.solvers.record import NAN_IGNORED, RouteRecord, SolverRecord, by_tolerance, stated
 
 RECORD = SolverRecord(
     name="highs",
+    family="active set",
+    method="primal null-space active set",
     distribution="highspy",
     module="highspy",
-    method="primal null-space active set",
     extra="solvers",
     form="csc",
-    box="native",
-    policies={"qpsolvers": ("fresh",)},
-    detects_infeasibility=False,
-    faults=NAN_IGNORED,
+    routes={"qpsolvers": RouteRecord(("fresh",), detects_infeasibility=False, faults=NAN_IGNORED)},
+    levels=by_tolerance(
+        "primal_feasibility_tolerance", "dual_feasibility_tolerance", qp_regularization_value=0.0
+    ),
+    project=stated(
+        licence=("MIT", "HiGHS, metadata of its distribution"),
+        language=("C++, C interface", "HiGHS documentation, front page"),
+        c_code=None,
+        allocation_free=None,
+        single_precision=None,
+    ),
 )
 
 
@@ -28,9 +36,10 @@ def settings_object() -> Any:
 
 
 # Without a solution HiGHS fills x with zeros, which must not be taken for an iterate.
-ADAPTER = Adapter(
+ADAPTER = QpsolversAdapter(
     RECORD,
-    status_of_found,
+    "native",
+    found_is_all,
     lambda: attributes(settings_object()),
     settings_object,
     iterate_when_not_found=False,

@@ -6,9 +6,17 @@ from importlib import import_module
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Adapter, ClaimedStatus, attributes
+from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter, attributes
 from dpbench.solvers.contract import Options
-from dpbench.solvers.record import Build, SolverRecord
+from dpbench.solvers.record import (
+    DEFAULT,
+    HIGH,
+    Build,
+    RouteRecord,
+    SolverRecord,
+    by_tolerance,
+    stated,
+)
 
 
 def build() -> Build:
@@ -16,16 +24,33 @@ def build() -> Build:
     return Build(f"algebra {import_module('osqp').default_algebra()}")
 
 
+# OSQP 1.x adapts ρ every so many iterations by default, as others did by the clock: said aloud.
+_LEVELS = by_tolerance(
+    "eps_abs",
+    eps_rel=0.0,
+    max_iter=200_000,
+    always={"adaptive_rho": 1, "adaptive_rho_interval": 50},
+)
+# Polishing is a second algorithm whose failures are silent, so it has names of its own.
+_POLISHED = {f"{name}_polished": {**_LEVELS[name], "polishing": True} for name in (DEFAULT, HIGH)}
+
 RECORD = SolverRecord(
     name="osqp",
+    family="first order",
+    method="operator splitting (ADMM)",
     distribution="osqp",
     module="osqp",
-    method="operator splitting (ADMM)",
     extra="core",
     form="csc",
-    box="rows",
-    policies={"qpsolvers": ("fresh", "warm")},
-    start="primal",
+    routes={"qpsolvers": RouteRecord(("fresh", "warm"), start="primal")},
+    levels={**_LEVELS, **_POLISHED},
+    project=stated(
+        licence=("Apache-2.0", "OSQP, metadata of its distribution"),
+        language=("C, library-free", "OSQP web site, Features"),
+        c_code=("yes, generates code for a problem", "OSQP web site, Features: Embeddable"),
+        allocation_free=("yes, generated code", "OSQP web site, Features: no memory manager"),
+        single_precision=("yes, OSQP_USE_FLOAT", "OSQP source, osqp_api_types.h"),
+    ),
     build=build,
 )
 
@@ -59,8 +84,9 @@ def settings_object() -> Any:
 
 
 # Without raise_error, osqp 1.1 raises a warning at every solve.
-ADAPTER = Adapter(
+ADAPTER = QpsolversAdapter(
     RECORD,
+    "rows",
     read_status,
     lambda: attributes(settings_object()),
     settings_object,

@@ -6,27 +6,41 @@ from importlib import import_module
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Adapter, ClaimedStatus, attributes
-from dpbench.solvers.contract import Options
-from dpbench.solvers.record import NAN_IGNORED, Build, SolverRecord, vectorised_build
-
-
-def build() -> Build:
-    """Which of its modules PIQP chose for this processor."""
-    return vectorised_build("piqp.piqp_python")
-
+from dpbench.solvers.adapter import QpsolversAdapter, attributes, read_enumerated
+from dpbench.solvers.record import (
+    NAN_IGNORED,
+    RouteRecord,
+    SolverRecord,
+    by_tolerance,
+    stated,
+    vectorised_build,
+)
 
 RECORD = SolverRecord(
     name="piqp",
+    family="interior point",
+    method="proximal interior point",
     distribution="piqp",
     module="piqp",
-    method="proximal interior point",
     extra="core",
     form="dense",
-    box="native",
-    policies={"qpsolvers": ("fresh",)},
-    faults=NAN_IGNORED,
-    build=build,
+    routes={"qpsolvers": RouteRecord(("fresh",), faults=NAN_IGNORED)},
+    levels=by_tolerance(
+        "eps_abs",
+        "eps_duality_gap_abs",
+        eps_rel=0.0,
+        check_duality_gap=True,
+        eps_duality_gap_rel=0.0,
+        max_iter=1000,
+    ),
+    project=stated(
+        licence=("BSD-2-Clause", "PIQP README, Features"),
+        language=("C++14, C interface", "PIQP README, Features and Interfaces"),
+        c_code=None,
+        allocation_free=("yes, updates and re-solves", "PIQP README, Features"),
+        single_precision=None,
+    ),
+    build=lambda: vectorised_build("piqp.piqp_python"),
 )
 
 STATUS = {
@@ -39,22 +53,15 @@ STATUS = {
 }
 
 
-def read_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Status and iterations; PIQP times itself only when `compute_timings` asks for it."""
-    info = answer.extras["info"]
-    name = info.status.name
-    timed = bool(options.get("compute_timings", False))
-    return ClaimedStatus(
-        STATUS.get(name, Status.UNKNOWN),
-        int(info.iter),
-        round(info.run_time * 1e9) if timed else -1,
-        name,
-    )
-
-
 def settings_object() -> Any:
     """PIQP's settings at their defaults."""
     return import_module("piqp").DenseSolver().settings
 
 
-ADAPTER = Adapter(RECORD, read_status, lambda: attributes(settings_object()), settings_object)
+ADAPTER = QpsolversAdapter(
+    RECORD,
+    "native",
+    read_enumerated(STATUS, 1e9),
+    lambda: attributes(settings_object()),
+    settings_object,
+)

@@ -1,34 +1,48 @@
-"""ProxQP (proxsuite) through qpsolvers: its status enumeration, time in microseconds."""
+"""ProxQP (proxsuite) through qpsolvers: its status enumeration, time in microseconds.
+
+Its iterations are outer plus inner ones.
+"""
 
 from __future__ import annotations
 
 import re
 from importlib import import_module
-from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Adapter, ClaimedStatus
-from dpbench.solvers.contract import Options
-from dpbench.solvers.record import NAN_IGNORED, Build, SolverRecord, vectorised_build
-
-
-def build() -> Build:
-    """Which of its modules ProxSuite chose for this processor."""
-    return vectorised_build("proxsuite.proxsuite_pywrap")
-
+from dpbench.solvers.adapter import QpsolversAdapter, read_enumerated
+from dpbench.solvers.record import (
+    NAN_IGNORED,
+    RouteRecord,
+    SolverRecord,
+    by_tolerance,
+    stated,
+    vectorised_build,
+)
 
 RECORD = SolverRecord(
     name="proxqp",
+    family="augmented Lagrangian",
+    method="proximal augmented Lagrangian, semismooth Newton inside",
     distribution="proxsuite",
     module="proxsuite",
-    method="proximal augmented Lagrangian, semismooth Newton inside",
     extra="core",
     form="dense",
-    box="native",
-    policies={"qpsolvers": ("fresh", "warm")},
-    start="primal",
-    faults=NAN_IGNORED,
-    build=build,
+    routes={"qpsolvers": RouteRecord(("fresh", "warm"), start="primal", faults=NAN_IGNORED)},
+    levels=by_tolerance(
+        "eps_abs",
+        "eps_duality_gap_abs",
+        eps_rel=0.0,
+        check_duality_gap=True,
+        eps_duality_gap_rel=0.0,
+    ),
+    project=stated(
+        licence=("BSD-2-Clause", "ProxSuite documentation, What is ProxSuite?"),
+        language=("C++14", "ProxSuite README, main features"),
+        c_code=None,
+        allocation_free=None,
+        single_precision=None,
+    ),
+    build=lambda: vectorised_build("proxsuite.proxsuite_pywrap"),
 )
 
 # "Closest feasible" means that the problem has no feasible point and a shifted one was solved.
@@ -43,23 +57,10 @@ STATUS = {
 DATA = {"H", "g", "A", "b", "C", "l", "u", "l_box", "u_box", "x", "y", "z", "verbose"}
 
 
-def read_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Status, outer plus inner iterations; it times itself only when `compute_timings` asks."""
-    info = answer.extras["info"]
-    name = info.status.name
-    timed = bool(options.get("compute_timings", False))
-    return ClaimedStatus(
-        STATUS.get(name, Status.UNKNOWN),
-        int(info.iter),
-        round(info.run_time * 1e3) if timed else -1,
-        name,
-    )
-
-
 def option_names() -> list[str]:
     """The keywords of `proxqp.dense.solve`, whose signature stands in its docstring only."""
     signature = str(import_module("proxsuite").proxqp.dense.solve.__doc__).split("->")[0]
     return [name for name in re.findall(r"[(,] ?(\w+): ", signature) if name not in DATA]
 
 
-ADAPTER = Adapter(RECORD, read_status, option_names)
+ADAPTER = QpsolversAdapter(RECORD, "native", read_enumerated(STATUS, 1e3), option_names)

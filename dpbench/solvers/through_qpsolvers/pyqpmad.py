@@ -6,22 +6,28 @@ from importlib import import_module
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Adapter, ClaimedStatus, attributes
+from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter, attributes
 from dpbench.solvers.contract import Options
-from dpbench.solvers.record import NAN_ANSWER, NAN_IGNORED, SolverRecord
+from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord, stated
 
 RECORD = SolverRecord(
     name="pyqpmad",
+    family="active set",
+    method="dual active set (Goldfarb-Idnani)",
     distribution="pyqpmad",
     module="pyqpmad",
-    method="dual active set (Goldfarb-Idnani)",
     extra="solvers",
     form="dense",
-    box="rows",
-    policies={"qpsolvers": ("fresh",)},
+    routes={"qpsolvers": RouteRecord(("fresh",), detects_infeasibility=False, faults=NAN_FAULTS)},
+    levels={},
+    project=stated(
+        licence=("BSD-3-Clause", "pyqpmad, LICENSE of its distribution"),
+        language=("C++, header-only on Eigen", "qpmad README"),
+        c_code=None,
+        allocation_free=("yes, after reserve", "pyqpmad README, Control Loop Example"),
+        single_precision=None,
+    ),
     needs_strict_convexity=True,
-    detects_infeasibility=False,
-    faults={**NAN_ANSWER, **NAN_IGNORED},
 )
 
 
@@ -35,4 +41,6 @@ def settings_object() -> Any:
     return import_module("pyqpmad").SolverParameters()
 
 
-ADAPTER = Adapter(RECORD, read_status, lambda: attributes(settings_object()), settings_object)
+ADAPTER = QpsolversAdapter(
+    RECORD, "rows", read_status, lambda: attributes(settings_object()), settings_object
+)

@@ -6,23 +6,35 @@ from importlib import import_module
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Adapter, ClaimedStatus, attributes
+from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter, attributes
 from dpbench.solvers.contract import Options
-from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
 
 RECORD = SolverRecord(
     name="qpalm",
+    family="augmented Lagrangian",
+    method="proximal augmented Lagrangian with an exact line search",
     distribution="qpalm",
     module="qpalm",
-    method="proximal augmented Lagrangian with an exact line search",
     extra="solvers",
     form="csc",
-    box="rows",
-    policies={"qpsolvers": ("fresh",)},
-    refused={
-        ("qpsolvers", "warm"): "qpsolvers sets the start as a setting `x`, which QPALM does not "
-        "have, and drops the error"
+    routes={
+        "qpsolvers": RouteRecord(
+            ("fresh",),
+            refused={
+                "warm": "qpsolvers sets the start as a setting `x`, which QPALM does not have, and "
+                "drops the error"
+            },
+        )
     },
+    levels=by_tolerance("eps_abs", eps_rel=0.0, max_iter=100_000),
+    project=stated(
+        licence=("LGPL-3.0-or-later", "QPALM, metadata of its distribution"),
+        language=("C", "QPALM README, Supported platforms"),
+        c_code=None,
+        allocation_free=None,
+        single_precision=None,
+    ),
 )
 
 STATUS = {
@@ -50,4 +62,6 @@ def settings_object() -> Any:
     return import_module("qpalm").Settings()
 
 
-ADAPTER = Adapter(RECORD, read_status, lambda: attributes(settings_object()), settings_object)
+ADAPTER = QpsolversAdapter(
+    RECORD, "rows", read_status, lambda: attributes(settings_object()), settings_object
+)

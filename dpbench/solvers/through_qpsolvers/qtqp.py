@@ -7,23 +7,35 @@ from importlib import import_module
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Adapter, ClaimedStatus
+from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter
 from dpbench.solvers.contract import Options
-from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
 
 RECORD = SolverRecord(
     name="qtqp",
+    family="interior point",
+    method="primal-dual interior point, homogeneous embedding, in Python",
     distribution="qtqp",
     module="qtqp",
-    method="primal-dual interior point, homogeneous embedding, in Python",
     extra="solvers",
     form="csc",
-    box="rows",
-    policies={"qpsolvers": ("fresh",)},
-    refused={
-        ("qpsolvers", "warm"): "qpsolvers does not hand a start on, and QTQP would need slacks "
-        "and multipliers as well"
+    routes={
+        "qpsolvers": RouteRecord(
+            ("fresh",),
+            refused={
+                "warm": "qpsolvers does not hand a start on, and QTQP would need slacks and "
+                "multipliers as well"
+            },
+        )
     },
+    levels=by_tolerance("tol_feas", "tol_gap_abs", "tol_gap_rel", max_iter=500),
+    project=stated(
+        licence=("Apache-2.0", "QTQP, metadata of its distribution"),
+        language=("Python", "QTQP README"),
+        c_code=None,
+        allocation_free=None,
+        single_precision=None,
+    ),
 )
 
 STATUS = {
@@ -49,4 +61,4 @@ def option_names() -> list[str]:
     return [name for name in names if name not in ("self", "verbose", "warm_start")]
 
 
-ADAPTER = Adapter(RECORD, read_status, option_names)
+ADAPTER = QpsolversAdapter(RECORD, "rows", read_status, option_names)

@@ -5,21 +5,28 @@ from __future__ import annotations
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Adapter, ClaimedStatus
+from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter
 from dpbench.solvers.contract import Options
-from dpbench.solvers.record import NAN_ANSWER, NAN_IGNORED, SolverRecord
+from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord, stated
 
 RECORD = SolverRecord(
     name="quadprog",
+    family="active set",
+    method="dual active set (Goldfarb-Idnani)",
     distribution="quadprog",
     module="quadprog",
-    method="dual active set (Goldfarb-Idnani)",
     extra="core",
     form="dense",
-    box="rows",
-    policies={"qpsolvers": ("fresh",)},
+    routes={"qpsolvers": RouteRecord(("fresh",), faults=NAN_FAULTS)},
+    levels={},
+    project=stated(
+        licence=("GPL-2.0-or-later", "quadprog, metadata of its distribution"),
+        language=("C, from Fortran", "quadprog, its source"),
+        c_code=None,
+        allocation_free=None,
+        single_precision=None,
+    ),
     needs_strict_convexity=True,
-    faults={**NAN_ANSWER, **NAN_IGNORED},
 )
 
 
@@ -31,8 +38,9 @@ def read_status(answer: Any, options: Options) -> ClaimedStatus:
 # The library raises ValueError for arrays of the wrong kind, for a P that is not positive definite
 # and for inconsistent constraints. The first cannot happen here and qpsolvers tells the second
 # apart, so "not found" is the third. Its one keyword, `factorized`, says what P is: no setting.
-ADAPTER = Adapter(
+ADAPTER = QpsolversAdapter(
     RECORD,
+    "rows",
     read_status,
     lambda: (),
     not_found=ClaimedStatus(Status.PRIMAL_INFEASIBLE, detail="constraints are inconsistent"),

@@ -6,20 +6,27 @@ from collections.abc import Mapping
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Adapter, ClaimedStatus
+from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter
 from dpbench.solvers.contract import Options
-from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
 
 RECORD = SolverRecord(
     name="scs",
+    family="first order",
+    method="operator splitting on the homogeneous embedding, Anderson acceleration",
     distribution="scs",
     module="scs",
-    method="operator splitting on the homogeneous embedding, Anderson acceleration",
     extra="solvers",
     form="csc",
-    box="rows",
-    policies={"qpsolvers": ("fresh", "warm")},
-    start="primal",
+    routes={"qpsolvers": RouteRecord(("fresh", "warm"), start="primal")},
+    levels=by_tolerance("eps_abs", eps_rel=0.0, max_iters=1_000_000),
+    project=stated(
+        licence=("MIT", "SCS, metadata of its distribution"),
+        language=("C", "SCS documentation, front page"),
+        c_code=None,
+        allocation_free=None,
+        single_precision=("yes, a flag of its build", "SCS source, scs.mk"),
+    ),
 )
 
 STATUS = {
@@ -69,4 +76,4 @@ def read_status(answer: Any, options: Options) -> ClaimedStatus:
     return ClaimedStatus(status, int(info["iter"]), round(milliseconds * 1e6), str(info["status"]))
 
 
-ADAPTER = Adapter(RECORD, read_status, lambda: OPTION_NAMES)
+ADAPTER = QpsolversAdapter(RECORD, "rows", read_status, lambda: OPTION_NAMES)

@@ -6,21 +6,31 @@ from importlib import import_module
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Adapter, ClaimedStatus, attributes
+from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter, attributes
 from dpbench.solvers.contract import Options
-from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
 
 RECORD = SolverRecord(
     name="sip",
+    family="interior point",
+    method="barrier augmented Lagrangian interior point",
     distribution="sip-qp-python",
     module="sip_qp_python",
-    method="barrier augmented Lagrangian interior point",
     extra="solvers",
     form="csc",
-    box="native",
-    policies={"qpsolvers": ("fresh", "warm")},
-    start="primal",
-    detects_infeasibility=False,
+    routes={
+        "qpsolvers": RouteRecord(("fresh", "warm"), start="primal", detects_infeasibility=False)
+    },
+    levels=by_tolerance("eps_abs", eps_rel=0.0),
+    project=stated(
+        licence=("MIT", "SIP, metadata of its distribution"),
+        language=("C++", "SIP QP README"),
+        c_code=None,
+        allocation_free=("yes, with Workspace::mem_assign", "SIP QP README"),
+        single_precision=None,
+    ),
+    # It orders its matrices with the AMD of CVXOPT.
+    needs_modules=("cvxopt",),
 )
 
 STATUS = {
@@ -68,4 +78,4 @@ def option_names() -> list[str]:
     return [*OF_QPSOLVERS, *plain, *grouped]
 
 
-ADAPTER = Adapter(RECORD, read_status, option_names)
+ADAPTER = QpsolversAdapter(RECORD, "native", read_status, option_names)

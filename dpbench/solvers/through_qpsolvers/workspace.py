@@ -13,12 +13,19 @@ from typing import Any
 import numpy as np
 from qpsolvers import Problem, solve_problem
 
-from dpbench.errors import DpbenchError
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Options, Policy, Workspace, check_step, owned
+from dpbench.solvers.adapter import QpsolversAdapter
+from dpbench.solvers.contract import (
+    Options,
+    Policy,
+    Workspace,
+    check_step,
+    not_set_up,
+    owned,
+    shift_into,
+)
 from dpbench.solvers.one_sided import OneSidedForm
-from dpbench.solvers.through_qpsolvers import Adapter
 
 IGNORE_ALL = ("ignore", None, Warning, None, 0)
 
@@ -33,11 +40,11 @@ class QpsolversWorkspace(Workspace):
     options : keyword arguments of the library, already validated.
     """
 
-    def __init__(self, adapter: Adapter, policy: Policy, options: Options) -> None:
+    def __init__(self, adapter: QpsolversAdapter, policy: Policy, options: Options) -> None:
         super().__init__(adapter.record.name, "qpsolvers", policy)
         self.form = adapter.record.form
-        self._adapter, self._record = adapter, adapter.record
-        self._name = adapter.record.qpsolvers_name or adapter.record.name
+        self._adapter = adapter
+        self._name = adapter.called
         self._options: dict[str, Any] = {**adapter.fixed, **options}
         self._base: QuadraticProgram | None = None
         self._answer: Any = None
@@ -52,7 +59,7 @@ class QpsolversWorkspace(Workspace):
 
     def _prepare(self, qp: QuadraticProgram) -> None:
         self._base = qp
-        self._form = OneSidedForm(qp, self._record.form, self._record.box)
+        self._form = OneSidedForm(qp, self.form, self._adapter.box)
         self._fill(qp.q, qp.l, qp.u)
 
     def _fill(self, q: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
@@ -64,7 +71,7 @@ class QpsolversWorkspace(Workspace):
         """Take over the vectors; rebuild when matrices, equalities or infinite sides change."""
         base = self._base
         if base is None:
-            raise DpbenchError("update before setup: call setup with the whole problem first")
+            raise not_set_up("update")
         check_step(step, base.n, base.m)
         if self.policy == "warm":
             self._start = self._shifted_start(base.block)
@@ -82,8 +89,7 @@ class QpsolversWorkspace(Workspace):
         if self._last is None or block == 0:
             return self._last
         start = np.empty_like(self._last)
-        start[:-block] = self._last[block:]
-        start[-block:] = 0.0
+        shift_into(start, self._last, block)
         return start
 
     def solve(self) -> None:
@@ -108,7 +114,7 @@ class QpsolversWorkspace(Workspace):
     def read(self) -> Solution:
         """The answer with its multipliers mapped to the two-sided problem."""
         if self._base is None:
-            raise DpbenchError("read before setup: call setup with the whole problem first")
+            raise not_set_up("read")
         n, m = self._base.n, self._base.m
         self._last, self._unread = None, False
         answer = self._answer

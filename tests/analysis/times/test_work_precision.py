@@ -12,8 +12,8 @@ from dpbench.analysis.times.work_precision import (
 )
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import load_suite
-from dpbench.solvers.settings import setting_names
-from dpbench.solvers.table import record, settings_matter
+from dpbench.solvers.settings import setting_names, settings_matter
+from dpbench.solvers.table import record
 
 BOTH = ("paper", "rough[900:1400]")
 

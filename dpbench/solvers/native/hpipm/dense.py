@@ -12,34 +12,52 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Vector
-from dpbench.qp.solution import Solution, Status
+from dpbench.qp.solution import Solution
 from dpbench.solvers.adapter import NativeAdapter
 from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.native.base import NativeWorkspace, Start, stacked
 from dpbench.solvers.native.hpipm.library import (
     OPTION_NAMES,
+    TOLERANCE_NAMES,
     Limits,
     Structures,
     blasfeo_build,
     load_library,
-    pattern,
     pointer,
 )
-from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.one_sided import Sides
+from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
 
 RECORD = SolverRecord(
     name="hpipm",
+    family="interior point",
+    method="primal-dual interior point, dense",
     distribution="casadi",
     module="casadi",
-    method="primal-dual interior point, dense",
     extra="casadi",
     form="dense",
-    box="native",
-    policies={"native": ("fresh", "reuse", "warm")},
-    start="primal",
-    detects_infeasibility=False,
-    updates="vectors",
-    two_sided=True,
+    routes={
+        "native": RouteRecord(
+            ("fresh", "reuse", "warm"),
+            updates="vectors",
+            start="primal",
+            two_sided=True,
+            detects_infeasibility=False,
+        )
+    },
+    # It meets equalities by a Schur complement by default, which takes a positive definite cost;
+    # by the null space (0) it takes any convex one.
+    levels=by_tolerance(*TOLERANCE_NAMES, iter_max=200, always={"kkt_fact_alg": 0}),
+    project=stated(
+        licence=("BSD-2-Clause", "HPIPM source, head of each file"),
+        language=("C, on BLASFEO", "HPIPM reference guide, Introduction"),
+        c_code=("it is C to embed", "HPIPM reference guide, Introduction"),
+        allocation_free=(
+            "yes, memory comes from the caller",
+            "HPIPM source, *_memsize and *_create",
+        ),
+        single_precision=("yes, routines s_*", "HPIPM source, s_dense_qp_ipm"),
+    ),
     build=blasfeo_build,
 )
 
@@ -48,20 +66,18 @@ class HpipmWorkspace(NativeWorkspace):
     """HPIPM on lb ≤ v ≤ ub, lg ≤ C v ≤ ug, A v = b; `warm` gives it the previous v, shifted."""
 
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
-        super().__init__(record.name, "dense", policy, options)
+        super().__init__(record, policy, options)
         self._library = load_library()
         self._flags = ctypes.c_int(0), ctypes.c_int(1)
 
     def _convert(self) -> None:
-        n, m = self._n, self._m
-        self._rows = stacked(self._A, n)
-        self._low, self._high = np.empty(m + n), np.empty(m + n)
-        self._low[m:], self._high[m:] = self._lb, self._ub
+        self._rows = stacked(self._A, self._n)
+        self._low, self._high = self._limits_of_all()
 
     def _build(self) -> None:
         n, m, library = self._n, self._m, self._library
         self._low[:m], self._high[:m] = self._l, self._u
-        self._pattern = pattern(self._l, self._u)
+        self._pattern = Sides.pattern(self._l, self._u)
         limits = self._limits = Limits(self._low, self._high, m)
         n_bounds = limits.bounds.size
         sizes = (n, limits.equal.size, n_bounds, limits.rows.size, 0)
@@ -122,9 +138,8 @@ class HpipmWorkspace(NativeWorkspace):
             function(address, qp)
 
     def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
-        if pattern(low, high) != self._pattern:
-            self._q[:], self._l[:], self._u[:] = q, low, high
-            self._build()
+        if Sides.pattern(low, high) != self._pattern:
+            self._build_for(q, low, high)
             return
         m, library, parts = self._m, self._library, self._parts
         self._low[:m], self._high[:m] = low, high
@@ -151,7 +166,6 @@ class HpipmWorkspace(NativeWorkspace):
         y[limits.sides] = self._upper - self._lower
         if limits.equal.size:
             y[limits.equal] = -self._pi
-        detail = "" if status is Status.SOLVED else detail
         return Solution(status, self._z.copy(), y[:m], y[m:], count, detail=detail)
 
     def _remember(self, solution: Solution) -> None:

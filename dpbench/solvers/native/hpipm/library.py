@@ -16,10 +16,12 @@ from dpbench.solvers.contract import Options
 from dpbench.solvers.record import Build
 
 MODES = ("SPEED_ABS", "SPEED", "BALANCE", "ROBUST")
-REALS = ("mu0", "tol_stat", "tol_eq", "tol_ineq", "tol_comp", "reg_prim", "alpha_min")
+TOLERANCE_NAMES = ("tol_stat", "tol_eq", "tol_ineq", "tol_comp")
+REALS = ("mu0", *TOLERANCE_NAMES, "reg_prim", "alpha_min")
 INTEGERS = ("iter_max", "pred_corr", "cond_pred_corr", "kkt_fact_alg", "ric_alg")
 OPTION_NAMES = ("mode", *REALS, *INTEGERS[:3])
 """Settings that both interfaces have."""
+
 
 STATUS = {
     0: Status.SOLVED,
@@ -176,9 +178,3 @@ class Limits:
         for mask, infinite in zip(masks, self.infinite, strict=True):
             mask[infinite] = 0.0
         return [mask[self.bounds.size :].copy() for mask in masks]
-
-
-def pattern(low: Vector, high: Vector) -> bytes:
-    """Equal for limits of the same equal and infinite entries."""
-    parts: tuple[NDArray[np.bool_], ...] = (low == high, low == -np.inf, high == np.inf)
-    return b"".join(part.tobytes() for part in parts)

@@ -12,27 +12,29 @@ from dataclasses import replace
 import numpy as np
 
 from dpbench.arrays import Vector
-from dpbench.qp.solution import Solution, Status
+from dpbench.qp.solution import Solution
 from dpbench.solvers.adapter import NativeAdapter
 from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.native.base import NativeWorkspace, Start
 from dpbench.solvers.native.hpipm import dense as hpipm
 from dpbench.solvers.native.hpipm.library import (
     OPTION_NAMES,
+    TOLERANCE_NAMES,
     Structures,
     load_library,
-    pattern,
     pointer,
 )
 from dpbench.solvers.native.hpipm.stage_data import Part, StageData, addresses
 from dpbench.solvers.native.hpipm.stages import find_stages
-from dpbench.solvers.record import SolverRecord
+from dpbench.solvers.one_sided import Sides
+from dpbench.solvers.record import SolverRecord, by_tolerance
 
 RECORD = replace(
     hpipm.RECORD,
     name="hpipm_ocp",
     method="primal-dual interior point, factorised stage by stage",
     form="csc",
+    levels=by_tolerance(*TOLERANCE_NAMES, iter_max=200),
 )
 
 
@@ -43,27 +45,25 @@ class HpipmOcpWorkspace(NativeWorkspace):
     """
 
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
-        super().__init__(record.name, record.form, policy, options)
+        super().__init__(record, policy, options)
         self._library = load_library()
         self._flags = tuple(ctypes.byref(ctypes.c_int(flag)) for flag in (0, 1))
         self._pattern: bytes | None = None
 
     def _convert(self) -> None:
-        n, m = self._n, self._m
-        self._low, self._high = np.empty(m + n), np.empty(m + n)
-        self._low[m:], self._high[m:] = self._lb, self._ub
+        self._low, self._high = self._limits_of_all()
         self._pattern = None
 
     def _find(self) -> None:
         """The stages, and all that is the same while the same limits are equal or infinite."""
-        self._pattern = pattern(self._l, self._u)
+        self._pattern = Sides.pattern(self._l, self._u)
         stages = find_stages(self._P, self._A, self._l == self._u)
         self._data = StageData(stages, self._P, self._A, self._low, self._high)
 
     def _build(self) -> None:
         m = self._m
         self._low[:m], self._high[:m] = self._l, self._u
-        if pattern(self._l, self._u) != self._pattern:
+        if Sides.pattern(self._l, self._u) != self._pattern:
             self._find()
         data = self._data
         sizes, last = tuple(map(pointer, data.sizes)), len(data.stages) - 1
@@ -128,9 +128,8 @@ class HpipmOcpWorkspace(NativeWorkspace):
             part.send(everything)
 
     def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
-        if pattern(low, high) != self._pattern:
-            self._q[:], self._l[:], self._u[:] = q, low, high
-            self._build()
+        if Sides.pattern(low, high) != self._pattern:
+            self._build_for(q, low, high)
             return
         m = self._m
         self._low[:m], self._high[:m] = low, high
@@ -156,7 +155,6 @@ class HpipmOcpWorkspace(NativeWorkspace):
         z[data.order] = self._z
         y[data.sides] = self._upper - self._lower
         y[data.dynamics] = -self._pi / data.pivots
-        detail = "" if status is Status.SOLVED else detail
         return Solution(status, z, y[:m], y[m:], count, detail=detail)
 
     def _remember(self, solution: Solution) -> None:

@@ -106,7 +106,7 @@ class StageData:
     def _stage(self, k: int, P: Matrix, A: Matrix) -> dict[str, NDArray[Any]]:
         stage, limits = self.stages[k], self.limits[k]
         u, x, general = stage.inputs, stage.states, limited(A, limits.rows)
-        found: dict[str, NDArray[Any]] = {
+        matrices: dict[str, NDArray[Any]] = {
             "R": P[np.ix_(u, u)],
             "Q": P[np.ix_(x, x)],
             "S": P[np.ix_(u, x)],
@@ -117,9 +117,9 @@ class StageData:
             after = self.stages[k + 1]
             defining = A[after.dynamics]
             factor = -defining[np.arange(after.states.size), after.states][:, None]
-            found |= {"A": defining[:, x] / factor, "B": defining[:, u] / factor}
-        found = {name: np.asfortranarray(matrix) for name, matrix in found.items()}
-        return found | {"idxb": limits.positions}
+            matrices |= {"A": defining[:, x] / factor, "B": defining[:, u] / factor}
+        matrices = {name: np.asfortranarray(matrix) for name, matrix in matrices.items()}
+        return matrices | {"idxb": limits.positions}
 
     @property
     def sizes(self) -> list[NDArray[np.intc]]:

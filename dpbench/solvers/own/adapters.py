@@ -1,0 +1,89 @@
+"""The solvers of this house: their records, and how each is opened.
+
+What is compiled is loaded, or compiled at the first time, only when it is asked for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from dpbench.solvers.adapter import NativeAdapter
+from dpbench.solvers.contract import Options, Policy, Workspace
+from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
+
+PAPER_ACTIVE_SET = SolverRecord(
+    name="paper_active_set",
+    family="active set",
+    method="active set by its multipliers (paper eq. 30-32), pivoting of Goldfarb-Idnani",
+    distribution="",
+    module="",
+    extra="own",
+    form="dense",
+    routes={
+        "native": RouteRecord(
+            ("fresh", "reuse", "warm"), updates="vectors", start="active set", two_sided=True
+        )
+    },
+    levels={},
+    project=stated(
+        licence=("Apache-2.0", "dpbench, pyproject.toml"),
+        language=("Python, compiled by Numba", "dpbench, source"),
+        c_code=None,
+        allocation_free=None,
+        single_precision=None,
+    ),
+    needs_strict_convexity=True,
+)
+HILDRETH = replace(
+    PAPER_ACTIVE_SET,
+    name="hildreth",
+    family="first order",
+    method="dual coordinate ascent (Hildreth 1957), stopped as in Wang's textbook (2009)",
+    routes={"native": replace(PAPER_ACTIVE_SET.on("native"), start="dual")},
+    # Sweeps are cheap, and there are problems that take tens of thousands.
+    levels=by_tolerance("eps_row", max_iter=1_000_000),
+)
+UNCONSTRAINED_CLIPPED = replace(
+    PAPER_ACTIVE_SET,
+    name="unconstrained_clipped",
+    family="baseline law",
+    method="unconstrained law z = −P⁻¹q (paper eq. 27), to be clipped by the loop",
+    routes={
+        "native": RouteRecord(
+            ("fresh", "reuse"),
+            gives_multipliers=False,
+            detects_infeasibility=False,
+            refused={"warm": "a direct solve has no start"},
+        )
+    },
+)
+
+
+def _paper_active_set(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
+    from dpbench.solvers.own.paper_active_set import PaperActiveSet
+
+    return PaperActiveSet(record.name, "native", policy)
+
+
+def _hildreth(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
+    from dpbench.solvers.own.hildreth import Hildreth, HildrethSettings
+
+    return Hildreth(record.name, "native", policy, HildrethSettings.of(options))
+
+
+def _unconstrained(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
+    from dpbench.solvers.own.unconstrained import FreshUnconstrained, Unconstrained
+
+    kind = FreshUnconstrained if policy == "fresh" else Unconstrained
+    return kind(record.name, "native", policy)
+
+
+OWN = {
+    adapter.record.name: adapter
+    for adapter in (
+        NativeAdapter(PAPER_ACTIVE_SET, _paper_active_set, lambda: ()),
+        NativeAdapter(HILDRETH, _hildreth, lambda: ("max_iter", "eps_change", "eps_row")),
+        NativeAdapter(UNCONSTRAINED_CLIPPED, _unconstrained, lambda: ()),
+    )
+}
+"""By the name of the solver."""
