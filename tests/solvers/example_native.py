@@ -1,0 +1,35 @@
+"""A native solver as a newcomer adds it: this file in `native/`, and nothing else.
+
+It is quadprog under another name, which keeps nothing from step to step.
+"""
+
+from dpbench.solvers.adapter import NativeAdapter
+from dpbench.solvers.native.quadprog import QuadprogWorkspace
+from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord, by_tolerance, stated
+
+RECORD = SolverRecord(
+    name="newcomer",
+    family="augmented Lagrangian",
+    method="that of the example",
+    distribution="quadprog",
+    module="quadprog",
+    extra="core",
+    form="dense",
+    routes={
+        "native": RouteRecord(
+            ("fresh",),
+            refused={"reuse": "the example keeps nothing", "warm": "the example has no start"},
+            faults=NAN_FAULTS,
+        )
+    },
+    levels=by_tolerance("precision", always={"care": 1}),
+    project=stated(
+        licence=("MIT", "the example"),
+        language=("C", "the example"),
+        c_code=("yes, all of it", "the example"),
+        allocation_free=None,
+        single_precision=None,
+    ),
+    needs_strict_convexity=True,
+)
+ADAPTER = NativeAdapter(RECORD, QuadprogWorkspace, lambda: ("care", "precision"))

@@ -1,0 +1,129 @@
+"""To add a solver is to add its file: in a copy of the package, as CONTRIBUTING says."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import dpbench
+from dpbench.errors import DpbenchError
+from dpbench.solvers.adapter import NativeAdapter, adapters_in
+
+HERE, ROOT = Path(__file__).parent, Path(dpbench.__file__).parents[1]
+(TEXT,) = re.findall(
+    r"^- \*\*a solver\*\*:(.*?)^- ", (ROOT / "CONTRIBUTING.md").read_text(), re.M | re.S
+)
+NATIVE, WRAPPED = re.findall(r"`(dpbench/solvers/\w+/)`", TEXT)
+NEWCOMERS = ("newcomer", "newcomer_wrapped")
+
+
+@pytest.fixture(scope="module")
+def copied(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the package with two more files in it, and of these tests."""
+    root = tmp_path_factory.mktemp("copied")
+    # With the caches of what is compiled: compiling takes a minute.
+    shutil.copytree(ROOT / "dpbench", root / "dpbench")
+    shutil.copytree(HERE, root / "tests")
+    shutil.copy(HERE / "example_native.py", root / NATIVE / "newcomer.py")
+    shutil.copy(HERE / "example_wrapped.py", root / WRAPPED / "newcomer_wrapped.py")
+    return root
+
+
+def _run(root: Path, *arguments: str) -> str:
+    environment = {**os.environ, "PYTHONPATH": f"{root}:{os.environ.get('PYTHONPATH', '')}"}
+    command = [sys.executable, *arguments]
+    done = subprocess.run(
+        command, check=False, cwd=root, env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_a_file_is_all_that_a_solver_takes(copied: Path) -> None:
+    """Its routes, levels, family, colour, place in a legend and facts are those of its record."""
+    program = f"""
+import json
+from dpbench.report.style import FAMILIES, colour_of, family_colours
+from dpbench.solvers.settings import describe_levels, resolve, setting_names
+from dpbench.solvers.table import TABLE, available, native_adapter
+found = {{}}
+for name in {NEWCOMERS}:
+    row = TABLE[name]
+    found[name] = dict(
+        routes=row.policies, ok=available(name).ok, levels=describe_levels(name).splitlines(),
+        licence=row.project.licence.value, language=row.project.language.value,
+        c_code=row.project.c_code.value, aboard=row.why_not_aboard == "",
+        refusal=row.refusal(row.default_route, "reuse"), legend=family_colours([name]),
+        coloured=colour_of(name) == FAMILIES[row.family][1])
+found["own key"] = dict(resolve({{"precision": 0.5}}, native_adapter("newcomer")))
+print(json.dumps(found))
+"""
+    found: dict[str, Any] = json.loads(_run(copied, "-c", program))
+    native, wrapped = (found[name] for name in NEWCOMERS)
+    assert native["routes"] == {"native": ["fresh"]}
+    assert wrapped["routes"] == {"qpsolvers": ["fresh"]}
+    assert native["levels"][:2] == ["default: care=1", "low: care=1, precision=0.001"]
+    assert found["own key"] == {"care": 1, "precision": 0.5}
+    assert (native["licence"], native["language"], native["c_code"]) == (
+        "MIT",
+        "C",
+        "yes, all of it",
+    )
+    assert native["refusal"] == "the example keeps nothing"
+    assert list(native["legend"]) == ["first order, augmented Lagrangian"]
+    assert list(wrapped["legend"]) == ["active set"]
+    assert all(one[key] for one in (native, wrapped) for key in ("ok", "aboard", "coloured"))
+
+
+def test_it_is_listed(copied: Path) -> None:
+    """`dpbench list solvers` tells of it."""
+    listed = _run(copied, "-m", "dpbench", "list", "solvers")
+    assert re.search(r"^newcomer +│.*that of the", listed, re.M)
+    assert re.search(r"^newcomer_wrapped +│", listed, re.M)
+
+
+def test_conformance_is_tested_from_its_record(copied: Path) -> None:
+    """The command that CONTRIBUTING gives runs the tests of the new solvers, and they pass."""
+    (asked,) = re.findall(r"`pytest tests/solvers (-k NAME)`", TEXT)
+    option, _ = asked.split()
+    lines = _run(copied, "-m", "pytest", "-v", "tests/test_conformance.py", option, "newcomer")
+    for name in NEWCOMERS:
+        assert lines.count(f"{name}-") >= 20
+
+
+def test_a_file_without_an_adapter_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file that registers nothing, or a name a second time, does not pass in silence."""
+    folder = tmp_path / "two_solvers"
+    folder.mkdir()
+    (folder / "__init__.py").touch()
+    (folder / "helper.py").write_text("x = 1\n")
+    for name in ("one", "two"):
+        (folder / f"{name}.py").write_text((HERE / "example_native.py").read_text())
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(DpbenchError, match=r"two_solvers.helper holds no NativeAdapter"):
+        adapters_in("two_solvers", NativeAdapter, besides=())
+    with pytest.raises(DpbenchError, match=r"two_solvers.two: solver newcomer is there twice"):
+        adapters_in("two_solvers", NativeAdapter, besides=("helper",))
+    assert list(adapters_in("two_solvers", NativeAdapter, besides=("helper", "two"))) == [
+        "newcomer"
+    ]
+
+
+@pytest.mark.parametrize("field", ["family", "levels", "project", "routes"])
+def test_a_forgotten_field_is_an_error(tmp_path: Path, field: str) -> None:
+    """A record that does not say its family, levels, facts or routes is none."""
+    text = (HERE / "example_native.py").read_text()
+    incomplete = re.sub(rf"^    {field}=.*?(?=^    \w+=)", "", text, count=1, flags=re.M | re.S)
+    assert incomplete != text
+    with pytest.raises(TypeError, match=field):
+        exec(compile(incomplete, "newcomer.py", "exec"), {})
