@@ -54,24 +54,24 @@ import json
 from dpbench.report.style import FAMILIES, colour_of, family_colours
 from dpbench.solvers.settings import describe_levels, resolve, setting_names
 from dpbench.solvers.table import TABLE, available, native_adapter
-found = {{}}
+told = {{}}
 for name in {NEWCOMERS}:
     row = TABLE[name]
-    found[name] = dict(
+    told[name] = dict(
         routes=row.policies, ok=available(name).ok, levels=describe_levels(name).splitlines(),
         licence=row.project.licence.value, language=row.project.language.value,
         c_code=row.project.c_code.value, aboard=row.why_not_aboard == "",
         refusal=row.refusal(row.default_route, "reuse"), legend=family_colours([name]),
         coloured=colour_of(name) == FAMILIES[row.family][1])
-found["own key"] = dict(resolve({{"precision": 0.5}}, native_adapter("newcomer")))
-print(json.dumps(found))
+told["own key"] = dict(resolve({{"precision": 0.5}}, native_adapter("newcomer")))
+print(json.dumps(told))
 """
-    found: dict[str, Any] = json.loads(_run(copied, "-c", program))
-    native, wrapped = (found[name] for name in NEWCOMERS)
+    told: dict[str, Any] = json.loads(_run(copied, "-c", program))
+    native, wrapped = (told[name] for name in NEWCOMERS)
     assert native["routes"] == {"native": ["fresh"]}
     assert wrapped["routes"] == {"qpsolvers": ["fresh"]}
     assert native["levels"][:2] == ["default: care=1", "low: care=1, precision=0.001"]
-    assert found["own key"] == {"care": 1, "precision": 0.5}
+    assert told["own key"] == {"care": 1, "precision": 0.5}
     assert (native["licence"], native["language"], native["c_code"]) == (
         "MIT",
         "C",

@@ -81,5 +81,5 @@ def test_a_lesser_processor_has_a_lesser_build(
 def test_results_of_one_build_are_not_those_of_another() -> None:
     """Version and build together name a library; without a build the version does."""
     versions = [Availability(True, "1.0", build=Build(text)) for text in ("", "AVX2", "AVX-512")]
-    assert len({found.identity for found in versions}) == 3
+    assert len({each.identity for each in versions}) == 3
     assert versions[0].identity == "1.0"

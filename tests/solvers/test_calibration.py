@@ -62,9 +62,9 @@ def test_copy_only_copies_in_and_out(qp: QuadraticProgram) -> None:
     workspace.setup(qp)
     step = QPStep(qp.q + 1, qp.l - 1, qp.u + 2)
     workspace.update(step)
-    for found, given in ((workspace.q, step.q), (workspace.l, step.l), (workspace.u, step.u)):
-        np.testing.assert_array_equal(found, given)
-        assert not np.shares_memory(found, given)
+    for copied, given in ((workspace.q, step.q), (workspace.l, step.l), (workspace.u, step.u)):
+        np.testing.assert_array_equal(copied, given)
+        assert not np.shares_memory(copied, given)
     first, second = workspace.read(), workspace.read()
     for a, b in ((first.z, second.z), (first.y, second.y), (first.y_box, second.y_box)):
         assert not np.shares_memory(a, b)

@@ -196,8 +196,8 @@ def test_inputs_stay_as_they_are_and_are_not_kept(configuration, sequence, solve
     expected = workspace.read().z
     for name in names:
         np.testing.assert_array_equal(getattr(base, name), before[name])
-    for mine, kept in zip((step.q, step.l, step.u), vectors, strict=True):
-        np.testing.assert_array_equal(mine, kept)
+    for handed_over, kept in zip((step.q, step.l, step.u), vectors, strict=True):
+        np.testing.assert_array_equal(handed_over, kept)
     again = configuration.open()
     again.setup(base)
     again.solve()
@@ -237,8 +237,8 @@ def test_an_answer_is_the_callers_own(configuration, sequence):
     workspace.update(sequence.steps[0])
     workspace.solve()
     workspace.read()
-    for mine, before in zip((first.z, first.y, first.y_box), kept, strict=True):
-        np.testing.assert_array_equal(mine, before)
+    for answered, before in zip((first.z, first.y, first.y_box), kept, strict=True):
+        np.testing.assert_array_equal(answered, before)
 
 
 @pytest.mark.parametrize("name", ["q", "l", "u", "P", "A", "lb", "ub"])

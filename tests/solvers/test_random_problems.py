@@ -25,10 +25,10 @@ SEEDS = range(12)
 
 
 def answers(
-    found: Planted, policy: Policy, solver: str = "paper_active_set", settings: str = "default"
+    problem: Planted, policy: Policy, solver: str = "paper_active_set", settings: str = "default"
 ) -> list[tuple[QuadraticProgram, Solution]]:
     """The problem and the answer of every step."""
-    sequence = found.sequence
+    sequence = problem.sequence
     workspace = open_workspace(solver, route="native", policy=policy, settings=settings)
     workspace.setup(sequence.base)
     pairs = []
@@ -46,13 +46,13 @@ def answers(
     return pairs
 
 
-def check(found: Planted, policy: Policy) -> None:
+def check(problem: Planted, policy: Policy) -> None:
     """Every feasible step is solved and true at 1e-6, every other one proven infeasible."""
-    for k, (qp, answer) in enumerate(answers(found, policy)):
-        where = f"{found.sequence.name}, {policy}, step {k}: {answer.status.name} {answer.detail}"
-        if found.feasible[k]:
+    for k, (qp, answer) in enumerate(answers(problem, policy)):
+        where = f"{problem.sequence.name}, {policy}, step {k}: {answer.status.name} {answer.detail}"
+        if problem.feasible[k]:
             assert answer.status is Status.SOLVED, where
-            error = float(np.abs(answer.z - found.z[k]).max())
+            error = float(np.abs(answer.z - problem.z[k]).max())
             assert is_true(qp, residuals(qp, answer), error, 1e-6), where
         else:
             assert answer.status is Status.PRIMAL_INFEASIBLE, where
@@ -82,12 +82,13 @@ def test_the_same_at_the_largest_size(family: str, policy: Policy) -> None:
 @pytest.mark.parametrize("policy", ["fresh", "reuse", "warm"])
 def test_high_settings_tighten_the_proximal_steps_of_daqp(policy: Policy) -> None:
     """Where P is semidefinite its answers at `high` are right to 1e-5, those at `default` not."""
-    found = planted(RandomRecipe("semidefinite", 12, 30, 2, block=2))
+    problem = planted(RandomRecipe("semidefinite", 12, 30, 2, block=2))
 
     def worst(settings: str) -> float:
-        pairs = answers(found, policy, "daqp", settings)
+        pairs = answers(problem, policy, "daqp", settings)
         return max(
-            float(np.abs(answer.z - z).max()) for (_, answer), z in zip(pairs, found.z, strict=True)
+            float(np.abs(answer.z - z).max())
+            for (_, answer), z in zip(pairs, problem.z, strict=True)
         )
 
     assert worst("high") <= 1e-5 < worst("default")

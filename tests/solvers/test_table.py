@@ -111,9 +111,9 @@ def test_a_library_that_fails_to_import_is_listed_with_its_words(monkeypatch, tm
     (tmp_path / "daqp.py").write_text(f"raise {raised}('no such  instruction')\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "daqp", raising=False)
-    found = available("daqp")
-    assert not found.ok
-    assert found.reason == f"importing daqp failed: {raised}: no such instruction"
+    daqp = available("daqp")
+    assert not daqp.ok
+    assert daqp.reason == f"importing daqp failed: {raised}: no such instruction"
 
 
 def test_unknown_names_are_refused():

@@ -93,15 +93,15 @@ def answers(case: Staged, policy: str) -> Iterator[tuple[QuadraticProgram, Solut
         yield qp, workspace.read()
 
 
-def assert_optimal(qp: QuadraticProgram, found: Solution) -> None:
+def assert_optimal(qp: QuadraticProgram, answer: Solution) -> None:
     """The certified optimum, and multipliers that fulfil all conditions of optimality."""
     # An interior point is as near as the square root of its gap where limits are weakly active.
-    np.testing.assert_allclose(found.z, certify(qp).z, rtol=0, atol=1e-5)
-    gradient = qp.P @ found.z + qp.q + qp.A.T @ found.y + found.y_box
+    np.testing.assert_allclose(answer.z, certify(qp).z, rtol=0, atol=1e-5)
+    gradient = qp.P @ answer.z + qp.q + qp.A.T @ answer.y + answer.y_box
     assert np.abs(gradient).max() < 1e-8
     for value, low, high, y in (
-        (qp.A @ found.z, qp.l, qp.u, found.y),
-        (found.z, qp.lb, qp.ub, found.y_box),
+        (qp.A @ answer.z, qp.l, qp.u, answer.y),
+        (answer.z, qp.lb, qp.ub, answer.y_box),
     ):
         assert (value - high).max() < 1e-8 and (low - value).max() < 1e-8
         for side, slack in ((y, high - value), (-y, value - low)):
@@ -115,11 +115,11 @@ def test_random_optimal_control_problems(policy: str) -> None:
     """Answers and multipliers; what is not claimed is a stall, which it comes to now and then."""
     stalls = 0
     for seed in range(60):
-        for qp, found in answers(Staged(seed, 1 + seed % 4), policy):
-            if found.status is Status.SOLVED:
-                assert_optimal(qp, found)
+        for qp, answer in answers(Staged(seed, 1 + seed % 4), policy):
+            if answer.status is Status.SOLVED:
+                assert_optimal(qp, answer)
             else:
-                assert found.status is Status.MAX_ITERATIONS
+                assert answer.status is Status.MAX_ITERATIONS
                 stalls += 1
     assert stalls <= 4  # of 180
 

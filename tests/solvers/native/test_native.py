@@ -27,12 +27,12 @@ def opened(solver, policy="", settings="default"):
 def answers(workspace, base, steps):
     """The answers of a workspace along steps."""
     workspace.setup(base)
-    found = []
+    solutions = []
     for step in steps:
         workspace.update(step)
         workspace.solve()
-        found.append(workspace.read())
-    return found
+        solutions.append(workspace.read())
+    return solutions
 
 
 @pytest.mark.parametrize("solver", WARM)
@@ -66,8 +66,8 @@ def test_a_start_is_the_previous_answer_one_move_later():
         assert not start.advance()
         start.remember(Solution(Status.SOLVED, z, y, y_box))
         assert start.advance()
-        for found, wanted in zip((start.z, start.y, start.y_box), expected, strict=True):
-            np.testing.assert_array_equal(found, wanted)
+        for shifted, wanted in zip((start.z, start.y, start.y_box), expected, strict=True):
+            np.testing.assert_array_equal(shifted, wanted)
         np.testing.assert_array_equal(start.dual, np.concatenate([start.y, start.y_box]))
 
 
@@ -119,9 +119,9 @@ def test_limits_that_cross_are_never_solved(solver, sequence):
     limit = {"max_iter": 50, "max_iter_in": 50} if solver.startswith("proxqp") else "default"
     workspace = opened(solver, settings=limit)
     for qp in (base, base.at(crossed)):
-        found = answers(workspace, qp, [crossed, step])
-        assert found[0].claimed == (blind and qp is base)
-        assert found[1].claimed
+        solutions = answers(workspace, qp, [crossed, step])
+        assert solutions[0].claimed == (blind and qp is base)
+        assert solutions[1].claimed
 
 
 class Panic(BaseException):
@@ -205,14 +205,14 @@ def test_rows_that_become_equalities_are_solved_as_such(solver):
         low, high = middle - 0.1, middle + 0.1
         low[equal] = high[equal] = middle[equal]
         steps.append(QPStep(q, low, high))
-    for step, found in zip(
+    for step, answer in zip(
         steps, answers(opened(solver, "reuse", "high"), base, steps), strict=True
     ):
         expected = certify(base.at(step))
-        assert found.status is Status.SOLVED and found.iterations < 30
-        np.testing.assert_allclose(found.z, expected.z, atol=1e-7)
-        np.testing.assert_allclose(found.y, expected.y, atol=1e-6)
-        np.testing.assert_allclose(found.y_box, expected.y_box, atol=1e-6)
+        assert answer.status is Status.SOLVED and answer.iterations < 30
+        np.testing.assert_allclose(answer.z, expected.z, atol=1e-7)
+        np.testing.assert_allclose(answer.y, expected.y, atol=1e-6)
+        np.testing.assert_allclose(answer.y_box, expected.y_box, atol=1e-6)
 
 
 def test_arrays_given_before_are_known_and_new_ones_are_taken(sequence):

@@ -69,9 +69,9 @@ def assert_whole(stages: list[Stage], P: Array, A: Array, equal: NDArray[np.bool
     np.testing.assert_array_equal(np.sort(variables), np.arange(P.shape[0]))
     np.testing.assert_array_equal(np.sort(rows), np.arange(A.shape[0]))
     assert stages[0].states.size == 0 and equal[dynamics].all()
-    cost, found = reassembled(stages, P, A)
+    cost, rows = reassembled(stages, P, A)
     np.testing.assert_array_equal(cost, P)
-    np.testing.assert_array_equal(found, A)
+    np.testing.assert_array_equal(rows, A)
 
 
 SIZES = st.tuples(
@@ -90,8 +90,8 @@ def test_the_stages_a_problem_was_made_of_are_found(
     """Any number of stages of any sizes, rows in any order, inputs at the last stage too."""
     made = Made(np.random.default_rng(seed), [sizes[0], *sizes[1]])
     stages = find_stages(made.P, made.A, made.equal)
-    found = [(set(stage.inputs.tolist()), set(stage.states.tolist())) for stage in stages]
-    assert found == made.stages
+    variables = [(set(stage.inputs.tolist()), set(stage.states.tolist())) for stage in stages]
+    assert variables == made.stages
     assert_whole(stages, made.P, made.A, made.equal)
 
 
