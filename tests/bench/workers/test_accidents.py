@@ -211,10 +211,10 @@ def test_a_worker_that_died_between_rounds_ends_no_campaign(tmp_path: Path) -> N
     ours, theirs = Pipe()
     theirs.close()
     cell = cast(Cell, SimpleNamespace(limit_s=1.0))
-    configuration = interleave._Arm("a", cell, cast(supervise.Child, None), ours)
+    worker = interleave._ReplayWorker("a", cell, cast(supervise.Child, None), ours)
     group = interleave.ReplayGroup(cast(Any, None), tmp_path, tmp_path, 0, [])
-    group._serve(configuration, 1)
-    assert not configuration.serving
+    group._serve(worker, 1)
+    assert not worker.serving
 
 
 def mounted(size: str) -> list[str]:
