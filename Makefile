@@ -7,6 +7,12 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.dpbench-installed
 OUT    ?= results/standard
 CASADI := build/casadi
+CORE   := build/core
+LOWEST := build/lowest
+TEST_TOOLS := hypothesis markdown-it-py packaging pytest pytest-xdist
+LOWEST_TESTS := tests/solvers tests/scenario tests/mpc tests/bench/plan tests/report/test_tables.py
+# Tests beside each other, one a core; `alone` are those that need the machine to themselves.
+SIDE_BY_SIDE := -n 2 --dist worksteal
 
 # One thread for every numerical library: two cores are two benchmark slots, not one fast one.
 export OMP_NUM_THREADS := 1
@@ -14,7 +20,7 @@ export OPENBLAS_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: setup bench full test test-casadi lint bench-ci bench-compare report clean clean-results help
+.PHONY: setup bench full test test-fast test-core test-lowest test-casadi lint bench-ci bench-compare report clean clean-results help
 
 setup: $(STAMP) ## make .venv with all solvers and the development tools
 
@@ -30,8 +36,34 @@ bench: setup ## run the standard suite (five to twelve minutes) and write its re
 full: setup ## run everything at full length with twenty replays (hours)
 	$(BIN)/dpbench run full
 
-test: setup ## run the tests
-	$(BIN)/python -m pytest
+test: setup ## run the tests: on both cores, then those that need a quiet machine
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE) -m "not alone"
+	$(BIN)/python -m pytest -m alone
+
+test-fast: setup ## run the tests that take no time, in less than two minutes
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE) -m "not slow and not alone"
+
+test-core: $(CORE)/.installed ## run the quick tests without the extras, in an environment of their own
+	$(CORE)/bin/python -m pytest $(SIDE_BY_SIDE) -m "not slow and not alone"
+	$(CORE)/bin/dpbench run smoke --out build/smoke-core --fresh
+
+$(CORE)/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv --clear $(CORE)
+	$(CORE)/bin/python -m pip install --quiet --constraint constraints.txt --editable . $(TEST_TOOLS)
+	touch $@
+
+# Old libraries warn of new ones, which is not ours to mend; another Numba has another cache.
+test-lowest: $(LOWEST)/.installed ## run the contract and a smoke run with the lowest versions declared
+	NUMBA_CACHE_DIR=$(LOWEST)/numba $(LOWEST)/bin/python -m pytest $(SIDE_BY_SIDE) --override-ini filterwarnings= \
+	    -m "not slow and not alone" $(LOWEST_TESTS)
+	NUMBA_CACHE_DIR=$(LOWEST)/numba $(LOWEST)/bin/dpbench run smoke --out build/smoke-lowest --fresh
+
+$(LOWEST)/.installed: pyproject.toml constraints-lowest.txt
+	$(PYTHON) -m venv --clear $(LOWEST)
+	$(LOWEST)/bin/python -m pip install --quiet --only-binary :all: \
+	    --requirement constraints-lowest.txt $(TEST_TOOLS)
+	$(LOWEST)/bin/python -m pip install --quiet --no-deps --editable .
+	touch $@
 
 test-casadi: setup ## run the tests of the solvers whose library is an extra (HPIPM, qpOASES)
 	$(BIN)/python -m pip install --quiet --no-deps --upgrade --target $(CASADI) 'casadi>=3.7'

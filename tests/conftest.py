@@ -1,8 +1,9 @@
-"""Seeded synthetic records with the schema of real ones, for a report without a campaign."""
+"""The workers of the tests, and seeded synthetic records for a report without a campaign."""
 
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from dpbench import open_workspace, run_closed_loop
 from dpbench.analysis.records import Records
 from dpbench.bench.record.result_folder import Results, write_results
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
@@ -41,6 +43,22 @@ SUITE: dict[str, Any] = {
     "started_utc": "2026-01-01T00:00:00+00:00",
     "wall_s": 300.0,
 }
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile before the workers of pytest-xdist start, and give each of those its own core.
+
+    Two that compile at once would write one cache; two whose campaigns pin their processes would
+    meet on one core.
+    """
+    worker = os.environ.get("PYTEST_XDIST_WORKER", "")
+    if worker:
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cores[int(worker.removeprefix("gw")) % len(cores)]})
+    elif config.getoption("numprocesses", None):
+        paper = load_scenario("paper").first(3)
+        for solver in ("paper_active_set", "hildreth"):
+            run_closed_loop(paper, open_workspace(solver))
 
 
 class MadeRecords:

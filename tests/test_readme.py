@@ -21,6 +21,7 @@ def blocks(language: str, containing: str) -> list[str]:
     return [block for block in found if containing in block]
 
 
+@pytest.mark.slow
 def test_own_ship_scenario_and_suite_run_as_printed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -40,6 +41,7 @@ def test_own_ship_scenario_and_suite_run_as_printed(
     assert (exact["error_move_max"] < 1e-9).all()
 
 
+@pytest.mark.slow
 def test_the_example_of_a_plug_in_runs_as_printed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

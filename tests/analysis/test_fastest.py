@@ -193,6 +193,7 @@ def test_the_accuracy_of_the_demand_is_among_those_of_the_headline() -> None:
     assert levels_of(Demand(error_move=1e-2)) == [1e-2, 1e-4, 1e-6]
 
 
+@pytest.mark.slow
 def test_places_behind_the_first_five_are_folded(records: Any) -> None:
     """The headline stays short, and nobody is lost."""
     for i in range(7):

@@ -59,6 +59,7 @@ def test_blocks_widen_the_interval_of_correlated_steps() -> None:
     assert blocks.high - blocks.low > 2 * (single.high - single.low)
 
 
+@pytest.mark.slow
 def test_interval_of_a_pooled_percentile_covers_the_true_one() -> None:
     """Steps with a level of their own and five samples each: the true p90 is that of their sum.
 

@@ -24,6 +24,8 @@ from dpbench.bench.workers.interleaved import FEWEST_ROUNDS
 from dpbench.report.tables_spent import spent_table
 from dpbench.solvers.calibration import NO_OP, open_calibration
 
+pytestmark = pytest.mark.alone
+
 STEPS, ROUNDS = 20, 6
 SUITE = f"""
 title = "Tiny"

@@ -26,6 +26,8 @@ from dpbench.qp.program import QPSequence
 from dpbench.report.write import verdict_lines, write_report
 from dpbench.solvers.calibration import CALIBRATION, NO_OP, open_calibration
 
+pytestmark = pytest.mark.alone
+
 STEPS, ROUNDS = 12, 2
 SUITE = f"""
 title = "Tiny"

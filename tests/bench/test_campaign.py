@@ -18,6 +18,8 @@ from dpbench.errors import InputError, ResultsError, UnknownNameError
 from dpbench.scenario.problem_files import problem_path
 from dpbench.solvers import plugins
 
+pytestmark = pytest.mark.alone
+
 SUITE = """
 title = "A suite for one test"
 solvers = ["quadprog", "osqp"]

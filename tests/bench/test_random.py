@@ -22,6 +22,8 @@ from dpbench.qp.random.recipe import FAMILIES, RandomRecipe
 from dpbench.report.write import build_page, verdict_lines, write_report
 from dpbench.solvers import plugins
 
+pytestmark = pytest.mark.alone
+
 PLUGIN = Path(__file__).with_name("faulty_plugin.py")
 STEPS = 6
 SUITE = f"""

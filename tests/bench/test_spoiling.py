@@ -67,6 +67,7 @@ def _bytes(sequence: QPSequence) -> list[bytes]:
     return [b"" if array is None else np.asarray(array).tobytes() for array in found]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", WAYS)
 def test_a_replay_judges_by_what_no_solver_can_reach(way: Any) -> None:
     """Who leaves zeros in all it got, at once, later and through views, is judged like who does

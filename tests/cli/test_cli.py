@@ -10,6 +10,7 @@ from dpbench.cli.main import main
 from dpbench.scenario.problem_files import problem_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["vessels", "scenarios", "suites", "solvers"])
 def test_list_shows_what_there_is(what: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Each listing prints and exits with 0."""

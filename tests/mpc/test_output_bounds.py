@@ -56,6 +56,7 @@ def test_output_bounds_leave_cost_and_amplitude_rows_of_the_moves_alone(
         assert np.isneginf(found.l[sides]).all()
 
 
+@pytest.mark.slow
 def test_a_speed_bound_holds_a_large_transfer_back(ship: Any) -> None:
     """On the way to a set-point 10 m off, the exactly solved loop stays at the bounded speed, which
     it passes by far without the bound."""

@@ -44,6 +44,7 @@ def point(psi_rad: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.nda
     return x, preview, np.array([2e5, -3e5, 4e6]) * rng.uniform(-1, 1, 3)
 
 
+@pytest.mark.slow
 @settings(max_examples=25, derandomize=True, deadline=None)
 @given(
     psi0_rad=st.floats(-4, 4),

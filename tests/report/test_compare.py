@@ -123,6 +123,7 @@ def verdicts(found: pd.DataFrame) -> dict[str, str]:
     return dict(zip(found["solver"], found["verdict"], strict=True))
 
 
+@pytest.mark.slow
 def test_planted_ratios_are_found_and_the_others_are_equivalent(make: Make) -> None:
     """1.3 and 1/1.3 in two configurations; the machine's own 1.1 is taken out and said."""
     a = make("a", seed=1)
@@ -141,6 +142,7 @@ def test_planted_ratios_are_found_and_the_others_are_equivalent(make: Make) -> N
     assert any("by 1.100 the reference kernel" in line for line in found.lines)
 
 
+@pytest.mark.slow
 def test_the_verdict_of_a_solver_is_that_of_its_configurations(make: Make) -> None:
     """Who is slower, who is faster, who steers worse: one line each, before any other table."""
     usual = {"r_rms_m": 0.3}
@@ -164,6 +166,7 @@ def test_one_configuration_slower_and_one_faster_are_both_said() -> None:
     assert _together(Counter(), order) == "–"
 
 
+@pytest.mark.slow
 def test_what_all_configurations_share_is_a_regression_only_beyond_the_kernel(make: Make) -> None:
     """Twice the time in every configuration is the machine where the kernel doubles too, else
     shared code."""
@@ -190,6 +193,7 @@ STOLEN = {"steal_s": 0.08}
 HIDDEN: dict[str, Any] = {"steal_s": np.nan, "replay_s": np.nan, "involuntary_switches": np.nan}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("before", "after", "reason"),
     [
@@ -226,6 +230,7 @@ def test_what_all_configurations_share_is_judged_on_a_quiet_machine_alone(
     assert set(compare(a, b).times["verdict"]) == {"equivalent"}
 
 
+@pytest.mark.slow
 def test_a_disturbed_kernel_stands_for_no_machine(make: Make) -> None:
     """Two configurations, both 1.5 times as slow while a disturbed kernel says 1.0, are not called
     slower."""
@@ -242,6 +247,7 @@ def test_a_disturbed_kernel_stands_for_no_machine(make: Make) -> None:
     assert set(compare(*quiet).times["verdict"]) == {"slower"}
 
 
+@pytest.mark.slow
 def test_few_configurations_are_held_against_the_kernel(make: Make) -> None:
     """Two configurations on a machine twice as slow, as the kernel says: 1.1 hides in it, 2 does
     not."""
@@ -260,6 +266,7 @@ def test_few_configurations_are_held_against_the_kernel(make: Make) -> None:
     assert verdicts(found.times)["piqp"] == "slower"
 
 
+@pytest.mark.slow
 def test_a_folder_against_itself(make: Make) -> None:
     """No claim, every figure the same, ratios of exactly 1."""
     a = make("a", seed=1, loop={"r_rms_m": 0.3})
@@ -269,6 +276,7 @@ def test_a_folder_against_itself(make: Make) -> None:
     assert set(found.answers["change"]) == {"same"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "figures"),
     [
@@ -293,6 +301,7 @@ def test_figures_of_accuracy_and_control(make: Make, change: Any, figures: set[s
         assert found.worse is (bool(figures) and word == "worse")
 
 
+@pytest.mark.slow
 def test_an_error_that_is_rounding_in_both_is_no_change(make: Make) -> None:
     """1e-14 to 1e-10 is a factor of ten thousand and nothing at all."""
     a = make("a", seed=1, errors=dict.fromkeys(ARMS, 1e-6) | {"daqp": 1e-6})
@@ -324,6 +333,7 @@ def test_a_stretch_of_slow_rounds_hides_nothing(make: Make) -> None:
     assert verdicts(compare(a, b).times)["piqp"] == "slower"
 
 
+@pytest.mark.slow
 def test_another_machine_is_refused_in_one_line(
     make: Make, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -382,6 +392,7 @@ def test_cells_without_a_partner_are_named(make: Make) -> None:
         compare(a, make("c", seed=1, cell=changed))
 
 
+@pytest.mark.slow
 def test_exit_codes_and_markdown(
     make: Make, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -398,6 +409,7 @@ def test_exit_codes_and_markdown(
     assert capsys.readouterr().out == text
 
 
+@pytest.mark.slow
 def test_settings_without_effect_are_one_piece_of_evidence(make: Make) -> None:
     """A run shown under two names of its settings is one row of the table."""
     folders = []
@@ -415,6 +427,7 @@ def test_settings_without_effect_are_one_piece_of_evidence(make: Make) -> None:
     assert len(found.times) == len(ARMS)
 
 
+@pytest.mark.slow
 def test_a_load_that_the_reference_kernel_does_not_feel_is_the_machine(make: Make) -> None:
     """1.4 in all configurations and in the load kernel, none in the other: no regression; without
     it, one."""
@@ -426,6 +439,7 @@ def test_a_load_that_the_reference_kernel_does_not_feel_is_the_machine(make: Mak
     assert compare(a, make("c", seed=2, machine=1.4, load_kernel_ns=6e4)).worse
 
 
+@pytest.mark.slow
 def test_a_configuration_that_met_another_neighbour_is_not_blamed_for_it(make: Make) -> None:
     """One configuration 1.1 times as slow whose load kernel is 1.2 times as slow as the others'."""
     plain = compare(make("a", seed=1), make("b", seed=2, slow={"piqp": 1.1}))

@@ -122,6 +122,7 @@ def test_a_suite_of_slow_loops_names_its_scenarios_and_no_rounds(records: Any) -
     assert "in `paper`;" in said and "replay" not in said
 
 
+@pytest.mark.slow
 def test_loops_on_slow_computers_are_in_no_other_section(records: Any) -> None:
     """Verdict, control and figures of ordinary loops are the same with and without them."""
     for solver in COSTS:
@@ -147,6 +148,7 @@ def test_without_such_loops_there_is_no_section(records: Any) -> None:
     assert all(section.key != "deadline" for section in build_page(records.results()).sections)
 
 
+@pytest.mark.slow
 def test_a_suite_of_slow_computers_alone_has_a_report(records: Any, tmp_path: Path) -> None:
     """Nothing is missing from it, and the terminal hears who survives what."""
     fill(records)
@@ -157,6 +159,7 @@ def test_a_suite_of_slow_computers_alone_has_a_report(records: Any, tmp_path: Pa
     assert "1\u202f000 ×: daqp; up to 1 ×: hildreth; at no slow-down: scs." in line
 
 
+@pytest.mark.slow
 def test_the_figure_has_a_line_per_configuration_that_ends_where_runs_end(records: Any) -> None:
     """Log on both axes; the loop of daqp that was stopped is no point of its line."""
     fill(records)

@@ -201,6 +201,7 @@ def test_a_design_that_is_missing_is_named_with_its_reason() -> None:
     assert "`paper` in `tug`: it took more than 600 s" in words(section_of(missing=(missing,)))
 
 
+@pytest.mark.slow
 def test_a_report_has_the_section_where_there_is_a_design_file(
     records: Any, tmp_path: Path
 ) -> None:

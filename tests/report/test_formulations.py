@@ -47,6 +47,7 @@ def test_common_and_best_stand_side_by_side(records: Any) -> None:
     assert daqp["condensed stacked [µs]"] == "–"
 
 
+@pytest.mark.slow
 def test_configurations_are_told_apart_and_refusals_shown(records: Any) -> None:
     """Route, policy, settings and units make rows and tables of their own; a refused form is a
     word, not a gap."""

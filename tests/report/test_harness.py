@@ -45,6 +45,7 @@ def _cells(table: Table | None, column: str) -> list[str]:
     return [row[at].text for row in table.rows]
 
 
+@pytest.mark.slow
 def test_own_configurations_are_seen_in_no_other_part_of_the_view(records: Any) -> None:
     """They are no solvers, no runs and no rows of anything but the table of their own."""
     records.replay("daqp", **QUIET)
@@ -55,6 +56,7 @@ def test_own_configurations_are_seen_in_no_other_part_of_the_view(records: Any) 
     assert _cells(cost_table(view), "configuration") == list(CALIBRATION)
 
 
+@pytest.mark.slow
 def test_own_configurations_change_nothing_else_in_the_report(records: Any) -> None:
     """With and without them, every section but those on times and runs reads the same."""
     for solver, median in (("daqp", 18.0), ("quadprog", 25.0)):
@@ -73,6 +75,7 @@ def test_own_configurations_change_nothing_else_in_the_report(records: Any) -> N
     assert "busy_wait_20us" in text and "busy_wait_20us" not in outside
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("off_us", "missed"),
     [
@@ -115,6 +118,7 @@ def _switching(records: Any, solver: str, a_second: float, step_s: float, own: f
     records.replay(solver, steps=100, rounds=3, **(QUIET | columns))
 
 
+@pytest.mark.slow
 def test_switches_a_configuration_makes_itself_are_not_the_machines(records: Any) -> None:
     """A thread in each solve puts a configuration off its core every step; its neighbours are let
     alone."""
@@ -141,6 +145,7 @@ def test_disturbed_rounds_are_part_of_all_rounds(records: Any) -> None:
     assert "1 of 4 rounds disturbed" in harness_lines(records.view())[0]
 
 
+@pytest.mark.slow
 def test_configurations_that_differ_are_listed_and_the_others_counted(records: Any) -> None:
     """One line when all repeat themselves, a row for each that does not."""
     records.replay("daqp", **QUIET)
@@ -156,6 +161,7 @@ def test_configurations_that_differ_are_listed_and_the_others_counted(records: A
     assert "1 configuration of 2 gives" in text and "1 does not" in text
 
 
+@pytest.mark.slow
 def test_memory_is_the_largest_of_a_solver_and_horizon(records: Any) -> None:
     """Two policies are one row, two horizons are two; of the own configurations no_op stands
     first."""
@@ -185,6 +191,7 @@ def test_records_without_counters_say_nothing(records: Any) -> None:
     assert harness_lines(Records(found)) == []
 
 
+@pytest.mark.slow
 def test_replays_of_disturbed_rounds_alone_say_so(records: Any) -> None:
     """Three rounds count though all are disturbed: three of three, and the page says they count."""
     records.replay("daqp", **(QUIET | {"disturbed_rounds": 3, "counting_disturbed": 3}))

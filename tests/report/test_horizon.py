@@ -64,6 +64,7 @@ def _line(scale: float, power: float, low: float = 15.0, high: float = 120.0) ->
     return Growth(Interval(power, power, power), math.log(scale), low, high, 4, 1.0)
 
 
+@pytest.mark.slow
 @given(
     power=st.floats(-1.0, 4.0),
     scale=st.floats(1e2, 1e6),
@@ -95,6 +96,7 @@ def test_the_misfit_is_the_largest_factor_off_the_line() -> None:
     assert growth.misfit == pytest.approx(8.0 ** (2 / 3))
 
 
+@pytest.mark.slow
 def test_the_interval_holds_the_slope_of_a_noisy_law_about_as_often_as_it_says() -> None:
     """Over 200 drawn sweeps of independent steps the 95 % interval holds the slope in 95 % of them.
 
@@ -155,6 +157,7 @@ def test_growth_and_crossover_of_two_formulations_stand_in_the_table(records: An
     assert _column(table, "n = 60 (100/20) [µs]") == {box: "2160", sparse: "540"}
 
 
+@pytest.mark.slow
 def test_the_largest_horizon_within_a_limit_needs_right_answers_and_enough_steps(
     records: Any,
 ) -> None:
@@ -194,6 +197,7 @@ def test_a_thin_sweep_has_no_p99(records: Any) -> None:
     assert "do not support a p99" in table.note
 
 
+@pytest.mark.slow
 def test_a_p99_whose_interval_holds_the_limit_settles_nothing(records: Any) -> None:
     """Spread makes the p99 of 100/20 uncertain by far more than the 1 % it is below the limit."""
     for solver, factor in (("daqp", 0.99), ("osqp", 0.2)):
@@ -235,6 +239,7 @@ def test_the_best_way_is_right_first_and_fast_second(records: Any) -> None:
     assert every.folded
 
 
+@pytest.mark.slow
 def test_there_is_a_section_only_with_two_horizons_of_one_scenario(records: Any) -> None:
     """One horizon, two windows of it, or another scenario make no sweep."""
     records.replay("daqp", "paper", steps=40)
@@ -249,6 +254,7 @@ def test_there_is_a_section_only_with_two_horizons_of_one_scenario(records: Any)
     assert keys.index("use") + 1 == keys.index("horizon")
 
 
+@pytest.mark.slow
 def test_other_sections_keep_to_the_ends_of_a_sweep(records: Any) -> None:
     """Between the ends no figure of one sequence is drawn, and its tables are folded."""
     for solver in ("daqp", "osqp"):
@@ -262,6 +268,7 @@ def test_other_sections_keep_to_the_ends_of_a_sweep(records: Any) -> None:
     assert "paper-60-10" not in titles
 
 
+@pytest.mark.slow
 def test_points_are_hollow_where_an_answer_misses_the_demand(records: Any) -> None:
     """Each formulation has its panel; markers of wrong answers have a white face."""
     _law(records, "osqp", 1.0, 1.0, error=0.4, steps=60)
@@ -290,6 +297,7 @@ def test_names_are_kept_apart_and_in_order(places: list[float], gap: float) -> N
         np.testing.assert_allclose(found, wanted, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_generic_build_is_marked_at_its_horizons_and_crossovers(records: Any) -> None:
     """Rows, the sparse crossover among their cells, and sentences name the solver with the
     mark."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import pytest
 
 from dpbench.analysis.random_claims import RandomClaims
 from dpbench.analysis.records import Records
@@ -73,6 +74,7 @@ def test_each_step_counts_as_what_it_is(records: Any) -> None:
     assert tally.worst == INF and tally.wrong == 6
 
 
+@pytest.mark.slow
 def test_settings_without_effect_are_counted_once(records: Any) -> None:
     """One run shown under two names is one configuration with one count, and two runs are two."""
     lie: dict[str, Any] = {"claimed": True, "true": False, "error_plan": 0.5}
@@ -103,6 +105,7 @@ def _tables(results: Results) -> dict[str, Table]:
     }
 
 
+@pytest.mark.slow
 def test_random_problems_change_nothing_that_is_said_about_the_ship(
     records: Any, tmp_path: Path
 ) -> None:

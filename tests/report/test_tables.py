@@ -93,6 +93,7 @@ def test_timing_refuses_a_p99_of_few_steps(records: Any) -> None:
     assert "do not support a p99" in table.note
 
 
+@pytest.mark.slow
 def test_raw_tails_need_their_samples(records: Any) -> None:
     """A p99.9 needs 10 000 samples, and the table counts them."""
     records.replay("few", steps=1000, rounds=3)
@@ -104,6 +105,7 @@ def test_raw_tails_need_their_samples(records: Any) -> None:
     assert sorted(_column(table, "samples")) == ["10\u202f000", "3\u202f000"]
 
 
+@pytest.mark.slow
 def test_settings_without_effect_are_named(records: Any) -> None:
     """A solver whose settings do nothing is shown under both names, and the note says so."""
     for settings in ("default", "high"):
@@ -169,6 +171,7 @@ def test_without_a_generic_build_there_is_no_mark(records: Any) -> None:
     assert "†" not in times.note and _column(times, "solver") == ["piqp"]
 
 
+@pytest.mark.slow
 def test_remembered_answers_are_marked_beside_their_times(records: Any) -> None:
     """Either witness marks a row: its first visits, or its own closed loop; no other is."""
     records.replay("by_first", median_us=14.0, first_visit_ratio=140.0)

@@ -209,6 +209,7 @@ def _high(records: Any, **columns: Any) -> Any:
     return _verdict(records, "osqp", "high")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("columns", "clause"),
     [
@@ -287,6 +288,7 @@ def test_two_slowdowns_of_one_configuration(records: Any) -> None:
     assert verdict.raw_slowdown(DEMAND) < verdict.slowdown(DEMAND)
 
 
+@pytest.mark.slow
 def test_the_recommendation_can_go_aboard(records: Any) -> None:
     """Code that exists only in this benchmark is named beside it, never recommended by itself."""
     for solver, median in (("paper_active_set", 5.0), ("daqp", 10.0), ("qtqp", 7.0), ("scs", 90.0)):
@@ -438,6 +440,7 @@ def test_the_baseline_law_is_judged_on_whole_runs_only(records: Any) -> None:
     assert "60 of 1\u202f000 steps in `paper`" in text
 
 
+@pytest.mark.slow
 def test_one_slowdown_in_every_place(records: Any) -> None:
     """Sentences, table and card tell one slow-down, rounded down, that still makes the deadline.
 
@@ -478,6 +481,7 @@ def test_open_outcomes_are_not_counted_as_misses(records: Any) -> None:
     assert "No solver meets" not in text
 
 
+@pytest.mark.slow
 def test_a_miss_by_all_is_a_miss(records: Any) -> None:
     """When every solver that ran misses the demand, it is said that none meets it."""
     records.loop("osqp", error=0.4)

@@ -176,6 +176,7 @@ def test_an_entry_point_adds_a_solver(monkeypatch, tmp_path):
     monkeypatch.delitem(sys.modules, "their_solver")
 
 
+@pytest.mark.slow
 def test_a_plugin_runs_in_an_isolated_process():
     """In a process of its own a plug-in is loaded, isolated from the libraries, and solves."""
     program = f"""

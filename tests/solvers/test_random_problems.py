@@ -59,6 +59,7 @@ def check(problem: Planted, policy: Policy) -> None:
             assert farkas_valid(qp, answer.y, answer.y_box), where
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("policy", ["fresh", "reuse", "warm"])
 @pytest.mark.parametrize("family", STRICT)
 def test_it_solves_every_random_problem_and_claims_nothing_untrue(

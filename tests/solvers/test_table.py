@@ -189,6 +189,7 @@ def test_isolation_comes_before_qpsolvers():
         isolate("daqp")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["daqp", "sip", "clarabel"])
 def test_an_isolated_process_loads_one_library(solver):
     """After isolation a fresh process solves with its solver and has loaded no other one."""

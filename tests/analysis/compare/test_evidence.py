@@ -43,6 +43,7 @@ def configurations(
     return np.log(1.3) + sd * rng.standard_normal(count), np.full(count, 1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, 4, 12])
 def test_no_change_is_no_claim(count: int) -> None:
     """Noise as the prior says, ratios at 1: over 300 tables at most 5 % hold a claim.
@@ -86,6 +87,7 @@ def test_equivalence_at_the_margin_is_not_claimed() -> None:
     assert false <= stats.binom.ppf(0.999, 400, 0.05)
 
 
+@pytest.mark.slow
 def test_a_planted_change_is_found_and_no_other_configuration_pays_for_it() -> None:
     """One of 12 configurations takes 1.15 times as long on a machine that is 30 % slower: found in
     95 %.
@@ -132,6 +134,7 @@ def test_the_error_inside_the_runs_counts() -> None:
     assert (quiet[4].verdict, loud[4].verdict) == ("slower", "no difference shown")
 
 
+@pytest.mark.slow
 def test_the_error_inside_the_runs_counts_once() -> None:
     """Noise inside the runs that all configurations have alike is in their scatter already.
 

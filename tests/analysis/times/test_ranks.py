@@ -235,6 +235,7 @@ def test_the_section_says_when_nothing_was_replayed(records: Any) -> None:
     assert getattr(block, "text", "").startswith("Missing: no replay")
 
 
+@pytest.mark.slow
 def test_the_section_stands_in_the_report_with_its_figures(campaign: Path) -> None:
     """The report of a campaign like the standard one ranks at three accuracies."""
     page = build_page(load_results(campaign))

@@ -81,6 +81,7 @@ def test_many_sequences_are_shown_by_their_extremes(count: int, shown: list[str]
     assert [cell.text for cell in table.rows[0][at:-1]] == shown
 
 
+@pytest.mark.slow
 def test_intervals_hold_together() -> None:
     """Ten intervals of as many comparisons all cover the truth in about 95 % of 200 draws.
 
@@ -133,6 +134,7 @@ def _three(records: Any, tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_command_line_names_the_baseline(
     records: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -150,6 +152,7 @@ def test_the_command_line_names_the_baseline(
     assert (out / "report.md").read_bytes() == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("named", "against", "says"),
     [

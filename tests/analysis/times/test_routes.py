@@ -59,6 +59,7 @@ def test_each_step_down_is_a_ratio_to_the_way_above(records: Any) -> None:
     assert float(_cells(table, "wrapper costs [µs]")[0]) == pytest.approx(20.0, abs=0.8)
 
 
+@pytest.mark.slow
 def test_warm_is_compared_with_fresh_where_there_is_no_reuse(records: Any) -> None:
     """A missing neighbour is skipped, the cell says so, and its reason is listed."""
     _routes(records, "scs", 40.0, 20.0, None, 10.0)

@@ -191,9 +191,10 @@ def test_what_an_answer_does_when_it_is_taken_is_inside_the_clock(recorded: QPSe
         return LazySolution(found.status, found.z, found.y, found.y_box)
 
     steps = _replayed(recorded, Planted(lazy), "condensed_box")
-    (late,) = steps.index[(steps["repeat"] == 1) & (steps["read_ns"] >= 20_000_000)]
-    assert steps.loc[late, "k"] == AT and steps.loc[late, "status"] == "SOLVED"
-    assert steps.loc[late, "true_1e6"]
+    (lazily_read,) = steps.index[(steps["repeat"] == 1) & (steps["k"] == AT)]
+    # A sleep is never shorter than asked, whatever else the machine does.
+    assert steps.loc[lazily_read, "read_ns"] >= 20_000_000
+    assert steps.loc[lazily_read, "status"] == "SOLVED" and steps.loc[lazily_read, "true_1e6"]
 
 
 def test_an_array_of_another_class_gives_what_lies_in_its_memory(recorded: QPSequence) -> None:

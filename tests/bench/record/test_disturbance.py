@@ -17,6 +17,8 @@ from dpbench.bench.record.disturbance import (
 )
 from dpbench.bench.record.raw_log import COUNTERS, RawLog, replay_layout
 
+pytestmark = pytest.mark.alone
+
 QUIET = Disturbance(
     rounds=100.0,
     disturbed=100 * MAX_DISTURBED_SHARE,

@@ -103,6 +103,7 @@ def test_a_ship_under_way_is_carried_on(scenario: Scenario) -> None:
     np.testing.assert_array_equal(log.theta[0, :6], 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["measured", "kalman", "passive"])
 def test_an_estimator_knows_how_the_ship_starts(scenario: Scenario, kind: str) -> None:
     """The first estimate is the state the run starts in, its speed included."""
@@ -240,6 +241,7 @@ def test_the_time_limit_keeps_the_steps(scenario: Scenario) -> None:
 axis = st.floats(-1.0, 1.0)
 
 
+@pytest.mark.slow
 @settings(derandomize=True, max_examples=300)
 @given(
     u=axis,

@@ -250,6 +250,7 @@ def test_the_old_key_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[s
         assert "\n" not in said and all(word in said for word in words), said
 
 
+@pytest.mark.slow
 def test_a_campaign_shows_formulations_side_by_side(tmp_path: Path) -> None:
     """Three formulations end to end, in processes of their own: rows, assessment and the report."""
     suite = tmp_path / "three.toml"

@@ -29,6 +29,7 @@ def loops() -> dict[str, tuple[Scenario, ExactLoop]]:
     return {name: (s, solve_exactly(s)) for name, s in scenarios.items()}
 
 
+@pytest.mark.slow
 def test_paper_constrained_settles_first_and_overshoots_less(
     loops: dict[str, tuple[Scenario, ExactLoop]],
 ) -> None:
@@ -43,6 +44,7 @@ def test_paper_constrained_settles_first_and_overshoots_less(
     assert r_clipped[t[:-1] >= 55.0].max() > 0.1
 
 
+@pytest.mark.slow
 def test_paper_tight_only_the_constrained_law_holds(
     loops: dict[str, tuple[Scenario, ExactLoop]],
 ) -> None:
@@ -54,6 +56,7 @@ def test_paper_tight_only_the_constrained_law_holds(
     assert np.hypot(baseline_law["n_m"], baseline_law["e_m"]).to_numpy()[late].max() > 3.0
 
 
+@pytest.mark.slow
 def test_calm_has_no_active_limit(loops: dict[str, tuple[Scenario, ExactLoop]]) -> None:
     """In `calm` both laws give the same force, because no limit is ever active."""
     scenario, exact = loops["calm"]
@@ -81,6 +84,7 @@ def test_no_force_violates_a_limit(loops: dict[str, tuple[Scenario, ExactLoop]])
         assert (np.abs(change) <= scenario.du_max + np.spacing(ship.tau_max)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["quadprog", "daqp", "paper_active_set"])
 @pytest.mark.parametrize("name", ["paper", "rough"])
 def test_exact_solvers_are_exact(

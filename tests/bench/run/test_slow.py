@@ -216,6 +216,7 @@ def test_one_processor_and_no_limit_violated(
     assert (log.tau <= high).all() and (log.tau >= low).all()
 
 
+@pytest.mark.slow
 def test_fast_enough_is_the_ordinary_loop_bit_for_bit() -> None:
     """With every answer in time, and with the slow-down off, the ship sails the same way."""
     scenario = load_scenario("thruster_loss_hard").first(450)

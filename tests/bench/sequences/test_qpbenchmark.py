@@ -108,6 +108,7 @@ def test_residuals_agree_row_by_row(kind: str, qpbenchmark: Any, tmp_path: Path)
             assert theirs["duality_gap"] <= ours.gap * (1.0 + RTOL) + ROUNDING
 
 
+@pytest.mark.slow
 def test_its_command_runs_the_set_as_it_is(qpbenchmark: Any, tmp_path: Path) -> None:
     """`qpbenchmark dp_calm.py run` in the folder of the files solves each and writes its report."""
     said = export("calm", tmp_path / "dp_calm", format="qpbenchmark", steps=4)

@@ -137,6 +137,7 @@ def test_a_bad_problem_is_one_line(
     assert all(part in message for part in ["step_10.npz", *parts]), message
 
 
+@pytest.mark.slow
 def test_a_folder_runs_through_the_solvers(folder: Path, tmp_path: Path) -> None:
     """Every solver at two settings; one that needs P > 0 is refused; the report is written."""
     solvers = ["daqp", "quadprog", "clarabel"]
@@ -154,6 +155,7 @@ def test_a_folder_runs_through_the_solvers(folder: Path, tmp_path: Path) -> None
     assert "robot" in write_report(out).read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_our_own_file_runs_from_the_command_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -56,6 +56,7 @@ def test_every_optimum_is_certified_to_1e_9(name: str) -> None:
     assert len(a["q"]) == len(range(0, rule.steps, rule.every))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_fresh_record_has_the_same_beginning(name: str) -> None:
     """Shapes and active sets the same, values within 1e-9, wherever this runs."""
@@ -97,6 +98,7 @@ def test_sampled_optima_are_found_again(name: str) -> None:
         np.testing.assert_allclose(found, stored.z, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_small_ones_are_regenerated_byte_for_byte(tmp_path: Path) -> None:
     """By the rules, and in a process of its own by the command that the manifest amounts to."""
     said = regenerate(tmp_path / "a", [RULES[name] for name in SMALL])
@@ -222,6 +224,7 @@ def test_damage_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
         assert said.count("\n") == 1 and "a damaged file" in said
 
 
+@pytest.mark.slow
 def test_a_stored_name_runs_from_an_empty_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -245,6 +248,7 @@ def test_a_suite_names_stored_sequences() -> None:
     assert [planned.cell.steps for planned in cells] == lengths
 
 
+@pytest.mark.slow
 def test_the_list_shows_them(capsys: pytest.CaptureFixture[str]) -> None:
     """Name, n, m, K and active share, each from its file."""
     assert main(["list", "sequences"]) == 0

@@ -30,6 +30,8 @@ from dpbench.bench.workers.executor import CellJob, CellStore
 from dpbench.cli.main import main
 from dpbench.solvers import plugins
 
+pytestmark = pytest.mark.alone
+
 STEPS = 8
 SUITE = f"""
 title = "A suite for one test"

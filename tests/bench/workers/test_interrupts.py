@@ -11,6 +11,8 @@ import pytest
 
 from dpbench.bench.workers.interrupts import forget_interrupts, interrupts_wait, one_interrupt
 
+pytestmark = pytest.mark.alone
+
 
 def test_only_the_first_press_is_heard() -> None:
     """One KeyboardInterrupt, then silence until the block ends, then it is as before."""

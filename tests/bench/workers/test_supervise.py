@@ -15,6 +15,8 @@ from dpbench.bench.workers import child as supervise
 from dpbench.bench.workers.child import Child, template_context
 from dpbench.bench.workers.process_setup import verdict_of, write_verdict
 
+pytestmark = pytest.mark.alone
+
 
 @pytest.fixture(scope="module")
 def context() -> ForkServerContext:

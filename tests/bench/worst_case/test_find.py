@@ -33,6 +33,8 @@ from dpbench.qp.solution import Status
 from dpbench.scenario.scenario import scenario_of
 from dpbench.solvers import plugins
 
+pytestmark = pytest.mark.alone
+
 FAULTY = Path(__file__).with_name("faulty_searched.py")
 BIG = 1e9
 """A claimed error beyond anything a limited plan can have."""

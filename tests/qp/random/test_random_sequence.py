@@ -66,6 +66,7 @@ def test_the_planted_optimum_satisfies_the_optimality_conditions_exactly(family:
         _is_optimal(found, int(k))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", ["plain", "ill_conditioned"])
 def test_no_sum_is_rounded_at_the_largest_size(family: str) -> None:
     """With 120 variables and 300 rows the conditions hold exactly too."""

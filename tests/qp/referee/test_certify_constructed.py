@@ -91,6 +91,7 @@ problems = st.builds(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=250, derandomize=True, deadline=None)
 @given(problems)
 def test_bound_holds_whatever_is_active(known: Known) -> None:
@@ -154,6 +155,7 @@ def test_more_active_rows_than_variables() -> None:
     _agrees(Known(QuadraticProgram(P, q, A, values - 1.0, values, -free, free), z))
 
 
+@pytest.mark.slow
 @settings(max_examples=60, derandomize=True, deadline=None)
 @given(problems)
 def test_certified_multipliers_explain_the_optimum(known: Known) -> None:
@@ -168,6 +170,7 @@ def test_certified_multipliers_explain_the_optimum(known: Known) -> None:
         assert residuals(qp, answer).complementarity <= 1e-9 * (1.0 + np.abs(qp.q).max())
 
 
+@pytest.mark.slow
 @settings(max_examples=40, derandomize=True, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 5))
 def test_order_of_problems_does_not_matter(seed: int, n: int) -> None:

@@ -44,6 +44,7 @@ def _infeasible(seed: int, n: int, m: int, boxed: bool) -> tuple[QuadraticProgra
     return QuadraticProgram(np.eye(n), rng.normal(size=n), A, l, u, lb, ub), y
 
 
+@pytest.mark.slow
 @settings(max_examples=80, derandomize=True, deadline=None)
 @given(seeds, st.integers(1, 6), st.integers(2, 7), st.booleans())
 def test_infeasible_problems_are_recognised(seed: int, n: int, m: int, boxed: bool) -> None:
@@ -57,6 +58,7 @@ def test_infeasible_problems_are_recognised(seed: int, n: int, m: int, boxed: bo
     assert np.isnan(error_of(np.zeros(n), optimum, 0)).all()
 
 
+@pytest.mark.slow
 @settings(max_examples=80, derandomize=True, deadline=None)
 @given(seeds, st.integers(1, 5), st.integers(1, 6))
 def test_no_vector_refutes_a_feasible_problem(seed: int, n: int, m: int) -> None:

@@ -107,6 +107,7 @@ def test_definite_in_other_units() -> None:
         _certified(plant(seed, 120, equal=20, strict=10, weak=10, density=0.2, spread=25))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [150, 300])
 def test_sparse_and_large(n: int) -> None:
     """Sparse problems of some hundred variables, half of them held by equalities, are certified."""
@@ -140,6 +141,7 @@ def _resort(qp: QuadraticProgram) -> Proof | None:
     return LastResort(joint.P, joint.C, convex=True).certify(joint)
 
 
+@pytest.mark.slow
 @settings(max_examples=40, derandomize=True, deadline=None)
 @given(
     st.integers(0, 2**32 - 1),

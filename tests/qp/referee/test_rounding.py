@@ -84,6 +84,7 @@ def test_crossed_limits(limit: float, row: bool) -> None:
         assert certify(qp).kind == kind
 
 
+@pytest.mark.slow
 @settings(max_examples=60, derandomize=True, deadline=None)
 @given(
     st.floats(-30.0, -1.0).map(lambda power: 10.0**power),
@@ -126,6 +127,7 @@ def _cycle(seed: int, n: int, m: int, share: float) -> QuadraticProgram:
     return QuadraticProgram(np.eye(n), rng.normal(size=n), A, np.full(m, -INF), u, -box, box)
 
 
+@pytest.mark.slow
 @settings(max_examples=60, derandomize=True, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(2, 8), st.integers(3, 9))
 def test_many_rows_together(seed: int, n: int, m: int) -> None:

@@ -142,6 +142,7 @@ def test_the_filter_forgets_its_start_for_every_vessel(name: str, wave_filter: b
     assert radius < math.exp(-SAMPLE_S / 85.0)
 
 
+@pytest.mark.slow
 def test_innovations_are_white_on_matched_noise() -> None:
     """Of 3 x 40 autocorrelations no more than chance leave their 95 % bounds."""
     # Chance leaves 6 of 120 outside, and more than 13 once in 300 seeds.
@@ -153,6 +154,7 @@ def test_innovations_are_white_on_matched_noise() -> None:
     assert outside_bounds(coloured[500:], lags) > 60
 
 
+@pytest.mark.slow
 def test_innovations_have_the_covariance_the_filter_predicts() -> None:
     """Σ εᵀ S⁻¹ ε lies in the 99 % interval of χ² with 3 N degrees, in total and per axis."""
     N = 20_000

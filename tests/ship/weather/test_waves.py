@@ -94,6 +94,7 @@ def test_drift_on_a_turned_ship_follows_the_waves_in_body_axes(
     np.testing.assert_allclose(found / lever, expected / lever, rtol=2e-5, atol=1.0)
 
 
+@pytest.mark.slow
 def test_motion_lies_along_the_waves_with_the_given_amplitude() -> None:
     """Waves to the east move the ship east and west by X·Hs/4 rms, and turn it by its operator."""
     sea = Sea(2.0, 8.5, np.pi / 2)
@@ -124,6 +125,7 @@ def test_rates_of_the_motion_are_its_derivative() -> None:
     np.testing.assert_allclose(motion.table(t, 5)[:, 3:], slope, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_motion_along_the_waves_is_the_waters_own() -> None:
     """On a crest the water moves with the waves at its fastest and its displacement is zero."""
     sea = Sea(2.0, 8.5, 0.0)

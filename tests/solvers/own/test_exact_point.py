@@ -25,6 +25,7 @@ def bound_of(qp, z, y, y_box):
     return error_bound(JointQP.of(qp), z, np.concatenate([y, y_box]))
 
 
+@pytest.mark.slow
 @given(st.sampled_from(["plain", "equal", "free", "infinite_bounds"]), st.integers(1, 10**6))
 def test_an_optimum_is_bounded_to_rounding(family, seed):
     """At the planted optimum the bound is rounding; it holds where the answer is moved off it."""

@@ -66,6 +66,7 @@ def from_optimum(seed):
     return QuadraticProgram(P, q, A, l, u, lb, ub), z
 
 
+@pytest.mark.slow
 @settings(max_examples=400, deadline=None, derandomize=True, database=None)
 @given(st.integers(0, 2**32 - 1))
 def test_it_finds_the_optimum_a_problem_was_built_from(seed):
@@ -89,6 +90,7 @@ def test_it_finds_the_optimum_a_problem_was_built_from(seed):
     assert np.abs((w - low)[y < 0]).max(initial=0.0) <= 1e-10
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None, derandomize=True, database=None)
 @given(st.integers(0, 2**32 - 1))
 def test_it_agrees_with_quadprog(seed):
@@ -122,6 +124,7 @@ def contradiction(seed):
     return QuadraticProgram(P, 10.0 * rng.normal(size=n), A, l, u, lb, ub)
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None, derandomize=True, database=None)
 @given(st.integers(0, 2**32 - 1))
 def test_infeasibility_comes_with_a_farkas_ray(seed):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -56,6 +57,7 @@ def parametric(rng, n, m):
     return base, [QPStep(base.q, low, high), *steps]
 
 
+@pytest.mark.slow
 @settings(max_examples=120, **RULES)
 @given(st.integers(0, 2**32 - 1))
 def test_what_it_calls_solved_the_referee_finds_true(seed):

@@ -118,6 +118,7 @@ def test_what_was_once_wrongly_called_solved_is_no_more(seed):
         assert residuals(qp, answer).primal <= 1e-8 * (1.0 + np.abs(answer.z).max())
 
 
+@pytest.mark.slow
 def test_crowded_vertices_are_solved_where_the_referee_finds_them_solved():
     """Of random crowded vertices every claim is true, and every clear one is claimed.
 

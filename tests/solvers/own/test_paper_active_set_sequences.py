@@ -21,6 +21,7 @@ def workspace(policy="warm"):
     return open_workspace("paper_active_set", policy=policy)
 
 
+@pytest.mark.slow
 def test_in_newtons_every_step_is_claimed_too():
     """In SI units, where a plan is 1e5 and its rounding 1e-11 of that, no claim is lost."""
     scenario = load_scenario("paper").first(100)

@@ -148,6 +148,7 @@ TIMED = {
 }
 
 
+@pytest.mark.slow
 def test_self_reported_time_is_in_nanoseconds(installed, sequence):
     """A library's own time lies within the clock's and is no less than a microsecond."""
     workspace = open_workspace(installed, settings=TIMED.get(installed, {}))
