@@ -21,6 +21,8 @@ from dpbench.report.render import inline
 from dpbench.report.section_verdict import verdict_table
 from dpbench.report.write import build_page, verdict_lines, write_report
 
+pytestmark = pytest.mark.slow
+
 VOID = {"meta", "img", "br", "link"}
 
 
@@ -67,7 +69,6 @@ def report(campaign: Path) -> Path:
     return write_report(campaign)
 
 
-@pytest.mark.slow
 def test_html_is_well_formed_and_self_contained(report: Path) -> None:
     """Every tag is closed, every id is unique, every link stays inside, nothing is loaded."""
     found = _checked(report)
@@ -89,7 +90,6 @@ def test_figures_of_the_markdown_exist_and_are_drawings(report: Path) -> None:
     assert kept == set(named)
 
 
-@pytest.mark.slow
 def test_markdown_and_html_hold_the_same_tables(report: Path) -> None:
     """Markdown renders to as many tables as the HTML has, each with its note above it."""
     text = (report.parent / "report.md").read_text(encoding="utf-8")
@@ -117,7 +117,6 @@ def test_sections_come_in_their_order(report: Path) -> None:
     ]
 
 
-@pytest.mark.slow
 def test_the_same_records_give_the_same_report(records: Any, tmp_path: Path) -> None:
     """Writing again changes no byte: nothing in it depends on the day or on chance."""
     records.loop("daqp")
@@ -127,7 +126,6 @@ def test_the_same_records_give_the_same_report(records: Any, tmp_path: Path) -> 
     assert write_report(tmp_path).read_bytes() == before
 
 
-@pytest.mark.slow
 def test_every_table_states_its_population(campaign: Path) -> None:
     """No table stands without a note that counts something."""
     page = build_page(load_results(campaign))
@@ -136,7 +134,6 @@ def test_every_table_states_its_population(campaign: Path) -> None:
     assert [note for note in notes if not note] == []
 
 
-@pytest.mark.slow
 def test_the_verdict_lines_name_the_fastest(campaign: Path) -> None:
     """The terminal hears what to use, and not of ways that were replayed alone."""
     text = "\n".join(verdict_lines(load_results(campaign)))
@@ -144,7 +141,6 @@ def test_the_verdict_lines_name_the_fastest(campaign: Path) -> None:
     assert "native warm" not in text
 
 
-@pytest.mark.slow
 def test_page_markdown_terminal_and_verdicts_say_the_same(report: Path) -> None:
     """Who is recommended, in which way, at which p99 and slow-downs is one answer everywhere."""
     results = load_results(report.parent)
@@ -229,7 +225,6 @@ PARTIAL = [
 ]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("fill", "says"), PARTIAL)
 def test_partial_results_still_make_a_report(
     records: Any, tmp_path: Path, fill: Callable[[Any], None], says: str

@@ -16,6 +16,8 @@ from dpbench.scenario.problem_files import problem_names
 from dpbench.scenario.scenario import Scenario
 from dpbench.solvers.contract import Policy
 
+pytestmark = pytest.mark.slow
+
 NAMES = problem_names("scenarios")
 
 
@@ -46,7 +48,6 @@ def without_answer(loop: ExactLoop) -> int:
     return int(np.isnan(loop.z).any(axis=1).sum())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_the_applied_force_obeys_the_limits_of_its_time(name: str) -> None:
     """No force violates a limit, whatever the weather, the estimator and the faults do."""
@@ -180,7 +181,6 @@ def test_an_estimator_with_a_wave_filter_keeps_waves_out_of_the_limits() -> None
         assert metrics(name)["r_max_m"] < 1.0
 
 
-@pytest.mark.slow
 def test_waves_in_a_controller_without_estimator_keep_the_rate_limits_active() -> None:
     """Fed with the bare measurement, most steps are at a rate limit."""
     scenario = load_scenario("waves")
