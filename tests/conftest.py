@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from dpbench import open_workspace, run_closed_loop
 from dpbench.analysis.records import Records
 from dpbench.bench.record.result_folder import Results, write_results
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
+from dpbench.errors import SolverUnavailableError
 from dpbench.scenario.scenario import Scenario, load_scenario
 
 MACHINE: dict[str, Any] = {
@@ -43,6 +45,35 @@ SUITE: dict[str, Any] = {
     "started_utc": "2026-01-01T00:00:00+00:00",
     "wall_s": 300.0,
 }
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """`--without-extras`: a test that opens a solver of an extra is skipped, not failed."""
+    parser.addoption("--without-extras", action="store_true")
+
+
+@contextmanager
+def _extras_may_be_absent(item: pytest.Item) -> Iterator[None]:
+    try:
+        yield
+    except SolverUnavailableError as absent:
+        if item.config.getoption("--without-extras"):
+            pytest.skip(str(absent))
+        raise
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup(item: pytest.Item) -> Generator[None, object, object]:
+    """A fixture that opens a solver of an extra."""
+    with _extras_may_be_absent(item):
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
+    """A test that does."""
+    with _extras_may_be_absent(item):
+        return (yield)
 
 
 def pytest_configure(config: pytest.Config) -> None:
