@@ -16,7 +16,6 @@ from typing import Any
 
 import pandas as pd
 
-from dpbench.bench.accounting import Ledger
 from dpbench.bench.design.design import Design, plan_designs
 from dpbench.bench.design.design_file import write_design
 from dpbench.bench.design.run_designs import DesignStore, run_designs, work_of_designs
@@ -61,7 +60,6 @@ class Campaign:
         self.work = [self._job(p) for p in planned]
         self._fresh = fresh
         self._cores = sorted(os.sched_getaffinity(0))
-        self._ledger = Ledger()
 
     def _job(self, planned: PlannedCell) -> CellJob:
         found = self._libraries[planned.cell.solver]
@@ -79,7 +77,6 @@ class Campaign:
                 job.outcome = self._store.finished(job)
             if job.outcome is None:
                 pending.append(job)
-        earlier = len(self.work) - len(pending) - sum(bool(j.planned.refused) for j in self.work)
         work = sum(work_of(job.cell) for job in pending)
         progress.start(work + work_of_designs(self._designs, self._design_store))
         with Scratch(self._store.folder) as scratch:
@@ -88,24 +85,20 @@ class Campaign:
             self._run_cells(bench, pending)
             self._again_with_sound_sources(bench, pending)
             self._look_into_designs(context, scratch, progress)
-        self._write(started, time.monotonic() - began, earlier, scratch.remarks)
+        self._write(started, time.monotonic() - began, scratch.remarks)
         return self._out
 
     def _run_cells(self, bench: Bench, pending: list[CellJob]) -> None:
         """Make the QPs of all cells, then run the cells, mode by mode."""
-        stage, cores, slots = self._ledger.stage, len(self._cores), self._jobs
         exact = self._sources(bench, pending)
         runnable = [job for job in pending if job.outcome is None]
         loops = [job for job in runnable if job.cell.mode == "closed_loop"]
-        with stage("closed loop", loops, slots=slots, judges=slots):
-            bench.closed_loops(loops, exact, slots)
+        bench.closed_loops(loops, exact, self._jobs)
         replays = [job for job in runnable if job.cell.mode == "replay"]
         for group in _groups([job for job in replays if not is_random(job.cell)]):
-            with stage(f"replay of {group[0].cell.sequence}", group, judges=cores):
-                bench.replays(group, exact[_key(group[0])])
+            bench.replays(group, exact[_key(group[0])])
         drawn = [job for job in replays if is_random(job.cell)]
-        with stage("random problems", drawn, slots=slots, judges=slots):
-            bench.random(drawn, exact, slots)
+        bench.random(drawn, exact, self._jobs)
 
     def _again_with_sound_sources(self, bench: Bench, pending: list[CellJob]) -> None:
         """Run what was lost by a source that was damaged since it was looked at, once again."""
@@ -159,18 +152,14 @@ class Campaign:
             if became == "lost":
                 self._store.finish(job, job.outcome)
 
-    def _write(
-        self, started: datetime, wall_s: float, earlier: int, remarks: Sequence[str]
-    ) -> None:
-        runs, steps, inside = tabulate(self.work, self._store, self.machine["id"])
+    def _write(self, started: datetime, wall_s: float, remarks: Sequence[str]) -> None:
+        runs, steps = tabulate(self.work, self._store, self.machine["id"])
         suite: dict[str, Any] = {
             "name": self._name,
             **self._suite.model_dump(),
             "harness_version": HARNESS_VERSION,
             "started_utc": started.isoformat(timespec="seconds"),
             "wall_s": round(wall_s, 1),
-            "earlier_cells": earlier,
-            "spent": self._ledger.entries(inside),
             **_accidents(runs, remarks),
         }
         write_results(self._out, Results(runs, steps, self.machine, suite))

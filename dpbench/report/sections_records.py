@@ -12,7 +12,6 @@ from dpbench.report.figures import units_heat_map
 from dpbench.report.formats import and_list, count_text, plural, significant
 from dpbench.report.tables_accuracy import accuracy_table, units_matrix, units_table
 from dpbench.report.tables_runs import experiments_table, population_table, unfinished_table
-from dpbench.report.tables_spent import spent_table
 
 
 def runs_section(view: Records) -> Section:
@@ -31,9 +30,6 @@ def runs_section(view: Records) -> Section:
         Tabular(population_table(view)),
         Tabular(experiments_table(view)),
     )
-    spent = spent_table(view.suite)
-    if spent is not None:
-        section.add(Tabular(spent))
     unfinished = unfinished_table(view)
     if unfinished is None:
         section.add(Paragraph("Every cell finished."))

@@ -250,10 +250,8 @@ def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
     settle(folder / f"{cells[0].name}.noise")
     for i, batch_cell in enumerate(cells):
         post(AtWork.HARNESS, i)
-        log, began = RawLog.open(folder / f"{batch_cell.name}.raw"), clock()
-        evaluated = _evaluate(batch_cell, log)
-        evaluated.columns["referee_ns"] = np.array([clock() - began])
-        evaluated.save(batch_cell.evaluated)
+        log = RawLog.open(folder / f"{batch_cell.name}.raw")
+        _evaluate(batch_cell, log).save(batch_cell.evaluated)
         write_verdict(folder / f"{batch_cell.name}.evaluated.json", verdict_of("finished", ""))
 
 
