@@ -10,15 +10,12 @@ import os
 import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from multiprocessing.context import ForkServerContext
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from dpbench.bench.design.design import Design, plan_designs
-from dpbench.bench.design.design_file import write_design
-from dpbench.bench.design.run_designs import DesignStore, run_designs, work_of_designs
+from dpbench.bench.design import Design, DesignStudy, plan_designs
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import SuiteFile, load_suite, naming, sequence_suite
@@ -32,6 +29,7 @@ from dpbench.bench.tabulate import tabulate
 from dpbench.bench.workers.child import template_context
 from dpbench.bench.workers.executor import Bench, CellJob, CellStore, work_of
 from dpbench.bench.workers.scratch import Scratch
+from dpbench.bench.workers.worker import make_source
 from dpbench.errors import InputError
 from dpbench.scenario.problem_files import sequence_path
 from dpbench.solvers.table import available, load_solver_module
@@ -51,10 +49,9 @@ class Campaign:
         fresh: bool,
     ) -> None:
         self.machine = describe_machine()
-        self._designs = designs
-        self._design_store = DesignStore(out / "cells", self.machine["id"], fresh=fresh)
         self._name, self._suite, self._out, self._jobs = name, suite, out, jobs
         self._store = CellStore(out / "cells")
+        self._designs = DesignStudy(designs, out / "cells", self.machine["id"], fresh=fresh)
         solvers = {p.cell.solver for p in planned}
         self._libraries = {solver: available(solver) for solver in solvers}
         self.work = [self._job(p) for p in planned]
@@ -62,13 +59,13 @@ class Campaign:
         self._cores = sorted(os.sched_getaffinity(0))
 
     def _job(self, planned: PlannedCell) -> CellJob:
-        found = self._libraries[planned.cell.solver]
-        run_id = planned.cell.run_id(found.identity, self.machine["id"], HARNESS_VERSION)
-        return CellJob(planned, run_id, found)
+        library = self._libraries[planned.cell.solver]
+        run_id = planned.cell.run_id(library.identity, self.machine["id"], HARNESS_VERSION)
+        return CellJob(planned, run_id, library)
 
     def run(self, progress: Progress) -> Path:
         """Run what is not finished yet and write the tables."""
-        started, began = datetime.now(UTC), time.monotonic()
+        started_utc, started_s = datetime.now(UTC), time.monotonic()
         pending = []
         for job in self.work:
             if job.planned.refused:
@@ -78,27 +75,27 @@ class Campaign:
             if job.outcome is None:
                 pending.append(job)
         work = sum(work_of(job.cell) for job in pending)
-        progress.start(work + work_of_designs(self._designs, self._design_store))
+        progress.start(work + self._designs.work)
         with Scratch(self._store.folder) as scratch:
-            context = template_context()
-            bench = Bench(context, scratch, self._store, self._cores, progress)
+            context, slots = template_context(), self._jobs
+            bench = Bench(context, scratch, self._store, self._cores, slots, progress)
             self._run_cells(bench, pending)
             self._again_with_sound_sources(bench, pending)
-            self._look_into_designs(context, scratch, progress)
-        self._write(started, time.monotonic() - began, scratch.remarks)
+            self._designs.run(bench, self._out)
+        self._write(started_utc, time.monotonic() - started_s, scratch.remarks)
         return self._out
 
     def _run_cells(self, bench: Bench, pending: list[CellJob]) -> None:
         """Make the QPs of all cells, then run the cells, mode by mode."""
-        exact = self._sources(bench, pending)
+        sources = self._sources(bench, pending)
         runnable = [job for job in pending if job.outcome is None]
         loops = [job for job in runnable if job.cell.mode == "closed_loop"]
-        bench.closed_loops(loops, exact, self._jobs)
+        bench.batches(loops, sources, "closed loops")
         replays = [job for job in runnable if job.cell.mode == "replay"]
         for group in _groups([job for job in replays if not is_random(job.cell)]):
-            bench.replays(group, exact[_key(group[0])])
+            bench.replays(group, sources)
         drawn = [job for job in replays if is_random(job.cell)]
-        bench.random(drawn, exact, self._jobs)
+        bench.batches(drawn, sources, "random problems")
 
     def _again_with_sound_sources(self, bench: Bench, pending: list[CellJob]) -> None:
         """Run what was lost by a source that was damaged since it was looked at, once again."""
@@ -114,34 +111,20 @@ class Campaign:
     def _source_path(self, key: str) -> Path:
         return self._store.folder / f"exact-{key}.npz"
 
-    def _look_into_designs(
-        self, context: ForkServerContext, scratch: Scratch, progress: Progress
-    ) -> None:
-        """The designs of the suite, in a file of their own; none leaves no file of another run."""
-        found = None
-        if self._designs:
-            found = run_designs(
-                self._designs,
-                self._design_store,
-                context=context,
-                folder=scratch.folder(),
-                cores=self._cores,
-                progress=progress,
-            )
-        write_design(self._out, found)
-
     def _sources(self, bench: Bench, pending: list[CellJob]) -> dict[str, Path]:
         """What the QPs of all cells are made from, by key: exactly solved loops and the like."""
-        paths: dict[str, Path] = {}
-        by_key = {_key(job): job.cell for job in pending}
-        for key, cell in by_key.items():
-            path = self._source_path(key)
-            if self._fresh or not is_sound(cell, path):
-                outcome = bench.source(cell, path)
-                if outcome.outcome != "finished":
-                    self._without_source([job for job in pending if _key(job) == key], outcome)
-            paths[key] = path
-        return paths
+        jobs: dict[Path, list[CellJob]] = {}
+        for job in pending:
+            jobs.setdefault(self._source_path(_key(job)), []).append(job)
+        missing = {
+            path: of_path[0].cell.to_json()
+            for path, of_path in jobs.items()
+            if self._fresh or not is_sound(of_path[0].cell, path)
+        }
+        for errand in bench.make_files(make_source, missing):
+            if errand.outcome.outcome != "finished":
+                self._without_source(jobs[errand.path], errand.outcome)
+        return {_key(of_path[0]): path for path, of_path in jobs.items()}
 
     def _without_source(self, jobs: list[CellJob], outcome: Outcome) -> None:
         """Cells whose QPs could not be made: by their nature, or by an accident of the harness."""

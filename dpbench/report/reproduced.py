@@ -227,5 +227,5 @@ DESIGN_LIMITS = (
     "offset of up to about 1.65 m in calm water and ends in a limit cycle beyond; horizons 60/10 "
     "hold 8 m. That is the paper's design, not a solver's failure."
 )
-BRACKETED = " The brackets found in this run are under Stability and design."
+BRACKETED = " The brackets found in this run:"
 NOT_BRACKETED = " It was established apart from the runs of this report."

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.records import Records, has_steps
+from dpbench.bench.design import Designs
 from dpbench.report.blocks import (
     Block,
     Bullets,
@@ -41,6 +42,7 @@ from dpbench.report.reproduced import (
 from dpbench.report.sections_time import timing_pictures
 from dpbench.report.table import Cell, Mark, Table, row_of
 from dpbench.report.tables_control import control_tables
+from dpbench.report.tables_design import design_table
 from dpbench.scenario.scenario import Scenario
 
 Draw = Callable[[Sequence[Law], Scenario], Figure]
@@ -145,14 +147,12 @@ def control_section(view: Records, demand: Demand) -> Section:
     return section
 
 
-def reproduced_section(view: Records, *, designed: bool) -> Section:
-    """What of the paper is reproduced and what is not.
-
-    designed : the report has a section on the design.
-    """
+def reproduced_section(view: Records, designs: Designs | None) -> Section:
+    """What of the paper is reproduced and what is not. The designs are those of the suite."""
     section = Section("paper", "The paper, reproduced")
+    stability = [Tabular(design_table(designs))] if designs is not None else []
     if not any(is_of_paper(view, name) for name in OF_PAPER):
-        section.add(Paragraph("No scenario of the paper was in this suite."))
+        section.add(Paragraph("No scenario of the paper was in this suite."), *stability)
         return section
     found = claims(view)
     done = sum(claim.state == "reproduced" for claim in found)
@@ -173,8 +173,9 @@ def reproduced_section(view: Records, *, designed: bool) -> Section:
             Bullets(tuple(f"**{what}**: {choice}." for what, choice in chosen)),
         )
     if is_of_paper(view, "paper") and any(has_steps(row) for row in view.full_loops("paper")):
-        section.add(Paragraph(DESIGN_LIMITS + (BRACKETED if designed else NOT_BRACKETED)))
+        section.add(Paragraph(DESIGN_LIMITS + (BRACKETED if designs else NOT_BRACKETED)))
     section.add(
+        *stability,
         Paragraph("Misprints to mind when reading it:"),
         Bullets(MISPRINTS),
     )

@@ -7,13 +7,12 @@ from typing import Any
 
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.records import Records, as_float
-from dpbench.bench.design.design_file import Designs, load_design
+from dpbench.bench.design import Designs, load_designs
 from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.report.blocks import Page, Section
 from dpbench.report.formats import time_text
 from dpbench.report.render import render_html, render_markdown
 from dpbench.report.section_deadline import deadline_lines, deadline_section
-from dpbench.report.section_design import design_section
 from dpbench.report.section_harness import harness_lines, repeat_section
 from dpbench.report.section_horizon import horizon_section
 from dpbench.report.section_random import random_lines, random_section
@@ -62,7 +61,7 @@ def report_and_verdict(out: str | Path, *, baseline: str | None = None) -> tuple
     figures = folder / "figures"
     figures.mkdir(exist_ok=True)
     with styled():
-        page = build_page(results, load_design(folder), baseline=baseline)
+        page = build_page(results, load_designs(folder), baseline=baseline)
         for stale in figures.glob("*.svg"):
             stale.unlink()
         for picture in page.pictures:
@@ -85,7 +84,7 @@ def verdict_lines(results: Results) -> list[str]:
 def build_page(
     results: Results, designs: Designs | None = None, *, baseline: str | None = None
 ) -> Page:
-    """The whole page, figures drawn but not written; without designs no section on them."""
+    """The whole page, figures drawn but not written."""
     view, demand = Records(results), Demand.of(results.suite)
     suite = results.suite
     return Page(
@@ -111,7 +110,6 @@ def _sections(
     claims, deadline = random_section(view), deadline_section(view)
     horizon = horizon_section(view, demand)
     repeat = repeat_section(view)
-    design = [design_section(designs)] if designs is not None else []
     slow = [deadline] if deadline is not None else []
     found = [claims] if claims is not None else []
     if (found or slow) and not view.runs:
@@ -119,7 +117,6 @@ def _sections(
             *slow,
             *found,
             runs_section(view),
-            *design,
             solvers_section(view),
             reading_section(),
         ]
@@ -137,8 +134,7 @@ def _sections(
         figures_section(view, demand),
         control_section(view, demand),
         *slow,
-        *design,
-        reproduced_section(view, designed=bool(design)),
+        reproduced_section(view, designs),
         solvers_section(view),
         reading_section(),
     ]

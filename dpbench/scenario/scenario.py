@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -207,6 +209,16 @@ def scenario_of(
         tuning=controller.tuning,
         files=files,
     )
+
+
+def scenario_once(files: dict[str, Any]) -> Scenario:
+    """As `scenario_of`, for documents of which many cells ask the same: made once a process."""
+    return _made(json.dumps(files, sort_keys=True))
+
+
+@lru_cache(maxsize=64)
+def _made(files: str) -> Scenario:
+    return scenario_of(json.loads(files))
 
 
 def _move_weight(controller: ControllerTable, du_max: Vector, scale: Froude) -> Vector:

@@ -22,7 +22,7 @@ from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Units
 from dpbench.qp.referee.referee import ACTIVE_MULTIPLIER, Optimum, Referee, claim_is_true, error_of
 from dpbench.qp.residuals import Residuals, best_multipliers, is_true, residuals
 from dpbench.qp.solution import Solution, Status
-from dpbench.scenario.scenario import scenario_of
+from dpbench.scenario.scenario import scenario_once
 
 Columns = dict[str, NDArray[Any]]
 """Arrays of several types over the recorded rows of a cell."""
@@ -160,7 +160,7 @@ def recorded_answer(log: RawLog, r: int, k: int) -> Solution:
 
 def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
     """The judged columns and metrics of a closed loop."""
-    scenario = scenario_of(cell.scenario).first(cell.steps)
+    scenario = scenario_once(cell.scenario).first(cell.steps)
     scaled = QPBuilder(scenario)
     own = scaled if cell.units == "scaled" else QPBuilder(scenario, cell.units)
     done = int(log.done[0])

@@ -32,7 +32,7 @@ from dpbench.bench.record.raw_log import TIMES
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_steps
 from dpbench.bench.run.slow_computer import delay_of
 from dpbench.qp.solution import Status
-from dpbench.scenario.scenario import scenario_of
+from dpbench.scenario.scenario import scenario_once
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.table import Availability
 
@@ -76,7 +76,7 @@ def step_rows(run_id: str, cell: Cell, evaluated: Evaluated) -> pd.DataFrame:
         frame["fallback"] = unusable(frame)
         return as_steps(frame)
     frame["counts"] = True
-    delay = delay_of(cell, scenario_of(cell.scenario).sample_s)
+    delay = delay_of(cell, scenario_once(cell.scenario).sample_s)
     frame = frame.assign(**late_columns(delay, columns["latency_ns"], frame["total_ns"]))
     return as_steps(pd.concat([frame, _ship_columns(columns)], axis=1))
 
@@ -156,7 +156,7 @@ def _deadline_s(cell: Cell) -> float:
     """The budget of a step [s]; NaN in a replay, which has none."""
     if cell.mode == "replay":
         return float("nan")
-    return cell.deadline_s or scenario_of(cell.scenario).sample_s
+    return cell.deadline_s or scenario_once(cell.scenario).sample_s
 
 
 def _sizes(cell: Cell, outcome: Outcome) -> dict[str, Any]:

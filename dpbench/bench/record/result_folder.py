@@ -51,7 +51,7 @@ def claimed(folder: Path, suite: str) -> Iterator[None]:
         raise InputError(where, "", "the current folder", "a folder of its own")
     previous = folder / "suite.json"
     if previous.is_file():
-        found = _read_json(previous).get("name")
+        found = read_json(previous).get("name")
         if found != suite:
             allowed = "another folder, or remove this one"
             raise InputError(where, "", f"{folder} with results of suite {found!r}", allowed)
@@ -98,7 +98,7 @@ def accidents(out: Path) -> tuple[int, list[str]]:
     ------
     ResultsError : `suite.json` is missing or damaged.
     """
-    suite = _read_json(out / "suite.json")
+    suite = read_json(out / "suite.json")
     return int(suite.get("lost_cells", 0)), [str(line) for line in suite.get("remarks", [])]
 
 
@@ -115,8 +115,8 @@ def load_results(out: str | Path) -> Results:
     results = Results(
         runs=_read_table(folder, "runs"),
         steps=_read_table(folder, "steps"),
-        machine=_read_json(folder / "machine.json"),
-        suite=_read_json(folder / "suite.json"),
+        machine=read_json(folder / "machine.json"),
+        suite=read_json(folder / "suite.json"),
     )
     for name, frame in (("run_rows", results.runs), ("step_rows", results.steps)):
         promised = results.suite.get(name)
@@ -159,7 +159,8 @@ def _read_table(folder: Path, name: str) -> pd.DataFrame:
         raise ResultsError(str(path), "", found, "the types of schema.py") from error
 
 
-def _read_json(path: Path) -> dict[str, Any]:
+def read_json(path: Path) -> dict[str, Any]:
+    """A JSON object; ResultsError, naming the file, where there is none."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

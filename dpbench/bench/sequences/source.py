@@ -70,6 +70,18 @@ def source_of(cell: Cell) -> Source:
     raise InputError("cell", "source.kind", repr(kind), f"{RANDOM!r} or {RECORDED!r}")
 
 
+_latest: dict[tuple[str, Path], Replayed] = {}
+
+
+def replayed(cell: Cell, path: Path) -> Replayed:
+    """What a replay needs, read once a process for all cells in a row that see the same QPs."""
+    key = cell.problem_key, path
+    if key not in _latest:
+        _latest.clear()
+        _latest[key] = source_of(cell).load(cell, path)
+    return _latest[key]
+
+
 def source_key(cell: Cell, harness_version: str) -> str:
     """Cells with the same key share one file."""
     text = json.dumps(

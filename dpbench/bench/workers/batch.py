@@ -1,8 +1,9 @@
 """Cells of one configuration one after the other in one process, then judged one after the other.
 
-For random problems, which ask whether an answer is true and not how long it took: importing a
-library takes most of a second, replaying a small sequence some milliseconds. A cell that crashes
-or hangs costs only itself; those after it go on in a new process.
+A closed loop is a batch of its own. Random problems share one, as they ask whether an answer is
+true and not how long it took: importing a library takes most of a second, replaying a small
+sequence some milliseconds. A cell that crashes or hangs costs only itself; those after it go on in
+a new process.
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ from pathlib import Path
 
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.workers.child import Child, with_log
-from dpbench.bench.workers.worker import BatchCell, evaluate_batch, run_replay_batch
+from dpbench.bench.workers.worker import BatchCell, evaluate_batch, run_batch
 
-GRADING_LIMIT_S = 600.0
+EVALUATION_LIMIT_S = 600.0
 
 
 class _Run(Child):
@@ -41,7 +42,7 @@ class _Run(Child):
             context, target, args, folder, cells[0].name, limit_s=limit_s, verdict=verdict
         )
 
-    def _follow(self) -> None:
+    def _advance(self) -> None:
         """Watch the first cell that has no verdict yet."""
         while self._at < len(self._cells) and self._verdict.exists():
             self._at += 1
@@ -51,99 +52,80 @@ class _Run(Child):
                 self._born, self._running_since = time.monotonic(), None
 
     def overdue(self) -> bool:
-        self._follow()
+        self._advance()
         return self._at < len(self._cells) and super().overdue()
 
     def split(self) -> tuple[dict[str, Outcome], list[BatchCell]]:
         """Once the process ended: what became of the cells it came to, and those still to do."""
         self.process.join()
-        self._follow()
-        found = {}
+        self._advance()
+        outcomes = {}
         for cell in self._cells[: self._at]:
-            found[cell.name] = self.verdict_of(self.folder / f"{cell.name}.{self._suffix}")
+            outcomes[cell.name] = self.verdict_of(self.folder / f"{cell.name}.{self._suffix}")
         # A library may bring its process down when it is let go, between two cells.
         not_begun = self._at > 0 and self.notice.place < self._at
         if not_begun or self._at == len(self._cells):
-            return found, self._cells[self._at :]
-        found[self.name] = self.outcome()
-        return found, self._cells[self._at + 1 :]
+            return outcomes, self._cells[self._at :]
+        outcomes[self.name] = self.outcome()
+        return outcomes, self._cells[self._at + 1 :]
 
 
 class CellBatch:
-    """All cells of one configuration on their way: replayed, then judged.
+    """All cells of one configuration on their way: run, then judged.
 
     Parameters
     ----------
     cells : what the worker needs of each cell, in order; limit_s : a cell's own run time.
+    to_run : whether they are to be run; where not, they were before, and left steps.
     """
 
     def __init__(
-        self, context: ForkServerContext, folder: Path, cells: Sequence[BatchCell], limit_s: float
+        self,
+        context: ForkServerContext,
+        folder: Path,
+        cells: Sequence[BatchCell],
+        limit_s: float,
+        *,
+        to_run: bool = True,
     ) -> None:
         self._context, self._folder, self._cells = context, folder, list(cells)
-        self._limit_s = limit_s
-        self._judging = False
+        self._limit_s, self._to_run = limit_s, to_run
         self.outcomes: dict[str, Outcome] = {}
 
     def start(self, core: int) -> Child:
         """The first process."""
-        return self._replay(self._cells, core)
-
-    def evaluate(self, core: int) -> Child:
-        """The first process where all cells were replayed before, and left steps."""
-        self._judging = True
-        return self._evaluate(self._cells, core)
+        return self._process(self._cells, core)
 
     def follow(self, child: Child, core: int) -> Child | None:
         """Take down what became of the process that ended; the next one, or None at the end."""
         assert isinstance(child, _Run), "the processes of a batch are its own"
-        found, rest = child.split()
-        if not self._judging:
-            self.outcomes |= found
-            if rest:
-                return self._replay(rest, core)
-            self._judging = True
-            for cell in self._cells:
-                self.outcomes[cell.name] = with_log(self.outcomes[cell.name], self._raw(cell))
-            rest = [cell for cell in self._cells if self._left_steps(cell)]
+        ended, rest = child.split()
+        if self._to_run:
+            self.outcomes |= ended
+            if not rest:
+                self._to_run = False
+                rest = [cell for cell in self._cells if self._left_steps(cell)]
         else:
-            for name, verdict in found.items():
+            for name, verdict in ended.items():
                 if verdict.outcome != "finished":
-                    self.outcomes[name] = not_evaluated(verdict)
-        return self._evaluate(rest, core) if rest else None
-
-    def _raw(self, cell: BatchCell) -> Path:
-        return self._folder / f"{cell.name}.raw"
+                    detail = f"the referee failed on it: {verdict.detail}"
+                    self.outcomes[name] = Outcome("lost", detail)
+        return self._process(rest, core) if rest else None
 
     def _left_steps(self, cell: BatchCell) -> bool:
-        return self.outcomes[cell.name].outcome != "lost" and self._raw(cell).exists()
+        """Whether there is something to judge; a log that went away costs its cell."""
+        raw = self._folder / f"{cell.name}.raw"
+        outcome = self.outcomes[cell.name] = with_log(self.outcomes[cell.name], raw)
+        return outcome.outcome != "lost" and raw.exists()
 
-    def _replay(self, cells: Sequence[BatchCell], core: int) -> Child:
+    def _process(self, cells: Sequence[BatchCell], core: int) -> Child:
+        """A process that runs cells, or judges them when all are run."""
+        target, limit_s, verdict = run_batch, self._limit_s, "json"
+        if not self._to_run:
+            target, limit_s, verdict = evaluate_batch, EVALUATION_LIMIT_S, "evaluated.json"
         return _Run(
-            self._context,
-            run_replay_batch,
-            cells,
-            self._folder,
-            core,
-            limit_s=self._limit_s,
-            verdict="json",
+            self._context, target, cells, self._folder, core, limit_s=limit_s, verdict=verdict
         )
-
-    def _evaluate(self, cells: Sequence[BatchCell], core: int) -> Child:
-        return _Run(
-            self._context,
-            evaluate_batch,
-            cells,
-            self._folder,
-            core,
-            limit_s=GRADING_LIMIT_S,
-            verdict="evaluated.json",
-        )
-
-
-def not_evaluated(found: Outcome) -> Outcome:
-    """What becomes of a cell on which the referee's process ended so."""
-    return Outcome("lost", f"the referee failed on it: {found.detail}")
 
 
 def configuration_of(cell: Cell) -> tuple[str, ...]:

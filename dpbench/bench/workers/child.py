@@ -9,11 +9,11 @@ import multiprocessing.resource_tracker
 import os
 import signal
 import time
-from collections.abc import Callable, Sequence
-from multiprocessing.connection import wait
+from collections.abc import Callable
+from contextlib import suppress
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.record.machine import THREAD_VARIABLES, pin_threads
@@ -26,9 +26,7 @@ START_ALLOWANCE_S = 60.0
 """For importing a library; after it a cell that has not started its loop is killed."""
 GRACE_S = 3.0
 """Beyond a cell's own limit, for one call that does not return."""
-POLL_S = 0.02
 _BY_MEMORY = "killed by SIGKILL, as by the out-of-memory killer"
-Task = TypeVar("Task")
 
 
 def with_log(outcome: Outcome, raw: Path) -> Outcome:
@@ -69,6 +67,7 @@ class Child:
         verdict has ended it.
     folder, name : where its raw log, noise and verdict appear.
     limit_s : own run time allowed once its log says it started; None for none.
+    logs : whether it leaves a raw log; the time of one that leaves none runs from its start.
     """
 
     def __init__(
@@ -81,6 +80,7 @@ class Child:
         *,
         limit_s: float | None,
         verdict: str = "json",
+        logs: bool = True,
     ) -> None:
         self.folder, self.name = folder, name
         # Somebody else may have removed the folder, which costs those that had files in it.
@@ -89,7 +89,7 @@ class Child:
         self._verdict.unlink(missing_ok=True)
         self._limit_s = limit_s
         self._born, self._memory_kills = time.monotonic(), _memory_kills()
-        self._running_since: float | None = None
+        self._running_since = None if logs else self._born
         self._killed_for = ""
         self.notice = Notice()
         self.process: ForkServerProcess = context.Process(
@@ -184,6 +184,56 @@ class Child:
         return lines[-1][:300] if lines else "no output"
 
 
+class ServingChild(Child):
+    """A process that takes orders over a pipe, its target's last argument, until None is sent."""
+
+    def __init__(
+        self,
+        context: ForkServerContext,
+        target: Callable[..., None],
+        args: tuple[Any, ...],
+        folder: Path,
+        name: str,
+        *,
+        limit_s: float | None,
+    ) -> None:
+        self._orders, far_end = context.Pipe()
+        super().__init__(context, target, (*args, far_end), folder, name, limit_s=limit_s)
+        far_end.close()
+
+    def order(self, order: object) -> None:
+        """Send an order; of a process that died meanwhile `reply` knows."""
+        with suppress(OSError):
+            self._orders.send(order)
+
+    def ready(self) -> object:
+        """Its first word, for which it has the time to start; None as for `reply`."""
+        return self._word(START_ALLOWANCE_S, f"did not start within {START_ALLOWANCE_S:g} s")
+
+    def reply(self, limit_s: float) -> object:
+        """Its next word; None when it died, refused, or hung and was killed for it."""
+        return self._word(limit_s + GRACE_S, f"one call ran beyond the limit of {limit_s:g} s")
+
+    def _word(self, wait_s: float, overdue: str) -> object:
+        try:
+            if self._orders.poll(wait_s):
+                return self._orders.recv()
+        except (EOFError, OSError):
+            return None
+        self.kill(f"{overdue} and was killed")
+        return None
+
+    def dismiss(self) -> Outcome:
+        """Let it end, kill it if it does not, and say what became of it."""
+        self.order(None)
+        self.process.join(GRACE_S)
+        if self.process.is_alive():
+            # Behind its verdict a worker only counts allocations, which is no reason to blame it.
+            self.kill("" if self.has_verdict else "did not end when asked to")
+        self._orders.close()
+        return self.outcome()
+
+
 def _signal_name(number: int) -> str:
     try:
         return signal.Signals(number).name
@@ -198,32 +248,3 @@ def _memory_kills() -> int | None:
     except OSError:
         return None
     return next((int(line.split()[1]) for line in lines if line.startswith("oom_kill ")), None)
-
-
-def in_slots(
-    tasks: Sequence[Task],
-    cores: Sequence[int],
-    start: Callable[[Task, int], Child],
-    ended: Callable[[Task, Child, int], Child | None],
-) -> None:
-    """Run a process per task, as many at a time as there are `cores`, each on one of them.
-
-    `ended` may return another process that goes on with the task on the same core.
-    """
-    waiting, free = list(reversed(tasks)), list(cores)
-    running: list[tuple[Task, Child, int]] = []
-    while waiting or running:
-        while waiting and free:
-            task, core = waiting.pop(), free.pop()
-            running.append((task, start(task, core), core))
-        wait([child.process.sentinel for _, child, _ in running], POLL_S)
-        for entry in list(running):
-            task, child, core = entry
-            if child.process.is_alive() and not child.overdue():
-                continue
-            running.remove(entry)
-            following = ended(task, child, core)
-            if following is None:
-                free.append(core)
-            else:
-                running.append((task, following, core))

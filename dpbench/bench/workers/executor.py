@@ -1,14 +1,14 @@
 """Run cells in processes of their own, have them judged, and keep what is finished.
 
-Closed-loop cells and random sequences run side by side on the cores; replays that are timed run
-one worker at a time.
+In one of two ways: batches side by side on the cores, for closed loops and random sequences, and
+replays that are timed, interleaved, one worker at a time.
 """
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.context import ForkServerContext
@@ -22,11 +22,12 @@ from dpbench.bench.record.npz import DAMAGE
 from dpbench.bench.record.raw_log import discard
 from dpbench.bench.record.result_folder import write_json
 from dpbench.bench.sequences.source import log_size, source_key
-from dpbench.bench.workers.batch import GRADING_LIMIT_S, CellBatch, configuration_of, not_evaluated
-from dpbench.bench.workers.child import Child, in_slots, with_log
+from dpbench.bench.workers.batch import CellBatch, configuration_of
+from dpbench.bench.workers.child import with_log
 from dpbench.bench.workers.interleaved import ReplayGroup
 from dpbench.bench.workers.scratch import NoRoomError, Scratch
-from dpbench.bench.workers.worker import BatchCell, evaluate_cell, make_source, run_closed_loop_cell
+from dpbench.bench.workers.slots import Errand, in_slots
+from dpbench.bench.workers.worker import BatchCell
 from dpbench.errors import InputError
 from dpbench.solvers.table import Availability
 
@@ -44,6 +45,11 @@ class CellJob:
     def cell(self) -> Cell:
         """Its cell."""
         return self.planned.cell
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether an accident of the harness cost it."""
+        return self.outcome is not None and self.outcome.outcome == "lost"
 
 
 class CellStore:
@@ -64,9 +70,9 @@ class CellStore:
         """
         try:
             text = (self.folder / f"{job.run_id}.json").read_text(encoding="utf-8")
-            found = json.loads(text)
-            with_steps = found.pop("with_steps")
-            outcome = Outcome(**found)
+            document = json.loads(text)
+            with_steps = document.pop("with_steps")
+            outcome = Outcome(**document)
         except (OSError, ValueError, TypeError, AttributeError, KeyError):
             return None
         if outcome.outcome not in OUTCOMES or outcome.outcome == "lost":
@@ -83,8 +89,8 @@ class CellStore:
         with_steps = judged and outcome.outcome != "lost"
         if not with_steps:
             self.evaluated_path(job).unlink(missing_ok=True)
-        found = outcome.__dict__ | {"with_steps": with_steps}
-        write_json(self.folder / f"{job.run_id}.json", found)
+        document = outcome.__dict__ | {"with_steps": with_steps}
+        write_json(self.folder / f"{job.run_id}.json", document)
 
     def evaluated(self, job: CellJob) -> Evaluated | None:
         """The judged columns of a cell, None if it left no steps, or they are damaged."""
@@ -111,7 +117,12 @@ def _away_from(core: int) -> Iterator[None]:
 
 
 class Bench:
-    """Runs cells in processes of their own and has them judged."""
+    """Runs cells in processes of their own and has them judged.
+
+    Parameters
+    ----------
+    cores : those there are; slots : how many processes may work side by side, on as many cores.
+    """
 
     def __init__(
         self,
@@ -119,104 +130,130 @@ class Bench:
         scratch: Scratch,
         store: CellStore,
         cores: list[int],
+        slots: int,
         progress: Progress,
     ) -> None:
-        self._context, self._scratch, self._store = context, scratch, store
-        self._cores, self._progress = cores, progress
-        self._folder = store.folder  # that of the logs at hand, see `_room_for`
+        self._context, self._scratch, self.progress = context, scratch, progress
+        self._store, self._cores, self._slots = store, cores, cores[:slots]
+        self._folder = store.folder  # that of the logs at hand, see `_with_room`
 
-    def source(self, cell: Cell, path: Path) -> Outcome:
-        """Make the file behind a cell's QPs at `path`: an exactly solved loop, certified optima."""
-        name = f"exact-{path.stem}"
+    def make_files(
+        self,
+        target: Callable[[str, Path, str, int, Path], None],
+        descriptions: Mapping[Path, str],
+        *,
+        limit_s: float | None = None,
+    ) -> Iterator[Errand]:
+        """Make files from their descriptions, each in a process of its own; as in `Errand`.
+
+        Yields
+        ------
+        The errand of each file when its process has ended.
+        """
         folder = self._scratch.folder()
-        args = (cell.to_json(), folder, name, self._cores[-1], path)
-        child = Child(self._context, make_source, args, folder, name, limit_s=GRADING_LIMIT_S)
-        return child.outcome()
+        errands = [
+            Errand(self._context, target, text, folder, path, limit_s=limit_s)
+            for path, text in descriptions.items()
+        ]
+        return in_slots(errands, self._slots)
 
-    def _slots(self, count: int) -> list[int]:
-        """The core of each of so many slots."""
-        return [self._cores[i % len(self._cores)] for i in range(count)]
+    def batches(self, jobs: Sequence[CellJob], sources: dict[str, Path], what: str) -> None:
+        """Run closed loops, or random sequences, and judge each batch right after it ran."""
+        batches: dict[tuple[str, ...], list[CellJob]] = {}
+        sizes = self._sizes(jobs, sources)
+        for job in sizes:
+            alone = job.cell.mode == "closed_loop"
+            key = (job.run_id,) if alone else configuration_of(job.cell)
+            batches.setdefault(key, []).append(job)
+        # A batch keeps the logs of all its cells until they are judged.
+        needs = sorted(sum(sizes[job] for job in batch) for batch in batches.values())
+        if not sizes or not self._with_room(sizes, sum(needs[-len(self._slots) :]), what):
+            return
+        by_id = {job.run_id: job for job in sizes}
+        for outcomes in self._in_batches(batches.values(), sources):
+            for run_id, outcome in outcomes.items():
+                job, cell = by_id[run_id], by_id[run_id].cell
+                job.outcome = outcome
+                self._put_away(job)
+                name = cell.scenario_name or cell.sequence
+                self.progress.advance(work_of(cell), f"{cell.solver} {name}")
 
-    def _room_for(self, jobs: Sequence[CellJob], sizes: Sequence[int], what: str) -> bool:
-        """Choose where the logs of `jobs` lie; without room for `sizes` [B] they are lost."""
+    def replays(self, jobs: Sequence[CellJob], sources: dict[str, Path]) -> None:
+        """Replay one sequence through all its configurations, interleaved, then judge them all."""
+        name, core = jobs[0].cell.sequence, self._cores[-1]
+        sizes = self._sizes(jobs, sources)
+        if not sizes or not self._with_room(sizes, sum(sizes.values()), f"the replays of {name}"):
+            return
+        cells = [(job.run_id, job.cell) for job in sizes]
+        group = ReplayGroup(self._context, self._folder, _source(jobs[0], sources), core, cells)
+        rounds = max(cell.rounds for _, cell in cells)
+        share = sum(work_of(cell) for _, cell in cells) // (rounds + 1)
+        with _away_from(core):
+            for r in group.run():
+                self.progress.advance(share, f"replay {name}, round {r}")
+        raws = {job: self._folder / f"{job.run_id}.raw" for job in sizes}
+        for job, raw in raws.items():
+            job.outcome = with_log(group.outcomes[job.run_id], raw)
+        stepped = [job for job, raw in raws.items() if raw.exists() and not job.is_lost]
+        shares = [stepped[i :: len(self._cores)] for i in range(len(self._cores))]
+        # Judged on every core, whatever the slots: nothing is timed any more.
+        evaluated = self._in_batches(filter(None, shares), sources, self._cores, to_run=False)
+        lost = {run_id: outcome for outcomes in evaluated for run_id, outcome in outcomes.items()}
+        for job in sizes:
+            job.outcome = lost.get(job.run_id, job.outcome)
+            self._put_away(job)
+
+    def _sizes(self, jobs: Sequence[CellJob], sources: dict[str, Path]) -> dict[CellJob, int]:
+        """What each log takes [B]; jobs whose source cannot be read are lost, and not in it."""
+        sizes = {}
+        for job in jobs:
+            try:
+                sizes[job] = log_size(job.cell, _source(job, sources))
+            except InputError as error:
+                self._lose(job, str(error))
+        return sizes
+
+    def _with_room(self, jobs: Iterable[CellJob], need: int, what: str) -> bool:
+        """Choose where the logs of `jobs` lie; without room for `need` bytes they are lost."""
         try:
-            self._folder = self._scratch.folder(sum(sizes), what)
+            self._folder = self._scratch.folder(need, what)
         except NoRoomError as error:
             for job in jobs:
                 self._lose(job, str(error))
             return False
         return True
 
-    def _sized(
-        self, jobs: Sequence[CellJob], sources: dict[str, Path]
-    ) -> tuple[list[CellJob], dict[str, int]]:
-        """The jobs whose source can be read, and what each of their logs takes [B]."""
-        sound, sizes = [], {}
-        for job in jobs:
-            try:
-                path = sources[source_key(job.cell, HARNESS_VERSION)]
-                sizes[job.run_id] = log_size(job.cell, path)
-            except InputError as error:
-                self._lose(job, str(error))
-                continue
-            sound.append(job)
-        return sound, sizes
-
     def _lose(self, job: CellJob, cause: str) -> None:
         self._store.finish(job, Outcome("lost", cause))
-        self._progress.advance(work_of(job.cell), "lost")
+        self.progress.advance(work_of(job.cell), "lost")
 
-    def closed_loops(self, jobs: Sequence[CellJob], exact: dict[str, Path], slots: int) -> None:
-        """Run closed-loop cells on up to `slots` cores, each judged right after it ran."""
-        jobs, sizes = self._sized(jobs, exact)
-        if not jobs or not self._room_for(jobs, sorted(sizes.values())[-slots:], "closed loops"):
-            return
-
-        def ended(job: CellJob, child: Child, core: int) -> Child | None:
-            if job.outcome is None:
-                job.outcome = with_log(child.outcome(), child.raw_path)
-                if job.outcome.outcome != "lost" and child.raw_path.exists():
-                    return self._evaluate(job, exact[source_key(job.cell, HARNESS_VERSION)], core)
-            elif not child.has_verdict:
-                job.outcome = not_evaluated(child.outcome())
-            self._finish(job)
-            return None
-
-        in_slots(jobs, self._slots(slots), self._start, ended)
-
-    def _start(self, job: CellJob, core: int) -> Child:
-        args = (job.cell.to_json(), self._folder, job.run_id, core)
-        limit_s = job.cell.limit_s
-        return Child(
-            self._context, run_closed_loop_cell, args, self._folder, job.run_id, limit_s=limit_s
-        )
-
-    def _evaluate(self, job: CellJob, exact: Path, core: int) -> Child:
-        args = (
-            job.cell.to_json(),
-            self._folder,
-            job.run_id,
-            core,
-            exact,
-            self._store.evaluated_path(job),
-        )
-        return Child(
-            self._context,
-            evaluate_cell,
-            args,
-            self._folder,
-            job.run_id,
-            limit_s=GRADING_LIMIT_S,
-            verdict="evaluated.json",
-        )
-
-    def _finish(self, job: CellJob) -> None:
-        """Keep the outcome of a cell and drop what it left behind."""
-        self._put_away(job)
-        what = job.cell.scenario_name or job.cell.sequence
-        self._progress.advance(work_of(job.cell), f"{job.cell.solver} {what}")
+    def _in_batches(
+        self,
+        batches: Iterable[Sequence[CellJob]],
+        sources: dict[str, Path],
+        cores: Sequence[int] | None = None,
+        *,
+        to_run: bool = True,
+    ) -> Iterator[dict[str, Outcome]]:
+        """Run and judge batches side by side; the outcomes of each when it is done, by run_id."""
+        tasks = []
+        for jobs in batches:
+            cells = [
+                BatchCell(
+                    job.run_id,
+                    job.cell.to_json(),
+                    _source(job, sources),
+                    self._store.evaluated_path(job),
+                )
+                for job in jobs
+            ]
+            limit_s = jobs[0].cell.limit_s
+            tasks.append(CellBatch(self._context, self._folder, cells, limit_s, to_run=to_run))
+        for batch in in_slots(tasks, cores or self._slots):
+            yield batch.outcomes
 
     def _put_away(self, job: CellJob) -> None:
+        """Keep the outcome of a cell and drop what it left behind."""
         judged = (self._folder / f"{job.run_id}.evaluated.json").exists()
         outcome = job.outcome or Outcome("lost", "it was not run")
         self._store.finish(job, outcome, judged=judged)
@@ -224,71 +261,7 @@ class Bench:
         for suffix in ("json", "evaluated.json", "noise"):
             (self._folder / f"{job.run_id}.{suffix}").unlink(missing_ok=True)
 
-    def replays(self, jobs: Sequence[CellJob], exact: Path) -> None:
-        """Replay one sequence through all its configurations, interleaved, then judge them all."""
-        name = jobs[0].cell.sequence
-        jobs, sizes = self._sized(jobs, {source_key(j.cell, HARNESS_VERSION): exact for j in jobs})
-        if not jobs or not self._room_for(jobs, [*sizes.values()], f"the replays of {name}"):
-            return
-        group = ReplayGroup(
-            self._context, self._folder, exact, self._cores[-1], [(j.run_id, j.cell) for j in jobs]
-        )
-        rounds = max(job.cell.rounds for job in jobs)
-        share = sum(work_of(job.cell) for job in jobs) // (rounds + 1)
-        with _away_from(self._cores[-1]):
-            for r in group.run():
-                self._progress.advance(share, f"replay {name}, round {r}")
-        raws = {job.run_id: self._folder / f"{job.run_id}.raw" for job in jobs}
-        for job in jobs:
-            job.outcome = with_log(group.outcomes[job.run_id], raws[job.run_id])
-        stepped = [j for j in jobs if j.outcome and j.outcome.outcome != "lost"]
-        self._evaluate_all([j for j in stepped if raws[j.run_id].exists()], exact)
-        for job in jobs:
-            self._put_away(job)
 
-    def _evaluate_all(self, jobs: Sequence[CellJob], exact: Path) -> None:
-        """Judge what was replayed, on every core some of it."""
-        by_id = {job.run_id: job for job in jobs}
-        shares = [jobs[i :: len(self._cores)] for i in range(len(self._cores))]
-        sources = {source_key(job.cell, HARNESS_VERSION): exact for job in jobs}
-        batches = [self._batch(share, sources) for share in shares if share]
-        in_slots(batches, self._cores, CellBatch.evaluate, CellBatch.follow)
-        for batch in batches:
-            for run_id, lost in batch.outcomes.items():
-                by_id[run_id].outcome = lost
-
-    def random(self, jobs: Sequence[CellJob], sources: dict[str, Path], slots: int) -> None:
-        """Replay random sequences configuration by configuration, up to `slots` configurations at a
-        time, and judge them."""
-        jobs, sizes = self._sized(jobs, sources)
-        configurations: dict[tuple[str, ...], list[CellJob]] = {}
-        for job in jobs:
-            configurations.setdefault(configuration_of(job.cell), []).append(job)
-        # A configuration keeps the logs of all its cells until they are judged.
-        needs = sorted(sum(sizes[job.run_id] for job in mine) for mine in configurations.values())
-        if not jobs or not self._room_for(jobs, needs[-slots:], "random problems"):
-            return
-        batches = [(self._batch(mine, sources), mine) for mine in configurations.values()]
-
-        def ended(task: tuple[CellBatch, list[CellJob]], child: Child, core: int) -> Child | None:
-            batch, mine = task
-            following = batch.follow(child, core)
-            if following is None:
-                for job in mine:
-                    job.outcome = batch.outcomes[job.run_id]
-                    self._finish(job)
-            return following
-
-        in_slots(batches, self._slots(slots), lambda task, core: task[0].start(core), ended)
-
-    def _batch(self, jobs: Sequence[CellJob], sources: dict[str, Path]) -> CellBatch:
-        cells = [
-            BatchCell(
-                job.run_id,
-                job.cell.to_json(),
-                sources[source_key(job.cell, HARNESS_VERSION)],
-                self._store.evaluated_path(job),
-            )
-            for job in jobs
-        ]
-        return CellBatch(self._context, self._folder, cells, jobs[0].cell.limit_s)
+def _source(job: CellJob, sources: dict[str, Path]) -> Path:
+    """The file behind the QPs of a job."""
+    return sources[source_key(job.cell, HARNESS_VERSION)]

@@ -2,24 +2,35 @@
 
 All workers stay alive; exactly one runs while the others block on their pipes, so machine drift
 hits all configurations alike. Within a round the order of configurations is drawn anew from the
-seed.
+seed. Rounds that other work on the machine robbed of speed run again at the end, within a budget.
+
+A neighbour may slow every step of a round by up to a factor of two, for milliseconds or for
+minutes. The counters do not show it: over 14 runs of 14 configurations on a shared machine
+the slow-down of a round correlated with the load kernel around it at 0.8, with steal time at 0.2
+and with involuntary switches at 0.3. What those two take hits few steps of a round, and the
+minimum over the rounds passes over them.
+
+Which round runs again is for the load kernel to say, never for the solver's own times: choosing
+rounds by these would make a ratio of two runs smaller than it is.
 """
 
 from __future__ import annotations
 
-import random
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
+from random import Random
+from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from dpbench.bench.judge.rules import is_disturbed
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.workers.child import GRACE_S, START_ALLOWANCE_S, Child
-from dpbench.bench.workers.robbed import repeat_robbed
+from dpbench.bench.workers.child import ServingChild
 from dpbench.bench.workers.worker import run_replay_cell
 
 STARTED_TOGETHER = 4
@@ -27,13 +38,22 @@ DISTURBED_RETRIES = 1
 """How often a round in which the reference kernel was slowed is run again."""
 FEWEST_ROUNDS = 3
 """Rounds, none of them disturbed, that a configuration gets whatever its budget is."""
+ROBBED_FACTOR = 1.25
+"""A round whose load kernel took this much longer than in the quietest round of any
+configuration."""
 
 
-class _ReplayWorker:
-    """One worker and the state of its service."""
+class ReplayWorker:
+    """One worker and the state of its service.
 
-    def __init__(self, run_id: str, cell: Cell, child: Child, orders: Connection) -> None:
-        self.run_id, self.cell, self.child, self.orders = run_id, cell, child, orders
+    Attributes
+    ----------
+    serving : whether it may be asked for further rounds.
+    spent_s : what its rounds took so far; clean_rounds : those of them that were not disturbed.
+    """
+
+    def __init__(self, run_id: str, cell: Cell, child: ServingChild) -> None:
+        self.run_id, self.cell, self.child = run_id, cell, child
         self.serving = True
         self.spent_s = 0.0
         self.clean_rounds = 0
@@ -43,22 +63,6 @@ class _ReplayWorker:
         """Whether it has used up its budget and has rounds enough."""
         budget_s = self.cell.budget_s
         return 0.0 < budget_s <= self.spent_s and self.clean_rounds >= FEWEST_ROUNDS
-
-    def wait(self, limit_s: float, late: str = "") -> object:
-        """The worker's next word; None when it died, hung (killed as `late` says) or refused."""
-        try:
-            if self.orders.poll(limit_s):
-                return self.orders.recv()
-        except (EOFError, OSError):
-            return None
-        beyond = f"one call ran beyond the limit of {self.cell.limit_s:g} s"
-        self.child.kill(f"{late or beyond} and was killed")
-        return None
-
-    def order(self, r: int) -> None:
-        """Ask for round r; of a worker that died meanwhile `wait` knows."""
-        with suppress(OSError):
-            self.orders.send(r)
 
 
 class ReplayGroup:
@@ -85,28 +89,27 @@ class ReplayGroup:
 
     def run(self) -> Iterator[int]:
         """Run all rounds; yields the number of each finished round, 0 for the warm-up."""
-        workers: list[_ReplayWorker] = []
+        workers: list[ReplayWorker] = []
         try:
             # Importing a library takes a second, so a few workers start side by side.
-            late = f"did not start within {START_ALLOWANCE_S:g} s"
             for i in range(0, len(self._cells), STARTED_TOGETHER):
-                batch = [self._start(*entry) for entry in self._cells[i : i + STARTED_TOGETHER]]
-                workers += batch
-                for worker in batch:
-                    worker.serving = worker.wait(START_ALLOWANCE_S, late) is True
+                started = [self._start(*entry) for entry in self._cells[i : i + STARTED_TOGETHER]]
+                workers += started
+                for worker in started:
+                    worker.serving = worker.child.ready() is True
             rounds = max(cell.rounds for _, cell in self._cells)
-            order = random.Random(self._cells[0][1].seed)
+            order = Random(self._cells[0][1].seed)
             for r in range(rounds + 1):
                 for worker in order.sample(workers, len(workers)):
                     if worker.serving and r <= worker.cell.rounds and not worker.sated:
-                        self._serve(worker, r)
+                        self.serve(worker, r)
                 yield r
             self._repeat_robbed(workers, order)
         finally:
             for worker in workers:
-                self._close(worker)
+                self.outcomes[worker.run_id] = worker.child.dismiss()
 
-    def _repeat_robbed(self, workers: list[_ReplayWorker], order: random.Random) -> None:
+    def _repeat_robbed(self, workers: list[ReplayWorker], order: Random) -> None:
         """Run robbed rounds again; of workers whose log somebody removed there are none to tell."""
         logs: dict[str, RawLog] = {}
         for worker in workers:
@@ -114,23 +117,22 @@ class ReplayGroup:
                 with suppress(OSError, ValueError):
                     logs[worker.run_id] = self._log(worker)
         repeat_robbed(
-            [worker for worker in workers if worker.run_id in logs], logs, self._serve, order
+            [worker for worker in workers if worker.run_id in logs], logs, self.serve, order
         )
 
-    def _start(self, run_id: str, cell: Cell) -> _ReplayWorker:
-        ours, theirs = self._context.Pipe()
-        args = (cell.to_json(), self._folder, run_id, self._core, self._source, theirs)
-        child = Child(
+    def _start(self, run_id: str, cell: Cell) -> ReplayWorker:
+        args = (cell.to_json(), self._folder, run_id, self._core, self._source)
+        child = ServingChild(
             self._context, run_replay_cell, args, self._folder, run_id, limit_s=cell.limit_s
         )
-        theirs.close()
-        return _ReplayWorker(run_id, cell, child, ours)
+        return ReplayWorker(run_id, cell, child)
 
-    def _serve(self, worker: _ReplayWorker, r: int) -> None:
+    def serve(self, worker: ReplayWorker, r: int) -> None:
+        """Have a worker run round r, once more where it was disturbed."""
         for _ in range(DISTURBED_RETRIES + 1):
-            worker.order(r)
+            worker.child.order(r)
             started = time.monotonic()
-            done = worker.wait(worker.cell.limit_s + GRACE_S)
+            done = worker.child.reply(worker.cell.limit_s)
             worker.spent_s += time.monotonic() - started
             if done is not True:
                 worker.serving = False
@@ -141,7 +143,7 @@ class ReplayGroup:
                 worker.clean_rounds += 1
                 return
 
-    def _disturbed(self, worker: _ReplayWorker, r: int) -> bool:
+    def _disturbed(self, worker: ReplayWorker, r: int) -> bool:
         """Whether the reference kernel around round r was slow against the worker's other
         rounds."""
         try:
@@ -151,16 +153,75 @@ class ReplayGroup:
             return False
         return bool(is_disturbed(kernel_ns)[r])
 
-    def _log(self, worker: _ReplayWorker) -> RawLog:
+    def _log(self, worker: ReplayWorker) -> RawLog:
         """What the worker has recorded so far."""
         return RawLog.open(self._folder / f"{worker.run_id}.raw")
 
-    def _close(self, worker: _ReplayWorker) -> None:
-        with suppress(OSError):
-            worker.orders.send(None)
-        worker.child.process.join(GRACE_S)
-        if worker.child.process.is_alive():
-            # Behind its verdict a worker only counts allocations, which is no reason to blame it.
-            worker.child.kill("" if worker.child.has_verdict else "did not end when asked to")
-        worker.orders.close()
-        self.outcomes[worker.run_id] = worker.child.outcome()
+
+class Served(Protocol):
+    """What `repeat_robbed` needs of a `ReplayWorker`."""
+
+    run_id: str
+    cell: Cell
+    serving: bool
+    spent_s: float
+
+
+AnyServed = TypeVar("AnyServed", bound=Served)
+
+
+def load_levels(log: RawLog) -> NDArray[np.float64]:
+    """(rounds,) the load kernel around each round [ns]: median of its passes on the quieter side.
+
+    NaN for a round that was not finished, and for the warm-up, which does not count.
+    """
+    levels: NDArray[np.float64] = np.median(log.load_kernel_ns, axis=2).min(axis=1)
+    levels[(levels <= 0.0) | (log.done == 0)] = np.nan
+    levels[0] = np.nan
+    return levels
+
+
+def most_robbed(levels: NDArray[np.float64], quietest: float) -> int | None:
+    """The round that was robbed most, None where none was."""
+    robbed = np.flatnonzero(levels > ROBBED_FACTOR * quietest)
+    return int(robbed[np.argmax(levels[robbed])]) if len(robbed) else None
+
+
+def repeat_robbed(
+    configurations: Sequence[AnyServed],
+    logs: Mapping[str, RawLog],
+    serve: Callable[[AnyServed, int], None],
+    order: Random,
+) -> None:
+    """Run robbed rounds again, one of each configuration by turns, while its budget lasts.
+
+    The last attempt counts. Configurations take turns because a neighbour stays for longer than a
+    round.
+
+    Parameters
+    ----------
+    logs : the raw log of each configuration; serve : runs a round of a configuration into it.
+    order : of the configurations within a turn.
+    """
+    # Within its own limit too: a repetition must not end a configuration that had done its work.
+    end_s = {
+        one.run_id: min(one.spent_s + one.cell.repeat_budget_s, one.cell.limit_s)
+        for one in configurations
+    }
+    while True:
+        serving = [one for one in configurations if one.serving]
+        levels = {one.run_id: load_levels(logs[one.run_id]) for one in serving}
+        quietest = np.fmin.reduce(
+            [np.fmin.reduce(of_rounds) for of_rounds in levels.values()], initial=np.nan
+        )
+        due = []
+        for one in serving:
+            r = most_robbed(levels[one.run_id], float(quietest))
+            if r is not None:
+                took_s = float(np.nan_to_num(logs[one.run_id].counters[r, 0]))
+                if one.spent_s + took_s < end_s[one.run_id]:
+                    due.append((one, r))
+        if not due:
+            return
+        for one, r in order.sample(due, len(due)):
+            serve(one, r)

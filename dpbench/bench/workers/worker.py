@@ -1,7 +1,7 @@
 """What runs inside a cell's own process: one solver, pinned to one core, alone with its library.
 
 Every function here is the target of a process forked from a template that has no solver loaded
-(`supervise.py`); it leaves its raw log and a small JSON verdict behind and never prints.
+(`child.py`); it leaves its raw log and a small JSON verdict behind and never prints.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -29,11 +29,12 @@ from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.replay import PREROLL, ReplayRun
 from dpbench.bench.run.slow_computer import delay_of, usage_of_process
 from dpbench.bench.run.timed_solver import TimedSolver
-from dpbench.bench.sequences.source import source_of
+from dpbench.bench.sequences.source import replayed, source_of
 from dpbench.bench.workers.notice import AtWork, post
 from dpbench.bench.workers.process_setup import pin, settle, verdict_of, write_verdict
 from dpbench.errors import CertificateError, InputError
-from dpbench.scenario.scenario import scenario_of
+from dpbench.qp.program import QPSequence
+from dpbench.scenario.scenario import scenario_once
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.isolation import isolate
@@ -53,25 +54,30 @@ class BatchCell:
     evaluated: Path
 
 
-def _open(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Workspace | None:
-    """Settle the process and open the cell's solver in it; None leaves a verdict `refused`."""
+def _opened(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Workspace:
+    """Settle the process and open the cell's solver in it; InputError where that is refused."""
     if not settled:
         settle(folder / f"{name}.noise")
     post(AtWork.OPENING)
+    if not settled:
+        if cell.solver_module:
+            load_solver_module(cell.solver_module)
+        isolate(cell.solver)
+    workspace = open_workspace(
+        cell.solver, route=cell.route, policy=cell.policy, settings=cell.settings
+    )
+    post(AtWork.HARNESS)
+    return workspace
+
+
+def _open(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Workspace | None:
+    """As `_opened`; None leaves a verdict `refused`."""
     try:
-        if not settled:
-            if cell.solver_module:
-                load_solver_module(cell.solver_module)
-            isolate(cell.solver)
-        workspace = open_workspace(
-            cell.solver, route=cell.route, policy=cell.policy, settings=cell.settings
-        )
+        return _opened(cell, folder, name, settled=settled)
     except InputError as error:
         post(AtWork.HARNESS)
         write_verdict(folder / f"{name}.json", verdict_of("refused", str(error)))
         return None
-    post(AtWork.HARNESS)
-    return workspace
 
 
 def _worst_detail(timed_solver: TimedSolver) -> str:
@@ -82,29 +88,42 @@ def _worst_detail(timed_solver: TimedSolver) -> str:
     return f"{count} × {words}"
 
 
-def run_closed_loop_cell(text: str, folder: Path, name: str, core: int) -> None:
-    """Run a closed-loop cell; raw log and verdict appear in `folder` under `name`."""
-    cell = Cell.from_json(text)
-    verdict_path = folder / f"{name}.json"
+def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
+    """Run the cells of one configuration, each with a raw log and a verdict of its own."""
     pin(core)
-    workspace = _open(cell, folder, name)
-    if workspace is None:
-        return
-    scenario = scenario_of(cell.scenario).first(cell.steps)
+    for i, batch_cell in enumerate(cells):
+        post(AtWork.HARNESS, i)
+        cell, name = Cell.from_json(batch_cell.cell), batch_cell.name
+        workspace = _open(cell, folder, name, settled=i > 0)
+        if workspace is None:
+            continue
+        raw = folder / f"{name}.raw"
+        if cell.mode == "closed_loop":
+            verdict = _steer(cell, workspace, raw)
+        else:
+            verdict = _replay_untimed(cell, workspace, raw, batch_cell.source)
+        write_verdict(folder / f"{name}.json", verdict)
+        # The collector is off while a solver works.
+        del workspace
+        gc.collect()
+
+
+def _steer(cell: Cell, workspace: Workspace, raw: Path) -> dict[str, Any]:
+    """Let the solver steer the ship; the verdict."""
+    scenario = scenario_once(cell.scenario).first(cell.steps)
     builder = QPBuilder(scenario, cell.units, sparse=cell.formulation == "sparse")
-    log = RawLog.create(folder / f"{name}.raw", loop_layout(scenario.steps, *builder.sizes))
+    log = RawLog.create(raw, loop_layout(scenario.steps, *builder.sizes))
     formulated = in_loop(cell.formulation, builder, base_problem(builder.condensed))
     timed_solver = TimedSolver(workspace, formulated, clock)
-    limit_ns, delay = round(cell.limit_s * 1e9), delay_of(cell, scenario.sample_s)
     setup = ClosedLoopSetup(
         scenario,
         builder,
         timed_solver,
         log,
         cell.fallback,
-        limit_ns,
+        round(cell.limit_s * 1e9),
         clock,
-        delay,
+        delay_of(cell, scenario.sample_s),
         usage_of_process,
     )
     before = counters()
@@ -112,12 +131,34 @@ def run_closed_loop_cell(text: str, folder: Path, name: str, core: int) -> None:
     complete = closed_loop(setup)
     post(AtWork.HARNESS)
     np.subtract(counters(), before, out=log.counters[0])
+    stopped = "" if complete else f"with {int(log.done[0])} steps"
+    return _verdict(cell, workspace, timed_solver, stopped)
+
+
+def _replay_untimed(cell: Cell, workspace: Workspace, raw: Path, source: Path) -> dict[str, Any]:
+    """Replay all rounds, whatever they take; the verdict."""
+    sequence = source_of(cell).load(cell, source).sequence
+    # Without a time to take, cold caches do no harm, and a step that hangs should be recorded.
+    configuration, timed_solver, log = _replay_run(cell, workspace, raw, sequence, preroll=0)
+    complete = all(configuration.round(r) for r in range(cell.rounds + 1))
+    post(AtWork.HARNESS)
+    return _verdict(cell, workspace, timed_solver, "" if complete else _in_round(log))
+
+
+def _in_round(log: RawLog) -> str:
+    return f"in round {int((log.done > 0).sum()) - 1}"
+
+
+def _verdict(
+    cell: Cell, workspace: Workspace, timed_solver: TimedSolver, stopped: str
+) -> dict[str, Any]:
+    """The verdict on a cell that ended by itself; `stopped` says how far its limit let it come."""
     detail = _worst_detail(timed_solver)
-    if not complete:
-        stop = f"stopped after {cell.limit_s:g} s with {int(log.done[0])} steps"
+    if stopped:
+        stop = f"stopped after {cell.limit_s:g} s {stopped}"
         detail = f"{stop}; {detail}" if detail else stop
-    ended = "finished" if complete else "timed_out"
-    write_verdict(verdict_path, verdict_of(ended, detail, workspace.form, timed_solver.size))
+    outcome = "timed_out" if stopped else "finished"
+    return verdict_of(outcome, detail, workspace.form, timed_solver.size)
 
 
 def run_replay_cell(
@@ -133,8 +174,9 @@ def run_replay_cell(
         orders.send(None)
         return
     memory.opened()
+    sequence = source_of(cell).load(cell, source).sequence
     configuration, timed_solver, log = _replay_run(
-        cell, workspace, folder / f"{name}.raw", source, memory=memory
+        cell, workspace, folder / f"{name}.raw", sequence, memory=memory
     )
     # Pinned only now, so that several workers can import their libraries side by side.
     pin(core)
@@ -145,26 +187,24 @@ def run_replay_cell(
         orders.send(complete)
     post(AtWork.HARNESS)
     log.footprint[:3] = (memory.peak_bytes(), *threads())
-    write_verdict(
-        folder / f"{name}.json", _replay_verdict(cell, workspace, timed_solver, log, complete)
-    )
+    verdict = _verdict(cell, workspace, timed_solver, "" if complete else _in_round(log))
+    write_verdict(folder / f"{name}.json", verdict)
     # The verdict stands: what happens from here on is no part of the replay.
     if complete:
-        log.footprint[3:] = measure_steps(
-            configuration.sequence, timed_solver, affordable_steps(log)
-        )
+        steps = affordable_steps(log)
+        log.footprint[3:] = measure_steps(configuration.sequence, timed_solver, steps)
 
 
 def _replay_run(
     cell: Cell,
     workspace: Workspace,
     raw: Path,
-    source: Path,
+    sequence: QPSequence,
     *,
     preroll: int = PREROLL,
     memory: MemoryWatch | None = None,
 ) -> tuple[ReplayRun, TimedSolver, RawLog]:
-    sequence = source_of(cell).load(cell, source).sequence
+    """A replay ready for its rounds; from here on its solver is at work."""
     layout = replay_layout(cell.rounds + 1, len(sequence), sequence.base.n, sequence.base.m)
     log = RawLog.create(raw, layout)
     steps, formulated = in_replay(cell.formulation, sequence)
@@ -184,37 +224,28 @@ def _replay_run(
     return configuration, timed_solver, log
 
 
-def _replay_verdict(
-    cell: Cell, workspace: Workspace, timed_solver: TimedSolver, log: RawLog, complete: bool
-) -> dict[str, Any]:
-    detail = _worst_detail(timed_solver)
-    if not complete:
-        stop = f"stopped after {cell.limit_s:g} s in round {int((log.done > 0).sum()) - 1}"
-        detail = f"{stop}; {detail}" if detail else stop
-    ended = "finished" if complete else "timed_out"
-    return verdict_of(ended, detail, workspace.form, timed_solver.size)
+def answer_sequences(text: str, folder: Path, name: str, orders: Connection) -> None:
+    """Replay every sequence that is ordered through a new workspace of the cell's configuration.
 
-
-def run_replay_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
-    """Replay the cells of one configuration, each with a raw log and a verdict of its own."""
-    pin(core)
-    for i, batch_cell in enumerate(cells):
-        post(AtWork.HARNESS, i)
-        cell = Cell.from_json(batch_cell.cell)
-        workspace = _open(cell, folder, batch_cell.name, settled=i > 0)
-        if workspace is None:
-            continue
-        raw = folder / f"{batch_cell.name}.raw"
-        # Without a time to take, cold caches do no harm, and a step that hangs should be recorded.
-        configuration, timed_solver, log = _replay_run(
-            cell, workspace, raw, batch_cell.source, preroll=0
-        )
+    An order is a sequence and the seconds it may take, the reply whether it was completed; None
+    ends the service. The first word is True, or why the configuration cannot run.
+    """
+    cell = Cell.from_json(text)
+    try:
+        _opened(cell, folder, name)
+    except InputError as error:
+        orders.send(error)
+        return
+    orders.send(True)
+    while (order := orders.recv()) is not None:
+        sequence, limit_s = order
+        limited = replace(cell, limit_s=limit_s, warmup_steps=min(cell.warmup_steps, len(sequence)))
+        workspace = _opened(cell, folder, name, settled=True)
+        configuration, _, _ = _replay_run(limited, workspace, folder / f"{name}.raw", sequence)
         complete = all(configuration.round(r) for r in range(cell.rounds + 1))
         post(AtWork.HARNESS)
-        verdict = _replay_verdict(cell, workspace, timed_solver, log, complete)
-        write_verdict(folder / f"{batch_cell.name}.json", verdict)
-        # The collector is off while a solver works.
-        del workspace, configuration, timed_solver, log
+        orders.send(complete)
+        del workspace, configuration
         gc.collect()
 
 
@@ -234,18 +265,11 @@ def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> No
     write_verdict(folder / f"{name}.json", verdict_of("finished", ""))
 
 
-def evaluate_cell(
-    text: str, folder: Path, name: str, core: int, source: Path, evaluated: Path
-) -> None:
-    """Let the referee judge the raw log of a cell; the columns appear in `evaluated` (.npz).
+def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
+    """Let the referee judge the raw logs of cells; the columns appear in their `evaluated` (.npz).
 
     Runs in a process of its own, in which the solver under test was never loaded.
     """
-    evaluate_batch([BatchCell(name, text, source, evaluated)], folder, core)
-
-
-def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
-    """As `evaluate_cell`, for several cells one after the other."""
     pin(core)
     settle(folder / f"{cells[0].name}.noise")
     for i, batch_cell in enumerate(cells):
@@ -258,7 +282,6 @@ def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
 def _evaluate(batch_cell: BatchCell, log: RawLog) -> Evaluated:
     cell = Cell.from_json(batch_cell.cell)
     if cell.mode == "replay":
-        found = source_of(cell).load(cell, batch_cell.source)
-        judged = cell.solver not in CALIBRATION
-        return evaluate_sequence(log, found.sequence, found.sample_s, found.optima, judged=judged)
+        known, judged = replayed(cell, batch_cell.source), cell.solver not in CALIBRATION
+        return evaluate_sequence(log, known.sequence, known.sample_s, known.optima, judged=judged)
     return evaluate_log(cell, log, ExactLoop.load(batch_cell.source))

@@ -21,13 +21,11 @@ from dpbench.bench.sequences.sequence_file import save_sequence
 from dpbench.bench.workers.child import template_context
 from dpbench.bench.workers.interrupts import one_interrupt
 from dpbench.bench.workers.scratch import scratch_folder
-from dpbench.bench.worst_case.goal import Goal, Worst
-from dpbench.bench.worst_case.process import SearchedSolver
-from dpbench.bench.worst_case.request import check_input, make_room, output_path
-from dpbench.bench.worst_case.search import Case, Search
+from dpbench.bench.worst_case.goal import GOALS, Goal, Worst
+from dpbench.bench.worst_case.search import Case, Search, SearchedSolver
 from dpbench.bench.worst_case.space import SearchSpace
 from dpbench.errors import InputError
-from dpbench.scenario.scenario import Scenario, load_scenario
+from dpbench.scenario.scenario import MAX_STEPS, Scenario, load_scenario
 from dpbench.solvers.contract import Policy, Route
 from dpbench.solvers.settings import setting_names
 from dpbench.solvers.table import available, load_solver_module, record
@@ -132,15 +130,42 @@ def find_worst_case(
     """
     if solver_module is not None:
         load_solver_module(solver_module)
-    check_input(goal, budget, steps, seed)
-    path = output_path(out, solver, goal)
+    _check(goal, budget, steps, seed)
+    path = Path("worst-cases") / f"{solver}-{goal}.npz" if out is None else Path(out)
+    if path.suffix != ".npz":
+        raise InputError("--out", "", repr(path.name), "a file name that ends in .npz")
     base = load_scenario(scenario)
     cell = _cell(solver, route, policy, settings, base)
-    make_room(path)
+    _make_room(path)
     space = SearchSpace(base, steps, f"{base.name}-worst-{solver}-{goal}")
     with one_interrupt():
         search = _searched(cell, space, goal, budget, base, seed, progress or Silent())
         return _saved(WorstCase(goal, cell, search, path, {}), seed)
+
+
+def _check(goal: str, budget: int, steps: int, seed: int) -> None:
+    """InputError that names the option whose value cannot be."""
+    if goal not in GOALS:
+        raise InputError("--goal", "", repr(goal), " | ".join(GOALS))
+    for option, value, least in (("--budget", budget, 1), ("--seed", seed, 0)):
+        if value < least:
+            raise InputError(option, "", value, f"a whole number, {least} or more")
+    if not 1 <= steps <= MAX_STEPS:
+        raise InputError("--steps", "", steps, f"a whole number from 1 to {MAX_STEPS}")
+
+
+def _make_room(path: Path) -> None:
+    """InputError unless the file can be written: before a search of minutes, not after it."""
+    trial = path.with_name(path.name + ".part")
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(None, "a folder", str(path))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        trial.touch()
+        trial.unlink()
+    except OSError as error:
+        reason = f"{path} ({error.strerror or error})"
+        raise InputError("--out", "", reason, "a file that can be written") from error
 
 
 def _cell(solver: str, route: Route | None, policy: Policy, settings: str, base: Scenario) -> Cell:
@@ -168,6 +193,7 @@ def _cell(solver: str, route: Route | None, policy: Policy, settings: str, base:
         policy=policy,
         settings=settings,
         steps=base.steps,
+        rounds=1,
         warmup_steps=WARMUP_STEPS,
         solver_module=module_of(solver),
     )

@@ -1,19 +1,31 @@
-"""The search of a search: cases by differential evolution, the worst of them kept."""
+"""The search itself: cases by differential evolution, the worst of them kept.
+
+The solver answers one sequence after the other in a process of its own; one that crashes or hangs
+costs the sequence it failed on. Every sequence is answered by a new workspace in the way
+`in_process.replay` and a campaign do it (a warm-up round, then one that counts), so that what is
+found replays to the same figures.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from multiprocessing.context import ForkServerContext
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import Bounds, differential_evolution
 from scipy.stats import qmc
 
+from dpbench.bench.judge.closed_loop import Evaluated
+from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.progress import Progress
-from dpbench.bench.record.cell import Outcome
+from dpbench.bench.record.cell import Cell, Outcome
+from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.exact_loop import record_sequence
+from dpbench.bench.workers.child import ServingChild
+from dpbench.bench.workers.worker import answer_sequences
 from dpbench.bench.worst_case.goal import Goal, Worst, worst_of
-from dpbench.bench.worst_case.process import SearchedSolver
 from dpbench.bench.worst_case.space import SearchSpace
 from dpbench.errors import CertificateError, InputError
 from dpbench.qp.program import QPSequence
@@ -29,6 +41,66 @@ _POPULATIONS = (8, 16, 32)
 
 class _BudgetError(Exception):
     """The budget is spent; no DpbenchError, as nothing went wrong."""
+
+
+class SearchedSolver:
+    """One configuration, ready to answer sequences.
+
+    Parameters
+    ----------
+    context : what forks its processes; folder : where they leave raw logs and noise.
+    cell : the configuration: solver, route, policy, settings, formulation, rounds, plug-in; what
+        else a cell says is not looked at.
+
+    Raises
+    ------
+    InputError : the configuration cannot run, for the reason it gives.
+    """
+
+    def __init__(self, context: ForkServerContext, folder: Path, cell: Cell) -> None:
+        self._context, self._folder, self._cell = context, folder, cell
+        self._start()
+
+    def _start(self) -> None:
+        args = (self._cell.to_json(), self._folder, "searched")
+        self._child = ServingChild(
+            self._context, answer_sequences, args, self._folder, "searched", limit_s=None
+        )
+        ready = self._child.ready()
+        if isinstance(ready, InputError):
+            raise ready
+        if ready is not True:
+            outcome = self._child.outcome()
+            where, detail = f"solver {self._cell.solver}", f"{outcome.outcome}: {outcome.detail}"
+            raise InputError(where, "", detail, "a solver that starts in a process of its own")
+
+    def answer(self, sequence: QPSequence, limit_s: float) -> tuple[Outcome, Evaluated | None]:
+        """Replay a sequence in at most `limit_s` of run time, and judge the answers.
+
+        Returns
+        -------
+        What became of the process (`finished`, `timed_out`, `hung`, `crashed` or `lost`), and the
+        judged columns of the steps it came to, None where there are none.
+        """
+        raw = self._child.raw_path
+        raw.unlink(missing_ok=True)
+        # How to make it in another form is not needed there, and large.
+        self._child.order((replace(sequence, sparse_equivalent=None), limit_s))
+        completed = self._child.reply(limit_s)
+        outcome = Outcome("finished", "")
+        if completed is False:
+            outcome = Outcome("timed_out", f"the sequence took more than {limit_s:g} s")
+        elif completed is not True:
+            outcome = self._child.dismiss()
+            self._start()
+        if not raw.exists():
+            return outcome, None
+        sample_s = float(sequence.meta.get("sample_s", float("nan")))
+        return outcome, evaluate_sequence(RawLog.open(raw), sequence, sample_s)
+
+    def close(self) -> None:
+        """End the process."""
+        self._child.dismiss()
 
 
 @dataclass(frozen=True, eq=False)

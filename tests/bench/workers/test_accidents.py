@@ -8,7 +8,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from multiprocessing import Pipe
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -94,7 +93,6 @@ def test_a_solver_that_leaves_or_hangs_is_charged_with_it(
     """In closed loop, replay and random problems alike; the steps before it stay."""
     monkeypatch.setattr(plugins, "_LOADED", {})
     monkeypatch.setattr(supervise, "GRACE_S", 0.5)
-    monkeypatch.setattr(interleave, "GRACE_S", 0.5)
     text = (SUITE + RANDOM).replace('["quadprog"]', '["leaving"]')
     limit = text.replace("60.0", "1.0") if way == "sleep" else text
     (tmp_path / "tiny.toml").write_text(limit.replace('"qpsolvers", ', ""), encoding="utf-8")
@@ -210,12 +208,13 @@ def test_a_library_that_dies_when_it_is_let_go_costs_no_cell(
 def test_a_worker_that_died_between_rounds_ends_no_campaign(tmp_path: Path) -> None:
     """Nobody is at the other end when the next round is asked for: that configuration serves no
     more."""
-    ours, theirs = Pipe()
-    theirs.close()
     cell = cast(Cell, SimpleNamespace(limit_s=1.0))
-    worker = interleave._ReplayWorker("a", cell, cast(supervise.Child, None), ours)
-    group = interleave.ReplayGroup(cast(Any, None), tmp_path, tmp_path, 0, [])
-    group._serve(worker, 1)
+    child = supervise.ServingChild(
+        supervise.template_context(), print, ("bye",), tmp_path, "a", limit_s=1.0
+    )
+    child.process.join()
+    worker = interleave.ReplayWorker("a", cell, child)
+    interleave.ReplayGroup(cast(Any, None), tmp_path, tmp_path, 0, []).serve(worker, 1)
     assert not worker.serving
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import LOAD_PASSES, RawLog, replay_layout
-from dpbench.bench.workers.robbed import ROBBED_FACTOR, load_levels, most_robbed, repeat_robbed
+from dpbench.bench.workers.interleaved import ROBBED_FACTOR, load_levels, most_robbed, repeat_robbed
 
 ROUNDS = 4
 QUIET_NS, BUSY_NS = 60_000.0, 100_000.0

@@ -21,9 +21,11 @@ from dpbench import (
 )
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
 from dpbench.bench.plan.suite import sequence_suite
+from dpbench.bench.record.cell import Cell
 from dpbench.bench.sequences.recording import record
 from dpbench.bench.sequences.sequence_file import load_recorded
-from dpbench.bench.worst_case import process as solver_process
+from dpbench.bench.workers import child as supervise
+from dpbench.bench.workers import worker
 from dpbench.bench.worst_case import search as case_search
 from dpbench.bench.worst_case.find import find_worst_case
 from dpbench.bench.worst_case.goal import worst_of
@@ -144,7 +146,7 @@ def test_a_solver_that_dies_or_hangs_does_not_end_the_search(
     """Those cases are counted, the first is kept beside the worst, and the budget is spent."""
     monkeypatch.setattr(case_search, "CASE_LIMIT_S", 0.3)
     monkeypatch.setattr(case_search, "BASELINE_LIMIT_S", 0.3)
-    monkeypatch.setattr(solver_process, "GRACE_S", 0.3)
+    monkeypatch.setattr(supervise, "GRACE_S", 0.3)
     module = tmp_path / "faulty_searched.py"
     module.write_text(FAULTY.read_text(encoding="utf-8").replace('"none"', f'"{mode}"'))
     out = tmp_path / "found.npz"
@@ -163,8 +165,9 @@ def test_a_process_that_comes_after_the_search_says_nothing(
 ) -> None:
     """Ctrl-C while it was on its way took the folder along; it ends without a traceback."""
     ours, theirs = Pipe()
+    cell = Cell("replay", {}, "daqp", "native", "fresh", "default", steps=1)
     with pytest.raises(SystemExit) as ended:
-        solver_process.serve("{}", tmp_path / "gone", theirs)
+        worker.answer_sequences(cell.to_json(), tmp_path / "gone", "searched", theirs)
     assert ended.value.code is None
     assert not ours.poll()
     assert capfd.readouterr() == ("", "")

@@ -1,0 +1,339 @@
+"""Stability of controllers in ships, and how far off sideways each still brings its ship back from.
+
+A design is the controller of one scenario in one vessel. Without limits its loop is linear, and
+stable where the roots of paper eq. 35 lie inside the unit circle. With limits the ship starts at
+rest at a pure sway offset, from starboard and from port, and the certified optimum of every step
+steers it; an offset is held when from both sides the ship stays near the reference over the end of
+a long run. No solver has a part in it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from dpbench.bench.plan.suite import DesignTable
+from dpbench.bench.record.cell import HARNESS_VERSION
+from dpbench.bench.record.result_folder import read_json, write_json
+from dpbench.bench.run.exact_loop import solve_exactly
+from dpbench.bench.workers.executor import Bench
+from dpbench.bench.workers.process_setup import pin, settle, verdict_of
+from dpbench.errors import CertificateError, InputError, RenamedWarning, ResultsError
+from dpbench.mpc.law import closed_loop_eigenvalues, gains
+from dpbench.scenario.problem_files import problem_path
+from dpbench.scenario.scenario import Scenario, load_scenario, scenario_of
+from dpbench.ship.froude import Froude
+
+DESIGN_FILE = "design.json"
+DESIGN_SCHEMA = 2
+WEATHER = "calm"
+"""The scenario whose weather the ship is held in."""
+STILL = "still water"
+
+# All at full size; a model ship is given what Froude's law makes of them.
+OFFSETS_M = tuple(0.25 * 2.0**i for i in range(9))
+"""Offsets that are tried, 0.25 m to 64 m, up to the first that is not held."""
+WIDTH = 0.05
+"""Of the bracket, relative to its upper end."""
+DURATION_S = 600.0
+"""Of a trial. The slowest return seen, from 64 m, takes more than four minutes."""
+TAIL_S = 60.0
+"""The end of a trial over which the ship has to stay where it belongs."""
+TOLERANCE_M = 0.1
+"""How close it has to stay: more than five times what the weather of `calm` moves it about."""
+
+LIMIT_S = 600.0
+"""Of a design; it takes some six seconds on a machine of today."""
+WORK = 20_000
+"""A design for the progress bar, in steps: about as long as so many steps of a solver."""
+
+
+@dataclass(frozen=True)
+class Bracket:
+    """Sway offsets at full size: up to `holds_m` all that were tried are held, `fails_m` is not.
+
+    `holds_m` is 0 when the smallest is not held, `fails_m` None when all of them are.
+    """
+
+    holds_m: float
+    fails_m: float | None
+
+
+@dataclass(frozen=True)
+class DesignRecord:
+    """What was found of a design.
+
+    Parameters
+    ----------
+    vessel, controller : names of the vessel and of the scenario the controller is that of.
+    tuning, N_p, N_c : of the controller.
+    eigenvalues : real and imaginary parts of the closed loop without limits, by falling modulus.
+    held : the bracket of each weather.
+    """
+
+    vessel: str
+    controller: str
+    tuning: str
+    N_p: int
+    N_c: int
+    eigenvalues: tuple[tuple[float, float], ...]
+    held: dict[str, Bracket]
+
+    @property
+    def spectral_radius(self) -> float:
+        """The largest modulus; below 1 the loop is stable as long as no limit is active."""
+        return float(np.hypot(*self.eigenvalues[0]))
+
+
+@dataclass(frozen=True)
+class MissingDesign:
+    """A design that could not be looked into, and why."""
+
+    vessel: str
+    controller: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Designs:
+    """The content of `design.json`."""
+
+    # A key too many or a number that is none is damage.
+    __pydantic_config__ = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+    records: tuple[DesignRecord, ...]
+    missing: tuple[MissingDesign, ...] = ()
+    schema: int = DESIGN_SCHEMA
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """A design to look into: `files` as in `Scenario.files`, in the weather of `calm`."""
+
+    controller: str
+    files: dict[str, Any]
+
+    @property
+    def vessel(self) -> str:
+        """Name of the vessel."""
+        return str(self.files["vessel_name"])
+
+    @property
+    def text(self) -> str:
+        """All that its record depends on, but for version and machine."""
+        return json.dumps(vars(self), sort_keys=True, ensure_ascii=False)
+
+
+def plan_designs(table: DesignTable, beside: Path | None = None) -> list[Design]:
+    """Every controller of the table in every vessel of it; paths are relative to `beside`.
+
+    Raises
+    ------
+    InputError : for an unknown or a bad file, or two of one name.
+    """
+    controllers = [load_scenario(name, beside=beside) for name in table.controllers]
+    vessels = [problem_path("vessels", name, beside) for name in table.vessels]
+    _different("controllers", [controller.name for controller in controllers])
+    _different("vessels", [vessel.stem for vessel in vessels])
+    return [
+        Design(controller.name, _trial_files(controller, vessel))
+        for controller in controllers
+        for vessel in vessels
+    ]
+
+
+def _different(key: str, names: Sequence[str]) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            allowed = "files of different names, each once"
+            raise InputError("suite", f"design.{key}", f"{name!r} twice", allowed)
+
+
+def _trial_files(controller: Scenario, vessel: Path) -> dict[str, Any]:
+    """The documents of a trial: a controller in a vessel, in the weather of `calm`."""
+    own = controller.files["scenario"]
+    files = load_scenario(f"{WEATHER}@{vessel.resolve()}").files
+    trial = files["scenario"] | {
+        "sample_s": own["sample_s"],
+        "duration_s": DURATION_S,
+        "controller": own["controller"],
+    }
+    # Said here, before anything runs: what the two cannot make together.
+    scenario_of(files | {"scenario": trial}, where=f"suite: design: {controller.name}")
+    return files | {"scenario": trial}
+
+
+def is_held(scenario: Scenario, offset_m: float) -> bool:
+    """Whether the ship comes back from this offset at full size, from both sides.
+
+    A step without a certified optimum says nothing; such an offset does not count as held.
+    """
+    scale = _scale(scenario)
+    tail = round(TAIL_S * scale.time / scenario.sample_s)
+    for sign in (1.0, -1.0):
+        start = np.array([0.0, sign * offset_m * scale.length, 0.0])
+        try:
+            state = solve_exactly(replace(scenario, start=start, velocity=np.zeros(3))).state
+        except CertificateError:
+            return False
+        away = np.hypot(*(state[-tail - 1 :, 3:5] - scenario.reference[:2]).T)
+        # NaN stays outside.
+        if not (away <= TOLERANCE_M * scale.length).all():
+            return False
+    return True
+
+
+def _scale(scenario: Scenario) -> Froude:
+    return Froude(float(scenario.files["vessel"]["model_scale"]))
+
+
+def find_bracket(holds: Callable[[float], bool]) -> Bracket:
+    """Double the offset until one is not held, then bisect to `WIDTH`.
+
+    It is not narrowed when the smallest offset is not held, as then nothing is known to be.
+    """
+    held = 0.0
+    for offset in OFFSETS_M:
+        if not holds(offset):
+            break
+        held = offset
+    else:
+        return Bracket(held, None)
+    fails = offset
+    while 0.0 < held < (1.0 - WIDTH) * fails:
+        middle = 0.5 * (held + fails)
+        if holds(middle):
+            held = middle
+        else:
+            fails = middle
+    return Bracket(held, fails)
+
+
+def design_record(design: Design) -> DesignRecord:
+    """Look into a design, in this process."""
+    scenario, documents = scenario_of(design.files), design.files["scenario"]
+    still = scenario_of(design.files | {"scenario": documents | {"environment": {}}})
+    problem = scenario.control_problem()
+    roots = closed_loop_eigenvalues(problem.model, gains(problem))
+    return DesignRecord(
+        vessel=design.vessel,
+        controller=design.controller,
+        tuning=scenario.tuning,
+        N_p=scenario.N_p,
+        N_c=scenario.N_c,
+        eigenvalues=tuple((float(root.real), float(root.imag)) for root in roots),
+        held={
+            STILL: find_bracket(partial(is_held, still)),
+            WEATHER: find_bracket(partial(is_held, scenario)),
+        },
+    )
+
+
+def run_design(text: str, folder: Path, name: str, core: int, path: Path) -> None:
+    """Look into a design, in a process of its own; its record appears in `path`."""
+    pin(core)
+    settle(folder / f"{name}.noise")
+    _write(path, Designs((design_record(Design(**json.loads(text))),)))
+    write_json(folder / f"{name}.json", verdict_of("finished", ""))
+
+
+class DesignStudy:
+    """The designs of a suite; finished ones lie in the cells folder, one record each.
+
+    Parameters
+    ----------
+    designs : of `plan_designs`; cells : the folder; fresh : whether finished ones run again.
+    """
+
+    def __init__(
+        self, designs: Sequence[Design], cells: Path, machine_id: str, *, fresh: bool = False
+    ) -> None:
+        made_by = [OFFSETS_M, WIDTH, DURATION_S, TAIL_S, TOLERANCE_M]
+        made_by += [HARNESS_VERSION, DESIGN_SCHEMA, machine_id]
+        self._designs: dict[Path, Design] = {}
+        for design in designs:
+            key = hashlib.sha256((design.text + json.dumps(made_by)).encode()).hexdigest()[:16]
+            self._designs[cells / f"design-{key}.json"] = design
+        self._pending = [path for path in self._designs if fresh or _record(path) is None]
+
+    @property
+    def work(self) -> int:
+        """What is left to do, for the progress bar."""
+        return WORK * len(self._pending)
+
+    def run(self, bench: Bench, out: Path) -> None:
+        """Look into what is not finished, and write `design.json`; none leave no file."""
+        reasons: dict[Path, str] = {}
+        for path in self._pending:
+            # One that is looked into again must not leave its old record behind if it fails.
+            path.unlink(missing_ok=True)
+        texts = {path: self._designs[path].text for path in self._pending}
+        for errand in bench.make_files(run_design, texts, limit_s=LIMIT_S):
+            design, reasons[errand.path] = self._designs[errand.path], errand.outcome.detail
+            bench.progress.advance(WORK, f"design {design.controller} {design.vessel}")
+        if not self._designs:
+            (out / DESIGN_FILE).unlink(missing_ok=True)
+            return
+        records = {path: _record(path) for path in self._designs}
+        missing = [
+            MissingDesign(design.vessel, design.controller, reasons.get(path, "its record is gone"))
+            for path, design in self._designs.items()
+            if records[path] is None
+        ]
+        found = tuple(record for record in records.values() if record is not None)
+        _write(out / DESIGN_FILE, Designs(found, tuple(missing)))
+
+
+def _write(path: Path, designs: Designs) -> None:
+    write_json(path, asdict(designs))
+
+
+def _record(path: Path) -> DesignRecord | None:
+    """The record of a finished design; None where there is none, or it is damaged."""
+    try:
+        (record,) = _read(path).records
+    except (ResultsError, ValueError):
+        return None
+    return record
+
+
+def load_designs(folder: Path) -> Designs | None:
+    """Read the `design.json` of a result folder; None where there is none, or an older one.
+
+    Raises
+    ------
+    ResultsError : naming file and key, when it is damaged.
+    """
+    path = folder / DESIGN_FILE
+    if not path.exists():
+        return None
+    schema = read_json(path).get("schema")
+    if schema == DESIGN_SCHEMA - 1:
+        older = f"{path}: designs of schema {schema} are not shown; run again"
+        warnings.warn(older, RenamedWarning, stacklevel=2)
+        return None
+    return _read(path)
+
+
+def _read(path: Path) -> Designs:
+    document = read_json(path)
+    if document.get("schema") != DESIGN_SCHEMA:
+        schema = f"schema {document.get('schema')}"
+        raise ResultsError(str(path), "schema", schema, f"schema {DESIGN_SCHEMA}; run again")
+    try:
+        return TypeAdapter(Designs).validate_json(json.dumps(document))
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(str(part) for part in first["loc"])
+        value = "nothing" if first["type"] == "missing" else repr(first["input"])[:80]
+        allowed = f"what `dpbench run` writes ({first['msg']}); run again"
+        raise ResultsError(str(path), key, value, allowed) from error

@@ -1,1 +1,0 @@
-"""Stability of a controller, and the region it brings its ship back from."""
