@@ -102,11 +102,11 @@ class Campaign:
         lost = [job for job in pending if job.outcome and job.outcome.outcome == "lost"]
         cells = {_key(job): job.cell for job in lost}
         sound = {key: is_sound(cell, self._source_path(key)) for key, cell in cells.items()}
-        again = [job for job in lost if not sound[_key(job)]]
-        for job in again:
+        to_repeat = [job for job in lost if not sound[_key(job)]]
+        for job in to_repeat:
             job.outcome = None
-        if again:
-            self._run_cells(bench, again)
+        if to_repeat:
+            self._run_cells(bench, to_repeat)
 
     def _source_path(self, key: str) -> Path:
         return self._store.folder / f"exact-{key}.npz"
@@ -186,8 +186,8 @@ def _asked(suite: str | Path | None, sequence: str | Path | None) -> tuple[str, 
         meta = read_sequence(sequence_path(sequence)).sequence.meta
         name = f"sequence-{Path(sequence).resolve().stem}"
         return name, Path("suite"), sequence_suite(sequence, meta)
-    found = "neither" if suite is None else f"suite {suite} and --sequence {sequence}"
-    raise InputError("run", "", found, "a suite, or --sequence PATH")
+    given = "neither" if suite is None else f"suite {suite} and --sequence {sequence}"
+    raise InputError("run", "", given, "a suite, or --sequence PATH")
 
 
 def run_campaign(

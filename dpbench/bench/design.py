@@ -289,8 +289,8 @@ class DesignStudy:
             for path, design in self._designs.items()
             if records[path] is None
         ]
-        found = tuple(record for record in records.values() if record is not None)
-        _write(out / DESIGN_FILE, Designs(found, tuple(missing)))
+        finished = tuple(record for record in records.values() if record is not None)
+        _write(out / DESIGN_FILE, Designs(finished, tuple(missing)))
 
 
 def _write(path: Path, designs: Designs) -> None:

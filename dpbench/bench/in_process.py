@@ -6,7 +6,6 @@ that crashes, and no core is pinned. The assessment is the same.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,14 +15,12 @@ from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
 from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.judge.rows import run_row, step_rows
 from dpbench.bench.record.cell import FALLBACKS, FORMULATIONS, Cell, Fallback, Formulation, Outcome
-from dpbench.bench.record.raw_log import RawLog, loop_layout, replay_layout
+from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.record.schema import as_runs, as_steps
-from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
-from dpbench.bench.run.exact_loop import base_problem, solve_exactly
-from dpbench.bench.run.formulation import in_loop, in_replay
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.assemble import NO_LIMIT_NS, clock, closed_loop_setup, replay_parts
+from dpbench.bench.run.closed_loop import closed_loop
+from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.run.replay import ReplayRun
-from dpbench.bench.run.slow_computer import delay_of, usage_of_process
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.errors import InputError
 from dpbench.mpc.condense import UnitSystem
@@ -31,9 +28,6 @@ from dpbench.qp.program import QPSequence
 from dpbench.scenario.scenario import Scenario
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.table import Availability
-
-_NO_LIMIT = 2**62
-_clock = time.perf_counter_ns
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,18 +78,10 @@ def run_closed_loop(
         slowdown=slowdown,
         deadline_s=deadline_s,
     )
-    delay = delay_of(cell, scenario.sample_s)
-    builder = QPBuilder(scenario, units, sparse=formulation == "sparse")
-    log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes))
-    formulated = in_loop(formulation, builder, base_problem(builder.condensed))
-    timed_solver = TimedSolver(workspace, formulated, _clock)
-    usage = usage_of_process
-    closed_loop(
-        ClosedLoopSetup(
-            scenario, builder, timed_solver, log, fallback, _NO_LIMIT, _clock, delay, usage
-        )
-    )
-    return _run(cell, workspace, timed_solver, evaluate_log(cell, log, solve_exactly(scenario)))
+    setup = closed_loop_setup(cell, scenario, workspace, RawLog.in_memory, NO_LIMIT_NS)
+    closed_loop(setup)
+    evaluated = evaluate_log(cell, setup.log, solve_exactly(scenario))
+    return _run(cell, workspace, setup.solver, evaluated)
 
 
 def replay(
@@ -116,18 +102,17 @@ def replay(
     _check_workspace(workspace)
     if repeats < 1:
         raise InputError("replay", "repeats", repeats, "1 or more")
-    base = sequence.base
-    steps = len(sequence)
-    log = RawLog.in_memory(replay_layout(repeats + 1, steps, base.n, base.m))
-    made, formulated = in_replay(formulation, sequence)
-    timed_solver = TimedSolver(workspace, formulated, _clock)
+    warmup_steps = min(warmup_steps, len(sequence))
+    formulated, timed_solver, log = replay_parts(
+        sequence, workspace, formulation, repeats, RawLog.in_memory
+    )
     run = ReplayRun(
-        made,
+        formulated,
         timed_solver,
         log,
-        warmup_steps=min(warmup_steps, steps),
-        limit_ns=_NO_LIMIT,
-        clock=_clock,
+        warmup_steps=warmup_steps,
+        limit_ns=NO_LIMIT_NS,
+        clock=clock,
     )
     for r in range(repeats + 1):
         run.round(r)
@@ -138,24 +123,24 @@ def replay(
         route=workspace.route,
         policy=workspace.policy,
         settings="",
-        steps=steps,
+        steps=len(sequence),
         formulation=formulation,
         units="scaled" if sequence.units is None else "si",
         rounds=repeats,
-        warmup_steps=min(warmup_steps, steps),
+        warmup_steps=warmup_steps,
     )
     sample_s = float(sequence.meta.get("sample_s", float("nan")))
     return _run(cell, workspace, timed_solver, evaluate_sequence(log, sequence, sample_s))
 
 
-def _check(key: str, found: str, allowed: tuple[str, ...]) -> None:
-    if found not in allowed:
-        raise InputError("run", key, repr(found), f"one of {', '.join(allowed)}")
+def _check(key: str, value: str, allowed: tuple[str, ...]) -> None:
+    if value not in allowed:
+        raise InputError("run", key, repr(value), f"one of {', '.join(allowed)}")
 
 
-def _check_workspace(found: object) -> None:
-    if not isinstance(found, Workspace):
-        raise InputError("run", "workspace", repr(found), "a Workspace; see open_workspace")
+def _check_workspace(workspace: object) -> None:
+    if not isinstance(workspace, Workspace):
+        raise InputError("run", "workspace", repr(workspace), "a Workspace; see open_workspace")
 
 
 def _run(cell: Cell, workspace: Workspace, timed_solver: TimedSolver, evaluated: Evaluated) -> Run:

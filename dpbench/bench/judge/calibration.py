@@ -5,17 +5,15 @@ from __future__ import annotations
 
 import gc
 import os
-import time
 from dataclasses import dataclass
 
 import numpy as np
 
 from dpbench.bench.judge.rules import WARM_UP, disturbed_rounds
 from dpbench.bench.record.disturbance import Disturbance, disturbance_metrics
-from dpbench.bench.record.raw_log import RawLog, replay_layout
-from dpbench.bench.run.formulation import in_replay
+from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.run.assemble import NO_LIMIT_NS, clock, replay_parts
 from dpbench.bench.run.replay import ReplayRun
-from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.solvers.calibration import CALIBRATION, NO_OP, WAITS_NS, open_calibration
 
@@ -23,7 +21,6 @@ BAR_NS, BAR_SHARE = 1000.0, 0.01
 """A known wait is measured within the one or the other; doing nothing takes at most the first."""
 _SIZE, _STEPS, _ROUNDS = 15, 200, 5
 """A quick run: the size of the paper's QP, a second and a half of waiting."""
-_NO_LIMIT = 2**62
 
 
 def off_by_ns(configuration: str, p50_ns: float) -> float:
@@ -57,13 +54,13 @@ def calibrate() -> Calibration:
     collecting = gc.isenabled()
     gc.disable()
     try:
-        found = {name: _replayed(name) for name in CALIBRATION}
+        runs = {name: _replayed(name) for name in CALIBRATION}
     finally:
         os.sched_setaffinity(0, allowed)
         if collecting:
             gc.enable()
-    medians = {name: p50 for name, (p50, _) in found.items()}
-    return Calibration(medians, Disturbance.total([part for _, part in found.values()]))
+    medians = {name: p50 for name, (p50, _) in runs.items()}
+    return Calibration(medians, Disturbance.total([part for _, part in runs.values()]))
 
 
 def _made_up() -> QPSequence:
@@ -75,11 +72,12 @@ def _made_up() -> QPSequence:
 
 
 def _replayed(name: str) -> tuple[float, Disturbance]:
-    log = RawLog.in_memory(replay_layout(_ROUNDS + 1, _STEPS, _SIZE, _SIZE))
-    steps, formulated = in_replay("condensed_box", _made_up())
-    clock = time.perf_counter_ns
-    timed_solver = TimedSolver(open_calibration(name), formulated, clock)
-    run = ReplayRun(steps, timed_solver, log, warmup_steps=_STEPS, limit_ns=_NO_LIMIT, clock=clock)
+    steps, timed_solver, log = replay_parts(
+        _made_up(), open_calibration(name), "condensed_box", _ROUNDS, RawLog.in_memory
+    )
+    run = ReplayRun(
+        steps, timed_solver, log, warmup_steps=_STEPS, limit_ns=NO_LIMIT_NS, clock=clock
+    )
     for r in range(_ROUNDS + 1):
         run.round(r)
     phases = np.maximum(log.times[1:, :, 1:5], 0).sum(axis=2)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dpbench.bench.judge.control_metrics import control_metrics
 from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.npz import keep, kept
 from dpbench.bench.record.raw_log import COUNTERS, TIMES, RawLog
 from dpbench.bench.run.exact_loop import ExactLoop, base_problem
 from dpbench.bench.run.qp_builder import QPBuilder
@@ -55,22 +56,18 @@ class Evaluated:
 
     def save(self, path: Path) -> None:
         """Write to `path` (.npz), whole or not at all."""
-        part = path.with_suffix(".part.npz")
         names = np.array(list(self.metrics), dtype=str)
         values = np.array(list(self.metrics.values()), dtype=np.float64)
-        arrays: Columns = {f"c_{name}": column for name, column in self.columns.items()}
-        np.savez(part, allow_pickle=False, metric_names=names, metric_values=values, **arrays)
-        part.replace(path)
+        columns = {f"c_{name}": column for name, column in self.columns.items()}
+        keep(path, {"metric_names": names, "metric_values": values} | columns)
 
     @classmethod
     def load(cls, path: Path) -> Evaluated:
-        """Read what `save` wrote."""
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
-            columns = {name[2:]: data[name] for name in data.files if name.startswith("c_")}
-            metrics = dict(
-                zip(data["metric_names"].tolist(), data["metric_values"].tolist(), strict=True)
-            )
-        return cls(columns, metrics)
+        """Read what `save` wrote; ResultsError where it is damaged or gone."""
+        with kept(path) as stored:
+            columns = {name[2:]: stored[name] for name in stored if name.startswith("c_")}
+            names, values = stored["metric_names"].tolist(), stored["metric_values"].tolist()
+            return cls(columns, dict(zip(names, values, strict=True)))
 
 
 class StepEvaluator:
@@ -105,15 +102,15 @@ class StepEvaluator:
     ) -> tuple[float, ...]:
         """The numbers of `EVALUATION` for one answer in the solver's own units."""
         own_qp = self._own.at(own)
-        found = _with_multipliers(own_qp, answer)
-        in_own = residuals(own_qp, found)
+        whole = _with_multipliers(own_qp, answer)
+        in_own = residuals(own_qp, whole)
         if self._same:
-            qp, mapped, in_scaled = own_qp, found, in_own
+            qp, mapped, in_scaled = own_qp, whole, in_own
         else:
             qp = self._scaled.at(scaled)
             units = self._units
             mapped = Solution(
-                found.status, found.z / units.z, found.y * units.row, found.y_box * units.z
+                whole.status, whole.z / units.z, whole.y * units.row, whole.y_box * units.z
             )
             in_scaled = residuals(qp, mapped)
         move, plan = error_of(mapped.z, optimum, qp.block, qp.moves)
@@ -149,8 +146,8 @@ def _facts(optimum: Optimum) -> tuple[float, float]:
     return optimum.bound, float(active)
 
 
-def _truth(qp: QuadraticProgram, found: Residuals, plan: float) -> tuple[bool, ...]:
-    return tuple(is_true(qp, found, plan, tol) for tol in (1e-3, 1e-4, 1e-6))
+def _truth(qp: QuadraticProgram, measured: Residuals, plan: float) -> tuple[bool, ...]:
+    return tuple(is_true(qp, measured, plan, tol) for tol in (1e-3, 1e-4, 1e-6))
 
 
 def recorded_answer(log: RawLog, r: int, k: int) -> Solution:

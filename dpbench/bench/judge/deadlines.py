@@ -57,7 +57,7 @@ def deadline_metrics(steps: pd.DataFrame, slowdown: float) -> dict[str, Any]:
     late, true = (steps[name].to_numpy(dtype=bool) for name in ("late", "true"))
     recovered = steps_to_recover(late, true & ~late)
     total = steps["total_ns"].dropna().to_numpy(dtype=np.float64)
-    found = {
+    metrics = {
         "deadline_misses": int(late.sum()),
         "longest_miss_streak": longest_streak(late),
         "miss_recover_steps_max": pd.NA if recovered is None else recovered,
@@ -66,6 +66,6 @@ def deadline_metrics(steps: pd.DataFrame, slowdown: float) -> dict[str, Any]:
     if slowdown > 0.0:
         latency = steps["latency_ns"].dropna().to_numpy(dtype=np.float64)
         # Rounding apart, only a time without that of others is less than what was measured.
-        found["interrupted"] = int((latency < slowdown * total - 0.5).sum())
-        found |= {"latency_p50_ns": np.median(latency), "latency_max_ns": latency.max()}
-    return found
+        metrics["interrupted"] = int((latency < slowdown * total - 0.5).sum())
+        metrics |= {"latency_p50_ns": np.median(latency), "latency_max_ns": latency.max()}
+    return metrics

@@ -162,13 +162,13 @@ def _deadline_s(cell: Cell) -> float:
 def _sizes(cell: Cell, outcome: Outcome) -> dict[str, Any]:
     """Horizons and size of the QP; null where there is no ship, or the solver never got a QP."""
     controller = cell.scenario.get("scenario", {}).get("controller", {})
-    found = {
+    sizes = {
         "N_p": controller.get("prediction_horizon"),
         "N_c": controller.get("control_horizon"),
         "n": outcome.n,
         "m": outcome.m,
     }
-    return {name: pd.NA if value is None else int(value) for name, value in found.items()}
+    return {name: pd.NA if value is None else int(value) for name, value in sizes.items()}
 
 
 def _evaluated(cell: Cell, steps: pd.DataFrame) -> pd.DataFrame:

@@ -49,14 +49,14 @@ def cell_of(
     table: Table,
     *,
     no_stages: str = NO_MODEL,
-    **more: Any,
+    **fields: Any,
 ) -> PlannedCell:
     """The cell of one configuration of a table, or why it is refused.
 
     Parameters
     ----------
     no_stages : why the QPs cannot be formulated with the states kept; "" where they can.
-    more : the fields of the cell's mode.
+    fields : those of the cell's mode.
     """
     baseline_law = configuration.solver == BASELINE_LAW
     cell = Cell(
@@ -66,9 +66,9 @@ def cell_of(
         settings=configuration.settings,
         formulation="none" if baseline_law else configuration.formulation,
         units=configuration.units,
-        limit_s=(_own_limit_s(table) or suite.cell_limit_s) + _waiting_s(configuration, **more),
+        limit_s=(_own_limit_s(table) or suite.cell_limit_s) + _waiting_s(configuration, **fields),
         solver_module=module_of(configuration.solver),
-        **more,
+        **fields,
     )
     planned = PlannedCell(cell, refusal_of(configuration), configuration.alias)
     if cell.formulation != "sparse":

@@ -110,8 +110,8 @@ class Cell:
 
     def run_id(self, solver_version: str, machine_id: str, harness_version: str) -> str:
         """Hash of the cell and of everything a result of it depends on (method.md section 5)."""
-        found = self._description()
-        return _digest([found, solver_version, machine_id, harness_version, SCHEMA_VERSION])
+        description = self._description()
+        return _digest([description, solver_version, machine_id, harness_version, SCHEMA_VERSION])
 
 
 def _digest(value: object) -> str:

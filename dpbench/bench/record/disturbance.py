@@ -122,13 +122,13 @@ class Disturbance:
 
     def complaints(self) -> list[str]:
         """What disturbed them by `RULE`; none for a quiet machine."""
-        found = []
+        lines = []
         if self.rounds > 0 and self.disturbed > MAX_DISTURBED_SHARE * self.rounds:
-            found.append(f"{self.disturbed:.0f} of {self.rounds:.0f} rounds disturbed twice")
+            lines.append(f"{self.disturbed:.0f} of {self.rounds:.0f} rounds disturbed twice")
         if self.steal_share > MAX_STEAL_SHARE:
-            found.append(f"{100 * self.steal_share:.1f} % of the time stolen by the host")
+            lines.append(f"{100 * self.steal_share:.1f} % of the time stolen by the host")
         if self.switches_per_s > MAX_SWITCHES_PER_S:
-            found.append(f"{self.switches_per_s:.0f} involuntary context switches a second")
+            lines.append(f"{self.switches_per_s:.0f} involuntary context switches a second")
         if self.throttled > 0:
-            found.append(f"{self.throttled:.0f} throttle events")
-        return found
+            lines.append(f"{self.throttled:.0f} throttle events")
+        return lines

@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+Layout = dict[str, tuple[str, tuple[int, ...]]]
+"""Type and shape of each array of a log, in their order."""
 _ALIGN = 64
 TIMES = ("emit", "setup", "update", "solve", "read", "overhead")
 """Order of the phases in `RawLog.times`; −1 where a phase did not take place."""
@@ -42,7 +44,7 @@ FOOTPRINT = (
 """What `RawLog.footprint` holds of a worker (`footprint.py`); NaN where it was not measured."""
 
 
-def loop_layout(steps: int, n: int, m: int, n_theta: int) -> dict[str, tuple[str, tuple[int, ...]]]:
+def loop_layout(steps: int, n: int, m: int, n_theta: int) -> Layout:
     """Arrays of a closed-loop log of `steps` steps."""
     return _answers(1, steps, n, m) | {
         "theta": ("f8", (steps, n_theta)),
@@ -55,9 +57,7 @@ def loop_layout(steps: int, n: int, m: int, n_theta: int) -> dict[str, tuple[str
     }
 
 
-def replay_layout(
-    rounds: int, steps: int, n: int, m: int
-) -> dict[str, tuple[str, tuple[int, ...]]]:
+def replay_layout(rounds: int, steps: int, n: int, m: int) -> Layout:
     """Arrays of a replay log: round 0 is the warm-up."""
     return _answers(rounds, steps, n, m) | {
         "reference_kernel_ns": ("f8", (rounds, 2)),
@@ -70,7 +70,7 @@ def replay_layout(
     }
 
 
-def _answers(rounds: int, steps: int, n: int, m: int) -> dict[str, tuple[str, tuple[int, ...]]]:
+def _answers(rounds: int, steps: int, n: int, m: int) -> Layout:
     return {
         "done": ("i8", (rounds,)),
         "started": ("i8", (1,)),
@@ -121,7 +121,7 @@ class RawLog:
     counters: NDArray[np.float64]
     footprint: NDArray[np.float64]
 
-    def __init__(self, layout: dict[str, tuple[str, tuple[int, ...]]], buffer: Any) -> None:
+    def __init__(self, layout: Layout, buffer: Any) -> None:
         offset = 0
         self._buffer = buffer
         for name, (dtype, shape) in layout.items():
@@ -130,12 +130,12 @@ class RawLog:
             offset += -(-count * np.dtype(dtype).itemsize // _ALIGN) * _ALIGN
 
     @classmethod
-    def in_memory(cls, layout: dict[str, tuple[str, tuple[int, ...]]]) -> RawLog:
+    def in_memory(cls, layout: Layout) -> RawLog:
         """A log for a run in this process."""
         return cls(layout, bytearray(log_bytes(layout)))
 
     @classmethod
-    def create(cls, path: Path, layout: dict[str, tuple[str, tuple[int, ...]]]) -> RawLog:
+    def create(cls, path: Path, layout: Layout) -> RawLog:
         """A new log file at `path`, with its layout beside it; all pages touched beforehand.
 
         It appears at `path` whole or not at all: the supervisor may look at any moment.
@@ -164,7 +164,7 @@ class RawLog:
         np.frombuffer(self._buffer, np.uint8)[:: mmap.PAGESIZE].max(initial=0)
 
 
-def log_bytes(layout: dict[str, tuple[str, tuple[int, ...]]]) -> int:
+def log_bytes(layout: Layout) -> int:
     """Size of a log of that layout."""
     sizes = [int(np.prod(shape)) * np.dtype(dtype).itemsize for dtype, shape in layout.values()]
     return sum(-(-size // _ALIGN) * _ALIGN for size in sizes)

@@ -74,7 +74,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     log.setup_once_ns[0] = solver.prepare()
     log.theta[:, 9:12], log.theta[:, 15] = reference[:steps], 1.0
     log.state[0] = state
-    began = clock()
+    start_ns = clock()
     log.started[0] = 1
     for k in range(steps):
         t0 = clock()
@@ -104,7 +104,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
         log.times[0, k] = (t2 - t1, *solver.phases_ns, t4 - t0 - (t3 - t2))
         log.matrix_updates[0] = solver.matrix_updates
         log.done[0] = k + 1
-        if t4 - began > limit_ns and k + 1 < steps:
+        if t4 - start_ns > limit_ns and k + 1 < steps:
             return False
     return True
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix
-from dpbench.bench.record.npz import DAMAGE
+from dpbench.bench.record.npz import keep, kept
 from dpbench.bench.record.raw_log import RawLog, loop_layout
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.formulation import Box
@@ -32,6 +32,7 @@ from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario
 from dpbench.solvers.contract import Workspace
 
+_OF_LOOP = ("theta", "state", "tau", "z")
 _OF_OPTIMUM = ("z", "y", "y_box", "bound", "kind")
 
 
@@ -100,15 +101,8 @@ class ExactLoop:
             name: np.array([getattr(optimum, name) for optimum in self.optima])
             for name in _OF_OPTIMUM
         }
-        np.savez(
-            path,
-            allow_pickle=False,
-            theta=self.theta,
-            state=self.state,
-            tau=self.tau,
-            z=self.z,
-            **{f"optimum_{name}": array for name, array in certified.items()},
-        )
+        own = {name: getattr(self, name) for name in _OF_LOOP}
+        keep(path, own | {f"optimum_{name}": array for name, array in certified.items()})
 
     @classmethod
     def load(cls, path: Path) -> ExactLoop:
@@ -118,23 +112,14 @@ class ExactLoop:
         ------
         ResultsError : it is damaged, or gone.
         """
-        try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
-                z, y, y_box, bound, kind = (data[f"optimum_{name}"] for name in _OF_OPTIMUM)
-                arrays = {name: data[name] for name in ("theta", "state", "tau", "z")}
+        with kept(path) as stored:
+            z, y, y_box, bound, kind = (stored[f"optimum_{name}"] for name in _OF_OPTIMUM)
+            arrays = {name: stored[name] for name in _OF_LOOP}
             optima = [
                 Optimum(z[k], y[k], y_box[k], float(bound[k]), cast(Kind, str(kind[k])))
                 for k in range(len(arrays["z"]))
             ]
-        except (*DAMAGE, OSError, KeyError, IndexError) as error:
-            raise damaged(path, error) from error
         return cls(**arrays, optima=optima)
-
-
-def damaged(path: Path, error: Exception) -> ResultsError:
-    """What is said of a file in a result folder that cannot be read."""
-    found = f"a damaged file ({type(error).__name__}: {str(error)[:120]})"
-    return ResultsError(str(path), "", found, "what the campaign wrote there; run again")
 
 
 def solve_exactly(scenario: Scenario) -> ExactLoop:

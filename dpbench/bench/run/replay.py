@@ -123,7 +123,7 @@ class ReplayRun:
         limit_ns = self._limit_ns - int(self._spent_ns.sum())
         before = counters()
         log.reference_kernel_ns[r, 0] = reference_kernel_ns(clock, log.load_kernel_ns[r, 0])
-        began = clock()
+        start_ns = clock()
         for k in range(min(self._preroll, steps)):
             solver.answer(solver.formulate(sequence.step(k)))
             # Whoever remembers answers has seen this step now, and its time is in no row.
@@ -141,9 +141,9 @@ class ReplayRun:
                 log.first_ns[k] = sum(ns for ns in solver.phases_ns if ns > 0)
             log.matrix_updates[r] = solver.matrix_updates - updates_before
             log.done[r] = k + 1
-            if clock() - began > limit_ns:
+            if clock() - start_ns > limit_ns:
                 return False
-        self._spent_ns[r] = clock() - began
+        self._spent_ns[r] = clock() - start_ns
         log.reference_kernel_ns[r, 1] = reference_kernel_ns(clock, log.load_kernel_ns[r, 1])
         if log.attempts[r] == 1:
             log.first_reference_kernel_ns[r] = log.reference_kernel_ns[r].max()

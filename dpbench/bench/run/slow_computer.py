@@ -73,8 +73,8 @@ class ComputationalDelay:
 
 def usage_of_process() -> tuple[int, int]:
     """Involuntary context switches and processor time [ns] of this process (getrusage)."""
-    found = resource.getrusage(resource.RUSAGE_SELF)
-    return found.ru_nivcsw, round(1e9 * (found.ru_utime + found.ru_stime))
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    return usage.ru_nivcsw, round(1e9 * (usage.ru_utime + usage.ru_stime))
 
 
 def never_preempted() -> tuple[int, int]:

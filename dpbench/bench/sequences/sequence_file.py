@@ -81,7 +81,7 @@ def save_sequence(
     """
     scaled = sequence.scaled or sequence
     units = units or sequence.units
-    found = certified(scaled) if optima is None else optima
+    optima = certified(scaled) if optima is None else optima
     base = scaled.base
     meta = scaled.meta | {name: version(name) for name in VERSIONED} | {"zlib": ZLIB}
     arrays: dict[str, Any] = {
@@ -100,10 +100,10 @@ def save_sequence(
     arrays["unit_z"] = np.ones(base.n) if units is None else units.z
     arrays["unit_row"] = np.ones(base.m) if units is None else units.row
     for name in ("z", "y", "y_box"):
-        arrays[name] = np.array([getattr(optimum, name) for optimum in found])
-    arrays["active"] = np.array([active_set(optimum) for optimum in found])
-    arrays["bound"] = np.array([optimum.bound for optimum in found])
-    arrays["certificate"] = np.array([optimum.kind for optimum in found])
+        arrays[name] = np.array([getattr(optimum, name) for optimum in optima])
+    arrays["active"] = np.array([active_set(optimum) for optimum in optima])
+    arrays["bound"] = np.array([optimum.bound for optimum in optima])
+    arrays["certificate"] = np.array([optimum.kind for optimum in optima])
     write_npz(Path(path), {name: np.asarray(array) for name, array in arrays.items()})
 
 

@@ -13,13 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
-
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.npz import DAMAGE
+from dpbench.bench.record.npz import kept
 from dpbench.bench.record.raw_log import log_bytes, loop_layout, replay_layout
 from dpbench.bench.record.schema import SCHEMA_VERSION
-from dpbench.bench.run.exact_loop import ExactLoop, damaged, sequence_of, solve_exactly
+from dpbench.bench.run.exact_loop import ExactLoop, sequence_of, solve_exactly
 from dpbench.bench.sequences.recording import digest, read_sequence
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.errors import InputError
@@ -106,15 +104,12 @@ def log_size(cell: Cell, path: Path) -> int:
     ------
     ResultsError : the file is damaged or gone.
     """
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
-            if cell.source:
-                n, m, n_theta = data["q"].shape[1], data["A"].shape[0], 0
-            else:
-                n, m = data["z"].shape[1], data["optimum_y"].shape[1]
-                n_theta = data["theta"].shape[1]
-    except (*DAMAGE, OSError, KeyError, IndexError) as error:
-        raise damaged(path, error) from error
+    with kept(path) as stored:
+        if cell.source:
+            n, m, n_theta = stored["q"].shape[1], stored["A"].shape[0], 0
+        else:
+            n, m = stored["z"].shape[1], stored["optimum_y"].shape[1]
+            n_theta = stored["theta"].shape[1]
     if cell.mode == "closed_loop":
         return log_bytes(loop_layout(cell.steps, n, m, n_theta))
     return log_bytes(replay_layout(cell.rounds + 1, cell.steps, n, m))
@@ -172,9 +167,9 @@ class _Random:
         save_sequence(path, sequence, certified(sequence))
 
     def load(self, cell: Cell, path: Path) -> Replayed:
-        found = load_recorded(path)
+        recorded = load_recorded(path)
         # Its QPs follow each other by no known time.
-        return Replayed(found.sequence, float("nan"), found.optima)
+        return Replayed(recorded.sequence, float("nan"), recorded.optima)
 
     def check(self, path: Path) -> None:
         load_recorded(path)
@@ -196,9 +191,9 @@ class _Recorded:
         save_sequence(path, recorded.sequence, units=recorded.units, documents=recorded.documents)
 
     def load(self, cell: Cell, path: Path) -> Replayed:
-        found = load_recorded(path)
-        sample_s = float(found.sequence.meta.get("sample_s", float("nan")))
-        return Replayed(found.sequence, sample_s, found.optima)
+        recorded = load_recorded(path)
+        sample_s = float(recorded.sequence.meta.get("sample_s", float("nan")))
+        return Replayed(recorded.sequence, sample_s, recorded.optima)
 
     def check(self, path: Path) -> None:
         load_recorded(path)

@@ -39,13 +39,13 @@ def verify_sequence(path: Path, progress: Progress | None = None) -> str:
     if claims is not None:
         _check_active(path, claims)
     shown.start(len(sequence))
-    found = []
+    optima = []
     for k, optimum in enumerate(each_certified(sequence)):
         if claims is not None:
             _check_step(where, k, sequence, claims[k], optimum)
-        found.append(optimum)
+        optima.append(optimum)
         shown.advance(1, path.stem)
-    return f"{where}: {described(sequence, found if claims is None else claims)}"
+    return f"{where}: {described(sequence, optima if claims is None else claims)}"
 
 
 def _check_active(path: Path, claims: list[Optimum]) -> None:
@@ -87,10 +87,10 @@ def _check_step(where: str, k: int, sequence: QPSequence, claim: Optimum, optimu
 
 def _check_multipliers(where: str, k: int, qp: QuadraticProgram, claim: Optimum) -> None:
     """Those of one optimum need not be unique: they are asked to prove it, not to be the same."""
-    found = residuals(qp, Solution(Status.SOLVED, claim.z, claim.y, claim.y_box))
+    measured = residuals(qp, Solution(Status.SOLVED, claim.z, claim.y, claim.y_box))
     terms = (qp.P @ claim.z, qp.q, claim.y, claim.y_box)
     size = max(1.0, *(float(np.abs(term).max(initial=0.0)) for term in terms))
-    worst = max(found.primal, found.dual, found.complementarity)
+    worst = max(measured.primal, measured.dual, measured.complementarity)
     if not worst <= STATIONARY * size:
         what = f"a residual of {worst:.1e}"
         raise InputError(where, f"y, y_box[{k}]", what, f"at most {STATIONARY * size:.1e}")

@@ -18,7 +18,6 @@ from dpbench.bench.judge.closed_loop import Evaluated
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import HARNESS_VERSION, OUTCOMES, Cell, Outcome
-from dpbench.bench.record.npz import DAMAGE
 from dpbench.bench.record.raw_log import discard
 from dpbench.bench.record.result_folder import write_json
 from dpbench.bench.sequences.source import log_size, source_key
@@ -28,7 +27,7 @@ from dpbench.bench.workers.interleaved import ReplayGroup
 from dpbench.bench.workers.scratch import NoRoomError, Scratch
 from dpbench.bench.workers.slots import Errand, in_slots
 from dpbench.bench.workers.worker import BatchCell
-from dpbench.errors import InputError
+from dpbench.errors import InputError, ResultsError
 from dpbench.solvers.table import Availability
 
 
@@ -96,7 +95,7 @@ class CellStore:
         """The judged columns of a cell, None if it left no steps, or they are damaged."""
         try:
             return Evaluated.load(self.evaluated_path(job))
-        except (*DAMAGE, OSError, KeyError):
+        except ResultsError:
             return None
 
 

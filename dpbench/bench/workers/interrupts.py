@@ -17,8 +17,8 @@ def one_interrupt() -> Iterator[None]:
     already: what the first one saves must not be lost by the second. Nothing changes outside the
     main thread, or where somebody else listens to Ctrl-C already.
     """
-    ours = threading.current_thread() is threading.main_thread()
-    if not ours or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    if not in_main_thread or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield
         return
     signal.signal(signal.SIGINT, _first)

@@ -42,9 +42,9 @@ def scratch_folder(place: Path | None = None) -> tempfile.TemporaryDirectory[str
 
 def free_bytes(place: Path) -> int:
     """What can be written at a place; in memory no more than there is of that."""
-    found = os.statvfs(place)
+    volume = os.statvfs(place)
     # A tmpfs without a limit says that it has no blocks at all.
-    free = found.f_bavail * found.f_frsize if found.f_blocks else sys.maxsize
+    free = volume.f_bavail * volume.f_frsize if volume.f_blocks else sys.maxsize
     return min(free, int(psutil.virtual_memory().available)) if place == MEMORY else free
 
 
@@ -114,11 +114,11 @@ class Scratch:
 
 def _apart(places: Sequence[Path]) -> list[Path]:
     """Of places that can be written to, one on each file system."""
-    found: dict[int, Path] = {}
+    by_device: dict[int, Path] = {}
     for place in places:
         if os.access(place, os.W_OK):
-            found.setdefault(place.stat().st_dev, place)
-    return list(found.values())
+            by_device.setdefault(place.stat().st_dev, place)
+    return list(by_device.values())
 
 
 def _megabytes(size: int) -> str:

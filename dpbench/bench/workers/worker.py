@@ -7,9 +7,9 @@ Every function here is the target of a process forked from a template that has n
 from __future__ import annotations
 
 import gc
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -20,14 +20,12 @@ from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
 from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.disturbance import counters
-from dpbench.bench.record.raw_log import RawLog, loop_layout, replay_layout
-from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
-from dpbench.bench.run.exact_loop import ExactLoop, base_problem
+from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.run.assemble import clock, closed_loop_setup, replay_parts
+from dpbench.bench.run.closed_loop import closed_loop
+from dpbench.bench.run.exact_loop import ExactLoop
 from dpbench.bench.run.footprint import MemoryWatch, affordable_steps, measure_steps, threads
-from dpbench.bench.run.formulation import in_loop, in_replay
-from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.replay import PREROLL, ReplayRun
-from dpbench.bench.run.slow_computer import delay_of, usage_of_process
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.bench.sequences.source import replayed, source_of
 from dpbench.bench.workers.notice import AtWork, post
@@ -40,8 +38,6 @@ from dpbench.solvers.contract import Workspace
 from dpbench.solvers.isolation import isolate
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import load_solver_module
-
-clock = time.perf_counter_ns
 
 
 @dataclass(frozen=True)
@@ -111,28 +107,15 @@ def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
 def _steer(cell: Cell, workspace: Workspace, raw: Path) -> dict[str, Any]:
     """Let the solver steer the ship; the verdict."""
     scenario = scenario_once(cell.scenario).first(cell.steps)
-    builder = QPBuilder(scenario, cell.units, sparse=cell.formulation == "sparse")
-    log = RawLog.create(raw, loop_layout(scenario.steps, *builder.sizes))
-    formulated = in_loop(cell.formulation, builder, base_problem(builder.condensed))
-    timed_solver = TimedSolver(workspace, formulated, clock)
-    setup = ClosedLoopSetup(
-        scenario,
-        builder,
-        timed_solver,
-        log,
-        cell.fallback,
-        round(cell.limit_s * 1e9),
-        clock,
-        delay_of(cell, scenario.sample_s),
-        usage_of_process,
-    )
+    limit_ns, new_log = round(cell.limit_s * 1e9), partial(RawLog.create, raw)
+    setup = closed_loop_setup(cell, scenario, workspace, new_log, limit_ns)
     before = counters()
     post(AtWork.SOLVER)
     complete = closed_loop(setup)
     post(AtWork.HARNESS)
-    np.subtract(counters(), before, out=log.counters[0])
-    stopped = "" if complete else f"with {int(log.done[0])} steps"
-    return _verdict(cell, workspace, timed_solver, stopped)
+    np.subtract(counters(), before, out=setup.log.counters[0])
+    stopped = "" if complete else f"with {int(setup.log.done[0])} steps"
+    return _verdict(cell, workspace, setup.solver, stopped)
 
 
 def _replay_untimed(cell: Cell, workspace: Workspace, raw: Path, source: Path) -> dict[str, Any]:
@@ -205,10 +188,9 @@ def _replay_run(
     memory: MemoryWatch | None = None,
 ) -> tuple[ReplayRun, TimedSolver, RawLog]:
     """A replay ready for its rounds; from here on its solver is at work."""
-    layout = replay_layout(cell.rounds + 1, len(sequence), sequence.base.n, sequence.base.m)
-    log = RawLog.create(raw, layout)
-    steps, formulated = in_replay(cell.formulation, sequence)
-    timed_solver = TimedSolver(workspace, formulated, clock)
+    steps, timed_solver, log = replay_parts(
+        sequence, workspace, cell.formulation, cell.rounds, partial(RawLog.create, raw)
+    )
     if memory is not None:
         memory.loaded(log)
     post(AtWork.SOLVER)

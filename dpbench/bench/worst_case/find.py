@@ -72,9 +72,9 @@ class WorstCase:
         """The findings in plain words, a line each."""
         search, cell, worst = self.search, self.cell, self.worst
         configuration = f"{cell.solver} {cell.route} {cell.policy} {cell.settings}"
-        found = "nothing found"
+        headline = "nothing found"
         if worst is not None:
-            found = f"{worst.figure(self.goal)} at step {worst.step} of {self.path}"
+            headline = f"{worst.figure(self.goal)} at step {worst.step} of {self.path}"
         early = f" ({search.stopped})" if search.stopped else ""
         outcome = search.baseline_outcome
         own = "" if search.baseline is None else search.baseline.figure(self.goal)
@@ -84,7 +84,7 @@ class WorstCase:
             "" if worst is None else "worse than " if self.beats_baseline else "not worse than "
         )
         lines = [
-            f"{configuration}: {found}; {search.evaluations} cases tried{early}",
+            f"{configuration}: {headline}; {search.evaluations} cases tried{early}",
             f"{beside}the {cell.steps} steps of {cell.scenario_name} itself: {own}",
         ]
         for what, path in self.failures.items():
@@ -246,9 +246,9 @@ def _saved(worst_case: WorstCase, seed: int) -> WorstCase:
 
 def _write(path: Path, case: Case, facts: dict[str, Any]) -> None:
     scenario, worst = case.scenario, case.worst
-    found: dict[str, Any] = {"worst_case_outcome": case.outcome.outcome}
+    facts_of_case: dict[str, Any] = {"worst_case_outcome": case.outcome.outcome}
     if worst is not None:
-        found |= {
+        facts_of_case |= {
             "worst_case_step": worst.step,
             "worst_case_iterations": worst.iterations,
             # JSON has no word for an infinite error.
@@ -256,6 +256,6 @@ def _write(path: Path, case: Case, facts: dict[str, Any]) -> None:
             "worst_case_status": worst.status.name.lower(),
         }
     horizons = {"N_p": scenario.N_p, "N_c": scenario.N_c}
-    sequence = replace(case.sequence, meta=case.sequence.meta | horizons | facts | found)
+    sequence = replace(case.sequence, meta=case.sequence.meta | horizons | facts | facts_of_case)
     units = QPBuilder(scenario, "si").condensed.scale
     save_sequence(path, sequence, units=units, documents=scenario.files)

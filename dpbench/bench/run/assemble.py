@@ -1,0 +1,67 @@
+"""A run made ready: what a cell or a sequence says of it, its raw log, and the solver timed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from dpbench.bench.record.cell import Cell, Formulation
+from dpbench.bench.record.raw_log import Layout, RawLog, loop_layout, replay_layout
+from dpbench.bench.run.closed_loop import ClosedLoopSetup
+from dpbench.bench.run.exact_loop import base_problem
+from dpbench.bench.run.formulation import in_loop, in_replay
+from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.slow_computer import delay_of, usage_of_process
+from dpbench.bench.run.timed_solver import TimedSolver
+from dpbench.qp.program import QPSequence
+from dpbench.scenario.scenario import Scenario
+from dpbench.solvers.contract import Workspace
+
+NO_LIMIT_NS = 2**62
+NewLog = Callable[[Layout], RawLog]
+clock = time.perf_counter_ns
+
+
+def closed_loop_setup(
+    cell: Cell, scenario: Scenario, workspace: Workspace, new_log: NewLog, limit_ns: int
+) -> ClosedLoopSetup:
+    """The closed loop that a cell describes, along a scenario of as many steps.
+
+    Raises
+    ------
+    InputError : "sparse" for a scenario that has no stages, or a slow-down or deadline that cannot
+        be.
+    """
+    delay = delay_of(cell, scenario.sample_s)
+    builder = QPBuilder(scenario, cell.units, sparse=cell.formulation == "sparse")
+    log = new_log(loop_layout(scenario.steps, *builder.sizes))
+    formulated = in_loop(cell.formulation, builder, base_problem(builder.condensed))
+    return ClosedLoopSetup(
+        scenario,
+        builder,
+        TimedSolver(workspace, formulated, clock),
+        log,
+        cell.fallback,
+        limit_ns,
+        clock,
+        delay,
+        usage_of_process,
+    )
+
+
+def replay_parts(
+    sequence: QPSequence,
+    workspace: Workspace,
+    formulation: Formulation,
+    rounds: int,
+    new_log: NewLog,
+) -> tuple[QPSequence, TimedSolver, RawLog]:
+    """A sequence as the solver gets it, the solver, and a log of the warm-up and `rounds`.
+
+    Raises
+    ------
+    InputError : "sparse" for QPs without a scenario behind them.
+    """
+    log = new_log(replay_layout(rounds + 1, len(sequence), sequence.base.n, sequence.base.m))
+    steps, formulated = in_replay(formulation, sequence)
+    return steps, TimedSolver(workspace, formulated, clock), log
