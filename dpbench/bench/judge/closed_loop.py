@@ -163,21 +163,9 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
     done = int(log.done[0])
     evaluations = np.full((done, len(EVALUATION)), np.nan)
     certificates = np.full(done, CERTIFICATES.index("none"), dtype=np.int8)
-    # On a slow computer a step may pass without a computation: it has no answer to evaluator.
+    # On a slow computer a step may pass without a computation: it has no answer to evaluate.
     asked = log.times[0, :done, _SOLVE] >= 0
-    matrix_steps = 0
-    if done:
-        base = base_problem(scaled.condensed)
-        own_base = base if own is scaled else base_problem(own.condensed)
-        evaluator = StepEvaluator(base, own_base, own.condensed.scale)
-        for k in np.flatnonzero(asked).tolist():
-            step = scaled.rebuild(k, log.theta[k])
-            step_own = step if own is scaled else own.rebuild(k, log.theta[k])
-            evaluator.follow(step, step_own)
-            optimum = evaluator.certify(step)
-            evaluations[k] = evaluator.evaluate(step, step_own, recorded_answer(log, 0, k), optimum)
-            certificates[k] = CERTIFICATES.index(optimum.kind)
-            matrix_steps += Refresh.MATRICES in step.refresh
+    matrix_steps = _evaluate_steps(log, scaled, own, asked, evaluations, certificates)
     columns = common_columns(log, [0], [done], evaluations, certificates)
     columns |= {
         "t_s": np.arange(done) * scenario.sample_s,
@@ -190,19 +178,43 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
         "tau": log.tau[:done].copy(),
         "command": log.command[:done].copy(),
     }
-    metrics: dict[str, float] = {}
-    if done:
-        metrics = control_metrics(
-            scenario,
-            log.state[: done + 1],
-            log.tau[:done],
-            scaled.reference,
-            (scaled.tau_min, scaled.tau_max),
-            (exact.state, exact.tau),
-        )
-        metrics["matrix_steps"] = float(matrix_steps)
-        metrics |= dict(zip(COUNTERS, log.counters[0].tolist(), strict=True))
+    if not done:
+        return Evaluated(columns, {})
+    limits, steered = (scaled.tau_min, scaled.tau_max), (exact.state, exact.tau)
+    state, tau = columns["state"], columns["tau"]
+    metrics = control_metrics(scenario, state, tau, scaled.reference, limits, steered)
+    metrics["matrix_steps"] = float(matrix_steps)
+    metrics |= dict(zip(COUNTERS, log.counters[0].tolist(), strict=True))
     return Evaluated(columns, metrics)
+
+
+def _evaluate_steps(
+    log: RawLog,
+    scaled: QPBuilder,
+    own: QPBuilder,
+    asked: NDArray[np.bool_],
+    evaluations: NDArray[np.float64],
+    certificates: NDArray[np.int8],
+) -> int:
+    """Judge the answers of the steps `asked` into rows of `evaluations` and `certificates`.
+
+    Returns
+    -------
+    How many steps brought matrices of their own.
+    """
+    base = base_problem(scaled.condensed)
+    own_base = base if own is scaled else base_problem(own.condensed)
+    evaluator = StepEvaluator(base, own_base, own.condensed.scale)
+    matrix_steps = 0
+    for k in np.flatnonzero(asked).tolist():
+        step = scaled.rebuild(k, log.theta[k])
+        step_own = step if own is scaled else own.rebuild(k, log.theta[k])
+        evaluator.follow(step, step_own)
+        optimum = evaluator.certify(step)
+        evaluations[k] = evaluator.evaluate(step, step_own, recorded_answer(log, 0, k), optimum)
+        certificates[k] = CERTIFICATES.index(optimum.kind)
+        matrix_steps += Refresh.MATRICES in step.refresh
+    return matrix_steps
 
 
 def common_columns(

@@ -52,23 +52,37 @@ def control_metrics(
         "closed_loop_cost": _cost(scenario, state[1 : K + 1, 3:] - reference[1 : K + 1], change),
         "exact_cost": _cost_of(scenario, exact, reference, K),
     }
+    return (
+        metrics
+        | _watch_shares(radius, heading)
+        | _of_axes(t, error, dt)
+        | _effort(scenario, state[:K, :3], tau, change)
+        | _limit_shares(scenario, tau, u_before, limits)
+        | _deviation(state[:K], tau, exact)
+    )
+
+
+def _watch_shares(radius: Vector, heading: Vector) -> dict[str, float]:
+    """Shares of the run in the green, yellow and red zones of a watch circle."""
     green = (radius <= 3.0) & (heading <= 3.0)
     red = (radius > 5.0) | (heading > 5.0)
-    metrics["share_green"] = float(np.mean(green))
-    metrics["share_red"] = float(np.mean(red))
-    metrics["share_yellow"] = float(np.mean(~green & ~red))
+    return {
+        "share_green": float(np.mean(green)),
+        "share_red": float(np.mean(red)),
+        "share_yellow": float(np.mean(~green & ~red)),
+    }
+
+
+def _of_axes(t: Vector, error: Matrix, dt: float) -> dict[str, float]:
+    """Integrals of the error of each axis, and its overshoot."""
+    metrics = {}
     for i, axis in enumerate(AXES):
         size = np.abs(error[:, i])
         metrics[f"iae_{axis}"] = float(size.sum() * dt)
         metrics[f"ise_{axis}"] = float((size**2).sum() * dt)
         metrics[f"itae_{axis}"] = float((t * size).sum() * dt)
         metrics[f"overshoot_{axis}"] = _overshoot(error[:, i])
-    return (
-        metrics
-        | _effort(scenario, state[:K, :3], tau, change)
-        | _limit_shares(scenario, tau, u_before, limits)
-        | _deviation(state[:K], tau, exact)
-    )
+    return metrics
 
 
 def _rms(values: NDArray[np.float64]) -> float:

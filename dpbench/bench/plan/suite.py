@@ -161,9 +161,9 @@ class ReportTable(FileModel):
 class SuiteFile(FileModel):
     """`problems/suites/*.toml`; 0 steps means all steps.
 
-    A replay that has taken `replay_budget_s` gets no further round, once `FEWEST_ROUNDS`
-    (`interleave.py`) count; 0 for all of them whatever they take. Rounds in which other work slowed
-    the load kernel run again, for up to `repeat_budget_s` of each replay (`robbed.py`). With
+    A replay that has taken `replay_budget_s` gets no further round, once `FEWEST_ROUNDS` count;
+    0 for all of them whatever they take. Rounds in which other work slowed the load kernel run
+    again, for up to `repeat_budget_s` of each replay (both in `interleaved.py`). With
     `baseline_law` the clipped unconstrained law steers too; with `calibration` the harness's own
     configurations, whose cost is known, take part in every replay.
     """

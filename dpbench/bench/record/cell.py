@@ -33,12 +33,12 @@ class Cell:
     rounds, warmup_steps : replay only: counting rounds, and steps of the round before them.
     limit_s : the cell's own run time after which it stops.
     budget_s : replay only: run time after which the rounds that are left are left out, once
-        `FEWEST_ROUNDS` count (`interleave.py`); 0 for none.
-    repeat_budget_s : replay only: run time for rounds that were robbed, again (`robbed.py`).
+        `FEWEST_ROUNDS` count (`interleaved.py`); 0 for none.
+    repeat_budget_s : replay only: run time for rounds that were robbed, again (`interleaved.py`).
     fallback : what acts when there is no usable answer.
     slowdown, deadline_s : closed loop only: how much slower than this machine the ship's computer
         is, ≥ 1, and what a step may take of its time; 0 for a loop that waits for every answer,
-        and for the whole sample (`slow.py`).
+        and for the whole sample (`slow_computer.py`).
     seed : of the order of configurations within a round.
     solver_module : file of the plug-in that brings the solver; "" for none.
     source : replay only: what its QPs are made from where that is no scenario; its `kind`, the

@@ -93,7 +93,7 @@ class RawLog:
     whole. `flags` (steps, 3) holds fallback, unconverged, clipped; `attempts[r]` how often round r
     was begun; `first_ns` (steps,) the time of the first visit of each step, −1 where it had no
     record, and `first_reference_kernel_ns[r]` the larger reference time around the first attempt of
-    round r; `latency_ns` (steps,) what `slow.py` writes, nothing in other loops.
+    round r; `latency_ns` (steps,) what `slow_computer.py` writes, nothing in other loops.
     """
 
     done: NDArray[np.int64]

@@ -3,8 +3,8 @@
 Order at t_k: measure or estimate x_m; Δx_m(k) = x_m(k) − x_m(k−1), zero at k = 0; emit the QP;
 solve; limit the first move by rate, then by amplitude; hold the force over [t_k, t_{k+1}). u(k−1)
 is the force that was *applied*. Only the solver's call stands between two clock reads of its
-phases. On a slow computer (`slow.py`) another stands in for solver and fallback; the loop is the
-same.
+phases. On a slow computer (`slow_computer.py`) another stands in for solver and fallback; the loop
+is the same.
 """
 
 from __future__ import annotations
