@@ -61,16 +61,12 @@ def run_closed_loop(
     InputError : for an unknown formulation or fallback, "sparse" for a scenario that has none, or
         a slow-down or deadline that cannot be.
     """
-    _check("formulation", formulation, FORMULATIONS)
     _check("fallback", fallback, FALLBACKS)
-    _check_workspace(workspace)
-    cell = Cell(
+    _check_workspace(workspace, formulation)
+    cell = _cell_of(
+        workspace,
         mode="closed_loop",
         scenario=scenario.files,
-        solver=workspace.solver,
-        route=workspace.route,
-        policy=workspace.policy,
-        settings="",
         steps=scenario.steps,
         formulation=formulation,
         units=units,
@@ -98,31 +94,20 @@ def replay(
     ------
     InputError : for an unknown formulation, or "sparse" for QPs without a scenario behind them.
     """
-    _check("formulation", formulation, FORMULATIONS)
-    _check_workspace(workspace)
+    _check_workspace(workspace, formulation)
     if repeats < 1:
         raise InputError("replay", "repeats", repeats, "1 or more")
     warmup_steps = min(warmup_steps, len(sequence))
-    formulated, timed_solver, log = replay_parts(
-        sequence, workspace, formulation, repeats, RawLog.in_memory
-    )
+    steps, solver, log = replay_parts(sequence, workspace, formulation, repeats, RawLog.in_memory)
     run = ReplayRun(
-        formulated,
-        timed_solver,
-        log,
-        warmup_steps=warmup_steps,
-        limit_ns=NO_LIMIT_NS,
-        clock=clock,
+        steps, solver, log, warmup_steps=warmup_steps, limit_ns=NO_LIMIT_NS, clock=clock
     )
     for r in range(repeats + 1):
         run.round(r)
-    cell = Cell(
+    cell = _cell_of(
+        workspace,
         mode="replay",
         scenario={"name": sequence.name},
-        solver=workspace.solver,
-        route=workspace.route,
-        policy=workspace.policy,
-        settings="",
         steps=len(sequence),
         formulation=formulation,
         units="scaled" if sequence.units is None else "si",
@@ -130,7 +115,7 @@ def replay(
         warmup_steps=warmup_steps,
     )
     sample_s = float(sequence.meta.get("sample_s", float("nan")))
-    return _run(cell, workspace, timed_solver, evaluate_sequence(log, sequence, sample_s))
+    return _run(cell, workspace, solver, evaluate_sequence(log, sequence, sample_s))
 
 
 def _check(key: str, value: str, allowed: tuple[str, ...]) -> None:
@@ -138,9 +123,21 @@ def _check(key: str, value: str, allowed: tuple[str, ...]) -> None:
         raise InputError("run", key, repr(value), f"one of {', '.join(allowed)}")
 
 
-def _check_workspace(workspace: object) -> None:
+def _check_workspace(workspace: object, formulation: str) -> None:
+    _check("formulation", formulation, FORMULATIONS)
     if not isinstance(workspace, Workspace):
         raise InputError("run", "workspace", repr(workspace), "a Workspace; see open_workspace")
+
+
+def _cell_of(workspace: Workspace, **fields: Any) -> Cell:
+    """The cell of a run of a workspace, whose settings have no name."""
+    return Cell(
+        solver=workspace.solver,
+        route=workspace.route,
+        policy=workspace.policy,
+        settings="",
+        **fields,
+    )
 
 
 def _run(cell: Cell, workspace: Workspace, timed_solver: TimedSolver, evaluated: Evaluated) -> Run:

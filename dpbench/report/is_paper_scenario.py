@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 
 from dpbench.analysis.records import Records
 from dpbench.scenario.scenario import Scenario, load_scenario
@@ -15,8 +16,13 @@ PROSE = ("title", "shows", "source")
 
 def is_of_paper(view: Records, name: str) -> bool:
     """Whether a scenario of the rows is the paper's own of that name, and not one named alike."""
-    found = view.scenario(name) if name in OF_PAPER else None
-    return found is not None and _content(found) == _content(load_scenario(name))
+    scenario = view.scenario(name) if name in OF_PAPER else None
+    return scenario is not None and _content(scenario) == _own_content(name)
+
+
+@cache
+def _own_content(name: str) -> str:
+    return _content(load_scenario(name))
 
 
 def _content(scenario: Scenario) -> str:
