@@ -1,5 +1,4 @@
-"""The unconstrained law, its relation to the constrained one (paper eq. 26-36), and the figures by
-which a control design is judged before any simulation (section III.E).
+"""The unconstrained law and its relation to the constrained one (paper eq. 26-36).
 
     ΔU = E⁻¹ Φᵀ Q̄ (D y_d − F x)                                     (eq. 27)
     Δu(k) = K_y y_d − K_mpc x,   K = [I 0 … 0]                        (eq. 33)
@@ -16,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.mpc.condense import CondensedMatrices, ControlProblem, condense_matrices
@@ -90,43 +88,3 @@ def controllable_rank(model: StateSpace, tolerance: float = 1e-9) -> int:
         basis = np.hstack([basis, fresh])
         block = model.A @ fresh
     return basis.shape[1]
-
-
-@dataclass(frozen=True, eq=False)
-class DesignFigures:
-    """What the unconstrained loop and the cost matrix of a control problem look like.
-
-    Parameters
-    ----------
-    eigenvalues : (n_x,) of the closed loop, by falling modulus; inside the unit circle it is
-        stable as long as no limit is active.
-    spectral_radius : modulus of the first.
-    K_mpc, K_y : (n_u, n_x), (n_u, n_y) gains [N, N, N·m per m/s, rad/s, m, rad].
-    controllable : dimension of the controllable subspace of (A, B); n_x is all of it.
-    condition_scaled, condition_si : 2-norm condition numbers of P in the two systems of units.
-    """
-
-    eigenvalues: NDArray[np.complex128]
-    spectral_radius: float
-    K_mpc: Matrix
-    K_y: Matrix
-    controllable: int
-    condition_scaled: float
-    condition_si: float
-
-
-def design_figures(problem: ControlProblem) -> DesignFigures:
-    """The figures of a control problem, terminal cost included; limits play no part."""
-    matrices = condense_matrices(problem)
-    law = gains(problem, matrices)
-    roots = closed_loop_eigenvalues(problem.model, law).astype(np.complex128)
-    du = np.tile(problem.du_max, problem.N_c)
-    return DesignFigures(
-        eigenvalues=roots,
-        spectral_radius=float(np.abs(roots[0])),
-        K_mpc=law.K_mpc,
-        K_y=law.K_y,
-        controllable=controllable_rank(problem.model),
-        condition_scaled=float(np.linalg.cond(matrices.E * np.outer(du, du))),
-        condition_si=float(np.linalg.cond(matrices.E)),
-    )
