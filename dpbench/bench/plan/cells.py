@@ -9,7 +9,6 @@ from typing import Any
 
 from dpbench.bench.plan.configurations import (
     BASELINE_LAW,
-    Configuration,
     Table,
     configurations_of,
     module_of,
@@ -17,6 +16,7 @@ from dpbench.bench.plan.configurations import (
 )
 from dpbench.bench.plan.suite import ClosedLoopTable, RandomTable, RecordedTable, SuiteFile
 from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.sequences.recording import read_sequence
 from dpbench.bench.sequences.source import random_source, recorded_source
 from dpbench.errors import InputError

@@ -4,22 +4,20 @@ for."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
 from dpbench.bench.plan.suite import (
     ClosedLoopTable,
-    FormulationName,
     RandomTable,
     RecordedTable,
     ReplayTable,
     SuiteFile,
-    UnitName,
 )
+from dpbench.bench.record.configuration import Configuration
 from dpbench.errors import InputError, SettingsError, UnknownNameError
 from dpbench.solvers.calibration import CALIBRATION
-from dpbench.solvers.contract import Policy, Route
+from dpbench.solvers.contract import Route
 from dpbench.solvers.own.adapters import UNCONSTRAINED_CLIPPED
 from dpbench.solvers.plugins import find_plugin
 from dpbench.solvers.settings import setting_names, settings_matter
@@ -27,19 +25,6 @@ from dpbench.solvers.table import TABLE, available, record, solver_names
 
 BASELINE_LAW = UNCONSTRAINED_CLIPPED.name
 Table = ClosedLoopTable | ReplayTable | RandomTable | RecordedTable
-
-
-@dataclass(frozen=True)
-class Configuration:
-    """One way of running one solver; `alias` are further names of the same settings."""
-
-    solver: str
-    route: Route
-    policy: Policy
-    units: UnitName
-    settings: str
-    formulation: FormulationName = "condensed_box"
-    alias: tuple[str, ...] = ()
 
 
 def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
@@ -128,17 +113,15 @@ def configurations_of(solvers: Sequence[str], table: Table) -> list[Configuratio
         names = [name for name in table.settings if name in setting_names(solver)]
         if settings_matter(solver):
             configurations += [
-                Configuration(solver, route, policy, units, name, formulation) for name in names
+                Configuration(solver, route, policy, name, units, formulation) for name in names
             ]
         elif names:
-            alias = tuple(names[1:])
+            name, *alias = names
             configurations.append(
-                Configuration(solver, route, policy, units, names[0], formulation, alias)
+                Configuration(solver, route, policy, name, units, formulation, tuple(alias))
             )
     timed = isinstance(table, ReplayTable | RecordedTable)
-    return configurations + [
-        Configuration(name, "native", "reuse", "scaled", "default") for name in own if timed
-    ]
+    return configurations + [Configuration(name, "native", "reuse") for name in own if timed]
 
 
 def _taking_part(solvers: Sequence[str], table: Table) -> list[str]:

@@ -12,6 +12,7 @@ from dpbench.bench.record.schema import SCHEMA_VERSION
 from dpbench.solvers.contract import Policy, Route
 
 Formulation = Literal["condensed_box", "condensed_stacked", "sparse", "none"]
+Units = Literal["scaled", "si"]
 Fallback = Literal["shifted_plan", "hold", "clip"]
 FORMULATIONS: tuple[Formulation, ...] = ("condensed_box", "condensed_stacked", "sparse", "none")
 FALLBACKS: tuple[Fallback, ...] = ("shifted_plan", "hold", "clip")
@@ -53,7 +54,7 @@ class Cell:
     settings: str
     steps: int
     formulation: Formulation = "condensed_box"
-    units: Literal["scaled", "si"] = "scaled"
+    units: Units = "scaled"
     first: int = 0
     rounds: int = 0
     warmup_steps: int = 0

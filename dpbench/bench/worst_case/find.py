@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
-from dpbench.bench.plan.configurations import Configuration, module_of, refusal_of
+from dpbench.bench.plan.configurations import module_of, refusal_of
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.sequences.sequence_file import save_sequence
 from dpbench.bench.workers.child import template_context
@@ -182,7 +183,7 @@ def _cell(solver: str, route: Route | None, policy: Policy, settings: str, base:
     names = setting_names(solver)
     if settings not in names:
         raise InputError("--settings", "", repr(settings), f"of {solver}: {', '.join(names)}")
-    reason = refusal_of(Configuration(solver, chosen, policy, "scaled", settings))
+    reason = refusal_of(Configuration(solver, chosen, policy, settings))
     if reason:
         raise InputError(f"solver {solver}", "", reason, "a configuration that can run")
     return Cell(

@@ -1,0 +1,63 @@
+"""A configuration: one way of running one solver, from the plan to the page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from dpbench.bench.record.cell import Formulation, Units
+from dpbench.solvers.contract import Policy, Route
+
+COMMON: Formulation = "condensed_box"
+"""The formulation that solvers are compared in."""
+COLUMNS = ("solver", "route", "policy", "settings", "formulation", "units")
+"""The columns of `runs.parquet` that name a configuration."""
+SETTINGS_LEVELS = ("default", "low", "mid", "high")
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """solver × route × policy × settings × units × formulation.
+
+    Parameters
+    ----------
+    alias : further names of the same settings, where settings have no effect.
+    """
+
+    solver: str
+    route: Route
+    policy: Policy
+    settings: str = "default"
+    units: Units = "scaled"
+    formulation: Formulation = COMMON
+    alias: tuple[str, ...] = field(default=(), compare=False)
+
+    @property
+    def options(self) -> str:
+        """Route, policy and, where they are not `default`, settings: `native warm, high`."""
+        settings = "" if self.settings == "default" else f", {self.settings}"
+        return f"{self.route} {self.policy}{settings}"
+
+    @property
+    def label(self) -> str:
+        """What it is called beside others: `osqp (native warm, high, si, sparse)`."""
+        return self.label_of(self.solver)
+
+    def label_of(self, solver: str) -> str:
+        """The label with another name of the solver, as one that tells its version."""
+        units = "" if self.units == "scaled" else f", {self.units}"
+        formulated = self.formulation not in (COMMON, "none")
+        formulation = f", {self.formulation.replace('_', ' ')}" if formulated else ""
+        return f"{solver} ({self.options}{units}{formulation})"
+
+    @property
+    def in_common_formulation(self) -> Configuration:
+        """The same over problems of which each has a common formulation of its own: see
+        `Records.runs`."""
+        return replace(self, formulation=COMMON)
+
+
+def settings_level(settings: str) -> tuple[int, str]:
+    """Sort key of a settings level, the most usual first."""
+    known = settings in SETTINGS_LEVELS
+    level = SETTINGS_LEVELS.index(settings) if known else len(SETTINGS_LEVELS)
+    return level, settings
