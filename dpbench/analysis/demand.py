@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from dpbench.analysis.records import RunRecord, as_float
-from dpbench.bench.judge.memory_of_answers import remembers
+from dpbench.analysis.run_record import RunRecord
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,7 @@ class Demand:
         return self.deadline_ms * 1e6
 
 
-def is_right(row: RunRecord, demand: Demand) -> bool:
+def is_right(run: RunRecord, demand: Demand) -> bool:
     """Whether the configuration's answers meet the demand on every replayed step, and are not
     remembered.
 
@@ -43,9 +42,9 @@ def is_right(row: RunRecord, demand: Demand) -> bool:
     then.
     """
     return (
-        row["outcome"] in ("finished", "timed_out")
-        and not remembers(row)
-        and row["steps_done"] == row["steps_planned"]
-        and as_float(row["error_move_max"]) <= demand.error_move
-        and as_float(row["failed_steps"]) <= demand.failed_steps
+        run.outcome in ("finished", "timed_out")
+        and not run.remembers
+        and run.steps_done == run.steps_planned
+        and run.error_move_max <= demand.error_move
+        and run.failed_steps <= demand.failed_steps
     )

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from dpbench.analysis.records import Records, RunRecord, as_float, has_steps
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
 from dpbench.bench.record.disturbance import MAX_SWITCHES_PER_S, Disturbance
 
 OWN_A_STEP, OWN_TIMES = 0.5, 10.0
@@ -14,9 +16,6 @@ OWN_A_STEP, OWN_TIMES = 0.5, 10.0
 the median configuration and the rule allow, makes them itself: a library that starts a thread in
 each solve is put off its only core by that thread, where a busy machine would put off its
 neighbours too."""
-
-
-SWITCHES = "involuntary_switches"
 
 
 def timed_runs(records: Records) -> list[RunRecord]:
@@ -31,48 +30,50 @@ def timed_runs(records: Records) -> list[RunRecord]:
 
 def delayed_runs(records: Records) -> list[RunRecord]:
     """Every loop on a slow computer that left a step, switches of its own doing told apart."""
-    return _own_apart([row for row in records.delayed if has_steps(row)])
+    return _own_apart([run for run in records.delayed if run.has_steps])
 
 
-def _own_apart(rows: Sequence[RunRecord]) -> list[RunRecord]:
-    rates = np.array([as_float(row[SWITCHES]) / as_float(row["replay_s"]) for row in rows])
-    seen = rates[np.isfinite(rates)]
-    usual = max(float(np.median(seen)), MAX_SWITCHES_PER_S) if len(seen) else np.inf
-    found: list[RunRecord] = []
-    for row, rate in zip(rows, rates, strict=True):
-        rounds = 1.0 if row["mode"] == "closed_loop" else as_float(row["rounds"])
-        a_step = as_float(row[SWITCHES]) / (rounds * as_float(row["steps_done"]))
-        own = a_step >= OWN_A_STEP and rate > OWN_TIMES * usual
-        found.append({**row, SWITCHES: np.nan, "own_switches_a_step": a_step} if own else row)
-    return found
+def _own_apart(runs: Sequence[RunRecord]) -> list[RunRecord]:
+    rates = np.array([run.involuntary_switches / run.replay_s for run in runs])
+    known = rates[np.isfinite(rates)]
+    allowed = max(float(np.median(known)), MAX_SWITCHES_PER_S) if len(known) else np.inf
+    return [
+        replace(run, involuntary_switches=np.nan, own_switches_a_step=a_step)
+        if (a_step := _switches_a_step(run)) >= OWN_A_STEP and rate > OWN_TIMES * allowed
+        else run
+        for run, rate in zip(runs, rates, strict=True)
+    ]
+
+
+def _switches_a_step(run: RunRecord) -> float:
+    rounds = 1.0 if run.mode == "closed_loop" else run.rounds
+    return run.involuntary_switches / (rounds * run.steps_done)
 
 
 def _once_each(records: Records) -> list[RunRecord]:
-    once: dict[tuple[str, ...], RunRecord] = {}
-    for row in [*records.calibration, *records.all_runs]:
-        if row["mode"] == "replay" and not row["family"] and has_steps(row):
-            names = ("sequence", "solver", "route", "policy", "units", "formulation", "replay_s")
+    once: dict[tuple[object, ...], RunRecord] = {}
+    for run in [*records.calibration, *records.all_runs]:
+        if run.mode == "replay" and not run.family and run.has_steps:
             # Settings without effect are one run under several names, to the nanosecond.
-            once.setdefault((*(str(row[name]) for name in names), str(row["raw_max_ns"])), row)
+            unnamed = replace(run.configuration, settings="")
+            once.setdefault((run.sequence, unnamed, str(run.replay_s), str(run.raw_max_ns)), run)
     return list(once.values())
 
 
-def disturbance_of(rows: Sequence[RunRecord]) -> Disturbance:
+def disturbance_of(runs: Sequence[RunRecord]) -> Disturbance:
     """What disturbed some replays together."""
-    columns = (
-        "rounds",
-        "disturbed_rounds",
-        "counting_disturbed",
-        "rerun_rounds",
-        "replay_s",
-        SWITCHES,
-        "steal_s",
-        "throttle_events",
-    )
-    parts = []
-    for row in rows:
-        kept, disturbed, both, *rest = (as_float(row[name]) for name in columns)
-        parts.append(Disturbance(kept + disturbed - both, disturbed, *rest))
+    parts = [
+        Disturbance(
+            rounds=run.rounds + run.disturbed_rounds - run.counting_disturbed,
+            disturbed=run.disturbed_rounds,
+            rerun=run.rerun_rounds,
+            seconds=run.replay_s,
+            involuntary=run.involuntary_switches,
+            steal_s=run.steal_s,
+            throttled=run.throttle_events,
+        )
+        for run in runs
+    ]
     return Disturbance.total(parts)
 
 
@@ -81,8 +82,8 @@ def disturbed_sequences(records: Records) -> dict[str, Disturbance]:
 
     Random problems, which are not timed alone, are none of them.
     """
-    rows: dict[str, list[RunRecord]] = {}
-    for row in timed_runs(records):
-        rows.setdefault(str(row["sequence"]), []).append(row)
-    found = {sequence: disturbance_of(mine) for sequence, mine in rows.items()}
-    return {sequence: one for sequence, one in found.items() if one.seconds > 0}
+    runs: dict[str, list[RunRecord]] = {}
+    for run in timed_runs(records):
+        runs.setdefault(run.sequence, []).append(run)
+    disturbances = {sequence: disturbance_of(replays) for sequence, replays in runs.items()}
+    return {sequence: one for sequence, one in disturbances.items() if one.seconds > 0}

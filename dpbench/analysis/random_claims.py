@@ -10,22 +10,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.records import Records, RunRecord, as_float, settings_level
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
 from dpbench.bench.judge.rules import (
     NO_ANSWER_CLAIMS,
     claimed_not_true,
     decided,
     true_not_claimed,
 )
+from dpbench.bench.record.configuration import Configuration, settings_level
+from dpbench.qp.residuals import PLAN_TOL_FACTOR, TRUE_TOL
 
-ARM = ("solver", "route", "policy", "settings")
-LIMIT = 1e-3
-"""Residuals above it make an answer untrue, whatever its distance to the optimum."""
+CONFIGURATION = ("solver", "route", "policy", "settings")
 
 
 @dataclass(frozen=True)
@@ -68,27 +69,27 @@ class Tally:
 class RandomClaims:
     """The steps of all random sequences with what they count as.
 
-    `rows` are the runs that were not refused, each once: settings without effect, one run shown
-    under several names, stand as one row with all of them in `settings`.
+    `runs` are those that were not refused, each once: settings without effect, one run shown
+    under several names, stand as one run with all of them in `settings`.
     """
 
     def __init__(self, records: Records) -> None:
-        self.rows = _once([row for row in records.random if row["outcome"] != "refused"])
-        self._steps = _evaluated(records, self.rows)
+        self.runs = _once([run for run in records.random if run.outcome != "refused"])
+        self._steps = _evaluated(records, self.runs)
 
-    def of(self, rows: Sequence[RunRecord]) -> Tally:
-        """The tally of some of the rows."""
-        ids = {str(row["run_id"]) for row in rows}
-        return _tally(self._steps[self._steps["run_id"].isin(ids)], _missed(rows))
+    def of(self, runs: Sequence[RunRecord]) -> Tally:
+        """The tally of some of the runs."""
+        ids = {run.run_id for run in runs}
+        return _tally(self._steps[self._steps["run_id"].isin(ids)], _missed(runs))
 
     def by(self, *names: str) -> dict[tuple[str, ...], Tally]:
-        """Tallies by the values of some columns of the rows."""
+        """Tallies by the values of some columns of the runs."""
         groups: dict[tuple[str, ...], list[RunRecord]] = {}
-        for row in self.rows:
-            groups.setdefault(tuple(str(row[name]) for name in names), []).append(row)
+        for run in self.runs:
+            groups.setdefault(tuple(str(getattr(run, name)) for name in names), []).append(run)
         parts = dict(list(self._steps.groupby([*names], sort=False))) if len(self._steps) else {}
         none = self._steps.iloc[:0]
-        return {key: _tally(parts.get(key, none), _missed(rows)) for key, rows in groups.items()}
+        return {key: _tally(parts.get(key, none), _missed(runs)) for key, runs in groups.items()}
 
     def certificates(self) -> dict[str, dict[str, int]]:
         """How many different steps of each family have which certificate."""
@@ -99,39 +100,38 @@ class RandomClaims:
         }
 
 
-def _once(rows: Sequence[RunRecord]) -> list[RunRecord]:
-    ways: dict[tuple[str, ...], dict[str, list[RunRecord]]] = {}
-    for row in rows:
-        way = ways.setdefault((str(row["solver"]), str(row["route"]), str(row["policy"])), {})
-        way.setdefault(str(row["settings"]), []).append(row)
+def _once(runs: Sequence[RunRecord]) -> list[RunRecord]:
+    by_settings: dict[Configuration, dict[str, list[RunRecord]]] = {}
+    for run in runs:
+        levels = by_settings.setdefault(replace(run.configuration, settings=""), {})
+        levels.setdefault(run.settings, []).append(run)
     kept: list[RunRecord] = []
-    for way in ways.values():
+    for levels in by_settings.values():
         names: dict[str, list[str]] = {}
-        for settings, mine in way.items():
+        for settings, of_level in levels.items():
             # Times never repeat to the nanosecond, so equal ones are those of one run.
-            figures = {str(row["sequence"]): (row["raw_max_ns"], row["steps_done"]) for row in mine}
+            figures = {run.sequence: (run.raw_max_ns, run.steps_done) for run in of_level}
             names.setdefault(repr(sorted(figures.items())), []).append(settings)
         for alike in names.values():
             shown = ", ".join(sorted(alike, key=settings_level))
-            kept += [{**row, "settings": shown} for row in way[alike[0]]]
+            kept += [replace(run, settings=shown) for run in levels[alike[0]]]
     return kept
 
 
-def _missed(rows: Sequence[RunRecord]) -> int:
+def _missed(runs: Sequence[RunRecord]) -> int:
     """Steps of a counting round that were never reached."""
-    asked = sum(as_float(row["steps_planned"]) - as_float(row["steps_done"]) for row in rows)
-    return int(asked)
+    return sum(run.steps_planned - run.steps_done for run in runs)
 
 
-def _evaluated(records: Records, rows: Sequence[RunRecord]) -> pd.DataFrame:
-    names = (*ARM, "family", "sequence")
-    parts = [records.steps(row) for row in rows]
+def _evaluated(records: Records, runs: Sequence[RunRecord]) -> pd.DataFrame:
+    names = (*CONFIGURATION, "family", "sequence")
+    parts = [records.steps(run) for run in runs]
     steps = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
     if steps.empty:
         return pd.DataFrame(columns=["run_id", "k", "certificate", *names])
     counts = [len(part) for part in parts]
     for name in names:
-        steps[name] = np.repeat([str(row[name]) for row in rows], counts)
+        steps[name] = np.repeat([str(getattr(run, name)) for run in runs], counts)
     steps = steps[steps["counts"]].copy()
     known, none_said = decided(steps), steps["status"].isin(NO_ANSWER_CLAIMS)
     lie, feasible = claimed_not_true(steps), steps["error_plan"].notna()
@@ -145,8 +145,8 @@ def _evaluated(records: Records, rows: Sequence[RunRecord]) -> pd.DataFrame:
     steps["empty_right"] = known & none_said & steps["true"]
     steps["empty_wrong"] = known & none_said & ~steps["true"]
     steps["empty"] = lie & ~feasible
-    steps["off"] = lie & feasible & ~(steps["error_plan"] <= 10.0 * LIMIT)
-    steps["outside"] = lie & feasible & ~steps["off"] & ~(steps["primal"] <= LIMIT)
+    steps["off"] = lie & feasible & ~(steps["error_plan"] <= PLAN_TOL_FACTOR * TRUE_TOL)
+    steps["outside"] = lie & feasible & ~steps["off"] & ~(steps["primal"] <= TRUE_TOL)
     steps["dual_alone"] = lie & feasible & ~steps["off"] & ~steps["outside"]
     return steps
 

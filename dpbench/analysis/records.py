@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.statistics import Floats
+from dpbench.analysis.run_record import RunRecord, records_of
 from dpbench.analysis.step_times import StepTimes, step_times_of
+from dpbench.bench.record.configuration import COMMON
 from dpbench.bench.record.result_folder import Results
 from dpbench.scenario.scenario import Scenario, scenario_of
 from dpbench.solvers.calibration import CALIBRATION
-
-RunRecord = Mapping[str, Any]
-"""One row of `runs.parquet` with more of it: `default_route`, whether it runs on its solver's own;
-`family`, `n` and `m` as drawn of a random sequence, the family empty for every other row."""
-
-COMMON = "condensed_box"
-"""The formulation that solvers are compared in."""
 
 
 class Records:
@@ -36,22 +29,19 @@ class Records:
 
     def __init__(self, results: Results) -> None:
         self.machine, self.suite = results.machine, results.suite
-        rows = [
-            {str(name): value for name, value in row.items()}
-            for row in results.runs.to_dict("records")
-        ]
-        rows = [row | _random(row) for row in rows]
-        self.calibration: list[RunRecord] = [row for row in rows if row["solver"] in CALIBRATION]
-        rows = [row for row in rows if row["solver"] not in CALIBRATION]
+        runs = records_of(results.runs)
+        self.calibration = [run for run in runs if run.solver in CALIBRATION]
+        runs = [run for run in runs if run.solver not in CALIBRATION]
         # What a solver is judged on is not for the random problems to say.
-        usual = _default_routes(rows) | _default_routes([row for row in rows if not row["family"]])
-        self.all_runs: list[RunRecord] = [
-            row | {"default_route": row["route"] == usual[row["solver"]]} for row in rows
+        routes = _default_routes(runs) | _default_routes([run for run in runs if not run.family])
+        self.all_runs = [
+            replace(run, default_route=True) if run.route == routes[run.solver] else run
+            for run in runs
         ]
-        self.delayed = [row for row in self.all_runs if as_float(row["slowdown"]) > 0.0]
-        undelayed = [row for row in self.all_runs if not as_float(row["slowdown"]) > 0.0]
-        self.runs = _commonly_formulated([row for row in undelayed if not row["family"]])
-        self.random = [row for row in self.all_runs if row["family"]]
+        self.delayed = [run for run in self.all_runs if run.slowdown > 0.0]
+        self.random = [run for run in self.all_runs if run.family]
+        undelayed = [run for run in self.all_runs if not run.slowdown > 0.0]
+        self.runs = _commonly_formulated([run for run in undelayed if not run.family])
         self._steps = results.steps
         self._times: dict[str, StepTimes | None] = {}
         self._scenarios: dict[str, Scenario | None] = {}
@@ -66,162 +56,103 @@ class Records:
         starts, ends = [0, *edges.tolist()], [*edges.tolist(), len(ids)]
         return {str(ids[a]): (a, b) for a, b in zip(starts, ends, strict=True)}
 
-    def steps(self, row: RunRecord) -> pd.DataFrame:
+    def steps(self, run: RunRecord) -> pd.DataFrame:
         """The step rows of a run; empty when it left none."""
-        first, last = self._rows_of.get(str(row["run_id"]), (0, 0))
+        first, last = self._rows_of.get(run.run_id, (0, 0))
         return self._steps.iloc[first:last]
 
     def select(self, **wanted: object) -> list[RunRecord]:
         """Runs whose columns have the wanted values, or one of a tuple of values."""
         return [
-            row
-            for row in self.runs
+            run
+            for run in self.runs
             if all(
-                row[name] in value if isinstance(value, tuple) else row[name] == value
-                for name, value in wanted.items()
+                getattr(run, column) in value
+                if isinstance(value, tuple)
+                else getattr(run, column) == value
+                for column, value in wanted.items()
             )
         ]
 
     @cached_property
     def solvers(self) -> list[str]:
         """The solvers that are ranked, in the order of the suite: all but the baseline law."""
-        return list(
-            dict.fromkeys(str(r["solver"]) for r in self.all_runs if not is_baseline_law(r))
-        )
+        return list(dict.fromkeys(r.solver for r in self.all_runs if not r.is_baseline_law))
 
     @cached_property
     def scenarios(self) -> list[str]:
         """Scenarios in the order of the suite."""
-        return list(dict.fromkeys(str(row["scenario"]) for row in self.runs))
+        return list(dict.fromkeys(run.scenario for run in self.runs))
 
     def full_steps(self, scenario: str) -> int:
         """Steps of the longest closed loop of a scenario that the suite asks for; 0 if none."""
-        asked = [r["steps_planned"] for r in self.select(mode="closed_loop", scenario=scenario)]
-        return int(max(asked, default=0))
+        loops = self.select(mode="closed_loop", scenario=scenario)
+        return max((run.steps_planned for run in loops), default=0)
 
     def whole_steps(self, scenario: str) -> int:
         """Steps of the whole scenario; those the suite asks for where no row carries it."""
-        found = self.scenario(scenario)
-        return self.full_steps(scenario) if found is None else found.steps
+        carried = self.scenario(scenario)
+        return self.full_steps(scenario) if carried is None else carried.steps
 
-    def is_whole(self, row: RunRecord) -> bool:
+    def is_whole(self, run: RunRecord) -> bool:
         """Whether a closed loop ran over the whole scenario, and not over its beginning only."""
-        return as_float(row["steps_done"]) >= self.whole_steps(str(row["scenario"]))
+        return run.steps_done >= self.whole_steps(run.scenario)
 
     def full_loops(self, scenario: str, settings: str = "default") -> list[RunRecord]:
         """Full-length closed loops of a scenario in scaled units, the baseline law included."""
-        loops = self.select(
-            mode="closed_loop", scenario=scenario, settings=settings, units="scaled"
+        return self.select(
+            mode="closed_loop",
+            scenario=scenario,
+            settings=settings,
+            units="scaled",
+            steps_planned=self.full_steps(scenario),
         )
-        full = self.full_steps(scenario)
-        return [row for row in loops if row["steps_planned"] == full]
 
     @cached_property
     def sequences(self) -> list[str]:
         """Replayed sequences in the order of the suite."""
-        return list(dict.fromkeys(str(r["sequence"]) for r in self.select(mode="replay")))
+        return list(dict.fromkeys(run.sequence for run in self.select(mode="replay")))
 
     def replays(self, sequence: str, **wanted: object) -> list[RunRecord]:
         """Replays of a sequence in scaled units."""
         return self.select(mode="replay", sequence=sequence, units="scaled", **wanted)
 
-    def times(self, row: RunRecord) -> StepTimes | None:
+    def times(self, run: RunRecord) -> StepTimes | None:
         """Step times of a replay; None when no counting round left a step."""
-        run_id = str(row["run_id"])
-        if run_id not in self._times:
-            self._times[run_id] = step_times_of(self.steps(row))
-        return self._times[run_id]
+        if run.run_id not in self._times:
+            self._times[run.run_id] = step_times_of(self.steps(run))
+        return self._times[run.run_id]
 
     def scenario(self, name: str) -> Scenario | None:
         """The scenario a run was made from; None when no row carries it."""
         if name not in self._scenarios:
-            self._scenarios[name] = self._read_scenario(name)
+            files = (run.scenario_files for run in self.select(scenario=name))
+            carried = next(filter(None, files), None)
+            self._scenarios[name] = None if carried is None else scenario_of(carried)
         return self._scenarios[name]
 
-    def _read_scenario(self, name: str) -> Scenario | None:
-        for row in self.select(scenario=name):
-            files = json.loads(row["cell"]).get("scenario") if row["cell"] else None
-            if files and "scenario" in files:
-                return scenario_of(files)
-        return None
 
-
-def _default_routes(rows: Sequence[RunRecord]) -> dict[str, str]:
+def _default_routes(runs: Sequence[RunRecord]) -> dict[str, str]:
     """The route each solver is judged on: qpsolvers where it ran so, else its first one."""
-    usual: dict[str, str] = {}
-    for row in rows:
-        solver, route = str(row["solver"]), str(row["route"])
-        if solver not in usual or route == "qpsolvers":
-            usual[solver] = route
-    return usual
+    routes: dict[str, str] = {}
+    for run in runs:
+        if run.solver not in routes or run.route == "qpsolvers":
+            routes[run.solver] = run.route
+    return routes
 
 
-def _commonly_formulated(rows: Sequence[RunRecord]) -> list[RunRecord]:
-    """The rows in the common formulation of their problem, and those of the baseline law.
+def _commonly_formulated(runs: Sequence[RunRecord]) -> list[RunRecord]:
+    """The runs in the common formulation of their problem, and those of the baseline law.
 
     Where a problem was never run in `COMMON`, its first formulation is the common one.
     """
     common: dict[tuple[str, ...], str] = {}
-    for row in rows:
-        found = str(row["formulation"])
-        if not is_baseline_law(row) and (_problem(row) not in common or found == COMMON):
-            common[_problem(row)] = found
-    return [r for r in rows if is_baseline_law(r) or r["formulation"] == common[_problem(r)]]
+    for run in runs:
+        problem = _problem(run)
+        if not run.is_baseline_law and (problem not in common or run.formulation == COMMON):
+            common[problem] = run.formulation
+    return [r for r in runs if r.is_baseline_law or r.formulation == common[_problem(r)]]
 
 
-def _problem(row: RunRecord) -> tuple[str, ...]:
-    return tuple(str(row[name]) for name in ("mode", "scenario", "sequence", "units"))
-
-
-def _random(row: RunRecord) -> dict[str, Any]:
-    """What a replay without a scenario was made from, where that is a random recipe."""
-    described = row["mode"] == "replay" and not row["scenario"] and row["cell"]
-    source = json.loads(row["cell"]).get("source", {}) if described else {}
-    if source.get("kind") != "random":
-        return {"family": ""}
-    recipe = source["recipe"]
-    return {"family": str(recipe["family"]), "n": int(recipe["n"]), "m": int(recipe["m"])}
-
-
-def is_baseline_law(row: RunRecord) -> bool:
-    """Whether the row is the baseline law, which solves no QP and is never ranked."""
-    return bool(row["formulation"] == "none")
-
-
-def has_steps(row: RunRecord) -> bool:
-    """Whether the run left rows."""
-    return as_float(row["steps_done"]) > 0
-
-
-def values(rows: Sequence[RunRecord], column: str) -> Floats:
-    """A column of some runs as floats, missing ones NaN."""
-    return np.array([as_float(row[column]) for row in rows], dtype=np.float64)
-
-
-def as_float(value: object) -> float:
-    """A number out of a table; a missing one (None, pd.NA, NaN) is NaN."""
-    try:
-        return float(value)  # type: ignore[arg-type] # any cell of a table; what fails is missing
-    except (TypeError, ValueError):
-        return float(np.nan)
-
-
-def name_of(row: RunRecord) -> str:
-    """The solver, with its route where that is not its default, its policy where not `fresh`."""
-    extra = [] if row["default_route"] else [str(row["route"])]
-    extra += [] if row["policy"] == "fresh" else [str(row["policy"])]
-    return f"{row['solver']} ({', '.join(extra)})" if extra else str(row["solver"])
-
-
-def configuration_name(row: RunRecord) -> str:
-    """As `name_of`, with the settings where they are not `default`."""
-    name, settings = name_of(row), str(row["settings"])
-    if settings == "default":
-        return name
-    return f"{name[:-1]}, {settings})" if name.endswith(")") else f"{name} ({settings})"
-
-
-def settings_level(settings: str) -> tuple[int, str]:
-    """Sort key of a settings level."""
-    order = ("default", "low", "mid", "high")
-    return (order.index(settings) if settings in order else len(order), settings)
+def _problem(run: RunRecord) -> tuple[str, ...]:
+    return run.mode, run.scenario, run.sequence, run.units

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from dpbench.bench.judge.rules import percentile as percentile
-from dpbench.bench.judge.rules import supports as supports
+from dpbench.bench.judge.rules import supports
 
 Floats = NDArray[np.float64]
 
@@ -65,8 +64,8 @@ def percentile_interval(
     if not enough(len(values), block):
         return Interval(value, 0.0, np.inf)
     draws = block_indices(len(values), block, resamples, seed)
-    found = np.percentile(values[draws], percent, axis=1)
-    low, high = np.quantile(found, _tails(confidence))
+    resampled = np.percentile(values[draws], percent, axis=1)
+    low, high = np.quantile(resampled, _tails(confidence))
     return Interval(value, float(low), float(high))
 
 
@@ -85,19 +84,19 @@ def pooled_percentile_intervals(
     wanted = [percent for percent in percents if supports(len(values), percent)]
     if not wanted:
         return [UNKNOWN for _ in percents]
-    seen, place = np.unique(steps, return_inverse=True)
-    if not enough(len(seen)):
+    distinct, place = np.unique(steps, return_inverse=True)
+    if not enough(len(distinct)):
         values_of = (float(np.percentile(values, p)) if p in wanted else np.nan for p in percents)
         return [Interval(v, 0.0, np.inf) if np.isfinite(v) else UNKNOWN for v in values_of]
     order = np.argsort(values)
     ordered, place = values[order], place[order]
     shares = np.array(wanted) / 100.0
-    draws = block_indices(len(seen), BLOCK_STEPS, RESAMPLES, SEED)
-    found = np.empty((len(draws), len(wanted)))
+    draws = block_indices(len(distinct), BLOCK_STEPS, RESAMPLES, SEED)
+    resampled = np.empty((len(draws), len(wanted)))
     for i, drawn in enumerate(draws):
-        weight = np.cumsum(np.bincount(drawn, minlength=len(seen))[place])
-        found[i] = ordered[np.searchsorted(weight, shares * weight[-1])]
-    lows, highs = np.quantile(found, _tails(CONFIDENCE), axis=0)
+        weight = np.cumsum(np.bincount(drawn, minlength=len(distinct))[place])
+        resampled[i] = ordered[np.searchsorted(weight, shares * weight[-1])]
+    lows, highs = np.quantile(resampled, _tails(CONFIDENCE), axis=0)
     limits = dict(zip(wanted, zip(lows.tolist(), highs.tolist(), strict=True), strict=True))
     return [
         Interval(float(np.percentile(values, percent)), *limits[percent])
@@ -144,16 +143,18 @@ def pooled_mean(logs: Sequence[Floats], comparisons: int = 1) -> Interval:
     """
     if not logs or not all(map(len, logs)):
         return UNKNOWN
-    means = np.array([found.mean() for found in logs])
+    means = np.array([of_sequence.mean() for of_sequence in logs])
     middle = float(means.mean())
-    if not all(enough(len(found)) for found in logs):
+    if not all(enough(len(of_sequence)) for of_sequence in logs):
         return Interval(float(np.exp(middle)), 0.0, np.inf)
     errors = [
-        float(resampled_means(found, BLOCK_STEPS, 4 * RESAMPLES, SEED).std()) for found in logs
+        float(resampled_means(of_sequence, BLOCK_STEPS, 4 * RESAMPLES, SEED).std())
+        for of_sequence in logs
     ]
     spread = float(np.linalg.norm(errors)) / len(logs)
-    far = float(norm.isf((1.0 - CONFIDENCE) / (2.0 * comparisons))) * spread
-    return Interval(float(np.exp(middle)), float(np.exp(middle - far)), float(np.exp(middle + far)))
+    reach = float(norm.isf((1.0 - CONFIDENCE) / (2.0 * comparisons))) * spread
+    low, high = np.exp([middle - reach, middle + reach]).tolist()
+    return Interval(float(np.exp(middle)), low, high)
 
 
 def _tails(confidence: float) -> tuple[float, float]:

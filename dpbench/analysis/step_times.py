@@ -22,7 +22,7 @@ class StepTimes:
     Parameters
     ----------
     k : (K,) steps; algo_ns : (K,) minimum over the counting rounds, the algorithmic time.
-    typical_ns : (K,) median over the counting rounds, what a usual round takes.
+    typical_ns : (K,) median over the counting rounds, what a typical round takes.
     raw_ns : (N,) all samples of the counting rounds; raw_k : (N,) the step of each.
     true : (K,) whether the referee found the answer untrue in no counting round.
     error : (K,) the accuracy achieved, which is the largest error_move of the counting rounds; inf
@@ -56,8 +56,8 @@ def step_times_of(steps: pd.DataFrame) -> StepTimes | None:
     np.minimum.at(best, k, raw)
     done = np.flatnonzero(np.isfinite(best))
     true = np.ones(len(best), dtype=np.bool_)
-    found_true = counting["true"] | ~decided(counting)
-    np.logical_and.at(true, k, found_true.to_numpy(dtype=np.bool_))
+    not_untrue = counting["true"] | ~decided(counting)
+    np.logical_and.at(true, k, not_untrue.to_numpy(dtype=np.bool_))
     error = np.zeros(len(best))
     np.maximum.at(error, k, _achieved(counting))
     iterations = counting["iterations"].to_numpy(dtype=np.float64, na_value=np.nan)

@@ -115,8 +115,14 @@ def best_multipliers(qp: QuadraticProgram, z: Vector, tol: float) -> tuple[Vecto
     return multiplier[:m], multiplier[m:]
 
 
+TRUE_TOL = 1e-3
+"""The tolerance at which an answer is called true, where no other is named."""
+PLAN_TOL_FACTOR = 10.0
+"""The distance of a plan to the optimum may be so many times the tolerance of its residuals."""
+
+
 def is_true(
-    qp: QuadraticProgram, residuals: Residuals, error_plan: float, tol: float = 1e-3
+    qp: QuadraticProgram, residuals: Residuals, error_plan: float, tol: float = TRUE_TOL
 ) -> bool:
     """Whether an answer is true, whatever its solver claims.
 
@@ -126,5 +132,5 @@ def is_true(
     return bool(
         residuals.primal <= tol
         and residuals.dual <= tol * (1.0 + np.abs(qp.q).max())
-        and error_plan <= 10.0 * tol
+        and error_plan <= PLAN_TOL_FACTOR * tol
     )

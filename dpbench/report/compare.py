@@ -11,7 +11,7 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.compare.answers import Answer, compare_answers
-from dpbench.analysis.compare.pairs import KEY, Pairs, check_machines, pair_cells
+from dpbench.analysis.compare.pairs import Pairs, check_machines, key_of, pair_cells
 from dpbench.analysis.compare.times import (
     Compared,
     Shared,
@@ -157,7 +157,7 @@ def _lines(
 
 def _time_row(compared: Compared) -> dict[str, Any]:
     timing, found = compared.timing, compared.assessment
-    return {name: timing.pair.a[name] for name in KEY} | {
+    return key_of(timing.pair.a) | {
         "raw": found.raw,
         "machine": found.machine,
         "ratio": found.ratio.value,
@@ -173,7 +173,7 @@ def _time_row(compared: Compared) -> dict[str, Any]:
 
 
 def _answer_row(answer: Answer) -> dict[str, Any]:
-    return {name: answer.pair.a[name] for name in KEY} | {
+    return key_of(answer.pair.a) | {
         "figure": answer.measure.column,
         "a_low": answer.a[0],
         "a_high": answer.a[1],

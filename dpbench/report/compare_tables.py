@@ -27,13 +27,13 @@ _MARKS: dict[str, Mark] = {"slower": "bad", "worse": "bad", "faster": "good", "b
 def solvers_table(compared: Sequence[Compared], answers: Sequence[Answer]) -> Table:
     """One row per solver: what its configurations together say of step times, accuracy and
     control."""
-    names = [c.timing.pair.a["solver"] for c in compared] + [a.pair.a["solver"] for a in answers]
+    names = [c.timing.pair.a.solver for c in compared] + [a.pair.a.solver for a in answers]
     rows = []
     for solver in sorted({str(name) for name in names}):
         times = Counter[str](
-            c.assessment.verdict for c in compared if c.timing.pair.a["solver"] == solver
+            c.assessment.verdict for c in compared if c.timing.pair.a.solver == solver
         )
-        changes = Counter[str](a.change for a in answers if a.pair.a["solver"] == solver)
+        changes = Counter[str](a.change for a in answers if a.pair.a.solver == solver)
         cells = (_together(times, TIMES), _together(changes, ("worse", "better", "same")))
         rows.append(
             row_of(
@@ -100,7 +100,7 @@ def _time_row(compared: Compared) -> tuple[Cell, ...]:
     timing, found = compared.timing, compared.assessment
     return row_of(
         timing.pair.label,
-        timing.pair.problem,
+        timing.pair.a.problem,
         micro_text(timing.median_ns[0]),
         micro_text(timing.median_ns[1]),
         f"{found.raw:.3f}",
@@ -148,10 +148,10 @@ def answers_table(answers: Sequence[Answer], margin: float) -> Table | None:
 
 
 def _answer_row(answer: Answer) -> tuple[Cell, ...]:
-    mode = "closed loop" if answer.pair.a["mode"] == "closed_loop" else "replay"
+    mode = "closed loop" if answer.pair.a.mode == "closed_loop" else "replay"
     return row_of(
         answer.pair.label,
-        f"{mode} of {answer.pair.problem}",
+        f"{mode} of {answer.pair.a.problem}",
         answer.measure.head,
         _range_text(answer.measure.column, answer.a),
         _range_text(answer.measure.column, answer.b),

@@ -13,14 +13,8 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FuncFormatter
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import (
-    RunRecord,
-    as_float,
-    configuration_name,
-    is_baseline_law,
-    name_of,
-)
-from dpbench.analysis.statistics import percentile
+from dpbench.analysis.run_record import RunRecord
+from dpbench.bench.judge.rules import percentile
 from dpbench.report.formats import count_text, error_text, plural, share_text
 from dpbench.report.style import (
     GREY,
@@ -46,7 +40,7 @@ def step_times(configurations: Sequence[PooledConfiguration], demand: Demand) ->
     tick."""
     figure, ax = one_axes(8.2, 1.4 + 0.3 * len(configurations))
     for i, (row, times) in enumerate(configurations):
-        colour = colour_of(str(row["solver"]))
+        colour = colour_of(row.solver)
         raw, algo = times.raw_ns / 1e3, times.algo_ns / 1e3
         low, middle, high = (percentile(algo, percent) for percent in (5, 50, 95))
         ax.plot([raw.min(), raw.max()], [i, i], color=PALE, lw=5, solid_capstyle="butt", zorder=1)
@@ -57,9 +51,7 @@ def step_times(configurations: Sequence[PooledConfiguration], demand: Demand) ->
         ax.plot(percentile(raw, 99), i, "d", color=GREY, ms=3.5, zorder=5)
     ax.axvline(demand.p99_ms * 1e3, color=INK, ls="--", lw=0.9)
     log_time(ax)
-    ax.set_yticks(
-        range(len(configurations)), [configuration_name(row) for row, _ in configurations]
-    )
+    ax.set_yticks(range(len(configurations)), [row.name for row, _ in configurations])
     ax.set_ylim(len(configurations) - 0.4, -0.6)
     ax.grid(axis="y", visible=False)
     ax.set_xlabel("step time [µs]")
@@ -71,7 +63,7 @@ def step_times(configurations: Sequence[PooledConfiguration], demand: Demand) ->
         Line2D([], [], marker="d", color=GREY, ls="", ms=3.5, label="raw samples p99"),
         Line2D([], [], color=INK, ls="--", lw=0.9, label=f"demand, {demand.p99_ms:g} ms"),
     ]
-    _legend(figure, [*marks, *_family_patches([str(row["solver"]) for row, _ in configurations])])
+    _legend(figure, [*marks, *_family_patches([row.solver for row, _ in configurations])])
     return figure
 
 
@@ -141,32 +133,32 @@ def _cut(cell: UnitsCell) -> str:
 
 def deviations(loops: Mapping[str, Sequence[RunRecord]]) -> Figure:
     """Largest deviation of position from the exactly solved loop, per solver and scenario."""
-    names = list(dict.fromkeys(name_of(row) for rows in loops.values() for row in rows))
+    names = list(dict.fromkeys(row.short_name for rows in loops.values() for row in rows))
     worst = {
         name: max(
-            as_float(row["dev_position_max_m"])
+            row.dev_position_max_m
             for rows in loops.values()
             for row in rows
-            if name_of(row) == name
+            if row.short_name == name
         )
         for name in names
     }
-    baseline_law = {name_of(r) for rows in loops.values() for r in rows if is_baseline_law(r)}
+    baseline_law = {r.short_name for rows in loops.values() for r in rows if r.is_baseline_law}
     names.sort(key=lambda name: (name in baseline_law, worst[name]))
     figure = new_figure(8.2, 1.3 + 0.24 * len(names))
     axes = figure.subplots(1, len(loops), sharey=True, sharex=True, squeeze=False)[0]
     for ax, (scenario, rows) in zip(axes, loops.items(), strict=True):
         for row in rows:
-            y = names.index(name_of(row))
-            value = max(as_float(row["dev_position_max_m"]), EXACT)
-            colour = GREY if is_baseline_law(row) else colour_of(str(row["solver"]))
+            y = names.index(row.short_name)
+            value = max(row.dev_position_max_m, EXACT)
+            colour = GREY if row.is_baseline_law else colour_of(row.solver)
             ax.barh(y, value, left=0, height=0.62, color=colour, alpha=0.85)
-            cut = as_float(row["steps_done"]) < as_float(row["steps_planned"])
+            cut = row.steps_done < row.steps_planned
             if cut:
                 ax.text(
                     value,
                     y,
-                    f" {plural(as_float(row['steps_done']), 'step')}",
+                    f" {plural(row.steps_done, 'step')}",
                     va="center",
                     fontsize=6.5,
                 )

@@ -38,9 +38,10 @@ def slowdown_figure(group: DelayedGroup) -> Figure:
     for configuration in group.configurations:
         _line(ax, configuration)
     _axes(ax, group)
+    solvers = (each.configuration.solver for each in group.configurations)
     marks = [
         Line2D([], [], color=colour, marker="o", ms=4.5, label=name)
-        for name, colour in family_colours(each.solver for each in group.configurations).items()
+        for name, colour in family_colours(solvers).items()
     ]
     beyond = f"beyond {100 * MARGIN:g} %"
     hollow = Line2D([], [], marker="o", color=GREY, mfc="white", ls="", label=beyond)
@@ -48,7 +49,11 @@ def slowdown_figure(group: DelayedGroup) -> Figure:
     figure.legend(handles=[*marks, hollow, margin], loc="outside lower center", ncols=3)
     figure.draw_without_rendering()
     ends = [
-        (*_spots(configuration)[-1][:2], configuration.name, colour_of(configuration.solver))
+        (
+            *_spots(configuration)[-1][:2],
+            configuration.name,
+            colour_of(configuration.configuration.solver),
+        )
         for configuration in _drawn(group)
     ]
     name_ends(ax, ends)
@@ -66,7 +71,7 @@ def _drawn(group: DelayedGroup) -> list[DelayedConfiguration]:
 
 
 def _line(ax: Axes, configuration: DelayedConfiguration) -> None:
-    colour, spots = colour_of(configuration.solver), _spots(configuration)
+    colour, spots = colour_of(configuration.configuration.solver), _spots(configuration)
     ax.plot([s for s, _, _ in spots], [c for _, c, _ in spots], color=colour, lw=1.0, alpha=0.7)
     for slowdown, cost, good in spots:
         ax.plot(slowdown, cost, "o", color=colour, mfc=colour if good else "white", ms=4.5)

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, NullLocator
 
-from dpbench.analysis.times.horizon_sweep import Horizons, Sweep, SweptConfiguration, moves_of
+from dpbench.analysis.times.horizon_sweep import Sweep, SweptConfiguration, moves_of
 from dpbench.report.labels import name_ends
 from dpbench.report.style import (
     GREY,
@@ -18,6 +18,7 @@ from dpbench.report.style import (
     log_time_y,
     new_figure,
 )
+from dpbench.scenario.horizons import Horizons
 
 ROOM = 1.9
 """So many times the largest n fits on the axis, for the names at the ends of the lines."""
@@ -26,21 +27,26 @@ ROOM = 1.9
 def growth_figure(sweep: Sweep, configurations: Sequence[SweptConfiguration]) -> Figure:
     """Median step time of the configurations against n, a panel per formulation with axes in
     common."""
-    forms = list(dict.fromkeys(configuration.formulation for configuration in configurations))
+    forms = list(
+        dict.fromkeys(configuration.configuration.formulation for configuration in configurations)
+    )
     figure = new_figure(8.2, 1.0 + 5.0 * len(forms))
     panels = figure.subplots(len(forms), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for ax, form in zip(panels, forms, strict=True):
         mine = [
-            configuration for configuration in configurations if configuration.formulation == form
+            configuration
+            for configuration in configurations
+            if configuration.configuration.formulation == form
         ]
         for configuration in mine:
             _line(ax, configuration)
         ax.set_title(form.replace("_", " "))
         ax.set_ylabel("median step time [µs]")
     _axes(panels[-1], sweep.horizons)
+    solvers = (each.configuration.solver for each in configurations)
     marks = [
         Line2D([], [], color=colour, marker="o", ms=4.5, label=name)
-        for name, colour in family_colours(each.solver for each in configurations).items()
+        for name, colour in family_colours(solvers).items()
     ]
     hollow = Line2D(
         [], [], marker="o", color=GREY, mfc="white", ls="", label="an answer misses the demand"
@@ -53,7 +59,7 @@ def growth_figure(sweep: Sweep, configurations: Sequence[SweptConfiguration]) ->
             [
                 configuration
                 for configuration in configurations
-                if configuration.formulation == form
+                if configuration.configuration.formulation == form
             ],
         )
     return figure
@@ -66,7 +72,7 @@ def _spots(configuration: SweptConfiguration) -> list[tuple[float, float, bool]]
 
 
 def _line(ax: Axes, configuration: SweptConfiguration) -> None:
-    colour, spots = colour_of(configuration.solver), _spots(configuration)
+    colour, spots = colour_of(configuration.configuration.solver), _spots(configuration)
     ax.plot([n for n, _, _ in spots], [t for _, t, _ in spots], color=colour, lw=1.0, alpha=0.8)
     for n, t, right in spots:
         ax.plot(n, t, "o", color=colour, mfc=colour if right else "white", ms=4.5, zorder=3)
@@ -88,7 +94,11 @@ def _axes(ax: Axes, horizons: Sequence[Horizons]) -> None:
 def _names(ax: Axes, configurations: Sequence[SweptConfiguration]) -> None:
     """The name of each solver right of the end of its line."""
     ends = [
-        (*_spots(configuration)[-1][:2], configuration.solver, colour_of(configuration.solver))
+        (
+            *_spots(configuration)[-1][:2],
+            configuration.configuration.solver,
+            colour_of(configuration.configuration.solver),
+        )
         for configuration in configurations
         if configuration.timed
     ]

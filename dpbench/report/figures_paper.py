@@ -38,7 +38,7 @@ def laws_of(view: Records, scenario: str) -> list[Law]:
     pair = pair_of(view, scenario)
     laws = []
     if pair.constrained is not None:
-        label = f"constrained ({pair.constrained['solver']})"
+        label = f"constrained ({pair.constrained.solver})"
         laws.append(Law(label, CONSTRAINED, "-", view.steps(pair.constrained)))
     if pair.clipped is not None:
         laws.append(Law("unconstrained, clipped", CLIPPED, "--", view.steps(pair.clipped)))

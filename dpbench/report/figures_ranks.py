@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.times.pooled import CommonSteps, PooledConfiguration
+from dpbench.analysis.times.pooled import CommonSteps, PooledTimes
 from dpbench.analysis.times.ranks import Ranking, profiles
 from dpbench.analysis.times.work_precision import LevelPoint
 from dpbench.report.figures import EXACT
@@ -88,7 +88,7 @@ def _panel(
     firsts: dict[str, tuple[float, float]] = {}
     for solver, points in levels_by_solver.items():
         drawn = [r for r in points if math.isfinite(r.error_move) and math.isfinite(time(r))]
-        spots = {r.settings: (time(r) / 1e3, max(r.error_move, EXACT)) for r in drawn}
+        spots = {r.configuration.settings: (time(r) / 1e3, max(r.error_move, EXACT)) for r in drawn}
         if not spots:
             continue
         colour, order = colours.get(solver, LIGHT), 3 if solver in colours else 2
@@ -96,9 +96,9 @@ def _panel(
         width = 1.6 if solver in colours else 0.8
         ax.plot(*zip(*line, strict=True), color=colour, lw=width, zorder=order)
         for point in reversed(drawn):  # the usual settings on top, where others do the same
-            spot = spots[point.settings]
-            filled = colour if point.settings == "default" else "white"
-            marker = MARKERS.get(point.settings, "P")
+            spot = spots[point.configuration.settings]
+            filled = colour if point.configuration.settings == "default" else "white"
+            marker = MARKERS.get(point.configuration.settings, "P")
             ax.plot(*spot, marker, color=colour, mfc=filled, ms=5.5, zorder=order + 1)
             if point.failed:
                 ax.plot(*spot, "x", color=INK, ms=9, mew=1.2, zorder=order + 2)
@@ -118,7 +118,7 @@ def _marks(levels_by_solver: Mapping[str, Sequence[LevelPoint]], demand: Demand)
             mfc=GREY if settings == "default" else "white",
             label=f"settings {settings}",
         )
-        for settings in dict.fromkeys(point.settings for point in points)
+        for settings in dict.fromkeys(point.configuration.settings for point in points)
     ]
     if any(point.failed for point in points):
         marks.append(Line2D([], [], marker="x", ls="", color=INK, label="steps failed"))
@@ -134,10 +134,7 @@ def performance_profiles(
     axes = figure.subplots(len(rankings), 1, sharex=True, squeeze=False)[:, 0]
     spots = []
     for ax, ranking in zip(axes, rankings, strict=True):
-        configurations = [
-            ranked_configuration.configuration
-            for ranked_configuration in ranking.ranked_configuration
-        ]
+        configurations = [ranked_configuration.pooled for ranked_configuration in ranking.ranked]
         spots.append(_profile_panel(ax, common_steps, configurations, ranking.level, colours))
         ax.set_title(f"error_move ≤ {ranking.level:g}")
         ax.set_ylabel("share of steps")
@@ -156,7 +153,7 @@ def performance_profiles(
 def _profile_panel(
     ax: Axes,
     common_steps: CommonSteps,
-    configurations: Sequence[PooledConfiguration],
+    configurations: Sequence[PooledTimes],
     level: float,
     colours: Mapping[str, str],
 ) -> dict[str, tuple[float, float]]:
@@ -165,12 +162,15 @@ def _profile_panel(
     for configuration, (ratio, share) in zip(
         configurations, profiles(common_steps, configurations, level), strict=True
     ):
-        colour, bold = colours.get(configuration.solver, LIGHT), configuration.solver in colours
+        colour, bold = (
+            colours.get(configuration.configuration.solver, LIGHT),
+            configuration.configuration.solver in colours,
+        )
         x = np.concatenate(([1.0], ratio, [max(FARTHEST, float(ratio[-1]))]))
         y = np.concatenate(([0.0], share, share[-1:]))
         width = 1.6 if bold else 0.9
         ax.plot(x, y, color=colour, lw=width, drawstyle="steps-post", zorder=3 if bold else 2)
         half = int(np.searchsorted(share, 0.5 * share[-1]))
         if ratio[half] <= FARTHEST:
-            spots[configuration.solver] = (float(ratio[half]), float(share[half]))
+            spots[configuration.configuration.solver] = (float(ratio[half]), float(share[half]))
     return spots

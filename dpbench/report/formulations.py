@@ -7,10 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from dpbench.analysis.demand import Demand, is_right
-from dpbench.analysis.records import COMMON, Records, RunRecord, is_baseline_law
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
 from dpbench.analysis.statistics import paired_ratio
 from dpbench.analysis.step_times import StepTimes
 from dpbench.analysis.times.pairs import paired
+from dpbench.bench.record.configuration import COMMON
 from dpbench.report.formats import MISSING, interval_text, micro_text, plural, significant
 from dpbench.report.table import Cell, Mark, Table, row_of
 
@@ -29,13 +31,11 @@ def formulation_tables(view: Records, demand: Demand) -> list[Table]:
     """A table per replayed sequence and units in which more than one formulation was run."""
     groups: dict[tuple[str, str], list[RunRecord]] = {}
     for row in view.all_runs:
-        if row["mode"] == "replay" and not row["family"] and not is_baseline_law(row):
-            groups.setdefault((str(row["sequence"]), str(row["units"])), []).append(row)
+        if row.mode == "replay" and not row.family and not row.is_baseline_law:
+            groups.setdefault((row.sequence, row.units), []).append(row)
     tables = []
     for (sequence, units), rows in groups.items():
-        names = sorted(
-            {str(row["formulation"]) for row in rows}, key=lambda name: (name != COMMON, name)
-        )
+        names = sorted({row.formulation for row in rows}, key=lambda name: (name != COMMON, name))
         if len(names) > 1:
             tables.append(_table(view, sequence, units, rows, names, demand))
     return tables
@@ -51,8 +51,8 @@ def _table(
 ) -> Table:
     configurations: dict[tuple[str, ...], PooledConfiguration] = {}
     for row in rows:
-        key = tuple(str(row[name]) for name in ("solver", "route", "policy", "settings"))
-        configurations.setdefault(key, {})[str(row["formulation"])] = row
+        key = tuple(str(getattr(row, name)) for name in ("solver", "route", "policy", "settings"))
+        configurations.setdefault(key, {})[row.formulation] = row
     several = {
         key: configuration
         for key, configuration in configurations.items()
@@ -122,7 +122,7 @@ def _median(row: RunRecord | None, times: StepTimes | None, demand: Demand) -> C
     if row is None:
         return Cell(MISSING, "quiet")
     if times is None:
-        return Cell(str(row["outcome"]).replace("_", " "), "quiet")
+        return Cell(row.outcome.replace("_", " "), "quiet")
     text = micro_text(float(np.median(times.algo_ns)))
     return Cell(text, "" if is_right(row, demand) else "bad")
 

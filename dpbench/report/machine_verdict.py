@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isnan
 from typing import Any
 
 import numpy as np
 
-from dpbench.analysis.machine import SWITCHES, disturbance_of
-from dpbench.analysis.records import Records, RunRecord, as_float
+from dpbench.analysis.machine import disturbance_of
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
 from dpbench.bench.record.disturbance import RULE, Disturbance
 from dpbench.report.formats import MISSING, and_list, count_text, plural, share_text, significant
 from dpbench.report.table import Table, row_of
@@ -97,9 +99,9 @@ def _own_switches(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
     fault."""
     own: dict[str, float] = {}
     for row in rows:
-        if "own_switches_a_step" in row:
-            name = f"{row['solver']} ({row['route']} {row['policy']})"
-            own[name] = max(own.get(name, 0.0), row["own_switches_a_step"])
+        if not isnan(row.own_switches_a_step):
+            name = f"{row.solver} ({row.route} {row.policy})"
+            own[name] = max(own.get(name, 0.0), row.own_switches_a_step)
     if not own:
         return []
     said = ", ".join(f"{name}: {_rate(a_step)} a step" for name, a_step in own.items())
@@ -113,7 +115,7 @@ def _threads(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
         ("pool_threads", "BLAS or OpenMP threads allowed in a worker"),
         ("os_threads", "threads of a worker"),
     ):
-        seen = [(as_float(row[column]), str(row["solver"])) for row in rows]
+        seen = [(getattr(row, column), row.solver) for row in rows]
         most = max((count for count, _ in seen if count == count), default=float("nan"))
         whose = sorted({solver for count, solver in seen if count > 1})
         of = f" ({', '.join(whose)})" if whose else ""
@@ -123,12 +125,12 @@ def _threads(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
 
 def sequence_table(rows: Sequence[RunRecord]) -> Table | None:
     """What disturbed each replayed sequence; None where there is only one."""
-    sequences = list(dict.fromkeys(str(row["sequence"]) for row in rows))
+    sequences = list(dict.fromkeys(row.sequence for row in rows))
     if len(sequences) < 2:
         return None
     lines = []
     for sequence in sequences:
-        mine = [row for row in rows if row["sequence"] == sequence]
+        mine = [row for row in rows if row.sequence == sequence]
         found = disturbance_of(mine)
         lines.append(
             row_of(
@@ -139,7 +141,7 @@ def sequence_table(rows: Sequence[RunRecord]) -> Table | None:
                 count_text(found.disturbed),
                 count_text(found.rerun),
                 _rate(found.switches_per_s),
-                count_text(np.fmax.reduce([as_float(row[SWITCHES]) for row in mine])),
+                count_text(np.fmax.reduce([row.involuntary_switches for row in mine])),
                 _steal(found.steal_share),
             )
         )

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
-from dpbench.analysis.records import Records, RunRecord, as_float, has_steps, is_baseline_law
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
 from dpbench.report.formats import count_text, plural, seconds_text, share_text, significant
 from dpbench.report.is_paper_scenario import OF_PAPER, is_of_paper
 
@@ -48,16 +49,16 @@ class Pair:
 
     def short(self, *rows: RunRecord) -> str:
         """How far the shortest of some runs falls short of the whole scenario; empty if none."""
-        done = min(as_float(row["steps_done"]) for row in rows)
+        done = min(row.steps_done for row in rows)
         return f"{count_text(done)} of {plural(self.whole, 'step')}" if done < self.whole else ""
 
 
 def pair_of(view: Records, scenario: str) -> Pair:
     """The two laws of a scenario, each from a complete one of its longest closed loops."""
-    loops = [r for r in view.full_loops(scenario) if has_steps(r) and r["outcome"] == "finished"]
-    solved = [row for row in loops if not is_baseline_law(row) and row["policy"] == "fresh"]
+    loops = [r for r in view.full_loops(scenario) if r.has_steps and r.outcome == "finished"]
+    solved = [row for row in loops if not row.is_baseline_law and row.policy == "fresh"]
     best = min(solved, key=_deviation, default=None)
-    clipped = next((row for row in loops if is_baseline_law(row)), None)
+    clipped = next((row for row in loops if row.is_baseline_law), None)
     return Pair(best, clipped, view.whole_steps(scenario))
 
 
@@ -66,8 +67,8 @@ def _paper_pair(view: Records, name: str) -> Pair:
 
 
 def _deviation(row: RunRecord) -> tuple[float, str]:
-    value = as_float(row["dev_position_max_m"])
-    return (math.inf if math.isnan(value) else value, str(row["solver"]))
+    value = row.dev_position_max_m
+    return (math.inf if math.isnan(value) else value, row.solver)
 
 
 def claims(view: Records) -> list[Claim]:
@@ -112,7 +113,7 @@ def _both(pair: Pair, claim: str, find: Callable[[RunRecord, RunRecord], Finding
 
 
 def _circle(row: RunRecord) -> Finding:
-    tail, share = as_float(row["r_tail_max_m"]), as_float(row["share_1m"])
+    tail, share = row.r_tail_max_m, row.share_1m
     found = (
         f"{share_text(share)} of the run inside {CIRCLE_M:g} m; largest radial error in the "
         f"second half {significant(100 * tail)} cm"
@@ -121,22 +122,22 @@ def _circle(row: RunRecord) -> Finding:
 
 
 def _stationary(row: RunRecord) -> Finding:
-    tail = as_float(row["r_tail_max_m"])
+    tail = row.r_tail_max_m
     return f"largest radial error in the second half {significant(100 * tail)} cm", tail < STEADY_M
 
 
 def _transient(row: RunRecord, law: RunRecord) -> Finding:
-    mine, theirs = as_float(row["overshoot_e"]), as_float(law["overshoot_e"])
+    mine, theirs = row.overshoot_e, law.overshoot_e
     found = (
         f"sway overshoot {significant(mine)} m against {significant(theirs)} m clipped; total "
-        f"variation of the force {significant(as_float(row['total_variation']))} against "
-        f"{significant(as_float(law['total_variation']))}"
+        f"variation of the force {significant(row.total_variation)} against "
+        f"{significant(law.total_variation)}"
     )
     return found, mine < theirs
 
 
 def _settling(row: RunRecord, law: RunRecord) -> Finding:
-    mine, theirs = as_float(row["settle_0p1m_s"]), as_float(law["settle_0p1m_s"])
+    mine, theirs = row.settle_0p1m_s, law.settle_0p1m_s
     found = (
         f"settles into 0.1 m after {seconds_text(mine)} s against {_after(theirs)} clipped"
         if math.isfinite(mine)
@@ -150,7 +151,7 @@ def _after(seconds: float) -> str:
 
 
 def _steady(view: Records, row: RunRecord, law: RunRecord) -> Finding:
-    mine, theirs = as_float(row["r_tail_max_m"]), as_float(law["r_tail_max_m"])
+    mine, theirs = row.r_tail_max_m, law.r_tail_max_m
     found = (
         f"largest radial error in the second half {significant(100 * mine)} cm against "
         f"{significant(100 * theirs)} cm clipped"
@@ -158,27 +159,27 @@ def _steady(view: Records, row: RunRecord, law: RunRecord) -> Finding:
     active = view.steps(row)["n_active"].to_numpy()
     if abs(mine - theirs) <= SAME * max(mine, theirs) and not active[len(active) // 2 :].any():
         found += ", equal within 1 %: no limit is active then"
-    if math.isinf(as_float(law["settle_0p1m_s"])):
+    if math.isinf(law.settle_0p1m_s):
         found += "; the clipped law never settles into 0.1 m"
     return found, mine < (1.0 - SAME) * theirs
 
 
 def _heading(row: RunRecord, law: RunRecord) -> Finding:
-    mine, theirs = as_float(row["heading_max_deg"]), as_float(law["heading_max_deg"])
+    mine, theirs = row.heading_max_deg, law.heading_max_deg
     found = f"largest heading error {significant(mine)}° against {significant(theirs)}° clipped"
     return found, mine < theirs
 
 
 def _rates(row: RunRecord) -> Finding:
-    shares = {axis: as_float(row[f"at_rate_{axis}"]) for axis in ("surge", "sway", "yaw")}
+    shares = {axis: getattr(row, f"at_rate_{axis}") for axis in ("surge", "sway", "yaw")}
     text = ", ".join(f"{axis} {share_text(share)}" for axis, share in shares.items())
-    steps = plural(as_float(row["steps_done"]), "step")
+    steps = plural(row.steps_done, "step")
     return f"share of the {steps} at a rate limit: {text}", max(shares.values()) > 0.0
 
 
 def _violations(row: RunRecord) -> Finding:
-    count = as_float(row["limit_violations"])
-    steps = plural(as_float(row["steps_done"]), "step")
+    count = row.limit_violations
+    steps = plural(row.steps_done, "step")
     return f"{plural(count, 'applied force')} outside a limit in {steps}", count == 0
 
 

@@ -167,7 +167,7 @@ def evidence(ways: RouteComparison, way: RoutePolicy) -> list[str]:
     more = iterations_text(mine, theirs)
     if more:
         shown.append(more.removeprefix("; "))
-    forms = str(ways.rows[way]["form"]), str(ways.rows[WRAPPED]["form"])
+    forms = ways.runs[way].form, ways.runs[WRAPPED].form
     if forms[0] != forms[1]:
         shown.append(f"{forms[0]} matrices against {forms[1]}")
     phases = {name: ns for name, ns in mine.phase_ns.items() if name != "setup" and ns == ns}

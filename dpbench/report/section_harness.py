@@ -5,7 +5,7 @@ section on what repeats itself and what memory it takes.
 from __future__ import annotations
 
 from dpbench.analysis.machine import disturbance_of, timed_runs
-from dpbench.analysis.records import Records, as_float, has_steps
+from dpbench.analysis.records import Records
 from dpbench.bench.judge.calibration import within_bar
 from dpbench.report.blocks import Block, Paragraph, Section, Tabular
 from dpbench.report.formats import and_list, plural, time_text
@@ -73,9 +73,9 @@ def harness_lines(view: Records) -> list[str]:
     found = disturbance_of(timed_runs(view))
     if found.seconds > 0:
         lines.append(f"machine: {verdict_text(found)}")
-    configurations = [row for row in view.calibration if has_steps(row)]
+    configurations = [row for row in view.calibration if row.has_steps]
     if configurations:
-        p50 = {str(row["solver"]): as_float(row["raw_p50_ns"]) for row in configurations}
+        p50 = {row.solver: row.raw_p50_ns for row in configurations}
         lines.append(calibration_line(p50))
     return lines
 

@@ -7,18 +7,13 @@ from collections.abc import Sequence
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.records import Records
 from dpbench.analysis.times.growth import Growth
-from dpbench.analysis.times.horizon_sweep import (
-    Horizons,
-    Sweep,
-    SweptConfiguration,
-    moves_of,
-    sweeps,
-)
+from dpbench.analysis.times.horizon_sweep import Sweep, SweptConfiguration, moves_of, sweeps
 from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular
 from dpbench.report.figures_horizon import growth_figure
 from dpbench.report.formats import interval_text, plural, significant, time_text
 from dpbench.report.tables_horizon import growth_table, horizons_text
 from dpbench.report.time_marks import marks_legend, timed_name
+from dpbench.scenario.horizons import Horizons
 
 INTRODUCTION = (
     "The same scenario under longer and longer horizons: a plan of N_c moves has n = 3 N_c "
@@ -36,7 +31,7 @@ def horizon_section(view: Records, demand: Demand) -> Section | None:
     found = [
         sweep
         for sweep in sweeps(view, demand)
-        if any(configuration.timed for configuration in sweep.configurations)
+        if any(configuration.timed for configuration in sweep.swept)
     ]
     if not found:
         return None
@@ -48,8 +43,15 @@ def horizon_section(view: Records, demand: Demand) -> Section | None:
 
 
 def _blocks(i: int, sweep: Sweep) -> list[Block]:
-    best = [configuration for configuration in sweep.best_configurations if configuration.timed]
-    every = sorted(sweep.configurations, key=lambda a: (a.solver, a.formulation, a.way))
+    best = [configuration for configuration in sweep.best if configuration.timed]
+    every = sorted(
+        sweep.swept,
+        key=lambda a: (
+            a.configuration.solver,
+            a.configuration.formulation,
+            a.configuration.options,
+        ),
+    )
     forms = " and ".join(form.replace("_", " ") for form in sweep.formulations)
     picture = Picture(
         f"horizon_{i + 1}",
@@ -87,7 +89,7 @@ def _summary(sweep: Sweep, best: Sequence[SweptConfiguration]) -> list[str]:
             f"{among}, the time grows least with {said[0]}"
             + (f" and most with {said[-1]}." if len(said) > 1 else ".")
         )
-    legend = marks_legend(row for configuration in best for row in configuration.rows).lstrip()
+    legend = marks_legend(row for configuration in best for row in configuration.runs).lstrip()
     marked = [legend] if legend else []
     return [f"Scenario `{sweep.name}`, {plural(sweep.steps, 'step')} a horizon.", *words, *marked]
 
@@ -104,13 +106,14 @@ def _fastest(best: Sequence[SweptConfiguration], horizons: Horizons) -> str:
     return (
         f"At {horizons_text(horizons)} (n = {moves_of(horizons)}) the fastest of "
         f"{plural(len(right), 'configuration')} whose answers meet the demand there is "
-        f"**{timed_name(first.rows[0])}** ({_how(first)}), "
+        f"**{timed_name(first.runs[0])}** ({_how(first)}), "
         f"{time_text(first.timed[horizons].median_ns)}."
     )
 
 
-def _how(configuration: SweptConfiguration) -> str:
-    return f"{configuration.formulation.replace('_', ' ')}, {configuration.way}"
+def _how(swept: SweptConfiguration) -> str:
+    configuration = swept.configuration
+    return f"{configuration.formulation.replace('_', ' ')}, {configuration.options}"
 
 
 def _growth_text(configuration: SweptConfiguration, growth: Growth) -> str:
@@ -122,4 +125,4 @@ def _growth_text(configuration: SweptConfiguration, growth: Growth) -> str:
         else ""
     )
     power = f"like n to the {significant(exponent.value)} {interval}{average}"
-    return f"**{timed_name(configuration.rows[0])}** ({_how(configuration)}), {power}"
+    return f"**{timed_name(configuration.runs[0])}** ({_how(configuration)}), {power}"

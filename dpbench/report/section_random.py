@@ -57,8 +57,8 @@ def _honest(claims: RandomClaims) -> list[str]:
 def _summary(claims: RandomClaims) -> list[str]:
     configurations = configurations_of(claims)
     wrong = [tally for _, tally in configurations if tally.wrong]
-    sequences = {str(row["sequence"]) for row in claims.rows}
-    whole = claims.of(claims.rows)
+    sequences = {row.sequence for row in claims.runs}
+    whole = claims.of(claims.runs)
     kinds = claims.certificates().values()
     unknown = sum(found.get("none", 0) for found in kinds)
     lines = [
@@ -78,8 +78,8 @@ def _summary(claims: RandomClaims) -> list[str]:
 
 
 def _cards(claims: RandomClaims) -> Cards:
-    whole, honest = claims.of(claims.rows), _honest(claims)
-    solvers = {str(row["solver"]) for row in claims.rows}
+    whole, honest = claims.of(claims.runs), _honest(claims)
+    solvers = {row.solver for row in claims.runs}
     return Cards(
         (
             Card(

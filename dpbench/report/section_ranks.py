@@ -9,16 +9,16 @@ import numpy as np
 
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.records import Records
-from dpbench.analysis.statistics import supports
+from dpbench.analysis.times.fastest import fastest_at, fastest_on
 from dpbench.analysis.times.pooled import CommonSteps, common_steps
 from dpbench.analysis.times.ranks import Ranking, rank
-from dpbench.analysis.times.ratios import baseline_of, ratios
+from dpbench.analysis.times.ratios import ratios
 from dpbench.analysis.times.work_precision import (
     LevelPoint,
     default_route_levels,
-    fastest_at,
     native_route_levels,
 )
+from dpbench.bench.judge.rules import supports
 from dpbench.errors import InputError
 from dpbench.report.blocks import Block, Paragraph, Picture, Section, Tabular, missing
 from dpbench.report.figures_ranks import (
@@ -37,7 +37,7 @@ def check_baseline(view: Records, demand: Demand, solver: str) -> None:
     """Refuse a baseline without a replayed configuration that others can be compared with."""
     pooled = common_steps(view, demand)
     known = (
-        list(dict.fromkeys(configuration.solver for configuration in pooled.configurations))
+        list(dict.fromkeys(configuration.configuration.solver for configuration in pooled.pooled))
         if pooled
         else []
     )
@@ -55,7 +55,7 @@ def ranks_section(view: Records, demand: Demand, baseline: str | None = None) ->
     """
     section = Section("ranks", "Rankings")
     pooled = common_steps(view, demand)
-    if pooled is None or not pooled.configurations:
+    if pooled is None or not pooled.pooled:
         section.add(missing("no replay left a step, so nothing is ranked."))
         return section
     section.add(
@@ -78,7 +78,7 @@ def _precision_pictures(view: Records, pooled: CommonSteps, demand: Demand) -> l
     if usual:
         how = "default route, policy fresh"
         blocks.append(_precision_picture("work_precision", how, pooled, usual, demand))
-    if any(point.policy != "fresh" for points in native.values() for point in points):
+    if any(point.configuration.policy != "fresh" for points in native.values() for point in points):
         how = "route native, each solver with its fastest policy by p50"
         blocks.append(_precision_picture("work_precision_native", how, pooled, native, demand))
     return blocks
@@ -92,11 +92,19 @@ def _precision_picture(
     demand: Demand,
 ) -> Picture:
     points = [point for found in levels_by_solver.values() for point in found]
-    silent = [f"{r.solver} ({r.settings})" for r in points if math.isinf(r.error_move)]
+    silent = [
+        f"{r.configuration.solver} ({r.configuration.settings})"
+        for r in points
+        if math.isinf(r.error_move)
+    ]
     without = (
         f" Not drawn, as they leave steps without an answer: {and_list(silent)}." if silent else ""
     )
-    unknown = [f"{r.solver} ({r.settings})" for r in points if math.isnan(r.error_move)]
+    unknown = [
+        f"{r.configuration.solver} ({r.configuration.settings})"
+        for r in points
+        if math.isnan(r.error_move)
+    ]
     without += f" Not drawn for want of an optimum: {and_list(unknown)}." if unknown else ""
     tail = (
         ""
@@ -133,8 +141,8 @@ def _names(pooled: CommonSteps) -> str:
 
 def _ratios(pooled: CommonSteps, wanted: str | None) -> list[Block]:
     """The paired ratios to the baseline, and how it was chosen."""
-    baseline = baseline_of(pooled, wanted)
-    chosen = wanted == baseline.solver
+    baseline = fastest_on(pooled, wanted)
+    chosen = wanted == baseline.configuration.solver
     why = "the fastest way of the solver chosen" if chosen else "the fastest configuration"
     why += " by geometric mean"
     does = "keep to" if baseline.right else "miss"
@@ -146,9 +154,13 @@ def _ratios(pooled: CommonSteps, wanted: str | None) -> list[Block]:
     )
     found = ratios(pooled, baseline)
     if not found:
-        return [Paragraph(f"Only {baseline.label} was replayed, so nothing is compared with it.")]
+        return [
+            Paragraph(
+                f"Only {baseline.configuration.label} was replayed, so nothing is compared with it."
+            )
+        ]
     return [
-        Paragraph(f"Baseline: **{baseline.label}**, {why}; {right}.{absent}"),
+        Paragraph(f"Baseline: **{baseline.configuration.label}**, {why}; {right}.{absent}"),
         *(Tabular(table) for table in ratio_tables(pooled, baseline, found)),
     ]
 
@@ -156,12 +168,12 @@ def _ratios(pooled: CommonSteps, wanted: str | None) -> list[Block]:
 def _rankings(pooled: CommonSteps, demand: Demand) -> list[Block]:
     """Profiles and places per accuracy; that of the demand unfolded."""
     found = [rank(pooled, level, demand) for level in levels_of(demand)]
-    solving = [ranking for ranking in found if ranking.ranked_configuration]
+    solving = [ranking for ranking in found if ranking.ranked]
     blocks: list[Block] = []
     if solving:
         blocks.append(_profile_picture(pooled, solving, demand))
     for ranking in found:
-        if ranking.ranked_configuration:
+        if ranking.ranked:
             folded = ranking.level != demand.error_move
             blocks.append(Tabular(rank_table(pooled, ranking, folded=folded)))
         else:
@@ -172,10 +184,7 @@ def _rankings(pooled: CommonSteps, demand: Demand) -> list[Block]:
 def _profile_picture(pooled: CommonSteps, found: Sequence[Ranking], demand: Demand) -> Picture:
     judged = next((r for r in found if r.level == demand.error_move), found[0])
     colours = highlighted(
-        [
-            ranked_configuration.configuration.solver
-            for ranked_configuration in judged.ranked_configuration
-        ]
+        [ranked_configuration.pooled.configuration.solver for ranked_configuration in judged.ranked]
     )
     return Picture(
         "performance_profiles",

@@ -71,7 +71,7 @@ def _routes(
     if table is None:
         return []
     usual = [w for w in native if w.settings == "default"]
-    right = [frozenset(way for way in w.times if is_right(w.rows[way], demand)) for w in usual]
+    right = [frozenset(way for way in w.times if is_right(w.runs[way], demand)) for w in usual]
     configurations = sum(way in w.times for w in usual for way in LEVELS)
     picture = Picture(
         f"step_down_{i + 1}",

@@ -6,9 +6,14 @@ import math
 from collections.abc import Sequence
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.recommendation import known_record, recommend, why_not_aboard
 from dpbench.analysis.records import Records
-from dpbench.analysis.times.pairs import fastest_first
+from dpbench.analysis.times.fastest import (
+    fastest_first,
+    fastest_of,
+    known_record,
+    recommend,
+    why_not_aboard,
+)
 from dpbench.analysis.verdict import Verdict, Verdicts, verdicts_of
 from dpbench.report.blocks import Bullets, Card, Cards, Paragraph, Section, Tabular, missing
 from dpbench.report.formats import (
@@ -76,11 +81,12 @@ def _cards(verdicts: Verdicts) -> tuple[Card, ...]:
     good = [v for v in references if v.outcome == "meets"]
     run = [v for v in references if v.outcome != "not run"]
     cards = [_count_card(run, good)]
-    if len(verdicts.every) > len(references):
+    if len(verdicts.all) > len(references):
         only = sorted(
-            v.solver
+            v.configuration.solver
             for v in run
-            if v.outcome != "meets" and any(o.outcome == "meets" for o in verdicts.of[v.solver])
+            if v.outcome != "meets"
+            and any(o.outcome == "meets" for o in verdicts.of[v.configuration.solver])
         )
         mark: Mark = "warn" if only else ""
         cards.append(
@@ -89,17 +95,19 @@ def _cards(verdicts: Verdicts) -> tuple[Card, ...]:
     found, demand = recommend(verdicts), verdicts.demand
     if found.chosen is not None:
         title = f"fastest that can go aboard, by {yardstick(found.chosen)}"
-        cards.append(Card(title, found.chosen.solver, _way(found.chosen), "good"))
+        cards.append(Card(title, found.chosen.configuration.solver, _way(found.chosen), "good"))
         cards += _delay_cards(found.chosen, demand)
     if found.faster is not None:
         words = f"{_way(found.faster)}; {found.because}"
-        cards.append(Card("faster, not to go aboard as it is", found.faster.solver, words))
+        cards.append(
+            Card("faster, not to go aboard as it is", found.faster.configuration.solver, words)
+        )
     return tuple(cards)
 
 
 def _delay_cards(chosen: Verdict, demand: Demand) -> list[Card]:
     """How slow a computer may be for the configuration that is recommended, named beside it."""
-    stands = f"{chosen.label}: {{}} takes {demand.deadline_ms:g} ms"
+    stands = f"{chosen.configuration.label}: {{}} takes {demand.deadline_ms:g} ms"
     step = f"its largest algorithmic step, {time_text(chosen.algo_max_ns)},"
     sample = f"its largest sample, {time_text(chosen.raw_max_ns)},"
     return [
@@ -122,7 +130,7 @@ def _way(verdict: Verdict) -> str:
         if math.isfinite(verdict.p99_ns)
         else f"largest step {time_text(verdict.algo_max_ns)}"
     )
-    return f"{verdict.configuration.way}: {figure}, judged on {judged_on(verdict)}"
+    return f"{verdict.configuration.options}: {figure}, judged on {judged_on(verdict)}"
 
 
 def verdict_table(verdicts: Verdicts) -> Table:
@@ -166,9 +174,12 @@ def verdict_table(verdicts: Verdicts) -> Table:
 
 
 def _verdict_row(verdicts: Verdicts, reference: Verdict) -> tuple[Cell, ...]:
-    solver, demand = reference.solver, verdicts.demand
-    shown = verdicts.fastest(solver) or reference
-    at = [next(v for v in verdicts.at(level) if v.solver == solver) for level in verdicts.levels]
+    solver, demand = reference.configuration.solver, verdicts.demand
+    shown = fastest_of(verdicts, solver) or reference
+    at = [
+        next(v for v in verdicts.at(level) if v.configuration.solver == solver)
+        for level in verdicts.levels
+    ]
     known, why_not = known_record(solver), why_not_aboard(solver)
     facts = (
         (known.project.licence.value, known.project.language.value, known.project.c_code.value)
@@ -178,7 +189,7 @@ def _verdict_row(verdicts: Verdicts, reference: Verdict) -> tuple[Cell, ...]:
     return row_of(
         solver,
         *(Cell(v.outcome, MARKS[v.outcome]) for v in at),
-        shown.configuration.way,
+        shown.configuration.options,
         f"no: {why_not}" if why_not else "yes",
         *facts,
         error_text(shown.error_move),

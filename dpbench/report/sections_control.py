@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence, Sized
 from matplotlib.figure import Figure
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import Records, has_steps
+from dpbench.analysis.records import Records
 from dpbench.bench.design import Designs
 from dpbench.report.blocks import (
     Block,
@@ -73,7 +73,7 @@ def figures_section(view: Records, demand: Demand) -> Section:
             section.add(*_paper_pictures(view, name, figures))
     section.add(*_ship_pictures(view))
     section.add(*timing_pictures(view, demand))
-    loops = {s: [r for r in view.full_loops(s) if has_steps(r)] for s in view.scenarios}
+    loops = {s: [r for r in view.full_loops(s) if r.has_steps] for s in view.scenarios}
     every = {scenario: rows for scenario, rows in loops.items() if rows}
     drawn = dict(list(every.items())[:DRAWN])
     if drawn:
@@ -172,7 +172,7 @@ def reproduced_section(view: Records, designs: Designs | None) -> Section:
             Paragraph("The paper leaves open what `paper` had to choose:"),
             Bullets(tuple(f"**{what}**: {choice}." for what, choice in chosen)),
         )
-    if is_of_paper(view, "paper") and any(has_steps(row) for row in view.full_loops("paper")):
+    if is_of_paper(view, "paper") and any(row.has_steps for row in view.full_loops("paper")):
         section.add(Paragraph(DESIGN_LIMITS + (BRACKETED if designs else NOT_BRACKETED)))
     section.add(
         *stability,

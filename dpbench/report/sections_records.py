@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import Records, as_float
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import as_float
 from dpbench.bench.workers.interleaved import FEWEST_ROUNDS
 from dpbench.report.blocks import Block, Bullets, Paragraph, Picture, Section, Tabular, missing
 from dpbench.report.figures import units_heat_map
@@ -20,7 +21,7 @@ def runs_section(view: Records) -> Section:
     if not view.all_runs:
         section.add(missing("the results hold no cell."))
         return section
-    ended = sum(row["outcome"] == "finished" for row in view.all_runs)
+    ended = sum(row.outcome == "finished" for row in view.all_runs)
     section.add(
         Paragraph(
             f"{plural(len(view.all_runs), 'cell')} with {plural(len(view.solvers), 'solver')} in "
@@ -40,8 +41,8 @@ def runs_section(view: Records) -> Section:
 
 def _problems(view: Records) -> list[str]:
     """What was run: scenarios by name, random sequences by number."""
-    drawn = {str(row["sequence"]) for row in view.random}
-    slowed = [str(row["scenario"]) for row in view.delayed]
+    drawn = {row.sequence for row in view.random}
+    slowed = [row.scenario for row in view.delayed]
     names = [f"`{scenario}`" for scenario in dict.fromkeys([*view.scenarios, *slowed])]
     return [*names, plural(len(drawn), "random sequence")] if drawn else names
 
@@ -49,7 +50,7 @@ def _problems(view: Records) -> list[str]:
 def _effort(view: Records) -> str:
     suite = view.suite
     words = []
-    replayed = any(row["mode"] == "replay" for row in view.all_runs)
+    replayed = any(row.mode == "replay" for row in view.all_runs)
     if "rounds" in suite and replayed:
         rounds = f"each replay has {plural(as_float(suite['rounds']), 'round')}"
         budget_s = as_float(suite.get("replay_budget_s"))
@@ -67,12 +68,10 @@ def _effort(view: Records) -> str:
             + (f" ({others} where a table of closed loops says so)" if own else "")
         )
     if replayed:
-        disturbed = [as_float(row["disturbed_rounds"]) for row in view.select(mode="replay")]
+        disturbed = [row.disturbed_rounds for row in view.select(mode="replay")]
         count = sum(value for value in disturbed if value > 0)
         words.append(f"{plural(count, 'round')} marked as disturbed by a slow machine")
-        kept = [
-            row for row in view.select(mode="replay") if as_float(row["counting_disturbed"]) > 0
-        ]
+        kept = [row for row in view.select(mode="replay") if row.counting_disturbed > 0]
         if kept:
             words.append(
                 f"in {plural(len(kept), 'replay')} every round was, so all of them count but the "

@@ -66,7 +66,7 @@ def timing_pictures(view: Records, demand: Demand) -> list[Block]:
         usual = [
             configuration
             for configuration in configurations
-            if configuration[0]["settings"] == "default"
+            if configuration[0].settings == "default"
         ] or configurations
         shown = _two_of_each(usual)
         steps = plural(max(len(times.algo_ns) for _, times in shown), "step")
@@ -88,10 +88,10 @@ def _two_of_each(configurations: Sequence[PooledConfiguration]) -> list[PooledCo
     first."""
     fastest: dict[str, PooledConfiguration] = {}
     for configuration in configurations:
-        fastest.setdefault(str(configuration[0]["solver"]), configuration)
+        fastest.setdefault(configuration[0].solver, configuration)
     return [
         configuration
         for configuration in configurations
-        if (configuration[0]["default_route"] and configuration[0]["policy"] == "fresh")
-        or fastest[str(configuration[0]["solver"])] is configuration
+        if (configuration[0].default_route and configuration[0].policy == "fresh")
+        or fastest[configuration[0].solver] is configuration
     ]

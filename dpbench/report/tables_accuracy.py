@@ -9,14 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import (
-    Records,
-    RunRecord,
-    as_float,
-    has_steps,
-    is_baseline_law,
-    name_of,
-)
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
 from dpbench.report.formats import MISSING, count_text, error_text, plural, share_text
 from dpbench.report.table import Cell, Table, good_if, row_of
 
@@ -26,19 +20,19 @@ ARMS = (("scaled", "default"), ("scaled", "high"), ("si", "default"), ("si", "hi
 
 def by_error(row: RunRecord) -> tuple[bool, float, str]:
     """Sort key: ranked solvers by their largest error, then the baseline law."""
-    worst = as_float(row["error_move_max"])
-    return is_baseline_law(row), math.inf if math.isnan(worst) else worst, name_of(row)
+    worst = row.error_move_max
+    return row.is_baseline_law, math.inf if math.isnan(worst) else worst, row.short_name
 
 
 def accuracy_table(view: Records, scenario: str, demand: Demand) -> Table | None:
     """The answers of the full-length closed loops of one scenario; None when there is none."""
-    rows = [row for row in view.full_loops(scenario) if has_steps(row)]
+    rows = [row for row in view.full_loops(scenario) if row.has_steps]
     if not rows:
         return None
     steps = view.full_steps(scenario)
-    bound = np.array([as_float(row["optimum_bound_max"]) for row in rows])
+    bound = np.array([row.optimum_bound_max for row in rows])
     certified = float(np.nanmax(bound)) if np.isfinite(bound).any() else math.nan
-    undecided = np.nansum([as_float(row["undecided_steps"]) for row in rows])
+    undecided = np.nansum([row.undecided_steps for row in rows])
     return Table(
         title=f"Accuracy in `{scenario}`",
         note=(
@@ -75,22 +69,22 @@ def accuracy_table(view: Records, scenario: str, demand: Demand) -> Table | None
 
 
 def _accuracy_row(row: RunRecord, demand: Demand) -> tuple[Cell, ...]:
-    move, done = as_float(row["error_move_max"]), as_float(row["steps_done"])
-    lied, failed = as_float(row["claimed_not_true"]), as_float(row["failed_steps"])
-    law = is_baseline_law(row)
+    move, done = row.error_move_max, row.steps_done
+    lied, failed = row.claimed_not_true, row.failed_steps
+    law = row.is_baseline_law
     return row_of(
-        Cell(f"{name_of(row)} (baseline_law)" if law else name_of(row), "quiet" if law else ""),
-        str(row["route"]),
-        good_if(count_text(done), done >= as_float(row["steps_planned"])),
-        share_text(as_float(row["claimed_share"])),
-        good_if(share_text(as_float(row["true_share"])), as_float(row["true_share"]) == 1.0),
+        Cell(f"{row.short_name} (baseline_law)" if law else row.short_name, "quiet" if law else ""),
+        row.route,
+        good_if(count_text(done), done >= row.steps_planned),
+        share_text(row.claimed_share),
+        good_if(share_text(row.true_share), row.true_share == 1.0),
         good_if(count_text(lied), not lied > 0),
-        count_text(row["true_not_claimed"]),
-        error_text(as_float(row["error_move_p50"])),
+        count_text(row.true_not_claimed),
+        error_text(row.error_move_p50),
         good_if(error_text(move), not move > demand.error_move),
-        error_text(as_float(row["error_plan_max"])),
+        error_text(row.error_plan_max),
         good_if(count_text(failed), not failed > demand.failed_steps),
-        count_text(row["uncertified"]),
+        count_text(row.uncertified),
     )
 
 
@@ -122,22 +116,20 @@ def units_matrix(view: Records) -> UnitsMatrix | None:
     loops = [
         row
         for row in view.select(mode="closed_loop", policy="fresh", default_route=True)
-        if not is_baseline_law(row) and row["outcome"] != "refused"
+        if not row.is_baseline_law and row.outcome != "refused"
     ]
-    si = [row for row in loops if row["units"] == "si"]
-    scenarios = list(dict.fromkeys(str(row["scenario"]) for row in si))
+    si = [row for row in loops if row.units == "si"]
+    scenarios = list(dict.fromkeys(row.scenario for row in si))
     if not scenarios:
         return None
-    steps = {
-        s: int(min(r["steps_planned"] for r in loops if r["scenario"] == s)) for s in scenarios
-    }
-    seen = {(str(r["scenario"]), str(r["units"]), str(r["settings"])) for r in loops}
+    steps = {s: int(min(r.steps_planned for r in loops if r.scenario == s)) for s in scenarios}
+    seen = {(r.scenario, r.units, r.settings) for r in loops}
     columns = tuple((s, u, a) for s in scenarios for u, a in ARMS if (s, u, a) in seen)
     cells: dict[tuple[str, tuple[str, str, str]], UnitsCell] = {}
     for row in loops:
-        column = (str(row["scenario"]), str(row["units"]), str(row["settings"]))
+        column = (row.scenario, row.units, row.settings)
         if column in columns:
-            cells[str(row["solver"]), column] = _units_cell(view, row, steps[column[0]])
+            cells[row.solver, column] = _units_cell(view, row, steps[column[0]])
     names = {solver for solver, _ in cells}
 
     def worst(solver: str) -> tuple[int, str]:
@@ -203,10 +195,10 @@ def settings_without_effect(rows: Sequence[RunRecord]) -> list[str]:
     """Solvers whose configurations at two settings levels are one run shown under both names."""
     from_levels: dict[str, dict[str, tuple[object, ...]]] = {}
     for row in rows:
-        if has_steps(row):
-            figures = (row["raw_max_ns"], row["raw_p50_ns"], row["steps_done"])
-            key = f"{row['solver']}|{row['route']}|{row['policy']}|{row['sequence']}"
-            from_levels.setdefault(key, {})[str(row["settings"])] = figures
+        if row.has_steps:
+            figures = (row.raw_max_ns, row.raw_p50_ns, row.steps_done)
+            key = f"{row.solver}|{row.route}|{row.policy}|{row.sequence}"
+            from_levels.setdefault(key, {})[row.settings] = figures
     same = {
         key.split("|")[0]
         for key, levels in from_levels.items()

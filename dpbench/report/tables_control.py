@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import (
-    Records,
-    RunRecord,
-    as_float,
-    has_steps,
-    is_baseline_law,
-    name_of,
-)
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
 from dpbench.bench.judge.deadlines import longest_streak
 from dpbench.report.formats import (
     MISSING,
@@ -89,32 +83,33 @@ MORE: tuple[tuple[str, str, Writer], ...] = (
 
 def control_tables(view: Records, scenario: str, demand: Demand) -> list[Table]:
     """The main table of one scenario and the folded one with the rest; none without runs."""
-    found = [row for row in view.full_loops(scenario) if has_steps(row)]
+    found = [row for row in view.full_loops(scenario) if row.has_steps]
     if not found:
         return []
-    rows = sorted((_with_misses(view, row, demand) for row in found), key=_by_deviation)
+    rows = sorted(found, key=_by_deviation)
+    misses = {row.run_id: _misses(view, row, demand) for row in rows}
     note = _note(view, scenario, rows, demand)
     return [
-        _table(f"Control in `{scenario}`", note, MAIN, rows, folded=False),
-        _table(f"Control in `{scenario}`: further metrics", note, MORE, rows, folded=True),
+        _table(f"Control in `{scenario}`", note, MAIN, rows, misses, folded=False),
+        _table(f"Control in `{scenario}`: further metrics", note, MORE, rows, misses, folded=True),
     ]
 
 
-def _with_misses(view: Records, row: RunRecord, demand: Demand) -> RunRecord:
-    """The row with the steps that took longer than the demand's deadline."""
+def _misses(view: Records, row: RunRecord, demand: Demand) -> dict[str, float]:
+    """How many steps took longer than the demand's deadline, and the longest run of such."""
     total = view.steps(row)["total_ns"].to_numpy(dtype=np.float64, na_value=np.nan)
     late = total > demand.deadline_ns
-    return {**row, "missed": int(late.sum()), "missed_longest": longest_streak(late)}
+    return {"missed": int(late.sum()), "missed_longest": longest_streak(late)}
 
 
 def _by_deviation(row: RunRecord) -> tuple[bool, float, str]:
-    deviation = as_float(row["dev_position_max_m"])
-    return is_baseline_law(row), math.inf if math.isnan(deviation) else deviation, name_of(row)
+    deviation = row.dev_position_max_m
+    return row.is_baseline_law, math.inf if math.isnan(deviation) else deviation, row.short_name
 
 
 def _note(view: Records, scenario: str, rows: Sequence[RunRecord], demand: Demand) -> str:
-    early = [row for row in rows if as_float(row["steps_done"]) < as_float(row["steps_planned"])]
-    counts = [f"{name_of(row)} ({plural(as_float(row['steps_done']), 'step')})" for row in early]
+    early = [row for row in rows if row.steps_done < row.steps_planned]
+    counts = [f"{row.short_name} ({plural(row.steps_done, 'step')})" for row in early]
     cut = f" Stopped early, metrics over what was run: {', '.join(counts)}." if early else ""
     return (
         f"Closed loop of {plural(view.full_steps(scenario), 'step')}, scaled units, settings "
@@ -131,6 +126,7 @@ def _table(
     note: str,
     columns: Sequence[tuple[str, str, Writer]],
     rows: Sequence[RunRecord],
+    misses: Mapping[str, Mapping[str, float]],
     *,
     folded: bool,
 ) -> Table:
@@ -141,8 +137,8 @@ def _table(
         rows=tuple(
             row_of(
                 _name(row),
-                *(_cell(row, column, write) for column, _, write in columns),
-                count_text(row["steps_done"]),
+                *(_cell(row, misses[row.run_id], column, write) for column, _, write in columns),
+                count_text(row.steps_done),
             )
             for row in rows
         ),
@@ -151,12 +147,14 @@ def _table(
 
 
 def _name(row: RunRecord) -> Cell:
-    law = is_baseline_law(row)
-    return Cell(f"{name_of(row)} (baseline_law)" if law else name_of(row), "quiet" if law else "")
+    law = row.is_baseline_law
+    return Cell(
+        f"{row.short_name} (baseline_law)" if law else row.short_name, "quiet" if law else ""
+    )
 
 
-def _cell(row: RunRecord, column: str, write: Writer) -> Cell:
-    value = as_float(row[column])
+def _cell(row: RunRecord, misses: Mapping[str, float], column: str, write: Writer) -> Cell:
+    value = misses[column] if column in misses else getattr(row, column)
     text = MISSING if math.isnan(value) else write(value)
     bad = column in ("limit_violations", "fallbacks", "missed") and value > 0
     return Cell(text, "bad" if bad else "")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from dpbench.analysis.records import RunRecord, as_float
+from dpbench.analysis.run_record import RunRecord
 from dpbench.analysis.slowdown import (
     MARGIN,
     DelayedConfiguration,
@@ -68,7 +68,7 @@ def survival_table(group: DelayedGroup, cpu: str) -> Table:
 def _measured(configuration: DelayedConfiguration) -> tuple[str, str]:
     """Median and largest measured step time at the smallest slow-down."""
     slowdown, row = next(iter(configuration.loops.items()))
-    middle, largest = (as_float(row[f"latency_{of}_ns"]) / slowdown for of in ("p50", "max"))
+    middle, largest = (getattr(row, f"latency_{of}_ns") / slowdown for of in ("p50", "max"))
     return time_text(middle), time_text(largest)
 
 
@@ -77,16 +77,16 @@ def _cost(row: RunRecord | None) -> Cell:
         return Cell(MISSING, "quiet")
     ratio = cost_ratio(row)
     if math.isnan(ratio):
-        return Cell(str(row["outcome"]).replace("_", " "), "bad")
+        return Cell(row.outcome.replace("_", " "), "bad")
     return Cell(significant(ratio), "" if survived(row) else "bad")
 
 
 def _count(row: RunRecord, column: str) -> str:
     """A count; that of a recovery which never came is `never`."""
-    never = column == "miss_recover_steps_max" and math.isnan(as_float(row[column]))
-    if never and as_float(row["deadline_misses"]) > 0.0:
+    never = column == "miss_recover_steps_max" and math.isnan(getattr(row, column))
+    if never and row.deadline_misses > 0.0:
         return "never"
-    return count_text(row[column])
+    return count_text(getattr(row, column))
 
 
 def misses_table(group: DelayedGroup) -> Table:
@@ -96,14 +96,14 @@ def misses_table(group: DelayedGroup) -> Table:
             configuration.name,
             factor_text(slowdown),
             *(_count(row, column) for column, _ in COUNTS),
-            *(time_text(as_float(row[f"latency_{of}_ns"])) for of in ("p50", "max")),
+            *(time_text(getattr(row, f"latency_{of}_ns")) for of in ("p50", "max")),
             _cost(row),
-            significant(as_float(row["dev_position_max_m"])),
+            significant(row.dev_position_max_m),
             Cell(
-                count_text(row["limit_violations"]),
-                "bad" if as_float(row["limit_violations"]) > 0 else "",
+                count_text(row.limit_violations),
+                "bad" if row.limit_violations > 0 else "",
             ),
-            count_text(row["steps_done"]),
+            count_text(row.steps_done),
         )
         for configuration in group.configurations
         for slowdown, row in configuration.loops.items()

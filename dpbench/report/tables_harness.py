@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from dpbench.analysis.records import Records, RunRecord, as_float
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
 from dpbench.bench.judge.calibration import off_by_ns, within_bar
 from dpbench.report.formats import (
     MISSING,
@@ -30,20 +31,20 @@ def cost_table(view: Records) -> Table | None:
     for row, times in timed:
         if times is None:
             continue
-        configuration, p50 = str(row["solver"]), as_float(row["raw_p50_ns"])
+        configuration, p50 = row.solver, row.raw_p50_ns
         held = within_bar(configuration, p50)
         rows.append(
             row_of(
                 Cell(configuration),
-                f"`{row['sequence']}`",
+                f"`{row.sequence}`",
                 Cell("–" if held is None else "yes" if held else "no", _mark(held)),
                 significant(WAITS_NS[configuration] / 1e3, 4)
                 if configuration in WAITS_NS
                 else MISSING,
                 f"{p50 / 1e3:.2f}",
                 micro_text(off_by_ns(configuration, p50)),
-                micro_text(as_float(row["raw_p99_ns"])),
-                micro_text(as_float(row["raw_max_ns"])),
+                micro_text(row.raw_p99_ns),
+                micro_text(row.raw_max_ns),
                 *(micro_text(times.phase_ns[phase]) for phase in ("update", "solve", "read")),
                 count_text(len(times.raw_ns)),
             )
@@ -90,17 +91,14 @@ def audited(rows: Sequence[RunRecord]) -> list[RunRecord]:
     return [
         row
         for row in rows
-        if row["solver"] not in CALIBRATION and math.isfinite(as_float(row["bit_identical_share"]))
+        if row.solver not in CALIBRATION and math.isfinite(row.bit_identical_share)
     ]
 
 
 def differs(row: RunRecord) -> bool:
     """Whether a configuration once answered the same QP in two ways, or counted other
     iterations."""
-    return (
-        as_float(row["bit_identical_share"]) < 1.0
-        or as_float(row["iterations_identical_share"]) < 1.0
-    )
+    return row.bit_identical_share < 1.0 or row.iterations_identical_share < 1.0
 
 
 def determinism_table(rows: Sequence[RunRecord]) -> Table | None:
@@ -108,7 +106,7 @@ def determinism_table(rows: Sequence[RunRecord]) -> Table | None:
     found = [row for row in audited(rows) if differs(row)]
     if not found:
         return None
-    found.sort(key=lambda row: -as_float(row["answer_spread_max"]))
+    found.sort(key=lambda row: -row.answer_spread_max)
     return Table(
         title="Configurations that do not repeat themselves",
         note=(
@@ -132,13 +130,13 @@ def determinism_table(rows: Sequence[RunRecord]) -> Table | None:
         ),
         rows=tuple(
             row_of(
-                *(str(row[name]) for name in ("solver", "settings", "policy", "route")),
-                f"`{row['sequence']}`",
-                str(row["formulation"]),
-                share_text(as_float(row["bit_identical_share"])),
-                error_text(as_float(row["answer_spread_max"])),
-                share_text(as_float(row["iterations_identical_share"])),
-                count_text(row["iterations_spread"]),
+                *(str(getattr(row, name)) for name in ("solver", "settings", "policy", "route")),
+                f"`{row.sequence}`",
+                row.formulation,
+                share_text(row.bit_identical_share),
+                error_text(row.answer_spread_max),
+                share_text(row.iterations_identical_share),
+                count_text(row.iterations_spread),
             )
             for row in found
         ),
@@ -151,10 +149,10 @@ def memory_table(rows: Sequence[RunRecord]) -> Table | None:
     """Memory and threads per solver, route and size of the QP; None where none was measured."""
     groups: dict[tuple[str, ...], list[RunRecord]] = {}
     for row in rows:
-        own = row["solver"] in CALIBRATION
-        if math.isfinite(as_float(row["peak_rss_bytes"])) and (not own or row["solver"] == NO_OP):
-            key = (str(row["solver"]), str(row["route"]), _horizons(row), str(row["formulation"]))
-            groups.setdefault((*key, count_text(row["n"]), count_text(row["m"])), []).append(row)
+        own = row.solver in CALIBRATION
+        if math.isfinite(row.peak_rss_bytes) and (not own or row.solver == NO_OP):
+            key = (row.solver, row.route, _horizons(row), row.formulation)
+            groups.setdefault((*key, count_text(row.n), count_text(row.m)), []).append(row)
     if not groups:
         return None
     order = sorted(groups.items(), key=lambda item: (item[0][0] != NO_OP, -_most(item[1], "peak")))
@@ -190,7 +188,7 @@ def memory_table(rows: Sequence[RunRecord]) -> Table | None:
 
 
 def _horizons(row: RunRecord) -> str:
-    ahead, moves = as_float(row["N_p"]), as_float(row["N_c"])
+    ahead, moves = row.N_p, row.N_c
     return f"{ahead:.0f}/{moves:.0f}" if ahead == ahead else MISSING
 
 
@@ -204,7 +202,7 @@ _COLUMNS = {
 
 
 def _most(rows: Sequence[RunRecord], what: str) -> float:
-    seen = [as_float(row[_COLUMNS[what]]) for row in rows]
+    seen = [getattr(row, _COLUMNS[what]) for row in rows]
     return max((value for value in seen if value == value), default=float("nan"))
 
 

@@ -5,15 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from dpbench.analysis.statistics import supports
 from dpbench.analysis.times.growth import LEAST_POINTS, Crossover, crossover
-from dpbench.analysis.times.horizon_sweep import (
-    Horizons,
-    Point,
-    Sweep,
-    SweptConfiguration,
-    moves_of,
-)
+from dpbench.analysis.times.horizon_sweep import Point, Sweep, SweptConfiguration, moves_of
+from dpbench.bench.judge.rules import supports
 from dpbench.report.formats import (
     MISSING,
     count_text,
@@ -24,6 +18,7 @@ from dpbench.report.formats import (
 )
 from dpbench.report.table import Cell, Table, row_of
 from dpbench.report.time_marks import marks_legend, timed_name
+from dpbench.scenario.horizons import Horizons
 
 SPARSE = "sparse"
 LIMITS_MS = (1.0, 10.0, 100.0)
@@ -42,12 +37,14 @@ def growth_table(
     sweep: Sweep, configurations: Sequence[SweptConfiguration], *, every: bool = False
 ) -> Table:
     """One row per configuration; `every` gives the folded table of all ways to run a solver."""
-    compared = any(configuration.formulation == SPARSE for configuration in sweep.configurations)
+    compared = any(
+        configuration.configuration.formulation == SPARSE for configuration in sweep.swept
+    )
     which = "every way" if every else "the best way of each solver"
     return Table(
         title=f"Growth over the horizons of `{sweep.name}`, {which}",
         note=_note(sweep, len(configurations), compared=compared)
-        + marks_legend(row for configuration in configurations for row in configuration.rows),
+        + marks_legend(row for configuration in configurations for row in configuration.runs),
         heads=(
             "solver",
             "formulation",
@@ -107,9 +104,9 @@ def _row(sweep: Sweep, configuration: SweptConfiguration, *, compared: bool) -> 
             interval_text(found.low, found.high),
         )
     return row_of(
-        timed_name(configuration.rows[0]),
-        configuration.formulation.replace("_", " "),
-        configuration.way,
+        timed_name(configuration.runs[0]),
+        configuration.configuration.formulation.replace("_", " "),
+        configuration.configuration.options,
         *(_time(configuration.points.get(horizons)) for horizons in sweep.horizons),
         *exponent,
         count_text(len(configuration.timed)),
@@ -123,7 +120,7 @@ def _time(point: Point | None) -> Cell:
     if point is None:
         return Cell(MISSING, "quiet")
     if point.times is None:
-        return Cell(str(point.row["outcome"]).replace("_", " "), "bad")
+        return Cell(point.run.outcome.replace("_", " "), "bad")
     text = micro_text(point.median_ns)
     return Cell(text) if point.right else Cell(f"{text} {MISSED}", "warn")
 
@@ -140,7 +137,7 @@ def _within(configuration: SweptConfiguration, limit_ms: float) -> Cell:
 
 
 def _undercuts(sweep: Sweep, configuration: SweptConfiguration) -> Cell:
-    if configuration.formulation != SPARSE:
+    if configuration.configuration.formulation != SPARSE:
         return Cell("")
     other = condensed_of(sweep, configuration)
     found = crossover(configuration.growth, other.growth) if other is not None else None
@@ -153,8 +150,9 @@ def condensed_of(sweep: Sweep, configuration: SweptConfiguration) -> SweptConfig
     """The best condensed way of the same solver; None where it was never given that form."""
     mine = (
         a
-        for a in sweep.best_configurations
-        if a.solver == configuration.solver and a.formulation != SPARSE
+        for a in sweep.best
+        if a.configuration.solver == configuration.configuration.solver
+        and a.configuration.formulation != SPARSE
     )
     return next(mine, None)
 

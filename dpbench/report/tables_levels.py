@@ -7,7 +7,8 @@ from dataclasses import replace
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.records import Records
 from dpbench.analysis.statistics import UNKNOWN, Interval, percentile_interval
-from dpbench.analysis.verdict import ALIKE, Verdict, Verdicts, verdicts_of
+from dpbench.analysis.times.fastest import ALIKE, fastest_of, podium, ranked
+from dpbench.analysis.verdict import Verdict, Verdicts, verdicts_of
 from dpbench.report.formats import and_list, error_text, interval_text, plural, time_text
 from dpbench.report.table import Cell, Table, row_of
 from dpbench.report.verdict_text import judged_on, yardstick
@@ -46,7 +47,7 @@ def level_tables(view: Records, demand: Demand) -> list[Table]:
     found = {
         level: verdicts_of(view, replace(demand, error_move=level)) for level in levels_of(demand)
     }
-    ways = {level: list(enumerate(v.podium, 1)) for level, v in found.items()}
+    ways = {level: list(enumerate(podium(v), 1)) for level, v in found.items()}
     if not any(ways.values()):
         return []
     some = next(way for ranked_configuration in ways.values() for _, way in ranked_configuration)
@@ -82,7 +83,7 @@ def level_tables(view: Records, demand: Demand) -> list[Table]:
 
 
 def _population(found: dict[float, Verdicts], some: Verdict) -> str:
-    counts = [f"{len(verdicts.ranked)} at {level:g}" for level, verdicts in found.items()]
+    counts = [f"{len(ranked(verdicts))} at {level:g}" for level, verdicts in found.items()]
     return (
         f"Configurations replayed on {plural(some.replays, 'sequence')} in scaled units whose "
         f"every answer is that accurate: {and_list(counts)}."
@@ -93,8 +94,12 @@ def _absent(found: dict[float, Verdicts]) -> str:
     """Who has no way to an accuracy, said once for several accuracies."""
     lines = []
     for level, verdicts in found.items():
-        ran = [verdict.solver for verdict in verdicts.references if verdict.outcome != "not run"]
-        none = [solver for solver in ran if verdicts.fastest(solver) is None]
+        ran = [
+            verdict.configuration.solver
+            for verdict in verdicts.references
+            if verdict.outcome != "not run"
+        ]
+        none = [solver for solver in ran if fastest_of(verdicts, solver) is None]
         if none:
             lines.append(f"at {level:g} {and_list(none)}")
     if not lines:
@@ -108,10 +113,10 @@ def _row(view: Records, level: float, place: int, way: Verdict, demand: Demand) 
     return row_of(
         Cell(f"≤ {level:g}", "good" if level == demand.error_move else ""),
         str(place),
-        way.solver,
-        way.route,
-        way.policy,
-        way.settings,
+        way.configuration.solver,
+        way.configuration.route,
+        way.configuration.policy,
+        way.configuration.settings,
         way.outcome,
         judged_on(way),
         error_text(way.error_move),
@@ -126,8 +131,12 @@ def _row(view: Records, level: float, place: int, way: Verdict, demand: Demand) 
 
 def _intervals(view: Records, way: Verdict) -> tuple[Interval, Interval]:
     """Bootstrap intervals of p50 and p99 on the sequence they belong to."""
-    configuration = {"route": way.route, "policy": way.policy, "settings": way.settings}
-    for row in view.replays(way.timed_on, solver=way.solver, **configuration):
+    configuration = {
+        "route": way.configuration.route,
+        "policy": way.configuration.policy,
+        "settings": way.configuration.settings,
+    }
+    for row in view.replays(way.timed_on, solver=way.configuration.solver, **configuration):
         times = view.times(row)
         if times is not None:
             algo = times.algo_ns

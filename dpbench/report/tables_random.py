@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from dpbench.analysis.random_claims import ARM, RandomClaims, Tally
+from dpbench.analysis.random_claims import CONFIGURATION, RandomClaims, Tally
 from dpbench.qp.random.recipe import FAMILIES
 from dpbench.report.formats import MISSING, count_text, error_text, plural
 from dpbench.report.table import Cell, Table, good_if, row_of
@@ -15,7 +15,7 @@ HOW = (("off", "off"), ("outside", "outside"), ("empty", "empty"), ("dual", "mul
 
 def configurations_of(claims: RandomClaims) -> list[tuple[tuple[str, ...], Tally]]:
     """Every configuration with its tally, the most wrong claims first."""
-    found = claims.by(*ARM).items()
+    found = claims.by(*CONFIGURATION).items()
     return sorted(
         found,
         key=lambda configuration: (
@@ -123,7 +123,7 @@ def how_text(tally: Tally) -> str:
 
 def family_table(claims: RandomClaims) -> Table:
     """One row per family: what was run, how it was certified, and who claimed wrongly."""
-    certificates, by_configuration = claims.certificates(), claims.by("family", *ARM)
+    certificates, by_configuration = claims.certificates(), claims.by("family", *CONFIGURATION)
     rows = []
     for (family,), tally in claims.by("family").items():
         configurations = {key: t for key, t in by_configuration.items() if key[0] == family}
@@ -166,14 +166,14 @@ def _family_row(
     configurations: Mapping[tuple[str, ...], Tally],
     kinds: Mapping[str, int],
 ) -> tuple[Cell, ...]:
-    mine = [row for row in claims.rows if row["family"] == family]
+    mine = [row for row in claims.runs if row.family == family]
     wrong = sum(t.wrong > 0 for t in configurations.values())
     return row_of(
         family.replace("_", " "),
         FAMILIES[family].shows if family in FAMILIES else MISSING,
         ", ".join(f"{kind} {count}" for kind, count in kinds.items()) or MISSING,
-        _range([int(row["n"]) for row in mine]),
-        _range([int(row["m"]) for row in mine]),
+        _range([row.drawn_n for row in mine]),
+        _range([row.drawn_m for row in mine]),
         count_text(sum(kinds.values())),
         Cell(count_text(kinds.get("none", 0)), "warn" if "none" in kinds else ""),
         count_text(len(configurations)),
@@ -203,7 +203,7 @@ def where_table(claims: RandomClaims) -> Table | None:
     """Solver and settings against family: false claims and the worst of them; None without any."""
     cells = claims.by("solver", "settings", "family")
     totals = claims.by("solver", "settings")
-    families = list(dict.fromkeys(str(row["family"]) for row in claims.rows))
+    families = list(dict.fromkeys(row.family for row in claims.runs))
     liars = sorted((key for key, t in totals.items() if t.wrong), key=lambda k: -totals[k].wrong)
     if not liars:
         return None

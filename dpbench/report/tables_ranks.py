@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isnan
 
 import numpy as np
 
-from dpbench.analysis.times.pooled import CommonSteps, PooledConfiguration
+from dpbench.analysis.times.pooled import CommonSteps, PooledTimes
 from dpbench.analysis.times.ranks import Ranked, Ranking
 from dpbench.analysis.times.ratios import Ratio
 from dpbench.report.formats import (
@@ -37,19 +38,19 @@ def population(common_steps: CommonSteps) -> str:
     weighing = ", each sequence of equal weight" if len(common_steps.sequences) > 1 else ""
     return (
         f"Replay of {names}: {plural(len(common_steps.sequence_of), 'step')}{weighing}, "
-        f"{plural(len(common_steps.configurations), 'configuration')} in scaled units, "
+        f"{plural(len(common_steps.pooled), 'configuration')} in scaled units, "
         f"algorithmic time.{more}"
     )
 
 
 def ratio_tables(
-    common_steps: CommonSteps, baseline: PooledConfiguration, found: Sequence[Ratio]
+    common_steps: CommonSteps, baseline: PooledTimes, found: Sequence[Ratio]
 ) -> list[Table]:
     """The fastest right way of each solver against the baseline, and folded all other
     configurations."""
     first = _first_of_each(found)
     rest = [ratio for ratio in found if ratio not in first]
-    title = f"Step times against {baseline.label}"
+    title = f"Step times against {baseline.configuration.label}"
     tables = [_ratio_table(common_steps, title, first, len(found), folded=False)] if first else []
     if rest:
         tables.append(
@@ -63,10 +64,10 @@ def _first_of_each(found: Sequence[Ratio]) -> list[Ratio]:
     one."""
     best: dict[str, Ratio] = {}
     for ratio in found:
-        known = best.setdefault(ratio.configuration.solver, ratio)
-        if ratio.configuration.right and not known.configuration.right:
-            best[ratio.configuration.solver] = ratio
-    return [ratio for ratio in found if best[ratio.configuration.solver] is ratio]
+        known = best.setdefault(ratio.pooled.configuration.solver, ratio)
+        if ratio.pooled.right and not known.pooled.right:
+            best[ratio.pooled.configuration.solver] = ratio
+    return [ratio for ratio in found if best[ratio.pooled.configuration.solver] is ratio]
 
 
 def _ratio_table(
@@ -115,16 +116,16 @@ def _sequence_values(found: Sequence[float]) -> tuple[float, ...]:
 
 
 def _ratio_row(ratio: Ratio) -> tuple[Cell, ...]:
-    configuration = ratio.configuration
+    configuration = ratio.pooled
     return row_of(
-        configuration.solver,
-        configuration.route,
-        configuration.policy,
-        configuration.settings,
+        configuration.configuration.solver,
+        configuration.configuration.route,
+        configuration.configuration.policy,
+        configuration.configuration.settings,
         Cell("yes" if configuration.right else "no", "good" if configuration.right else "bad"),
         _order(ratio),
-        significant(ratio.pooled.value),
-        interval_text(ratio.pooled.low, ratio.pooled.high),
+        significant(ratio.mean.value),
+        interval_text(ratio.mean.low, ratio.mean.high),
         *(significant(value) for value in _sequence_values(ratio.per_sequence)),
         count_text(ratio.steps),
     )
@@ -132,11 +133,11 @@ def _ratio_row(ratio: Ratio) -> tuple[Cell, ...]:
 
 def _order(ratio: Ratio) -> Cell:
     """Whether the configuration is slower or faster, and whether that is the same everywhere."""
-    if ratio.pooled.value != ratio.pooled.value:
+    if isnan(ratio.mean.value):
         return Cell("not compared", "quiet")
-    if ratio.pooled.spans(1.0):
+    if ratio.mean.spans(1.0):
         return Cell("cannot be told apart", "warn")
-    word = "slower" if ratio.pooled.value > 1.0 else "faster"
+    word = "slower" if ratio.mean.value > 1.0 else "faster"
     return Cell(f"{word}, not on every sequence", "warn") if ratio.turns else Cell(word)
 
 
@@ -148,13 +149,11 @@ def rank_table(common_steps: CommonSteps, ranking: Ranking, *, folded: bool) -> 
         if ranking.idle
         else ""
     )
-    first = (
-        ranking.ranked_configuration[0].mean_ns if ranking.ranked_configuration else float("nan")
-    )
+    first = ranking.ranked[0].mean_ns if ranking.ranked else float("nan")
     return Table(
         title=f"Ranks at error_move ≤ {ranking.level:g}, by shifted geometric mean",
         note=(
-            f"{population(common_steps)} {plural(len(ranking.ranked_configuration), 'solver')}, "
+            f"{population(common_steps)} {plural(len(ranking.ranked), 'solver')}, "
             "each in the way that "
             "leaves the least unsolved and then has the smallest mean. A step is unsolved if it "
             "failed, its answer is not true or its error_move is larger; it costs "
@@ -176,8 +175,7 @@ def rank_table(common_steps: CommonSteps, ranking: Ranking, *, folded: bool) -> 
             "places",
         ),
         rows=tuple(
-            _rank_row(ranked_configuration, first)
-            for ranked_configuration in ranking.ranked_configuration
+            _rank_row(ranked_configuration, first) for ranked_configuration in ranking.ranked
         ),
         text_columns=6,
         folded=folded,
@@ -185,20 +183,20 @@ def rank_table(common_steps: CommonSteps, ranking: Ranking, *, folded: bool) -> 
 
 
 def _rank_row(ranked_configuration: Ranked, first: float) -> tuple[Cell, ...]:
-    configuration = ranked_configuration.configuration
-    ranks = [ranked_configuration.rank, *ranked_configuration.other_ranks.values()]
+    configuration = ranked_configuration.pooled
+    ranks = [ranked_configuration.place, *ranked_configuration.other_places.values()]
     low, high = min(ranks), max(ranks)
     return row_of(
         Cell(
-            str(ranked_configuration.rank), "warn" if ranked_configuration.other_ranks else "good"
+            str(ranked_configuration.place), "warn" if ranked_configuration.other_places else "good"
         ),
-        configuration.solver,
-        configuration.route,
-        configuration.policy,
-        configuration.settings,
+        configuration.configuration.solver,
+        configuration.configuration.route,
+        configuration.configuration.policy,
+        configuration.configuration.settings,
         Cell(
             sensitivity_text(ranked_configuration),
-            "warn" if ranked_configuration.other_ranks else "",
+            "warn" if ranked_configuration.other_places else "",
         ),
         micro_text(ranked_configuration.mean_ns),
         significant(ranked_configuration.mean_ns / first),
@@ -209,9 +207,9 @@ def _rank_row(ranked_configuration: Ranked, first: float) -> tuple[Cell, ...]:
 
 def sensitivity_text(ranked_configuration: Ranked) -> str:
     """`3: shift × 10 and without paper; 5: penalty × 10`, or `stable`."""
-    if not ranked_configuration.other_ranks:
+    if not ranked_configuration.other_places:
         return "stable"
     by_place: dict[int, list[str]] = {}
-    for name, place in ranked_configuration.other_ranks.items():
+    for name, place in ranked_configuration.other_places.items():
         by_place.setdefault(place, []).append(name)
     return "; ".join(f"{place}: {and_list(names)}" for place, names in sorted(by_place.items()))

@@ -6,7 +6,9 @@ from collections import Counter
 from collections.abc import Sequence
 from math import isfinite, nan
 
-from dpbench.analysis.records import COMMON, Records, RunRecord, as_float
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
+from dpbench.bench.record.configuration import COMMON
 from dpbench.report.formats import MISSING, count_text, plural
 from dpbench.report.table import Cell, Mark, Table, row_of
 
@@ -25,16 +27,16 @@ OUTCOMES = tuple(TINTS)
 def population_table(view: Records) -> Table:
     """One row per solver: version, route, and how its cells ended."""
     rows = []
-    for solver in dict.fromkeys(str(row["solver"]) for row in view.all_runs):
-        mine = [row for row in view.all_runs if row["solver"] == solver]
-        ended = Counter(str(row["outcome"]) for row in mine)
+    for solver in dict.fromkeys(row.solver for row in view.all_runs):
+        mine = [row for row in view.all_runs if row.solver == solver]
+        ended = Counter(row.outcome for row in mine)
         steps = sum(len(view.steps(row)) for row in mine)
         rows.append(
             row_of(
                 solver,
-                str(mine[0]["solver_version"]) or MISSING,
-                str(mine[0]["build"]) or MISSING,
-                ", ".join(sorted({str(row["route"]) for row in mine})),
+                mine[0].solver_version or MISSING,
+                mine[0].build or MISSING,
+                ", ".join(sorted({row.route for row in mine})),
                 _forms(mine),
                 count_text(len(mine)),
                 *(
@@ -66,7 +68,7 @@ def population_table(view: Records) -> Table:
 
 
 def _forms(rows: Sequence[RunRecord]) -> str:
-    return ", ".join(sorted({str(row["form"]) for row in rows if row["form"]})) or MISSING
+    return ", ".join(sorted({row.form for row in rows if row.form})) or MISSING
 
 
 def experiments_table(view: Records) -> Table:
@@ -75,11 +77,11 @@ def experiments_table(view: Records) -> Table:
     names = ("mode", "scenario", "sequence", "units", "settings", "route", "policy", "formulation")
     for row in view.all_runs:
         # The sequences of a random family are too many to stand one by one.
-        shown = {name: str(row[name]) for name in names}
-        if as_float(row["slowdown"]) > 0.0:
-            shown["mode"] += f", {as_float(row['slowdown']):g} × slower"
-        if row["family"]:
-            shown["sequence"] = f"random {row['family']}"
+        shown = {name: str(getattr(row, name)) for name in names}
+        if row.slowdown > 0.0:
+            shown["mode"] += f", {row.slowdown:g} × slower"
+        if row.family:
+            shown["sequence"] = f"random {row.family}"
         groups.setdefault(tuple(shown.values()), []).append(row)
     rows = []
     for key, mine in groups.items():
@@ -93,10 +95,10 @@ def experiments_table(view: Records) -> Table:
                 route,
                 policy,
                 formulation.replace("_", " "),
-                count_text(max(row["steps_planned"] for row in mine)),
+                count_text(max(row.steps_planned for row in mine)),
                 count_text(_most(mine, "matrix_updates")),
                 count_text(len(mine)),
-                count_text(sum(row["outcome"] == "finished" for row in mine)),
+                count_text(sum(row.outcome == "finished" for row in mine)),
             )
         )
     return Table(
@@ -125,16 +127,16 @@ def experiments_table(view: Records) -> Table:
 
 def _most(rows: Sequence[RunRecord], column: str) -> float:
     """The largest entry of a column; NaN without any."""
-    return max((x for row in rows if isfinite(x := as_float(row[column]))), default=nan)
+    return max((x for row in rows if isfinite(x := getattr(row, column))), default=nan)
 
 
 def unfinished_table(view: Records) -> Table | None:
     """Every cell that did not finish, equal reasons together; None when all finished."""
     groups: dict[tuple[str, str, str], list[RunRecord]] = {}
     for row in view.all_runs:
-        if row["outcome"] != "finished":
-            reason = str(row["outcome_detail"]) or "no reason was recorded"
-            groups.setdefault((str(row["solver"]), str(row["outcome"]), reason), []).append(row)
+        if row.outcome != "finished":
+            reason = row.outcome_detail or "no reason was recorded"
+            groups.setdefault((row.solver, row.outcome, reason), []).append(row)
     if not groups:
         return None
     rows = [
@@ -161,11 +163,11 @@ def unfinished_table(view: Records) -> Table | None:
 
 def _where(rows: Sequence[RunRecord]) -> str:
     if len(rows) > 4:
-        modes = Counter(str(row["mode"]).replace("_", " ") for row in rows)
+        modes = Counter(row.mode.replace("_", " ") for row in rows)
         return ", ".join(f"{count} × {mode}" for mode, count in modes.items())
     return "; ".join(
-        f"{row['sequence'] or row['scenario']} "
-        f"({row['units']}, {row['settings']}, {row['route']}, {row['policy']}"
-        f"{'' if row['formulation'] == COMMON else ', ' + row['formulation'].replace('_', ' ')})"
+        f"{row.sequence or row.scenario} "
+        f"({row.units}, {row.settings}, {row.route}, {row.policy}"
+        f"{'' if row.formulation == COMMON else ', ' + row.formulation.replace('_', ' ')})"
         for row in rows
     )

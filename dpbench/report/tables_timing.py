@@ -9,14 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from dpbench.analysis.demand import Demand, is_right
-from dpbench.analysis.records import Records, RunRecord, as_float
-from dpbench.analysis.statistics import (
-    percentile,
-    percentile_interval,
-    pooled_percentile_intervals,
-    supports,
-)
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
+from dpbench.analysis.statistics import percentile_interval, pooled_percentile_intervals
 from dpbench.analysis.step_times import StepTimes
+from dpbench.bench.judge.rules import percentile, supports
 from dpbench.report.formats import (
     MISSING,
     count_text,
@@ -43,9 +40,7 @@ def timing_tables(view: Records, sequence: str, demand: Demand) -> list[Table]:
     """The algorithmic step times of one sequence: settings `default`, then folded the others."""
     configurations = timed_configurations(view, sequence)
     usual = [
-        configuration
-        for configuration in configurations
-        if configuration[0]["settings"] == "default"
+        configuration for configuration in configurations if configuration[0].settings == "default"
     ]
     if not configurations or len(usual) in (0, len(configurations)):
         return (
@@ -54,9 +49,7 @@ def timing_tables(view: Records, sequence: str, demand: Demand) -> list[Table]:
             else []
         )
     others = [
-        configuration
-        for configuration in configurations
-        if configuration[0]["settings"] != "default"
+        configuration for configuration in configurations if configuration[0].settings != "default"
     ]
     first = _timing_table(view, sequence, configurations, usual, demand)
     rest = _timing_table(view, sequence, configurations, others, demand)
@@ -174,12 +167,12 @@ def _timing_row(configuration: PooledConfiguration, demand: Demand) -> tuple[Cel
     far = percentile_interval(algo, 99)
     usual = percentile_interval(times.typical_ns, 99)
     right = is_right(row, demand)
-    early = as_float(row["steps_planned"]) > len(algo)
+    early = row.steps_planned > len(algo)
     return row_of(
         timed_name(row),
-        str(row["settings"]),
-        str(row["policy"]),
-        str(row["route"]),
+        row.settings,
+        row.policy,
+        row.route,
         Cell("yes" if right else "no", "good" if right else "bad"),
         micro_text(middle.value),
         interval_text(middle.low, middle.high, 1e3),
@@ -204,15 +197,15 @@ def _jitter_row(configuration: PooledConfiguration) -> tuple[Cell, ...]:
     ]
     phases = dict(times.phase_ns)
     if math.isnan(phases["setup"]):
-        once = as_float(row["setup_once_ns"])
+        once = row.setup_once_ns
         setup = f"once {micro_text(once)}" if math.isfinite(once) else MISSING
     else:
         setup = micro_text(phases["setup"])
     return row_of(
         timed_name(row),
-        str(row["settings"]),
-        str(row["policy"]),
-        str(row["route"]),
+        row.settings,
+        row.policy,
+        row.route,
         micro_text(percentile(raw, 50)),
         *tails,
         micro_text(float(raw.max())),

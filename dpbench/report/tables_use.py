@@ -103,8 +103,8 @@ def _route_row(ways: RouteComparison, count: int, *, others: bool) -> tuple[Cell
 def _median(ways: RouteComparison, way: RoutePolicy) -> Cell:
     if way in ways.times:
         return Cell(micro_text(ways.median_ns(way)))
-    row = ways.rows.get(way)
-    return Cell(str(row["outcome"]).replace("_", " ") if row else MISSING, "quiet")
+    row = ways.runs.get(way)
+    return Cell(row.outcome.replace("_", " ") if row else MISSING, "quiet")
 
 
 def _gain(found: Comparison | None, usual: RoutePolicy | None = None) -> Cell:

@@ -8,14 +8,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.recommendation import Recommendation, known_record, recommend
-from dpbench.analysis.records import Records, RunRecord, as_float, has_steps, is_baseline_law
-from dpbench.analysis.times.pairs import (
-    PairedComparison,
-    TimedConfiguration,
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
+from dpbench.analysis.times.fastest import (
+    Recommendation,
     fastest_first,
-    paired_comparison,
+    fastest_of,
+    known_record,
+    recommend,
 )
+from dpbench.analysis.times.pairs import PairedComparison, paired_comparison
 from dpbench.analysis.verdict import Finding, Outcome, Verdict, Verdicts, detail
 from dpbench.report.formats import (
     and_list,
@@ -55,7 +57,12 @@ def summary(verdicts: Verdicts) -> list[str]:
     good = fastest_first(_with(references, "meets"))
     rescued = [_only(verdicts, v) for v in run if v.outcome != "meets"]
     only = [v for v in rescued if v is not None]
-    rest = [v for v in run if v.outcome != "meets" and v.solver not in {o.solver for o in only}]
+    rest = [
+        v
+        for v in run
+        if v.outcome != "meets"
+        and v.configuration.solver not in {o.configuration.solver for o in only}
+    ]
     lines = [_count_line(run, good)]
     if only:
         lines.append(f"Only in another configuration: {_labels(only)}.")
@@ -74,14 +81,20 @@ def summary(verdicts: Verdicts) -> list[str]:
 
 def _only(verdicts: Verdicts, reference: Verdict) -> Verdict | None:
     """The fastest configuration that meets the demand where a solver's reference does not."""
-    return next(iter(fastest_first(_with(verdicts.of[reference.solver], "meets"))), None)
+    return next(
+        iter(fastest_first(_with(verdicts.of[reference.configuration.solver], "meets"))), None
+    )
 
 
 def _no_longer(verdicts: Verdicts, good: Sequence[Verdict]) -> list[str]:
     """Who meets the demand by default and misses it at another level."""
     lines = []
     for level in verdicts.levels:
-        lost = [v for v in _with(verdicts.at(level), "misses") if v.solver in _solvers(good)]
+        lost = [
+            v
+            for v in _with(verdicts.at(level), "misses")
+            if v.configuration.solver in _solvers(good)
+        ]
         if lost:
             lines.append(f"With settings `{level}` no longer: {_names(lost)}.")
     return lines
@@ -122,15 +135,15 @@ def _with(verdicts: Sequence[Verdict], outcome: Outcome) -> list[Verdict]:
 
 
 def _solvers(verdicts: Sequence[Verdict]) -> set[str]:
-    return {v.solver for v in verdicts}
+    return {v.configuration.solver for v in verdicts}
 
 
 def _names(verdicts: Sequence[Verdict]) -> str:
-    return and_list([v.solver for v in verdicts])
+    return and_list([v.configuration.solver for v in verdicts])
 
 
 def _labels(verdicts: Sequence[Verdict]) -> str:
-    return and_list([v.label for v in verdicts])
+    return and_list([v.configuration.label for v in verdicts])
 
 
 def recommendation(view: Records, verdicts: Verdicts) -> list[str]:
@@ -140,8 +153,9 @@ def recommendation(view: Records, verdicts: Verdicts) -> list[str]:
         return [_nobody(view, verdicts, found)]
     lines = [_use(found.chosen, verdicts.demand)]
     if found.faster is not None:
+        faster = found.faster.configuration
         lines.append(
-            f"Faster: **{found.faster.solver}** ({found.faster.configuration.way}, "
+            f"Faster: **{faster.solver}** ({faster.options}, "
             f"{figures(found.faster)}), which cannot go aboard as it is: {found.because}."
         )
     if found.runner_up is not None:
@@ -151,15 +165,16 @@ def recommendation(view: Records, verdicts: Verdicts) -> list[str]:
 
 def _use(chosen: Verdict, demand: Demand) -> str:
     if chosen.outcome == "meets":
-        head = f"Use **{chosen.solver}**"
+        head = f"Use **{chosen.configuration.solver}**"
         right = f"right on every step of {judged_on(chosen)}"
     else:
-        head = f"Nothing contradicts **{chosen.solver}**"
+        head = f"Nothing contradicts **{chosen.configuration.solver}**"
         right = f"right on every step of {judged_on(chosen)}, {clauses(chosen.missing)}"
+    who = chosen.configuration
     return (
-        f"{head} (route {chosen.route}, policy {chosen.policy}, settings `{chosen.settings}`), the "
+        f"{head} (route {who.route}, policy {who.policy}, settings `{who.settings}`), the "
         f"fastest by {yardstick(chosen)} that can go aboard: {right}; {figures(chosen)}; "
-        f"{slack_text(chosen, demand)}. {aboard(chosen.solver)}"
+        f"{slack_text(chosen, demand)}. {aboard(who.solver)}"
     )
 
 
@@ -179,18 +194,18 @@ def _nobody(view: Records, verdicts: Verdicts, found: Recommendation) -> str:
     """Why nothing is recommended."""
     if found.faster is not None:
         return (
-            f"Nothing that can go aboard meets the demand; {found.faster.label} does, "
-            f"{figures(found.faster)}: {found.because}."
+            "Nothing that can go aboard meets the demand; "
+            f"{found.faster.configuration.label} does, {figures(found.faster)}: {found.because}."
         )
-    if not any(has_steps(row) for row in view.select(mode="replay", units="scaled")):
+    if not any(row.has_steps for row in view.select(mode="replay", units="scaled")):
         return "Nothing is recommended, as no replay left a step, so nothing is timed."
-    outcomes = {verdict.outcome for verdict in verdicts.every}
+    outcomes = {verdict.outcome for verdict in verdicts.all}
     if "open" in outcomes:
         return "Nothing is recommended while it is open whether a solver meets the demand."
     return "Nothing is recommended: no solver meets the demand in any configuration that was run."
 
 
-def yardstick(configuration: TimedConfiguration) -> str:
+def yardstick(configuration: Verdict) -> str:
     """What a configuration is ranked by: its p99, or its largest step where there is no p99."""
     return "p99" if math.isfinite(configuration.p99_ns) else "largest step"
 
@@ -249,7 +264,7 @@ def paired_text(found: PairedComparison) -> str:
 
 def sentence(verdict: Verdict, demand: Demand) -> str:
     """The verdict on one configuration in one sentence."""
-    head = f"**{verdict.label}** "
+    head = f"**{verdict.configuration.label}** "
     if verdict.outcome == "not run":
         return f"{head}was not run: {verdict.refusal}."
     if verdict.outcome == "misses":
@@ -293,19 +308,19 @@ _WORDS = {
 def clause(finding: Finding) -> str:
     """One finding as a plain clause."""
     words = {"value": finding.value, "steps": plural(finding.steps, "step")}
-    if not finding.rows:
+    if not finding.runs:
         return _WORDS[finding.kind].format(**words)
-    first, *others = finding.rows
+    first, *others = finding.runs
     also = _places(others)
-    rounds = as_float(first["rounds"])
-    done = as_float(first["steps_done"]) * (rounds if rounds > 1.0 else 1.0)
+    rounds = first.rounds
+    done = first.steps_done * (rounds if rounds > 1.0 else 1.0)
     return _WORDS[finding.kind].format(
         **words,
         where=where(first),
-        places=_places(finding.rows),
+        places=_places(finding.runs),
         detail=detail(first),
-        outcome=first["outcome"],
-        planned=count_text(first["steps_planned"]),
+        outcome=first.outcome,
+        planned=count_text(first.steps_planned),
         of=plural(done, "step"),
         counted=plural(finding.value, "step"),
         error=error_text(finding.value),
@@ -318,14 +333,14 @@ def clause(finding: Finding) -> str:
 
 def where(row: RunRecord) -> str:
     """The place of a run in words."""
-    if row["mode"] == "replay":
-        return f"the replay of `{row['sequence']}`"
-    return f"`{row['scenario']}`"
+    if row.mode == "replay":
+        return f"the replay of `{row.sequence}`"
+    return f"`{row.scenario}`"
 
 
 def _places(rows: Sequence[RunRecord]) -> str:
-    loops = [f"`{row['scenario']}`" for row in rows if row["mode"] != "replay"]
-    replays = [f"`{row['sequence']}`" for row in rows if row["mode"] == "replay"]
+    loops = [f"`{row.scenario}`" for row in rows if row.mode != "replay"]
+    replays = [f"`{row.sequence}`" for row in rows if row.mode == "replay"]
     if replays:
         word = "replay" if len(replays) == 1 else "replays"
         loops.append(f"the {word} of {' and '.join(replays)}")
@@ -352,7 +367,11 @@ def elsewhere(verdicts: Verdicts, reference: Verdict) -> str:
     """What other configurations of a solver change about its verdict; empty when nothing."""
     text = ""
     for level in verdicts.levels:
-        other = next(v for v in verdicts.at(level) if v.solver == reference.solver)
+        other = next(
+            v
+            for v in verdicts.at(level)
+            if v.configuration.solver == reference.configuration.solver
+        )
         if other.configuration == reference.configuration:
             continue
         if other.outcome == "misses" and clauses(other.causes) != clauses(reference.causes):
@@ -361,33 +380,34 @@ def elsewhere(verdicts: Verdicts, reference: Verdict) -> str:
             text += f" With settings `{level}` it is open: {clauses(other.missing)}."
         elif other.outcome == "meets":
             text += f" It meets the demand with settings `{level}`."
-    best = verdicts.fastest(reference.solver)
+    best = fastest_of(verdicts, reference.configuration.solver)
     if best is None or best.configuration == reference.configuration:
         return text
-    return text + f" Fastest way: {best.configuration.way}, {figures(best)} ({judged_on(best)})."
+    options = best.configuration.options
+    return text + f" Fastest way: {options}, {figures(best)} ({judged_on(best)})."
 
 
 def baseline_law(view: Records) -> str:
     """The baseline law in one sentence: it solves no QP and is never ranked."""
-    rows = [r for r in view.select(mode="closed_loop") if is_baseline_law(r) and has_steps(r)]
+    rows = [r for r in view.select(mode="closed_loop") if r.is_baseline_law and r.has_steps]
     if not rows:
         return "Contrast: the clipped unconstrained law was not run."
     longest: dict[str, RunRecord] = {}
-    for row in sorted(rows, key=lambda row: as_float(row["steps_done"])):
-        longest[str(row["scenario"])] = row
+    for row in sorted(rows, key=lambda row: row.steps_done):
+        longest[row.scenario] = row
     names = [name for name in view.scenarios if name in longest]
     shown = [
-        f"{significant(as_float(longest[name]['r_tail_max_m']), 2)} m in `{name}`"
+        f"{significant(longest[name].r_tail_max_m, 2)} m in `{name}`"
         for name in names
-        if view.is_whole(longest[name]) and np.isfinite(as_float(longest[name]["r_tail_max_m"]))
+        if view.is_whole(longest[name]) and np.isfinite(longest[name].r_tail_max_m)
     ]
     short = [
-        f"{count_text(longest[name]['steps_done'])} of {plural(view.whole_steps(name), 'step')} "
+        f"{count_text(longest[name].steps_done)} of {plural(view.whole_steps(name), 'step')} "
         f"in `{name}`"
         for name in names
         if not view.is_whole(longest[name])
     ]
-    clauses = [f"`{rows[0]['solver']}` clips the unconstrained optimum"]
+    clauses = [f"`{rows[0].solver}` clips the unconstrained optimum"]
     if shown:
         clauses.append(
             f"its largest radial error in the second half of the run is {and_list(shown)}"

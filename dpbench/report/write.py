@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import Records, as_float
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import as_float
 from dpbench.bench.design import Designs, load_designs
 from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.report.blocks import Page, Section

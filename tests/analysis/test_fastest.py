@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.demand import Demand
+from dpbench.analysis.times.fastest import fastest_of, podium, ranked
 from dpbench.analysis.times.pooled import common_steps
 from dpbench.analysis.verdict import Verdicts, verdicts_of
 from dpbench.report.table import Table
@@ -20,7 +21,7 @@ def _found(records: Any) -> Verdicts:
 
 
 def _labels(records: Any) -> list[str]:
-    return [verdict.label for verdict in _found(records).ranked]
+    return [verdict.configuration.label for verdict in ranked(_found(records))]
 
 
 def test_the_verdict_stays_on_the_default_route(records: Any) -> None:
@@ -31,7 +32,7 @@ def test_the_verdict_stays_on_the_default_route(records: Any) -> None:
     records.replay("osqp", route="native", policy="fresh", median_us=5.0, error=0.5)
     records.replay("osqp", median_us=50.0)
     (verdict,) = _found(records).references
-    assert (verdict.outcome, verdict.route) == ("meets", "qpsolvers")
+    assert (verdict.outcome, verdict.configuration.route) == ("meets", "qpsolvers")
     assert verdict.p99_ns > 40e3
 
 
@@ -40,7 +41,7 @@ def test_a_solver_without_wrapper_is_judged_natively(records: Any) -> None:
     records.loop("qoco", route="native")
     records.replay("qoco", route="native")
     (verdict,) = _found(records).references
-    assert (verdict.outcome, verdict.route) == ("meets", "native")
+    assert (verdict.outcome, verdict.configuration.route) == ("meets", "native")
 
 
 def test_the_fastest_configuration_is_one_with_right_answers(records: Any) -> None:
@@ -64,7 +65,7 @@ def test_accuracy_in_closed_loop_is_claimed_only_where_one_was_run(records: Any)
     """Where no solver steered a ship, replays rank, and what is open is said."""
     records.replay("daqp", median_us=20.0)
     records.replay("daqp", median_us=5.0, route="native", policy="warm")
-    assert [judged_on(v) for v in _found(records).ranked] == ["1 replay", "1 replay"]
+    assert [judged_on(v) for v in ranked(_found(records))] == ["1 replay", "1 replay"]
     text = recommendation(records.view(), _found(records))[0]
     assert text.startswith("Nothing contradicts **daqp** (route native, policy warm")
     assert "right on every step of 1 replay, no closed loop was run" in text
@@ -79,12 +80,15 @@ def test_who_remembers_answers_is_never_the_fastest(
         records.loop(solver)
         records.replay(solver, median_us=median, **(witness if solver == "table" else {}))
     found = _found(records)
-    assert {v.solver: v.outcome for v in found.references} == {"table": "open", "daqp": "meets"}
+    assert {v.configuration.solver: v.outcome for v in found.references} == {
+        "table": "open",
+        "daqp": "meets",
+    }
     assert _labels(records) == ["daqp (qpsolvers fresh)"]
     pooled = common_steps(records.view(), DEMAND)
     assert pooled is not None
     assert {
-        configuration.solver: configuration.right for configuration in pooled.configurations
+        configuration.configuration.solver: configuration.right for configuration in pooled.pooled
     } == {"table": False, "daqp": True}
 
 
@@ -105,7 +109,7 @@ def test_figures_come_from_the_sequence_with_the_worst_p99(records: Any) -> None
     """
     records.replay("daqp", steps=1000, median_us=10.0, spread=0.0)
     records.replay("daqp", "rough[900:1100]", steps=200, median_us=30.0, spread=0.0)
-    (found,) = _found(records).ranked
+    (found,) = ranked(_found(records))
     assert (found.p50_ns, found.p99_ns, found.timed_on) == (10e3, 10e3, "paper")
     assert found.algo_max_ns == 30e3
 
@@ -114,8 +118,8 @@ def test_short_sequences_have_a_fastest_configuration_without_p99(records: Any) 
     """With too few steps for a p99 the largest step ranks, and the text says so."""
     records.replay("slow", steps=100, median_us=40.0)
     records.replay("fast", steps=100, median_us=10.0)
-    assert [v.solver for v in _found(records).ranked] == ["fast", "slow"]
-    assert math.isnan(_found(records).ranked[0].p99_ns)
+    assert [v.configuration.solver for v in ranked(_found(records))] == ["fast", "slow"]
+    assert math.isnan(ranked(_found(records))[0].p99_ns)
     records.replay("daqp", steps=100, median_us=5.0)
     assert "too few steps for a p99" in recommendation(records.view(), _found(records))[0]
 
@@ -126,8 +130,9 @@ def test_usual_settings_are_named_where_others_are_hardly_faster(records: Any) -
         for settings, us in (("default", 10.0), ("high", median)):
             records.replay(solver, median_us=us, spread=0.0, settings=settings)
     found = _found(records)
-    best = {solver: found.fastest(solver) for solver in ("same", "better")}
-    assert {s: c and c.settings for s, c in best.items()} == {"same": "default", "better": "high"}
+    fastest = {solver: fastest_of(found, solver) for solver in ("same", "better")}
+    settings = {solver: best and best.configuration.settings for solver, best in fastest.items()}
+    assert settings == {"same": "default", "better": "high"}
 
 
 def test_a_headline_that_cannot_be_told_apart_carries_caution(records: Any) -> None:
@@ -223,4 +228,4 @@ def test_no_candidate_is_said_plainly(records: Any, fill: bool, says: str) -> No
     if fill:
         records.replay("osqp", error=0.5)
     assert recommendation(records.view(), _found(records))[0].startswith(says)
-    assert _found(records).podium == []
+    assert podium(_found(records)) == []

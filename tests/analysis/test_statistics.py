@@ -10,13 +10,12 @@ from dpbench.analysis.statistics import (
     Interval,
     block_indices,
     paired_ratio,
-    percentile,
     percentile_interval,
     pooled_mean,
     pooled_percentile_intervals,
     resampled_means,
-    supports,
 )
+from dpbench.bench.judge.rules import percentile, supports
 
 
 @pytest.mark.parametrize(("percent", "enough"), [(50, 20), (95, 200), (99, 1000), (99.9, 10_000)])

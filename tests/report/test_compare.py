@@ -14,6 +14,7 @@ import pytest
 
 from dpbench import InputError, compare
 from dpbench.analysis.compare.pairs import Pair
+from dpbench.analysis.run_record import records_of
 from dpbench.bench.record.result_folder import Results, write_results
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
 from dpbench.cli.main import main
@@ -457,8 +458,11 @@ def test_a_configuration_that_met_another_neighbour_is_not_blamed_for_it(make: M
 
 def test_another_build_of_the_same_version_is_said() -> None:
     """Times of two builds of one version are not those of one library."""
-    row = identity("replay", "hpipm", {}) | {"units": "scaled", "formulation": "condensed_box"}
-    generic, fast = (row | {"build": build} for build in ("BLASFEO generic", "BLASFEO AVX2 FMA"))
+    builds = ("BLASFEO generic", "BLASFEO AVX2 FMA")
+    runs = as_runs(
+        pd.DataFrame([identity("replay", "hpipm", {"build": build}) for build in builds])
+    )
+    generic, fast = records_of(runs)
     assert Pair(generic, generic).label.startswith("hpipm (")
     said = "hpipm 1.0 BLASFEO generic → 1.0 BLASFEO AVX2 FMA ("
     assert Pair(generic, fast).label.startswith(said)

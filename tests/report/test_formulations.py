@@ -77,7 +77,7 @@ def test_without_a_second_formulation_there_is_nothing_to_say(records: Any) -> N
     texts = [getattr(block, "text", "") for block in timing_section(view, DEMAND).blocks]
     assert OTHERS not in texts
     # The only formulation of a sequence is its common one.
-    assert [row["formulation"] for row, _ in timed_configurations(view, "rough")] == ["sparse"]
+    assert [run.formulation for run, _ in timed_configurations(view, "rough")] == ["sparse"]
 
 
 def test_rankings_and_verdicts_keep_to_the_common_formulation(records: Any) -> None:
@@ -87,9 +87,9 @@ def test_rankings_and_verdicts_keep_to_the_common_formulation(records: Any) -> N
     records.loop("osqp", route="native")
     before = records.view()
     expected = (
-        [sentence(v, DEMAND) for v in verdicts_of(before, DEMAND).every],
+        [sentence(v, DEMAND) for v in verdicts_of(before, DEMAND).all],
         [w.median_ns(way) for w in route_comparisons(before, "paper") for way in sorted(w.times)],
-        [row["run_id"] for row, _ in timed_configurations(before, "paper")],
+        [run.run_id for run, _ in timed_configurations(before, "paper")],
     )
     configuration = {"route": "native", "formulation": "sparse", "error": 0.7}
     records.replay("osqp", median_us=5.0, policy="reuse", **configuration)
@@ -97,9 +97,9 @@ def test_rankings_and_verdicts_keep_to_the_common_formulation(records: Any) -> N
     records.loop("osqp", failed=9, **configuration)
     after = records.view()
     found = (
-        [sentence(v, DEMAND) for v in verdicts_of(after, DEMAND).every],
+        [sentence(v, DEMAND) for v in verdicts_of(after, DEMAND).all],
         [w.median_ns(way) for w in route_comparisons(after, "paper") for way in sorted(w.times)],
-        [row["run_id"] for row, _ in timed_configurations(after, "paper")],
+        [run.run_id for run, _ in timed_configurations(after, "paper")],
     )
     assert found == expected
     assert len(after.all_runs) == len(before.all_runs) + 3

@@ -51,8 +51,8 @@ def test_own_configurations_are_seen_in_no_other_part_of_the_view(records: Any) 
     records.replay("daqp", **QUIET)
     _with_calibration(records)
     view = records.view()
-    assert [row["solver"] for row in view.all_runs] == ["daqp"] == view.solvers
-    assert [row["solver"] for row in view.runs] == ["daqp"]
+    assert [run.solver for run in view.all_runs] == ["daqp"] == view.solvers
+    assert [run.solver for run in view.runs] == ["daqp"]
     assert _cells(cost_table(view), "configuration") == list(CALIBRATION)
 
 

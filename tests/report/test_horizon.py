@@ -57,7 +57,7 @@ def _column(table: Table, head: str) -> dict[tuple[str, str], str]:
 
 def _best_table(view: Records) -> Table:
     (sweep,) = sweeps(view, DEMAND)
-    return growth_table(sweep, sweep.best_configurations)
+    return growth_table(sweep, sweep.best)
 
 
 def _line(scale: float, power: float, low: float = 15.0, high: float = 120.0) -> Growth:
@@ -206,8 +206,8 @@ def test_a_p99_whose_interval_holds_the_limit_settles_nothing(records: Any) -> N
         (configuration,) = (
             a
             for s in sweeps(records.view(), DEMAND)
-            for a in s.configurations
-            if a.solver == solver
+            for a in s.swept
+            if a.configuration.solver == solver
         )
         limit_ns = configuration.points[100, 20].p99_ns / factor
         assert configuration.settled(limit_ns) is (solver == "osqp")
@@ -233,8 +233,8 @@ def test_the_best_way_is_right_first_and_fast_second(records: Any) -> None:
     _law(records, "osqp", 1.0, 1.0, policy="warm", error=0.4)
     _law(records, "osqp", 3.0, 1.0, policy="reuse")
     (sweep,) = sweeps(records.view(), DEMAND)
-    assert [configuration.way for configuration in sweep.best_configurations] == ["native reuse"]
-    every = growth_table(sweep, sweep.configurations, every=True)
+    assert [configuration.configuration.options for configuration in sweep.best] == ["native reuse"]
+    every = growth_table(sweep, sweep.swept, every=True)
     assert [row[2].text for row in every.rows] == ["native warm", "native reuse"]
     assert every.folded
 
@@ -276,7 +276,7 @@ def test_points_are_hollow_where_an_answer_misses_the_demand(records: Any) -> No
     _law(records, "daqp", 1.0, 1.0, formulation="sparse", steps=60)
     (sweep,) = sweeps(records.view(), DEMAND)
     with styled():
-        first, second = growth_figure(sweep, sweep.best_configurations).axes
+        first, second = growth_figure(sweep, sweep.best).axes
     assert [first.get_title(loc="left"), second.get_title(loc="left")] == [
         "condensed box",
         "sparse",

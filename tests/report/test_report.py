@@ -11,8 +11,8 @@ import pytest
 from markdown_it import MarkdownIt
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.recommendation import recommend
 from dpbench.analysis.records import Records
+from dpbench.analysis.times.fastest import recommend
 from dpbench.analysis.verdict import verdicts_of
 from dpbench.bench.record.result_folder import load_results
 from dpbench.report.blocks import Tabular
@@ -148,8 +148,9 @@ def test_page_markdown_terminal_and_verdicts_say_the_same(report: Path) -> None:
     verdicts = verdicts_of(view, demand)
     chosen = recommend(verdicts).chosen
     assert chosen is not None
+    who = chosen.configuration
     told = (
-        f"{chosen.solver} (route {chosen.route}, policy {chosen.policy}, settings default)",
+        f"{who.solver} (route {who.route}, policy {who.policy}, settings default)",
         time_text(chosen.p99_ns),
         f"{rounded_down(chosen.slowdown(demand))} times slower",
         f"{rounded_down(chosen.raw_slowdown(demand))} times by its largest sample",
@@ -164,7 +165,7 @@ def test_page_markdown_terminal_and_verdicts_say_the_same(report: Path) -> None:
     rows = {row[0].text: [cell.text for cell in row[1:3]] for row in verdict_table(verdicts).rows}
     for level, column in (("default", 0), ("high", 1)):
         for verdict in verdicts.at(level):
-            assert rows[verdict.solver][column] == verdict.outcome
+            assert rows[verdict.configuration.solver][column] == verdict.outcome
 
 
 def _nothing(records: Any) -> None:

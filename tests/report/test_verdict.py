@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.recommendation import recommend, why_not_aboard
-from dpbench.analysis.times.pairs import fastest_first, paired_comparison
+from dpbench.analysis.times.fastest import fastest_first, recommend, why_not_aboard
+from dpbench.analysis.times.pairs import paired_comparison
 from dpbench.analysis.verdict import verdicts_of
 from dpbench.report.blocks import Cards
 from dpbench.report.render import render_markdown
@@ -30,7 +30,7 @@ DEMAND = Demand()
 
 def _verdict(records: Any, solver: str, settings: str = "default") -> Any:
     verdicts = verdicts_of(records.view(), DEMAND).at(settings)
-    return next(verdict for verdict in verdicts if verdict.solver == solver)
+    return next(verdict for verdict in verdicts if verdict.configuration.solver == solver)
 
 
 def test_exact_and_fast_meets(records: Any) -> None:
@@ -191,7 +191,7 @@ def test_high_settings_rescue(records: Any) -> None:
     records.replay("osqp", error=0.4)
     records.replay("osqp", settings="high")
     verdicts = verdicts_of(records.view(), DEMAND)
-    assert [v.outcome for v in verdicts.every] == ["misses", "meets"]
+    assert [v.outcome for v in verdicts.all] == ["misses", "meets"]
     assert "Only in another configuration: osqp (qpsolvers fresh, high)." in summary(verdicts)
     text = elsewhere(verdicts, verdicts.references[0])
     assert text.startswith(" It meets the demand with settings `high`. Fastest way: qpsolvers")
@@ -298,7 +298,11 @@ def test_the_recommendation_can_go_aboard(records: Any) -> None:
     view = records.view()
     found = recommend(verdicts_of(view, DEMAND))
     assert found.chosen is not None and found.runner_up is not None and found.faster is not None
-    names = (found.chosen.solver, found.runner_up.solver, found.faster.solver)
+    names = (
+        found.chosen.configuration.solver,
+        found.runner_up.configuration.solver,
+        found.faster.configuration.solver,
+    )
     assert names == ("daqp", "scs", "paper_active_set")
     text = " ".join(recommendation(view, verdicts_of(view, DEMAND)))
     assert text.startswith("Use **daqp** (route qpsolvers, policy fresh, settings `default`)")
@@ -362,7 +366,7 @@ def test_order_is_by_p99(records: Any) -> None:
         records.loop(solver)
         records.replay(solver, median_us=median)
     ranked = fastest_first(verdicts_of(records.view(), DEMAND).references)
-    assert [v.solver for v in ranked] == ["fast", "middle", "slow"]
+    assert [v.configuration.solver for v in ranked] == ["fast", "middle", "slow"]
 
 
 def _duel(records: Any, median_us: float) -> Any:
@@ -400,7 +404,7 @@ def test_an_order_that_turns_with_the_yardstick_is_called_unstable(records: Any)
     records.replay("nervous", median_us=20.0, spread=0.6)
     view = records.view()
     ranked = fastest_first(verdicts_of(view, DEMAND).references)
-    assert [v.solver for v in ranked] == ["steady", "nervous"]
+    assert [v.configuration.solver for v in ranked] == ["steady", "nervous"]
     text = paired_text(paired_comparison(view, *ranked))
     assert text.startswith("Caution") and "depends on the yardstick" in text
 

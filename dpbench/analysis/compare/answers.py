@@ -7,14 +7,15 @@ more than the margin, beyond what the replay rounds of one run differ among them
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import pandas as pd
 
 from dpbench.analysis.compare.pairs import Pair
-from dpbench.analysis.records import Records, RunRecord, as_float, has_steps
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
 from dpbench.bench.judge.rules import decided, failed_steps
 
 Change = Literal["worse", "better", "same"]
@@ -70,64 +71,64 @@ class Answer:
 
 def compare_answers(a: Records, b: Records, pairs: Sequence[Pair], margin: float) -> list[Answer]:
     """Every figure of every pair; a pair whose outcome changed is judged by that."""
-    found: list[Answer] = []
-    for pair in pairs:
-        ranks = tuple(float(ORDER.index(str(row["outcome"]))) for row in (pair.a, pair.b))
-        if ranks[0] != ranks[1]:
-            found.append(_answer(pair, OUTCOME, (ranks[0],) * 2, (ranks[1],) * 2, margin))
-            continue
-        if not (has_steps(pair.a) or has_steps(pair.b)):
-            continue
-        # A step limit in seconds stops a slow configuration somewhere: no property of its answers.
-        if pair.a["outcome"] != "timed_out":
-            done = [as_float(row["steps_done"]) for row in (pair.a, pair.b)]
-            found.append(_answer(pair, DONE, (done[0],) * 2, (done[1],) * 2, margin))
-        common = int(min(as_float(row["steps_done"]) for row in (pair.a, pair.b)))
-        ranges = _accuracy(a, pair.a, common), _accuracy(b, pair.b, common)
-        for measure in ACCURACY:
-            was, now = (side[measure.column] for side in ranges)
-            found.append(_answer(pair, measure, was, now, margin))
-        for measure in CONTROL if pair.a["mode"] == "closed_loop" else ():
-            one, other = (as_float(row[measure.column]) for row in (pair.a, pair.b))
-            found.append(_answer(pair, measure, (one, one), (other, other), margin))
-    return found
+    return [
+        Answer(pair, measure, range_a, range_b, _change(measure, range_a, range_b, margin))
+        for pair in pairs
+        for measure, range_a, range_b in _figures(a, b, pair)
+    ]
 
 
-def _answer(pair: Pair, measure: Measure, a: Range, b: Range, margin: float) -> Answer:
-    return Answer(pair, measure, a, b, _change(measure, a, b, margin))
+def _figures(a: Records, b: Records, pair: Pair) -> Iterator[tuple[Measure, Range, Range]]:
+    """Every figure of a pair with its ranges in A and B."""
+    if pair.a.outcome != pair.b.outcome:
+        yield OUTCOME, _point(ORDER.index(pair.a.outcome)), _point(ORDER.index(pair.b.outcome))
+        return
+    if not (pair.a.has_steps or pair.b.has_steps):
+        return
+    # A step limit in seconds stops a slow configuration somewhere: no property of its answers.
+    if pair.a.outcome != "timed_out":
+        yield DONE, _point(pair.a.steps_done), _point(pair.b.steps_done)
+    common = min(pair.a.steps_done, pair.b.steps_done)
+    ranges_a, ranges_b = _accuracy(a, pair.a, common), _accuracy(b, pair.b, common)
+    for measure in ACCURACY:
+        yield measure, ranges_a[measure.column], ranges_b[measure.column]
+    for measure in CONTROL if pair.a.mode == "closed_loop" else ():
+        column = measure.column
+        yield measure, _point(getattr(pair.a, column)), _point(getattr(pair.b, column))
+
+
+def _point(value: float) -> Range:
+    return float(value), float(value)
 
 
 def _change(measure: Measure, a: Range, b: Range, margin: float) -> Change:
     """What became of a figure; two missing ones are the same, one that went missing is worse."""
-    if any(math.isnan(side[0]) for side in (a, b)):
-        gone, came = math.isnan(b[0]), math.isnan(a[0])
-        return "same" if gone and came else "worse" if gone else "better"
+    missing_a, missing_b = math.isnan(a[0]), math.isnan(b[0])
+    if missing_a or missing_b:
+        return "same" if missing_a and missing_b else "worse" if missing_b else "better"
     factor = 1.0 + margin if measure.relative else 1.0
-    less = "better" if measure.less_is_better else "worse"
-    more = "worse" if measure.less_is_better else "better"
     if b[0] > max(factor * a[1], measure.floor):
-        return more  # type: ignore[return-value] # one of the two words above
+        return "worse" if measure.less_is_better else "better"
     if a[0] > max(factor * b[1], measure.floor):
-        return less  # type: ignore[return-value] # the other one
+        return "better" if measure.less_is_better else "worse"
     return "same"
 
 
-def _accuracy(records: Records, row: RunRecord, common: int) -> dict[str, Range]:
+def _accuracy(records: Records, run: RunRecord, common: int) -> dict[str, Range]:
     """Least and largest over the counting rounds of each figure, on the first `common` steps."""
-    steps = records.steps(row)
+    steps = records.steps(run)
     counting = steps[steps["counts"] & (steps["k"] < common)]
     if counting.empty:
-        once = {m.column: as_float(row[m.column]) for m in ACCURACY}
-        return {name: (value, value) for name, value in once.items()}
+        return {m.column: _point(getattr(run, m.column)) for m in ACCURACY}
     failed, true = failed_steps(counting), counting["true"].where(decided(counting))
     rounds = counting.assign(failed=failed.astype(float), true=true.astype(float)).groupby("repeat")
-    each = {
+    by_round = {
         "error_move_max": rounds["error_move"].max(),
         "error_plan_max": rounds["error_plan"].max(),
         "true_share": rounds["true"].mean(),
         "failed_steps": rounds["failed"].sum(),
     }
-    return {name: _range(values) for name, values in each.items()}
+    return {column: _range(values) for column, values in by_round.items()}
 
 
 def _range(values: pd.Series[float]) -> Range:

@@ -44,7 +44,7 @@ class Prior:
     df: float
 
 
-ARM_NOISE = Prior(sd=0.01, df=6.0)
+CONFIGURATION_NOISE = Prior(sd=0.01, df=6.0)
 """Between two runs, of one configuration around all configurations."""
 MACHINE_NOISE = Prior(sd=0.05, df=4.0)
 """Between two runs, of all configurations together, beyond what the reference kernel shows."""
@@ -95,7 +95,7 @@ def gather(
     logs: Floats,
     own: Floats,
     groups: Sequence[str],
-    prior: Prior = ARM_NOISE,
+    prior: Prior = CONFIGURATION_NOISE,
     kernel: Floats | None = None,
     own_share: float = 1.0,
 ) -> Evidence:
@@ -118,8 +118,8 @@ def gather(
         # What a configuration is judged by must not come from that configuration: its own slow-down
         # would count.
         keep = np.arange(len(logs)) != i
-        usual2 = float(np.median(own[keep] ** 2)) if keep.any() else 0.0
-        spread2, df[i] = _spread(logs[keep], labels[keep], prior, own_share * usual2)
+        typical2 = float(np.median(own[keep] ** 2)) if keep.any() else 0.0
+        spread2, df[i] = _spread(logs[keep], labels[keep], prior, own_share * typical2)
         others = logs[keep & (labels == labels[i])]
         if len(others) >= MIN_OTHERS:
             centre[i] = np.median(others)
@@ -128,7 +128,7 @@ def gather(
             known = 0.0 if kernel is None else float(kernel[i])
             unknown = MACHINE_NOISE.sd**2 if np.isfinite(known) else np.inf
             centre[i] = np.nan_to_num(known)
-        error[i] = np.sqrt(spread2 + unknown + max(0.0, own[i] ** 2 - usual2))
+        error[i] = np.sqrt(spread2 + unknown + max(0.0, own[i] ** 2 - typical2))
     return Evidence(logs - centre, centre, error, df)
 
 
@@ -148,34 +148,34 @@ def _spread(
     rest = np.concatenate([part - np.median(part) for part in parts])
     n = len(rest)
     small = _MAD_SMALL[n - 2] if n - 2 < len(_MAD_SMALL) else n / (n - 0.8)
-    found = small * float(np.median(np.abs(rest)) / stats.norm.ppf(0.75))
+    sd = small * float(np.median(np.abs(rest)) / stats.norm.ppf(0.75))
     df = MAD_EFFICIENCY * (n - len(parts))
-    variance = (prior.df * expected + df * found**2) / (prior.df + df)
-    return max(variance, found**2), prior.df + df
+    variance = (prior.df * expected + df * sd**2) / (prior.df + df)
+    return max(variance, sd**2), prior.df + df
 
 
-def assess(found: Evidence, margin: float, alpha: float) -> list[Assessment]:
+def assess(evidence: Evidence, margin: float, alpha: float) -> list[Assessment]:
     """A verdict on each ratio, all of which hold together at family-wise error `alpha`.
 
     "slower" and "faster" reject a ratio within the margin (minimum-effect test of |log ratio| ≤
     log(1 + margin), at its least favourable point); "equivalent" rejects one beyond it (two
     one-sided tests, Schuirmann 1987). Claims of either kind are one Holm family each.
     """
-    bound, size = np.log1p(margin), np.abs(found.effect)
-    tail = stats.t(found.df)
-    beyond = tail.sf((size - bound) / found.error) + tail.sf((size + bound) / found.error)
+    bound, size = np.log1p(margin), np.abs(evidence.effect)
+    tail = stats.t(evidence.df)
+    beyond = tail.sf((size - bound) / evidence.error) + tail.sf((size + bound) / evidence.error)
     differs = holm(np.minimum(1.0, beyond))
-    equal = holm(tail.sf((bound - size) / found.error))
-    reach = tail.isf(alpha / 2 / max(1, len(size))) * found.error
+    equal = holm(tail.sf((bound - size) / evidence.error))
+    reach = tail.isf(alpha / 2 / max(1, len(size))) * evidence.error
     verdicts: list[Assessment] = []
-    for i, effect in enumerate(found.effect):
+    for i, effect in enumerate(evidence.effect):
         verdict: Verdict = "no difference shown"
         if differs[i] <= alpha:
             verdict = "slower" if effect > 0 else "faster"
         elif equal[i] <= alpha:
             verdict = "equivalent"
         low, value, high = np.exp([effect - reach[i], effect, effect + reach[i]]).tolist()
-        machine = float(np.exp(found.machine[i]))
+        machine = float(np.exp(evidence.machine[i]))
         interval = Interval(value, low, high)
         chance = (float(differs[i]), float(equal[i]))
         verdicts.append(Assessment(value * machine, machine, interval, *chance, verdict))

@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from typing import Any
 
-from dpbench.analysis.records import COMMON, Records, RunRecord, as_float
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
+from dpbench.bench.record.configuration import COLUMNS
 from dpbench.bench.record.result_folder import Results
 from dpbench.errors import ResultsError
 
-KEY = (
-    "mode",
-    "scenario",
-    "sequence",
-    "solver",
-    "route",
-    "policy",
-    "settings",
-    "formulation",
-    "units",
-    "steps_planned",
-)
+KEY = ("mode", "scenario", "sequence", *COLUMNS, "steps_planned")
 """Columns that two cells share when they ask the same question of the same configuration."""
 PROBLEM = ("scenario", "source", "first", "fallback")
 """Parts of a cell's description that they share too."""
@@ -39,19 +29,9 @@ class Pair:
     def label(self) -> str:
         """The configuration, with both versions and builds of its solver where one of them
         differs."""
-        row = self.a
-        old, new = (f"{of['solver_version']} {of['build']}".strip() for of in (row, self.b))
+        old, new = (f"{run.solver_version} {run.build}".strip() for run in (self.a, self.b))
         versions = "" if old == new else f" {old} → {new}"
-        units = "" if row["units"] == "scaled" else f", {row['units']}"
-        named = "" if row["formulation"] in (COMMON, "none") else f", {row['formulation']}"
-        form = named.replace("condensed_", "")
-        configuration = f"{row['route']} {row['policy']}, {row['settings']}{units}{form}"
-        return f"{row['solver']}{versions} ({configuration})"
-
-    @property
-    def problem(self) -> str:
-        """Sequence or scenario."""
-        return str(self.a["sequence"] or self.a["scenario"])
+        return self.a.configuration.label_of(f"{self.a.solver}{versions}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +55,9 @@ def check_machines(a: Results, b: Results, where: str) -> None:
     if ids[0] == ids[1]:
         return
     differ = [name for name in LASTING if a.machine.get(name) != b.machine.get(name)]
-    found = f"{ids[1]!r}, which differs in {', '.join(differ) or 'what neither describes'}"
+    differs = f"{ids[1]!r}, which differs in {', '.join(differ) or 'what neither describes'}"
     allowed = f"the machine of the first folder, {ids[0]!r}, or --any-machine"
-    raise ResultsError(f"{where}/machine.json", "id", found, allowed)
+    raise ResultsError(f"{where}/machine.json", "id", differs, allowed)
 
 
 def pair_cells(a: Records, b: Records, names: tuple[str, str]) -> Pairs:
@@ -90,40 +70,41 @@ def pair_cells(a: Records, b: Records, names: tuple[str, str]) -> Pairs:
     ------
     ResultsError : when no cell of one folder has a partner in the other.
     """
-    mine, theirs = _by_key(a), _by_key(b)
+    cells_a, cells_b = _by_key(a), _by_key(b)
     pairs, changed, lost = [], [], []
-    for key, row in mine.items():
-        other = theirs.get(key)
-        if other is None:
-            continue
-        if _problem(row) != _problem(other):
-            changed.append(_name(key))
-        elif "lost" in (row["outcome"], other["outcome"]):
-            lost.append(_name(key))
-        elif not row["outcome"] == other["outcome"] == "refused":
-            pairs.append(Pair(row, other))
+    for key in (key for key in cells_a if key in cells_b):
+        pair = Pair(cells_a[key], cells_b[key])
+        outcomes = pair.a.outcome, pair.b.outcome
+        if _problem(pair.a) != _problem(pair.b):
+            changed.append(_name(pair.a))
+        elif "lost" in outcomes:
+            lost.append(_name(pair.a))
+        elif outcomes != ("refused", "refused"):
+            pairs.append(pair)
     if not pairs and not lost:
-        found = "no cell that the first folder has too, of the same problem"
-        raise ResultsError(names[1], "", found, f"results of the suite of {names[0]}")
-    only_a = [_name(key) for key in mine if key not in theirs]
-    only_b = [_name(key) for key in theirs if key not in mine]
+        missing = "no cell that the first folder has too, of the same problem"
+        raise ResultsError(names[1], "", missing, f"results of the suite of {names[0]}")
+    only_a = [_name(run) for key, run in cells_a.items() if key not in cells_b]
+    only_b = [_name(run) for key, run in cells_b.items() if key not in cells_a]
     return Pairs(pairs, only_a, only_b, changed, lost)
 
 
-def _by_key(records: Records) -> dict[tuple[str, ...], RunRecord]:
+def key_of(run: RunRecord) -> dict[str, Any]:
+    """The columns of `KEY` of a run."""
+    return {column: getattr(run, column) for column in KEY}
+
+
+def _by_key(records: Records) -> dict[tuple[Any, ...], RunRecord]:
     # A loop on a slow computer takes another course each time: its answers' delays are measured.
-    lasting = (row for row in records.all_runs if not as_float(row["slowdown"]) > 0.0)
-    return {tuple(str(row[name]) for name in KEY): row for row in lasting}
+    lasting = (run for run in records.all_runs if not run.slowdown > 0.0)
+    return {tuple(key_of(run).values()): run for run in lasting}
 
 
-def _name(key: tuple[str, ...]) -> str:
-    mode, scenario, sequence, solver, *configuration, steps = key
-    what = f"{mode.replace('_', ' ')} of {steps} steps of {sequence or scenario}"
-    return f"{solver} ({' '.join(configuration)}), {what}"
+def _name(run: RunRecord) -> str:
+    mode = run.mode.replace("_", " ")
+    return f"{run.configuration.label}, {mode} of {run.steps_planned} steps of {run.problem}"
 
 
-def _problem(row: RunRecord) -> dict[str, Any]:
+def _problem(run: RunRecord) -> dict[str, Any]:
     """What the cell was asked, as far as its description says."""
-    described = str(row["cell"])
-    cell = json.loads(described) if described.startswith("{") else {}
-    return {name: cell.get(name) for name in PROBLEM}
+    return {part: run.description.get(part) for part in PROBLEM}

@@ -11,9 +11,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dpbench.analysis.compare.evidence import MACHINE_NOISE, Assessment, Evidence, assess, gather
-from dpbench.analysis.compare.pairs import KEY, Pair
+from dpbench.analysis.compare.pairs import Pair, key_of
 from dpbench.analysis.machine import disturbed_sequences
-from dpbench.analysis.records import Records, RunRecord, as_float
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
 from dpbench.analysis.statistics import (
     BLOCK_STEPS,
     RESAMPLES,
@@ -84,14 +85,17 @@ class Shared:
 
 def time_pairs(a: Records, b: Records, pairs: Sequence[Pair]) -> list[Timing]:
     """The timings of all replayed pairs that have one."""
-    replays = [pair for pair in pairs if pair.a["mode"] == "replay"]
     once: dict[tuple[object, ...], Timing] = {}
-    for pair in replays:
-        found = _timing(pair, _rounds(a, pair.a), _rounds(b, pair.b))
-        if found is not None:
+    for pair in pairs:
+        timing = (
+            _timing(pair, _rounds(a, pair.a), _rounds(b, pair.b))
+            if pair.a.mode == "replay"
+            else None
+        )
+        if timing is not None:
             # Settings without effect are one run under several names, and one piece of evidence.
-            configuration = [pair.a[name] for name in KEY if name != "settings"]
-            once.setdefault((*configuration, found.log, found.own), found)
+            unnamed = key_of(pair.a) | {"settings": ""}
+            once.setdefault((*unnamed.values(), timing.log, timing.own), timing)
     return list(once.values())
 
 
@@ -105,13 +109,13 @@ def why_unjudged(
     """
     known = disturbed_sequences(a), disturbed_sequences(b)
     reasons = {}
-    for name in dict.fromkeys(t.pair.problem for t in timings):
-        found = [one.get(name) for one in known]
-        hidden = [one is None for one in found]
-        disturbed = [one is not None and bool(one.complaints()) for one in found]
+    for name in dict.fromkeys(t.pair.a.problem for t in timings):
+        disturbances = [by_sequence.get(name) for by_sequence in known]
+        hidden = [one is None for one in disturbances]
+        disturbed = [one is not None and bool(one.complaints()) for one in disturbances]
         if not same_machine:
             reasons[name] = "they are two machines"
-        elif not np.isfinite(_machine([t for t in timings if t.pair.problem == name]).kernel):
+        elif not np.isfinite(_machine([t for t in timings if t.pair.a.problem == name]).kernel):
             reasons[name] = "the reference kernel was not timed"
         elif any(disturbed):
             reasons[name] = f"{_which(disturbed)} disturbed"
@@ -136,9 +140,9 @@ def compare_times(
     what the configurations share is not judged, nor are configurations that have only that kernel
     to be held against.
     """
-    groups = [t.pair.problem for t in timings]
+    groups = [t.pair.a.problem for t in timings]
     labels = np.asarray(groups)
-    machines = {n: _machine([t for t in timings if t.pair.problem == n]) for n in groups}
+    machines = {n: _machine([t for t in timings if t.pair.a.problem == n]) for n in groups}
     fit = np.array([np.nan if unjudged[name] else machines[name].expected for name in groups])
     logs = np.array([t.log for t in timings])
     met = _load_met(timings, labels)
@@ -207,7 +211,7 @@ def _load_met(timings: Sequence[Timing], labels: NDArray[np.str_]) -> Floats:
 
     Rounds of two configurations meet different neighbours; 0 where a folder does not tell.
     """
-    logs = np.array([_log_ratio(t.pair, "load_kernel_ns") for t in timings])
+    logs = _logs(timings, "load_kernel_ns")
     met = np.zeros(len(logs))
     for name in np.unique(labels):
         known = (labels == name) & np.isfinite(logs)
@@ -216,24 +220,26 @@ def _load_met(timings: Sequence[Timing], labels: NDArray[np.str_]) -> Floats:
     return met
 
 
-def _log_ratio(pair: Pair, column: str) -> float:
-    """log(B/A) of a column of times."""
-    return float(np.log(as_float(pair.b[column]) / as_float(pair.a[column])))
+def _logs(timings: Sequence[Timing], column: str) -> Floats:
+    """(N,) log(B/A) of a column of times."""
+    times = [[getattr(run, column) for run in (t.pair.a, t.pair.b)] for t in timings]
+    a_ns, b_ns = np.array(times, dtype=np.float64).reshape(-1, 2).T
+    return np.asarray(np.log(b_ns / a_ns), dtype=np.float64)
 
 
 def _machine(timings: Sequence[Timing]) -> _Machine:
     """The kernels of one sequence, timed in every worker; NaN where a folder does not tell."""
     medians = []
     for column in ("reference_kernel_ns", "load_kernel_ns"):
-        logs = np.array([_log_ratio(t.pair, column) for t in timings])
+        logs = _logs(timings, column)
         known = logs[np.isfinite(logs)]
         medians.append(float(np.median(known)) if len(known) else float(np.nan))
     return _Machine(*medians)
 
 
-def _rounds(records: Records, row: RunRecord) -> pd.DataFrame | None:
+def _rounds(records: Records, run: RunRecord) -> pd.DataFrame | None:
     """(rounds, steps) times [ns] of the rounds that count."""
-    steps = records.steps(row)
+    steps = records.steps(run)
     counting = steps[steps["counts"]]
     if counting.empty:
         return None
@@ -252,18 +258,17 @@ def _timing(pair: Pair, a: pd.DataFrame | None, b: pd.DataFrame | None) -> Timin
         return None
     # The minimum over more rounds is smaller, so both runs get as many: their first ones.
     rounds = min(len(a), len(b))
-    mine = a[steps].to_numpy(dtype=np.float64)[:rounds]
-    theirs = b[steps].to_numpy(dtype=np.float64)[:rounds]
-    best = mine.min(axis=0), theirs.min(axis=0)
-    logs = np.log(best[1] / best[0])
+    a_ns, b_ns = (run[steps].to_numpy(dtype=np.float64)[:rounds] for run in (a, b))
+    best_a_ns, best_b_ns = a_ns.min(axis=0), b_ns.min(axis=0)
+    logs = np.log(best_b_ns / best_a_ns)
     over_steps = (
         resampled_means(logs, BLOCK_STEPS, RESAMPLES, SEED).std()
         if enough(len(logs))
         # As good as a single step: that all of so few resemble each other cannot be excluded.
         else logs.std()
     )
-    own = float(np.sqrt(over_steps**2 + _variance(mine) + _variance(theirs)))
-    medians = float(np.median(best[0])), float(np.median(best[1]))
+    own = float(np.sqrt(over_steps**2 + _variance(a_ns) + _variance(b_ns)))
+    medians = float(np.median(best_a_ns)), float(np.median(best_b_ns))
     return Timing(pair, float(logs.mean()), own, len(steps), rounds, medians)
 
 

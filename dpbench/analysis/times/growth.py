@@ -90,13 +90,13 @@ def _resampled_logs(times: Sequence[Floats], resamples: int, seed: int) -> Float
 
 @dataclass(frozen=True)
 class Crossover:
-    """Where the fitted line of `ours` undercuts that of `theirs`, within the range both cover.
+    """Where the fitted line of one undercuts that of another, within the range both cover.
 
     Parameters
     ----------
     n : the size at which the two lines meet; NaN where they do not within the range.
     n_low, n_high : the range.
-    faster_low, faster_high : whether ours is the faster one at its ends.
+    faster_low, faster_high : whether the one is faster than the other at its ends.
     """
 
     n: float
@@ -106,16 +106,17 @@ class Crossover:
     faster_high: bool
 
 
-def crossover(ours: Growth | None, theirs: Growth | None) -> Crossover | None:
-    """Where our line undercuts theirs; None without two lines over a common range."""
-    if ours is None or theirs is None:
+def crossover(one: Growth | None, other: Growth | None) -> Crossover | None:
+    """Where the line of `one` undercuts that of `other`; None without two lines over a common
+    range."""
+    if one is None or other is None:
         return None
-    low, high = max(ours.n_low, theirs.n_low), min(ours.n_high, theirs.n_high)
+    low, high = max(one.n_low, other.n_low), min(one.n_high, other.n_high)
     if low >= high:
         return None
-    ahead = [ours.time_ns(n) < theirs.time_ns(n) for n in (low, high)]
+    faster = [one.time_ns(n) < other.time_ns(n) for n in (low, high)]
     meets = math.nan
-    if ahead[0] != ahead[1]:
-        steeper = theirs.exponent.value - ours.exponent.value
-        meets = math.exp((ours.log_scale - theirs.log_scale) / steeper)
-    return Crossover(meets, low, high, *ahead)
+    if faster[0] != faster[1]:
+        steeper = other.exponent.value - one.exponent.value
+        meets = math.exp((one.log_scale - other.log_scale) / steeper)
+    return Crossover(meets, low, high, *faster)

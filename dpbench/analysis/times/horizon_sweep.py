@@ -12,14 +12,16 @@ from functools import cached_property
 import numpy as np
 
 from dpbench.analysis.demand import Demand, is_right
-from dpbench.analysis.records import Records, RunRecord, as_float
-from dpbench.analysis.statistics import UNKNOWN, Interval, percentile, percentile_interval
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
+from dpbench.analysis.statistics import UNKNOWN, Interval, percentile_interval
 from dpbench.analysis.step_times import StepTimes
 from dpbench.analysis.times.growth import Growth, fit_growth
+from dpbench.bench.judge.rules import percentile
+from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.record.schema import FORCES
+from dpbench.scenario.horizons import Horizons
 
-Horizons = tuple[int, int]
-"""N_p and N_c."""
 HORIZON_KEYS = ("prediction_horizon", "control_horizon")
 
 
@@ -32,7 +34,7 @@ def moves_of(horizons: Horizons) -> int:
 class Point:
     """One configuration at one pair of horizons; `times` None where it did not do every step."""
 
-    row: RunRecord
+    run: RunRecord
     times: StepTimes | None
     right: bool
 
@@ -54,19 +56,15 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class SweptConfiguration:
-    """One way of running a solver on one formulation, over the horizons of a sweep."""
+    """A configuration over the horizons of a sweep."""
 
-    solver: str
-    formulation: str
-    route: str
-    policy: str
-    settings: str
+    configuration: Configuration
     points: dict[Horizons, Point]
 
     @property
-    def rows(self) -> list[RunRecord]:
-        """The rows of its points."""
-        return [point.row for point in self.points.values()]
+    def runs(self) -> list[RunRecord]:
+        """The runs of its points."""
+        return [point.run for point in self.points.values()]
 
     @property
     def timed(self) -> dict[Horizons, Point]:
@@ -78,17 +76,11 @@ class SweptConfiguration:
         """Whether all answers behind its times meet the demand."""
         return all(point.right for point in self.timed.values())
 
-    @property
-    def way(self) -> str:
-        """Route and policy, and the settings where they are not `default`."""
-        extra = "" if self.settings == "default" else f", {self.settings}"
-        return f"{self.route} {self.policy}{extra}"
-
     @cached_property
     def growth(self) -> Growth | None:
         """The power law of its medians over the number of moves; None below three points."""
-        found = [(moves_of(h), p.times.algo_ns) for h, p in self.timed.items() if p.times]
-        return fit_growth([n for n, _ in found], [times for _, times in found])
+        sizes = [moves_of(horizons) for horizons in self.timed]
+        return fit_growth(sizes, [p.times.algo_ns for p in self.timed.values() if p.times])
 
     def largest_within(self, limit_ns: float) -> Horizons | None:
         """The largest horizons measured with right answers and a p99 of at most `limit_ns`."""
@@ -118,7 +110,7 @@ class Sweep:
     name: str
     steps: int
     sequences: dict[Horizons, str]
-    configurations: list[SweptConfiguration]
+    swept: list[SweptConfiguration]
 
     @property
     def horizons(self) -> list[Horizons]:
@@ -128,104 +120,83 @@ class Sweep:
     @property
     def formulations(self) -> list[str]:
         """The formulations that left a time."""
-        return list(
-            dict.fromkeys(
-                configuration.formulation
-                for configuration in self.configurations
-                if configuration.timed
-            )
-        )
+        timed = (swept.configuration.formulation for swept in self.swept if swept.timed)
+        return list(dict.fromkeys(timed))
 
     @property
-    def best_configurations(self) -> list[SweptConfiguration]:
-        """Of each solver and formulation the best way; the fastest solvers first."""
+    def best(self) -> list[SweptConfiguration]:
+        """The best configuration of each solver and formulation; the fastest solvers first."""
         best: dict[tuple[str, str], SweptConfiguration] = {}
-        for configuration in sorted(self.configurations, key=_preference):
-            best.setdefault((configuration.solver, configuration.formulation), configuration)
-        return sorted(best.values(), key=_preference)
+        for swept in sorted(self.swept, key=_preference):
+            who = swept.configuration
+            best.setdefault((who.solver, who.formulation), swept)
+        return list(best.values())
 
 
 def sweeps(records: Records, demand: Demand) -> list[Sweep]:
     """The sweeps in the records: scenarios that were replayed under two horizons at least."""
     groups: dict[str, list[RunRecord]] = {}
     # A sweep compares formulations, which `Records.select` does not.
-    replayed = (r for r in records.all_runs if r["mode"] == "replay" and r["units"] == "scaled")
-    for row in replayed:
-        key = _problem_key(row)
-        if key:
-            groups.setdefault(key, []).append(row)
-    found = [_sweep(records, rows, demand) for rows in groups.values()]
-    return [sweep for sweep in found if len(sweep.sequences) > 1]
+    for run in records.all_runs:
+        problem = _problem_key(run) if run.mode == "replay" and run.units == "scaled" else ""
+        if problem:
+            groups.setdefault(problem, []).append(run)
+    candidates = [_sweep(records, runs, demand) for runs in groups.values()]
+    return [sweep for sweep in candidates if len(sweep.sequences) > 1]
 
 
-def between_ends(found: Sequence[Sweep]) -> set[str]:
+def between_ends(swept: Sequence[Sweep]) -> set[str]:
     """The sequences between the shortest and the longest horizons of a sweep.
 
     What other sections say of each sequence repeats itself over a sweep, so they keep to its ends.
     """
-    return {name for sweep in found for name in list(sweep.sequences.values())[1:-1]}
+    return {name for sweep in swept for name in list(sweep.sequences.values())[1:-1]}
 
 
 def _by_moves(horizons: Horizons) -> tuple[int, int]:
     return horizons[1], horizons[0]
 
 
-def _horizons_of(row: RunRecord) -> Horizons:
-    return int(row["N_p"]), int(row["N_c"])
-
-
-def _problem_key(row: RunRecord) -> str:
+def _problem_key(run: RunRecord) -> str:
     """Equal for replays that differ in their horizons only; empty where there is no scenario."""
-    cell = json.loads(row["cell"]) if row["cell"] else {}
-    documents = cell.get("scenario", {})
-    if "scenario" not in documents or math.isnan(as_float(row["N_c"])):
+    files = run.scenario_files
+    if files is None or run.horizons is None:
         return ""
-    scenario = dict(documents["scenario"])
+    scenario = dict(files["scenario"])
     controller = scenario["controller"].items()
     scenario["controller"] = {k: v for k, v in controller if k not in HORIZON_KEYS}
-    window = cell.get("first", 0), int(row["steps_planned"])
-    return json.dumps([scenario, documents["vessel"], window], sort_keys=True)
+    window = run.description.get("first", 0), run.steps_planned
+    return json.dumps([scenario, files["vessel"], window], sort_keys=True)
 
 
-def _sweep(records: Records, rows: Sequence[RunRecord], demand: Demand) -> Sweep:
-    pairs = sorted({_horizons_of(row) for row in rows}, key=_by_moves)
-    sequences = {
-        pair: next(str(r["sequence"]) for r in rows if _horizons_of(r) == pair) for pair in pairs
-    }
-    configurations: dict[tuple[str, str, str, str, str], dict[Horizons, Point]] = {}
-    for row in rows:
-        if row["outcome"] == "refused":
-            continue
-        way = str(row["route"]), str(row["policy"]), str(row["settings"])
-        points = configurations.setdefault((str(row["solver"]), str(row["formulation"]), *way), {})
-        points.setdefault(_horizons_of(row), _point(records, row, demand))
+def _sweep(records: Records, runs: Sequence[RunRecord], demand: Demand) -> Sweep:
+    sequences: dict[Horizons, str] = {}
+    points: dict[Configuration, dict[Horizons, Point]] = {}
+    for run in runs:
+        horizons = run.horizons
+        assert horizons is not None  # or it would be of no problem that is swept
+        sequences.setdefault(horizons, run.sequence)
+        if run.outcome != "refused":
+            of_configuration = points.setdefault(run.configuration, {})
+            of_configuration.setdefault(horizons, _point(records, run, demand))
     return Sweep(
-        name=_name(rows[0]),
-        steps=int(rows[0]["steps_planned"]),
-        sequences=sequences,
-        configurations=[
-            SweptConfiguration(*key, points=points) for key, points in configurations.items()
-        ],
+        name=runs[0].sequence_without_horizons,
+        steps=runs[0].steps_planned,
+        sequences=dict(sorted(sequences.items(), key=lambda item: _by_moves(item[0]))),
+        swept=[SweptConfiguration(*item) for item in points.items()],
     )
 
 
-def _name(row: RunRecord) -> str:
-    """The sequence without its horizons: `paper-60-10[0:300]` is of the sweep `paper[0:300]`."""
-    name, bracket, window = str(row["sequence"]).partition("[")
-    N_p, N_c = _horizons_of(row)
-    return name.removesuffix(f"-{N_p}-{N_c}") + bracket + window
-
-
-def _point(records: Records, row: RunRecord, demand: Demand) -> Point:
+def _point(records: Records, run: RunRecord, demand: Demand) -> Point:
     """A cell that was stopped before it had done every step once has no time to compare."""
-    times = records.times(row)
-    whole = times is not None and len(times.algo_ns) == int(row["steps_planned"])
-    return Point(row, times if whole else None, is_right(row, demand))
+    times = records.times(run)
+    whole = times is not None and len(times.algo_ns) == run.steps_planned
+    return Point(run, times if whole else None, is_right(run, demand))
 
 
-def _preference(configuration: SweptConfiguration) -> tuple[int, int, float, str]:
+def _preference(swept: SweptConfiguration) -> tuple[int, int, float, str]:
     """Sort key: most horizons with right answers, most with a time, then the fastest."""
-    right = sum(point.right for point in configuration.timed.values())
-    largest = max(configuration.timed, key=_by_moves, default=None)
-    slow = configuration.timed[largest].median_ns if largest else math.inf
-    return -right, -len(configuration.timed), slow, configuration.solver
+    right = sum(point.right for point in swept.timed.values())
+    largest = max(swept.timed, key=_by_moves, default=None)
+    slowest_ns = swept.timed[largest].median_ns if largest else math.inf
+    return -right, -len(swept.timed), slowest_ns, swept.configuration.solver

@@ -3,7 +3,7 @@ weight."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,38 +11,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.analysis.demand import Demand, is_right
-from dpbench.analysis.records import Records, RunRecord, settings_level
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
 from dpbench.analysis.statistics import Floats
-
-Key = tuple[str, str, str, str]
-"""Solver, route, policy and settings."""
+from dpbench.bench.record.configuration import Configuration, settings_level
 
 
 @dataclass(frozen=True, eq=False)
-class PooledConfiguration:
-    """One way to run a solver on all steps of a common_steps.
+class PooledTimes:
+    """The times of a configuration on common steps.
 
     Parameters
     ----------
     time_ns : (K,) algorithmic step time, NaN on steps it has not done.
     error : (K,) accuracy achieved, as in `StepTimes.error`; inf on steps it has not done.
     right : whether its answers meet the demand in every sequence it was replayed on.
-    usual : whether it runs on its solver's default route with policy fresh.
+    is_default : whether it runs on its solver's default route with policy fresh.
     """
 
-    solver: str
-    route: str
-    policy: str
-    settings: str
+    configuration: Configuration
     time_ns: Floats
     error: Floats
     right: bool
-    usual: bool
-
-    @property
-    def label(self) -> str:
-        """Solver and how it is run."""
-        return f"{self.solver} ({self.route} {self.policy}, {self.settings})"
+    is_default: bool
 
     def solved(self, level: float) -> NDArray[np.bool_]:
         """(K,) where it has a true answer of this accuracy."""
@@ -57,14 +48,14 @@ class CommonSteps:
     ----------
     sequences : those with a step, in the order in which their steps stand.
     sequence_of : (K,) index of the sequence of each step.
-    configurations : the configurations that were asked for in every one of them; where settings
-        have no effect the one run that stands under several names is there once.
+    pooled : the configurations that were asked for in every one of them; where settings have no
+        effect the one run that stands under several names is there once.
     left_out : how many other configurations were replayed on fewer.
     """
 
     sequences: tuple[str, ...]
     sequence_of: NDArray[np.intp]
-    configurations: tuple[PooledConfiguration, ...]
+    pooled: tuple[PooledTimes, ...]
     left_out: int
 
     @cached_property
@@ -81,95 +72,76 @@ class CommonSteps:
 
 
 def common_steps(records: Records, demand: Demand) -> CommonSteps | None:
-    """The common_steps of the sequences that most configurations share; None when no replay left a
+    """The common steps of the sequences that most configurations share; None when no replay left a
     step."""
-    rows: dict[Key, dict[str, RunRecord]] = {}
-    for row in records.select(mode="replay", units="scaled"):
-        if row["outcome"] not in ("refused", "invalid"):
-            rows.setdefault(_key(row), {})[str(row["sequence"])] = row
-    sets = [frozenset(by_sequence) for by_sequence in rows.values()]
+    replays: dict[Configuration, dict[str, RunRecord]] = {}
+    for run in records.select(mode="replay", units="scaled"):
+        if run.outcome not in ("refused", "invalid"):
+            by_sequence = replays.setdefault(run.configuration.in_common_formulation, {})
+            by_sequence[run.sequence] = run
+    sets = [frozenset(by_sequence) for by_sequence in replays.values()]
     if not sets:
         return None
     # The widest set; of several as wide, the one with the most configurations, then the first.
     widest = max(sets, key=lambda names: (len(names), sum(names <= other for other in sets)))
-    members = {key: found for key, found in rows.items() if widest <= set(found)}
+    members = {who: runs for who, runs in replays.items() if widest <= set(runs)}
     done = {
-        name: _steps(records, [found[name] for found in members.values()])
-        for name in records.sequences
-        if name in widest
+        sequence: _steps(records, [runs[sequence] for runs in members.values()])
+        for sequence in records.sequences
+        if sequence in widest
     }
-    sequences = tuple(name for name, k in done.items() if len(k))
-    steps = [done[name] for name in sequences]
+    steps = {sequence: k for sequence, k in done.items() if len(k)}
     if not steps:
         return None
-    configurations = [
-        _configuration(records, key, found, sequences, steps, demand)
-        for key, found in members.items()
-    ]
+    pooled = [_pooled(records, who, runs, steps, demand) for who, runs in members.items()]
     return CommonSteps(
-        sequences,
-        np.repeat(np.arange(len(sequences)), [len(k) for k in steps]),
-        tuple(
-            _distinct(
-                [
-                    configuration
-                    for configuration in configurations
-                    if np.isfinite(configuration.time_ns).any()
-                ]
-            )
-        ),
-        len(rows) - len(members),
+        tuple(steps),
+        np.repeat(np.arange(len(steps)), [len(k) for k in steps.values()]),
+        tuple(_distinct([times for times in pooled if np.isfinite(times.time_ns).any()])),
+        len(replays) - len(members),
     )
 
 
-def _distinct(configurations: Sequence[PooledConfiguration]) -> list[PooledConfiguration]:
+def _distinct(pooled: Sequence[PooledTimes]) -> list[PooledTimes]:
     """Each run once, under its most usual settings."""
-    once: dict[tuple[str, str, str, bytes], PooledConfiguration] = {}
-    for configuration in configurations:
-        key = (
-            configuration.solver,
-            configuration.route,
-            configuration.policy,
-            configuration.time_ns.tobytes(),
-        )
-        known = once.setdefault(key, configuration)
-        if settings_level(configuration.settings) < settings_level(known.settings):
-            once[key] = configuration
+    once: dict[tuple[str, str, str, bytes], PooledTimes] = {}
+    for times in pooled:
+        who = times.configuration
+        key = who.solver, who.route, who.policy, times.time_ns.tobytes()
+        known = once.setdefault(key, times).configuration
+        if settings_level(who.settings) < settings_level(known.settings):
+            once[key] = times
     return list(once.values())
 
 
-def _key(row: RunRecord) -> Key:
-    return str(row["solver"]), str(row["route"]), str(row["policy"]), str(row["settings"])
-
-
-def _steps(records: Records, rows: Sequence[RunRecord]) -> NDArray[np.int64]:
+def _steps(records: Records, runs: Sequence[RunRecord]) -> NDArray[np.int64]:
     """The steps of a sequence that any configuration has done."""
-    done = [times.k for times in map(records.times, rows) if times is not None]
+    done = [times.k for times in map(records.times, runs) if times is not None]
     return np.unique(np.concatenate(done)) if done else np.empty(0, dtype=np.int64)
 
 
-def _configuration(
+def _pooled(
     records: Records,
-    key: Key,
-    rows: dict[str, RunRecord],
-    sequences: Sequence[str],
-    steps: Sequence[NDArray[np.int64]],
+    configuration: Configuration,
+    runs: Mapping[str, RunRecord],
+    steps: Mapping[str, NDArray[np.int64]],
     demand: Demand,
-) -> PooledConfiguration:
-    times, errors = [], []
-    for name, asked in zip(sequences, steps, strict=True):
-        time, error = np.full(len(asked), np.nan), np.full(len(asked), np.inf)
-        found = records.times(rows[name])
-        if found is not None:
-            where = np.searchsorted(asked, found.k)
-            time[where], error[where] = found.algo_ns, found.error
-        times.append(time)
+) -> PooledTimes:
+    """The times of one configuration, of which `runs` has the replay of each sequence."""
+    times_ns, errors = [], []
+    for sequence, asked in steps.items():
+        time_ns, error = np.full(len(asked), np.nan), np.full(len(asked), np.inf)
+        times = records.times(runs[sequence])
+        if times is not None:
+            done = np.searchsorted(asked, times.k)
+            time_ns[done], error[done] = times.algo_ns, times.error
+        times_ns.append(time_ns)
         errors.append(error)
-    first = rows[sequences[0]]
-    return PooledConfiguration(
-        *key,
-        time_ns=np.concatenate(times),
+    default_route = runs[next(iter(steps))].default_route
+    return PooledTimes(
+        configuration,
+        time_ns=np.concatenate(times_ns),
         error=np.concatenate(errors),
-        right=all(is_right(row, demand) for row in rows.values()),
-        usual=bool(first["default_route"]) and key[2] == "fresh",
+        right=all(is_right(run, demand) for run in runs.values()),
+        is_default=default_route and configuration.policy == "fresh",
     )

@@ -21,7 +21,7 @@ from scipy.stats import rankdata
 
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.statistics import Floats
-from dpbench.analysis.times.pooled import CommonSteps, PooledConfiguration
+from dpbench.analysis.times.pooled import CommonSteps, PooledTimes
 
 LEFT_OUT = math.nan
 """The penalty that leaves unsolved steps out."""
@@ -44,19 +44,19 @@ class Ranked:
     Parameters
     ----------
     mean_ns : shifted geometric mean; unsolved : weighted share of unsolved steps.
-    rank : its place; other_ranks : other places by the name of the choice that leads to them.
+    place : its place; other_places : other places by the name of the choice that leads to them.
     """
 
-    configuration: PooledConfiguration
+    pooled: PooledTimes
     mean_ns: float
     unsolved: float
-    rank: int
-    other_ranks: dict[str, int]
+    place: int
+    other_places: dict[str, int]
 
 
 @dataclass(frozen=True)
 class Ranking:
-    """Solvers ranked at one accuracy, each in its best way there; `choice` ranks them.
+    """Solvers ranked at one accuracy, each in its best configuration there; `choice` ranks them.
 
     `others` are the choices it was made again with; `idle` are solvers without a solved step.
     """
@@ -64,7 +64,7 @@ class Ranking:
     level: float
     choice: Choice
     others: tuple[Choice, ...]
-    ranked_configuration: tuple[Ranked, ...]
+    ranked: tuple[Ranked, ...]
     idle: tuple[str, ...]
 
 
@@ -97,125 +97,111 @@ def weighted_median(values: Floats, weights: Floats) -> float:
     return float(values[order[min(at, len(order) - 1)]])
 
 
-def scale_of(common_steps: CommonSteps, level: float) -> tuple[float, PooledConfiguration]:
-    """Median step time of the fastest configuration, and that configuration: the natural shift of
-    the data.
+def scale_of(common_steps: CommonSteps, level: float) -> tuple[float, PooledTimes]:
+    """Median step time of the fastest configuration, and its times: the natural shift of the data.
 
     The fastest by median among the configurations that solve every step; among all where none does.
     """
-    able = [
-        configuration
-        for configuration in common_steps.configurations
-        if configuration.solved(level).all()
-    ] or [
-        configuration
-        for configuration in common_steps.configurations
-        if np.isfinite(configuration.time_ns).all()
-    ]
-    able = able or list(common_steps.configurations)
-    medians = [_median_of(configuration, common_steps.weights) for configuration in able]
+    pooled = common_steps.pooled
+    able = (
+        [times for times in pooled if times.solved(level).all()]
+        or [times for times in pooled if np.isfinite(times.time_ns).all()]
+        or list(pooled)
+    )
+    medians = [_median_of(times, common_steps.weights) for times in able]
     best = int(np.argmin(medians))
     return medians[best], able[best]
 
 
-def _median_of(configuration: PooledConfiguration, weights: Floats) -> float:
-    done = np.isfinite(configuration.time_ns)
-    return weighted_median(configuration.time_ns[done], weights[done])
+def _median_of(times: PooledTimes, weights: Floats) -> float:
+    done = np.isfinite(times.time_ns)
+    return weighted_median(times.time_ns[done], weights[done])
 
 
 def best_configurations(
     common_steps: CommonSteps, level: float, choice: Choice
-) -> list[PooledConfiguration]:
-    """The way of each solver that leaves the least unsolved, and of those the smallest mean.
+) -> list[PooledTimes]:
+    """Of each solver the configuration that leaves the least unsolved, and of those the smallest
+    mean.
 
     Solvers without a solved step are left out: a mean of penalties is no speed.
     """
-    best: dict[str, tuple[tuple[float, float], PooledConfiguration]] = {}
-    for configuration in common_steps.configurations:
-        solved = configuration.solved(level)
+    best: dict[str, tuple[tuple[float, float], PooledTimes]] = {}
+    for times in common_steps.pooled:
+        solved, solver = times.solved(level), times.configuration.solver
         if solved.any():
-            mean = shifted_mean(configuration.time_ns, solved, common_steps.weights, choice)
-            found = (_unsolved(common_steps, configuration, level), mean), configuration
-            if configuration.solver not in best or found[0] < best[configuration.solver][0]:
-                best[configuration.solver] = found
-    return [configuration for _, configuration in best.values()]
+            mean_ns = shifted_mean(times.time_ns, solved, common_steps.weights, choice)
+            score = _unsolved(common_steps, times, level), mean_ns
+            if solver not in best or score < best[solver][0]:
+                best[solver] = score, times
+    return [times for _, times in best.values()]
 
 
-def _unsolved(common_steps: CommonSteps, configuration: PooledConfiguration, level: float) -> float:
-    return float(common_steps.weights[~configuration.solved(level)].sum())
+def _unsolved(common_steps: CommonSteps, times: PooledTimes, level: float) -> float:
+    return float(common_steps.weights[~times.solved(level)].sum())
 
 
 def rank(common_steps: CommonSteps, level: float, demand: Demand) -> Ranking:
     """Rank the solvers at an accuracy, and mark the places that do not survive other choices."""
-    shift, _ = scale_of(common_steps, level)
-    base = Choice("", demand.deadline_ns, shift)
-    configurations = best_configurations(common_steps, level, base)
-    others = _others(common_steps, base, configurations)
-    means, places = _places(common_steps, level, configurations, base)
-    moved = {other.name: _places(common_steps, level, configurations, other)[1] for other in others}
-    ranked_configuration = [
+    shift_ns, _ = scale_of(common_steps, level)
+    base = Choice("", demand.deadline_ns, shift_ns)
+    pooled = best_configurations(common_steps, level, base)
+    others = _others(common_steps, base, pooled)
+    means_ns, places = _places(common_steps, level, pooled, base)
+    moved = {other.name: _places(common_steps, level, pooled, other)[1] for other in others}
+    ranked = [
         Ranked(
-            configuration,
-            means[i],
-            _unsolved(common_steps, configuration, level),
+            times,
+            means_ns[i],
+            _unsolved(common_steps, times, level),
             places[i],
-            {name: found[i] for name, found in moved.items() if found[i] != places[i]},
+            {name: elsewhere[i] for name, elsewhere in moved.items() if elsewhere[i] != places[i]},
         )
-        for i, configuration in enumerate(configurations)
+        for i, times in enumerate(pooled)
     ]
-    able = {configuration.solver for configuration in configurations}
-    idle = dict.fromkeys(
-        configuration.solver
-        for configuration in common_steps.configurations
-        if configuration.solver not in able
+    able = {times.configuration.solver for times in pooled}
+    solvers = dict.fromkeys(times.configuration.solver for times in common_steps.pooled)
+    return Ranking(
+        level,
+        base,
+        tuple(others),
+        tuple(sorted(ranked, key=lambda r: (r.place, r.pooled.configuration.solver))),
+        tuple(solver for solver in solvers if solver not in able),
     )
-    ordered = sorted(ranked_configuration, key=lambda p: (p.rank, p.configuration.solver))
-    return Ranking(level, base, tuple(others), tuple(ordered), tuple(idle))
 
 
-def _others(
-    common_steps: CommonSteps, base: Choice, configurations: Sequence[PooledConfiguration]
-) -> list[Choice]:
+def _others(common_steps: CommonSteps, base: Choice, pooled: Sequence[PooledTimes]) -> list[Choice]:
     """Every other choice, one change at a time."""
     p, s = base.penalty_ns, base.shift_ns
-    longest = max(
-        (float(np.nanmax(configuration.time_ns)) for configuration in configurations), default=p
-    )
-    found = [
+    longest_ns = max((float(np.nanmax(times.time_ns)) for times in pooled), default=p)
+    without = common_steps.sequences if len(common_steps.sequences) > 1 else ()
+    return [
         Choice("penalty × 10", 10.0 * p, s),
-        Choice("penalty of the longest step", longest, s),
+        Choice("penalty of the longest step", longest_ns, s),
         Choice("unsolved steps left out", LEFT_OUT, s),
         Choice("shift × 0.1", p, 0.1 * s),
         Choice("shift × 10", p, 10.0 * s),
+        *(Choice(f"without `{name}`", p, s, i) for i, name in enumerate(without)),
     ]
-    if len(common_steps.sequences) > 1:
-        found += [
-            Choice(f"without `{name}`", p, s, i) for i, name in enumerate(common_steps.sequences)
-        ]
-    return found
 
 
 def _places(
-    common_steps: CommonSteps,
-    level: float,
-    configurations: Sequence[PooledConfiguration],
-    choice: Choice,
+    common_steps: CommonSteps, level: float, pooled: Sequence[PooledTimes], choice: Choice
 ) -> tuple[list[float], list[int]]:
     """Means and places of the configurations by one choice; equal means share the better place."""
     weights = common_steps.weights_without(choice.without)
-    means = [
-        shifted_mean(configuration.time_ns, configuration.solved(level), weights, choice)
-        for configuration in configurations
+    means_ns = [
+        shifted_mean(times.time_ns, times.solved(level), weights, choice) for times in pooled
     ]
-    places = rankdata(means, method="min").astype(int).tolist() if means else []
-    return means, places
+    places = rankdata(means_ns, method="min").astype(int).tolist() if means_ns else []
+    return means_ns, places
 
 
 def profiles(
-    common_steps: CommonSteps, configurations: Sequence[PooledConfiguration], level: float
+    common_steps: CommonSteps, pooled: Sequence[PooledTimes], level: float
 ) -> list[tuple[Floats, Floats]]:
-    """Performance profile of each configuration: ratios to the fastest of `configurations` and the
-    shares within them.
+    """Performance profile of each configuration: ratios to the fastest of `pooled` and the shares
+    within them.
 
     Returns
     -------
@@ -223,17 +209,12 @@ def profiles(
     steps that it solves within so many times the time of the fastest configuration that solves
     them.
     """
-    times = np.array(
-        [
-            np.where(configuration.solved(level), configuration.time_ns, np.inf)
-            for configuration in configurations
-        ]
-    )
-    best = times.min(axis=0) if len(configurations) else times
-    found = []
-    for row in times:
-        solved = np.isfinite(row)
-        ratios = row[solved] / best[solved]
+    times_ns = np.array([np.where(times.solved(level), times.time_ns, np.inf) for times in pooled])
+    best_ns = times_ns.min(axis=0) if len(pooled) else times_ns
+    curves = []
+    for own_ns in times_ns:
+        solved = np.isfinite(own_ns)
+        ratios = own_ns[solved] / best_ns[solved]
         order = np.argsort(ratios, kind="stable")
-        found.append((ratios[order], np.cumsum(common_steps.weights[solved][order])))
-    return found
+        curves.append((ratios[order], np.cumsum(common_steps.weights[solved][order])))
+    return curves

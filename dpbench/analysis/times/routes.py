@@ -1,4 +1,4 @@
-"""RouteComparison to run a solver, from the wrapper down to a warm start, each compared with its
+"""The routes of a solver, from the wrapper down to a warm start, each compared with its
 neighbour.
 
 The order is qpsolvers fresh, native fresh, native reuse, native warm: the first step down is what
@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dpbench.analysis.records import Records, RunRecord
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
 from dpbench.analysis.statistics import Interval, paired_ratio
 from dpbench.analysis.step_times import StepTimes
 from dpbench.analysis.times.pairs import common_steps
@@ -35,7 +36,7 @@ ABOVE: dict[RoutePolicy, tuple[RoutePolicy, ...]] = {
     WARM: (KEPT, NATIVE),
     WRAPPED_WARM: (WRAPPED,),
 }
-"""The neighbours a way is compared with: the first that was measured."""
+"""The neighbours a route is compared with: the first that was measured."""
 
 SLOWER_SHARE = 0.05
 SLOWER_NS = 200.0
@@ -44,7 +45,7 @@ SLOWER_NS = 200.0
 
 @dataclass(frozen=True)
 class Comparison:
-    """One way of running a solver beside its neighbour, on the steps that both have done.
+    """A route of a solver beside its neighbour, on the steps that both have done.
 
     Parameters
     ----------
@@ -66,99 +67,97 @@ class Comparison:
 
 @dataclass(frozen=True, eq=False)
 class RouteComparison:
-    """All ways in which one solver was replayed on one sequence at one settings level."""
+    """One solver on all its routes, replayed on one sequence at one settings level."""
 
     solver: str
     settings: str
-    rows: dict[RoutePolicy, RunRecord]
+    runs: dict[RoutePolicy, RunRecord]
     times: dict[RoutePolicy, StepTimes]
 
-    def median_ns(self, way: RoutePolicy) -> float:
-        """Median of the algorithmic step time; NaN where the way left no step."""
-        return float(np.median(self.times[way].algo_ns)) if way in self.times else float(np.nan)
+    def median_ns(self, route: RoutePolicy) -> float:
+        """Median of the algorithmic step time; NaN where the route left no step."""
+        return float(np.median(self.times[route].algo_ns)) if route in self.times else np.nan
 
     @property
     def best_ns(self) -> float:
-        """The smallest median of all ways."""
-        return min(self.median_ns(way) for way in self.times)
+        """The smallest median of all routes."""
+        return min(map(self.median_ns, self.times))
 
     @property
     def best_kept(self) -> RoutePolicy | None:
         """The faster of native reuse and native warm; None where neither left a step."""
-        return min((w for w in (KEPT, WARM) if w in self.times), key=self.median_ns, default=None)
+        kept = (route for route in (KEPT, WARM) if route in self.times)
+        return min(kept, key=self.median_ns, default=None)
 
-    def neighbour(self, way: RoutePolicy) -> RoutePolicy | None:
-        """The way above it that was measured."""
-        return next((above for above in ABOVE.get(way, ()) if above in self.times), None)
+    def neighbour(self, route: RoutePolicy) -> RoutePolicy | None:
+        """The route above it that was measured."""
+        return next((above for above in ABOVE.get(route, ()) if above in self.times), None)
 
     def compare(
-        self, way: RoutePolicy, above: RoutePolicy | None, comparisons: int = 1
+        self, route: RoutePolicy, above: RoutePolicy | None, comparisons: int = 1
     ) -> Comparison | None:
-        """`way` beside `above`; None when one of them left no common step."""
-        if above is None or above not in self.times or way not in self.times:
+        """`route` beside `above`; None when one of them left no common step."""
+        if above is None or above not in self.times or route not in self.times:
             return None
-        mine, theirs = self.times[way], self.times[above]
-        i, j = common_steps(mine, theirs)
+        here, there = self.times[route], self.times[above]
+        i, j = common_steps(here, there)
         if len(i) == 0:
             return None
-        here, there = mine.algo_ns[i], theirs.algo_ns[j]
-        longer = here - there
-        slower = (longer > SLOWER_SHARE * there) & (longer > SLOWER_NS)
+        here_ns, there_ns = here.algo_ns[i], there.algo_ns[j]
+        longer_ns = here_ns - there_ns
+        slower = (longer_ns > SLOWER_SHARE * there_ns) & (longer_ns > SLOWER_NS)
         return Comparison(
             above=above,
-            gain=paired_ratio(there, here, comparisons=comparisons),
-            saved_ns=float(np.median(there) - np.median(here)),
+            gain=paired_ratio(there_ns, here_ns, comparisons=comparisons),
+            saved_ns=float(np.median(there_ns) - np.median(here_ns)),
             steps=len(i),
             slower=int(slower.sum()),
-            slower_ns=float(longer[slower].max(initial=0.0)),
-            wrong=tuple(mine.k[i][~mine.true[i] & theirs.true[j]].tolist()),
-            mended=int((mine.true[i] & ~theirs.true[j]).sum()),
+            slower_ns=float(longer_ns[slower].max(initial=0.0)),
+            wrong=tuple(here.k[i][~here.true[i] & there.true[j]].tolist()),
+            mended=int((here.true[i] & ~there.true[j]).sum()),
         )
 
-    def why_missing(self, way: RoutePolicy) -> str:
-        """Why a way left no step, in the library's or the harness's own words."""
-        row = self.rows.get(way)
-        if row is None:
-            return _not_offered(self.solver, way)
-        detail = str(row["outcome_detail"]).strip().rstrip(".")
-        if row["outcome"] == "finished":
+    def why_missing(self, route: RoutePolicy) -> str:
+        """Why a route left no step, in the library's or the harness's own words."""
+        run = self.runs.get(route)
+        if run is None:
+            return _not_offered(self.solver, route)
+        detail = run.outcome_detail.strip().rstrip(".")
+        if run.outcome == "finished":
             return "no counting round left a step"
-        return detail or f"{str(row['outcome']).replace('_', ' ')}, no reason was recorded"
+        return detail or f"{run.outcome.replace('_', ' ')}, no reason was recorded"
 
 
-def _not_offered(solver: str, way: RoutePolicy) -> str:
+def _not_offered(solver: str, route: RoutePolicy) -> str:
     try:
-        routes = record(solver).policies
+        offered = record(solver).policies
     except UnknownNameError:
         return "the suite does not run it"
-    if way[0] not in routes:
-        return f"it has no route {way[0]}"
-    return "the suite does not run it"
+    return "the suite does not run it" if route[0] in offered else f"it has no route {route[0]}"
 
 
 def route_comparisons(records: Records, sequence: str) -> list[RouteComparison]:
     """All solvers at all settings levels of a sequence, the fastest first; none without a step."""
-    found: dict[tuple[str, str], dict[RoutePolicy, RunRecord]] = {}
-    for row in records.replays(sequence):
-        configurations = found.setdefault((str(row["solver"]), str(row["settings"])), {})
-        configurations[str(row["route"]), str(row["policy"])] = row
-    ways = []
-    for (solver, settings), rows in found.items():
-        timed = {way: records.times(row) for way, row in rows.items()}
-        times = {way: t for way, t in timed.items() if t is not None}
+    by_solver: dict[tuple[str, str], dict[RoutePolicy, RunRecord]] = {}
+    for run in records.replays(sequence):
+        by_solver.setdefault((run.solver, run.settings), {})[run.route, run.policy] = run
+    comparisons = []
+    for (solver, settings), runs in by_solver.items():
+        timed = {route: records.times(run) for route, run in runs.items()}
+        times = {route: of_route for route, of_route in timed.items() if of_route is not None}
         if times:
-            ways.append(RouteComparison(solver, settings, rows, times))
-    return sorted(ways, key=lambda w: (w.best_ns, w.solver))
+            comparisons.append(RouteComparison(solver, settings, runs, times))
+    return sorted(comparisons, key=lambda comparison: (comparison.best_ns, comparison.solver))
 
 
-def native_comparisons(ways: Sequence[RouteComparison]) -> list[RouteComparison]:
+def native_comparisons(comparisons: Sequence[RouteComparison]) -> list[RouteComparison]:
     """Those with a native configuration; none when not one of them has a neighbour to be compared
     with."""
-    native = [w for w in ways if any(route == "native" for route, _ in w.times)]
-    compared = any(w.neighbour(way) for w in native for way in w.times if way[0] == "native")
+    native = [c for c in comparisons if any(route == "native" for route, _ in c.times)]
+    compared = any(c.neighbour(route) for c in native for route in c.times if route[0] == "native")
     return native if compared else []
 
 
-def route_policy_text(way: RoutePolicy) -> str:
+def route_policy_text(route: RoutePolicy) -> str:
     """`native warm`."""
-    return " ".join(way)
+    return " ".join(route)

@@ -21,7 +21,7 @@ from dpbench.bench.run.exact_loop import ExactLoop, base_problem
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Units
 from dpbench.qp.referee.referee import ACTIVE_MULTIPLIER, Optimum, Referee, claim_is_true, error_of
-from dpbench.qp.residuals import Residuals, best_multipliers, is_true, residuals
+from dpbench.qp.residuals import TRUE_TOL, Residuals, best_multipliers, is_true, residuals
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import scenario_once
 
@@ -147,7 +147,7 @@ def _facts(optimum: Optimum) -> tuple[float, float]:
 
 
 def _truth(qp: QuadraticProgram, measured: Residuals, plan: float) -> tuple[bool, ...]:
-    return tuple(is_true(qp, measured, plan, tol) for tol in (1e-3, 1e-4, 1e-6))
+    return tuple(is_true(qp, measured, plan, tol) for tol in (TRUE_TOL, 1e-4, 1e-6))
 
 
 def recorded_answer(log: RawLog, r: int, k: int) -> Solution:

@@ -17,13 +17,11 @@ steps, and identical bytes are what repeatability and paired comparisons rest on
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from dpbench.bench.record.configuration import COLUMNS
 from dpbench.bench.record.raw_log import RawLog
 
 FEWEST_VISITS = 20
@@ -82,15 +80,15 @@ def _slower(log: RawLog, r: int) -> float:
     return max(1.0, float(log.first_reference_kernel_ns[r] / seen.min()))
 
 
-def remembers(row: Mapping[str, Any]) -> bool:
-    """Whether a row of `runs.parquet` is of a replay whose times are those of remembered answers.
+def is_remembered(first_visit_ratio: float, loop_ratio: float) -> bool:
+    """Whether the times of a replay are those of remembered answers, by its two ratios.
 
-    A ratio that is not there (no replay, too few steps, no closed loop) marks nobody.
+    A ratio that is not there (no replay, too few steps, no closed loop) is NaN and marks nobody.
     """
-    return bool(row["first_visit_ratio"] > MOST_WARMING or row["loop_ratio"] > MOST_LOOP)
+    return first_visit_ratio > MOST_WARMING or loop_ratio > MOST_LOOP
 
 
-_CONFIGURATION = ["scenario", "solver", "route", "policy", "settings", "formulation", "units"]
+_CONFIGURATION = ["scenario", *COLUMNS]
 
 
 def with_loop_ratio(runs: pd.DataFrame) -> pd.DataFrame:

@@ -6,7 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from dpbench.analysis.compare.evidence import ARM_NOISE, Evidence, Prior, assess, gather, holm
+from dpbench.analysis.compare.evidence import (
+    CONFIGURATION_NOISE,
+    Evidence,
+    Prior,
+    assess,
+    gather,
+    holm,
+)
 
 FLAT = Prior(sd=0.01, df=6.0)
 """The prior of the simulations, whose noise is drawn with this standard deviation."""
@@ -120,7 +127,7 @@ def test_the_machine_factor_is_that_of_the_sequence_and_never_the_configurations
     """Two sequences with machine factors 1.2 and 0.9; each configuration is judged by its
     neighbours."""
     logs = np.log(np.array([1.2, 1.2, 1.2, 1.2, 0.9, 0.9, 0.9, 1.8]))
-    found = gather(logs, np.zeros(8), ["paper"] * 4 + ["rough"] * 4, ARM_NOISE)
+    found = gather(logs, np.zeros(8), ["paper"] * 4 + ["rough"] * 4, CONFIGURATION_NOISE)
     assert np.exp(found.machine) == pytest.approx([1.2] * 4 + [0.9] * 4)
     assert np.exp(found.effect[7]) == pytest.approx(2.0)
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.stats import gmean
 
 from dpbench.analysis.demand import Demand
-from dpbench.analysis.times.pooled import CommonSteps, PooledConfiguration, common_steps
+from dpbench.analysis.times.pooled import CommonSteps, PooledTimes, common_steps
 from dpbench.analysis.times.ranks import (
     LEFT_OUT,
     Choice,
@@ -22,6 +22,7 @@ from dpbench.analysis.times.ranks import (
     shifted_mean,
     weighted_median,
 )
+from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.record.result_folder import load_results
 from dpbench.report.blocks import Picture, Tabular
 from dpbench.report.section_ranks import ranks_section
@@ -34,16 +35,16 @@ POSITIVE = st.floats(1.0, 1e6)
 
 def _configuration(
     solver: str, times: Any, error: Any = 0.0, settings: str = "default"
-) -> PooledConfiguration:
+) -> PooledTimes:
     time = np.asarray(times, dtype=np.float64)
     errors = np.broadcast_to(np.asarray(error, dtype=np.float64), time.shape).copy()
     right = bool((errors <= DEMAND.error_move).all())
-    return PooledConfiguration(solver, "native", "fresh", settings, time, errors, right, True)
+    return PooledTimes(
+        Configuration(solver, "native", "fresh", settings), time, errors, right, True
+    )
 
 
-def _pool(
-    *configurations: PooledConfiguration, counts: tuple[int, ...] | None = None
-) -> CommonSteps:
+def _pool(*configurations: PooledTimes, counts: tuple[int, ...] | None = None) -> CommonSteps:
     counts = (len(configurations[0].time_ns),) if counts is None else counts
     names = tuple("abc"[: len(counts)])
     return CommonSteps(names, np.repeat(np.arange(len(counts)), counts), configurations, 0)
@@ -106,8 +107,8 @@ def test_a_looser_accuracy_solves_more() -> None:
 
 def _other_ranks(common_steps: CommonSteps) -> dict[str, dict[str, int]]:
     return {
-        p.configuration.solver: p.other_ranks
-        for p in rank(common_steps, 1e-2, DEMAND).ranked_configuration
+        p.pooled.configuration.solver: p.other_places
+        for p in rank(common_steps, 1e-2, DEMAND).ranked
     }
 
 
@@ -146,22 +147,22 @@ def test_a_rank_that_one_sequence_decides_is_marked() -> None:
     """a is 10 times as fast on one sequence, b 2 times on the other: a leads but for the first."""
     a, b = _configuration("a", [1e3] * 5 + [2e3] * 50), _configuration("b", [10e3] * 5 + [1e3] * 50)
     found = rank(_pool(a, b, counts=(5, 50)), 1e-2, DEMAND)
-    assert [(p.configuration.solver, p.rank) for p in found.ranked_configuration] == [
+    assert [(p.pooled.configuration.solver, p.place) for p in found.ranked] == [
         ("a", 1),
         ("b", 2),
     ]
-    assert [p.other_ranks for p in found.ranked_configuration] == [
+    assert [p.other_places for p in found.ranked] == [
         {"without `a`": 2},
         {"without `a`": 1},
     ]
-    assert sensitivity_text(found.ranked_configuration[0]) == "2: without `a`"
+    assert sensitivity_text(found.ranked[0]) == "2: without `a`"
 
 
 def test_a_clear_order_is_stable() -> None:
     """A solver twice as fast on every step is first under every choice; equals share a place."""
     pooled = _pool(*(_configuration(s, [t] * 6) for s, t in (("x", 1e3), ("y", 2e3), ("z", 2e3))))
     assert _other_ranks(pooled) == {"x": {}, "y": {}, "z": {}}
-    assert [p.rank for p in rank(pooled, 1e-2, DEMAND).ranked_configuration] == [1, 2, 2]
+    assert [p.place for p in rank(pooled, 1e-2, DEMAND).ranked] == [1, 2, 2]
 
 
 def test_the_way_that_solves_most_is_the_one_that_is_ranked() -> None:
@@ -171,10 +172,12 @@ def test_the_way_that_solves_most_is_the_one_that_is_ranked() -> None:
     tighter = _configuration("osqp", [3e3] * 9, settings="mid")
     pooled, choice = _pool(fast, tight, tighter), Choice("", 1e6, 1e3)
     assert [
-        configuration.settings for configuration in best_configurations(pooled, 1e-4, choice)
+        configuration.configuration.settings
+        for configuration in best_configurations(pooled, 1e-4, choice)
     ] == ["high"]
     assert [
-        configuration.settings for configuration in best_configurations(pooled, 1e-2, choice)
+        configuration.configuration.settings
+        for configuration in best_configurations(pooled, 1e-2, choice)
     ] == ["default"]
 
 
@@ -183,7 +186,7 @@ def test_who_solves_nothing_is_not_ranked() -> None:
     found = rank(
         _pool(_configuration("a", [1e3] * 3), _configuration("b", [1.0] * 3, 0.5)), 1e-2, DEMAND
     )
-    assert ([p.configuration.solver for p in found.ranked_configuration], found.idle) == (
+    assert ([p.pooled.configuration.solver for p in found.ranked], found.idle) == (
         ["a"],
         ("b",),
     )
@@ -201,13 +204,16 @@ def test_a_pool_holds_what_all_its_configurations_were_asked_for(records: Any) -
     records.replay("once", steps=40)
     pooled = common_steps(records.view(), DEMAND)
     assert pooled is not None
-    assert ([configuration.solver for configuration in pooled.configurations], pooled.left_out) == (
+    assert (
+        [configuration.configuration.solver for configuration in pooled.pooled],
+        pooled.left_out,
+    ) == (
         ["whole", "flawed", "early"],
         1,
     )
     assert np.bincount(pooled.sequence_of).tolist() == [40, 10]
     assert pooled.weights[:40].sum() == pytest.approx(0.5)
-    whole, flawed, early = pooled.configurations
+    whole, flawed, early = pooled.pooled
     assert (whole.solved(1e-4).all(), whole.solved(1e-6).any()) == (True, False)
     assert np.flatnonzero(~flawed.solved(1e-2)).tolist() == [2, 3, 42, 43]
     assert np.flatnonzero(early.solved(1e-2)).tolist() == [*range(6), *range(40, 46)]
@@ -224,8 +230,8 @@ def test_a_sequence_that_nobody_got_through_is_no_part_of_a_pool(records: Any) -
     assert pooled is not None
     assert pooled.sequences == ("paper",)
     assert pooled.weights.sum() == pytest.approx(1.0)
-    assert [configuration.right for configuration in pooled.configurations] == [False, False]
-    assert len(rank(pooled, 1e-2, DEMAND).ranked_configuration) == 2
+    assert [configuration.right for configuration in pooled.pooled] == [False, False]
+    assert len(rank(pooled, 1e-2, DEMAND).ranked) == 2
 
 
 def test_the_section_says_when_nothing_was_replayed(records: Any) -> None:

@@ -9,10 +9,12 @@ import pytest
 
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.statistics import pooled_mean
-from dpbench.analysis.times.pooled import CommonSteps, PooledConfiguration, common_steps
-from dpbench.analysis.times.ratios import baseline_of, ratios
+from dpbench.analysis.times.fastest import fastest_on
+from dpbench.analysis.times.pooled import CommonSteps, PooledTimes, common_steps
+from dpbench.analysis.times.ratios import ratios
 from dpbench.bench.plan.configurations import choose_solvers
 from dpbench.bench.plan.suite import ReportTable, SuiteFile
+from dpbench.bench.record.configuration import Configuration
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.report.tables_ranks import ratio_tables
@@ -27,10 +29,10 @@ def _pool(records: Any) -> CommonSteps:
     return found
 
 
-def _configuration(solver: str, times: list[float]) -> PooledConfiguration:
+def _configuration(solver: str, times: list[float]) -> PooledTimes:
     time = np.array(times)
-    return PooledConfiguration(
-        solver, "native", "fresh", "default", time, np.zeros(len(time)), True, True
+    return PooledTimes(
+        Configuration(solver, "native", "fresh"), time, np.zeros(len(time)), True, True
     )
 
 
@@ -43,7 +45,7 @@ def test_sequences_weigh_the_same_in_a_ratio() -> None:
     pooled = CommonSteps(("a", "b"), np.repeat([0, 1], [1000, 80]), (base, other), 0)
     (found,) = ratios(pooled, base)
     assert found.per_sequence == pytest.approx((2.0, 8.0))
-    interval = (found.pooled.value, found.pooled.low, found.pooled.high)
+    interval = (found.mean.value, found.mean.low, found.mean.high)
     assert interval == pytest.approx((4.0, 4.0, 4.0))
     assert not found.turns
 
@@ -62,7 +64,7 @@ def test_only_common_steps_are_compared() -> None:
         _configuration("other", [2.0, np.nan, 9.0, 2.0]),
     )
     (found,) = ratios(CommonSteps(("a",), np.zeros(4, dtype=int), (base, other), 0), base)
-    assert (found.steps, found.pooled.value) == (2, pytest.approx(2.0))
+    assert (found.steps, found.mean.value) == (2, pytest.approx(2.0))
 
 
 @pytest.mark.parametrize(
@@ -110,10 +112,10 @@ def test_the_baseline_is_the_fastest_right_configuration(records: Any) -> None:
     records.replay("right", median_us=10.0, policy="warm")
     records.replay("right", median_us=20.0)
     pooled = _pool(records)
-    chosen = baseline_of(pooled, None)
-    assert (chosen.solver, chosen.policy) == ("right", "warm")
-    assert baseline_of(pooled, "wrong").solver == "wrong"
-    assert baseline_of(pooled, "never heard of") is chosen
+    chosen = fastest_on(pooled, None)
+    assert (chosen.configuration.solver, chosen.configuration.policy) == ("right", "warm")
+    assert fastest_on(pooled, "wrong").configuration.solver == "wrong"
+    assert fastest_on(pooled, "never heard of") is chosen
 
 
 def test_settings_without_effect_are_compared_once(records: Any) -> None:
@@ -121,7 +123,7 @@ def test_settings_without_effect_are_compared_once(records: Any) -> None:
     records.replay("other", median_us=5.0)
     for settings in ("high", "default"):
         records.replay("quadprog", settings=settings, spread=0.0, rounds=1)
-    assert [(a.solver, a.settings) for a in _pool(records).configurations] == [
+    assert [(a.configuration.solver, a.configuration.settings) for a in _pool(records).pooled] == [
         ("other", "default"),
         ("quadprog", "default"),
     ]

@@ -5,11 +5,8 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.times.work_precision import (
-    default_route_levels,
-    fastest_at,
-    native_route_levels,
-)
+from dpbench.analysis.times.fastest import fastest_at
+from dpbench.analysis.times.work_precision import default_route_levels, native_route_levels
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import load_suite
 from dpbench.solvers.settings import setting_names, settings_matter
@@ -42,8 +39,8 @@ def test_the_points_have_their_levels_in_order_and_leaves_out_other_ways(records
         records.replay("osqp", settings=settings)
     records.replay("osqp", settings="mid", policy="warm", median_us=1.0)
     (points,) = default_route_levels(records.view(), BOTH[:1]).values()
-    assert [point.settings for point in points] == ["default", "low", "mid", "high"]
-    assert {point.policy for point in points} == {"fresh"}
+    assert [point.configuration.settings for point in points] == ["default", "low", "mid", "high"]
+    assert {point.configuration.policy for point in points} == {"fresh"}
 
 
 def test_a_native_route_takes_the_fastest_policy(records: Any) -> None:
@@ -55,9 +52,11 @@ def test_a_native_route_takes_the_fastest_policy(records: Any) -> None:
         records.replay("osqp", **way, median_us=us, spread=0.0)
     records.replay("osqp", median_us=1.0)
     (points,) = native_route_levels(records.view(), BOTH[:1]).values()
-    found = [(point.policy, point.settings, point.p50_ns) for point in points]
+    found = [
+        (point.configuration.policy, point.configuration.settings, point.p50_ns) for point in points
+    ]
     assert found == [("warm", "default", 5e3), ("warm", "high", 60e3)]
-    assert {point.route for point in points} == {"native"}
+    assert {point.configuration.route for point in points} == {"native"}
 
 
 def test_a_solver_on_one_sequence_of_two_has_no_point(records: Any) -> None:

@@ -6,8 +6,9 @@ The clock is simulated (but for one whole campaign): solving takes `WORK_NS`, lo
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,8 +17,8 @@ import pytest
 from dpbench import load_results, load_scenario, record_sequence, run_campaign
 from dpbench.bench.judge.memory_of_answers import (
     FEWEST_VISITS,
+    is_remembered,
     memory_metrics,
-    remembers,
     with_loop_ratio,
 )
 from dpbench.bench.record.raw_log import RawLog, replay_layout
@@ -32,6 +33,11 @@ from dpbench.solvers.open import open_workspace
 
 WORK_NS, LOOK_UP_NS, SETUP_NS = 2_000_000, 14_000, 50_000_000
 STEPS, WARM_UP, ROUNDS = 80, 20, 4
+
+
+def remembers(row: Mapping[str, Any]) -> bool:
+    """Whether a row of `runs.parquet` is of remembered answers."""
+    return bool(is_remembered(row["first_visit_ratio"], row["loop_ratio"]))
 
 
 class Clock:

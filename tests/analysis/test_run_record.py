@@ -1,0 +1,93 @@
+"""The typed record of a run: no column of the schema is forgotten, and facts are read once."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import fields
+from typing import Any, get_args, get_type_hints
+
+import pandas as pd
+import pytest
+
+from dpbench.analysis.run_record import Count, RunRecord, records_of
+from dpbench.bench.record.configuration import Configuration
+from dpbench.bench.record.schema import RUN_COLUMNS, as_runs
+
+TYPES = {"str": str, "bool": bool, "int64": int, "Int64": Count, "float64": float}
+DERIVED = {"description", "family", "drawn_n", "drawn_m", "default_route", "own_switches_a_step"}
+
+
+def _record(**columns: Any) -> RunRecord:
+    (record,) = records_of(as_runs(pd.DataFrame([columns])))
+    return record
+
+
+def test_a_record_has_exactly_the_columns_of_the_schema() -> None:
+    """By name, order and type; what is found out beside them is named here."""
+    names = [field.name for field in fields(RunRecord)]
+    assert [name for name in names if name not in DERIVED] == list(RUN_COLUMNS)
+    assert set(names) > DERIVED
+    hints = get_type_hints(RunRecord)
+    for column, (dtype, _) in RUN_COLUMNS.items():
+        literals = {type(value) for value in get_args(hints[column])}
+        assert (literals or {hints[column]}) == {TYPES[dtype]}, column
+
+
+def test_every_column_is_read_as_its_type() -> None:
+    """A null of a nullable integer is NaN, as a missing float is."""
+    record = _record(run_id="a", mode="replay", steps_planned=5, rounds=3, generic_build=True)
+    for column, (dtype, _) in RUN_COLUMNS.items():
+        assert isinstance(getattr(record, column), TYPES[dtype]), column
+    assert (record.run_id, record.steps_planned, record.rounds) == ("a", 5, 3.0)
+    assert math.isnan(record.failed_steps) and math.isnan(record.r_rms_m)
+    assert record.generic_build and not record.default_route
+
+
+def test_a_random_sequence_has_the_family_and_size_it_was_drawn_with() -> None:
+    recipe = {"family": "plain", "n": 8, "m": 12}
+    record = _record(cell=json.dumps({"source": {"kind": "random", "recipe": recipe}}), n=8, m=20)
+    assert (record.family, record.drawn_n, record.drawn_m, record.m) == ("plain", 8, 12, 20.0)
+    recorded = _record(cell=json.dumps({"source": {"kind": "recorded", "name": "x"}}))
+    assert (recorded.family, recorded.scenario_files) == ("", None)
+
+
+@pytest.mark.parametrize(
+    ("sequence", "without"),
+    [("paper-60-10[0:300]", "paper[0:300]"), ("paper-60-10", "paper"), ("rough[9:12]",) * 2],
+)
+def test_horizons_are_told_from_the_name(sequence: str, without: str) -> None:
+    record = _record(sequence=sequence, N_p=60, N_c=10)
+    assert record.horizons == (60, 10)
+    assert record.sequence_without_horizons == without
+    assert _record(sequence=sequence).horizons is None
+
+
+@pytest.mark.parametrize(
+    ("columns", "label", "name"),
+    [
+        ({}, "osqp (native fresh)", "osqp (native)"),
+        ({"policy": "warm"}, "osqp (native warm)", "osqp (native, warm)"),
+        ({"settings": "high"}, "osqp (native fresh, high)", "osqp (native, high)"),
+        ({"units": "si"}, "osqp (native fresh, si)", "osqp (native), si"),
+        ({"formulation": "none"}, "osqp (native fresh)", "osqp (native)"),
+        (
+            {"formulation": "condensed_stacked"},
+            "osqp (native fresh, condensed stacked)",
+            "osqp (native), condensed stacked",
+        ),
+    ],
+)
+def test_a_configuration_is_called_by_what_is_not_the_default(
+    columns: dict[str, str], label: str, name: str
+) -> None:
+    plain = {"policy": "fresh", "settings": "default", "units": "scaled"}
+    plain |= {"solver": "osqp", "route": "native", "formulation": "condensed_box"}
+    record = _record(**(plain | columns))
+    assert (record.configuration.label, record.name) == (label, name)
+
+
+def test_an_alias_makes_no_other_configuration() -> None:
+    known = Configuration("osqp", "native", "fresh", alias=("high",))
+    assert known == Configuration("osqp", "native", "fresh")
+    assert len({known, Configuration("osqp", "native", "fresh")}) == 1
