@@ -244,6 +244,11 @@ class RunRecord:
         return self.steps_done > 0
 
     @property
+    def cause(self) -> str:
+        """The cause of its outcome, in the library's or the harness's words; "" for none."""
+        return self.outcome_detail.strip().rstrip(".")
+
+    @property
     def remembers(self) -> bool:
         """Whether its times are those of remembered answers."""
         return is_remembered(self.first_visit_ratio, self.loop_ratio)

@@ -1,4 +1,4 @@
-"""Judge every configuration of every solver by the suite's demand, from rows alone.
+"""Evaluate every configuration of every solver by the suite's demand, from rows alone.
 
 A configuration *meets* the demand when it was run, whole, in every scenario and replay in which its
 solver's reference was judged, every judged step has error_move within the demand, no more steps
@@ -23,9 +23,9 @@ from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
 from dpbench.bench.judge.rules import percentile, supports
 from dpbench.bench.record.configuration import Configuration, settings_level
+from dpbench.solvers.record import POLICIES
 
 Outcome = Literal["meets", "misses", "open", "not run"]
-_POLICIES = ("fresh", "reuse", "warm")
 Cause = Literal["no answer", "inaccurate", "failed", "crashed", "hung", "p99 late", "p95 late"]
 Doubt = Literal[
     "stopped",
@@ -203,7 +203,7 @@ def _reference_first(
         settings_level(configuration.settings) if ran else (99, ""),
         -kinds,
         not default,
-        _POLICIES.index(configuration.policy),
+        list(POLICIES).index(configuration.policy),
     )
 
 
@@ -240,7 +240,7 @@ def verdict_of(
         tuple(gaps),
         loops=len(ran) - len(replays),
         replays=len(replays),
-        steps=sum(_judged(run) for run in ran),
+        steps=sum(_evaluated_steps(run) for run in ran),
         error_move=float(known.max()) if len(known) else math.nan,
         failed_steps=sum(_count(run.failed_steps) for run in ran),
         **timing,
@@ -249,7 +249,7 @@ def verdict_of(
 
 def detail(run: RunRecord) -> str:
     """The cause of a run's outcome, in the library's or the harness's words."""
-    return run.outcome_detail.strip().rstrip(".") or "no reason was recorded"
+    return run.cause or "no reason was recorded"
 
 
 def _count(count: float) -> int:
@@ -257,7 +257,7 @@ def _count(count: float) -> int:
     return int(count) if math.isfinite(count) else 0
 
 
-def _judged(run: RunRecord) -> int:
+def _evaluated_steps(run: RunRecord) -> int:
     """Steps with a judged answer; a replay counts those without in each of its rounds."""
     without = _count(run.uncertified) + _count(run.undecided_steps)
     return max(0, run.steps_done - without // max(1, _count(run.rounds)))

@@ -161,9 +161,9 @@ def compare_times(
         np.concatenate([configurations.error, [error for _, error in together]]),
         np.concatenate([configurations.df, np.full(len(together), MACHINE_NOISE.df)]),
     )
-    judged = assess(family, margin, alpha)
-    compared = [Compared(*both) for both in zip(timings, judged, strict=False)]
-    rest = iter(judged[len(timings) :])
+    assessments = assess(family, margin, alpha)
+    compared = [Compared(*both) for both in zip(timings, assessments, strict=False)]
+    rest = iter(assessments[len(timings) :])
     shared = [
         Shared(
             name,

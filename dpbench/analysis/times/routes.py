@@ -122,10 +122,9 @@ class RouteComparison:
         run = self.runs.get(route)
         if run is None:
             return _not_offered(self.solver, route)
-        detail = run.outcome_detail.strip().rstrip(".")
         if run.outcome == "finished":
             return "no counting round left a step"
-        return detail or f"{run.outcome.replace('_', ' ')}, no reason was recorded"
+        return run.cause or f"{run.outcome.replace('_', ' ')}, no reason was recorded"
 
 
 def _not_offered(solver: str, route: RoutePolicy) -> str:
