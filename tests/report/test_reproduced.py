@@ -139,7 +139,7 @@ def test_a_namesake_is_not_the_paper(records: Any, part: str) -> None:
     view = Records(results)
     assert {claim.state for claim in claims(view)} == {"not measured"}
     assert choices(view) == []
-    (only,) = reproduced_section(view, designed=False).blocks
+    (only,) = reproduced_section(view, None).blocks
     assert only == Paragraph("No scenario of the paper was in this suite.")
     text = _text(results)
     assert "1.65 m" not in text and "of the paper: trajectory" not in text
