@@ -105,7 +105,7 @@ def test_settings_matter_where_there_are_levels():
 
 
 @pytest.mark.parametrize("route", ["qpsolvers", "native"])
-@pytest.mark.parametrize("name", set(setting_names("osqp")) - set(LEVELS))
+@pytest.mark.parametrize("name", sorted(set(setting_names("osqp")) - set(LEVELS)))
 def test_polishing_is_a_setting_of_its_own(route, name, sequence):
     """OSQP's polished settings are accurate to rounding where `default` ends at its tolerance."""
     exact = certify(sequence.base).z
