@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import numpy as np
 import pandas as pd
 import pytest
@@ -19,6 +20,10 @@ from dpbench.bench.record.result_folder import Results, write_results
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
 from dpbench.errors import SolverUnavailableError
 from dpbench.scenario.scenario import Scenario, load_scenario
+
+# No test asserts how long something takes, and neither does the library that makes up its examples.
+hypothesis.settings.register_profile("dpbench", deadline=None)
+hypothesis.settings.load_profile("dpbench")
 
 MACHINE: dict[str, Any] = {
     "id": "0123456789ab",

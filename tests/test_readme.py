@@ -42,6 +42,7 @@ def test_own_ship_scenario_and_suite_run_as_printed(
 
 
 @pytest.mark.slow
+@pytest.mark.alone  # its cells have a limit of some seconds
 def test_the_example_of_a_plug_in_runs_as_printed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
