@@ -1,0 +1,82 @@
+"""What accuracy costs: time against the error that was reached, a line a solver."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import altair as alt
+import pandas as pd
+
+from dpbench.report.charts.style import FAMILY_COLOURS, INK, MISSES, NAMES, styled
+
+COLUMNS = ("id", "solver", "family", "settings", "route", "policy", "error", "p50_us", "p99_us")
+FLOOR = 1e-16
+
+
+def accuracy(table: pd.DataFrame, demand_error: float) -> Any:
+    """Points of time and largest error; lines join the settings of a solver. Clicking sets `pick`.
+
+    The parameter `percentile` chooses p50 or p99.
+
+    Parameters
+    ----------
+    table : columns `COLUMNS`, errors finite; demand_error : drawn as a line.
+    """
+    table = table.assign(shown=table["error"].clip(lower=FLOOR))
+    percentile = alt.param(name="percentile", value="p50")
+    pick = alt.selection_point(name="pick", fields=["id"], on="click", empty=False)
+    families = [f for f in FAMILY_COLOURS if f in set(table["family"])]
+    colour = alt.Color(
+        "family:N",
+        scale=alt.Scale(domain=families, range=[FAMILY_COLOURS[f] for f in families]),
+        title=None,
+        legend=alt.Legend(orient="bottom", columns=3),
+    )
+    base = (
+        alt.Chart(table)
+        .transform_calculate(time="percentile == 'p99' ? datum.p99_us : datum.p50_us")
+        .transform_filter("isValid(datum.time)")
+        .encode(
+            x=alt.X("time:Q", title="step time [µs], log scale", scale=alt.Scale(type="log")),
+            y=alt.Y(
+                "shown:Q",
+                title="largest error_move",
+                scale=alt.Scale(type="log"),
+                axis=alt.Axis(format=".0e"),
+            ),
+            color=colour,
+            detail="solver:N",
+            tooltip=[
+                alt.Tooltip("solver:N"),
+                alt.Tooltip("settings:N"),
+                alt.Tooltip("route:N"),
+                alt.Tooltip("policy:N"),
+                alt.Tooltip("error:Q", format=".2~g"),
+                alt.Tooltip("p50_us:Q", title="p50 [µs]", format=".4~g"),
+                alt.Tooltip("p99_us:Q", title="p99 [µs]", format=".4~g"),
+            ],
+        )
+    )
+    lines = base.mark_line(strokeWidth=1, opacity=0.45)
+    settings_legend = alt.Legend(orient="bottom", symbolFillColor=INK)
+    dots = base.mark_point(filled=True, opacity=0.95).encode(
+        shape=alt.Shape("settings:N", title=None, legend=settings_legend),
+        size=alt.condition(pick, alt.value(190), alt.value(70)),
+    )
+    named = (
+        base.transform_window(rank="row_number()", groupby=["solver"], sort=[{"field": "shown"}])
+        .transform_filter("datum.rank == 1")
+        .mark_point(filled=True, opacity=0, size=110)
+        .properties(name=NAMES)
+    )
+    limit = (
+        alt.Chart(alt.InlineData(values=[{"demand": demand_error}]))
+        .mark_rule(color=MISSES, strokeDash=[4, 3])
+        .encode(y="demand:Q")
+    )
+    chart = alt.layer(lines, limit, dots, named).add_params(percentile, pick)
+    return styled(
+        chart.properties(width=620, height=360),
+        "Accuracy against time",
+        "Largest error of the first move against step time, a point for each settings level.",
+    )

@@ -1,0 +1,122 @@
+"""The deadline ladder: what a step takes with each solver, against the time there is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import altair as alt
+import pandas as pd
+
+from dpbench.report.charts.style import (
+    ACCENT,
+    INK,
+    LINE,
+    SOFT,
+    outcome_colour,
+    outcome_shape,
+    styled,
+)
+
+COLUMNS = ("id", "solver", "label", "outcome", "p50_ms", "p99_ms", "max_ms", "raw_max_ms", "share")
+"""`share`: part of the median that calling the library costs, by the harness's own solver."""
+LOWEST_MS = 1e-3
+"""Left end of the axis."""
+
+
+def ladder(table: pd.DataFrame, deadline_ms: float, *, slow: float = 1.0) -> Any:
+    """A row per solver: bar from p50 to p99, line on to the largest step, whisker to the largest
+    sample, where that is the longer one.
+
+    The parameter `slow` of the chart scales all but that whisker, which is this machine's; with
+    `narrow` the names stand without their way; clicking sets `pick`.
+
+    Parameters
+    ----------
+    table : columns `COLUMNS`, the first row on top.
+    """
+    order = table["label"].tolist()
+    factor = alt.param(name="slow", value=slow)
+    narrow = alt.param(name="narrow", value=False)
+    names = alt.Axis(labelLimit=260, labelExpr="narrow ? split(datum.label, ' (')[0] : datum.label")
+    base = (
+        alt.Chart(table)
+        .transform_calculate(
+            a="datum.p50_ms * slow",
+            c="isValid(datum.p99_ms) ? datum.p99_ms * slow : datum.p50_ms * slow",
+            m="datum.max_ms * slow",
+            called="datum.p50_ms * datum.share * slow",
+            left=f"{LOWEST_MS}",
+        )
+        .encode(y=alt.Y("label:N", sort=order, title=None, axis=names))
+    )
+    high = max(10.0 * deadline_ms, 1.0)
+    x = alt.X(
+        "a:Q",
+        title="step time [ms], log scale",
+        scale=alt.Scale(type="log", domain=[LOWEST_MS, high], clamp=True),
+        axis=alt.Axis(
+            values=[10.0**e for e in range(-3, 5)], format="~g", orient="top", labelOverlap="greedy"
+        ),
+    )
+    colour = alt.Color(
+        "outcome:N",
+        scale=outcome_colour(),
+        title="demand",
+        legend=alt.Legend(orient="bottom", columns=alt.ExprRef("narrow ? 2 : 4")),
+    )
+    pick = alt.selection_point(name="pick", fields=["id"], on="click", empty=False)
+    tips = [
+        alt.Tooltip("label:N", title="configuration"),
+        alt.Tooltip("outcome:N", title="demand"),
+        *(
+            alt.Tooltip(f"{name}:Q", title=f"{title} [ms]", format=".3~g")
+            for name, title in (
+                ("a", "p50"),
+                ("c", "p99"),
+                ("m", "largest step"),
+                ("raw_max_ms", "largest sample"),
+            )
+        ),
+    ]
+    rows = base.mark_rule(strokeWidth=22, opacity=0.0).encode(
+        x=alt.value(0), x2=alt.value("width"), tooltip=tips
+    )
+    chosen = base.mark_rule(strokeWidth=22, color=ACCENT).encode(
+        x=alt.value(0),
+        x2=alt.value("width"),
+        opacity=alt.condition(pick, alt.value(0.13), alt.value(0.0)),
+        tooltip=tips,
+    )
+    whisker = (
+        base.transform_filter("datum.raw_max_ms > datum.m")
+        .mark_rule(strokeWidth=1, color=SOFT, strokeDash=[2, 2])
+        .encode(x=alt.X("m:Q"), x2="raw_max_ms:Q", tooltip=tips)
+    )
+    line = base.mark_rule(strokeWidth=2).encode(x=x, x2="m:Q", color=colour, tooltip=tips)
+    bar = base.mark_rule(strokeWidth=9, strokeCap="butt").encode(
+        x=x, x2="c:Q", color=colour, tooltip=tips
+    )
+    calling = base.mark_rule(strokeWidth=9, color=LINE).encode(
+        x=alt.X("left:Q"), x2="called:Q", opacity=alt.value(0.7), tooltip=tips
+    )
+    point = base.mark_point(filled=True, size=70, opacity=1).encode(
+        x=x, color=colour, shape=alt.Shape("outcome:N", scale=outcome_shape()), tooltip=tips
+    )
+    limit = pd.DataFrame({"deadline": [deadline_ms], "text": [f"deadline {deadline_ms:g} ms"]})
+    deadline = alt.Chart(limit).mark_rule(color=INK, strokeWidth=1.5).encode(x="deadline:Q")
+    named = (
+        alt.Chart(limit)
+        .mark_text(align="right", dx=-5, dy=4, baseline="top", color=INK, fontSize=12)
+        .encode(x="deadline:Q", y=alt.value("height"), text="text:N")
+    )
+    chart = (
+        alt.layer(rows, chosen, calling, whisker, line, bar, point, deadline, named)
+        .add_params(factor, narrow, pick)
+        .properties(width=560, height=alt.Step(22))
+        .resolve_scale(x="shared")
+    )
+    return styled(
+        chart,
+        "How close to the deadline",
+        "Step times of each solver from median over p99 to the largest, against the deadline.",
+    )

@@ -1,0 +1,88 @@
+"""Solver × place × settings: where the demand is met, missed, open or was never asked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import altair as alt
+import pandas as pd
+
+from dpbench.report.charts.style import ACCENT, INK, MEETS, MISSES, NOT_RUN, OPEN, styled
+
+COLUMNS = ("solver", "place", "settings", "state", "error", "failed", "id", "place_id", "detail")
+STATES = ("meets", "open", "misses", "not run")
+FILLS = ("#d7efe6", "#faeccc", "#f9d8c4", "#eef1f4")
+INKS = (MEETS, OPEN, MISSES, NOT_RUN)
+PAPER = "#ffffff"
+MARKS = ("✓", "?", "✕", "–")
+
+
+def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
+    """A tile for every solver and place, side by side for each settings level, or one below the
+    other for a narrow screen.
+
+    Colour and sign say the same; the tooltip has the largest error and the failed steps. Clicking
+    sets `pick`.
+
+    Parameters
+    ----------
+    table : columns `COLUMNS`, solvers and places in the order they are to stand in.
+    """
+    solvers, places = table["solver"].unique().tolist(), table["place"].unique().tolist()
+    levels = table["settings"].unique().tolist()
+    signs, inks = dict(zip(STATES, MARKS, strict=True)), dict(zip(STATES, INKS, strict=True))
+    table = table.assign(sign=table["state"].map(signs), ink=table["state"].map(inks))
+    pick = alt.selection_point(name="pick", fields=["id", "place_id"], on="click", empty=False)
+    x = alt.X(
+        "place:N",
+        sort=places,
+        title=None,
+        axis=alt.Axis(orient="top", labelAngle=-90 if stacked else -40),
+    )
+    y = alt.Y("solver:N", sort=solvers, title=None)
+    tips = [
+        alt.Tooltip("solver:N"),
+        alt.Tooltip("settings:N"),
+        alt.Tooltip("place:N", title="in"),
+        alt.Tooltip("state:N", title="demand"),
+        alt.Tooltip("error:Q", title="largest error_move", format=".2~g"),
+        alt.Tooltip("failed:Q", title="failed steps"),
+        alt.Tooltip("detail:N", title="why"),
+    ]
+    base = alt.Chart().encode(x=x, y=y, tooltip=tips)
+    tiles = base.mark_rect(strokeWidth=1.5).encode(
+        color=alt.Color(
+            "state:N",
+            scale=alt.Scale(domain=list(STATES), range=list(FILLS)),
+            title="demand",
+            legend=alt.Legend(orient="bottom", symbolType="square"),
+        ),
+        stroke=alt.condition(pick, alt.value(ACCENT), alt.value(PAPER)),
+        strokeWidth=alt.condition(pick, alt.value(3), alt.value(1.5)),
+    )
+    text = base.mark_text(fontSize=12, fontWeight=600).encode(
+        text="sign:N",
+        color=alt.Color("ink:N", scale=None),
+    )
+    header = alt.Header(
+        labelFontSize=13,
+        labelFontWeight=600,
+        labelAnchor="start",
+        labelColor=INK,
+        labelOrient="top",
+        labelAngle=0,
+    )
+    placed = alt.layer(tiles, text, data=table).add_params(pick)
+    placed = placed.properties(width=alt.Step(30), height=alt.Step(22))
+    chart = (
+        placed.facet(row=alt.Row("settings:N", sort=levels, title=None, header=header), spacing=14)
+        if stacked
+        else placed.facet(
+            column=alt.Column("settings:N", sort=levels, title=None, header=header), spacing=14
+        )
+    )
+    return styled(
+        chart,
+        "Where each solver holds",
+        "Tiles of solver by scenario: meets, open, misses or not run, for each settings level.",
+    )

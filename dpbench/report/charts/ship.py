@@ -1,0 +1,218 @@
+"""Figures 4-7 of the paper for any scenario: path, errors, forces and increments of its laws."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import altair as alt
+import numpy as np
+import pandas as pd
+
+from dpbench.report.charts.style import INK, SOFT, styled
+from dpbench.scenario.scenario import Scenario
+
+CIRCLE_M = 1.0
+"""Radius of the paper's precision circle."""
+COLOURS = ("#0072b2", "#d55e00")
+AXES = (
+    ("surge", "x", "N", 1e3, "kN"),
+    ("sway", "y", "N", 1e3, "kN"),
+    ("yaw", "n", "Nm", 1e6, "MN·m"),
+)
+_WIDTH = 430
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """One control law's run: what it is called, and its step rows."""
+
+    label: str
+    steps: pd.DataFrame
+
+
+def path(laws: Sequence[Law], scenario: Scenario) -> Any:
+    """Figure 4: the ship's path in the north-east plane with the 1 m circle, axes alike."""
+    table = pd.concat(
+        [
+            pd.DataFrame(
+                {
+                    "law": law.label,
+                    "i": range(len(law.steps)),
+                    "n": law.steps["n_m"],
+                    "e": law.steps["e_m"],
+                }
+            )
+            for law in laws
+        ]
+    )
+    north, east = (float(x) for x in scenario.reference[:2])
+    angle = np.linspace(0.0, 2.0 * np.pi, 73)
+    circle = pd.DataFrame(
+        {
+            "i": range(73),
+            "n": north + CIRCLE_M * np.cos(angle),
+            "e": east + CIRCLE_M * np.sin(angle),
+        }
+    )
+    points = pd.DataFrame(
+        {
+            "what": ["start", "reference"],
+            "n": [float(scenario.start[0]), north],
+            "e": [float(scenario.start[1]), east],
+        }
+    )
+    x, y = _alike(pd.concat([table, circle, points]))
+    lines = (
+        alt.Chart(table)
+        .mark_line(strokeWidth=1.8)
+        .encode(x=x, y=y, order="i:Q", color=_law(laws), strokeDash=_dash(laws))
+    )
+    ring = alt.Chart(circle).mark_line(strokeDash=[3, 3], color=SOFT).encode(x=x, y=y, order="i:Q")
+    marks = (
+        alt.Chart(points)
+        .mark_point(filled=True, size=70, color=INK)
+        .encode(
+            x=x,
+            y=y,
+            shape=alt.Shape(
+                "what:N",
+                title=None,
+                scale=alt.Scale(domain=["start", "reference"], range=["circle", "cross"]),
+                legend=alt.Legend(orient="bottom"),
+            ),
+        )
+    )
+    chart = alt.layer(ring, lines, marks).properties(width=360, height=360)
+    return styled(chart, "Path of the ship", "Path of the ship under each control law.")
+
+
+def precision(laws: Sequence[Law], scenario: Scenario) -> Any:
+    """Figure 5: north, east and heading error, and the radial error, against time."""
+    panels = []
+    for name, unit in (("north", "m"), ("east", "m"), ("heading", "°"), ("radial", "m")):
+        table = _tables(laws, lambda law, name=name: errors(law.steps, scenario.reference)[name])
+        log = name == "radial"
+        panel = _lines(table, laws, f"{name} [{unit}]", log=log)
+        if log:
+            panel = alt.layer(panel, _limits((CIRCLE_M,)))
+        panels.append(panel)
+    return styled(_stack(panels), "Errors", "North, east, heading and radial error against time.")
+
+
+def errors(steps: pd.DataFrame, reference: np.ndarray) -> dict[str, np.ndarray]:
+    """North, east, radial [m] and heading [°] errors of the rows of a loop."""
+    n = steps["n_m"].to_numpy() - reference[0]
+    e = steps["e_m"].to_numpy() - reference[1]
+    psi = np.degrees(steps["psi_rad"].to_numpy() - reference[2])
+    # A zero has no place on a log axis; a micrometre is below anything of interest.
+    return {"north": n, "east": e, "heading": psi, "radial": np.maximum(np.hypot(n, e), 1e-6)}
+
+
+def forces(laws: Sequence[Law], scenario: Scenario) -> Any:
+    """Figure 6: the force applied in each axis, with its amplitude limits."""
+    low, high = scenario.vessel.tau_min, scenario.vessel.tau_max
+    panels = [
+        _force(laws, f"tau_{key}_{unit}", scale, f"{name} [{shown}]", (low[i], high[i]))
+        for i, (name, key, unit, scale, shown) in enumerate(AXES)
+    ]
+    return styled(_stack(panels), "Forces", "Force applied in each axis, with its limits.")
+
+
+def increments(laws: Sequence[Law], scenario: Scenario) -> Any:
+    """Figure 7: the change of the force in each step, with the rate limits."""
+    panels = [
+        _force(
+            laws,
+            f"dtau_{key}_{unit}",
+            scale,
+            f"Δ{name} [{shown}]",
+            (-scenario.du_max[i], scenario.du_max[i]),
+        )
+        for i, (name, key, unit, scale, shown) in enumerate(AXES)
+    ]
+    return styled(
+        _stack(panels), "Increments", "Change of the force in each step, with its limits."
+    )
+
+
+def _force(
+    laws: Sequence[Law], column: str, scale: float, title: str, limits: tuple[float, float]
+) -> Any:
+    table = _tables(laws, lambda law: law.steps[column].to_numpy() / scale)
+    reach = float(np.abs(table["value"]).max())
+    near = [limit / scale for limit in limits if abs(limit / scale) <= 2.5 * max(reach, 1e-12)]
+    if not near:
+        # Said, as a figure without them looks as if there were none.
+        title = f"{title}; limits ±{max(map(abs, limits)) / scale:.3g}"
+    panel = _lines(table, laws, title)
+    return alt.layer(panel, _limits(near)) if near else panel
+
+
+def _tables(laws: Sequence[Law], value: Any) -> pd.DataFrame:
+    return pd.concat(
+        [
+            pd.DataFrame({"law": law.label, "t": law.steps["t_s"].to_numpy(), "value": value(law)})
+            for law in laws
+        ]
+    )
+
+
+def _lines(table: pd.DataFrame, laws: Sequence[Law], title: str, *, log: bool = False) -> Any:
+    scale = alt.Scale(type="log") if log else alt.Scale()
+    return (
+        alt.Chart(table)
+        .mark_line(strokeWidth=1.3, interpolate="step-after")
+        .encode(
+            x=alt.X("t:Q", title=None, scale=alt.Scale(nice=False)),
+            y=alt.Y("value:Q", title=title, scale=scale, axis=alt.Axis(tickCount=4)),
+            color=_law(laws),
+            strokeDash=_dash(laws),
+        )
+        .properties(width=_WIDTH, height=84)
+    )
+
+
+def _limits(values: Sequence[float]) -> Any:
+    return (
+        alt.Chart(pd.DataFrame({"limit": list(values)}))
+        .mark_rule(strokeDash=[5, 3], color=SOFT)
+        .encode(y="limit:Q")
+    )
+
+
+def _stack(panels: Sequence[Any]) -> Any:
+    """Panels above each other on one time axis, which the last one names."""
+    return alt.vconcat(*panels, spacing=4, title=alt.Undefined).resolve_scale(x="shared")
+
+
+def _law(laws: Sequence[Law]) -> alt.Color:
+    return alt.Color(
+        "law:N",
+        title=None,
+        scale=alt.Scale(domain=[law.label for law in laws], range=list(COLOURS[: len(laws)])),
+        legend=alt.Legend(orient="bottom", labelLimit=260),
+    )
+
+
+def _dash(laws: Sequence[Law]) -> alt.StrokeDash:
+    return alt.StrokeDash(
+        "law:N",
+        title=None,
+        scale=alt.Scale(domain=[law.label for law in laws], range=[[1, 0], [6, 3]][: len(laws)]),
+    )
+
+
+def _alike(table: pd.DataFrame) -> tuple[alt.X, alt.Y]:
+    """Axes of equal scale around all points."""
+    middle = {a: 0.5 * (table[a].min() + table[a].max()) for a in ("n", "e")}
+    half = 0.54 * max(table[a].max() - table[a].min() for a in ("n", "e"))
+
+    def scale(name: str) -> alt.Scale:
+        return alt.Scale(domain=[middle[name] - half, middle[name] + half], nice=False)
+
+    return (
+        alt.X("e:Q", title="east [m]", scale=scale("e")),
+        alt.Y("n:Q", title="north [m]", scale=scale("n")),
+    )

@@ -1,0 +1,143 @@
+"""One run, step by step: time, error, iterations and forces over k."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import altair as alt
+import pandas as pd
+
+from dpbench.report.charts.style import ACCENT, INK, LINE, MISSES, SOFT, styled
+
+COLUMNS = ("k", "time_us", "raw_us", "error", "iterations", "active", "failed")
+FORCES = ("surge", "sway", "yaw")
+FORCE_COLOURS = ("#0072b2", "#d55e00", "#009e73")
+_WIDTH = 620
+
+
+def strips(table: pd.DataFrame, forces: pd.DataFrame, demand_error: float) -> Any:
+    """Four strips on one axis; a vertical line stands at the parameter `at`, brushing sets `span`.
+
+    Parameters
+    ----------
+    table : columns `COLUMNS`; `raw_us` the largest sample of a step, NaN in a closed loop.
+    forces : columns k, force (of `FORCES`) and share of its limit.
+    demand_error : what the error of the first move may be.
+    """
+    at = alt.param(name="at", value=-1)
+    steps, tau = (
+        alt.InlineData(name="steps", values=_rows(table)),
+        alt.InlineData(name="forces", values=_rows(forces)),
+    )
+    panels = [
+        _time(steps),
+        _error(steps, demand_error),
+        _iterations(steps),
+        _forces(tau),
+    ]
+    rule = (
+        alt.Chart(alt.InlineData(values=[{}]))
+        .mark_rule(color=ACCENT, strokeWidth=1.5)
+        .transform_calculate(at="at")
+        .transform_filter("datum.at >= 0")
+        .encode(x="at:Q")
+    )
+    chart = (
+        alt.vconcat(*(alt.layer(panel, rule) for panel in panels), spacing=6)
+        .add_params(at)
+        .resolve_scale(x="shared")
+    )
+    return styled(
+        chart,
+        "Step by step",
+        "Step time, error of the first move, iterations and forces of one run over its steps.",
+    )
+
+
+def _rows(table: pd.DataFrame) -> list[dict[str, Any]]:
+    return [
+        {str(k): (None if pd.isna(v) else v) for k, v in row.items()}
+        for row in table.to_dict("records")
+    ]
+
+
+def _x(*, last: bool = False) -> alt.X:
+    axis = alt.Axis(title="step k" if last else None, labels=last, ticks=last, format="d")
+    return alt.X("k:Q", axis=axis, scale=alt.Scale(nice=False, zero=False))
+
+
+def _time(steps: alt.InlineData) -> Any:
+    base = alt.Chart(steps, height=110, width=_WIDTH).encode(
+        x=_x(),
+        tooltip=[
+            alt.Tooltip("k:Q"),
+            alt.Tooltip("time_us:Q", title="step time [µs]", format=".4~g"),
+            alt.Tooltip("raw_us:Q", title="largest sample [µs]", format=".4~g"),
+        ],
+    )
+    y = alt.Y("time_us:Q", title="time [µs]", scale=alt.Scale(type="log", nice=False))
+    span = base.mark_rule(color=LINE, strokeWidth=1).encode(y=y, y2="raw_us:Q")
+    return alt.layer(span, base.mark_circle(size=9, opacity=0.9, color=ACCENT).encode(y=y))
+
+
+def _error(steps: alt.InlineData, demand_error: float) -> Any:
+    floor = 1e-16
+    base = (
+        alt.Chart(steps, height=90, width=_WIDTH)
+        .transform_calculate(shown=f"datum.error === null ? null : max(datum.error, {floor})")
+        .encode(
+            x=_x(),
+            tooltip=[
+                alt.Tooltip("k:Q"),
+                alt.Tooltip("error:Q", title="error of the first move", format=".2~g"),
+            ],
+        )
+    )
+    y = alt.Y(
+        "shown:Q",
+        title="error_move",
+        scale=alt.Scale(type="log", domainMax=10.0, clamp=True, nice=False),
+        axis=alt.Axis(format=".0e", tickCount=5),
+    )
+    dots = base.mark_circle(size=9, opacity=0.9).encode(
+        y=y,
+        color=alt.condition("datum.failed", alt.value(MISSES), alt.value(SOFT)),
+        size=alt.condition("datum.failed", alt.value(40), alt.value(9)),
+    )
+    limit = (
+        alt.Chart(alt.InlineData(values=[{"demand": demand_error}]))
+        .mark_rule(color=MISSES, strokeDash=[4, 3])
+        .encode(y="demand:Q")
+    )
+    return alt.layer(dots, limit)
+
+
+def _iterations(steps: alt.InlineData) -> Any:
+    base = alt.Chart(steps, height=80, width=_WIDTH).encode(
+        x=_x(),
+        tooltip=[alt.Tooltip("k:Q"), alt.Tooltip("iterations:Q"), alt.Tooltip("active:Q")],
+    )
+    area = base.mark_area(color=LINE, opacity=0.8, interpolate="step").encode(
+        y=alt.Y("active:Q", title="iterations, active")
+    )
+    return alt.layer(
+        area, base.mark_circle(size=9, color=INK, opacity=0.9).encode(y="iterations:Q")
+    )
+
+
+def _forces(forces: alt.InlineData) -> Any:
+    base = alt.Chart(forces, height=90, width=_WIDTH).encode(x=_x(last=True))
+    return base.mark_line(strokeWidth=1.3, interpolate="step-after").encode(
+        y=alt.Y(
+            "share:Q",
+            title="force / limit",
+            scale=alt.Scale(domain=[-1.05, 1.05], clamp=True),
+            axis=alt.Axis(values=[-1, 0, 1]),
+        ),
+        color=alt.Color(
+            "force:N",
+            scale=alt.Scale(domain=list(FORCES), range=list(FORCE_COLOURS)),
+            title=None,
+            legend=alt.Legend(orient="bottom"),
+        ),
+    )
