@@ -10,7 +10,7 @@ CASADI := build/casadi
 CORE   := build/core
 LOWEST := build/lowest
 TEST_TOOLS := hypothesis markdown-it-py packaging pytest pytest-xdist
-LOWEST_TESTS := tests/solvers tests/scenario tests/mpc tests/report/test_tables.py
+LOWEST_TESTS := tests/solvers tests/scenario tests/mpc tests/report/test_markdown.py
 # Tests beside each other, one a core; `alone` are those that need the machine to themselves.
 SIDE_BY_SIDE := -n 2 --dist worksteal
 
@@ -20,7 +20,7 @@ export OPENBLAS_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: setup bench full test test-fast test-core test-lowest test-casadi lint bench-ci bench-compare report clean clean-results help
+.PHONY: setup bench full test test-fast test-core test-lowest test-casadi lint bench-ci bench-compare vendored report clean clean-results help
 
 setup: $(STAMP) ## make .venv with all solvers and the development tools
 
@@ -84,6 +84,9 @@ bench-ci: setup ## pytest-benchmark of the parts; writes results/bench-ci.json
 bench-compare: setup ## compare it with this machine's baseline, RENEW=--renew to replace that
 	test -s results/bench-ci.json || $(MAKE) bench-ci
 	$(BIN)/python benchmarks/gate.py results/bench-ci.json results/baseline $(RENEW)
+
+vendored: setup ## fetch the scripts of others that the page carries, by vendor/vendored.json (npm)
+	$(BIN)/python -m dpbench.report.page.vendored
 
 report: setup ## write the report of the last standard run again
 	$(BIN)/dpbench report $(OUT)

@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from dpbench.qp.referee.referee import Optimum, certify
     from dpbench.qp.residuals import Residuals, residuals
     from dpbench.qp.solution import Solution, Status
-    from dpbench.report.compare import Comparison, compare
+    from dpbench.report.compare.comparison import Comparison, compare
     from dpbench.report.write import write_report
     from dpbench.scenario.scenario import Scenario, condense, load_scenario
     from dpbench.solvers.contract import Workspace
     from dpbench.solvers.open import open_workspace
 
 _HOMES = {
-    "Comparison": "report.compare",
+    "Comparison": "report.compare.comparison",
     "CondensedQP": "mpc.condensed_qp",
     "DpbenchError": "errors",
     "InputError": "errors",
@@ -44,7 +44,7 @@ _HOMES = {
     "Status": "qp.solution",
     "Workspace": "solvers.contract",
     "certify": "qp.referee.referee",
-    "compare": "report.compare",
+    "compare": "report.compare.comparison",
     "condense": "scenario.scenario",
     "load_results": "bench.record.result_folder",
     "load_scenario": "scenario.scenario",

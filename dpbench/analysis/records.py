@@ -56,6 +56,11 @@ class Records:
         starts, ends = [0, *edges.tolist()], [*edges.tolist(), len(ids)]
         return {str(ids[a]): (a, b) for a, b in zip(starts, ends, strict=True)}
 
+    @property
+    def table(self) -> pd.DataFrame:
+        """The whole step table, ordered by run."""
+        return self._steps
+
     def steps(self, run: RunRecord) -> pd.DataFrame:
         """The step rows of a run; empty when it left none."""
         first, last = self._rows_of.get(run.run_id, (0, 0))

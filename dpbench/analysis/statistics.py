@@ -69,43 +69,6 @@ def percentile_interval(
     return Interval(value, float(low), float(high))
 
 
-def pooled_percentile_intervals(
-    values: Floats, steps: NDArray[np.int64], percents: Sequence[float]
-) -> list[Interval]:
-    """Percentiles of samples of which each step gave several, each with its interval.
-
-    The bootstrap draws blocks of steps, all samples of a step together, as they resemble each
-    other; unknown where the samples do not support the percentile.
-
-    Parameters
-    ----------
-    values : (N,) samples; steps : (N,) the step of each.
-    """
-    wanted = [percent for percent in percents if supports(len(values), percent)]
-    if not wanted:
-        return [UNKNOWN for _ in percents]
-    distinct, place = np.unique(steps, return_inverse=True)
-    if not enough(len(distinct)):
-        values_of = (float(np.percentile(values, p)) if p in wanted else np.nan for p in percents)
-        return [Interval(v, 0.0, np.inf) if np.isfinite(v) else UNKNOWN for v in values_of]
-    order = np.argsort(values)
-    ordered, place = values[order], place[order]
-    shares = np.array(wanted) / 100.0
-    draws = block_indices(len(distinct), BLOCK_STEPS, RESAMPLES, SEED)
-    resampled = np.empty((len(draws), len(wanted)))
-    for i, drawn in enumerate(draws):
-        weight = np.cumsum(np.bincount(drawn, minlength=len(distinct))[place])
-        resampled[i] = ordered[np.searchsorted(weight, shares * weight[-1])]
-    lows, highs = np.quantile(resampled, _tails(CONFIDENCE), axis=0)
-    limits = dict(zip(wanted, zip(lows.tolist(), highs.tolist(), strict=True), strict=True))
-    return [
-        Interval(float(np.percentile(values, percent)), *limits[percent])
-        if percent in limits
-        else UNKNOWN
-        for percent in percents
-    ]
-
-
 def paired_ratio(
     slower: Floats,
     faster: Floats,

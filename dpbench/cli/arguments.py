@@ -60,7 +60,13 @@ def _run(commands: Commands) -> None:
 def _report(commands: Commands) -> None:
     report = commands.add_parser("report", help="write the report of a result folder again")
     report.add_argument("dir", help="a folder written by `dpbench run`")
-    report.add_argument("--baseline", metavar="S", help="compare step times with this solver's")
+    report.add_argument("--baseline", metavar="S", help="the solver set beside the answer")
+    report.add_argument(
+        "--figures", action="append", metavar="FORMAT", help="figures as pdf or png too; repeatable"
+    )
+    report.add_argument(
+        "--statement", metavar="FILE.pdf", help="a one-page statement for a class society"
+    )
 
 
 def _compare(commands: Commands) -> None:
@@ -71,6 +77,7 @@ def _compare(commands: Commands) -> None:
     compare.add_argument("--margin", type=float, default=0.05, help="what is no difference (0.05)")
     compare.add_argument("--alpha", type=float, default=0.05, help="family-wise error (0.05)")
     compare.add_argument("--markdown", metavar="FILE", help="write Markdown; - for the screen")
+    compare.add_argument("--html", metavar="FILE", help="write a page with figures")
 
 
 def _export(commands: Commands) -> None:
@@ -86,6 +93,7 @@ def _export(commands: Commands) -> None:
     export.add_argument("--horizons", metavar="N_p/N_c", help="instead of the tuning's")
     export.add_argument("--steps", type=int, metavar="N", help="only the first N steps")
     export.add_argument("--every", type=int, default=1, metavar="K", help="each K-th of them")
+    export.add_argument("--at", type=int, metavar="K", help="instead: step K alone")
 
 
 def _worst_case(commands: Commands) -> None:

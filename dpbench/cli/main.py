@@ -74,7 +74,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from dpbench.bench.campaign import run_campaign
     from dpbench.bench.record.result_folder import accidents
     from dpbench.cli.progress_bar import Bar
-    from dpbench.report.write import report_and_verdict
+    from dpbench.report.write import report_and_lines
 
     with Bar() as bar:
         out = run_campaign(
@@ -89,7 +89,7 @@ def _run(arguments: argparse.Namespace) -> int:
             progress=bar,
         )
         bar.advance(0, "writing the report")
-        found = report_and_verdict(out)
+        found = report_and_lines(out)
     _say_verdict(*found)
     lost, remarks = accidents(out)
     for line in remarks:
@@ -98,9 +98,15 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _report(arguments: argparse.Namespace) -> int:
-    from dpbench.report.write import report_and_verdict
+    from dpbench.report.write import report_and_lines
 
-    _say_verdict(*report_and_verdict(arguments.dir, baseline=arguments.baseline))
+    said = report_and_lines(
+        arguments.dir,
+        baseline=arguments.baseline,
+        figures=arguments.figures or (),
+        statement=arguments.statement,
+    )
+    _say_verdict(*said)
     return 0
 
 
@@ -112,7 +118,7 @@ def _say_verdict(page: Path, lines: list[str]) -> None:
 
 def _compare(arguments: argparse.Namespace) -> int:
     from dpbench.cli.listing import rich_table
-    from dpbench.report.compare import compare
+    from dpbench.report.compare.comparison import compare
 
     found = compare(
         arguments.a,
@@ -124,6 +130,10 @@ def _compare(arguments: argparse.Namespace) -> int:
     if arguments.markdown == "-":
         print(found.markdown(), end="")
         return int(found.worse)
+    if arguments.html is not None:
+        from dpbench.report.compare.page import write_comparison
+
+        write_comparison(Path(arguments.html), found)
     if arguments.markdown is not None:
         Path(arguments.markdown).write_text(found.markdown(), encoding="utf-8")
     console = _console()
@@ -154,6 +164,7 @@ def _export(arguments: argparse.Namespace) -> int:
             horizons=arguments.horizons,
             steps=arguments.steps,
             every=arguments.every,
+            at=arguments.at,
         )
     )
     return 0

@@ -6,8 +6,8 @@ from dpbench.bench.judge.calibration import calibrate
 from dpbench.bench.record.disturbance import RULE
 from dpbench.bench.record.machine import describe_machine
 from dpbench.report.formats import MISSING
+from dpbench.report.lines import calibration_line
 from dpbench.report.machine_verdict import disturbance_facts, machine_facts, verdict_text
-from dpbench.report.section_harness import calibration_line
 
 _WIDTH = 32
 

@@ -112,8 +112,3 @@ def and_list(words: list[str]) -> str:
     if len(words) < 2:
         return "".join(words)
     return f"{', '.join(words[:-1])} and {words[-1]}"
-
-
-def factor_text(slowdown: float) -> str:
-    """A slow-down in words of a table."""
-    return f"{slowdown:,g} ×".replace(",", "\u202f") if math.isfinite(slowdown) else "none"

@@ -49,11 +49,6 @@ def row_of(*cells: str | Cell) -> tuple[Cell, ...]:
     return tuple(cell if isinstance(cell, Cell) else Cell(cell) for cell in cells)
 
 
-def good_if(text: str, good: bool) -> Cell:
-    """A cell tinted as bad unless `good`."""
-    return Cell(text, "" if good else "bad")
-
-
 def markdown(table: Table) -> str:
     """The table as a Markdown pipe table, without title and note."""
     align = [":--" if i < table.text_columns else "--:" for i in range(len(table.heads))]

@@ -5,15 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
 from dpbench.analysis.times.fastest import (
     Recommendation,
     fastest_first,
-    fastest_of,
     known_record,
     recommend,
 )
@@ -262,19 +259,6 @@ def paired_text(found: PairedComparison) -> str:
     return f"Second: {pair}."
 
 
-def sentence(verdict: Verdict, demand: Demand) -> str:
-    """The verdict on one configuration in one sentence."""
-    head = f"**{verdict.configuration.label}** "
-    if verdict.outcome == "not run":
-        return f"{head}was not run: {verdict.refusal}."
-    if verdict.outcome == "misses":
-        also = f" Besides, {clauses(verdict.doubts)}." if verdict.doubts else ""
-        return f"{head}misses the demand: {clauses(verdict.causes)}.{also}"
-    if verdict.outcome == "open":
-        return f"{head}is open: {clauses(verdict.missing)}.{_so_far(verdict)}"
-    return f"{head}meets the demand: {figures(verdict)}; {slack_text(verdict, demand)}."
-
-
 def clauses(findings: Sequence[Finding]) -> str:
     """What was found, in plain clauses."""
     return "; ".join(map(clause, findings))
@@ -351,67 +335,3 @@ def judged_on(verdict: Verdict) -> str:
     """What the answers of a configuration were judged on."""
     replays = plural(verdict.replays, "replay")
     return f"{plural(verdict.loops, 'closed loop')} and {replays}" if verdict.loops else replays
-
-
-def _so_far(verdict: Verdict) -> str:
-    if not verdict.steps:
-        return ""
-    error = error_text(verdict.error_move)
-    return (
-        f" What it did do contradicts nothing ({plural(verdict.steps, 'judged step')}, "
-        f"error_move at most {error})."
-    )
-
-
-def elsewhere(verdicts: Verdicts, reference: Verdict) -> str:
-    """What other configurations of a solver change about its verdict; empty when nothing."""
-    text = ""
-    for level in verdicts.levels:
-        other = next(
-            v
-            for v in verdicts.at(level)
-            if v.configuration.solver == reference.configuration.solver
-        )
-        if other.configuration == reference.configuration:
-            continue
-        if other.outcome == "misses" and clauses(other.causes) != clauses(reference.causes):
-            text += f" With settings `{level}`: {clauses(other.causes)}."
-        elif other.outcome == "open":
-            text += f" With settings `{level}` it is open: {clauses(other.missing)}."
-        elif other.outcome == "meets":
-            text += f" It meets the demand with settings `{level}`."
-    best = fastest_of(verdicts, reference.configuration.solver)
-    if best is None or best.configuration == reference.configuration:
-        return text
-    options = best.configuration.options
-    return text + f" Fastest way: {options}, {figures(best)} ({judged_on(best)})."
-
-
-def baseline_law(view: Records) -> str:
-    """The baseline law in one sentence: it solves no QP and is never ranked."""
-    rows = [r for r in view.select(mode="closed_loop") if r.is_baseline_law and r.has_steps]
-    if not rows:
-        return "Contrast: the clipped unconstrained law was not run."
-    longest: dict[str, RunRecord] = {}
-    for row in sorted(rows, key=lambda row: row.steps_done):
-        longest[row.scenario] = row
-    names = [name for name in view.scenarios if name in longest]
-    shown = [
-        f"{significant(longest[name].r_tail_max_m, 2)} m in `{name}`"
-        for name in names
-        if view.is_whole(longest[name]) and np.isfinite(longest[name].r_tail_max_m)
-    ]
-    short = [
-        f"{count_text(longest[name].steps_done)} of {plural(view.whole_steps(name), 'step')} "
-        f"in `{name}`"
-        for name in names
-        if not view.is_whole(longest[name])
-    ]
-    clauses = [f"`{rows[0].solver}` clips the unconstrained optimum"]
-    if shown:
-        clauses.append(
-            f"its largest radial error in the second half of the run is {and_list(shown)}"
-        )
-    if short:
-        clauses.append(f"its steady error is not measured where it ran {and_list(short)}")
-    return f"Contrast (never ranked): {'; '.join(clauses)}."

@@ -1,36 +1,60 @@
-"""Write the report of a result folder: `report.md`, `report.html` and `figures/`."""
+"""Write the report of a result folder: `report.html`, `report.md`, `figures/` and `tables/`."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.records import Records
-from dpbench.analysis.run_record import as_float
+from dpbench.analysis.verdict import verdicts_of
 from dpbench.bench.design import Designs, load_designs
 from dpbench.bench.record.result_folder import Results, load_results
-from dpbench.report.blocks import Page, Section
-from dpbench.report.formats import time_text
-from dpbench.report.render import render_html, render_markdown
-from dpbench.report.section_deadline import deadline_lines, deadline_section
-from dpbench.report.section_harness import harness_lines, repeat_section
-from dpbench.report.section_horizon import horizon_section
-from dpbench.report.section_random import random_lines, random_section
-from dpbench.report.section_ranks import check_baseline, ranks_section
-from dpbench.report.section_reading import reading_section
-from dpbench.report.section_solvers import solvers_section
-from dpbench.report.section_use import use_section
-from dpbench.report.section_verdict import verdict_lines as _lines
-from dpbench.report.section_verdict import verdict_section
-from dpbench.report.sections_control import (
-    control_section,
-    figures_section,
-    reproduced_section,
-)
-from dpbench.report.sections_records import accuracy_section, runs_section, units_section
-from dpbench.report.sections_time import timing_section
-from dpbench.report.style import save, styled
+from dpbench.errors import InputError
+from dpbench.report.charts.style import FORMATS, save
+from dpbench.report.csv_tables import write_tables
+from dpbench.report.lines import last_lines
+from dpbench.report.markdown import report_markdown
+from dpbench.report.page.answer import Answer, answer_of
+from dpbench.report.page.facts import Facts
+from dpbench.report.page.topic import Topic
+from dpbench.report.page.write import DRAWN, charts_of, page_html
+from dpbench.report.statement import write_statement
+from dpbench.report.topics.all import topics_of
+from dpbench.report.topics.trust import calling_ns
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """What a report is made of."""
+
+    results: Results
+    facts: Facts
+    answer: Answer
+    charts: Mapping[str, Any]
+    topics: Sequence[Topic]
+
+    @classmethod
+    def of(
+        cls, results: Results, designs: Designs | None = None, baseline: str | None = None
+    ) -> Report:
+        """The report on some results, nothing written; `baseline` as in `write_report`."""
+        records, demand = Records(results), Demand.of(results.suite)
+        facts = Facts.of(records, demand, verdicts_of(records, demand))
+        named = results.suite.get("report", {}).get("baseline")
+        if named not in {v.configuration.solver for v in facts.verdicts.all if v.steps}:
+            named = None  # a part of the suite was run, without it
+        answer = answer_of(facts, results.machine, baseline or named)
+        charts = charts_of(facts, calling_ns(records))
+        return cls(results, facts, answer, charts, topics_of(records, demand, designs))
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """The figures that stand alone, by name."""
+        own = {name: chart for name, chart in self.charts.items() if name in DRAWN}
+        return own | {f.name: f.chart for topic in self.topics for f in topic.figures}
 
 
 def write_report(out: str | Path, *, baseline: str | None = None) -> Path:
@@ -38,8 +62,8 @@ def write_report(out: str | Path, *, baseline: str | None = None) -> Path:
 
     Parameters
     ----------
-    baseline : the solver whose step times the others are compared with; by default the one the
-        suite names, or the fastest whose answers meet the demand.
+    baseline : the solver that the page sets beside the answer; by default the one the suite names,
+        or the next best.
 
     Returns
     -------
@@ -48,108 +72,56 @@ def write_report(out: str | Path, *, baseline: str | None = None) -> Path:
     Raises
     ------
     ResultsError : when the folder holds no readable results.
-    InputError : for a baseline that was not replayed; nothing is written then.
+    InputError : for a baseline that was not run; nothing is written then.
     """
-    return report_and_verdict(out, baseline=baseline)[0]
+    return report_and_lines(out, baseline=baseline)[0]
 
 
-def report_and_verdict(out: str | Path, *, baseline: str | None = None) -> tuple[Path, list[str]]:
-    """As `write_report`; with it the verdict on the folder in a few plain lines."""
+def report_and_lines(
+    out: str | Path,
+    *,
+    baseline: str | None = None,
+    figures: Sequence[str] = (),
+    statement: str | None = None,
+) -> tuple[Path, list[str]]:
+    """As `write_report`; with it the verdict on the folder in a few plain lines.
+
+    Parameters
+    ----------
+    figures : further formats of the figures, of `FORMATS`; SVG is always written.
+    statement : the file to write the one-page statement to, .pdf or .svg.
+
+    Raises
+    ------
+    InputError : for an unknown format, or a statement where nothing can be recommended.
+    """
+    for kind in figures:
+        if kind not in FORMATS:
+            raise InputError("--figures", "", repr(kind), " | ".join(FORMATS))
     folder = Path(out)
-    results = load_results(folder)
-    if baseline is not None:
-        check_baseline(Records(results), Demand.of(results.suite), baseline)
-    figures = folder / "figures"
-    figures.mkdir(exist_ok=True)
-    with styled():
-        page = build_page(results, load_designs(folder), baseline=baseline)
-        for stale in figures.glob("*.svg"):
-            stale.unlink()
-        for picture in page.pictures:
-            save(picture.figure, folder / picture.file)
-    drawn = {p.name: (folder / p.file).read_bytes() for p in page.pictures}
-    (folder / "report.md").write_text(render_markdown(page), encoding="utf-8")
-    html = folder / "report.html"
-    html.write_text(render_html(page, drawn), encoding="utf-8")
-    return html, verdict_lines(results)
-
-
-def verdict_lines(results: Results) -> list[str]:
-    """The verdict on results in a few plain lines."""
-    view = Records(results)
-    other = view.random or view.delayed or view.calibration
-    judged = _lines(view, Demand.of(results.suite)) if view.runs or not other else []
-    return [*judged, *deadline_lines(view), *random_lines(view), *harness_lines(view)]
-
-
-def build_page(
-    results: Results, designs: Designs | None = None, *, baseline: str | None = None
-) -> Page:
-    """The whole page, figures drawn but not written."""
-    view, demand = Records(results), Demand.of(results.suite)
-    suite = results.suite
-    return Page(
-        title=f"dpbench: {suite.get('name', 'results')}",
-        subtitle=str(suite.get("title", "")),
-        facts=_facts(results),
-        sections=_sections(view, demand, designs, baseline or _baseline(suite)),
+    report = Report.of(load_results(folder), load_designs(folder), baseline)
+    if statement is not None:
+        write_statement(Path(statement), folder, report.results, report.facts)
+    _write_figures(folder / "figures", report, ("svg", *figures))
+    write_tables(folder / "tables", report.results, report.facts, report.answer, report.topics)
+    text = report_markdown(report.results, report.facts, report.answer, report.topics)
+    (folder / "report.md").write_text(text, encoding="utf-8")
+    page = folder / "report.html"
+    page.write_text(
+        page_html(
+            folder, report.results, report.facts, report.answer, report.charts, report.topics
+        ),
+        encoding="utf-8",
     )
+    return page, last_lines(report.facts.records, report.facts.verdicts)
 
 
-def _baseline(suite: dict[str, Any]) -> str | None:
-    """The baseline that the suite names."""
-    named = suite.get("report", {}).get("baseline")
-    return None if named is None else str(named)
-
-
-def _sections(
-    view: Records, demand: Demand, designs: Designs | None, baseline: str | None
-) -> list[Section]:
-    """All sections; of records without a ship, those that have something to say."""
-    if view.calibration and not view.all_runs:
-        return [timing_section(view, demand), reading_section()]
-    claims, deadline = random_section(view), deadline_section(view)
-    horizon = horizon_section(view, demand)
-    repeat = repeat_section(view)
-    slow = [deadline] if deadline is not None else []
-    found = [claims] if claims is not None else []
-    if (found or slow) and not view.runs:
-        return [
-            *slow,
-            *found,
-            runs_section(view),
-            solvers_section(view),
-            reading_section(),
-        ]
-    return [
-        verdict_section(view, demand),
-        runs_section(view),
-        accuracy_section(view, demand),
-        units_section(view),
-        *found,
-        timing_section(view, demand),
-        ranks_section(view, demand, baseline),
-        *([repeat] if repeat is not None else []),
-        use_section(view, demand),
-        *([horizon] if horizon is not None else []),
-        figures_section(view, demand),
-        control_section(view, demand),
-        *slow,
-        reproduced_section(view, designs),
-        solvers_section(view),
-        reading_section(),
-    ]
-
-
-def _facts(results: Results) -> list[tuple[str, str]]:
-    suite, machine = results.suite, results.machine
-    wall = as_float(suite.get("wall_s"))
-    facts = [
-        ("started", str(suite.get("started_utc", ""))),
-        ("took", time_text(wall * 1e9) if wall == wall else ""),
-        ("harness", str(suite.get("harness_version", ""))),
-        ("machine", str(machine.get("id", ""))),
-        ("processor", str(machine.get("cpu_model", ""))),
-        ("cells", str(len(results.runs))),
-    ]
-    return [(name, value) for name, value in facts if value]
+def _write_figures(folder: Path, report: Report, formats: Sequence[str]) -> None:
+    """Every figure that stands alone, in each format; those of an earlier report go."""
+    folder.mkdir(exist_ok=True)
+    for kind in FORMATS:
+        for stale in folder.glob(f"*.{kind}"):
+            stale.unlink()
+    for name, chart in report.figures.items():
+        for kind in dict.fromkeys(formats):
+            save(chart, folder / f"{name}.{kind}")

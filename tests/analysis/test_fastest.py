@@ -5,12 +5,10 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.demand import Demand
+from dpbench.analysis.demand import Demand, is_right
 from dpbench.analysis.times.fastest import fastest_of, podium, ranked
-from dpbench.analysis.times.pooled import common_steps
+from dpbench.analysis.times.work_precision import LevelPoint, default_route_levels
 from dpbench.analysis.verdict import Verdicts, verdicts_of
-from dpbench.report.table import Table
-from dpbench.report.tables_levels import level_tables, levels_of
 from dpbench.report.verdict_text import judged_on, recommendation
 
 DEMAND = Demand()
@@ -85,11 +83,8 @@ def test_who_remembers_answers_is_never_the_fastest(
         "daqp": "meets",
     }
     assert _labels(records) == ["daqp (qpsolvers fresh)"]
-    pooled = common_steps(records.view(), DEMAND)
-    assert pooled is not None
-    assert {
-        configuration.configuration.solver: configuration.right for configuration in pooled.pooled
-    } == {"table": False, "daqp": True}
+    right = {run.solver: is_right(run, DEMAND) for run in records.view().replays("paper")}
+    assert right == {"table": False, "daqp": True}
 
 
 def test_a_configuration_has_to_be_right_on_every_sequence(records: Any) -> None:
@@ -146,73 +141,42 @@ def test_a_headline_that_cannot_be_told_apart_carries_caution(records: Any) -> N
     assert "(native warm)" in second
 
 
-def _headline(records: Any) -> list[Table]:
-    return level_tables(records.view(), DEMAND)
+def _levels(records: Any) -> list[LevelPoint]:
+    view = records.view()
+    return [p for points in default_route_levels(view, view.sequences).values() for p in points]
 
 
-def _places(table: Table) -> list[tuple[str, str, str]]:
-    return [(row[0].text, row[1].text, row[2].text) for row in table.rows]
+def _reaching(records: Any, error_move: float) -> list[str]:
+    """The solvers with a point of this accuracy, the fastest first."""
+    points = sorted(_levels(records), key=lambda point: point.p50_ns)
+    return [p.configuration.solver for p in points if p.reaches(error_move)]
 
 
-def test_the_headline_names_who_is_fastest_at_each_accuracy(records: Any) -> None:
-    """A fast solver with errors of 1e-3 leads at 1e-2 alone; who has no way is named instead."""
+def test_who_reaches_an_accuracy_is_told_by_its_error(records: Any) -> None:
+    """A fast solver with errors of 1e-3 leads at 1e-2 alone."""
     records.replay("rough_one", error=1e-3, median_us=5.0)
     records.replay("exact", error=1e-12, median_us=20.0)
     records.replay("middling", error=1e-5, median_us=10.0)
-    (table,) = _headline(records)
-    assert _places(table) == [
-        ("≤ 0.01", "1", "rough_one"),
-        ("≤ 0.01", "2", "middling"),
-        ("≤ 0.01", "3", "exact"),
-        ("≤ 0.0001", "1", "middling"),
-        ("≤ 0.0001", "2", "exact"),
-        ("≤ 1e-06", "1", "exact"),
-    ]
-    assert "at 0.0001 rough_one; at 1e-06 rough_one and middling" in table.note
+    assert _reaching(records, 1e-2) == ["rough_one", "middling", "exact"]
+    assert _reaching(records, 1e-4) == ["middling", "exact"]
+    assert _reaching(records, 1e-6) == ["exact"]
 
 
-def test_tighter_settings_earn_a_place_at_a_higher_accuracy(records: Any) -> None:
-    """At each accuracy a solver stands once, with the settings that reach it fastest."""
+def test_tighter_settings_reach_a_higher_accuracy(records: Any) -> None:
+    """Each settings level is a point of its own."""
     records.replay("osqp", error=1e-3, median_us=10.0)
     records.replay("osqp", error=1e-8, median_us=30.0, settings="high")
-    (table,) = _headline(records)
-    settings = table.heads.index("settings")
-    assert [row[settings].text for row in table.rows] == ["default", "high", "high"]
+    reach = {p.configuration.settings: p.reaches(1e-4) for p in _levels(records)}
+    assert reach == {"default": False, "high": True}
 
 
 def test_an_accuracy_has_to_be_achieved_on_every_sequence(records: Any) -> None:
-    """One sequence with a larger error takes the place away, and the largest error is printed."""
-    for solver, error in (("once", 1e-3), ("both", 1e-7)):
+    """One sequence with a larger error takes it away, and a failed step does."""
+    for solver, error, failed in (("once", 1e-3, 0), ("both", 1e-7, 0), ("failing", 1e-7, 1)):
         records.replay(solver, error=1e-7)
-        records.replay(solver, "rough[900:1400]", error=error)
-    (table,) = _headline(records)
-    assert [r[2] for r in _places(table) if r[0] == "≤ 1e-06"] == ["both"]
-    error = table.heads.index("error_move max")
-    shown = {row[2].text: row[error].text for row in table.rows if row[0].text == "≤ 0.01"}
-    assert shown == {"once": "1.0e-03", "both": "1.0e-07"}
-
-
-def test_the_accuracy_of_the_demand_is_among_those_of_the_headline() -> None:
-    """A demand of its own is a level of its own; one of the usual three is there once."""
-    assert levels_of(Demand(error_move=1e-3)) == [1e-2, 1e-3, 1e-4, 1e-6]
-    assert levels_of(Demand(error_move=1e-2)) == [1e-2, 1e-4, 1e-6]
-
-
-@pytest.mark.slow
-def test_places_behind_the_first_five_are_folded(records: Any) -> None:
-    """The headline stays short, and nobody is lost."""
-    for i in range(7):
-        records.replay(f"s{i}", error=1e-3, median_us=10.0 + 5 * i)
-    head, rest = _headline(records)
-    assert [solver for *_, solver in _places(head)] == [f"s{i}" for i in range(5)]
-    assert [(place, solver) for _, place, solver in _places(rest)] == [("6", "s5"), ("7", "s6")]
-    assert rest.folded
-
-
-def test_without_a_right_configuration_there_is_no_headline(records: Any) -> None:
-    """No table is made of nobody."""
-    records.replay("osqp", error=0.5)
-    assert _headline(records) == []
+        records.replay(solver, "rough[900:1400]", error=error, failed=failed)
+    assert _reaching(records, 1e-6) == ["both"]
+    assert {p.configuration.solver: p.error_move for p in _levels(records)}["once"] == 1e-3
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from dpbench.analysis.run_record import records_of
 from dpbench.bench.record.result_folder import Results, write_results
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
 from dpbench.cli.main import main
-from dpbench.report.compare_tables import _together
+from dpbench.report.compare.tables import _together
 
 STEPS, ROUNDS = 100, 8
 ARMS = ("daqp", "quadprog", "piqp", "proxqp", "osqp", "qpalm", "scs", "clarabel")

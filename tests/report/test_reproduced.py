@@ -9,11 +9,8 @@ import pytest
 
 from dpbench.analysis.records import Records
 from dpbench.bench.record.result_folder import Results
-from dpbench.report.blocks import Paragraph
-from dpbench.report.render import render_markdown
-from dpbench.report.reproduced import choices, claims
-from dpbench.report.sections_control import reproduced_section
-from dpbench.report.write import build_page
+from dpbench.report.topics.claims import choices, claims
+from dpbench.report.topics.paper import paper_topic
 
 WHOLE = 1000
 """Steps of the paper's case: 300 s in samples of 0.3 s."""
@@ -98,6 +95,8 @@ def test_choices_are_those_of_the_rows(records: Any) -> None:
     """The weights that are listed as chosen are those the run was made with."""
     _pair(records)
     found = dict(choices(records.view()))
+    topic = paper_topic(records.view())
+    assert topic is not None and dict(topic.tables[1].rows) == found
     assert found["Q"].startswith("diag(1, 1, 100)")
     assert found["disturbance, amplitude"].startswith("100, 80, 3000")
 
@@ -121,10 +120,6 @@ def _called_paper(records: Any, change: Callable[[dict[str, Any]], None]) -> Res
     return Results(runs, found.steps, found.machine, found.suite)
 
 
-def _text(results: Results) -> str:
-    return render_markdown(build_page(results))
-
-
 @pytest.mark.parametrize("part", ["sea", "ship"])
 def test_a_namesake_is_not_the_paper(records: Any, part: str) -> None:
     """A scenario called `paper` with another sea or ship is judged as any other scenario."""
@@ -139,11 +134,7 @@ def test_a_namesake_is_not_the_paper(records: Any, part: str) -> None:
     view = Records(results)
     assert {claim.state for claim in claims(view)} == {"not measured"}
     assert choices(view) == []
-    (only,) = reproduced_section(view, None).blocks
-    assert only == Paragraph("No scenario of the paper was in this suite.")
-    text = _text(results)
-    assert "1.65 m" not in text and "of the paper: trajectory" not in text
-    assert "### The ship in paper" in text
+    assert paper_topic(view) is None
 
 
 def test_reworded_prose_is_still_the_paper(records: Any) -> None:
@@ -152,15 +143,23 @@ def test_reworded_prose_is_still_the_paper(records: Any) -> None:
     def change(files: dict[str, Any]) -> None:
         files["scenario"]["title"] = "Another title"
 
-    text = _text(_called_paper(records, change))
-    assert "### Figure 4 of the paper: trajectory" in text
-    assert "With the vessel `supply_fs99` the design holds" in text
+    topic = paper_topic(Records(_called_paper(records, change)))
+    assert topic is not None
+    assert [figure.name for figure in topic.figures] == [
+        "paper-path",
+        "paper-errors",
+        "paper-forces",
+        "paper-increments",
+    ]
 
 
-def test_an_own_scenario_gets_its_figure_when_it_ran_whole(records: Any) -> None:
-    """A scenario beside the paper's is drawn in one figure, unless only its beginning was run."""
-    records.loop("daqp", "calm", steps=WHOLE)
-    records.loop("daqp", "rough", steps=60)
-    text = _text(records.results())
-    assert "### The ship in calm" in text
-    assert "### The ship in rough" not in text
+def test_the_topic_counts_what_is_reproduced(records: Any) -> None:
+    """Of the claims that were measured, those that hold; all stand in the table."""
+    _pair(records)
+    topic = paper_topic(records.view())
+    assert topic is not None
+    states = list(_states(records).values())
+    measured = [state for state in states if state != "not measured"]
+    held = measured.count("reproduced")
+    assert topic.lines[0].startswith(f"{held} of {len(measured)} claims")
+    assert [row[2] for row in topic.tables[0].rows] == states

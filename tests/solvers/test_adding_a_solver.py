@@ -51,7 +51,7 @@ def test_a_file_is_all_that_a_solver_takes(copied: Path) -> None:
     """Its routes, levels, family, colour, place in a legend and facts are those of its record."""
     program = f"""
 import json
-from dpbench.report.style import FAMILIES, colour_of, family_colours
+from dpbench.report.charts.style import FAMILY_COLOURS
 from dpbench.solvers.settings import describe_levels, resolve, setting_names
 from dpbench.solvers.table import TABLE, available, native_adapter
 told = {{}}
@@ -61,8 +61,8 @@ for name in {NEWCOMERS}:
         routes=row.policies, ok=available(name).ok, levels=describe_levels(name).splitlines(),
         licence=row.project.licence.value, language=row.project.language.value,
         c_code=row.project.c_code.value, aboard=row.why_not_aboard == "",
-        refusal=row.refusal(row.default_route, "reuse"), legend=family_colours([name]),
-        coloured=colour_of(name) == FAMILIES[row.family][1])
+        refusal=row.refusal(row.default_route, "reuse"), family=row.family,
+        coloured=row.family in FAMILY_COLOURS)
 told["own key"] = dict(resolve({{"precision": 0.5}}, native_adapter("newcomer")))
 print(json.dumps(told))
 """
@@ -78,8 +78,7 @@ print(json.dumps(told))
         "yes, all of it",
     )
     assert native["refusal"] == "the example keeps nothing"
-    assert list(native["legend"]) == ["first order, augmented Lagrangian"]
-    assert list(wrapped["legend"]) == ["active set"]
+    assert (native["family"], wrapped["family"]) == ("augmented Lagrangian", "active set")
     assert all(one[key] for one in (native, wrapped) for key in ("ok", "aboard", "coloured"))
 
 

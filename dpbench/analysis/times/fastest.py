@@ -1,4 +1,4 @@
-"""Who is fastest: of all verdicts, at an accuracy, on common steps; and which one to use.
+"""Who is fastest of all verdicts, and which one to use.
 
 To use is the fastest that nothing contradicts and that can go aboard a ship. The fastest of all may
 exist only as this benchmark's own Python code. It is named, and never recommended by itself.
@@ -7,13 +7,9 @@ exist only as this benchmark's own Python code. It is named, and never recommend
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
-from dpbench.analysis.times.pooled import CommonSteps, PooledTimes
-from dpbench.analysis.times.work_precision import LevelPoint
 from dpbench.analysis.verdict import Verdict, Verdicts
 from dpbench.bench.record.configuration import settings_level
 from dpbench.errors import UnknownNameError
@@ -125,34 +121,3 @@ def why_not_aboard(solver: str) -> str:
     """Why a solver cannot go aboard as it is; "" where it can."""
     known = known_record(solver)
     return "not in the table of this installation" if known is None else known.why_not_aboard
-
-
-def fastest_at(
-    levels_by_solver: Mapping[str, Sequence[LevelPoint]], error_move: float
-) -> list[str]:
-    """Solvers with a point of this accuracy and without a failed step, the fastest p50 first."""
-    best = {
-        solver: min(
-            (point.p50_ns for point in points if point.reaches(error_move)), default=math.inf
-        )
-        for solver, points in levels_by_solver.items()
-    }
-    return sorted((s for s in best if math.isfinite(best[s])), key=lambda solver: best[solver])
-
-
-def fastest_on(common_steps: CommonSteps, solver: str | None) -> PooledTimes:
-    """The configuration that others are compared with on common steps, the baseline.
-
-    The fastest, by the geometric mean of its step times, among those of `solver` (of all where it
-    is None or was not replayed) that meet the demand; among those that do not if there is none.
-    """
-    own = [p for p in common_steps.pooled if p.configuration.solver == solver]
-    candidates = own or list(common_steps.pooled)
-    right = [pooled for pooled in candidates if pooled.right] or candidates
-    return min(right, key=lambda pooled: _mean_log(pooled, common_steps))
-
-
-def _mean_log(pooled: PooledTimes, common_steps: CommonSteps) -> float:
-    """Mean logarithm of the step times; a configuration that has not done every step comes last."""
-    mean = float(common_steps.weights @ np.log(pooled.time_ns))
-    return mean if np.isfinite(mean) else math.inf

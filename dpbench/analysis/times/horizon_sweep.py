@@ -145,14 +145,6 @@ def sweeps(records: Records, demand: Demand) -> list[Sweep]:
     return [sweep for sweep in candidates if len(sweep.sequences) > 1]
 
 
-def between_ends(swept: Sequence[Sweep]) -> set[str]:
-    """The sequences between the shortest and the longest horizons of a sweep.
-
-    What other sections say of each sequence repeats itself over a sweep, so they keep to its ends.
-    """
-    return {name for sweep in swept for name in list(sweep.sequences.values())[1:-1]}
-
-
 def _by_moves(horizons: Horizons) -> tuple[int, int]:
     return horizons[1], horizons[0]
 

@@ -17,8 +17,6 @@ from dpbench.analysis.run_record import RunRecord
 from dpbench.analysis.statistics import Interval, paired_ratio
 from dpbench.analysis.step_times import StepTimes
 from dpbench.analysis.times.pairs import common_steps
-from dpbench.errors import UnknownNameError
-from dpbench.solvers.table import record
 
 RoutePolicy = tuple[str, str]
 """Route and policy."""
@@ -83,12 +81,6 @@ class RouteComparison:
         """The smallest median of all routes."""
         return min(map(self.median_ns, self.times))
 
-    @property
-    def best_kept(self) -> RoutePolicy | None:
-        """The faster of native reuse and native warm; None where neither left a step."""
-        kept = (route for route in (KEPT, WARM) if route in self.times)
-        return min(kept, key=self.median_ns, default=None)
-
     def neighbour(self, route: RoutePolicy) -> RoutePolicy | None:
         """The route above it that was measured."""
         return next((above for above in ABOVE.get(route, ()) if above in self.times), None)
@@ -116,23 +108,6 @@ class RouteComparison:
             wrong=tuple(here.k[i][~here.true[i] & there.true[j]].tolist()),
             mended=int((here.true[i] & ~there.true[j]).sum()),
         )
-
-    def why_missing(self, route: RoutePolicy) -> str:
-        """Why a route left no step, in the library's or the harness's own words."""
-        run = self.runs.get(route)
-        if run is None:
-            return _not_offered(self.solver, route)
-        if run.outcome == "finished":
-            return "no counting round left a step"
-        return run.cause or f"{run.outcome.replace('_', ' ')}, no reason was recorded"
-
-
-def _not_offered(solver: str, route: RoutePolicy) -> str:
-    try:
-        offered = record(solver).policies
-    except UnknownNameError:
-        return "the suite does not run it"
-    return "the suite does not run it" if route[0] in offered else f"it has no route {route[0]}"
 
 
 def route_comparisons(records: Records, sequence: str) -> list[RouteComparison]:

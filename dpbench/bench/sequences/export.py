@@ -7,7 +7,13 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from dpbench.bench.sequences.qpbenchmark_files import save_qpbenchmark, with_optimum
-from dpbench.bench.sequences.recording import described, read_sequence, record, thinned
+from dpbench.bench.sequences.recording import (
+    described,
+    only_step,
+    read_sequence,
+    record,
+    thinned,
+)
 from dpbench.bench.sequences.sequence_file import Recorded, save_sequence
 from dpbench.errors import InputError
 from dpbench.qp.referee.referee import certified
@@ -27,6 +33,7 @@ def export(
     horizons: str | None = None,
     steps: int | None = None,
     every: int = 1,
+    at: int | None = None,
 ) -> str:
     """Write the QPs of a scenario or a sequence to `out`, every one certified.
 
@@ -37,6 +44,7 @@ def export(
     out : the `.npz` file; for "qpbenchmark" the name of the Parquet file and the Python file.
     horizons : "N_p/N_c" instead of those of the tuning; of a scenario only.
     steps, every : the first so many steps, and of these each `every`-th.
+    at : this step alone instead.
 
     Returns
     -------
@@ -51,7 +59,9 @@ def export(
         raise InputError("--format", "", repr(format), " | ".join(FORMATS))
     if format == "npz" and target.suffix != ".npz":
         raise InputError("--out", "", repr(target.name), "a file name that ends in .npz")
-    recorded = _recorded(what, _horizons(horizons), steps, every)
+    if at is not None and (steps is not None or every != 1):
+        raise InputError("--at", "", f"{at} beside --steps or --every", "one step, or several")
+    recorded = _recorded(what, _horizons(horizons), steps, every, at)
     target.parent.mkdir(parents=True, exist_ok=True)
     if format == "npz":
         save_sequence(
@@ -76,7 +86,14 @@ def check_asked(options: dict[str, Any]) -> None:
             if options[key] is None:
                 raise InputError("export", name, "nothing", "WHAT and --out PATH, or --all")
         return
-    defaults = {"what": None, "horizons": None, "steps": None, "every": 1, "format": "npz"}
+    defaults = {
+        "what": None,
+        "horizons": None,
+        "steps": None,
+        "every": 1,
+        "format": "npz",
+        "at": None,
+    }
     for key, default in defaults.items():
         if options[key] != default:
             found = f"{key} {options[key]} beside --all"
@@ -84,19 +101,36 @@ def check_asked(options: dict[str, Any]) -> None:
 
 
 def _recorded(
-    what: str | Path, horizons: tuple[int, int] | None, steps: int | None, every: int
+    what: str | Path,
+    horizons: tuple[int, int] | None,
+    steps: int | None,
+    every: int,
+    at: int | None,
 ) -> Recorded:
     path = Path(what)
     is_file = path.suffix == ".npz" or path.is_dir() or is_stored(what)
     if str(what) in problem_names("scenarios") or not is_file:
-        return record(load_scenario(what), horizons=horizons, steps=steps, every=every)
+        scenario = load_scenario(what)
+        if at is None:
+            return record(scenario, horizons=horizons, steps=steps, every=every)
+        # The loop up to there is what leads to the step; what follows is not needed.
+        upto = at + 1 if 0 <= at < scenario.steps else None
+        return _only(record(scenario, horizons=horizons, steps=upto), at)
     if horizons is not None:
         found = f"{horizons[0]}/{horizons[1]} for a recorded sequence"
         raise InputError("--horizons", "", found, "a scenario: a sequence has the horizons it has")
     found_there = read_sequence(sequence_path(what))
+    if at is not None:
+        return _only(found_there, at)
     sequence = thinned(found_there.sequence, steps, every)
     # What the file says of its optima is not believed.
     return replace(found_there, sequence=sequence, optima=certified(sequence))
+
+
+def _only(recorded: Recorded, k: int) -> Recorded:
+    """Step k alone, certified anew."""
+    sequence = only_step(recorded.sequence, k)
+    return replace(recorded, sequence=sequence, optima=certified(sequence))
 
 
 def _horizons(text: str | None) -> Horizons | None:

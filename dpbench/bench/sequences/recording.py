@@ -73,16 +73,28 @@ def thinned(sequence: QPSequence, steps: int | None, every: int = 1) -> QPSequen
         raise InputError("--every", "", every, "1 or more")
     if every == 1 and steps in (None, len(sequence)):
         return sequence
-    kept = slice(0, steps, every)
-    names = ("q", "l", "u", *CONSTANT)
-    arrays = {name: getattr(sequence, name) for name in names}
-    cut: dict[str, Any] = {name: array[kept] for name, array in arrays.items() if array is not None}
     stride = every * int(sequence.meta.get("every", 1))
+    name = f"{sequence.name}[:{steps or len(sequence)}:{every}]"
+    return _cut(sequence, slice(0, steps, every), name, {"every": stride})
+
+
+def only_step(sequence: QPSequence, k: int) -> QPSequence:
+    """Step k of a sequence as a sequence of one."""
+    if not 0 <= k < len(sequence):
+        raise InputError("--at", "", k, f"0 to {len(sequence) - 1} of {sequence.name}")
+    first = int(sequence.meta.get("first", 0)) + k * int(sequence.meta.get("every", 1))
+    return _cut(sequence, slice(k, k + 1), f"{sequence.name}[{k}]", {"first": first})
+
+
+def _cut(sequence: QPSequence, kept: slice, name: str, meta: dict[str, Any]) -> QPSequence:
+    """Some of the steps of a sequence under another name."""
+    arrays = {part: getattr(sequence, part) for part in ("q", "l", "u", *CONSTANT)}
+    cut: dict[str, Any] = {part: array[kept] for part, array in arrays.items() if array is not None}
     return replace(
         sequence,
-        name=f"{sequence.name}[:{steps or len(sequence)}:{every}]",
-        scaled=None if sequence.scaled is None else thinned(sequence.scaled, steps, every),
-        meta=sequence.meta | {"every": stride},
+        name=name,
+        scaled=None if sequence.scaled is None else _cut(sequence.scaled, kept, name, meta),
+        meta=sequence.meta | meta,
         # It would have all steps.
         sparse_equivalent=None,
         **cut,

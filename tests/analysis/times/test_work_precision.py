@@ -5,7 +5,6 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.times.fastest import fastest_at
 from dpbench.analysis.times.work_precision import default_route_levels, native_route_levels
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import load_suite
@@ -67,14 +66,24 @@ def test_a_solver_on_one_sequence_of_two_has_no_point(records: Any) -> None:
     assert list(default_route_levels(records.view(), BOTH)) == ["whole"]
 
 
-def test_the_fastest_at_an_accuracy_fail_no_step(records: Any) -> None:
-    """A failing point and an inaccurate one are passed over; a tighter point may step in."""
+def test_who_fails_a_step_reaches_no_accuracy(records: Any) -> None:
+    """A failing point and an inaccurate one do not; a tighter one of the same solver may."""
     records.replay("failing", median_us=1.0, failed=1)
     records.replay("osqp", median_us=2.0, error=0.5)
     records.replay("osqp", median_us=30.0, settings="high")
     records.replay("daqp", median_us=10.0)
     levels_by_solver = default_route_levels(records.view(), BOTH[:1])
-    assert fastest_at(levels_by_solver, 1e-2) == ["daqp", "osqp"]
+    reached = {
+        (solver, point.configuration.settings): point.reaches(1e-2)
+        for solver, points in levels_by_solver.items()
+        for point in points
+    }
+    assert reached == {
+        ("failing", "default"): False,
+        ("osqp", "default"): False,
+        ("osqp", "high"): True,
+        ("daqp", "default"): True,
+    }
 
 
 @pytest.mark.parametrize("sequence", ["paper", "rough"])

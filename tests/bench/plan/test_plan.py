@@ -7,9 +7,15 @@ from pathlib import Path
 import pytest
 
 from dpbench.bench.campaign import run_campaign
-from dpbench.bench.plan.configurations import BASELINE_LAW
+from dpbench.bench.plan.configurations import BASELINE_LAW, choose_solvers
 from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.suite import ClosedLoopTable, ReplayTable, SuiteFile, load_suite
+from dpbench.bench.plan.suite import (
+    ClosedLoopTable,
+    ReplayTable,
+    ReportTable,
+    SuiteFile,
+    load_suite,
+)
 from dpbench.bench.record.cell import Cell
 from dpbench.cli.listing import check_file
 from dpbench.errors import InputError, UnknownNameError
@@ -150,3 +156,11 @@ def test_a_complaint_about_a_suite_names_its_file(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=r"mine\.toml: replay\.solvers: found piqp"):
             complain()
     assert not (tmp_path / "out").exists()
+
+
+def test_a_baseline_that_the_suite_does_not_run_is_refused() -> None:
+    """Before anything runs, naming key, found and allowed."""
+    suite = SuiteFile(title="t", solvers=["daqp", "osqp"], report=ReportTable(baseline="scs"))
+    with pytest.raises(InputError, match=r"report.baseline: found 'scs'; allowed: .*daqp, osqp"):
+        choose_solvers(suite, None)
+    assert choose_solvers(suite.model_copy(update={"report": ReportTable()}), ["osqp"]) == ["osqp"]

@@ -284,7 +284,8 @@ formulations = ["condensed_box", "sparse"]
     strict = runs[(runs["solver"] == "quadprog") & (runs["formulation"] == "sparse")]
     assert set(strict["outcome_detail"]) == {NOT_STRICT}
     page = write_report(out).with_suffix(".md").read_text(encoding="utf-8")
-    assert "Formulations in the replay of `paper`" in page
+    assert "Formulations: Median step time of the same QPs in each form" in page
+    assert (out / "tables" / "formulations.csv").is_file()
 
 
 def test_the_suite_of_formulations_plans_all_three_and_none_twice() -> None:

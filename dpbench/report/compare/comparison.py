@@ -1,0 +1,184 @@
+"""Compare two result folders: who became slower, less accurate or a worse pilot."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from dpbench.analysis.compare.answers import Answer, compare_answers
+from dpbench.analysis.compare.pairs import Pairs, check_machines, key_of, pair_cells
+from dpbench.analysis.compare.times import (
+    Compared,
+    Shared,
+    compare_times,
+    time_pairs,
+    why_unjudged,
+)
+from dpbench.analysis.machine import disturbance_of, timed_runs
+from dpbench.analysis.records import Records
+from dpbench.bench.record.result_folder import load_results
+from dpbench.errors import InputError
+from dpbench.report.compare.tables import answers_table, shared_line, solvers_table, times_table
+from dpbench.report.formats import plural
+from dpbench.report.machine_verdict import verdict_text
+from dpbench.report.table import Table, markdown
+
+LISTED = 5
+"""So many cells without a partner are named."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What became of each configuration from folder A to folder B.
+
+    Parameters
+    ----------
+    compared : step times with their verdicts; shared : what all configurations of a sequence share.
+    found : every figure of accuracy and control; pairs : which cells were compared.
+    lines : the verdict in a few lines of text; tables : the rest; margin : what is no difference.
+    """
+
+    compared: list[Compared]
+    shared: list[Shared]
+    found: list[Answer]
+    pairs: Pairs
+    lines: list[str]
+    tables: list[Table]
+    margin: float = 0.05
+
+    @property
+    def worse(self) -> bool:
+        """Whether a regression is shown."""
+        together = [s.assessment for s in self.shared if s.assessment is not None]
+        slow = any(
+            j.verdict == "slower" for j in [*(c.assessment for c in self.compared), *together]
+        )
+        return slow or any(answer.change == "worse" for answer in self.found)
+
+    @property
+    def times(self) -> pd.DataFrame:
+        """One row per configuration and sequence: identity, ratios, interval, adjusted p-values,
+        verdict."""
+        return pd.DataFrame([_time_row(compared) for compared in self.compared])
+
+    @property
+    def answers(self) -> pd.DataFrame:
+        """One row per configuration, experiment and figure: identity, ranges in A and B, change."""
+        return pd.DataFrame([_answer_row(answer) for answer in self.found])
+
+    def markdown(self) -> str:
+        """The comparison as a Markdown document."""
+        parts = ["# Comparison", "\n".join(f"- {line}" for line in self.lines)]
+        parts += [f"## {t.title}\n\n{t.note}\n\n{markdown(t)}" for t in self.tables]
+        return "\n\n".join(parts) + "\n"
+
+
+def compare(
+    a: str | Path,
+    b: str | Path,
+    *,
+    any_machine: bool = False,
+    margin: float = 0.05,
+    alpha: float = 0.05,
+) -> Comparison:
+    """Compare folder B with folder A, cell by cell.
+
+    Parameters
+    ----------
+    a, b : folders written by `dpbench run`; A is the older one, the baseline.
+    any_machine : compare runs of two machines too; what all configurations share is then not
+        judged.
+    margin : a ratio up to 1 + margin either way makes no difference.
+    alpha : family-wise error of the claims on step times.
+
+    Raises
+    ------
+    InputError : for a margin or alpha that cannot be; as `ResultsError` for a folder that is
+        missing, damaged, of another machine, or has no cell in common with the other.
+    """
+    if not (margin > 0.0 and math.isfinite(margin)):
+        raise InputError("--margin", "", margin, "a finite number above 0, as 0.05 for 5 %")
+    if not 0.0 < alpha < 0.5:
+        raise InputError("--alpha", "", alpha, "a number above 0 and below 0.5")
+    results = load_results(a), load_results(b)
+    if not any_machine:
+        check_machines(*results, where=str(b))
+    views = Records(results[0]), Records(results[1])
+    pairs = pair_cells(*views, names=(str(a), str(b)))
+    same = results[0].machine["id"] == results[1].machine["id"]
+    timings = time_pairs(*views, pairs.pairs)
+    unjudged = why_unjudged(*views, timings, same_machine=same)
+    compared, shared = compare_times(timings, margin, alpha, unjudged)
+    found = compare_answers(*views, pairs.pairs, margin)
+    lines = [f"A: {a}{_machine(views[0])}"]
+    lines += [f"B: {b}{_machine(views[1])}{'' if same else ' (another machine)'}"]
+    lines += _lines(compared, shared, found, pairs)
+    changed = answers_table(found, margin)
+    tables = [solvers_table(compared, found)] if compared or found else []
+    tables += [times_table(compared, margin, alpha)] if compared else []
+    tables += [changed] if changed is not None else []
+    return Comparison(compared, shared, found, pairs, lines, tables, margin)
+
+
+def _machine(view: Records) -> str:
+    """On what a folder was measured, and how quiet that was while replays were timed."""
+    said = f", {view.machine.get('cpu_model', 'an unnamed CPU')}"
+    found = disturbance_of(timed_runs(view))
+    return f"{said}, {verdict_text(found)}" if found.seconds > 0 else said
+
+
+def _lines(
+    compared: list[Compared], shared: list[Shared], found: list[Answer], pairs: Pairs
+) -> list[str]:
+    lines = [f"{plural(len(pairs.pairs), 'cell')} compared"]
+    verdicts = Counter(c.assessment.verdict for c in compared)
+    if compared:
+        lines.append("step times: " + ", ".join(f"{n} {v}" for v, n in verdicts.most_common()))
+    lines += [shared_line(one) for one in shared]
+    changes = Counter(answer.change for answer in found)
+    if found:
+        counts = ", ".join(f"{n} {change}" for change, n in changes.most_common())
+        lines.append(f"figures of accuracy and control: {counts}")
+    for what, cells in (
+        ("only in A", pairs.only_a),
+        ("only in B", pairs.only_b),
+        ("another problem under the same name", pairs.changed),
+        ("lost by the harness", pairs.lost),
+    ):
+        if cells:
+            more = f" and {len(cells) - LISTED} more" if len(cells) > LISTED else ""
+            lines.append(f"{what}, not compared: {'; '.join(cells[:LISTED])}{more}")
+    return lines
+
+
+def _time_row(compared: Compared) -> dict[str, Any]:
+    timing, found = compared.timing, compared.assessment
+    return key_of(timing.pair.a) | {
+        "raw": found.raw,
+        "machine": found.machine,
+        "ratio": found.ratio.value,
+        "low": found.ratio.low,
+        "high": found.ratio.high,
+        "own": timing.own,
+        "p_differs": found.p_differs,
+        "p_equal": found.p_equal,
+        "steps": timing.steps,
+        "rounds": timing.rounds,
+        "verdict": found.verdict,
+    }
+
+
+def _answer_row(answer: Answer) -> dict[str, Any]:
+    return key_of(answer.pair.a) | {
+        "figure": answer.measure.column,
+        "a_low": answer.a[0],
+        "a_high": answer.a[1],
+        "b_low": answer.b[0],
+        "b_high": answer.b[1],
+        "change": answer.change,
+    }

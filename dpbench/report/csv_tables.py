@@ -1,0 +1,86 @@
+"""`tables/*.csv`: everything the page shows, as tables, and what it has no room for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from dpbench.analysis.run_steps import MEASURES, hardest
+from dpbench.bench.record.result_folder import Results
+from dpbench.report.page.answer import Answer
+from dpbench.report.page.facts import Facts
+from dpbench.report.page.tables import matrix_table
+from dpbench.report.page.topic import Topic
+
+
+def write_tables(
+    folder: Path, results: Results, facts: Facts, answer: Answer, topics: Sequence[Topic]
+) -> None:
+    """Write all tables into `folder`; those of an earlier report go."""
+    folder.mkdir(exist_ok=True)
+    for stale in folder.glob("*.csv"):
+        stale.unlink()
+    tables = {
+        "runs": results.runs.drop(columns="cell"),
+        "verdicts": _verdicts(facts, answer),
+        "places": matrix_table(facts),
+        "hard_steps": _hard_steps(facts),
+    }
+    for topic in topics:
+        for i, small in enumerate(topic.tables):
+            name = topic.id if i == 0 else f"{topic.id}_{i + 1}"
+            tables[name] = pd.DataFrame(small.rows, columns=list(small.head))
+    for name, table in tables.items():
+        if len(table):
+            table.to_csv(folder / f"{name}.csv", index=False)
+
+
+def _verdicts(facts: Facts, answer: Answer) -> pd.DataFrame:
+    return pd.DataFrame(
+        [
+            {
+                "solver": v.configuration.solver,
+                "route": v.configuration.route,
+                "policy": v.configuration.policy,
+                "settings": v.configuration.settings,
+                "outcome": v.outcome,
+                "why": answer.why(v),
+                "closed_loops": v.loops,
+                "replays": v.replays,
+                "steps": v.steps,
+                "error_move": v.error_move,
+                "failed_steps": v.failed_steps,
+                "p50_ns": v.p50_ns,
+                "p99_ns": v.p99_ns,
+                "algo_max_ns": v.algo_max_ns,
+                "raw_max_ns": v.raw_max_ns,
+                "timed_on": v.timed_on,
+            }
+            for v in facts.verdicts.all
+        ]
+    )
+
+
+def _hard_steps(facts: Facts) -> pd.DataFrame:
+    """The five hardest steps of every run by each measure."""
+    labels = {run.run_id: facts.configurations[c].label for (c, _), run in facts.runs.items()}
+    rows = [
+        {
+            "run_id": run_id,
+            "configuration": labels[run_id],
+            "by": measure,
+            "k": int(steps.k[hard.at]),
+            "value": hard.value,
+            "status": str(steps.status[hard.at]),
+            "claimed": bool(steps.claimed[hard.at]),
+            "true": bool(steps.true[hard.at]),
+            "n_active": int(steps.n_active[hard.at]),
+        }
+        for run_id, steps in facts.steps.items()
+        if run_id in labels
+        for measure in MEASURES
+        for hard in hardest(steps, measure)
+    ]
+    return pd.DataFrame(rows)

@@ -1,0 +1,68 @@
+"""`report.md`: what fits a pull request. The answer, one table, the conditions, where the rest
+is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from dpbench.bench.record.result_folder import Results
+from dpbench.report.formats import error_text, time_text
+from dpbench.report.page.answer import Answer
+from dpbench.report.page.facts import Facts
+from dpbench.report.page.tables import best_of_each
+from dpbench.report.page.topic import Topic
+
+MOST_BYTES = 8000
+"""A comment on a pull request is read when it is one screen or two."""
+HEAD = ("solver", "way", "demand", "p50", "p99", "largest step", "largest error", "failed")
+
+
+def report_markdown(results: Results, facts: Facts, answer: Answer, topics: Sequence[Topic]) -> str:
+    """The report in Markdown, at most `MOST_BYTES` long."""
+    suite = results.suite
+    parts = [f"# dpbench: {suite.get('name', 'results')}", answer.sentence, *answer.notes]
+    rows = _rows(facts)
+    if rows:
+        parts.append(_table(HEAD, rows))
+    held = ", ".join(chip.text for chip in answer.chips)
+    if held:
+        parts.append(f"Valid for: {held}.")
+    parts += [answer.demand, answer.machine]
+    parts += [f"{topic.title}: {topic.lines[0]}" for topic in topics if topic.lines]
+    parts.append(
+        "Everything else: `report.html` (figures, every step), `tables/*.csv`, `figures/*.svg`, "
+        "`runs.parquet`, `steps.parquet`."
+    )
+    return _cut("\n\n".join(part for part in parts if part) + "\n")
+
+
+def _rows(facts: Facts) -> list[tuple[str, ...]]:
+    return [
+        (
+            verdict.configuration.solver,
+            verdict.configuration.options,
+            verdict.outcome,
+            time_text(verdict.p50_ns),
+            time_text(verdict.p99_ns),
+            time_text(verdict.algo_max_ns),
+            error_text(verdict.error_move),
+            str(verdict.failed_steps),
+        )
+        for verdict in best_of_each(facts)
+    ]
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(
+        "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |" for cells in lines
+    )
+
+
+def _cut(text: str) -> str:
+    """Whole lines up to the limit; what is cut off is on the page."""
+    raw = text.encode()
+    if len(raw) <= MOST_BYTES:
+        return text
+    kept = raw[: MOST_BYTES - 60].decode(errors="ignore").rsplit("\n", 1)[0]
+    return f"{kept}\n\nMore rows: `tables/verdicts.csv`.\n"

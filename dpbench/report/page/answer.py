@@ -1,0 +1,171 @@
+"""The answer: which configuration to use, why, where that is valid, and what to paste."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from dpbench.analysis.times.fastest import Recommendation, fastest_of, recommend
+from dpbench.analysis.verdict import Verdict
+from dpbench.bench.record.configuration import Configuration
+from dpbench.errors import InputError
+from dpbench.report.formats import error_text, rounded_down, time_text
+from dpbench.report.lines import last_lines
+from dpbench.report.page.facts import Facts
+from dpbench.report.verdict_text import aboard, clauses, demand_text, judged_on, recommendation
+from dpbench.solvers.settings import level_options
+
+
+@dataclass(frozen=True)
+class Chip:
+    """A place, and whether the answer holds there."""
+
+    text: str
+    mark: str
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What stands first on the page."""
+
+    sentence: str
+    notes: tuple[str, ...]
+    chips: tuple[Chip, ...]
+    snippet: str
+    demand: str
+    machine: str
+    first: Configuration | None
+    second: Configuration | None
+
+    @staticmethod
+    def why(verdict: Verdict) -> str:
+        """What is said against a configuration, or left open."""
+        if verdict.refusal:
+            return verdict.refusal
+        if verdict.outcome == "meets":
+            return ""
+        return _plain(clauses(verdict.causes or verdict.missing))
+
+
+def answer_of(facts: Facts, machine: Mapping[str, Any], baseline: str | None = None) -> Answer:
+    """The answer of some facts.
+
+    Parameters
+    ----------
+    baseline : the solver to set beside it; by default a faster one, or the next.
+
+    Raises
+    ------
+    InputError : for a baseline that was not run.
+    """
+    found = recommend(facts.verdicts)
+    chosen = found.chosen
+    known = [v.configuration for v in facts.verdicts.all if v.outcome != "not run"]
+    first = chosen.configuration if chosen else known[0] if known else None
+    other = found.faster or found.runner_up
+    second = other.configuration if other else next((c for c in known if c != first), None)
+    if baseline is not None:
+        own = [c for c in known if c.solver == baseline]
+        if not own:
+            solvers = ", ".join(dict.fromkeys(c.solver for c in known))
+            raise InputError("--baseline", "", repr(baseline), f"a solver that was run: {solvers}")
+        fastest = fastest_of(facts.verdicts, baseline)
+        second = fastest.configuration if fastest else own[0]
+    return Answer(
+        sentence=_sentence(facts, chosen),
+        notes=tuple(_notes(facts, found)),
+        chips=tuple(_chips(facts, first)),
+        snippet=_snippet(chosen.configuration) if chosen else "",
+        demand=demand_text(facts.demand) if facts.configurations else "",
+        machine=_machine(machine),
+        first=first,
+        second=second,
+    )
+
+
+def _sentence(facts: Facts, chosen: Verdict | None) -> str:
+    if chosen is None:
+        return _nothing(facts)
+    figure = (
+        f"p99 {time_text(chosen.p99_ns)}"
+        if chosen.p99_ns == chosen.p99_ns
+        else f"p50 {time_text(chosen.p50_ns)}"
+    )
+    c = chosen.configuration
+    head = "Use" if chosen.outcome == "meets" else "Nothing contradicts"
+    left_open = "" if chosen.outcome == "meets" else f"; {_plain(clauses(chosen.missing))}"
+    return (
+        f"{head} {c.solver} ({c.route}, {c.policy}, {c.settings}): right on every step of "
+        f"{judged_on(chosen)}, {figure}, largest error of the first move "
+        f"{error_text(chosen.error_move)}{left_open}."
+    )
+
+
+def _nothing(facts: Facts) -> str:
+    """What is said where nothing can be recommended, or nobody asked for a recommendation."""
+    if facts.configurations:
+        said = recommendation(facts.records, facts.verdicts)
+    else:
+        said = [
+            f"{line[:1].upper()}{line[1:]}" for line in last_lines(facts.records, facts.verdicts)
+        ]
+    return _plain(" ".join(line if line.endswith(".") else f"{line}." for line in said))
+
+
+def _plain(text: str) -> str:
+    """Without the marks of Markdown, which a page would show."""
+    return text.replace("**", "").replace("`", "")
+
+
+def _notes(facts: Facts, found: Recommendation) -> list[str]:
+    notes = []
+    chosen = found.chosen
+    if chosen is not None:
+        notes.append(aboard(chosen.configuration.solver))
+        notes.append(
+            f"A computer {rounded_down(chosen.slowdown(facts.demand))} times slower still makes "
+            "the "
+            f"deadline by its largest step, {rounded_down(chosen.raw_slowdown(facts.demand))} "
+            "times "
+            "by its largest sample on this machine."
+        )
+    if chosen is not None and found.faster is not None:
+        notes.append(
+            f"{found.faster.configuration.label} is faster, and is not the answer: {found.because}."
+        )
+    if found.runner_up is not None:
+        p99 = time_text(found.runner_up.p99_ns)
+        notes.append(f"Next: {found.runner_up.configuration.label}, p99 {p99}.")
+    return notes
+
+
+def _chips(facts: Facts, first: Configuration | None) -> list[Chip]:
+    if first is None:
+        return []
+    c = facts.index(first)
+    words = {"meets": "held", "misses": "missed", "open": "open", "not run": "not run"}
+    chips = []
+    for p, place in enumerate(facts.places):
+        state = facts.state(c, p)
+        mark = "none" if state == "not run" else state
+        chips.append(Chip(f"{place.label}: {words[state]}", mark))
+    return chips
+
+
+def _snippet(c: Configuration) -> str:
+    options = level_options(c.settings, c.solver)
+    keys = ", ".join(f"{key}={value!r}" for key, value in options.items())
+    return (
+        "import dpbench\n"
+        f'solver = dpbench.open_workspace("{c.solver}", route="{c.route}", policy="{c.policy}", '
+        f'settings="{c.settings}")\n'
+        f"# in its own words: {keys or 'nothing set'}"
+    )
+
+
+def _machine(machine: Mapping[str, Any]) -> str:
+    return (
+        f"Machine: {machine.get('cpu_model', 'not known')}, {machine.get('cores', '?')} cores, "
+        f"{machine.get('python', '')}. Times hold for it alone; ratios carry further."
+    )

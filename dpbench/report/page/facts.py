@@ -1,0 +1,192 @@
+"""What the page knows of a result folder: configurations, places, cells, and their steps.
+
+    configurations   one row each: solver, way, settings, outcome and its figures
+    places           scenarios steered through and sequences replayed, in the order of the suite
+    cells            a configuration in a place: its run, its state, its packed steps
+
+The page refers to a configuration and a place by their position in these lists.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord, as_float
+from dpbench.analysis.run_steps import MEASURES, RunSteps, hardest, run_steps
+from dpbench.analysis.verdict import Verdict, Verdicts, verdict_of
+from dpbench.bench.record.configuration import Configuration
+from dpbench.report.page.pack import Block
+from dpbench.report.page.steps import Track, pack_steps, pack_track, track_of
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where configurations were run: a scenario in closed loop, or a sequence in replay."""
+
+    mode: str
+    name: str
+    units: str
+
+    @classmethod
+    def of(cls, run: RunRecord) -> Place:
+        """The place of a run."""
+        name = run.sequence if run.mode == "replay" else run.scenario
+        return cls(run.mode, name, run.units)
+
+    @property
+    def label(self) -> str:
+        """As it is called on the page."""
+        extra = ["replay"] if self.mode == "replay" else []
+        extra += ["SI units"] if self.units == "si" else []
+        return self.name + (f" ({', '.join(extra)})" if extra else "")
+
+
+@dataclass(eq=False)
+class Facts:
+    """The lists above, and the block their arrays are in."""
+
+    records: Records
+    demand: Demand
+    verdicts: Verdicts
+    block: Block = field(default_factory=Block)
+    configurations: list[Configuration] = field(default_factory=list)
+    places: list[Place] = field(default_factory=list)
+    runs: dict[tuple[int, int], RunRecord] = field(default_factory=dict)
+    states: dict[tuple[int, int], Verdict] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, records: Records, demand: Demand, verdicts: Verdicts) -> Facts:
+        """The facts of some records; of two runs of one configuration in one place the longer."""
+        facts = cls(records, demand, verdicts)
+        numbers: dict[Configuration, int] = {}
+        for run in records.runs:
+            if run.is_baseline_law:
+                continue
+            configuration, place = _numbered(run), Place.of(run)
+            if configuration not in numbers:
+                numbers[configuration] = len(facts.configurations)
+                facts.configurations.append(configuration)
+            if place not in facts.places:
+                facts.places.append(place)
+            key = numbers[configuration], facts.places.index(place)
+            other = facts.runs.get(key)
+            if other is None or run.steps_planned > other.steps_planned:
+                facts.runs[key] = run
+        facts.places.sort(key=lambda p: (p.mode == "replay", p.units == "si"))
+        facts._renumber()
+        for (c, p), run in facts.runs.items():
+            facts.states[c, p] = facts._judged(facts.configurations[c], run)
+        return facts
+
+    @cached_property
+    def steps(self) -> dict[str, RunSteps]:
+        """Every run that left a counting step, by its id."""
+        return dict(run_steps(self.records.table))
+
+    def _renumber(self) -> None:
+        """Number the places in their order."""
+        self.runs = {
+            (c, self.places.index(Place.of(run))): run for (c, _), run in self.runs.items()
+        }
+
+    def _judged(self, configuration: Configuration, run: RunRecord) -> Verdict:
+        place = "", ""
+        return verdict_of(self.records, configuration, {place: run}, [], self.demand)
+
+    def state(self, c: int, p: int) -> str:
+        """What a run alone says of the demand: meets, misses, open or not run."""
+        verdict = self.states.get((c, p))
+        if verdict is None or verdict.outcome == "not run":
+            return "not run"
+        return "misses" if verdict.causes else "open" if verdict.doubts else "meets"
+
+    def index(self, configuration: Configuration) -> int:
+        """The number of a configuration; −1 for one that was not run."""
+        known = self.configurations
+        return known.index(configuration) if configuration in known else -1
+
+    def cells(self) -> Iterator[dict[str, Any]]:
+        """Every run with its packed steps and hardest steps."""
+        references: dict[int, Track] = {}
+        order = sorted(self.runs, key=lambda key: (key[1], self._deviation(self.runs[key])))
+        for c, p in order:
+            run = self.runs[c, p]
+            entry, steps = self._cell(c, p, run), self.steps.get(run.run_id)
+            if steps is not None:
+                entry |= pack_steps(self.block, steps) | {"hard": _hard(steps)}
+                if run.mode == "closed_loop" and (limits := self._limits(run)) is not None:
+                    track = track_of(self.records.steps(run), limits)
+                    entry |= pack_track(self.block, track, references.get(p))
+                    entry["reference"] = p not in references
+                    references.setdefault(p, track)
+            yield entry
+
+    def _cell(self, c: int, p: int, run: RunRecord) -> dict[str, Any]:
+        return {
+            "c": c,
+            "p": p,
+            "id": run.run_id,
+            "state": self.state(c, p),
+            "outcome": run.outcome,
+            "why": run.outcome_detail[:200],
+            "steps": run.steps_done,
+            "planned": run.steps_planned,
+            "error": number(run.error_move_max),
+            "failed": number(run.failed_steps),
+        }
+
+    def _limits(self, run: RunRecord) -> Any:
+        scenario = self.records.scenario(run.scenario)
+        if scenario is None:
+            return None
+        vessel = scenario.vessel
+        return np.maximum(vessel.tau_max, -vessel.tau_min)
+
+    @staticmethod
+    def _deviation(run: RunRecord) -> float:
+        return math.inf if math.isnan(run.dev_position_max_m) else run.dev_position_max_m
+
+
+def _numbered(run: RunRecord) -> Configuration:
+    """The configuration of a run whatever its units and formulation: those belong to the place."""
+    return replace(run.configuration.in_common_formulation, units="scaled")
+
+
+def _hard(steps: RunSteps) -> list[list[list[Any]]]:
+    """The hardest steps by each measure: k, figure, status, claimed, true, active limits."""
+    return [
+        [
+            [
+                int(steps.k[hard.at]),
+                number(hard.value),
+                str(steps.status[hard.at]),
+                int(steps.claimed[hard.at]),
+                int(steps.true[hard.at]),
+                int(steps.n_active[hard.at]),
+            ]
+            for hard in hardest(steps, measure)
+        ]
+        for measure in MEASURES
+    ]
+
+
+def number(value: object) -> float | str | None:
+    """A number as JSON has it: None where it is missing, "inf" where it is infinite."""
+    x = as_float(value)
+    if math.isnan(x):
+        return None
+    return x if math.isfinite(x) else "inf"
+
+
+def columns_of(rows: Sequence[dict[str, Any]]) -> dict[str, list[Any]]:
+    """Rows of one kind as columns."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    return {name: [row.get(name) for row in rows] for name in names}

@@ -1,0 +1,168 @@
+"""The table of all runs on the page, by groups of columns, and the figures' tables."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import isnan
+from typing import Any
+
+import pandas as pd
+
+from dpbench.analysis.times.fastest import fastest_first, fastest_of
+from dpbench.analysis.verdict import Verdict
+from dpbench.bench.record.schema import RUN_COLUMNS
+from dpbench.report.charts.ladder import COLUMNS as LADDER_COLUMNS
+from dpbench.report.charts.style import OUTCOMES
+from dpbench.report.page.facts import Facts, Place, number
+
+ALWAYS = ("solver", "way", "settings", "where", "outcome")
+GROUPS: dict[str, tuple[str, ...]] = {
+    "times": (
+        "algo_p50_ns",
+        "algo_p99_ns",
+        "algo_max_ns",
+        "raw_max_ns",
+        "raw_samples",
+        "rounds",
+        "disturbed_rounds",
+    ),
+    "accuracy": (
+        "error_move_max",
+        "error_plan_max",
+        "failed_steps",
+        "claimed_not_true",
+        "true_share",
+        "iterations_p50",
+        "iterations_max",
+    ),
+    "control": (
+        "r_rms_m",
+        "r_max_m",
+        "settle_s",
+        "dev_position_max_m",
+        "total_variation",
+        "closed_loop_cost",
+        "exact_cost",
+    ),
+    "deadline": (
+        "slowdown",
+        "deadline_misses",
+        "longest_miss_streak",
+        "latency_p50_ns",
+        "latency_max_ns",
+        "fallbacks",
+        "recover_steps_max",
+    ),
+    "memory": (
+        "peak_rss_bytes",
+        "python_peak_bytes_per_step",
+        "heap_growth_bytes_per_step",
+        "os_threads",
+        "bit_identical_share",
+        "voluntary_switches",
+        "involuntary_switches",
+    ),
+    "run": ("solver_version", "build", "units", "formulation", "n", "m", "steps_done", "run_id"),
+}
+"""What is shown beside `ALWAYS`, a group at a time; the whole table is a file."""
+MOST_ROWS = 3000
+"""A longer table is a file alone."""
+
+
+def runs_table(facts: Facts, runs: pd.DataFrame) -> dict[str, Any]:
+    """The runs as columns of text and numbers; those without any value are left out."""
+    runs = runs.iloc[:MOST_ROWS]
+    places = runs["scenario"].where(runs["scenario"] != "", runs["sequence"])
+    made = {
+        "solver": runs["solver"],
+        "way": runs["route"] + " " + runs["policy"],
+        "settings": runs["settings"],
+        "where": places + runs["mode"].map({"replay": " (replay)"}).fillna(""),
+        "outcome": runs["outcome"],
+    }
+    columns = [{"name": n, "label": n, "meaning": "", "group": "", "text": True} for n in ALWAYS]
+    values: list[list[Any]] = [made[name].astype(str).tolist() for name in ALWAYS]
+    for group, names in GROUPS.items():
+        for name in names:
+            kind, meaning = RUN_COLUMNS[name]
+            text = kind == "str"
+            cells = [str(x) for x in runs[name]] if text else [number(x) for x in runs[name]]
+            if all(x in ("", None) for x in cells):
+                continue
+            columns.append(
+                {"name": name, "label": name, "meaning": meaning, "group": group, "text": text}
+            )
+            values.append(cells)
+    by_id = {run.run_id: key for key, run in facts.runs.items()}
+    keys = [by_id.get(str(run_id)) for run_id in runs["run_id"]]
+    return {
+        "rows": len(runs),
+        "columns": columns,
+        "values": values,
+        "c": [None if key is None else key[0] for key in keys],
+        "p": [None if key is None else key[1] for key in keys],
+    }
+
+
+def best_of_each(facts: Facts) -> list[Verdict]:
+    """For each solver the fastest of its configurations that nothing is said against, else its
+    default; those that meet the demand first, then by time."""
+    verdicts = facts.verdicts
+    chosen = [
+        fastest_of(verdicts, reference.configuration.solver) or reference
+        for reference in verdicts.references
+    ]
+    order = list(OUTCOMES).index
+    return sorted(fastest_first(chosen), key=lambda v: order(v.outcome))
+
+
+def ladder_table(facts: Facts, calling_ns: float) -> pd.DataFrame:
+    """A row for each solver that was timed, as `charts.ladder` wants it.
+
+    `calling_ns` is what calling a library that does nothing takes; NaN where nobody knows.
+    """
+    rows = [
+        {
+            "id": str(facts.index(verdict.configuration)),
+            "solver": verdict.configuration.solver,
+            "label": verdict.configuration.label,
+            "outcome": verdict.outcome,
+            "p50_ms": verdict.p50_ns / 1e6,
+            "p99_ms": verdict.p99_ns / 1e6,
+            "max_ms": verdict.algo_max_ns / 1e6,
+            "raw_max_ms": verdict.raw_max_ns / 1e6,
+            "share": 0.0 if isnan(calling_ns) else min(1.0, calling_ns / verdict.p50_ns),
+        }
+        for verdict in best_of_each(facts)
+        if verdict.timed_on
+    ]
+    return pd.DataFrame(rows, columns=list(LADDER_COLUMNS))
+
+
+def matrix_table(facts: Facts) -> pd.DataFrame:
+    """Solver × place × settings, of each solver in the way of its reference."""
+    rows = []
+    for reference in facts.verdicts.references:
+        own = reference.configuration
+        for level in facts.verdicts.levels:
+            wanted = facts.index(replace(own, settings=level))
+            for p, place in enumerate(facts.places):
+                rows.append(_tile(facts, own.solver, level, wanted, p, place))
+    return pd.DataFrame(rows)
+
+
+def _tile(facts: Facts, solver: str, level: str, c: int, p: int, place: Place) -> dict[str, Any]:
+    run = facts.runs.get((c, p))
+    verdict = facts.states.get((c, p))
+    findings = () if verdict is None else (*verdict.causes, *verdict.doubts)
+    return {
+        "solver": solver,
+        "settings": level,
+        "place": place.label,
+        "state": facts.state(c, p),
+        "error": None if run is None else number(run.error_move_max),
+        "failed": None if run is None else number(run.failed_steps),
+        "id": str(c),
+        "place_id": str(p),
+        "detail": ", ".join(dict.fromkeys(f.kind for f in findings)),
+    }

@@ -1,0 +1,35 @@
+"""What a section below the selection is made of: lines, static figures and small tables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A static figure: the name of its file, the chart, and a line below it."""
+
+    name: str
+    chart: Any
+    caption: str
+
+
+@dataclass(frozen=True)
+class SmallTable:
+    """A table of a topic, of text alone."""
+
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    title: str = ""
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A section made of lines, figures and tables."""
+
+    id: str
+    title: str
+    lines: tuple[str, ...] = ()
+    figures: tuple[Figure, ...] = ()
+    tables: tuple[SmallTable, ...] = ()

@@ -1,0 +1,80 @@
+"""Scripts of others that the page carries: their versions, licences and hashes.
+
+`make vendored` fetches the version that `vendor/vendored.json` names and writes its hash there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import subprocess
+import tarfile
+import tempfile
+from dataclasses import asdict, dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+_ROOM = files("dpbench.report.page").joinpath("vendor")
+
+
+@dataclass(frozen=True)
+class Vendored:
+    """One script.
+
+    Parameters
+    ----------
+    file, licence_file : its names in `vendor/`; package, version : where it is from.
+    member : its path in the package; licence : the name of its licence; sha256 : of the file.
+    """
+
+    file: str
+    package: str
+    version: str
+    member: str
+    licence: str
+    licence_file: str
+    sha256: str
+
+
+@cache
+def vendored() -> tuple[Vendored, ...]:
+    """All of them, in the order the page loads them."""
+    return tuple(
+        Vendored(**entry) for entry in json.loads(_ROOM.joinpath("vendored.json").read_text())
+    )
+
+
+@cache
+def script(entry: Vendored) -> str:
+    """The text of a script, safe inside an HTML element."""
+    text = _ROOM.joinpath(entry.file).read_text(encoding="utf-8")
+    return text.replace("</script", "<\\/script")
+
+
+def digest(entry: Vendored) -> str:
+    """The hash of the file as it lies there."""
+    return hashlib.sha256(_ROOM.joinpath(entry.file).read_bytes()).hexdigest()
+
+
+def renew() -> None:
+    """Fetch every script of the list anew, and write its hash; needs npm and the registry."""
+    room = Path(__file__).with_name("vendor")
+    entries = []
+    for entry in vendored():
+        with tempfile.TemporaryDirectory() as folder:
+            asked = ["npm", "pack", "--silent", f"{entry.package}@{entry.version}"]
+            subprocess.run(asked, cwd=folder, check=True)
+            (packed,) = Path(folder).glob("*.tgz")
+            with tarfile.open(packed) as archive:
+                for member, name in ((entry.member, entry.file), ("LICENSE", entry.licence_file)):
+                    taken = archive.extractfile(f"package/{member}")
+                    assert taken is not None, f"{entry.package} has no {member}"
+                    (room / name).write_bytes(taken.read())
+        entries.append(asdict(entry) | {"sha256": digest(entry)})
+    text = json.dumps(entries, indent=2) + "\n"
+    (room / "vendored.json").write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    renew()

@@ -1,0 +1,335 @@
+"""Put the page together: one file that needs nothing beside it."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from dpbench.analysis.times.pairs import paired_comparison
+from dpbench.analysis.times.work_precision import (
+    LevelPoint,
+    default_route_levels,
+    native_route_levels,
+)
+from dpbench.bench.record.result_folder import Results
+from dpbench.report.charts.accuracy import accuracy
+from dpbench.report.charts.ladder import ladder
+from dpbench.report.charts.matrix import FILLS, PAPER, matrix
+from dpbench.report.charts.pairs import COLUMNS as PAIR_COLUMNS
+from dpbench.report.charts.pairs import pairs
+from dpbench.report.charts.strips import COLUMNS as STRIP_COLUMNS
+from dpbench.report.charts.strips import strips
+from dpbench.report.charts.style import (
+    ACCENT,
+    FAMILY_COLOURS,
+    INK,
+    LINE,
+    OUTCOME_COLOURS,
+    SOFT,
+    svg,
+    vega,
+)
+from dpbench.report.page.answer import Answer
+from dpbench.report.page.facts import Facts, columns_of, number
+from dpbench.report.page.tables import GROUPS, ladder_table, matrix_table, runs_table
+from dpbench.report.page.topic import Topic
+from dpbench.report.page.vendored import script, vendored
+from dpbench.solvers.table import record
+
+_STATES = ("var(--good)", "var(--warn)", "var(--bad)", "var(--none)")
+_HUES = [hue for hue in FAMILY_COLOURS.values() if hue not in OUTCOME_COLOURS]
+FILES = {
+    "runs.parquet": "one row a run",
+    "steps.parquet": "one row a step",
+    "machine.json": "the machine and the versions",
+    "suite.json": "what was asked",
+}
+VARIABLES = {
+    INK: "var(--ink)",
+    SOFT: "var(--soft)",
+    LINE: "var(--line)",
+    "#e7ebef": "var(--grid)",
+    PAPER: "var(--paper)",
+    ACCENT: "var(--accent)",
+    **dict(zip(OUTCOME_COLOURS, _STATES, strict=True)),
+    **dict(zip(FILLS, (f"{state[:-1]}-fill)" for state in _STATES), strict=True)),
+    **dict(zip(_HUES, (f"var(--hue-{letter})" for letter in "abcdef"), strict=True)),
+}
+"""Colours of the figures that follow the page into the dark."""
+
+
+def page_html(
+    folder: Path,
+    results: Results,
+    facts: Facts,
+    answer: Answer,
+    charts: Mapping[str, Any],
+    topics: Sequence[Topic],
+) -> str:
+    """The whole page.
+
+    Parameters
+    ----------
+    folder : where the files are that the page links to.
+    topics : sections below those that follow the selection.
+    """
+    pictures = {
+        name: Markup(follow(svg(chart, titled=False)))
+        for name, chart in charts.items()
+        if name in DRAWN
+    }
+    document = _document(facts, results, answer, charts)
+    shown = {"answer": "Answer"} | {
+        name: title
+        for name, title in (
+            ("matrix", "Where each solver holds"),
+            ("one", "One solver"),
+            ("two", "Two solvers"),
+            ("accuracy", "Accuracy"),
+        )
+        if name == "one" or _CHART_OF.get(name, name) in charts
+    }
+    sections = [*shown.items(), *((t.id, t.title) for t in topics), ("data", "Data")]
+    template = environment().get_template("page.html.j2")
+    return template.render(
+        title=f"dpbench: {results.suite.get('name', folder.name)}",
+        subtitle=str(results.suite.get("title", "")),
+        css=Markup(own("page.css")),
+        sections=sections,
+        answer=answer,
+        figures=dict.fromkeys((*DRAWN, "pairs")) | dict.fromkeys(charts, True) | pictures,
+        matrix_said=MATRIX,
+        topics=[_markup(topic) for topic in topics],
+        groups=list(GROUPS),
+        files=_files(folder),
+        footer=_footer(results),
+        block=facts.block.text(document),
+        scripts=[*(Markup(script(entry)) for entry in vendored()), Markup(own("page.js"))],
+    )
+
+
+_CHART_OF = {"two": "pairs"}
+DRAWN = ("ladder", "matrix", "accuracy")
+"""Figures that stand on the page before any script has run."""
+
+
+def charts_of(facts: Facts, calling_ns: float) -> dict[str, Any]:
+    """The figures that this folder has something for.
+
+    `calling_ns` is what calling a library that does nothing takes; NaN where nobody knows.
+    """
+    charts: dict[str, Any] = {}
+    timed = ladder_table(facts, calling_ns)
+    if len(timed):
+        charts["ladder"] = ladder(timed, facts.demand.deadline_ms)
+    tiles = matrix_table(facts)
+    if len(tiles):
+        charts["matrix"] = matrix(tiles)
+        charts["matrix_narrow"] = matrix(tiles, stacked=True)
+    nothing = pd.DataFrame(columns=["k", "force", "share"])
+    charts["strips"] = strips(
+        pd.DataFrame(columns=list(STRIP_COLUMNS)), nothing, facts.demand.error_move
+    )
+    replayed = [c for (c, p) in facts.runs if facts.places[p].mode == "replay"]
+    if len(set(replayed)) > 1:
+        charts["pairs"] = pairs(
+            pd.DataFrame(columns=list(PAIR_COLUMNS)), "the one above", "the other"
+        )
+    points = _points(facts)
+    if len(points):
+        charts["accuracy"] = accuracy(points, facts.demand.error_move)
+    return charts
+
+
+def _points(facts: Facts) -> pd.DataFrame:
+    """Work and precision of each solver: natively where it was run so, else by its default."""
+    records, sequences = facts.records, facts.records.sequences
+    levels = default_route_levels(records, sequences) | native_route_levels(records, sequences)
+    rows = [
+        _point(facts, point)
+        for points in levels.values()
+        for point in points
+        if point.error_move < 1e3 and point.p50_ns == point.p50_ns
+    ]
+    return pd.DataFrame(rows)
+
+
+def _point(facts: Facts, point: LevelPoint) -> dict[str, Any]:
+    configuration = point.configuration
+    names = ("solver", "route", "policy", "settings")
+    return {name: getattr(configuration, name) for name in names} | {
+        "id": str(facts.index(configuration.in_common_formulation)),
+        "family": _solver(configuration.solver)["family"],
+        "error": point.error_move,
+        "p50_us": point.p50_ns / 1e3,
+        "p99_us": point.p99_ns / 1e3,
+    }
+
+
+def _document(
+    facts: Facts, results: Results, answer: Answer, charts: Mapping[str, Any]
+) -> dict[str, Any]:
+    cells = list(facts.cells())
+    verdicts = {v.configuration: v for v in facts.verdicts.all}
+    rows = []
+    for c in facts.configurations:
+        v = verdicts.get(c)
+        rows.append(
+            {
+                "solver": c.solver,
+                "route": c.route,
+                "policy": c.policy,
+                "settings": c.settings,
+                "outcome": "not judged" if v is None else v.outcome,
+                "why": "" if v is None else answer.why(v),
+                "p50": None if v is None else number(v.p50_ns),
+                "p99": None if v is None else number(v.p99_ns),
+                "max": None if v is None else number(v.algo_max_ns),
+                "raw": None if v is None else number(v.raw_max_ns),
+                "error": None if v is None else number(v.error_move),
+                "failed": None if v is None else v.failed_steps,
+                "timed_on": "" if v is None else v.timed_on,
+            }
+        )
+    return {
+        "solvers": {name: _solver(name) for name in {c.solver for c in facts.configurations}},
+        "configurations": columns_of(rows),
+        "places": [_place(facts, p) for p in range(len(facts.places))],
+        "cells": columns_of(cells),
+        "charts": {name: json.loads(follow(json.dumps(vega(c)))) for name, c in charts.items()},
+        "answer": {
+            "first": max(0, facts.index(answer.first)) if answer.first else 0,
+            "second": max(0, facts.index(answer.second)) if answer.second else None,
+            "place": 0,
+        },
+        "paired": _paired(facts, answer),
+        "table": runs_table(facts, results.runs),
+    }
+
+
+def _paired(facts: Facts, answer: Answer) -> dict[str, list[float]]:
+    """The interval of the paired ratio of the two configurations that the page opens with."""
+    verdicts = {v.configuration: v for v in facts.verdicts.all if v.timed_on}
+    pair = answer.first, answer.second
+    if pair[0] not in verdicts or pair[1] not in verdicts:
+        return {}
+    first, second = (facts.index(c) for c in pair if c is not None)
+    compared = paired_comparison(
+        facts.records, verdicts[facts.configurations[first]], verdicts[facts.configurations[second]]
+    )
+    low, high = compared.ratio.low, compared.ratio.high
+    return {f"{first}/{second}": [low, high]} if math.isfinite(low) and math.isfinite(high) else {}
+
+
+def _place(facts: Facts, p: int) -> dict[str, Any]:
+    place = facts.places[p]
+    run = next(run for (_, q), run in facts.runs.items() if q == p)
+    scenario = facts.records.scenario(run.scenario) if run.scenario else None
+    known = (
+        {}
+        if scenario is None
+        else {
+            "reference": [float(x) for x in scenario.reference],
+            "length_m": float(scenario.vessel.length_m),
+        }
+    )
+    return {
+        "label": place.label,
+        "mode": place.mode,
+        "source": run.scenario or run.sequence,
+        "first": int(run.description.get("first", 0)),
+        **known,
+    }
+
+
+def _solver(name: str) -> dict[str, str]:
+    """What is known of a solver; of one that is not installed here, nothing."""
+    try:
+        known = record(name)
+    except ValueError:
+        return {"family": "not stated", "method": ""}
+    return {"family": str(getattr(known, "family", "not stated")), "method": known.method}
+
+
+MATRIX = (
+    "Each solver on its default route and policy, in the order of the suite. A tile is what that "
+    "run "
+    "alone says of the demand; point at it for the largest error and the failed steps."
+)
+
+
+def follow(text: str) -> str:
+    """A figure whose plain colours are those of the page."""
+    for colour, variable in VARIABLES.items():
+        text = text.replace(colour, variable)
+    return text
+
+
+def _picture(text: str) -> str:
+    """The address of a picture within the page, one node there, in the colours of the page."""
+    head, rest = follow(text).split(">", 1)
+    colours = own("page.css").split("* {", 1)[0]
+    styled = f"{head}><style>{colours}</style>{rest}"
+    return "data:image/svg+xml;base64," + base64.b64encode(styled.encode()).decode()
+
+
+def _markup(topic: Topic) -> dict[str, Any]:
+    figures = [
+        {"name": f.name, "caption": f.caption, "source": _picture(svg(f.chart))}
+        for f in topic.figures
+    ]
+    return {
+        "id": topic.id,
+        "title": topic.title,
+        "lines": topic.lines,
+        "figures": figures,
+        "tables": topic.tables,
+    }
+
+
+def _files(folder: Path) -> list[dict[str, str]]:
+    return [
+        {
+            "name": name,
+            "holds": holds,
+            "sha": hashlib.sha256((folder / name).read_bytes()).hexdigest(),
+        }
+        for name, holds in FILES.items()
+        if (folder / name).is_file()
+    ]
+
+
+def _footer(results: Results) -> str:
+    versions = results.machine.get("versions", {})
+    return (
+        f"dpbench {results.suite.get('harness_version', '')}, run "
+        f"{results.suite.get('started_utc', '')[:10]}; "
+        f"numpy {versions.get('numpy', '')}. Page made from the files above alone."
+    )
+
+
+@cache
+def environment() -> Environment:
+    return Environment(
+        loader=PackageLoader("dpbench.report", "page"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+@cache
+def own(name: str) -> str:
+    return files("dpbench.report.page").joinpath(name).read_text(encoding="utf-8")

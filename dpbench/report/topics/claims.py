@@ -1,0 +1,237 @@
+"""The paper, reproduced: each of its claims, what the rows say, and whether the two agree.
+
+Claims are those of section IV and Figures 4-7 of Xia, Liu, Pang & Xue, "Constrained model
+predictive control design for dynamic positioning of a supply ship".
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cache, partial
+from typing import Literal
+
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
+from dpbench.report.formats import count_text, plural, seconds_text, share_text, significant
+from dpbench.scenario.scenario import Scenario, load_scenario
+
+State = Literal["reproduced", "not reproduced", "not measured"]
+
+OF_PAPER = ("paper", "paper_tight")
+"""Scenarios that restate the paper's case."""
+PROSE = ("title", "shows", "source")
+"""Entries of a problem file that nothing is computed from."""
+STEADY_M = 0.05
+"""A steady radial error below this counts as nearly stationary."""
+SAME = 0.01
+"""Errors closer than this share of the larger one are equal."""
+CIRCLE_M = 1.0
+"""Radius of the paper's precision circle."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A claim of the paper, what was found, and whether it is reproduced."""
+
+    claim: str
+    found: str
+    state: State
+
+
+@dataclass(frozen=True)
+class Pair:
+    """The constrained loop that follows the exact one most closely, and the baseline law.
+
+    whole : steps of the whole scenario; the loops are complete but may have been asked for fewer.
+    """
+
+    constrained: RunRecord | None
+    clipped: RunRecord | None
+    whole: int = 0
+
+    def short(self, *rows: RunRecord) -> str:
+        """How far the shortest of some runs falls short of the whole scenario; empty if none."""
+        done = min(row.steps_done for row in rows)
+        return f"{count_text(done)} of {plural(self.whole, 'step')}" if done < self.whole else ""
+
+
+def pair_of(view: Records, scenario: str) -> Pair:
+    """The two laws of a scenario, each from a complete one of its longest closed loops."""
+    loops = [r for r in view.full_loops(scenario) if r.has_steps and r.outcome == "finished"]
+    solved = [row for row in loops if not row.is_baseline_law and row.policy == "fresh"]
+    best = min(solved, key=_deviation, default=None)
+    clipped = next((row for row in loops if row.is_baseline_law), None)
+    return Pair(best, clipped, view.whole_steps(scenario))
+
+
+def _paper_pair(view: Records, name: str) -> Pair:
+    return pair_of(view, name) if is_of_paper(view, name) else Pair(None, None)
+
+
+def _deviation(row: RunRecord) -> tuple[float, str]:
+    value = row.dev_position_max_m
+    return (math.inf if math.isnan(value) else value, row.solver)
+
+
+def claims(view: Records) -> list[Claim]:
+    """All claims, in the order of the paper; those on heading and settling are read off Fig. 5."""
+    paper, tight = (_paper_pair(view, name) for name in OF_PAPER)
+    return [
+        _alone(paper, "The ship is held within the 1 m precision circle (Fig. 4)", _circle),
+        _alone(paper, "It is nearly stationary there (steady error below 5 cm)", _stationary),
+        _both(
+            paper, "The constrained law is smoother in the transient: less overshoot", _transient
+        ),
+        _both(paper, "It settles earlier (Fig. 5)", _settling),
+        _both(paper, "Its steady error is smaller (tuning of `paper`)", partial(_steady, view)),
+        _both(
+            tight, "Its steady error is smaller (`paper_tight`, R × 0.7)", partial(_steady, view)
+        ),
+        _both(paper, "Its precision is better in heading too (Fig. 5)", _heading),
+        _alone(paper, "The rate limits shape the transfer (Fig. 7)", _rates),
+        _alone(paper, "No limit is ever violated (Figs 6, 7)", _violations),
+    ]
+
+
+Finding = tuple[str, bool]
+
+
+def _alone(pair: Pair, claim: str, find: Callable[[RunRecord], Finding]) -> Claim:
+    if pair.constrained is None:
+        return Claim(claim, "no complete closed loop of this scenario", "not measured")
+    if short := pair.short(pair.constrained):
+        return Claim(claim, short, "not measured")
+    found, holds = find(pair.constrained)
+    return Claim(claim, found, "reproduced" if holds else "not reproduced")
+
+
+def _both(pair: Pair, claim: str, find: Callable[[RunRecord, RunRecord], Finding]) -> Claim:
+    if pair.constrained is None or pair.clipped is None:
+        return Claim(claim, "one of the two laws has no complete closed loop", "not measured")
+    if short := pair.short(pair.constrained, pair.clipped):
+        return Claim(claim, short, "not measured")
+    found, holds = find(pair.constrained, pair.clipped)
+    return Claim(claim, found, "reproduced" if holds else "not reproduced")
+
+
+def _circle(row: RunRecord) -> Finding:
+    tail, share = row.r_tail_max_m, row.share_1m
+    found = (
+        f"{share_text(share)} of the run inside {CIRCLE_M:g} m; largest radial error in the "
+        f"second half {significant(100 * tail)} cm"
+    )
+    return found, tail <= CIRCLE_M
+
+
+def _stationary(row: RunRecord) -> Finding:
+    tail = row.r_tail_max_m
+    return f"largest radial error in the second half {significant(100 * tail)} cm", tail < STEADY_M
+
+
+def _transient(row: RunRecord, law: RunRecord) -> Finding:
+    mine, theirs = row.overshoot_e, law.overshoot_e
+    found = (
+        f"sway overshoot {significant(mine)} m against {significant(theirs)} m clipped; total "
+        f"variation of the force {significant(row.total_variation)} against "
+        f"{significant(law.total_variation)}"
+    )
+    return found, mine < theirs
+
+
+def _settling(row: RunRecord, law: RunRecord) -> Finding:
+    mine, theirs = row.settle_0p1m_s, law.settle_0p1m_s
+    found = (
+        f"settles into 0.1 m after {seconds_text(mine)} s against {_after(theirs)} clipped"
+        if math.isfinite(mine)
+        else f"never settles into 0.1 m, against {_after(theirs)} clipped"
+    )
+    return found, mine < theirs
+
+
+def _after(seconds: float) -> str:
+    return "never" if math.isinf(seconds) else f"{seconds_text(seconds)} s"
+
+
+def _steady(view: Records, row: RunRecord, law: RunRecord) -> Finding:
+    mine, theirs = row.r_tail_max_m, law.r_tail_max_m
+    found = (
+        f"largest radial error in the second half {significant(100 * mine)} cm against "
+        f"{significant(100 * theirs)} cm clipped"
+    )
+    active = view.steps(row)["n_active"].to_numpy()
+    if abs(mine - theirs) <= SAME * max(mine, theirs) and not active[len(active) // 2 :].any():
+        found += ", equal within 1 %: no limit is active then"
+    if math.isinf(law.settle_0p1m_s):
+        found += "; the clipped law never settles into 0.1 m"
+    return found, mine < (1.0 - SAME) * theirs
+
+
+def _heading(row: RunRecord, law: RunRecord) -> Finding:
+    mine, theirs = row.heading_max_deg, law.heading_max_deg
+    found = f"largest heading error {significant(mine)}° against {significant(theirs)}° clipped"
+    return found, mine < theirs
+
+
+def _rates(row: RunRecord) -> Finding:
+    shares = {axis: getattr(row, f"at_rate_{axis}") for axis in ("surge", "sway", "yaw")}
+    text = ", ".join(f"{axis} {share_text(share)}" for axis, share in shares.items())
+    steps = plural(row.steps_done, "step")
+    return f"share of the {steps} at a rate limit: {text}", max(shares.values()) > 0.0
+
+
+def _violations(row: RunRecord) -> Finding:
+    count = row.limit_violations
+    steps = plural(row.steps_done, "step")
+    return f"{plural(count, 'applied force')} outside a limit in {steps}", count == 0
+
+
+def choices(view: Records) -> list[tuple[str, str]]:
+    """What the paper leaves open and what the scenario `paper` of these rows chose."""
+    scenario = view.scenario("paper")
+    if scenario is None or not is_of_paper(view, "paper"):
+        return []
+    sea = scenario.files["scenario"]["environment"]
+    vessel = scenario.vessel
+    return [
+        ("M and D", f"{vessel.title} (`{vessel.id}`; {vessel.source.rstrip('.')})"),
+        ("Q", f"diag({_list(scenario.Q.diagonal())}) in 1/m², 1/m², 1/rad²"),
+        ("R", f"diag({_list(scenario.R.diagonal())}) in 1/N², 1/N², 1/(N·m)²"),
+        ("disturbance, mean", f"{_list(sea['mean_kN'])} (kN, kN, kN·m; north, east, yaw)"),
+        ("disturbance, amplitude", f"{_list(sea['amplitude_kN'])} (kN, kN, kN·m)"),
+        ("disturbance, period", f"{_list(sea['period_s'])} s"),
+        ("duration", f"{significant(scenario.steps * scenario.sample_s)} s"),
+        (
+            "baseline",
+            "the unconstrained optimum of eq. 27, clipped to the rate limits, then to the "
+            "amplitude limits",
+        ),
+        ("estimator", "none: the state is known without noise"),
+    ]
+
+
+def _list(numbers: Iterable[float]) -> str:
+    return ", ".join(f"{number:.4g}" for number in numbers)
+
+
+def is_of_paper(view: Records, name: str) -> bool:
+    """Whether a scenario of the rows is the paper's own of that name, and not one named alike."""
+    scenario = view.scenario(name) if name in OF_PAPER else None
+    return scenario is not None and _content(scenario) == _own_content(name)
+
+
+@cache
+def _own_content(name: str) -> str:
+    return _content(load_scenario(name))
+
+
+def _content(scenario: Scenario) -> str:
+    """What a scenario computes with: its documents without the prose, which may be reworded."""
+    files = scenario.files
+    documents = {
+        key: {name: value for name, value in files[key].items() if name not in PROSE}
+        for key in ("scenario", "vessel")
+    }
+    return json.dumps(documents, sort_keys=True)

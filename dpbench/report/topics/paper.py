@@ -1,0 +1,88 @@
+"""The paper: its figures 4-7 and its claims, each beside what the runs say."""
+
+from __future__ import annotations
+
+from dpbench.analysis.records import Records
+from dpbench.bench.design import STILL, WEATHER, Bracket, Designs
+from dpbench.report.charts.ship import Law, forces, increments, path, precision
+from dpbench.report.formats import MISSING, rounded_down, rounded_up
+from dpbench.report.page.topic import Figure, SmallTable, Topic
+from dpbench.report.topics.claims import choices, claims, pair_of
+
+PAPER = "paper"
+BIBTEX = (
+    "@inproceedings{xia_dp_mpc, author = {Xia, Guoqing and Liu, Ju and Pang, Chengcheng and Xue, "
+    "Jingjing}, title = {Constrained MPC Design for Dynamic Positioning of a Supply Ship}}"
+)
+
+
+def paper_topic(records: Records, designs: Designs | None = None) -> Topic | None:
+    """The topic, None of records without the paper's own scenario."""
+    pair, scenario = pair_of(records, PAPER), records.scenario(PAPER)
+    found = claims(records)
+    measured = [claim for claim in found if claim.state != "not measured"]
+    if scenario is None or pair.constrained is None or not measured:
+        return None
+    laws = [Law(f"constrained ({pair.constrained.solver})", records.steps(pair.constrained))]
+    if pair.clipped is not None:
+        laws.append(Law("unconstrained, clipped", records.steps(pair.clipped)))
+    drawn = (
+        ("path", path, "Fig. 4: path with the 1 m circle."),
+        ("errors", precision, "Fig. 5: errors of position and heading."),
+        ("forces", forces, "Fig. 6: forces with their limits."),
+        ("increments", increments, "Fig. 7: increments with the rate limits."),
+    )
+    held = sum(claim.state == "reproduced" for claim in measured)
+    return Topic(
+        id="paper",
+        title="The paper",
+        lines=(
+            f"{held} of {len(measured)} claims of Xia, Liu, Pang & Xue are reproduced.",
+            f"Cite: {BIBTEX}",
+        ),
+        figures=tuple(
+            Figure(f"paper-{name}", draw(laws, scenario), caption) for name, draw, caption in drawn
+        ),
+        tables=(
+            SmallTable(
+                ("claim", "found", "state"),
+                tuple((claim.claim, claim.found, claim.state) for claim in found),
+            ),
+            SmallTable(
+                ("left open", "chosen"), tuple(choices(records)), "What the paper leaves open"
+            ),
+            *([_stability(designs)] if designs is not None else ()),
+        ),
+    )
+
+
+def _stability(designs: Designs) -> SmallTable:
+    """Largest root of paper eq. 35 and the sway offset held, of each controller."""
+    return SmallTable(
+        (
+            "controller",
+            "largest |λ| (eq. 35)",
+            f"sway offset held, {STILL} [m]",
+            f"in the weather of {WEATHER} [m]",
+        ),
+        tuple(
+            (
+                f"{record.tuning} {record.N_p}/{record.N_c} in {record.vessel}",
+                f"{record.spectral_radius:.4f}",
+                *(_bracket(record.held.get(weather)) for weather in (STILL, WEATHER)),
+            )
+            for record in designs.records
+        ),
+        "Stability, whatever the solver",
+    )
+
+
+def _bracket(bracket: Bracket | None) -> str:
+    """Rounded outwards: held – not held."""
+    if bracket is None:
+        return MISSING
+    if bracket.fails_m is None:
+        return f"≥ {bracket.holds_m:.3g}"
+    if bracket.holds_m == 0.0:
+        return f"< {rounded_up(bracket.fails_m)}"
+    return f"{rounded_down(bracket.holds_m)} – {rounded_up(bracket.fails_m)}"

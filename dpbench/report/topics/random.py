@@ -1,0 +1,62 @@
+"""What solvers claim of random QPs whose optimum is known."""
+
+from __future__ import annotations
+
+import pandas as pd
+
+from dpbench.analysis.random_claims import RandomClaims
+from dpbench.analysis.records import Records
+from dpbench.report.charts.lines import tiles
+from dpbench.report.page.topic import Figure, SmallTable, Topic
+
+
+def random_topic(records: Records) -> Topic | None:
+    """The topic; None of records without random QPs."""
+    claims = RandomClaims(records)
+    if not claims.runs:
+        return None
+    by_solver = claims.by("solver")
+    table = pd.DataFrame(
+        [
+            {"x": family, "y": solver, "count": tally.wrong}
+            for (solver, family), tally in claims.by("solver", "family").items()
+        ]
+    )
+    rows = sorted(by_solver.items(), key=lambda item: (-item[1].wrong, -item[1].nothing, item[0]))
+    steps = sum(tally.steps for tally in by_solver.values())
+    wrong = sum(tally.wrong for tally in by_solver.values())
+    return Topic(
+        id="random",
+        title="Random QPs: what is claimed, what is true",
+        lines=(
+            f"{steps} steps with a certified answer; {wrong} claims are false. An "
+            "application-blind "
+            "set: it says whom to trust, not who is fast on a ship.",
+        ),
+        figures=(Figure("random-claims", tiles(table, "False claims", "family", "solver"), ""),),
+        tables=(
+            SmallTable(
+                (
+                    "solver",
+                    "steps",
+                    "claimed and true",
+                    "false claims",
+                    "true, not claimed",
+                    "no answer",
+                    "never reached",
+                ),
+                tuple(
+                    (
+                        name,
+                        str(tally.steps),
+                        str(tally.told + tally.empty_right),
+                        str(tally.wrong),
+                        str(tally.silent),
+                        str(tally.nothing),
+                        str(tally.missed),
+                    )
+                    for (name,), tally in rows
+                ),
+            ),
+        ),
+    )

@@ -1,0 +1,167 @@
+"""What is said of machine and harness, on made-up records."""
+
+from typing import Any
+
+import pytest
+
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.machine import disturbance_of, timed_runs
+from dpbench.analysis.verdict import verdicts_of
+from dpbench.report.formats import and_list
+from dpbench.report.lines import last_lines
+from dpbench.report.topics.trust import trust_topic
+from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
+
+QUIET = {
+    "replay_s": 2.0,
+    "involuntary_switches": 4,
+    "steal_s": 0.0,
+    "rerun_rounds": 1,
+    "bit_identical_share": 1.0,
+    "answer_spread_max": 0.0,
+    "peak_rss_bytes": 5e6,
+    "os_threads": 1,
+    "pool_threads": 1,
+    "N_p": 30,
+    "N_c": 5,
+}
+
+
+def _with_calibration(records: Any, off_us: float = 0.4, **columns: Any) -> None:
+    for name in CALIBRATION:
+        median_us = WAITS_NS.get(name, 0) / 1e3 + off_us
+        records.replay(
+            name, median_us=median_us, route="native", policy="reuse", **(QUIET | columns)
+        )
+
+
+def _lines(records: Any) -> list[str]:
+    view = records.view()
+    return last_lines(view, verdicts_of(view, Demand()))
+
+
+def _machine(records: Any) -> list[str]:
+    return [line for line in _lines(records) if line.startswith("machine: ")]
+
+
+def test_own_configurations_change_nothing_of_the_verdicts(records: Any) -> None:
+    """With and without them, everything but what is said of machine and harness reads the same."""
+    for solver, median in (("daqp", 18.0), ("quadprog", 25.0)):
+        records.replay(solver, median_us=median, **QUIET)
+        records.loop(solver)
+    before = _lines(records)
+    _with_calibration(records)
+    after = _lines(records)
+    assert after[: len(before)] == before
+    (harness,) = after[len(before) :]
+    assert harness.startswith("harness: ") and "busy_wait_20us" in harness
+
+
+def test_nothing_but_the_harness_has_no_verdict(records: Any) -> None:
+    """The suite `calibration` alone: machine and harness, and no sentence that misses solvers."""
+    _with_calibration(records)
+    machine, harness = _lines(records)
+    assert machine == "machine: quiet"
+    assert harness.startswith("harness: within the bar (no_op ")
+
+
+def test_own_configurations_are_seen_in_no_other_part_of_the_view(records: Any) -> None:
+    """They are no solvers and no runs of anything but the calibration."""
+    records.replay("daqp", **QUIET)
+    _with_calibration(records)
+    view = records.view()
+    assert [run.solver for run in view.all_runs] == ["daqp"] == view.solvers
+    assert [run.solver for run in view.runs] == ["daqp"]
+    assert [run.solver for run in view.calibration] == list(CALIBRATION)
+
+
+@pytest.mark.parametrize(
+    ("off_us", "missed"),
+    [
+        (0.9, []),
+        (1.5, ["no_op", "busy_wait_20us", "busy_wait_50us"]),
+        (3.0, ["no_op", "busy_wait_20us", "busy_wait_50us", "busy_wait_200us"]),
+        (11.0, ["no_op", *WAITS_NS]),
+    ],
+)
+def test_the_bar_is_a_microsecond_or_a_hundredth(
+    records: Any, off_us: float, missed: list[str]
+) -> None:
+    """20, 50 and 200 µs and nothing at all: within 1, 1, 2 and 1 µs; 1000 µs within 10."""
+    _with_calibration(records, off_us)
+    (line,) = (line for line in _lines(records) if line.startswith("harness: "))
+    verdict, _, figures = line.removeprefix("harness: ").partition(" (")
+    assert verdict == (f"missed by {and_list(missed)}" if missed else "within the bar")
+    assert all(name in figures for name in CALIBRATION)
+    topic = trust_topic(records.view())
+    assert topic is not None
+    waits = sorted(name for name in missed if name in WAITS_NS)
+    assert (", ".join(waits) if waits else "within 1 µs or 1 %") in topic.lines[1]
+
+
+def test_a_quiet_machine_and_a_disturbed_one(records: Any) -> None:
+    """Sums over all configurations; a run under two names of its settings counts once."""
+    same = QUIET | {"raw_max_ns": 7e4}
+    records.replay("quadprog", **same)
+    records.replay("quadprog", **(same | {"settings": "high"}))
+    view = records.view()
+    found = disturbance_of(timed_runs(view))
+    assert (found.rounds, found.seconds, found.involuntary, found.rerun) == (3, 2.0, 4, 1)
+    assert _machine(records) == ["machine: quiet"]
+    records.replay("daqp", **(QUIET | {"involuntary_switches": 96, "steal_s": 0.2}))
+    (line,) = _machine(records)
+    assert "25 involuntary context switches a second" in line and "5.0 % of the time" in line
+
+
+def _switching(records: Any, solver: str, a_second: float, step_s: float, own: float) -> None:
+    """Three rounds of 100 steps: switches by the machine, and so many of the configuration's own a
+    step."""
+    seconds = 300 * step_s
+    columns = {"replay_s": seconds, "involuntary_switches": round(a_second * seconds + own * 300)}
+    records.replay(solver, steps=100, rounds=3, **(QUIET | columns))
+
+
+def test_switches_a_configuration_makes_itself_are_not_the_machines(records: Any) -> None:
+    """A thread in each solve puts a configuration off its core every step; its neighbours are let
+    alone."""
+    for solver, step_s in (("daqp", 1e-3), ("osqp", 5e-3), ("qtqp", 2e-2)):
+        _switching(records, solver, 2.0, step_s, 0.0)
+    _switching(records, "threads", 2.0, 2e-3, 1.0)
+    view = records.view()
+    assert _machine(records) == ["machine: quiet"]
+    topic = trust_topic(view)
+    assert topic is not None
+    said = dict(topic.tables[0].rows)
+    assert said["switches a configuration makes itself, not counted above"] == (
+        "threads (qpsolvers fresh): 1.0 a step"
+    )
+
+
+def test_a_busy_machine_hits_every_configuration_and_is_told(records: Any) -> None:
+    """At 100 switches a second a step of 20 ms has two, and they are still the machine's."""
+    for solver, step_s in (("daqp", 1e-3), ("osqp", 5e-3), ("qtqp", 2e-2)):
+        _switching(records, solver, 100.0, step_s, 0.0)
+    (line,) = _machine(records)
+    assert "100 involuntary context switches a second" in line
+
+
+def test_disturbed_rounds_are_part_of_all_rounds(records: Any) -> None:
+    """Three rounds count and one is disturbed: one of four."""
+    records.replay("daqp", **(QUIET | {"disturbed_rounds": 1}))
+    assert "1 of 4 rounds disturbed" in _machine(records)[0]
+
+
+def test_records_without_counters_say_nothing(records: Any) -> None:
+    """A folder of closed loops has no topic on what was never looked at."""
+    records.loop("daqp")
+    assert trust_topic(records.view()) is None
+    assert _machine(records) == []
+
+
+def test_replays_of_disturbed_rounds_alone_say_so(records: Any) -> None:
+    """Three rounds count though all are disturbed: three of three."""
+    records.replay("daqp", **(QUIET | {"disturbed_rounds": 3, "counting_disturbed": 3}))
+    assert "3 of 3 rounds disturbed" in _machine(records)[0]
+    topic = trust_topic(records.view())
+    assert topic is not None and "3 of 3 rounds disturbed" in topic.lines[0]
+    assert dict(topic.tables[0].rows)["disturbed rounds left"] == "3 of 3 rounds; 1 run again"

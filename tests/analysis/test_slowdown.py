@@ -1,0 +1,149 @@
+"""Slow computers: who survives what, and that nothing else counts such loops."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.slowdown import DelayedGroup, cost_ratio, delayed_groups
+from dpbench.analysis.verdict import verdicts_of
+from dpbench.report.lines import last_lines
+from dpbench.report.topics.sweeps import slowdown_topic
+
+COSTS = {
+    "daqp": {1: 100.0, 100: 100.0, 1000: 109.9, 10000: 130.0},
+    # Good luck on a slower computer does not make up for bad luck on a faster one.
+    "hildreth": {1: 100.0, 100: 111.0, 1000: 100.0, 10000: 500.0},
+    "scs": {1: 112.0, 100: 200.0, 1000: 1e6, 10000: 1e7},
+}
+
+
+def slow(records: Any, solver: str, slowdown: float, cost: float, **columns: Any) -> None:
+    """A loop on a slow computer; the exactly solved loop costs 100."""
+    figures = {"closed_loop_cost": cost, "exact_cost": 100.0, "deadline_s": 0.3}
+    figures |= {"deadline_misses": 7, "longest_miss_streak": 3, "miss_recover_steps_max": 5}
+    figures |= {"computations": 50, "interrupted": 1, "fallbacks": 6}
+    figures |= {"latency_p50_ns": 2e4 * slowdown, "latency_max_ns": 5e4 * slowdown}
+    records.loop(solver, slowdown=slowdown, **(figures | columns))
+
+
+def fill(records: Any) -> None:
+    """All loops of `COSTS`, the last of daqp stopped early."""
+    for solver, costs in COSTS.items():
+        for slowdown, cost in costs.items():
+            early = {"done": 60, "outcome": "timed_out"} if cost == 130.0 else {}
+            slow(records, solver, slowdown, cost, **early)
+
+
+def group_of(records: Any) -> DelayedGroup:
+    """The only group of the records."""
+    (group,) = delayed_groups(records.view())
+    return group
+
+
+def test_survival_ends_at_the_first_loop_that_costs_more(records: Any) -> None:
+    """109.9 is within 10 % of 100, 111 is not; what comes after a lost loop does not count."""
+    fill(records)
+    survives = {
+        configuration.name: configuration.survives
+        for configuration in group_of(records).configurations
+    }
+    assert (survives["daqp"], survives["hildreth"]) == (1000.0, 1.0)
+    assert math.isnan(survives["scs"])
+
+
+def test_a_violated_limit_or_an_early_end_is_no_survival(records: Any) -> None:
+    """A loop that broke a limit or was stopped is lost, however little it cost."""
+    slow(records, "daqp", 1, 100.0, limit_violations=1)
+    slow(records, "osqp", 1, 100.0, done=119, outcome="timed_out")
+    configurations = group_of(records).configurations
+    assert all(math.isnan(configuration.survives) for configuration in configurations)
+    ratios = {
+        configuration.name: cost_ratio(configuration.loops[1.0]) for configuration in configurations
+    }
+    assert ratios["daqp"] == 1.0 and math.isnan(ratios["osqp"])
+
+
+@pytest.mark.parametrize("budget", [0.1, 0.3])
+def test_budgets_are_groups_of_their_own(records: Any, budget: float) -> None:
+    """Loops with another budget of a step are not compared."""
+    slow(records, "daqp", 10, 100.0, deadline_s=0.2)
+    slow(records, "daqp", 10, 100.0, deadline_s=budget)
+    assert [group.deadline_s for group in delayed_groups(records.view())] == [0.2, budget]
+
+
+def test_the_topic_shows_who_survives_best_first(records: Any) -> None:
+    """A row a configuration with the slow-down it survives and its latest answer; a point for each
+    loop that was run to its end, hollow beyond the margin."""
+    fill(records)
+    topic = slowdown_topic(records.view())
+    assert topic is not None
+    (table,) = topic.tables
+    assert [(row[0].split()[0], row[1]) for row in table.rows] == [
+        ("daqp", "1000"),
+        ("hildreth", "1"),
+        ("scs", "–"),
+    ]
+    # 50 µs on this machine, 10 000 times slower.
+    assert {row[2] for row in table.rows} == {"500 ms"}
+    (data, *_) = (d for d in topic.figures[0].chart.to_dict()["datasets"].values() if len(d) > 1)
+    points = {(row["name"].split()[0], row["x"]): (row["y"], row["good"]) for row in data}
+    assert len(points) == 11, "the loop of daqp that was stopped is no point"
+    assert points["daqp", 1000] == (pytest.approx(1.099), True)
+    assert points["hildreth", 100] == (pytest.approx(1.11), False)
+
+
+def test_loops_on_slow_computers_are_in_no_verdict(records: Any) -> None:
+    """Verdicts, runs and scenarios of ordinary loops are the same with and without them."""
+    for solver in COSTS:
+        records.loop(solver)
+    before = records.view()
+    fill(records)
+    after = records.view()
+    assert [run.run_id for run in after.runs] == [run.run_id for run in before.runs]
+    old, new = (verdicts_of(view, Demand()).all for view in (before, after))
+    assert [(v.configuration, v.outcome, v.loops, v.steps) for v in new] == [
+        (v.configuration, v.outcome, v.loops, v.steps) for v in old
+    ]
+    assert len(after.delayed) == 12
+
+
+def test_without_such_loops_there_is_no_topic(records: Any) -> None:
+    """A campaign whose ships wait for their answers has nothing to say on late ones."""
+    records.loop("daqp")
+    view = records.view()
+    assert slowdown_topic(view) is None
+    assert not any(
+        "slower computers" in line for line in last_lines(view, verdicts_of(view, Demand()))
+    )
+
+
+def test_the_terminal_hears_who_survives_what(records: Any) -> None:
+    """A suite of slow computers alone has a line on them, and none on verdicts."""
+    fill(records)
+    view = records.view()
+    (line,) = last_lines(view, verdicts_of(view, Demand()))
+    assert line == (
+        "slower computers, paper: daqp (qpsolvers fresh) × 1000, hildreth (qpsolvers fresh) × 1"
+    )
+    assert "machine" not in line
+
+
+def test_nobody_survives_is_said(records: Any) -> None:
+    """Loops that cost too much even here."""
+    slow(records, "scs", 1, 112.0)
+    view = records.view()
+    (line,) = last_lines(view, verdicts_of(view, Demand()))
+    assert line.endswith("nobody survives a slow-down")
+
+
+def test_the_machine_of_slow_loops_is_judged(records: Any) -> None:
+    """Where nothing was replayed the loops themselves tell what disturbed them."""
+    slow(records, "daqp", 1, 100.0, replay_s=2.0, involuntary_switches=400, steal_s=0.0)
+    slow(records, "osqp", 1, 100.0, replay_s=2.0, involuntary_switches=420, steal_s=0.0)
+    view = records.view()
+    (line,) = (x for x in last_lines(view, verdicts_of(view, Demand())) if x.startswith("machine"))
+    assert "involuntary context switches a second" in line

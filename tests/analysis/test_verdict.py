@@ -1,0 +1,444 @@
+"""The verdict against hand-made rows."""
+
+import math
+from typing import Any
+
+import pytest
+
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.times.fastest import fastest_first, recommend, why_not_aboard
+from dpbench.analysis.times.pairs import paired_comparison
+from dpbench.analysis.verdict import verdicts_of
+from dpbench.report.lines import last_lines
+from dpbench.report.page.answer import Answer
+from dpbench.report.verdict_text import (
+    clauses,
+    demand_text,
+    paired_text,
+    recommendation,
+    summary,
+)
+
+DEMAND = Demand()
+
+
+def _verdict(records: Any, solver: str, settings: str = "default") -> Any:
+    verdicts = verdicts_of(records.view(), DEMAND).at(settings)
+    return next(verdict for verdict in verdicts if verdict.configuration.solver == solver)
+
+
+def _why(verdict: Any) -> str:
+    """What is said against a verdict, or left open, in the words of terminal and tables."""
+    return verdict.refusal or clauses(verdict.causes or verdict.missing)
+
+
+def _lines(records: Any) -> list[str]:
+    view = records.view()
+    return last_lines(view, verdicts_of(view, DEMAND))
+
+
+def test_exact_and_fast_meets(records: Any) -> None:
+    """A solver that is right on every step and fast enough meets the demand."""
+    records.loop("daqp")
+    records.replay("daqp", median_us=20.0)
+    verdict = _verdict(records, "daqp")
+    assert verdict.outcome == "meets"
+    assert verdict.steps == 120 + 1000
+    assert Answer.why(verdict) == ""
+    assert not verdict.causes and not verdict.missing
+
+
+CAUSES = [
+    ({"error": 0.43}, {}, "its first move is up to 0.43 of a rate-limit step off the optimum in"),
+    ({"error": math.inf}, {}, "it leaves steps without an answer in `paper`"),
+    ({"failed": 3}, {}, "3 of 120 steps fail in `paper`"),
+    ({}, {"median_us": 4000.0}, "its p99 is"),
+    ({}, {"median_us": 4000.0, "steps": 300}, "its p95 is already"),
+    ({}, {"failed": 2}, "2 of 3\u202f000 steps fail in the replay of `paper`"),
+    ({}, {"error": 0.2}, "off the optimum in the replay of `paper`"),
+]
+
+
+@pytest.mark.parametrize(("loop", "replay", "clause"), CAUSES)
+def test_each_cause_has_its_sentence(
+    records: Any, loop: dict[str, Any], replay: dict[str, Any], clause: str
+) -> None:
+    """Whatever contradicts the demand makes a solver miss it, and the sentence says what."""
+    records.loop("daqp", **loop)
+    records.replay("daqp", **replay)
+    verdict = _verdict(records, "daqp")
+    assert verdict.outcome == "misses"
+    assert clause in _why(verdict)
+
+
+DOUBTS = [
+    ({"outcome": "timed_out", "done": 40}, "`paper` was stopped at its time limit (40 of 120"),
+    (
+        {"outcome": "lost", "outcome_detail": "no room for its log", "done": 0},
+        "the harness lost `paper`: no room for its log",
+    ),
+    ({"uncertified": 2}, "2 steps of `paper` have no certified optimum"),
+]
+
+
+@pytest.mark.parametrize(("loop", "clause"), DOUBTS)
+def test_what_was_not_measured_leaves_it_open(
+    records: Any, loop: dict[str, Any], clause: str
+) -> None:
+    """A run that ended early contradicts nothing and proves nothing."""
+    records.loop("daqp", **loop)
+    records.replay("daqp")
+    verdict = _verdict(records, "daqp")
+    assert verdict.outcome == "open"
+    assert clause in _why(verdict)
+
+
+def test_a_replay_cut_after_a_whole_round_still_counts(records: Any) -> None:
+    """Once every step has been replayed, rounds that are missing leave nothing open."""
+    records.loop("daqp")
+    records.replay("daqp", rounds=1, stopped=True)
+    assert _verdict(records, "daqp").outcome == "meets"
+
+
+@pytest.mark.parametrize(
+    ("outcome", "clause"),
+    [
+        ("crashed", "its process ended in `paper`: killed by SIGSEGV"),
+        ("hung", "it did not return in `paper`: killed by SIGSEGV"),
+    ],
+)
+@pytest.mark.parametrize("mode", ["closed_loop", "replay"])
+def test_who_crashes_or_hangs_misses_with_the_cause(
+    records: Any, outcome: str, clause: str, mode: str
+) -> None:
+    """A process that the solver ended, or a call that never returned, is the solver's own doing."""
+    ended = {"outcome": outcome, "outcome_detail": "killed by SIGSEGV", "done": 0}
+    records.loop("daqp", **(ended if mode == "closed_loop" else {}))
+    records.replay("daqp", **(ended if mode == "replay" else {}))
+    verdict = _verdict(records, "daqp")
+    assert verdict.outcome == "misses"
+    place = "`paper`" if mode == "closed_loop" else "the replay of `paper`"
+    assert clause.replace("`paper`", place) in _why(verdict)
+
+
+def test_crashes_in_several_places_are_one_clause(records: Any) -> None:
+    """The first is told with its cause, the others by their place."""
+    for scenario in ("paper", "calm", "rough"):
+        records.loop("daqp", scenario, outcome="crashed", outcome_detail="exit code 3", done=0)
+    records.replay("daqp")
+    assert clauses(_verdict(records, "daqp").causes) == (
+        "its process ended in `paper`: exit code 3 (also in `calm` and `rough`)"
+    )
+
+
+def test_without_replay_time_is_not_judged(records: Any) -> None:
+    """Without a replay nobody is said to be fast enough."""
+    records.loop("daqp")
+    verdict = _verdict(records, "daqp")
+    assert verdict.outcome == "open"
+    assert "its time is not judged" in _why(verdict)
+    assert math.isnan(verdict.p99_ns)
+
+
+def test_too_few_steps_for_a_p99(records: Any) -> None:
+    """With few steps the slowest one decides, and it cannot decide when it is over the demand."""
+    for solver, median in (("fast", 20.0), ("near", 1500.0)):
+        records.loop(solver)
+        records.replay(solver, steps=300, median_us=median, spread=0.38)
+    assert _verdict(records, "fast").outcome == "meets"
+    near = _verdict(records, "near")
+    assert near.outcome == "open"
+    assert "do not support a p99" in _why(near)
+
+
+def test_a_refused_solver_was_not_run(records: Any) -> None:
+    """A solver that is not installed is neither good nor bad, and its reason is told."""
+    records.refused("qpax", "qpax is not installed: install the extra jax")
+    verdict = _verdict(records, "qpax")
+    assert verdict.outcome == "not run"
+    assert "install the extra jax" in _why(verdict)
+
+
+def test_the_demand_is_read_from_the_suite(records: Any) -> None:
+    """Whoever demands less sees more solvers meet it."""
+    records.loop("osqp", error=0.05)
+    records.replay("osqp")
+    looser = Demand.of({"demand": {"error_move": 0.1, "unknown": 1}})
+    assert verdicts_of(records.view(), looser).references[0].outcome == "meets"
+    assert _verdict(records, "osqp").outcome == "misses"
+    assert "within 0.1 of a rate-limit step" in demand_text(looser)
+
+
+def test_slowdown_is_deadline_over_largest_step(records: Any) -> None:
+    """The slow-down is the deadline over the largest algorithmic step time of all replays.
+
+    With no spread every algorithmic time is the median itself; it is rounded to 1 ns.
+    """
+    records.loop("daqp")
+    records.replay("daqp", median_us=20.0, spread=0.0)
+    records.replay("daqp", "rough[900:1400]", steps=500, median_us=30.0, spread=0.0)
+    assert _verdict(records, "daqp").slowdown(DEMAND) == pytest.approx(300e6 / 30e3, rel=1e-4)
+
+
+def test_closed_loop_times_never_enter(records: Any) -> None:
+    """However slow a closed loop was, the time that is judged comes from replays."""
+    records.loop("daqp", raw_max_ns=1e12, raw_p50_ns=1e12)
+    records.replay("daqp", median_us=20.0)
+    assert _verdict(records, "daqp").outcome == "meets"
+
+
+def test_high_settings_rescue(records: Any) -> None:
+    """A solver that is right only at tight tolerances is said to be so, by name."""
+    records.loop("osqp", error=0.4)
+    records.loop("osqp", settings="high")
+    records.replay("osqp", error=0.4)
+    records.replay("osqp", settings="high")
+    verdicts = verdicts_of(records.view(), DEMAND)
+    assert [v.outcome for v in verdicts.all] == ["misses", "meets"]
+    assert "Only in another configuration: osqp (qpsolvers fresh, high)." in summary(verdicts)
+
+
+def _high(records: Any, **columns: Any) -> Any:
+    """A solver that misses the demand in `calm` by default; its verdict with settings high."""
+    for scenario in ("paper", "calm"):
+        records.loop("osqp", scenario, error=0.4)
+    records.replay("osqp", error=0.4)
+    records.loop("osqp", settings="high")
+    records.replay("osqp", settings="high")
+    if columns:
+        records.loop("osqp", "calm", settings="high", **columns)
+    return _verdict(records, "osqp", "high")
+
+
+@pytest.mark.parametrize(
+    ("columns", "clause"),
+    [
+        ({}, "not run in `calm`"),
+        ({"steps": 60}, "not run whole in `calm` (60 of 120 steps)"),
+        (
+            {"outcome": "refused", "outcome_detail": "no model", "done": 0},
+            "not run in `calm` (no model)",
+        ),
+    ],
+)
+def test_a_level_meets_only_where_it_was_run(
+    records: Any, columns: dict[str, Any], clause: str
+) -> None:
+    """Settings that were not run, or not whole, where the default was judged are open there."""
+    verdict = _high(records, **columns)
+    assert verdict.outcome == "open"
+    assert clause in _why(verdict)
+    assert summary(verdicts_of(records.view(), DEMAND))[-1] == "osqp misses it."
+
+
+def test_a_level_that_ran_everywhere_meets(records: Any) -> None:
+    """The same level with the missing loop beside it meets the demand."""
+    assert _high(records, steps=120).outcome == "meets"
+
+
+def test_a_way_meets_only_where_it_was_run(records: Any) -> None:
+    """A route and policy with replays alone is open where its solver's default steered a ship."""
+    records.loop("daqp")
+    records.replay("daqp", median_us=20.0)
+    records.replay("daqp", median_us=5.0, route="native", policy="warm")
+    reference, warm = verdicts_of(records.view(), DEMAND).of["daqp"]
+    assert (reference.outcome, warm.outcome) == ("meets", "open")
+    assert clauses(warm.gaps) == "not run in `paper`"
+
+
+WAYS = [("qpsolvers", "warm"), ("native", "reuse"), ("native", "warm"), ("native", "fresh")]
+
+
+@pytest.mark.parametrize(("route", "policy"), WAYS)
+def test_loops_under_any_policy_and_route_count_as_run(
+    records: Any, route: str, policy: str
+) -> None:
+    """A suite that runs its solvers in one way alone has verdicts on that way."""
+    records.loop("daqp", route=route, policy=policy)
+    records.replay("daqp", route=route, policy=policy)
+    records.loop("osqp", route=route, policy=policy, error=0.5)
+    records.replay("osqp", route=route, policy=policy)
+    assert summary(verdicts_of(records.view(), DEMAND)) == [
+        "1 of 2 solvers that ran meets the demand in its default configuration: daqp.",
+        "osqp misses it.",
+    ]
+
+
+def test_loops_alone_under_a_policy_count_as_run(records: Any) -> None:
+    """Loops that finished were run, whatever is missing beside them."""
+    records.loop("daqp", route="native", policy="reuse")
+    (verdict,) = verdicts_of(records.view(), DEMAND).references
+    assert (verdict.outcome, verdict.loops) == ("open", 1)
+    assert clauses(verdict.missing) == "no replay was run, so its time is not judged"
+
+
+def test_two_slowdowns_of_one_configuration(records: Any) -> None:
+    """By the largest algorithmic step and by the largest sample, both of the way beside them.
+
+    Round 1 is the minimum of every step, 20 µs; the largest sample is a slower round's, which the
+    records hold.
+    """
+    records.loop("daqp")
+    records.replay("daqp", median_us=20.0, spread=0.0)
+    (verdict,) = verdicts_of(records.view(), DEMAND).references
+    samples = records.results().steps.query("not warmup")["total_ns"]
+    samples = samples[records.results().steps["run_id"] == "run0001"]
+    assert verdict.slowdown(DEMAND) == pytest.approx(300e6 / 20e3, rel=1e-4)
+    assert verdict.raw_slowdown(DEMAND) == 300e6 / samples.max()
+    assert verdict.raw_slowdown(DEMAND) < verdict.slowdown(DEMAND)
+
+
+def test_the_recommendation_can_go_aboard(records: Any) -> None:
+    """Code that exists only in this benchmark is named beside it, never recommended by itself."""
+    for solver, median in (("paper_active_set", 5.0), ("daqp", 10.0), ("qtqp", 7.0), ("scs", 90.0)):
+        route = "native" if solver == "paper_active_set" else "qpsolvers"
+        records.loop(solver, route=route)
+        records.replay(solver, route=route, median_us=median)
+    view = records.view()
+    found = recommend(verdicts_of(view, DEMAND))
+    assert found.chosen is not None and found.runner_up is not None and found.faster is not None
+    names = (
+        found.chosen.configuration.solver,
+        found.runner_up.configuration.solver,
+        found.faster.configuration.solver,
+    )
+    assert names == ("daqp", "scs", "paper_active_set")
+    text = " ".join(recommendation(view, verdicts_of(view, DEMAND)))
+    assert text.startswith("Use **daqp** (route qpsolvers, policy fresh, settings `default`)")
+    assert "Licence: MIT; language: C, library-free; C code: yes, renders a workspace." in text
+    assert "cannot go aboard as it is: own code of this benchmark (Python, compiled by Num" in text
+
+
+def test_nobody_to_go_aboard_is_said(records: Any) -> None:
+    """Where only the benchmark's own code meets the demand, nothing is recommended."""
+    records.loop("hildreth", route="native")
+    records.replay("hildreth", route="native")
+    (text,) = recommendation(records.view(), verdicts_of(records.view(), DEMAND))
+    assert text.startswith("Nothing that can go aboard meets the demand; hildreth (native fresh)")
+
+
+def test_who_may_go_aboard_is_a_fact_of_its_record() -> None:
+    """Own code, code of Python, and what states no language cannot; compiled projects can."""
+    assert {name: bool(why_not_aboard(name)) for name in ("daqp", "osqp", "clarabel")} == {
+        "daqp": False,
+        "osqp": False,
+        "clarabel": False,
+    }
+    assert why_not_aboard("paper_active_set").startswith("own code of this benchmark")
+    assert why_not_aboard("qtqp") == "written in Python"
+    assert why_not_aboard("never_heard_of").startswith("not in the table")
+
+
+def test_summary_counts_everybody_once(records: Any) -> None:
+    """Every solver is named in exactly one sentence of the summary."""
+    records.loop("daqp")
+    records.replay("daqp")
+    records.loop("osqp", error=0.4)
+    records.replay("osqp")
+    records.loop("scs", outcome="timed_out", done=10)
+    records.refused("qpax", "not installed")
+    text = summary(verdicts_of(records.view(), DEMAND))
+    assert text == [
+        "1 of 3 solvers that ran meets the demand in its default configuration: daqp.",
+        "osqp misses it.",
+        "scs cannot be judged on these records.",
+        "Not run: qpax.",
+    ]
+
+
+def test_order_is_by_p99(records: Any) -> None:
+    """The faster p99 comes first, whatever the order in the records."""
+    for solver, median in (("slow", 90.0), ("fast", 20.0), ("middle", 40.0)):
+        records.loop(solver)
+        records.replay(solver, median_us=median)
+    ranked = fastest_first(verdicts_of(records.view(), DEMAND).references)
+    assert [v.configuration.solver for v in ranked] == ["fast", "middle", "slow"]
+
+
+def _duel(records: Any, median_us: float) -> Any:
+    for solver, median in (("first", 20.0), ("second", median_us)):
+        records.loop(solver)
+        records.replay(solver, median_us=median, spread=0.1)
+    view = records.view()
+    ranked = fastest_first(verdicts_of(view, DEMAND).references)
+    return paired_comparison(view, ranked[0], ranked[1])
+
+
+def test_a_clear_lead_is_called_so(records: Any) -> None:
+    """Two solvers a factor of two apart are told apart, with ratio and interval.
+
+    The geometric mean of 1000 paired ratios of spread 0.14 is within 2 % of 2 (4 sigma).
+    """
+    found = _duel(records, 40.0)
+    assert found.ratio.value == pytest.approx(2.0, rel=0.02)
+    assert not found.tied
+    assert paired_text(found).startswith("Second: second (qpsolvers fresh) takes")
+
+
+def test_a_tie_is_called_a_tie(records: Any) -> None:
+    """Two solvers with the same distribution of times are not ranked against each other."""
+    found = _duel(records, 20.0)
+    assert found.tied
+    assert "cannot be told apart" in paired_text(found)
+
+
+def test_an_order_that_turns_with_the_yardstick_is_called_unstable(records: Any) -> None:
+    """A better p99 with a worse median is no clear lead."""
+    records.loop("steady")
+    records.replay("steady", median_us=40.0, spread=0.01)
+    records.loop("nervous")
+    records.replay("nervous", median_us=20.0, spread=0.6)
+    view = records.view()
+    ranked = fastest_first(verdicts_of(view, DEMAND).references)
+    assert [v.configuration.solver for v in ranked] == ["steady", "nervous"]
+    text = paired_text(paired_comparison(view, *ranked))
+    assert text.startswith("Caution") and "depends on the yardstick" in text
+
+
+def test_the_baseline_law_is_never_ranked(records: Any) -> None:
+    """The clipped unconstrained law is no solver: it has a line of its own and no verdict."""
+    records.loop("daqp")
+    records.loop("unconstrained_clipped", steps=1000, formulation="none", tail_m=9.0, error=1.0)
+    verdicts = verdicts_of(records.view(), DEMAND)
+    assert list(verdicts.of) == ["daqp"]
+    assert all(verdict.configuration.solver == "daqp" for verdict in verdicts.all)
+
+
+def test_terminal_lines_carry_no_markup(records: Any) -> None:
+    """The lines for a terminal are plain text."""
+    records.loop("daqp")
+    records.replay("daqp")
+    text = "\n".join(_lines(records))
+    assert "daqp" in text
+    assert not {"*", "`"} & set(text)
+
+
+def test_without_replays_nothing_is_denied(records: Any) -> None:
+    """Where no replay was run, it is open whether a solver meets the demand, and said to be so."""
+    for solver in ("daqp", "quadprog"):
+        records.loop(solver)
+    text = "\n".join(_lines(records))
+    assert text.startswith("Nothing can be judged on time: no replay was run.")
+    assert "No solver meets" not in text and "0 of 2" not in text
+    outcomes = {verdict.outcome for verdict in verdicts_of(records.view(), DEMAND).all}
+    assert outcomes == {"open"}
+
+
+def test_open_outcomes_are_not_counted_as_misses(records: Any) -> None:
+    """One miss and one open outcome leave it open whether a solver meets the demand."""
+    records.loop("daqp", outcome="timed_out", done=10)
+    records.replay("daqp")
+    records.loop("osqp", error=0.4)
+    records.replay("osqp")
+    text = "\n".join(_lines(records))
+    assert "is open: 1 of 2 solvers that ran cannot be judged" in text
+    assert "No solver meets" not in text
+
+
+def test_a_miss_by_all_is_a_miss(records: Any) -> None:
+    """When every solver that ran misses the demand, it is said that none meets it."""
+    records.loop("osqp", error=0.4)
+    records.replay("osqp")
+    text = "\n".join(_lines(records))
+    assert text.startswith("0 of 1 solver that ran meet the demand")
+    assert "no solver meets the demand in any configuration" in text

@@ -1,0 +1,101 @@
+"""A real browser in front of the page of a synthetic campaign.
+
+Playwright drives a Chromium of the system. Where either is absent the tests are skipped with the
+reason; with `DPBENCH_BROWSER=required`, as CI sets it, they fail instead.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dpbench.report.write import write_report
+
+DESK, PHONE = (1400, 900), (390, 844)
+
+
+def _absent(reason: str) -> None:
+    if os.environ.get("DPBENCH_BROWSER") == "required":
+        pytest.fail(reason)
+    pytest.skip(reason)
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Any]:
+    """A running browser."""
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        _absent("playwright is not installed")
+    program = shutil.which("chromium") or shutil.which("chromium-browser")
+    if program is None:
+        _absent("no chromium on the path")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="session")
+def page_file(campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of the synthetic standard campaign, in a folder of its own."""
+    return write_report(shutil.copytree(campaign, tmp_path_factory.mktemp("page") / "standard"))
+
+
+@dataclass
+class Opener:
+    """Opens the page and keeps what went wrong and what was asked for."""
+
+    browser: Any
+    file: Path
+    errors: list[str] = field(default_factory=list)
+    requests: list[str] = field(default_factory=list)
+    _contexts: list[Any] = field(default_factory=list)
+
+    def __call__(
+        self,
+        fragment: str = "",
+        *,
+        size: tuple[int, int] = DESK,
+        scheme: str = "light",
+        scripts: bool = True,
+    ) -> Any:
+        """The page when it says that it is ready; without scripts, when it is loaded."""
+        context = self.browser.new_context(
+            viewport={"width": size[0], "height": size[1]},
+            color_scheme=scheme,
+            java_script_enabled=scripts,
+        )
+        self._contexts.append(context)
+        context.set_default_timeout(60_000)
+        page = context.new_page()
+        page.on("pageerror", lambda error: self.errors.append(str(error)))
+        page.on(
+            "console",
+            lambda said: self.errors.append(said.text) if said.type in ("error", "warning") else 0,
+        )
+        page.on("request", lambda request: self.requests.append(request.url))
+        page.goto(f"{self.file.as_uri()}{fragment}")
+        if scripts:
+            page.wait_for_selector("html[data-ready]", state="attached")
+        return page
+
+    def close(self) -> None:
+        """Close all that was opened."""
+        for context in self._contexts:
+            context.close()
+
+
+@pytest.fixture
+def opened(chromium: Any, page_file: Path) -> Iterator[Opener]:
+    """Opens the page; what it logged as an error or warning fails the test."""
+    opener = Opener(chromium, page_file)
+    yield opener
+    opener.close()
+    assert opener.errors == []

@@ -1,0 +1,138 @@
+"""How the page looks: to a screen reader, on a phone, in the dark, and where texts stand."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+AXE = Path(__file__).parent / "axe"
+DESK, PHONE = (1400, 900), (390, 844)
+CHOSEN = "#s=osqp&w=qpsolvers-fresh&set=default&sc=paper&k=74"
+
+TEXTS = """async (names) => {
+  // All figures as SVG, those on a canvas too, at the size they have on the page.
+  const out = [];
+  for (const name of names) {
+    const host = document.getElementById(`figure-${name}`);
+    if (!host || host.hidden) continue;
+    let root = host.querySelector("svg"), aside = null;
+    if (!root) {
+      aside = document.createElement("div");
+      aside.innerHTML = await (await views[name]).toSVG();
+      document.body.append(aside);
+      root = aside.querySelector("svg");
+      root.style.maxWidth = "none";
+    }
+    const scale = root.getBoundingClientRect().width / root.viewBox.baseVal.width;
+    for (const text of root.querySelectorAll("text")) {
+      const box = text.getBoundingClientRect(), turn = /rotate\\((-?[\\d.]+)/.exec(
+        text.getAttribute("transform") ?? "");
+      if (!text.textContent.trim() || !+getComputedStyle(text).opacity || !box.width) continue;
+      out.push({ figure: name, text: text.textContent, turn: turn ? Number(turn[1]) : 0,
+        size: parseFloat(getComputedStyle(text).fontSize) * scale,
+        left: box.left, right: box.right, top: box.top, bottom: box.bottom });
+    }
+    aside?.remove();
+  }
+  return out;
+}"""
+FIGURES = ["ladder", "matrix", "accuracy", "strips", "pairs", "ship"]
+
+
+def test_axe_is_what_its_list_says() -> None:
+    """Version, hash and licence of the script that looks at the page."""
+    entry = json.loads((AXE / "axe.json").read_text())
+    script = (AXE / entry["file"]).read_bytes()
+    assert hashlib.sha256(script).hexdigest() == entry["sha256"]
+    assert f"axe v{entry['version']}".encode() in script[:40]
+    assert "Mozilla Public License" in (AXE / entry["licence_file"]).read_text()
+    assert {item.name for item in AXE.iterdir()} == {
+        "axe.json",
+        entry["file"],
+        entry["licence_file"],
+    }
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_axe_has_nothing_to_say(opened: Any, size: tuple[int, int], scheme: str) -> None:
+    """No violation of any of its rules."""
+    page = opened(CHOSEN, size=size, scheme=scheme)
+    page.evaluate((AXE / "axe.min.js").read_text())
+    violations = page.evaluate("axe.run(document).then((result) => result.violations)")
+    said = [(rule["id"], [node["html"][:200] for node in rule["nodes"]]) for rule in violations]
+    assert said == []
+
+
+@pytest.mark.parametrize("width", [320, 390, 768, 1400])
+def test_nothing_scrolls_sideways(opened: Any, width: int) -> None:
+    """Neither the page nor a box within it."""
+    page = opened(CHOSEN, size=(width, 844))
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    boxes = page.evaluate(
+        """() => [...document.querySelectorAll("body *")].filter((node) => {
+          const style = getComputedStyle(node);
+          return /auto|scroll/.test(style.overflowX + style.overflowY)
+            && !["SELECT", "TEXTAREA"].includes(node.tagName);
+        }).map((node) => node.outerHTML.slice(0, 120))"""
+    )
+    assert boxes == []
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_no_two_texts_of_a_figure_overlap(opened: Any, size: tuple[int, int]) -> None:
+    """Boxes of texts have no area in common; slanted ones keep a line apart."""
+    page = opened(CHOSEN, size=size)
+    texts = page.evaluate(TEXTS, FIGURES)
+    assert {text["figure"] for text in texts} >= {"ladder", "matrix", "accuracy", "strips", "pairs"}
+    overlapping = []
+    for i, a in enumerate(texts):
+        for b in texts[i + 1 :]:
+            if a["figure"] != b["figure"]:
+                continue
+            if a["turn"] % 90 or b["turn"] % 90:
+                # Neighbours of equal slant: the distance across the direction of writing.
+                if a["turn"] == b["turn"] and abs(a["left"] - b["left"]) * 0.64 < 11:
+                    overlapping.append((a["figure"], a["text"], b["text"]))
+                continue
+            wide = min(a["right"], b["right"]) - max(a["left"], b["left"])
+            high = min(a["bottom"], b["bottom"]) - max(a["top"], b["top"])
+            # The box of a text has its line's height, more than its letters.
+            if wide > 1.0 and high > 4.0:
+                overlapping.append((a["figure"], a["text"], b["text"]))
+    assert overlapping == []
+
+
+def test_letters_are_large_enough_on_a_phone(opened: Any) -> None:
+    """Twelve pixels in every figure that follows the selection."""
+    texts = opened(CHOSEN, size=PHONE).evaluate(TEXTS, FIGURES)
+    assert [text for text in texts if text["size"] < 11.5] == []
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_signs_of_the_tiles_can_be_read(opened: Any, scheme: str) -> None:
+    """Contrast of each sign to its tile, and of a figure's letters to the page: 4.5 to 1."""
+    page = opened(scheme=scheme)
+    style = page.evaluate(
+        """() => Object.fromEntries(["good", "bad", "warn", "none", "ink", "soft", "paper",
+          "good-fill", "bad-fill", "warn-fill", "none-fill"].map((name) => [name,
+            getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim()]))"""
+    )
+
+    def luminance(colour: str) -> float:
+        parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+        linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+        return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+    def contrast(a: str, b: str) -> float:
+        low, high = sorted((luminance(style[a]), luminance(style[b])))
+        return (high + 0.05) / (low + 0.05)
+
+    for state in ("good", "bad", "warn", "none"):
+        assert contrast(state, f"{state}-fill") >= 4.5
+        assert contrast(state, "paper") >= 4.5
+    assert min(contrast("ink", "paper"), contrast("soft", "paper")) >= 4.5

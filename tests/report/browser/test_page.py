@@ -1,0 +1,259 @@
+"""What the page does in a browser: its selection, its figures, its files, and nothing else."""
+
+from __future__ import annotations
+
+import io
+import re
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs
+
+import pandas as pd
+import pytest
+
+DRAWN = ("ladder", "matrix", "accuracy")
+PHONE = (390, 844)
+CHOSEN = "#s=piqp&w=qpsolvers-fresh&set=default&sc=rough&k=74"
+
+
+def selection(page: Any) -> dict[str, str]:
+    """The selection that the address holds."""
+    fragment = page.evaluate("location.hash.slice(1)")
+    return {name: values[0] for name, values in parse_qs(fragment).items()}
+
+
+def settled(page: Any) -> None:
+    """Wait until the strips show the configuration that the address names."""
+    page.wait_for_timeout(400)
+
+
+def rows_in(page: Any, view: str, data: str) -> int:
+    """Rows of a data set of a figure."""
+    count: int = page.evaluate(f"views.{view}.then((view) => view.data('{data}').length)")
+    return count
+
+
+def test_it_opens_without_error_or_request(opened: Any) -> None:
+    """One file: nothing is fetched, and the answer stands in it."""
+    page = opened()
+    assert [url for url in opened.requests if not url.startswith("data:")] == [opened.file.as_uri()]
+    assert page.inner_text("#answer .lead").startswith("Use ")
+    assert page.locator("#figure-ladder svg").bounding_box()["y"] < 900
+    assert page.locator("#slow").bounding_box()["y"] < 900
+
+
+def test_it_keeps_its_budget(opened: Any) -> None:
+    """Nodes before anything is opened, words that are seen, screens."""
+    page = opened()
+    assert page.evaluate("document.querySelectorAll('*').length") <= 3000
+    assert page.evaluate("document.documentElement.scrollHeight") <= 9 * 900
+    words = page.evaluate(
+        """() => {
+          for (const list of document.querySelectorAll("select"))
+            for (const option of [...list.options]) if (!option.selected) option.remove();
+          return document.body.innerText.split(/\\s+/).filter((w) => /\\p{L}{2}/u.test(w)).length;
+        }"""
+    )
+    assert 100 < words <= 1500
+
+
+def test_it_answers_without_scripts(opened: Any) -> None:
+    """Answer, ladder, matrix, accuracy and files; no control that would do nothing."""
+    page = opened(scripts=False)
+    assert page.inner_text("#answer .lead").startswith("Use ")
+    for name in DRAWN:
+        assert page.locator(f"#figure-{name} svg text").count() > 5
+    assert page.locator("#data table a").count() >= 3
+    assert "tables/runs.csv" in page.inner_text("noscript")
+    for control in page.locator("button, select, input").all():
+        assert not control.is_visible()
+
+
+def test_a_row_of_the_ladder_is_chosen_by_a_click(opened: Any) -> None:
+    """Address, heading, strips and mark follow."""
+    page = opened()
+    name = page.locator("#figure-ladder text", has_text="clarabel")
+    box, figure = name.bounding_box(), page.locator("#figure-ladder").bounding_box()
+    page.mouse.click(figure["x"] + 0.7 * figure["width"], box["y"] + box["height"] / 2)
+    page.wait_for_function("location.hash.includes('s=clarabel')")
+    settled(page)
+    assert page.inner_text("#one-title").startswith("clarabel (")
+    assert page.inner_text("#chosen").startswith("clarabel (")
+    assert rows_in(page, "strips", "steps") >= 100
+    marked = page.evaluate("views.ladder.then((view) => view.data('pick_store')[0].values)")
+    assert marked == [str(page.evaluate("state.c"))]
+
+
+def test_a_tile_of_the_matrix_chooses_the_place_too(opened: Any) -> None:
+    """Solver, settings and scenario."""
+    page = opened()
+    wanted = page.locator(
+        "#figure-matrix path[aria-label*='solver: highs'][aria-label*='place: calm']"
+    )
+    wanted.first.scroll_into_view_if_needed()
+    box = wanted.first.bounding_box()
+    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.wait_for_function("location.hash.includes('s=highs')")
+    settled(page)
+    assert selection(page)["sc"] == "calm"
+    assert page.inner_text("#one-said").startswith(("Holds in calm", "Misses the demand in calm"))
+    assert rows_in(page, "strips", "steps") >= 100
+    assert rows_in(page, "strips", "forces") >= 100
+
+
+def test_a_row_of_the_table_is_chosen_by_a_click(opened: Any) -> None:
+    """The row opens above the table."""
+    page = opened()
+    page.select_option("#table-of", "all")
+    page.fill("#table-filter", "quadprog")
+    page.locator("#table-body tr").nth(1).click()
+    page.wait_for_function("location.hash.includes('s=quadprog')")
+    settled(page)
+    assert page.inner_text("#one-title").startswith("quadprog (")
+    assert page.evaluate("document.activeElement.id") == "one"
+
+
+def test_a_hard_step_opens(opened: Any) -> None:
+    """Its numbers, the command that writes it, and the query of its row."""
+    page = opened()
+    page.select_option("#choose-place", label="paper (replay)")
+    settled(page)
+    button = page.locator("#hard button").first
+    k = re.match(r"k (\d+):", button.inner_text())
+    assert k
+    button.click()
+    settled(page)
+    assert selection(page)["k"] == k[1]
+    assert f"Step {k[1]}:" in page.inner_text("#step-said")
+    assert f"--at {k[1]} " in page.inner_text("#step-export")
+    assert page.evaluate("views.strips.then((view) => view.signal('at'))") == int(k[1])
+    assert page.locator("#hard button[aria-pressed=true]").count() >= 1
+    run_id = page.evaluate("cell(state.c, state.p).id")
+    assert run_id in page.inner_text("#step-query")
+    assert run_id in page.inner_text("#data-query")
+
+
+def test_the_slider_moves_the_ladder(opened: Any) -> None:
+    """Every bar moves to the right; the largest sample of this machine stays."""
+    page = opened()
+    first = page.locator("#figure-ladder .mark-symbol path").first
+    before = first.bounding_box()["x"]
+    page.focus("#slow")
+    for _ in range(20):
+        page.keyboard.press("ArrowRight")
+    settled(page)
+    assert float(selection(page)["slow"]) == pytest.approx(10.0, rel=0.01)
+    assert first.bounding_box()["x"] > before + 40
+    assert page.inner_text("#slow-said") == "× 10"
+    assert re.fullmatch(r"\d+ of \d+ keep the deadline.*", page.inner_text("#slow-kept"))
+
+
+def test_reload_and_back_restore(opened: Any) -> None:
+    """The address is the whole state."""
+    page = opened(CHOSEN + "&slow=50")
+    assert page.input_value("#choose-solver") == "piqp"
+    assert page.inner_text("#slow-said") == "× 50"
+    said = page.inner_text("#step-said")
+    assert said.startswith("Step 74:")
+    page.select_option("#choose-solver", "scs")
+    page.wait_for_function("location.hash.includes('s=scs')")
+    page.reload()
+    page.wait_for_selector("html[data-ready]", state="attached")
+    assert page.input_value("#choose-solver") == "scs"
+    page.go_back()
+    page.wait_for_function("document.getElementById('choose-solver').value === 'piqp'")
+    settled(page)
+    assert page.inner_text("#step-said") == said
+    assert page.inner_text("#slow-said") == "× 50"
+
+
+def test_sections_and_colours_keep_the_selection(opened: Any) -> None:
+    """A link to a section scrolls; a change to the dark draws anew."""
+    page = opened(CHOSEN + "&slow=50")
+    before = selection(page)
+    page.click("nav a[href='#data']")
+    assert selection(page) == before
+    assert page.evaluate("document.activeElement.id") == "data"
+    page.emulate_media(color_scheme="dark")
+    page.wait_for_timeout(1500)
+    assert selection(page) == before
+    assert page.evaluate("views.ladder.then((view) => view.signal('slow'))") == pytest.approx(50)
+    assert rows_in(page, "strips", "steps") >= 100
+
+
+def test_the_csv_holds_the_numbers_of_the_parquet(opened: Any, campaign: Path) -> None:
+    """All rows and every group of columns, to the last digit."""
+    page = opened()
+    page.select_option("#table-of", "all")
+    runs = pd.read_parquet(campaign / "runs.parquet")
+    for group in page.locator("#table-group option").all_inner_texts():
+        page.select_option("#table-group", group)
+        with page.expect_download() as waiting:
+            page.click("#table-csv")
+        table = pd.read_csv(io.BytesIO(Path(waiting.value.path()).read_bytes()))
+        assert sorted(table["run_id"]) == sorted(runs["run_id"])
+        row_of = runs.set_index("run_id").loc[table["run_id"]].reset_index()
+        numbers = [
+            name
+            for name in table.columns
+            if name in runs and pd.api.types.is_numeric_dtype(runs[name])
+        ]
+        for name in numbers:
+            pd.testing.assert_series_equal(
+                table[name].astype(float), row_of[name].astype(float), rtol=1e-12
+            )
+        assert numbers or group in ("memory", "deadline")
+
+
+def test_two_solvers_are_compared(opened: Any) -> None:
+    """A dot a step, the ratio in words, and Markdown for a pull request."""
+    page = opened("#s=piqp&w=qpsolvers-fresh&set=default&sc=paper&b=daqp~qpsolvers-fresh~default")
+    assert rows_in(page, "pairs", "pairs") > 100
+    said = page.inner_text("#two-said")
+    ratio = re.search(r"takes ([\d.]+) times as long", said)
+    assert ratio
+    assert said.startswith("piqp (")
+    assert float(ratio[1]) == pytest.approx(90.0 / 18.0, rel=0.1)
+    markdown = page.evaluate("state.markdown")
+    assert "| p99 |" in markdown
+    assert len(markdown.encode()) < 3000
+
+
+def test_the_keyboard_reaches_everything(opened: Any) -> None:
+    """Every control and link is met by the tabulator, and shows that it is."""
+    page = opened(CHOSEN)
+    wanted = page.evaluate(
+        """() => {
+          const all = [...document.querySelectorAll("a[href], button, select, input")];
+          const seen = all.filter((node) => node.checkVisibility());
+          seen.forEach((node, i) => { node.dataset.nth = i; });
+          return seen.length;
+        }"""
+    )
+    met = set()
+    for _ in range(wanted + 5):
+        page.keyboard.press("Tab")
+        met.add(page.evaluate("document.activeElement.dataset.nth"))
+    assert met >= {str(i) for i in range(wanted)}
+    page.focus("#table-body button")
+    assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
+    page.focus("#hard button")
+    page.keyboard.press("Enter")
+    settled(page)
+    assert selection(page)["k"] != "74"
+
+
+def test_it_prints(opened: Any) -> None:
+    """Answer, ladder and matrix come along; twelve pages at most."""
+    sheets = re.findall(rb"/Type\s*/Page\b", opened().pdf(format="A4"))
+    assert 1 <= len(sheets) <= 12
+
+
+def test_the_largest_sample_is_never_scaled(opened: Any) -> None:
+    """On a slower computer a whisker is left out where a step has overtaken it."""
+    whiskers = "#figure-ladder path[stroke-dasharray], #figure-ladder line[stroke-dasharray]"
+    page = opened()
+    before = page.locator(whiskers).count()
+    assert before > 3
+    page = opened("#slow=10000")
+    assert page.locator(whiskers).count() < before

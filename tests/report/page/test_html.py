@@ -1,0 +1,127 @@
+"""The page is one valid file that needs nothing beside it; its script finds what it asks for."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from html.parser import HTMLParser
+from importlib.resources import files
+from typing import Any
+
+import pytest
+
+from dpbench.report.write import write_report
+from tests.report.page.test_pack import unpacked
+
+VOID = {"meta", "img", "br", "link", "input", "hr"}
+JS = files("dpbench.report.page").joinpath("page.js").read_text(encoding="utf-8")
+
+
+class Checker(HTMLParser):
+    """Collects ids and links, and insists that every tag is closed in order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.ids: list[str] = []
+        self.links: list[str] = []
+        self.sources: list[str] = []
+        self.script = ""
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = dict(attrs)
+        self.ids += [found["id"]] if found.get("id") else []
+        self.links += [found["href"]] if tag == "a" and found.get("href") else []
+        self.sources += [found["src"]] if found.get("src") else []
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        return
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag, (tag, self.getpos())
+
+
+def checked(html: str) -> Checker:
+    checker = Checker()
+    checker.feed(html)
+    checker.close()
+    assert checker.open == []
+    return checker
+
+
+def test_every_tag_is_closed_and_every_id_stands_once(written: Any) -> None:
+    """What a browser would mend in silence. Ids of a picture's own gradients and clips aside."""
+    ids = [name for name in checked(written.html).ids if not re.match(r"(clip|gradient)\d", name)]
+    assert len(ids) == len(set(ids)) > 20
+
+
+def test_nothing_is_loaded_from_elsewhere(written: Any) -> None:
+    """No address but those of files beside it and of places within: ships have no network."""
+    found = checked(written.html)
+    assert all(source.startswith("data:") for source in found.sources)
+    for link in found.links:
+        if link.startswith("#"):
+            assert link[1:] in found.ids, link
+        else:
+            assert (written.folder / link).is_file(), link
+    assert not re.search(r"@import|url\(\s*['\"]?http|<link|<script[^>]*src", written.html)
+
+
+def test_the_script_asks_only_for_what_is_there(written: Any) -> None:
+    """Every `$("…")` of the script is an id of a page with all its parts."""
+    asked = set(re.findall(r'\$\("([\w-]+)"\)', JS))
+    assert len(asked) > 20
+    assert asked <= set(checked(written.html).ids)
+
+
+def test_a_page_of_parts_has_what_the_script_cannot_do_without(records: Any, tmp_path: Any) -> None:
+    """A loop alone: ids that are asked for without a guard at the start are still there."""
+    records.loop("daqp", steps=20)
+    ids = set(checked(write_report(records.write(tmp_path)).read_text("utf-8")).ids)
+    bound = set(re.findall(r'\$\("([\w-]+)"\)\.addEventListener', JS))
+    assert bound and bound <= ids
+
+
+def test_the_block_unpacks_to_the_facts(written: Any) -> None:
+    """Configurations, places and cells are those of the facts, and the steps of a cell are within
+    a code of those of its run."""
+    (text,) = re.findall(r'<script id="block"[^>]*>(.*?)</script>', written.html, re.S)
+    document, arrays = unpacked(text.strip())
+    facts = written.report.facts
+    assert document["configurations"]["solver"] == [c.solver for c in facts.configurations]
+    assert [place["label"] for place in document["places"]] == [p.label for p in facts.places]
+    cells = document["cells"]
+    assert len(cells["id"]) == len(facts.runs)
+    for i in (0, len(cells["id"]) // 2):
+        steps = facts.steps[cells["id"][i]]
+        assert arrays[cells["t"][i]] == pytest.approx(list(steps.time_ns), rel=0.006)
+    verdicts = {v.configuration: v for v in facts.verdicts.all}
+    for c, p99 in zip(facts.configurations, document["configurations"]["p99"], strict=True):
+        verdict = verdicts.get(c)
+        if verdict is not None and verdict.p99_ns == verdict.p99_ns:
+            assert p99 == verdict.p99_ns
+
+
+def test_files_are_named_with_their_hashes(written: Any) -> None:
+    """What the page was made from can be checked."""
+    for name in ("runs.parquet", "steps.parquet", "machine.json", "suite.json"):
+        digest = hashlib.sha256((written.folder / name).read_bytes()).hexdigest()
+        assert digest in written.html
+
+
+def test_the_page_is_within_its_budget(written: Any) -> None:
+    """At most 5 MB, 3000 elements and 1500 words before a script has run."""
+    assert len(written.html.encode()) <= 5e6
+    body = re.sub(r"<(script|style)\b.*?</\1>", " ", written.html, flags=re.S)
+    assert len(re.findall(r"<[a-z]", body)) <= 3000
+    prose = re.sub(r"<svg\b.*?</svg>", " ", body, flags=re.S)
+    assert len(re.sub(r"<[^>]+>", " ", prose).split()) <= 1500
+
+
+def test_without_a_script_the_answer_and_the_figures_stand(written: Any) -> None:
+    """The pictures are drawn, not only their places."""
+    for name in ("ladder", "matrix", "accuracy"):
+        assert re.search(rf'<div id="figure-{name}"[^>]*>\s*<svg', written.html), name
+    assert "<noscript>" in written.html

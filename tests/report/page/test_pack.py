@@ -1,0 +1,141 @@
+"""Packed arrays, unpacked by a decoder that is written from the format's description alone."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import struct
+import zlib
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dpbench.report.page.pack import Block
+
+NUMBERS = st.lists(
+    st.one_of(
+        st.floats(1e-16, 1e300), st.floats(1e-9, 1e9), st.sampled_from([0.0, math.nan, math.inf])
+    ),
+    min_size=1,
+    max_size=60,
+)
+
+
+def unpacked(text: str) -> tuple[dict[str, Any], list[list[float]]]:
+    """The document and its arrays, as the head of `pack.py` describes them."""
+    raw = zlib.decompress(base64.b64decode(text))
+    (length,) = struct.unpack("<I", raw[:4])
+    document = json.loads(raw[4 : 4 + length])
+    arrays = [_array(raw[4 + length :], *entry) for entry in document["arrays"]]
+    return document, arrays
+
+
+def _array(raw: bytes, kind: str, start: int, count: int, scale: float) -> list[float]:
+    if kind == "flag":
+        return [float(byte) for byte in raw[start : start + count]]
+    low, high = raw[start : start + count], raw[start + count : start + 2 * count]
+    codes, before = [], 0
+    for a, b in zip(low, high, strict=True):
+        code = a + 256 * b
+        if kind != "log":
+            code = before = (before + code) % 65536
+        codes.append(code)
+    return [_number(kind, code, scale) for code in codes]
+
+
+def _number(kind: str, code: int, scale: float) -> float:
+    if kind == "log":
+        special = {0: math.nan, 1: 0.0, 65535: math.inf}
+        return special[code] if code in special else 10.0 ** ((code - 2) / 200 - 16)
+    if kind == "count":
+        return math.nan if code == 65535 else float(code)
+    signed = code - 65536 if code >= 32768 else code
+    return math.nan if signed == -32768 else signed * scale
+
+
+def _one(block: Block) -> list[float]:
+    _, (array,) = unpacked(block.text({}))
+    return array
+
+
+@given(NUMBERS)
+def test_numbers_over_many_decades_are_told_apart_by_a_percent(values: list[float]) -> None:
+    """Half a code is 10^(1/400), 0.58 %; missing, zero and infinite are themselves. The largest
+    code but one is 10^(65532/200 − 16), beyond every number."""
+    block = Block()
+    assert block.log(values) == 0
+    for value, found in zip(values, _one(block), strict=True):
+        if value == 0.0 or not math.isfinite(value):
+            np.testing.assert_equal(found, value)
+        else:
+            assert found == pytest.approx(value, rel=10 ** (1 / 400) - 1 + 1e-9)
+
+
+def test_what_is_smaller_than_the_smallest_or_negative_is_said_so() -> None:
+    """Below 1e-16 stands 1e-16 and not zero; a negative time or error is none."""
+    block = Block()
+    block.log([1e-20, -1.0])
+    smallest, negative = _one(block)
+    assert smallest == pytest.approx(1e-16) and math.isnan(negative)
+
+
+@given(
+    st.lists(st.one_of(st.floats(-1e6, 1e6), st.just(math.nan)), min_size=1, max_size=60),
+    st.sampled_from([1e-3, 1e-4, 0.5]),
+)
+def test_multiples_are_within_half_a_unit_or_cut_off(values: list[float], scale: float) -> None:
+    """A value within 32767 units is rounded to the nearest; one beyond stands at the end."""
+    block = Block()
+    block.linear(values, scale)
+    for value, found in zip(values, _one(block), strict=True):
+        if math.isnan(value):
+            assert math.isnan(found)
+        else:
+            held = max(-32767 * scale, min(32767 * scale, value))
+            assert abs(found - held) <= 0.5 * scale * (1 + 1e-9)
+
+
+@given(
+    st.lists(
+        st.one_of(st.integers(0, 65534), st.sampled_from([math.nan, -1])), min_size=1, max_size=60
+    )
+)
+def test_counts_are_exact(values: list[float]) -> None:
+    """Whole numbers come back as they were; NaN and negative ones are missing."""
+    block = Block()
+    block.count(values)
+    expected = [math.nan if math.isnan(v) or v < 0 else float(v) for v in values]
+    np.testing.assert_equal(_one(block), expected)
+
+
+def test_a_count_beyond_the_largest_is_the_largest() -> None:
+    """70 000 iterations are shown as 65 534, not as missing."""
+    block = Block()
+    block.count([70_000.0])
+    assert _one(block) == [65534.0]
+
+
+@given(st.lists(NUMBERS, min_size=1, max_size=5), st.lists(st.integers(0, 255), max_size=20))
+def test_arrays_of_one_block_do_not_touch_each_other(
+    arrays: list[list[float]], flags: list[int]
+) -> None:
+    """Each array has its number, its length and its values whatever stands beside it, and the
+    document comes back with text of any alphabet."""
+    block = Block()
+    numbers = [block.flag(flags), *(block.log(array) for array in arrays), block.count([3, 1])]
+    document, found = unpacked(block.text({"said": "µs ≥ 1"}))
+    assert numbers == list(range(len(arrays) + 2))
+    assert document["said"] == "µs ≥ 1"
+    assert found[0] == [float(flag) for flag in flags]
+    assert [len(array) for array in found[1:-1]] == [len(array) for array in arrays]
+    assert found[-1] == [3.0, 1.0]
+
+
+def test_a_document_with_a_number_that_json_has_not_is_refused() -> None:
+    """A page that holds NaN would not parse in a browser."""
+    with pytest.raises(ValueError, match="JSON"):
+        Block().text({"x": math.nan})

@@ -1,0 +1,238 @@
+"""The answer in page, Markdown and terminal: its numbers are those of the verdicts."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.records import Records
+from dpbench.analysis.times.fastest import recommend
+from dpbench.analysis.verdict import verdicts_of
+from dpbench.cli.main import main
+from dpbench.errors import InputError
+from dpbench.report.formats import error_text, rounded_down, time_text
+from dpbench.report.markdown import MOST_BYTES, report_markdown
+from dpbench.report.page.answer import Answer, answer_of
+from dpbench.report.page.facts import Facts
+from dpbench.report.page.tables import best_of_each, ladder_table, matrix_table
+from dpbench.report.write import Report
+
+
+def _facts(records: Any) -> Facts:
+    view, demand = records.view(), Demand()
+    return Facts.of(view, demand, verdicts_of(view, demand))
+
+
+def _answer(records: Any, baseline: str | None = None) -> Answer:
+    return answer_of(_facts(records), {}, baseline)
+
+
+def _plain(html: str) -> str:
+    head = html.split("<script", 1)[0].split("</style>", 1)[1]
+    return re.sub(r"<[^>]+>", "", head)
+
+
+def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
+    """Who is recommended, in which way, at which p99 and slow-downs is one answer everywhere."""
+    demand = Demand.of(written.results.suite)
+    verdicts = verdicts_of(Records(written.results), demand)
+    chosen = recommend(verdicts).chosen
+    assert chosen is not None and chosen.configuration.solver == "daqp"
+    page, text = _plain(written.html), written.markdown
+    terminal = "\n".join(written.lines)
+    by_step = rounded_down(chosen.slowdown(demand))
+    by_sample = rounded_down(chosen.raw_slowdown(demand))
+    for said in (page, text):
+        assert "Use daqp (qpsolvers, fresh, default): right on every step of 4 closed loops" in said
+        assert f"p99 {time_text(chosen.p99_ns)}" in said
+        assert error_text(chosen.error_move) in said
+        assert f"A computer {by_step} times slower" in said
+        assert f"{by_sample} times by its largest sample" in said
+    assert "Use daqp (route qpsolvers, policy fresh, settings default), the fastest" in terminal
+    for figure in (time_text(chosen.p99_ns), f"{by_step} times slower", f"{by_sample} times by"):
+        assert figure in terminal
+    assert "native warm" not in terminal, "a way that was replayed alone is not recommended"
+
+
+def test_the_markdown_is_short_and_its_table_that_of_the_verdicts(written: Any) -> None:
+    """At most 8 kB; a row a solver with outcome, times, error and failed steps of its verdict."""
+    assert len(written.markdown.encode()) <= MOST_BYTES
+    rows = [line.strip("| ").split(" | ") for line in written.markdown.splitlines() if "|" in line]
+    head, _, *body = rows
+    best = best_of_each(written.report.facts)
+    assert len(body) == len(best) == len(written.report.facts.verdicts.of)
+    for cells, verdict in zip(body, best, strict=True):
+        row = dict(zip(head, cells, strict=True))
+        assert row["solver"] == verdict.configuration.solver
+        assert row["way"] == verdict.configuration.options
+        assert row["demand"] == verdict.outcome
+        assert row["p99"] == time_text(verdict.p99_ns)
+        assert row["largest step"] == time_text(verdict.algo_max_ns)
+        assert row["largest error"] == error_text(verdict.error_move)
+        assert row["failed"] == str(verdict.failed_steps)
+
+
+def test_a_markdown_of_very_many_solvers_is_cut_at_a_line(records: Any) -> None:
+    """Hundreds of rows still fit a comment, and where the others are is said."""
+    for i in range(150):
+        records.loop(f"somebody_elses_solver_{i:03d}")
+    facts = _facts(records)
+    text = report_markdown(records.results(), facts, answer_of(facts, {}), [])
+    assert len(text.encode()) <= MOST_BYTES
+    assert text.endswith("More rows: `tables/verdicts.csv`.\n")
+    assert all(line.endswith("|") for line in text.splitlines() if line.startswith("|"))
+
+
+def test_chips_say_of_each_place_what_the_first_did_there(records: Any) -> None:
+    """Held, missed, open and not run are four words and four marks."""
+    records.loop("daqp", "paper")
+    records.replay("daqp", "paper")
+    records.loop("osqp", "rough")
+    answer = _answer(records)
+    assert answer.first is not None and answer.first.solver == "daqp"
+    assert {(chip.text, chip.mark) for chip in answer.chips} == {
+        ("paper: held", "meets"),
+        ("rough: not run", "none"),
+        ("paper (replay): held", "meets"),
+    }
+
+
+def test_open_is_not_recommended(records: Any) -> None:
+    """Where no solver steered a ship, nothing contradicts the fastest, and what is open is said."""
+    records.replay("daqp")
+    sentence = _answer(records).sentence
+    assert sentence.startswith("Nothing contradicts daqp (qpsolvers, fresh, default): right on")
+    assert "every step of 1 replay, " in sentence
+    assert sentence.endswith("; no closed loop was run.")
+
+
+NOBODY = [
+    ({"error": 0.4}, "Nothing is recommended: no solver meets the demand in any configuration"),
+    ({"outcome": "timed_out", "done": 9}, "Nothing is recommended while it is open whether"),
+]
+
+
+@pytest.mark.parametrize(("loop", "says"), NOBODY)
+def test_nothing_qualifies_is_said_as_far_as_the_runs_go(
+    records: Any, loop: dict[str, Any], says: str
+) -> None:
+    """Missed by all is no more than that, and open is not missed; nothing is there to paste."""
+    records.loop("osqp", **loop)
+    records.replay("osqp")
+    answer = _answer(records)
+    assert answer.sentence.startswith(says) and "`" not in answer.sentence
+    assert answer.snippet == "" and answer.notes == ()
+
+
+def test_own_code_alone_is_no_recommendation(records: Any) -> None:
+    """It is named with why, once."""
+    records.loop("hildreth", route="native")
+    records.replay("hildreth", route="native")
+    answer = _answer(records)
+    assert answer.sentence.startswith("Nothing that can go aboard meets the demand; hildreth")
+    assert answer.notes == ()
+
+
+def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> None:
+    """Own code beside a library: the library is the answer, the other its comparison."""
+    for solver, route, median_us in (("hildreth", "native", 3.0), ("daqp", "qpsolvers", 9.0)):
+        records.loop(solver, route=route)
+        records.replay(solver, route=route, median_us=median_us)
+    answer = _answer(records)
+    assert answer.first is not None and answer.second is not None
+    assert (answer.first.solver, answer.second.solver) == ("daqp", "hildreth")
+    (faster,) = (note for note in answer.notes if "is faster" in note)
+    assert "is not the answer: own code of this benchmark" in faster
+
+
+def test_a_snippet_opens_what_it_recommends(records: Any) -> None:
+    """The settings are those of the level, and the call is one that this version has."""
+    records.loop("daqp", route="native", policy="warm")
+    records.replay("daqp", route="native", policy="warm")
+    names: dict[str, Any] = {}
+    exec(compile(_answer(records).snippet, "snippet", "exec"), names)
+    assert names["solver"] is not None
+
+
+def test_why_is_the_verdicts_cause(records: Any) -> None:
+    """What contradicts a configuration, else what is missing, else its refusal; no markup."""
+    records.loop("osqp", error=0.4)
+    records.replay("daqp")
+    records.refused("qpax", "not installed")
+    why = {v.configuration.solver: Answer.why(v) for v in _facts(records).verdicts.all}
+    assert why["osqp"].startswith("its first move is up to 0.40 of a rate-limit step off the opti")
+    assert why["daqp"] == "no closed loop was run"
+    assert why["qpax"] == "not installed"
+    assert "`" not in "".join(why.values())
+
+
+def test_the_ladder_is_that_of_the_verdicts(records: Any) -> None:
+    """Milliseconds of p50, p99, largest step and sample; who was not timed has no rung, and the
+    share of the cost of calling never exceeds the whole."""
+    records.loop("daqp")
+    records.replay("daqp", median_us=20.0)
+    records.loop("scs")
+    facts = _facts(records)
+    (row,) = ladder_table(facts, 30e3).to_dict("records")
+    verdict = facts.verdicts.references[0]
+    assert row["solver"] == "daqp" and row["share"] == 1.0
+    times = [row[name] * 1e6 for name in ("p50_ms", "p99_ms", "max_ms", "raw_max_ms")]
+    expected = [verdict.p50_ns, verdict.p99_ns, verdict.algo_max_ns, verdict.raw_max_ns]
+    assert times == pytest.approx(expected)
+    assert ladder_table(facts, float("nan"))["share"].tolist() == [0.0]
+
+
+def test_a_level_that_was_not_run_somewhere_is_hatched_there(records: Any) -> None:
+    """The matrix has a tile for each solver, level and place, run or not."""
+    records.loop("osqp", "paper", error=0.4)
+    records.loop("osqp", "calm", error=0.4)
+    records.loop("osqp", "paper", settings="high")
+    tiles = matrix_table(_facts(records)).set_index(["settings", "place"])["state"]
+    assert tiles.to_dict() == {
+        ("default", "paper"): "misses",
+        ("default", "calm"): "misses",
+        ("high", "paper"): "meets",
+        ("high", "calm"): "not run",
+    }
+
+
+def test_the_baseline_is_beside_the_answer(records: Any) -> None:
+    """Its fastest configuration that nothing contradicts; one that was not run is refused."""
+    for solver, us in (("daqp", 10.0), ("osqp", 50.0), ("piqp", 30.0)):
+        records.replay(solver, median_us=us, steps=60)
+    assert [c and c.solver for c in (_answer(records).first, _answer(records).second)] == [
+        "daqp",
+        "piqp",
+    ]
+    second = _answer(records, "osqp").second
+    assert second is not None and second.solver == "osqp"
+    with pytest.raises(
+        InputError, match=r"--baseline: found 'nope'; allowed: .*: daqp, osqp, piqp"
+    ):
+        _answer(records, "nope")
+
+
+def test_an_unknown_baseline_writes_nothing(
+    records: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One line and exit code 2."""
+    records.loop("daqp")
+    out = records.write(tmp_path / "out")
+    assert main(["report", str(out), "--baseline", "nope"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == "dpbench: --baseline: found 'nope'; allowed: a solver that was run: daqp"
+    assert not (out / "report.html").exists() and not (out / "report.md").exists()
+
+
+@pytest.mark.parametrize(("named", "second"), [("piqp", "piqp"), ("scs", "osqp"), (None, "osqp")])
+def test_the_suite_names_the_baseline(records: Any, named: str | None, second: str) -> None:
+    """It holds where it was run; a part of the suite may be run without it."""
+    for solver, us in (("daqp", 10.0), ("osqp", 20.0), ("piqp", 30.0)):
+        records.replay(solver, median_us=us, steps=60)
+    records.suite["report"] = {"baseline": named}
+    found = Report.of(records.results()).answer.second
+    assert found is not None and found.solver == second

@@ -1,0 +1,105 @@
+"""The tables beside the page hold the numbers of the records."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dpbench.analysis.run_steps import run_steps
+from dpbench.report.page.answer import Answer
+from dpbench.report.write import write_report
+
+
+def _table(folder: Path, name: str) -> pd.DataFrame:
+    return pd.read_csv(folder / "tables" / f"{name}.csv", keep_default_na=False, na_values=[""])
+
+
+def test_runs_are_those_of_the_parquet_file(written: Any) -> None:
+    """Every column but the description of the cell, every row, to the last digit."""
+    runs = pd.read_parquet(written.folder / "runs.parquet").drop(columns="cell")
+    table = _table(written.folder, "runs")
+    assert list(table.columns) == list(runs.columns)
+    assert len(table) == len(runs)
+    for name in runs.columns:
+        if pd.api.types.is_numeric_dtype(runs[name].dtype):
+            expected = runs[name].to_numpy(dtype=np.float64, na_value=np.nan)
+            found = table[name].to_numpy(dtype=np.float64, na_value=np.nan)
+            np.testing.assert_array_equal(found, expected, err_msg=name)
+        else:
+            found = table[name].astype(object).where(table[name].notna(), "")
+            assert [str(x) for x in found] == [str(x) for x in runs[name]], name
+
+
+def test_verdicts_are_those_of_the_analysis(written: Any) -> None:
+    """A row a configuration, with what contradicts it."""
+    verdicts = written.report.facts.verdicts.all
+    table = _table(written.folder, "verdicts")
+    assert len(table) == len(verdicts)
+    for row, verdict in zip(table.to_dict("records"), verdicts, strict=True):
+        who = verdict.configuration
+        named = row["solver"], row["route"], row["policy"], row["settings"], row["outcome"]
+        assert named == (who.solver, who.route, who.policy, who.settings, verdict.outcome)
+        figures = ("p50_ns", "p99_ns", "algo_max_ns", "raw_max_ns", "error_move", "failed_steps")
+        for name in (*figures, "steps", "closed_loops", "replays"):
+            attribute = {"closed_loops": "loops"}.get(name, name)
+            np.testing.assert_equal(float(row[name]), float(getattr(verdict, attribute)))
+        assert (row["why"] if isinstance(row["why"], str) else "") == Answer.why(verdict)
+
+
+def test_hard_steps_are_the_largest_of_each_run(written: Any) -> None:
+    """The hardest by time has the largest least time of its run, and so by error."""
+    hard = _table(written.folder, "hard_steps")
+    steps = dict(run_steps(written.results.steps))
+    assert set(hard["by"]) == {"time", "iterations", "error"}
+    assert hard.groupby(["run_id", "by"]).size().max() == 5
+    first = hard.drop_duplicates(["run_id", "by"]).set_index(["run_id", "by"])
+    for (run_id, measure), row in first.iterrows():
+        own = steps[str(run_id)]
+        values = {"time": own.time_ns, "iterations": own.iterations, "error": own.error}[measure]
+        assert row["value"] == np.nanmax(values)
+        assert values[list(own.k).index(row["k"])] == row["value"]
+
+
+def test_every_place_and_level_of_a_solver_has_a_row(written: Any) -> None:
+    """States are those of the facts, run or not."""
+    facts = written.report.facts
+    table = _table(written.folder, "places")
+    solvers, levels = len(facts.verdicts.of), len(facts.verdicts.levels)
+    assert len(table) == solvers * levels * len(facts.places)
+    for row in table.to_dict("records"):
+        assert row["state"] == facts.state(int(row["id"]), int(row["place_id"]))
+
+
+def test_what_ended_early_stands_with_its_reason(records: Any, tmp_path: Path) -> None:
+    """No cell that failed is hidden, and tables of an earlier report go."""
+    records.loop("daqp", steps=20)
+    records.refused("ecos", "it keeps no workspace", policy="reuse")
+    records.loop("highs", outcome="crashed", outcome_detail="signal 11", done=0)
+    out = records.write(tmp_path / "out")
+    (out / "tables").mkdir()
+    (out / "tables" / "old.csv").write_text("x\n1\n")
+    write_report(out)
+    table = _table(out, "runs").set_index("solver")
+    assert table["outcome"].to_dict() == {
+        "daqp": "finished",
+        "ecos": "refused",
+        "highs": "crashed",
+    }
+    assert table.loc["ecos", "outcome_detail"] == "it keeps no workspace"
+    assert _table(out, "verdicts").set_index("solver")["why"]["highs"] == (
+        "its process ended in paper: signal 11"
+    )
+    assert not (out / "tables" / "old.csv").exists()
+
+
+@pytest.mark.parametrize("topic", ["paper"])
+def test_tables_of_topics_are_files_too(written: Any, topic: str) -> None:
+    """The rows on the page are those of the file."""
+    (shown,) = (one for one in written.report.topics if one.id == topic)
+    table = _table(written.folder, topic)
+    assert list(table.columns) == list(shown.tables[0].head)
+    assert [tuple(row) for row in table.to_numpy()] == list(shown.tables[0].rows)

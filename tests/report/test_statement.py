@@ -1,0 +1,111 @@
+"""The statement: one page on what holds, with hashes; none where nothing does."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+
+from dpbench.cli.main import main
+from dpbench.report.formats import error_text, rounded_down, time_text
+from dpbench.report.statement import HEIGHT, MARGIN, WIDTH, statement_svg
+
+
+def _good(records: Any, tmp_path: Path) -> Path:
+    records.loop("daqp")
+    records.replay("daqp", spread=0.1)
+    out: Path = records.write(tmp_path / "out")
+    return out
+
+
+@pytest.fixture(scope="module")
+def drawn(written: Any) -> str:
+    report = written.report
+    return statement_svg(written.folder, report.results, report.facts)
+
+
+def _texts(svg: str) -> list[ElementTree.Element]:
+    root = ElementTree.fromstring(svg)
+    return [element for element in root.iter() if element.tag.endswith("text")]
+
+
+def test_pdf_and_svg_are_written(
+    records: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the end of the file's name."""
+    out = _good(records, tmp_path)
+    for kind in ("pdf", "svg"):
+        assert main(["report", str(out), "--statement", str(tmp_path / f"a.{kind}")]) == 0
+    assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF-")
+    assert ElementTree.parse(tmp_path / "a.svg").getroot().tag.endswith("svg")
+    capsys.readouterr()
+    assert main(["report", str(out), "--statement", str(tmp_path / "a.doc")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith("allowed: a file that ends in .pdf or .svg")
+
+
+@pytest.mark.parametrize("missing", ["loop", "replay", "right", "all"])
+def test_nothing_to_recommend_is_nothing_to_state(
+    records: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], missing: str
+) -> None:
+    """One line, exit code 2 and no file: what is open or missed cannot be handed over."""
+    if missing not in ("loop", "all"):
+        records.loop("daqp", error=0.4 if missing == "right" else 1e-9)
+    if missing not in ("replay", "all"):
+        records.replay("daqp")
+    out = records.write(tmp_path / "out")
+    assert main(["report", str(out), "--statement", str(tmp_path / "a.pdf")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "no configuration that meets the demand everywhere and can go aboard" in line
+    assert not (tmp_path / "a.pdf").exists() and not (out / "report.html").exists()
+
+
+def test_it_holds_the_hashes_of_the_files(drawn: str, written: Any) -> None:
+    """Whoever has the files can prove that they are those."""
+    for name in ("runs.parquet", "steps.parquet", "machine.json", "suite.json"):
+        digest = hashlib.sha256((written.folder / name).read_bytes()).hexdigest()
+        assert f"{name}  SHA-256 {digest}" in drawn
+
+
+def test_its_numbers_are_those_of_the_verdict(drawn: str, written: Any) -> None:
+    """Solver, way, version, error, times and slow-downs of what is recommended."""
+    text = " ".join("".join(element.itertext()) for element in _texts(drawn))
+    facts = written.report.facts
+    (verdict,) = (v for v in facts.verdicts.all if v.configuration == written.report.answer.first)
+    assert "Solver daqp 1.0, route qpsolvers, policy fresh, settings default." in text
+    for figure in (
+        error_text(verdict.error_move),
+        time_text(verdict.p99_ns),
+        time_text(verdict.algo_max_ns),
+        rounded_down(verdict.slowdown(facts.demand)),
+        rounded_down(verdict.raw_slowdown(facts.demand)),
+        "Synthetic CPU",
+        "0123456789ab",
+    ):
+        assert figure in text, figure
+
+
+def test_it_names_where_it_holds_and_what_is_not_covered(drawn: str, written: Any) -> None:
+    """Every place that was held is named, and the limits of the claim stand on the page."""
+    text = " ".join("".join(element.itertext()) for element in _texts(drawn))
+    facts, first = written.report.facts, written.report.answer.first
+    for p, place in enumerate(facts.places):
+        if facts.state(facts.index(first), p) == "meets":
+            assert place.label in text
+    assert "Not covered" in text and "Other vessels" in text
+
+
+def test_it_fits_a_page(drawn: str) -> None:
+    """Every line stands within the margins of an A4 sheet, at half an em a letter, below the one
+    before."""
+    lines = _texts(drawn)
+    heights = [float(line.get("y", "nan")) for line in lines]
+    assert heights == sorted(heights) and heights[-1] <= HEIGHT - 20
+    for line in lines:
+        length = len("".join(line.itertext())) * float(line.get("font-size", "nan"))
+        assert MARGIN + 0.5 * length <= WIDTH
+    assert not re.search(r"\bnan\b|None", drawn)

@@ -1,0 +1,280 @@
+"""Every kind of suite has a page of its own: what it has is shown, what nobody asked for is not."""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dpbench.bench.record.result_folder import load_results
+from dpbench.cli.main import main
+from dpbench.errors import InputError
+from dpbench.qp.random.recipe import RandomRecipe
+from dpbench.report.write import Report, report_and_lines, write_report
+from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
+from tests.report.page.test_html import checked
+
+TITLES = {
+    "horizon": "Longer horizons",
+    "slowdown": "Slower computers",
+    "random": "Random QPs",
+    "formulations": "Formulations",
+    "routes": "Routes",
+    "paper": "The paper",
+    "trust": "Can I believe the times",
+}
+TIMED = {"replay_s": 2.0, "involuntary_switches": 4, "steal_s": 0.0}
+
+
+def _replay_only(records: Any) -> None:
+    records.replay("daqp", steps=30)
+    records.replay("osqp", steps=30, median_us=80.0)
+
+
+def _loops_only(records: Any) -> None:
+    records.loop("daqp", "calm", steps=40)
+    records.loop("osqp", "calm", steps=40, error=0.4)
+
+
+def _paper(records: Any) -> None:
+    records.loop("daqp", steps=1000)
+    records.loop("unconstrained_clipped", steps=1000, formulation="none", error=1.0)
+
+
+def _timed(records: Any) -> None:
+    records.replay("daqp", steps=30, **TIMED)
+
+
+def _random(records: Any) -> None:
+    recipe = RandomRecipe("plain", 4, 6, 1)
+    source = {"kind": "random", "name": recipe.name, "recipe": recipe.to_dict()}
+    own = {"scenario": "", "cell": json.dumps({"source": source})}
+    records.replay("daqp", steps=6, **own)
+
+
+def _slow(records: Any) -> None:
+    for slowdown in (1.0, 100.0):
+        figures = {"closed_loop_cost": 101.0, "exact_cost": 100.0, "deadline_s": 0.3}
+        late = {"latency_max_ns": 5e4 * slowdown, "deadline_misses": 2}
+        records.loop("daqp", steps=30, slowdown=slowdown, **figures, **late)
+
+
+def _horizon(records: Any) -> None:
+    for N_p, N_c in ((30, 5), (60, 10), (100, 20)):
+        files = copy.deepcopy(records.scenario("paper").files)
+        controller = files["scenario"]["controller"]
+        controller["prediction_horizon"], controller["control_horizon"] = N_p, N_c
+        files["name"] = name = f"paper-{N_p}-{N_c}"
+        columns = {"N_p": N_p, "N_c": N_c, "n": 3 * N_c, "m": 3 * N_c, "scenario": name}
+        cell = {"cell": json.dumps({"scenario": files, "first": 0})}
+        records._scenarios[name] = records.scenario("paper")
+        records.replay("daqp", name, steps=40, median_us=4.0 * N_c, **columns, **cell)
+
+
+def _calibration(records: Any) -> None:
+    for name in CALIBRATION:
+        median_us = WAITS_NS.get(name, 0) / 1e3 + 0.3
+        records.replay(name, steps=30, median_us=median_us, route="native", **TIMED)
+
+
+def _recorded(records: Any) -> None:
+    records._scenarios["robot"] = records.scenario("paper")
+    for solver in ("daqp", "osqp"):
+        records.replay(solver, "robot", steps=30, scenario="", cell=json.dumps({}))
+
+
+def _formulations(records: Any) -> None:
+    records.replay("osqp", steps=30)
+    records.replay("osqp", steps=30, formulation="sparse")
+
+
+def _routes(records: Any) -> None:
+    records.replay("daqp", steps=200)
+    records.replay("daqp", steps=200, route="native", median_us=10.0)
+    records.replay("daqp", steps=200, route="native", policy="warm", median_us=5.0)
+
+
+KINDS: dict[str, tuple[Callable[[Any], None], set[str]]] = {
+    "replays": (_replay_only, set()),
+    "loops": (_loops_only, set()),
+    "paper": (_paper, {"paper"}),
+    "timed": (_timed, {"trust"}),
+    "random": (_random, {"random"}),
+    "slow computers": (_slow, {"slowdown"}),
+    "horizons": (_horizon, {"horizon"}),
+    "calibration": (_calibration, {"trust"}),
+    "recorded": (_recorded, set()),
+    "formulations": (_formulations, {"formulations"}),
+    "routes": (_routes, {"routes"}),
+}
+
+
+def _words(html: str) -> str:
+    """What stands on the page before a script runs."""
+    body = re.sub(r"<(script|style|svg)\b.*?</\1>", " ", html, flags=re.S)
+    return " ".join(re.sub(r"<[^>]+>", " ", body).split())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_suite_shows_what_it_has_and_mentions_nothing_else(
+    records: Any, tmp_path: Path, kind: str
+) -> None:
+    """Its topics and no other stand on page and in Markdown; each has its files; nothing is called
+    missing that nobody asked for."""
+    fill, topics = KINDS[kind]
+    fill(records)
+    out = records.write(tmp_path / "out")
+    page, lines = report_and_lines(out)
+    html, text = page.read_text("utf-8"), (out / "report.md").read_text("utf-8")
+    found = checked(html)
+    shown = _words(html)
+    for topic, title in TITLES.items():
+        assert (topic in found.ids) == (topic in topics), topic
+        assert (f"{title}" in shown) == (topic in topics), title
+        assert (f"\n{title}" in text) == (topic in topics), title
+    assert "issing" not in shown and "issing" not in text
+    assert all(lines) and lines
+    report = Report.of(load_results(out))
+    assert {topic.id for topic in report.topics} == topics
+    drawn = {path.stem for path in (out / "figures").iterdir()}
+    assert drawn == set(report.figures)
+    tables = {path.stem for path in (out / "tables").iterdir()}
+    assert {topic.id for topic in report.topics if topic.tables} <= tables
+
+
+@pytest.mark.parametrize("kind", ["random", "slow computers", "calibration"])
+def test_without_a_solver_on_a_ship_no_demand_is_spoken_of(records: Any, kind: str) -> None:
+    """Its answer is that of its own question, and has no chip and nothing to paste."""
+    KINDS[kind][0](records)
+    answer = Report.of(records.results()).answer
+    starts = {
+        "random": "Random QPs: 0 false claims in ",
+        "slow computers": "Slower computers, paper: daqp (qpsolvers fresh) × 100",
+        "calibration": "Machine: quiet. Harness: within the bar (no_op ",
+    }
+    assert answer.sentence.startswith(starts[kind])
+    assert (answer.demand, answer.snippet, answer.chips) == ("", "", ())
+    assert "recommended" not in answer.sentence
+
+
+def _nothing(records: Any) -> None:
+    """Leave the records empty."""
+
+
+def _refused_only(records: Any) -> None:
+    records.refused("qpax", "not installed")
+
+
+def _single_step(records: Any) -> None:
+    records.loop("daqp", steps=1)
+    records.replay("daqp", steps=1, rounds=1)
+
+
+def _all_crashed(records: Any) -> None:
+    for solver in ("daqp", "scs"):
+        records.loop(solver, done=0, outcome="crashed", outcome_detail="signal 11")
+        records.replay(solver, outcome="crashed", steps_done=0)
+
+
+def _all_silent(records: Any) -> None:
+    records.loop("ecos", error=float("inf"), failed=120)
+    records.replay("ecos", error=float("inf"), failed=3000)
+
+
+def _baseline_law_only(records: Any) -> None:
+    records.loop("unconstrained_clipped", formulation="none", error=1.0)
+
+
+def _si_only(records: Any) -> None:
+    records.loop("daqp", units="si", settings="high")
+
+
+def _odd_names(records: Any) -> None:
+    records.loop('a<b>&"c|d', outcome_detail="<script>", outcome="timed_out", done=5)
+
+
+PARTIAL = [
+    (_nothing, "No solver was run, so there is nothing to judge."),
+    (_refused_only, "Nothing is recommended"),
+    (_single_step, "Use daqp (qpsolvers, fresh, default)"),
+    (_all_crashed, "Nothing is recommended"),
+    (_all_silent, "Nothing is recommended: no solver meets the demand"),
+    (_baseline_law_only, "No solver was run, so there is nothing to judge."),
+    (_si_only, "Nothing is recommended, as no replay left a step"),
+    (_odd_names, "Nothing is recommended"),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("fill", "says"), PARTIAL)
+def test_partial_results_still_make_a_report(
+    records: Any, tmp_path: Path, fill: Callable[[Any], None], says: str
+) -> None:
+    """Whatever is not there, the report is written and valid, and its answer says how it is."""
+    fill(records)
+    out = records.write(tmp_path / "out")
+    html = write_report(out).read_text(encoding="utf-8")
+    checked(html)
+    assert says in (out / "report.md").read_text(encoding="utf-8").splitlines()[2]
+    assert says in _words(html)
+
+
+def test_words_of_a_library_never_become_tags(records: Any, tmp_path: Path) -> None:
+    """A name and a reason with markup and pipes are shown as they are, or the table would break."""
+    _odd_names(records)
+    out = records.write(tmp_path / "out")
+    html = write_report(out).read_text(encoding="utf-8")
+    assert "<b>&" not in html and "a&lt;b&gt;" in html
+    rows = [x for x in (out / "report.md").read_text("utf-8").splitlines() if x.startswith("|")]
+    assert len({len(re.findall(r"(?<!\\)\|", row)) for row in rows}) == 1
+
+
+def test_the_same_records_give_the_same_report(records: Any, tmp_path: Path) -> None:
+    """Writing again changes no byte: nothing in it depends on the day or on chance."""
+    records.loop("daqp", steps=30)
+    records.replay("daqp", steps=30)
+    out = records.write(tmp_path / "out")
+    write_report(out)
+    files = [path for path in out.rglob("*") if path.is_file()]
+    before = {path: path.read_bytes() for path in files}
+    write_report(out)
+    assert {path: path.read_bytes() for path in files} == before
+
+
+def test_every_figure_is_written_in_every_format_asked_for(written: Any) -> None:
+    """SVG with real text always, and PDF as it was asked for."""
+    names = set(written.report.figures)
+    assert names >= {"ladder", "matrix", "accuracy", "paper-errors"}
+    found = {path.name for path in (written.folder / "figures").iterdir()}
+    assert found == {f"{name}.{kind}" for name in names for kind in ("svg", "pdf")}
+    for name in names:
+        drawn = (written.folder / "figures" / f"{name}.svg").read_text("utf-8")
+        assert "<text" in drawn
+        pdf = (written.folder / "figures" / f"{name}.pdf").read_bytes()
+        assert pdf.startswith(b"%PDF-")
+
+
+def test_every_figure_is_a_valid_specification(written: Any) -> None:
+    """The grammar checks each, which a report leaves out for its speed."""
+    for name, chart in {**written.report.charts, **written.report.figures}.items():
+        assert chart.to_dict(validate=True)["$schema"].startswith("https://vega"), name
+
+
+def test_an_unknown_format_is_refused_in_one_line(
+    records: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 2, and nothing is written."""
+    records.loop("daqp", steps=20)
+    out = records.write(tmp_path / "out")
+    assert main(["report", str(out), "--figures", "gif"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == "dpbench: --figures: found 'gif'; allowed: svg | pdf | png"
+    assert not (out / "report.html").exists()
+    with pytest.raises(InputError, match="gif"):
+        report_and_lines(out, figures=["gif"])
