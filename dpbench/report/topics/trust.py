@@ -30,7 +30,7 @@ COVERED = (
 
 def calling_ns(records: Records) -> float:
     """What calling a library that only copies takes [ns]; NaN where it was not measured."""
-    times = [r.raw_p50_ns for r in records.calibration if r.solver == COPY_ONLY]
+    times = [r.algo_p50_ns for r in records.calibration if r.solver == COPY_ONLY]
     known = [t for t in times if math.isfinite(t)]
     return min(known) if known else math.nan
 
