@@ -25,6 +25,7 @@ from dpbench.bench.run.timed_solver import Clock, TimedSolver, record_answer
 from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Status
 from dpbench.scenario.scenario import Scenario
+from dpbench.ship.layout import POSE
 from dpbench.ship.measurement import Sensors
 from dpbench.ship.plant import SUBSTEPS, Plant
 
@@ -68,19 +69,23 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     solver, law, emit = _steering(setup)
     formulate, answer, moves = solver.formulate, solver.answer, builder.condensed.moves
     state, reference = plant.state, builder.reference
-    x, u = np.zeros(9), np.zeros(3)
+    model = builder.condensed.control.model
+    theta, pose = model.theta, slice(model.n_x - model.n_y, model.n_x)
+    # The augmented state [Δν, Δη, y]: what changed in the ship's state, and the pose itself.
+    change, at_x, at_u = slice(0, pose.start), theta.x, theta.u_prev
+    x, u = np.zeros(model.n_x), np.zeros(model.n_u)
     sense, estimate = sensors.sense, estimator.update
     log.counters[:] = np.nan
     log.setup_once_ns[0] = solver.prepare()
-    log.theta[:, 9:12], log.theta[:, 15] = reference[:steps], 1.0
+    log.theta[:, theta.y_ref], log.theta[:, theta.one] = reference[:steps], 1.0
     log.state[0] = state
     start_ns = clock()
     log.started[0] = 1
     for k in range(steps):
         t0 = clock()
-        x[6:] = estimate(sense(state, k), u)[3:]
-        x[:6] = estimator.change
-        log.theta[k, :9], log.theta[k, 12:15] = x, u
+        x[pose] = estimate(sense(state, k), u)[POSE]
+        x[change] = estimator.change
+        log.theta[k, at_x], log.theta[k, at_u] = x, u
         t1 = clock()
         step = formulate(emit(k, x, u))
         t2 = clock()

@@ -125,7 +125,8 @@ class SlowComputer:
         latency_ns[:] = -1
         n, m, _ = builder.sizes
         self._nothing = Solution.missing(n, m, Status.UNKNOWN)
-        self._k, self._x, self._u = 0, np.zeros(9), np.zeros(3)
+        model = builder.condensed.control.model
+        self._k, self._x, self._u = 0, np.zeros(model.n_x), np.zeros(model.n_u)
         # The step at which the processor is free, and the plan that arrives then.
         self._free = 0
         self._coming: Matrix | None = None

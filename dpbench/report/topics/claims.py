@@ -132,23 +132,23 @@ def _stationary(row: RunRecord) -> Finding:
 
 
 def _transient(row: RunRecord, law: RunRecord) -> Finding:
-    mine, theirs = row.overshoot_e, law.overshoot_e
+    constrained, clipped = row.overshoot_e, law.overshoot_e
     found = (
-        f"sway overshoot {significant(mine)} m against {significant(theirs)} m clipped; total "
+        f"sway overshoot {significant(constrained)} m against {significant(clipped)} m clipped; total "
         f"variation of the force {significant(row.total_variation)} against "
         f"{significant(law.total_variation)}"
     )
-    return found, mine < theirs
+    return found, constrained < clipped
 
 
 def _settling(row: RunRecord, law: RunRecord) -> Finding:
-    mine, theirs = row.settle_0p1m_s, law.settle_0p1m_s
+    constrained, clipped = row.settle_0p1m_s, law.settle_0p1m_s
     found = (
-        f"settles into 0.1 m after {seconds_text(mine)} s against {_after(theirs)} clipped"
-        if math.isfinite(mine)
-        else f"never settles into 0.1 m, against {_after(theirs)} clipped"
+        f"settles into 0.1 m after {seconds_text(constrained)} s against {_after(clipped)} clipped"
+        if math.isfinite(constrained)
+        else f"never settles into 0.1 m, against {_after(clipped)} clipped"
     )
-    return found, mine < theirs
+    return found, constrained < clipped
 
 
 def _after(seconds: float) -> str:
@@ -156,23 +156,28 @@ def _after(seconds: float) -> str:
 
 
 def _steady(view: Records, row: RunRecord, law: RunRecord) -> Finding:
-    mine, theirs = row.r_tail_max_m, law.r_tail_max_m
+    constrained, clipped = row.r_tail_max_m, law.r_tail_max_m
     found = (
-        f"largest radial error in the second half {significant(100 * mine)} cm against "
-        f"{significant(100 * theirs)} cm clipped"
+        f"largest radial error in the second half {significant(100 * constrained)} cm against "
+        f"{significant(100 * clipped)} cm clipped"
     )
     active = view.steps(row)["n_active"].to_numpy()
-    if abs(mine - theirs) <= SAME * max(mine, theirs) and not active[len(active) // 2 :].any():
+    if (
+        abs(constrained - clipped) <= SAME * max(constrained, clipped)
+        and not active[len(active) // 2 :].any()
+    ):
         found += ", equal within 1 %: no limit is active then"
     if math.isinf(law.settle_0p1m_s):
         found += "; the clipped law never settles into 0.1 m"
-    return found, mine < (1.0 - SAME) * theirs
+    return found, constrained < (1.0 - SAME) * clipped
 
 
 def _heading(row: RunRecord, law: RunRecord) -> Finding:
-    mine, theirs = row.heading_max_deg, law.heading_max_deg
-    found = f"largest heading error {significant(mine)}° against {significant(theirs)}° clipped"
-    return found, mine < theirs
+    constrained, clipped = row.heading_max_deg, law.heading_max_deg
+    found = (
+        f"largest heading error {significant(constrained)}° against {significant(clipped)}° clipped"
+    )
+    return found, constrained < clipped
 
 
 def _rates(row: RunRecord) -> Finding:
