@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import cache
+import json
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -81,17 +82,28 @@ def vega(chart: Any) -> dict[str, Any]:
 
 def svg(chart: Any, *, titled: bool = True) -> str:
     """The figure as SVG with real text."""
-    return vlc.vega_to_svg(_compiled(chart, titled=titled))
+    return _drawn(json.dumps(_compiled(chart, titled=titled)))
 
 
 def _compiled(chart: Any, *, titled: bool = True) -> dict[str, Any]:
     """The specification as Vega, where names keep clear of each other: Vega-Lite cannot say so."""
     simple = _json(chart) | ({} if titled else {"title": None})
-    specification: dict[str, Any] = vlc.vegalite_to_vega(simple, vl_version=_version())
+    specification: dict[str, Any] = json.loads(_in_vega(json.dumps(simple)))
     marks = specification["marks"]
     if any(mark.get("name") == f"{NAMES}_marks" for mark in marks):
         marks.append(_names())
     return specification
+
+
+@lru_cache(maxsize=32)
+def _in_vega(simple: str) -> str:
+    """Kept, since a figure is asked for as a file, as a picture on the page and for the browser."""
+    return json.dumps(vlc.vegalite_to_vega(simple, vl_version=_version()))
+
+
+@lru_cache(maxsize=32)
+def _drawn(specification: str) -> str:
+    return vlc.vega_to_svg(specification)
 
 
 def _names() -> dict[str, Any]:
