@@ -76,6 +76,7 @@ def test_the_markdown_is_short_and_its_table_that_of_the_verdicts(written: Any) 
         assert row["failed"] == str(verdict.failed_steps)
 
 
+@pytest.mark.slow
 def test_a_markdown_of_very_many_solvers_is_cut_at_a_line(records: Any) -> None:
     """Hundreds of rows still fit a comment, and where the others are is said."""
     for i in range(150):

@@ -74,6 +74,7 @@ def test_every_place_and_level_of_a_solver_has_a_row(written: Any) -> None:
         assert row["state"] == facts.state(int(row["id"]), int(row["place_id"]))
 
 
+@pytest.mark.slow
 def test_what_ended_early_stands_with_its_reason(records: Any, tmp_path: Path) -> None:
     """No cell that failed is hidden, and tables of an earlier report go."""
     records.loop("daqp", steps=20)

@@ -33,6 +33,7 @@ def _texts(svg: str) -> list[ElementTree.Element]:
     return [element for element in root.iter() if element.tag.endswith("text")]
 
 
+@pytest.mark.slow
 def test_pdf_and_svg_are_written(
     records: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -225,6 +225,7 @@ def test_partial_results_still_make_a_report(
     assert says in _words(html)
 
 
+@pytest.mark.slow
 def test_words_of_a_library_never_become_tags(records: Any, tmp_path: Path) -> None:
     """A name and a reason with markup and pipes are shown as they are, or the table would break."""
     _odd_names(records)
@@ -235,6 +236,7 @@ def test_words_of_a_library_never_become_tags(records: Any, tmp_path: Path) -> N
     assert len({len(re.findall(r"(?<!\\)\|", row)) for row in rows}) == 1
 
 
+@pytest.mark.slow
 def test_the_same_records_give_the_same_report(records: Any, tmp_path: Path) -> None:
     """Writing again changes no byte: nothing in it depends on the day or on chance."""
     records.loop("daqp", steps=30)

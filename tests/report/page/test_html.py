@@ -76,6 +76,7 @@ def test_the_script_asks_only_for_what_is_there(written: Any) -> None:
     assert asked <= set(checked(written.html).ids)
 
 
+@pytest.mark.slow
 def test_a_page_of_parts_has_what_the_script_cannot_do_without(records: Any, tmp_path: Any) -> None:
     """A loop alone: ids that are asked for without a guard at the start are still there."""
     records.loop("daqp", steps=20)
