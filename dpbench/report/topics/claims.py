@@ -134,8 +134,8 @@ def _stationary(row: RunRecord) -> Finding:
 def _transient(row: RunRecord, law: RunRecord) -> Finding:
     constrained, clipped = row.overshoot_e, law.overshoot_e
     found = (
-        f"sway overshoot {significant(constrained)} m against {significant(clipped)} m clipped; total "
-        f"variation of the force {significant(row.total_variation)} against "
+        f"sway overshoot {significant(constrained)} m against {significant(clipped)} m clipped; "
+        f"total variation of the force {significant(row.total_variation)} against "
         f"{significant(law.total_variation)}"
     )
     return found, constrained < clipped
