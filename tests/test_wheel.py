@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 
 @pytest.mark.slow
 def test_names_resolve_from_a_wheel_in_an_empty_folder(tmp_path: Path) -> None:
-    """The wheel carries problems and report templates; the command line works from it."""
+    """The wheel carries problems and all parts of the page; the command line works from it."""
     build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation"]
     subprocess.run([*build, "--wheel-dir", str(tmp_path), str(ROOT)], check=True)
     (wheel,) = tmp_path.glob("dpbench-*.whl")
@@ -40,4 +40,7 @@ def test_names_resolve_from_a_wheel_in_an_empty_folder(tmp_path: Path) -> None:
     assert str(site) in done.stdout.splitlines()[0]
     assert done.stdout.splitlines()[0].endswith(" 2000 30")
     assert "paper_tight" in done.stdout
-    assert any((site / "dpbench" / "report" / "templates").iterdir())
+    page = site / "dpbench" / "report" / "page"
+    for part in ("page.html.j2", "compare.html.j2", "page.css", "page.js", "vendor/vega.min.js"):
+        assert (page / part).stat().st_size > 0
+    assert (page.parent / "glossary.toml").is_file()
