@@ -108,7 +108,7 @@ def page_html(
         css=Markup(own("page.css")),
         sections=sections,
         answer=answer,
-        figures=dict.fromkeys((*DRAWN, "pairs")) | dict.fromkeys(charts, True) | pictures,
+        figures=dict.fromkeys(charts, True) | pictures,
         matrix_said=MATRIX,
         topics=[_markup(topic) for topic in topics],
         groups=list(GROUPS),
