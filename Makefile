@@ -10,7 +10,7 @@ CASADI := build/casadi
 CORE   := build/core
 LOWEST := build/lowest
 TEST_TOOLS := hypothesis markdown-it-py packaging pytest pytest-xdist
-LOWEST_TESTS := tests/solvers tests/scenario tests/mpc tests/report/test_markdown.py
+LOWEST_TESTS := tests/solvers tests/scenario tests/mpc tests/report/test_answer.py
 # Tests beside each other, one a core; `alone` are those that need the machine to themselves.
 SIDE_BY_SIDE := -n 2 --dist worksteal
 

@@ -27,8 +27,10 @@ def _absent(reason: str) -> None:
 
 
 @pytest.fixture(scope="session")
-def chromium() -> Iterator[Any]:
+def chromium(request: pytest.FixtureRequest) -> Iterator[Any]:
     """A running browser."""
+    if request.config.getoption("--without-extras"):
+        pytest.skip("the tools of the browser are left out with the extras")
     try:
         from playwright.sync_api import sync_playwright
     except ImportError:
