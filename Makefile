@@ -44,7 +44,7 @@ test-fast: setup ## run the tests that take no time, in less than two minutes
 	$(BIN)/python -m pytest $(SIDE_BY_SIDE) -m "not slow and not alone"
 
 test-core: $(CORE)/.installed ## run the quick tests without the extras, in an environment of their own
-	$(CORE)/bin/python -m pytest $(SIDE_BY_SIDE) -m "not slow and not alone" --without-extras
+	$(CORE)/bin/python -m pytest $(SIDE_BY_SIDE) -m "not slow and not alone" --without-extras $(CORE_TESTS)
 	$(CORE)/bin/dpbench run smoke --out build/smoke-core --fresh
 
 $(CORE)/.installed: pyproject.toml constraints.txt
