@@ -63,7 +63,7 @@ def _extras_may_be_absent(item: pytest.Item) -> Iterator[None]:
         yield
     except SolverUnavailableError as absent:
         if item.config.getoption("--without-extras"):
-            pytest.skip(str(absent))
+            pytest.skip(str(absent))  # only where --without-extras left the solver out on purpose
         raise
 
 
