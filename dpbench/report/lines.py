@@ -21,11 +21,11 @@ def last_lines(records: Records, verdicts: Verdicts) -> list[str]:
         lines += summary(verdicts)
         if verdicts.of:
             lines += recommendation(records, verdicts)
-    lines += [*_slowdowns(records), *_random(records), *_harness(records)]
+    lines += [*slowdown_lines(records), *_random(records), *_harness(records)]
     return [line.replace("**", "").replace("`", "") for line in lines]
 
 
-def _slowdowns(records: Records) -> list[str]:
+def slowdown_lines(records: Records) -> list[str]:
     """Who survives most, of each scenario."""
     lines = []
     for group in delayed_groups(records):

@@ -20,7 +20,9 @@ HEAD = ("solver", "way", "demand", "p50", "p99", "largest step", "largest error"
 def report_markdown(results: Results, facts: Facts, answer: Answer, topics: Sequence[Topic]) -> str:
     """The report in Markdown, at most `MOST_BYTES` long."""
     suite = results.suite
-    parts = [f"# dpbench: {suite.get('name', 'results')}", answer.sentence, *answer.notes]
+    lead = [topic.lines[0] for topic in topics if topic.leads]
+    said = [answer.sentence, *answer.notes] if facts.verdicts.of or not lead else []
+    parts = [f"# dpbench: {suite.get('name', 'results')}", *lead, *said]
     rows = _rows(facts)
     if rows:
         parts.append(_table(HEAD, rows))
@@ -28,7 +30,7 @@ def report_markdown(results: Results, facts: Facts, answer: Answer, topics: Sequ
     if held:
         parts.append(f"Valid for: {held}.")
     parts += [answer.demand, answer.machine]
-    parts += [f"{topic.title}: {topic.lines[0]}" for topic in topics if topic.lines]
+    parts += [f"{topic.title}: {topic.lines[0]}" for topic in topics if not topic.leads]
     parts.append(
         "Everything else: `report.html` (figures, every step), `tables/*.csv`, `figures/*.svg`, "
         "`runs.parquet`, `steps.parquet`."

@@ -6,6 +6,7 @@ import copy
 import json
 import re
 from collections.abc import Callable
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -99,19 +100,32 @@ def _routes(records: Any) -> None:
     records.replay("daqp", steps=200, route="native", policy="warm", median_us=5.0)
 
 
-KINDS: dict[str, tuple[Callable[[Any], None], set[str]]] = {
-    "replays": (_replay_only, set()),
-    "loops": (_loops_only, set()),
-    "paper": (_paper, {"paper"}),
-    "timed": (_timed, {"trust"}),
-    "random": (_random, {"random"}),
-    "slow computers": (_slow, {"slowdown"}),
-    "horizons": (_horizon, {"horizon"}),
-    "calibration": (_calibration, {"trust"}),
-    "recorded": (_recorded, set()),
-    "formulations": (_formulations, {"formulations"}),
-    "routes": (_routes, {"routes"}),
+def _levels(records: Any) -> None:
+    for settings, error in (("default", 0.3), ("mid", 1e-4), ("high", 1e-6)):
+        records.replay("osqp", steps=30, settings=settings, error=error)
+
+
+def _searched(records: Any) -> None:
+    _replay_only(records)
+    records.suite["report"] = {"step": 7, "configuration": "osqp (qpsolvers fresh)"}
+
+
+KINDS: dict[str, tuple[Callable[[Any], None], str, set[str]]] = {
+    "replays": (_replay_only, "race", set()),
+    "loops": (_loops_only, "", set()),
+    "paper": (_paper, "", {"paper"}),
+    "timed": (_timed, "", {"trust"}),
+    "random": (_random, "random", set()),
+    "slow computers": (_slow, "slowdown", set()),
+    "horizons": (_horizon, "horizon", set()),
+    "calibration": (_calibration, "trust", set()),
+    "recorded": (_recorded, "race", set()),
+    "formulations": (_formulations, "formulations", set()),
+    "routes": (_routes, "routes", set()),
+    "settings": (_levels, "levels", set()),
+    "worst case": (_searched, "worst-case", set()),
 }
+"""Of each kind of suite the topic that is its question, and the others."""
 
 
 def _words(html: str) -> str:
@@ -127,7 +141,7 @@ def test_a_suite_shows_what_it_has_and_mentions_nothing_else(
 ) -> None:
     """Its topics and no other stand on page and in Markdown; each has its files; nothing is called
     missing that nobody asked for."""
-    fill, topics = KINDS[kind]
+    fill, lead, topics = KINDS[kind]
     fill(records)
     out = records.write(tmp_path / "out")
     page, lines = report_and_lines(out)
@@ -135,13 +149,20 @@ def test_a_suite_shows_what_it_has_and_mentions_nothing_else(
     found = checked(html)
     shown = _words(html)
     for topic, title in TITLES.items():
+        if topic == lead:
+            continue
         assert (topic in found.ids) == (topic in topics), topic
         assert (f"{title}" in shown) == (topic in topics), title
         assert (f"\n{title}" in text) == (topic in topics), title
+    answer = _words(html.split('<section id="answer">')[1].split("</section>")[0])
     assert "issing" not in shown and "issing" not in text
     assert all(lines) and lines
     report = Report.of(load_results(out))
-    assert {topic.id for topic in report.topics} == topics
+    assert {topic.id for topic in report.topics} == topics | ({lead} - {""})
+    first = report.topics[0] if lead else None
+    opening = first.lines[0] if first else report.answer.sentence
+    assert answer.startswith(f"Answer {escape(opening)}") and opening in text
+    assert (first is None) == (lead == "") and (first is None or first.leads)
     drawn = {path.stem for path in (out / "figures").iterdir()}
     assert drawn == set(report.figures)
     tables = {path.stem for path in (out / "tables").iterdir()}

@@ -153,9 +153,15 @@ class DesignTable(FileModel):
 
 
 class ReportTable(FileModel):
-    """What the report compares with: the solver whose step times are 1; by default the fastest."""
+    """What the report shows first.
+
+    `baseline` is the solver set beside the answer, by default the next best. A suite that is about
+    one step names it, `step`, and the `configuration` it was found for, as the report calls it.
+    """
 
     baseline: str | None = None
+    step: Count | None = None
+    configuration: str | None = None
 
 
 class SuiteFile(FileModel):
@@ -224,9 +230,22 @@ def sequence_suite(path: str | Path, meta: Mapping[str, object] | None = None) -
     meta = meta or {}
     # Files of version 0.1 say "hunt" for it.
     worst_case = {key: meta.get(f"worst_case_{key}", meta.get(f"hunt_{key}")) for key in _WAY}
+    report = ReportTable()
     # A file may say anything, and not every solver has the settings one of them has.
     if all(name in known for name, known in zip(worst_case.values(), _WAY.values(), strict=True)):
         ways.append({_TABLE_KEY[key]: [str(name)] for key, name in worst_case.items()})
+        report = _searched_step(meta)
     tables = [RecordedTable.model_validate({"sequence": str(path)} | way) for way in ways]
     title = f"Recorded sequence {Path(path).name}"
-    return SuiteFile(title=title, baseline_law=False, recorded=tables)
+    return SuiteFile(title=title, baseline_law=False, recorded=tables, report=report)
+
+
+def _searched_step(meta: Mapping[str, object]) -> ReportTable:
+    """The step that a search found, and for whom; an empty table where the file does not say."""
+    step = meta.get("worst_case_step", meta.get("hunt_step"))
+    solver = meta.get("worst_case_solver", meta.get("hunt_solver"))
+    if not isinstance(step, int) or step < 0 or not isinstance(solver, str):
+        return ReportTable()
+    way = [str(meta.get(f"worst_case_{key}", meta.get(f"hunt_{key}"))) for key in _WAY]
+    settings = "" if way[2] == "default" else f", {way[2]}"
+    return ReportTable(step=step, configuration=f"{solver} ({way[0]} {way[1]}{settings})")

@@ -77,7 +77,7 @@ def answer_of(facts: Facts, machine: Mapping[str, Any], baseline: str | None = N
         notes=tuple(_notes(facts, found)),
         chips=tuple(_chips(facts, first)),
         snippet=_snippet(chosen.configuration) if chosen else "",
-        demand=demand_text(facts.demand) if facts.configurations else "",
+        demand=demand_text(facts.demand) if facts.verdicts.of else "",
         machine=_machine(machine),
         first=first,
         second=second,
@@ -104,7 +104,7 @@ def _sentence(facts: Facts, chosen: Verdict | None) -> str:
 
 def _nothing(facts: Facts) -> str:
     """What is said where nothing can be recommended, or nobody asked for a recommendation."""
-    if facts.configurations:
+    if any(not run.is_baseline_law for run in facts.records.runs):
         said = recommendation(facts.records, facts.verdicts)
     else:
         said = [

@@ -21,8 +21,9 @@ from dpbench.analysis.demand import Demand
 from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord, as_float
 from dpbench.analysis.run_steps import MEASURES, RunSteps, hardest, run_steps
+from dpbench.analysis.slowdown import survived
 from dpbench.analysis.verdict import Verdict, Verdicts, verdict_of
-from dpbench.bench.record.configuration import Configuration
+from dpbench.bench.record.configuration import Configuration, settings_level
 from dpbench.report.page.pack import Block
 from dpbench.report.page.steps import Track, pack_steps, pack_track, track_of
 
@@ -34,18 +35,28 @@ class Place:
     mode: str
     name: str
     units: str
+    slowdown: float = 0.0
+    formulation: str = ""
 
     @classmethod
-    def of(cls, run: RunRecord) -> Place:
-        """The place of a run."""
+    def of(cls, run: RunRecord, formulation: str = "") -> Place:
+        """The place of a run; `formulation` where it is another than the common one there."""
         name = run.sequence if run.mode == "replay" else run.scenario
-        return cls(run.mode, name, run.units)
+        slowdown = run.slowdown if run.slowdown > 0.0 else 0.0
+        return cls(run.mode, name, run.units, slowdown, formulation)
+
+    @property
+    def order(self) -> tuple[bool, bool]:
+        """Sort key: loops before replays, SI units last."""
+        return self.mode == "replay", self.units == "si"
 
     @property
     def label(self) -> str:
         """As it is called on the page."""
         extra = ["replay"] if self.mode == "replay" else []
         extra += ["SI units"] if self.units == "si" else []
+        extra += [f"computer × {self.slowdown:g}"] if self.slowdown > 0 else []
+        extra += [self.formulation.replace("_", " ")] if self.formulation else []
         return self.name + (f" ({', '.join(extra)})" if extra else "")
 
 
@@ -65,47 +76,60 @@ class Facts:
     @classmethod
     def of(cls, records: Records, demand: Demand, verdicts: Verdicts) -> Facts:
         """The facts of some records; of two runs of one configuration in one place the longer."""
-        facts = cls(records, demand, verdicts)
-        numbers: dict[Configuration, int] = {}
-        for run in records.runs:
-            if run.is_baseline_law:
+        runs: dict[tuple[Configuration, Place], RunRecord] = {}
+        common = {run.run_id for run in records.runs}
+        for run in records.all_runs:
+            if run.is_baseline_law or run.family:
                 continue
-            configuration, place = _numbered(run), Place.of(run)
-            if configuration not in numbers:
-                numbers[configuration] = len(facts.configurations)
-                facts.configurations.append(configuration)
-            if place not in facts.places:
-                facts.places.append(place)
-            key = numbers[configuration], facts.places.index(place)
-            other = facts.runs.get(key)
+            usual = run.slowdown > 0.0 or run.run_id in common
+            key = _numbered(run), Place.of(run, "" if usual else run.formulation)
+            other = runs.get(key)
             if other is None or run.steps_planned > other.steps_planned:
-                facts.runs[key] = run
-        facts.places.sort(key=lambda p: (p.mode == "replay", p.units == "si"))
-        facts._renumber()
-        for (c, p), run in facts.runs.items():
-            facts.states[c, p] = facts._judged(facts.configurations[c], run)
+                runs[key] = run
+        configurations = list(dict.fromkeys(configuration for configuration, _ in runs))
+        places = sorted(dict.fromkeys(place for _, place in runs), key=lambda place: place.order)
+        numbers = {place: p for p, place in enumerate(places)}
+        facts = cls(records, demand, verdicts, Block(), configurations, places)
+        for (configuration, place), run in runs.items():
+            c, p = configurations.index(configuration), numbers[place]
+            facts.runs[c, p] = run
+            facts.states[c, p] = facts._judged(configuration, run)
         return facts
+
+    @property
+    def references(self) -> list[Configuration]:
+        """The configuration each solver is judged by; its first where nothing was judged."""
+        judged = [verdict.configuration for verdict in self.verdicts.references]
+        of_solver: dict[str, Configuration] = {}
+        for configuration in self.configurations:
+            of_solver.setdefault(configuration.solver, configuration)
+        return judged or list(of_solver.values())
+
+    @property
+    def levels(self) -> list[str]:
+        """The settings levels that were run, the most usual first."""
+        return sorted({c.settings for c in self.configurations}, key=settings_level)
 
     @cached_property
     def steps(self) -> dict[str, RunSteps]:
         """Every run that left a counting step, by its id."""
         return dict(run_steps(self.records.table))
 
-    def _renumber(self) -> None:
-        """Number the places in their order."""
-        self.runs = {
-            (c, self.places.index(Place.of(run))): run for (c, _), run in self.runs.items()
-        }
-
     def _judged(self, configuration: Configuration, run: RunRecord) -> Verdict:
         place = "", ""
         return verdict_of(self.records, configuration, {place: run}, [], self.demand)
 
     def state(self, c: int, p: int) -> str:
-        """What a run alone says of the demand: meets, misses, open or not run."""
+        """What a run alone says of the demand: meets, misses, open or not run.
+
+        On a slower computer the ship has to be held, too: see `analysis.slowdown`.
+        """
         verdict = self.states.get((c, p))
         if verdict is None or verdict.outcome == "not run":
             return "not run"
+        run = self.runs[c, p]
+        if run.slowdown > 0.0 and not survived(run):
+            return "misses"
         return "misses" if verdict.causes else "open" if verdict.doubts else "meets"
 
     def index(self, configuration: Configuration) -> int:

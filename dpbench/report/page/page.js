@@ -8,7 +8,6 @@
 const $ = (id) => document.getElementById(id);
 const ROWS = 20, MISSING = 65535, GAP = -32768;
 const NARROW = 640;  // A figure of less than this many pixels is drawn for a phone.
-const FLAGS = ["claimed", "true", "failed", "late", "fallback", "clipped"];
 let facts, bytes, base;
 const decoded = new Map(), views = {}, state = {};
 
@@ -64,7 +63,7 @@ const C = () => facts.configurations;
 const way = (c) => `${C().route[c]}-${C().policy[c]}`;
 const label = (c) => `${C().solver[c]} (${C().route[c]} ${C().policy[c]}, ${C().settings[c]})`;
 const key = (c) => `${C().solver[c]}~${way(c)}~${C().settings[c]}`;
-const count = () => C().solver.length;
+const count = () => C().solver?.length ?? 0;
 const all = () => Array.from({ length: count() }, (_, c) => c);
 const unique = (list) => [...new Set(list)];
 
@@ -83,6 +82,7 @@ function cell(c, p) {
 }
 
 function read() {
+  if (!count()) { Object.assign(state, { c: null, p: 0, k: null, slow: 1, b: null }); return; }
   const asked = new URLSearchParams(location.hash.slice(1));
   const first = facts.answer.first;
   const solver = asked.get("s") ?? C().solver[first];
@@ -90,13 +90,12 @@ function read() {
     asked.get("set") ?? (asked.has("s") ? null : C().settings[first])) ?? first;
   let p = facts.places.findIndex((place) => place.label === asked.get("sc"));
   if (p < 0) {
-    p = facts.answer.place;
-    if (!cell(c, p)) p = facts.places.findIndex((_, i) => cell(c, i)?.t != null);
+    p = facts.places.findIndex((_, i) => cell(c, i)?.t != null);
   }
   const [bs, bw, bset] = (asked.get("b") ?? "").split("~");
   const b = configuration(bs, bw, bset) ?? facts.answer.second;
   const slow = Math.min(1e4, Math.max(1, Number(asked.get("slow")) || 1));
-  const k = asked.has("k") && asked.get("k") !== "" ? Number(asked.get("k")) : null;
+  const k = asked.get("k") ? Number(asked.get("k")) : asked.has("s") ? null : facts.answer.k;
   Object.assign(state, { c, p: Math.max(0, p), k: Number.isInteger(k) ? k : null, slow, b });
 }
 
@@ -347,7 +346,7 @@ function drawStep(run) {
   if (k === null || t[j] === undefined || t[j] === null) { box.hidden = true; return; }
   const f = array(run.f)[j] ?? 0, said = (bit) => Boolean(f & (1 << bit));
   const known = (run.hard ?? []).flat().find((hard) => hard[0] === k);
-  const flags = FLAGS.filter((_, bit) => bit > 1 && said(bit));
+  const flags = facts.flags.filter((_, bit) => bit > 1 && said(bit));
   $("step-said").textContent = `Step ${k}: ${time(t[j])}, ${figure(array(run.i)[j])} iterations, `
     + `${figure(array(run.a)[j])} active limits, error of the first move ${figure(array(run.e)[j])}; `
     + `claimed ${said(0) ? "solved" : `not solved${known ? ` (${known[2].toLowerCase()})` : ""}`}, `
@@ -578,6 +577,7 @@ function kept() {
 
 // What follows from a change of some parts of the selection; without them, from all of it.
 async function draw(changed = ["slow", "c", "p", "b", "k"]) {
+  if (!count()) { drawTable(); return; }
   const touched = (...parts) => parts.some((part) => changed.includes(part));
   const place = facts.places[state.p].label;
   $("chosen").textContent = `${label(state.c)} in ${place}${state.k === null ? "" : `, k ${state.k}`}`;
@@ -614,6 +614,21 @@ function arrived() {
 }
 
 function listen() {
+  listenOne();
+  $("choose-other")?.addEventListener("change", (e) => select({ b: Number(e.target.value) }));
+  $("slow")?.addEventListener("input", (e) => select({ slow: 10 ** Number(e.target.value) }));
+  $("percentile")?.addEventListener("change", (e) => signal("accuracy", { percentile: e.target.value }));
+  $("copy")?.addEventListener("click", () => navigator.clipboard?.writeText(state.markdown));
+  $("table-filter").addEventListener("input", drawTable);
+  $("table-group").addEventListener("change", drawTable);
+  $("table-csv").addEventListener("click", () => download("runs.csv", csv()));
+  $("table-of").addEventListener("change", drawTable);
+  listenPage();
+}
+
+// One solver: what is chosen, the step, the ship.
+function listenOne() {
+  if (!$("one")) return;
   const choose = (change) => {
     const solver = change.solver ?? C().solver[state.c];
     const c = configuration(solver, change.way ?? way(state.c), change.settings ?? C().settings[state.c]);
@@ -623,19 +638,15 @@ function listen() {
   $("choose-way").addEventListener("change", (e) => choose({ way: e.target.value }));
   $("choose-settings").addEventListener("change", (e) => choose({ settings: e.target.value }));
   $("choose-place").addEventListener("change", (e) => select({ p: Number(e.target.value), k: null }));
-  $("choose-other")?.addEventListener("change", (e) => select({ b: Number(e.target.value) }));
-  $("slow")?.addEventListener("input", (e) => select({ slow: 10 ** Number(e.target.value) }));
   $("ship-k").addEventListener("input", (e) => {
     const run = cell(state.c, state.p), track = trackOf(run);
     select({ k: run.first + Number(e.target.value) * track.every });
   });
   $("ship-play").addEventListener("click", play);
-  $("percentile")?.addEventListener("change", (e) => signal("accuracy", { percentile: e.target.value }));
-  $("copy")?.addEventListener("click", () => navigator.clipboard?.writeText(state.markdown));
-  $("table-filter").addEventListener("input", drawTable);
-  $("table-group").addEventListener("change", drawTable);
-  $("table-csv").addEventListener("click", () => download("runs.csv", csv()));
-  $("table-of").addEventListener("change", drawTable);
+}
+
+// The address, the width, links to sections.
+function listenPage() {
   addEventListener("popstate", arrived);
   for (const link of document.querySelectorAll("[data-section]")) {
     link.addEventListener("click", (event) => {
@@ -661,7 +672,7 @@ function listen() {
 async function start() {
   await unpack();
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
-  facts.index = new Map(facts.cells.c.map((c, i) => [`${c}/${facts.cells.p[i]}`, i]));
+  facts.index = new Map((facts.cells.c ?? []).map((c, i) => [`${c}/${facts.cells.p[i]}`, i]));
   for (const node of document.querySelectorAll("[data-live]")) node.hidden = false;
   read();
   listen();

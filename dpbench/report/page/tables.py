@@ -142,9 +142,8 @@ def ladder_table(facts: Facts, calling_ns: float) -> pd.DataFrame:
 def matrix_table(facts: Facts) -> pd.DataFrame:
     """Solver × place × settings, of each solver in the way of its reference."""
     rows = []
-    for reference in facts.verdicts.references:
-        own = reference.configuration
-        for level in facts.verdicts.levels:
+    for own in facts.references:
+        for level in facts.levels:
             wanted = facts.index(replace(own, settings=level))
             for p, place in enumerate(facts.places):
                 rows.append(_tile(facts, own.solver, level, wanted, p, place))

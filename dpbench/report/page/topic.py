@@ -26,10 +26,14 @@ class SmallTable:
 
 @dataclass(frozen=True)
 class Topic:
-    """A section made of lines, figures and tables."""
+    """A section made of lines, figures and tables.
+
+    The one that `leads` is what the suite asks: it stands in the answer, its first line the answer.
+    """
 
     id: str
     title: str
     lines: tuple[str, ...] = ()
     figures: tuple[Figure, ...] = ()
     tables: tuple[SmallTable, ...] = ()
+    leads: bool = False

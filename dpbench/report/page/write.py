@@ -42,6 +42,7 @@ from dpbench.report.charts.style import (
 )
 from dpbench.report.page.answer import Answer
 from dpbench.report.page.facts import Facts, columns_of, number
+from dpbench.report.page.steps import FLAGS
 from dpbench.report.page.tables import GROUPS, ladder_table, matrix_table, runs_table
 from dpbench.report.page.topic import Topic
 from dpbench.report.page.vendored import script, vendored
@@ -98,9 +99,11 @@ def page_html(
             ("two", "Two solvers"),
             ("accuracy", "Accuracy"),
         )
-        if name == "one" or _CHART_OF.get(name, name) in charts
+        if (facts.runs if name == "one" else _CHART_OF.get(name, name) in charts)
     }
-    sections = [*shown.items(), *((t.id, t.title) for t in topics), ("data", "Data")]
+    lead = next((topic for topic in topics if topic.leads), None)
+    others = [topic for topic in topics if topic is not lead]
+    sections = [*shown.items(), *((t.id, t.title) for t in others), ("data", "Data")]
     template = environment().get_template("page.html.j2")
     return template.render(
         title=f"dpbench: {results.suite.get('name', folder.name)}",
@@ -110,7 +113,10 @@ def page_html(
         answer=answer,
         figures=dict.fromkeys(charts, True) | pictures,
         matrix_said=MATRIX,
-        topics=[_markup(topic) for topic in topics],
+        lead=_markup(lead) if lead else None,
+        judged=bool(facts.verdicts.of),
+        runs=bool(facts.runs),
+        topics=[_markup(topic) for topic in others],
         groups=list(GROUPS),
         files=_files(folder),
         footer=_footer(results),
@@ -207,15 +213,22 @@ def _document(
         "configurations": columns_of(rows),
         "places": [_place(facts, p) for p in range(len(facts.places))],
         "cells": columns_of(cells),
+        "flags": FLAGS,
         "charts": {name: json.loads(follow(json.dumps(vega(c)))) for name, c in charts.items()},
-        "answer": {
-            "first": max(0, facts.index(answer.first)) if answer.first else 0,
-            "second": max(0, facts.index(answer.second)) if answer.second else None,
-            "place": 0,
-        },
+        "answer": _opening(facts, results, answer),
         "paired": _paired(facts, answer),
         "table": runs_table(facts, results.runs),
     }
+
+
+def _opening(facts: Facts, results: Results, answer: Answer) -> dict[str, int | None]:
+    """What the page opens with: two configurations, and the step that the suite is about."""
+    report = results.suite.get("report", {})
+    named = [
+        i for i, c in enumerate(facts.configurations) if c.label == report.get("configuration")
+    ]
+    first, second = (max(0, facts.index(c)) if c else None for c in (answer.first, answer.second))
+    return {"first": named[0] if named else first or 0, "second": second, "k": report.get("step")}
 
 
 def _paired(facts: Facts, answer: Answer) -> dict[str, list[float]]:

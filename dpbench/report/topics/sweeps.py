@@ -1,20 +1,18 @@
-"""What a sweep shows: longer horizons, slower computers, other routes, other formulations."""
+"""What a sweep shows: longer horizons, slower computers."""
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
 import pandas as pd
 
-from dpbench.analysis.demand import Demand, is_right
+from dpbench.analysis.demand import Demand
 from dpbench.analysis.records import Records
-from dpbench.analysis.run_record import RunRecord
 from dpbench.analysis.slowdown import MARGIN, cost_ratio, delayed_groups
 from dpbench.analysis.times.horizon_sweep import SweptConfiguration, moves_of, sweeps
-from dpbench.analysis.times.routes import native_comparisons, route_comparisons, route_policy_text
 from dpbench.report.charts.lines import lines
-from dpbench.report.formats import significant, time_text
+from dpbench.report.formats import and_list, significant, time_text
+from dpbench.report.lines import slowdown_lines
 from dpbench.report.page.topic import Figure, SmallTable, Topic
 
 
@@ -53,10 +51,40 @@ def horizon_topic(records: Records, demand: Demand) -> Topic | None:
     if not figures:
         return None
     said = (
+        *_longest_horizons(records, demand),
         "How the step time grows with the horizon, and the longest that fits the demand. ≥: no "
         "longer one has a p99; ?: the 95 % interval of a p99 holds the limit.",
     )
     return Topic("horizon", "Longer horizons", said, tuple(figures), tuple(tables))
+
+
+def _longest_horizons(records: Records, demand: Demand) -> list[str]:
+    """Who fits the longest horizon, a sentence for each scenario."""
+    said = []
+    for sweep in sweeps(records, demand):
+        largest = {
+            swept.configuration.label: fits
+            for swept in sweep.best
+            if (fits := swept.largest_within(demand.p99_ns)) is not None
+        }
+        limit = f"within {demand.p99_ms:g} ms (p99)"
+        if not largest:
+            said.append(f"In {sweep.name} nobody fits a horizon {limit}.")
+            continue
+        longest = max(largest.values(), key=moves_of)
+        who = [name for name, horizons in largest.items() if horizons == longest]
+        beyond = "" if longest != sweep.horizons[-1] else ", the longest that was run"
+        said.append(
+            f"In {sweep.name} {_some(who)} {'fits' if len(who) == 1 else 'fit'} "
+            f"{longest[0]}/{longest[1]}{beyond}, right {limit}."
+        )
+    return said
+
+
+def _some(names: list[str]) -> str:
+    """Up to three names, and how many more."""
+    rest = len(names) - 3
+    return and_list(names) if rest <= 0 else f"{', '.join(names[:3])} and {rest} more"
 
 
 def _longest(swept: SweptConfiguration, limit_ns: float) -> str:
@@ -112,77 +140,8 @@ def slowdown_topic(records: Records) -> Topic | None:
     if not tables:
         return None
     said = (
+        *(f"{line[:1].upper()}{line[1:]}." for line in slowdown_lines(records)),
         "The ship sailed with answers as late as a slower computer makes them. A configuration "
         f"survives a slow-down while the loop costs at most {100 * MARGIN:g} % more.",
     )
     return Topic("slowdown", "Slower computers", said, tuple(figures), tuple(tables))
-
-
-def routes_topic(records: Records) -> Topic | None:
-    """What the wrapper costs and what keeping a workspace gains; None where not compared."""
-    tables = []
-    for sequence in records.sequences:
-        rows = []
-        for comparison in native_comparisons(route_comparisons(records, sequence)):
-            for route in comparison.times:
-                beside = comparison.compare(route, comparison.neighbour(route))
-                if beside is None:
-                    continue
-                low, high = beside.gain.low, beside.gain.high
-                rows.append(
-                    (
-                        comparison.solver,
-                        comparison.settings,
-                        f"{route_policy_text(beside.above)} → {route_policy_text(route)}",
-                        f"{significant(beside.gain.value)} ({significant(low)} to "
-                        f"{significant(high)})",
-                        time_text(comparison.median_ns(route)),
-                    )
-                )
-        if rows:
-            head = ("solver", "settings", "from → to", "times as fast (95 %)", "p50")
-            tables.append(SmallTable(head, tuple(rows), sequence))
-    if not tables:
-        return None
-    said = (
-        "What calling a library natively saves, then keeping its workspace, then its last answer.",
-    )
-    return Topic("routes", "Routes", said, (), tuple(tables))
-
-
-def formulations_topic(records: Records, demand: Demand) -> Topic | None:
-    """The same QPs in other forms; None where no sequence was run in two."""
-    replays = [
-        r for r in records.all_runs if r.mode == "replay" and not r.family and not r.is_baseline_law
-    ]
-    problems: dict[tuple[str, str], list[RunRecord]] = {}
-    for run in replays:
-        problems.setdefault((run.sequence, run.units), []).append(run)
-    tables = []
-    for (sequence, units), runs in problems.items():
-        forms = list(dict.fromkeys(run.formulation for run in runs))
-        if len(forms) < 2:
-            continue
-        by_name: dict[str, dict[str, RunRecord]] = {}
-        for run in runs:
-            name = run.configuration.in_common_formulation.label
-            by_name.setdefault(name, {})[run.formulation] = run
-        rows = tuple(
-            (name, *(_in_form(records, own.get(form), demand) for form in forms))
-            for name, own in by_name.items()
-        )
-        title = sequence + (" (SI units)" if units == "si" else "")
-        tables.append(SmallTable(("configuration", *forms), rows, title))
-    if not tables:
-        return None
-    said = ("Median step time of the same QPs in each form; a solver is judged in the common one.",)
-    return Topic("formulations", "Formulations", said, (), tuple(tables))
-
-
-def _in_form(records: Records, run: RunRecord | None, demand: Demand) -> str:
-    """Median step time of a replay; how it ended where it left no step."""
-    times = None if run is None else records.times(run)
-    if run is None or times is None:
-        return "–" if run is None else run.outcome.replace("_", " ")
-    text = time_text(float(np.median(times.algo_ns)))
-    return text if is_right(run, demand) else f"{text} (not right)"

@@ -46,7 +46,7 @@ def trust_topic(records: Records) -> Topic | None:
     ]
     if not found.seconds > 0 and not asked:
         return None
-    lines = [f"The machine was {verdict_text(found)}."] if found.seconds > 0 else []
+    lines = []
     figures = []
     if asked:
         missed = sorted({n for n, _, p50 in asked if within_bar(n, 1e3 * p50) is False})
@@ -63,6 +63,8 @@ def trust_topic(records: Records) -> Topic | None:
         )
         chart = dots(table, "Waits of known length", "asked [µs]", "measured p50 [µs]")
         figures.append(Figure("calibration", chart, "The harness's own waits: asked and measured."))
+    if found.seconds > 0:
+        lines.append(f"The machine was {verdict_text(found)}.")
     facts = [
         *machine_facts(records.machine),
         *(disturbance_facts(found) if found.seconds > 0 else ()),

@@ -1,0 +1,223 @@
+"""What replays of the same QPs tell apart: routes, formulations, settings, two solvers."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpbench.analysis.demand import Demand, is_right
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
+from dpbench.analysis.statistics import paired_ratio
+from dpbench.analysis.times.pairs import common_steps
+from dpbench.analysis.times.routes import native_comparisons, route_comparisons, route_policy_text
+from dpbench.bench.judge.rules import percentile
+from dpbench.bench.record.configuration import settings_level
+from dpbench.report.formats import and_list, plural, significant, time_text
+from dpbench.report.page.topic import SmallTable, Topic
+
+
+def routes_topic(records: Records) -> Topic | None:
+    """What the wrapper costs and what keeping a workspace gains; None where not compared."""
+    tables = []
+    gains: dict[str, list[float]] = {}
+    for sequence in records.sequences:
+        rows = []
+        for comparison in native_comparisons(route_comparisons(records, sequence)):
+            for route in comparison.times:
+                beside = comparison.compare(route, comparison.neighbour(route))
+                if beside is None:
+                    continue
+                low, high = beside.gain.low, beside.gain.high
+                change = f"{route_policy_text(beside.above)} → {route_policy_text(route)}"
+                gains.setdefault(change, []).append(beside.gain.value)
+                rows.append(
+                    (
+                        comparison.solver,
+                        comparison.settings,
+                        change,
+                        f"{significant(beside.gain.value)} ({significant(low)} to "
+                        f"{significant(high)})",
+                        time_text(comparison.median_ns(route)),
+                    )
+                )
+        if rows:
+            head = ("solver", "settings", "from → to", "times as fast (95 %)", "p50")
+            tables.append(SmallTable(head, tuple(rows), sequence))
+    if not tables:
+        return None
+    said = (
+        "How many times as fast a step becomes, median over solvers and sequences: "
+        + "; ".join(f"{change} {significant(_median(gain))}" for change, gain in gains.items())
+        + ".",
+        "What calling a library natively saves, then keeping its workspace, then its last answer.",
+    )
+    return Topic("routes", "Routes", said, (), tuple(tables))
+
+
+def _median(values: Sequence[float] | NDArray[np.float64]) -> float:
+    return float(np.median(values))
+
+
+def formulations_topic(records: Records, demand: Demand) -> Topic | None:
+    """The same QPs in other forms; None where no sequence was run in two."""
+    tables = _tables(
+        records,
+        demand,
+        [run for run in records.all_runs if not run.family],
+        varied=lambda run: run.formulation,
+        kept=lambda run: run.configuration.in_common_formulation.label,
+    )
+    if not tables:
+        return None
+    said = (
+        _fastest_forms(records, demand),
+        "Median step time of the same QPs in each form; a solver is judged in the common one.",
+    )
+    return Topic("formulations", "Formulations", said, (), tuple(tables))
+
+
+def levels_topic(records: Records, demand: Demand) -> Topic | None:
+    """What each settings level costs; None where there is but one."""
+    runs = sorted(records.runs, key=lambda run: settings_level(run.settings))
+    tables = _tables(
+        records,
+        demand,
+        runs,
+        varied=lambda run: run.settings,
+        kept=lambda run: replace(run.configuration, settings="default").label,
+    )
+    if not tables:
+        return None
+    said = (
+        _right_levels(records, demand),
+        "Median step time at each settings level, from the library's own to the tightest.",
+    )
+    return Topic("levels", "Settings", said, (), tuple(tables))
+
+
+def _right_levels(records: Records, demand: Demand) -> str:
+    """Which solvers are right on every step with the settings of their library, and which only with
+    others."""
+    right: dict[str, list[str]] = {}
+    wrong: dict[str, set[str]] = {}
+    for run in sorted(records.runs, key=lambda run: settings_level(run.settings)):
+        levels = right.setdefault(run.solver, [])
+        if not is_right(run, demand):
+            wrong.setdefault(run.solver, set()).add(run.settings)
+        if run.settings not in levels:
+            levels.append(run.settings)
+    good = {name: [v for v in of if v not in wrong.get(name, ())] for name, of in right.items()}
+    by_default = [name for name, levels in good.items() if "default" in levels]
+    others = [
+        f"{name} at {and_list(levels)}"
+        for name, levels in good.items()
+        if levels and "default" not in levels
+    ]
+    never = [name for name, levels in good.items() if not levels]
+    parts = [f"Right on every step with default settings: {and_list(by_default) or 'nobody'}"]
+    parts += [f"with others only: {', '.join(others)}"] if others else []
+    parts += [f"with none that was run: {and_list(never)}"] if never else []
+    return "; ".join(parts) + "."
+
+
+def race_topic(records: Records) -> Topic | None:
+    """Two solvers on the same steps; None of any other number of solvers."""
+    if len(records.solvers) != 2:
+        return None
+    first, second = records.solvers
+    rows, said = [], []
+    for sequence in records.sequences:
+        for run in records.replays(sequence, solver=first):
+            here = records.times(run)
+            rivals = [
+                other
+                for other in records.replays(sequence, solver=second)
+                if other.configuration.label_of(first) == run.configuration.label
+            ]
+            there = records.times(rivals[0]) if rivals else None
+            if here is None or there is None:
+                continue
+            in_here, in_there = common_steps(here, there)
+            ratio = paired_ratio(here.algo_ns[in_here], there.algo_ns[in_there])
+            options = run.configuration.options
+            interval = f"{significant(ratio.low)} to {significant(ratio.high)}"
+            said.append(f"{significant(ratio.value)} ({interval}) in {sequence}, {options}")
+            rows.append(
+                (
+                    sequence,
+                    options,
+                    *(time_text(_median(t.algo_ns)) for t in (here, there)),
+                    *(time_text(percentile(t.algo_ns, 99)) for t in (here, there)),
+                    f"{significant(ratio.value)} ({interval})",
+                )
+            )
+    if not rows:
+        return None
+    head = ("sequence", "way", *(f"{s} p50" for s in (first, second)))
+    head += (*(f"{s} p99" for s in (first, second)), "ratio (95 %)")
+    lead = f"{first} takes so many times as long as {second} per step: {'; '.join(said)}."
+    note = "Geometric mean of the paired ratios of all common steps."
+    return Topic(
+        "race", f"{first} against {second}", (lead, note), (), (SmallTable(head, tuple(rows)),)
+    )
+
+
+def _tables(
+    records: Records,
+    demand: Demand,
+    runs: Sequence[RunRecord],
+    varied: Callable[[RunRecord], str],
+    kept: Callable[[RunRecord], str],
+) -> list[SmallTable]:
+    """For each replayed sequence a table of median step times: a row for what is kept, a column for
+    what is varied; none of sequences where it was not varied."""
+    problems: dict[tuple[str, str], list[RunRecord]] = {}
+    for run in runs:
+        if run.mode == "replay" and not run.is_baseline_law:
+            problems.setdefault((run.sequence, run.units), []).append(run)
+    tables = []
+    for (sequence, units), of_problem in problems.items():
+        columns = list(dict.fromkeys(varied(run) for run in of_problem))
+        if len(columns) < 2:
+            continue
+        by_row: dict[str, dict[str, RunRecord]] = {}
+        for run in of_problem:
+            by_row.setdefault(kept(run), {})[varied(run)] = run
+        rows = tuple(
+            (name, *(_median_text(records, own.get(column), demand) for column in columns))
+            for name, own in by_row.items()
+        )
+        title = sequence + (" (SI units)" if units == "si" else "")
+        tables.append(SmallTable(("configuration", *columns), rows, title))
+    return tables
+
+
+def _fastest_forms(records: Records, demand: Demand) -> str:
+    """How often each form is the fastest right one."""
+    by_case: dict[tuple[str, str, str], dict[str, float]] = {}
+    for run in records.all_runs:
+        times = records.times(run) if run.mode == "replay" and not run.family else None
+        if times is not None and is_right(run, demand):
+            case = run.sequence, run.units, run.configuration.in_common_formulation.label
+            by_case.setdefault(case, {})[run.formulation] = _median(times.algo_ns)
+    cases = [forms for forms in by_case.values() if len(forms) > 1]
+    wins = Counter(min(forms, key=lambda form: forms[form]) for forms in cases)
+    said = ", ".join(f"{form.replace('_', ' ')} {count}" for form, count in wins.most_common())
+    return (
+        f"Fastest form with right answers, of {plural(len(cases), 'configuration')} on a sequence: "
+        f"{said or 'none'}."
+    )
+
+
+def _median_text(records: Records, run: RunRecord | None, demand: Demand) -> str:
+    """Median step time of a replay; how it ended where it left no step."""
+    times = None if run is None else records.times(run)
+    if run is None or times is None:
+        return "–" if run is None else run.outcome.replace("_", " ")
+    text = time_text(_median(times.algo_ns))
+    return text if is_right(run, demand) else f"{text} (not right)"

@@ -1,0 +1,69 @@
+"""The step that a search found: what it does to the solver it was found for, and to the others."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
+from dpbench.analysis.run_steps import RunSteps, run_steps
+from dpbench.report.formats import MISSING, count_text, error_text, time_text
+from dpbench.report.page.topic import SmallTable, Topic
+
+
+def worst_case_topic(records: Records) -> Topic | None:
+    """The topic; None of records whose suite names no step to look at."""
+    asked = records.suite.get("report", {})
+    k = asked.get("step")
+    if k is None:
+        return None
+    steps = dict(run_steps(records.table))
+    here = [(run, steps[run.run_id]) for run in records.runs if run.run_id in steps]
+    rows = [row for run, of_run in here if (row := _row(run, of_run, k)) is not None]
+    if not rows:
+        return None
+    searched = str(asked.get("configuration") or "")
+    rows.sort(key=lambda row: (row[0] != searched, row[0]))
+    lead = [_said(row, k) for row in rows[:1]]
+    head = ("configuration", "time", "its median", "iterations", "its median", "error", "answer")
+    return Topic(
+        "worst-case",
+        "The step that was searched for",
+        (*lead, "The same step of the other configurations stands below."),
+        (),
+        (SmallTable(head, tuple(rows), f"step {k}"),),
+    )
+
+
+def _row(run: RunRecord, steps: RunSteps, k: int) -> tuple[str, ...] | None:
+    """One configuration at the step; None where it did not get there."""
+    at = np.flatnonzero(steps.k == k)
+    if not len(at):
+        return None
+    i = int(at[0])
+    claimed = "claimed" if steps.claimed[i] else "not claimed"
+    return (
+        run.configuration.label,
+        time_text(steps.time_ns[i]),
+        time_text(float(np.median(steps.time_ns))),
+        count_text(steps.iterations[i]),
+        count_text(_median(steps.iterations)),
+        error_text(float(steps.error[i])),
+        f"{claimed}, {'true' if steps.true[i] else 'not true'}",
+    )
+
+
+def _median(values: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
+    known = values[~np.isnan(values)]
+    return float(np.median(known)) if len(known) else math.nan
+
+
+def _said(row: tuple[str, ...], k: int) -> str:
+    name, took, median, iterations, usual, error, answer = row
+    counted = "" if iterations == MISSING else f", {iterations} iterations (median {usual})"
+    return (
+        f"At step {k} {name} takes {took} (median {median}){counted}; error of the first move "
+        f"{error}, {answer}."
+    )
