@@ -112,8 +112,8 @@ def _searched(records: Any) -> None:
 
 KINDS: dict[str, tuple[Callable[[Any], None], str, set[str]]] = {
     "replays": (_replay_only, "race", set()),
-    "loops": (_loops_only, "", set()),
-    "paper": (_paper, "", {"paper"}),
+    "loops": (_loops_only, "loops", set()),
+    "paper": (_paper, "loops", {"paper"}),
     "timed": (_timed, "", {"trust"}),
     "random": (_random, "random", set()),
     "slow computers": (_slow, "slowdown", set()),

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import isnan
 from typing import Any
 
 from dpbench.analysis.times.fastest import Recommendation, fastest_of, recommend
@@ -15,6 +17,10 @@ from dpbench.report.lines import last_lines
 from dpbench.report.page.facts import Facts
 from dpbench.report.verdict_text import aboard, clauses, demand_text, judged_on, recommendation
 from dpbench.solvers.settings import level_options
+
+MOST_CHIPS = 16
+"""More places than these are counted by state, and named only where they are at most `FEW`."""
+FEW = 5
 
 
 @dataclass(frozen=True)
@@ -87,19 +93,21 @@ def answer_of(facts: Facts, machine: Mapping[str, Any], baseline: str | None = N
 def _sentence(facts: Facts, chosen: Verdict | None) -> str:
     if chosen is None:
         return _nothing(facts)
-    figure = (
-        f"p99 {time_text(chosen.p99_ns)}"
-        if chosen.p99_ns == chosen.p99_ns
-        else f"p50 {time_text(chosen.p50_ns)}"
-    )
     c = chosen.configuration
     head = "Use" if chosen.outcome == "meets" else "Nothing contradicts"
     left_open = "" if chosen.outcome == "meets" else f"; {_plain(clauses(chosen.missing))}"
     return (
         f"{head} {c.solver} ({c.route}, {c.policy}, {c.settings}): right on every step of "
-        f"{judged_on(chosen)}, {figure}, largest error of the first move "
+        f"{judged_on(chosen)}, {_usual_time(chosen)}, largest error of the first move "
         f"{error_text(chosen.error_move)}{left_open}."
     )
+
+
+def _usual_time(verdict: Verdict) -> str:
+    """Its p99, or its p50 where there are too few steps for one."""
+    if isnan(verdict.p99_ns):
+        return f"p50 {time_text(verdict.p50_ns)}"
+    return f"p99 {time_text(verdict.p99_ns)}"
 
 
 def _nothing(facts: Facts) -> str:
@@ -135,8 +143,8 @@ def _notes(facts: Facts, found: Recommendation) -> list[str]:
             f"{found.faster.configuration.label} is faster, and is not the answer: {found.because}."
         )
     if found.runner_up is not None:
-        p99 = time_text(found.runner_up.p99_ns)
-        notes.append(f"Next: {found.runner_up.configuration.label}, p99 {p99}.")
+        next_best = found.runner_up
+        notes.append(f"Next: {next_best.configuration.label}, {_usual_time(next_best)}.")
     return notes
 
 
@@ -145,12 +153,21 @@ def _chips(facts: Facts, first: Configuration | None) -> list[Chip]:
         return []
     c = facts.index(first)
     words = {"meets": "held", "misses": "missed", "open": "open", "not run": "not run"}
-    chips = []
-    for p, place in enumerate(facts.places):
-        state = facts.state(c, p)
-        mark = "none" if state == "not run" else state
-        chips.append(Chip(f"{place.label}: {words[state]}", mark))
-    return chips
+    states = [facts.state(c, p) for p in range(len(facts.places))]
+    counts = Counter(states)
+    counted = {s for s in counts if len(states) > MOST_CHIPS and counts[s] > FEW}
+    marks = {state: "none" if state == "not run" else state for state in states}
+    named = [
+        Chip(f"{place.label}: {words[state]}", marks[state])
+        for place, state in zip(facts.places, states, strict=True)
+        if state not in counted
+    ]
+    sums = [
+        Chip(f"{words[state]} in {counts[state]} of {len(states)}", marks[state])
+        for state in counts
+        if state in counted
+    ]
+    return [*sums, *named]
 
 
 def _snippet(c: Configuration) -> str:

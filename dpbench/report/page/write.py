@@ -114,7 +114,7 @@ def page_html(
         figures=dict.fromkeys(charts, True) | pictures,
         matrix_said=MATRIX,
         lead=_markup(lead) if lead else None,
-        judged=bool(facts.verdicts.of),
+        judged=bool(facts.verdicts.of) and not (lead and lead.id == "loops"),
         runs=bool(facts.runs),
         topics=[_markup(topic) for topic in others],
         groups=list(GROUPS),
@@ -260,7 +260,7 @@ def _place(facts: Facts, p: int) -> dict[str, Any]:
     return {
         "label": place.label,
         "mode": place.mode,
-        "source": run.scenario or run.sequence,
+        "source": run.description.get("source", {}).get("path") or run.scenario or run.sequence,
         "first": int(run.description.get("first", 0)),
         **known,
     }

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.records import Records
 from dpbench.bench.design import Designs
 from dpbench.report.page.topic import Topic
+from dpbench.report.topics.loops import loops_topic
 from dpbench.report.topics.paper import paper_topic
 from dpbench.report.topics.random import random_topic
 from dpbench.report.topics.replays import (
@@ -24,43 +26,55 @@ from dpbench.report.topics.worst_case import worst_case_topic
 def topics_of(records: Records, demand: Demand, designs: Designs | None) -> list[Topic]:
     """Those that have something to say, the suite's own question first; what nobody asked for is
     not mentioned."""
-    question = question_of(records)
     found = (
         worst_case_topic(records),
         horizon_topic(records, demand),
         slowdown_topic(records),
         random_topic(records),
         formulations_topic(records, demand),
-        routes_topic(records) if _only_replays(records) else None,
-        levels_topic(records, demand) if question == "levels" else None,
-        race_topic(records) if question == "race" else None,
+        loops_topic(records, demand),
+        race_topic(records),
+        routes_topic(records),
+        levels_topic(records, demand),
         paper_topic(records, designs),
         trust_topic(records),
     )
-    topics = [replace(t, leads=t.id == question) for t in found if t is not None]
-    return sorted(topics, key=lambda topic: not topic.leads)
+    topics = [topic for topic in found if topic is not None]
+    question = _question(records, [topic.id for topic in topics])
+    topics = [replace(topic, leads=topic.id == question) for topic in topics]
+    mixed = ("formulations",) if not _only(records, "replay") else ()
+    shown = [t for t in topics if t.leads or t.id not in _OWN_SUITE or t.id in mixed]
+    return sorted(shown, key=lambda topic: not topic.leads)
 
 
-def question_of(records: Records) -> str:
+_CONTRASTS = ("formulations", "race", "routes", "levels")
+"""Questions about the same replays, in the order in which a suite of replays is taken to ask."""
+_OWN_SUITE = ("loops", *_CONTRASTS)
+"""What stands on the page only where it is what the suite asks."""
+
+
+def _mostly_forms(records: Records) -> bool:
+    """Whether more than a third of the runs are of another form than the common one."""
+    ships = [run for run in records.all_runs if not run.family and not run.slowdown > 0.0]
+    return 3 * (len(ships) - len(records.runs)) > len(ships)
+
+
+def _question(records: Records, topics: Sequence[str]) -> str:
     """The id of the topic that is what the suite asks; empty where that is which solver to use."""
-    if records.suite.get("report", {}).get("step") is not None:
+    if "worst-case" in topics:
         return "worst-case"
     if not records.runs:
-        kinds = {"slowdown": records.delayed, "random": records.random}
-        return next((id for id, runs in kinds.items() if runs), "trust")
-    if not _only_replays(records) or records.delayed or records.random:
+        return next((id for id in ("slowdown", "random", "trust") if id in topics), "")
+    if records.delayed or records.random:
         return ""
-    replays = [run for run in records.all_runs if not run.is_baseline_law]
-    if len({(run.N_p, run.N_c) for run in replays}) > 1:
-        return "horizon"
-    if len({run.formulation for run in replays}) > 1:
+    if "formulations" in topics and _mostly_forms(records):
         return "formulations"
-    if len(records.solvers) == 2:
-        return "race"
-    if len({(run.solver, run.route, run.policy) for run in replays}) > len(records.solvers):
-        return "routes"
-    return "levels" if len({run.settings for run in replays}) > 2 else ""
+    if _only(records, "closed_loop"):
+        return "loops" if "loops" in topics else ""
+    if not _only(records, "replay"):
+        return ""
+    return next((id for id in ("horizon", *_CONTRASTS) if id in topics), "")
 
 
-def _only_replays(records: Records) -> bool:
-    return all(run.mode == "replay" for run in records.runs)
+def _only(records: Records, mode: str) -> bool:
+    return all(run.mode == mode for run in records.runs)

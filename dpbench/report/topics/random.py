@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import pandas as pd
 
-from dpbench.analysis.random_claims import RandomClaims
+from dpbench.analysis.random_claims import RandomClaims, Tally
 from dpbench.analysis.records import Records
 from dpbench.report.charts.lines import tiles
+from dpbench.report.formats import and_list
 from dpbench.report.page.topic import Figure, SmallTable, Topic
+
+
+def _liars(by_solver: Mapping[tuple[str, ...], Tally]) -> str:
+    """Whose they are, the most first, and who made none."""
+    wrong = sorted((-tally.wrong, name) for (name,), tally in by_solver.items() if tally.wrong)
+    none = [name for (name,), tally in by_solver.items() if not tally.wrong]
+    said = [", ".join(f"{name} {-count}" for count, name in wrong)] if wrong else []
+    return "; ".join([*said, *([f"none by {and_list(none)}"] if none else [])])
 
 
 def random_topic(records: Records) -> Topic | None:
@@ -29,9 +40,8 @@ def random_topic(records: Records) -> Topic | None:
         id="random",
         title="Random QPs: what is claimed, what is true",
         lines=(
-            f"{steps} steps with a certified answer; {wrong} claims are false. An "
-            "application-blind "
-            "set: it says whom to trust, not who is fast on a ship.",
+            f"{wrong} false claims on {steps} certified steps: {_liars(by_solver)}.",
+            "A set that knows of no ship: it says whom to trust, not who is fast.",
         ),
         figures=(Figure("random-claims", tiles(table, "False claims", "family", "solver"), ""),),
         tables=(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from dpbench.analysis.demand import Demand, is_right
 from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
-from dpbench.analysis.statistics import paired_ratio
+from dpbench.analysis.statistics import Interval, paired_ratio
 from dpbench.analysis.times.pairs import common_steps
 from dpbench.analysis.times.routes import native_comparisons, route_comparisons, route_policy_text
 from dpbench.bench.judge.rules import percentile
@@ -32,7 +33,6 @@ def routes_topic(records: Records) -> Topic | None:
                 beside = comparison.compare(route, comparison.neighbour(route))
                 if beside is None:
                     continue
-                low, high = beside.gain.low, beside.gain.high
                 change = f"{route_policy_text(beside.above)} → {route_policy_text(route)}"
                 gains.setdefault(change, []).append(beside.gain.value)
                 rows.append(
@@ -40,8 +40,7 @@ def routes_topic(records: Records) -> Topic | None:
                         comparison.solver,
                         comparison.settings,
                         change,
-                        f"{significant(beside.gain.value)} ({significant(low)} to "
-                        f"{significant(high)})",
+                        _ratio_text(beside.gain),
                         time_text(comparison.median_ns(route)),
                     )
                 )
@@ -57,6 +56,13 @@ def routes_topic(records: Records) -> Topic | None:
         "What calling a library natively saves, then keeping its workspace, then its last answer.",
     )
     return Topic("routes", "Routes", said, (), tuple(tables))
+
+
+def _ratio_text(ratio: Interval) -> str:
+    """A ratio with its 95 % interval, where there are steps enough for one."""
+    if not (isfinite(ratio.low) and isfinite(ratio.high)):
+        return significant(ratio.value)
+    return f"{significant(ratio.value)} ({significant(ratio.low)} to {significant(ratio.high)})"
 
 
 def _median(values: Sequence[float] | NDArray[np.float64]) -> float:
@@ -145,15 +151,14 @@ def race_topic(records: Records) -> Topic | None:
             in_here, in_there = common_steps(here, there)
             ratio = paired_ratio(here.algo_ns[in_here], there.algo_ns[in_there])
             options = run.configuration.options
-            interval = f"{significant(ratio.low)} to {significant(ratio.high)}"
-            said.append(f"{significant(ratio.value)} ({interval}) in {sequence}, {options}")
+            said.append(f"{_ratio_text(ratio)} in {sequence}, {options}")
             rows.append(
                 (
                     sequence,
                     options,
                     *(time_text(_median(t.algo_ns)) for t in (here, there)),
                     *(time_text(percentile(t.algo_ns, 99)) for t in (here, there)),
-                    f"{significant(ratio.value)} ({interval})",
+                    _ratio_text(ratio),
                 )
             )
     if not rows:
@@ -185,7 +190,7 @@ def _tables(
         columns = list(dict.fromkeys(varied(run) for run in of_problem))
         if len(columns) < 2:
             continue
-        by_row: dict[str, dict[str, RunRecord]] = {}
+        by_row: dict[str, dict[str, RunRecord]] = {}  # by what is kept, then what is varied
         for run in of_problem:
             by_row.setdefault(kept(run), {})[varied(run)] = run
         rows = tuple(

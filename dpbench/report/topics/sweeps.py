@@ -9,11 +9,12 @@ import pandas as pd
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.records import Records
 from dpbench.analysis.slowdown import MARGIN, cost_ratio, delayed_groups
-from dpbench.analysis.times.horizon_sweep import SweptConfiguration, moves_of, sweeps
+from dpbench.analysis.times.horizon_sweep import Sweep, SweptConfiguration, moves_of, sweeps
 from dpbench.report.charts.lines import lines
 from dpbench.report.formats import and_list, significant, time_text
 from dpbench.report.lines import slowdown_lines
 from dpbench.report.page.topic import Figure, SmallTable, Topic
+from dpbench.scenario.horizons import Horizons
 
 
 def horizon_topic(records: Records, demand: Demand) -> Topic | None:
@@ -32,7 +33,7 @@ def horizon_topic(records: Records, demand: Demand) -> Topic | None:
                 (
                     name,
                     "–" if growth is None else significant(growth.exponent.value, 2),
-                    _longest(swept, demand.p99_ns),
+                    _longest(sweep, swept, demand.p99_ns),
                 )
             )
         if points:
@@ -52,8 +53,8 @@ def horizon_topic(records: Records, demand: Demand) -> Topic | None:
         return None
     said = (
         *_longest_horizons(records, demand),
-        "How the step time grows with the horizon, and the longest that fits the demand. ≥: no "
-        "longer one has a p99; ?: the 95 % interval of a p99 holds the limit.",
+        "How the step time grows with the horizon, and the longest with right answers within the "
+        "limit. ≥: no longer one has a p99; ?: the 95 % interval of a p99 holds the limit.",
     )
     return Topic("horizon", "Longer horizons", said, tuple(figures), tuple(tables))
 
@@ -65,9 +66,10 @@ def _longest_horizons(records: Records, demand: Demand) -> list[str]:
         largest = {
             swept.configuration.label: fits
             for swept in sweep.best
-            if (fits := swept.largest_within(demand.p99_ns)) is not None
+            if (fits := _fits(sweep, swept, demand.p99_ns)) is not None
         }
-        limit = f"within {demand.p99_ms:g} ms (p99)"
+        by = "p99" if _has_p99(sweep) else f"largest of {sweep.steps} steps"
+        limit = f"within {demand.p99_ms:g} ms ({by})"
         if not largest:
             said.append(f"In {sweep.name} nobody fits a horizon {limit}.")
             continue
@@ -87,9 +89,31 @@ def _some(names: list[str]) -> str:
     return and_list(names) if rest <= 0 else f"{', '.join(names[:3])} and {rest} more"
 
 
-def _longest(swept: SweptConfiguration, limit_ns: float) -> str:
+def _has_p99(sweep: Sweep) -> bool:
+    """Whether any of its replays has enough steps for a p99."""
+    points = [point for swept in sweep.swept for point in swept.timed.values()]
+    return any(math.isfinite(point.p99_ns) for point in points)
+
+
+def _fits(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> Horizons | None:
+    """The longest horizons with right answers within a limit: by p99, or by the largest step where
+    there are too few for one."""
+    if _has_p99(sweep):
+        return swept.largest_within(limit_ns)
+    held = [
+        horizons
+        for horizons, point in swept.timed.items()
+        if point.right and point.times is not None and point.times.algo_ns.max() <= limit_ns
+    ]
+    return max(held, key=moves_of, default=None)
+
+
+def _longest(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> str:
     """The longest horizons within a limit, and no more than the runs say: `≥` where no longer ones
     have a p99, `?` where the interval of a p99 holds the limit."""
+    if not _has_p99(sweep):
+        fits = _fits(sweep, swept, limit_ns)
+        return "none" if fits is None else f"{fits[0]}/{fits[1]}"
     if not any(math.isfinite(point.p99_ns) for point in swept.timed.values()):
         return "–"
     largest = swept.largest_within(limit_ns)

@@ -1,0 +1,55 @@
+"""Closed loops alone: whose answers hold the ship, and how far off it goes with those of others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from dpbench.analysis.demand import Demand, is_right
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
+from dpbench.report.formats import MISSING, and_list, count_text, plural, significant
+from dpbench.report.page.topic import SmallTable, Topic
+
+HEAD = ("configuration", "right in", "steps with a fallback", "farthest from the exact loop", "in")
+
+
+def loops_topic(records: Records, demand: Demand) -> Topic | None:
+    """The topic; None of records without closed loops."""
+    by_name: dict[str, list[RunRecord]] = {}
+    for run in records.select(mode="closed_loop"):
+        if not run.is_baseline_law:
+            by_name.setdefault(run.configuration.in_common_formulation.label, []).append(run)
+    if not by_name:
+        return None
+    whole = {
+        name: sum(run.outcome == "finished" and is_right(run, demand) for run in runs)
+        for name, runs in by_name.items()
+    }
+    most = max(len(runs) for runs in by_name.values())
+    right = [name for name, runs in by_name.items() if whole[name] == len(runs) == most]
+    others = len(by_name) - len(right)
+    lead = f"Right on every step of {plural(most, 'closed loop')}: {_named(right)}."
+    if others:
+        lead += f" {plural(others, 'configuration')} {'is' if others == 1 else 'are'} not."
+    rows = [
+        (name, f"{whole[name]} of {len(runs)}", *_control(runs)) for name, runs in by_name.items()
+    ]
+    rows.sort(key=lambda row: -whole[row[0]])
+    note = "The distance from the exactly solved loop is what wrong or late answers do to the ship."
+    return Topic("loops", "Closed loops", (lead, note), (), (SmallTable(HEAD, tuple(rows)),))
+
+
+def _named(names: Sequence[str]) -> str:
+    """All of a few, else how many."""
+    return and_list(list(names)) or "nobody" if len(names) <= 4 else f"{len(names)} configurations"
+
+
+def _control(runs: Sequence[RunRecord]) -> tuple[str, str, str]:
+    """Steps in which the fallback acted, the largest distance from the exact loop and where."""
+    fallbacks = sum(run.fallbacks for run in runs if math.isfinite(run.fallbacks))
+    off = [run for run in runs if math.isfinite(run.dev_position_max_m)]
+    if not off:
+        return count_text(fallbacks), MISSING, MISSING
+    worst = max(off, key=lambda run: run.dev_position_max_m)
+    return count_text(fallbacks), f"{significant(worst.dev_position_max_m)} m", worst.scenario
