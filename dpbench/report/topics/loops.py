@@ -18,7 +18,7 @@ def loops_topic(records: Records, demand: Demand) -> Topic | None:
     """The topic; None of records without closed loops."""
     by_name: dict[str, list[RunRecord]] = {}
     for run in records.select(mode="closed_loop"):
-        if not run.is_baseline_law:
+        if not run.is_baseline_law and run.outcome != "refused":
             by_name.setdefault(run.configuration.in_common_formulation.label, []).append(run)
     if not by_name:
         return None
