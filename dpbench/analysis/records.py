@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
+from dpbench.analysis.counting_rows import CountingRows, counting_of
 from dpbench.analysis.run_record import RunRecord, records_of
 from dpbench.analysis.step_times import StepTimes, step_times_of
 from dpbench.bench.record.configuration import COMMON
@@ -49,12 +50,17 @@ class Records:
     @cached_property
     def _rows_of(self) -> dict[str, tuple[int, int]]:
         """First and last row of each run in the step table, which is ordered by run."""
-        ids = self._steps["run_id"].to_numpy()
-        if len(ids) == 0:
+        codes, names = pd.factorize(self._steps["run_id"])
+        if len(codes) == 0:
             return {}
-        edges = np.flatnonzero(ids[1:] != ids[:-1]) + 1
-        starts, ends = [0, *edges.tolist()], [*edges.tolist(), len(ids)]
-        return {str(ids[a]): (a, b) for a, b in zip(starts, ends, strict=True)}
+        edges = np.flatnonzero(np.diff(codes)) + 1
+        starts, ends = [0, *edges.tolist()], [*edges.tolist(), len(codes)]
+        return {str(names[codes[a]]): (a, b) for a, b in zip(starts, ends, strict=True)}
+
+    @cached_property
+    def counting(self) -> CountingRows:
+        """The rows of the step table that count, as arrays."""
+        return counting_of(self._steps)
 
     @property
     def table(self) -> pd.DataFrame:
@@ -125,7 +131,7 @@ class Records:
     def times(self, run: RunRecord) -> StepTimes | None:
         """Step times of a replay; None when no counting round left a step."""
         if run.run_id not in self._times:
-            self._times[run.run_id] = step_times_of(self.steps(run))
+            self._times[run.run_id] = step_times_of(self.counting.of(run.run_id))
         return self._times[run.run_id]
 
     def scenario(self, name: str) -> Scenario | None:

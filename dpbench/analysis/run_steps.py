@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
-from dpbench.bench.judge.rules import decided, failed_steps
+from dpbench.analysis.counting_rows import CountingRows, Flags, Floats, Ints
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 Measure = Literal["time", "iterations", "error"]
 MEASURES: tuple[Measure, ...] = ("time", "iterations", "error")
-_FLOATS = ("total_ns", "error_move", "iterations", "n_active")
-_FLAGS = ("claimed", "late", "fallback", "clipped")
+_FLAGS = ("claimed", "failed", "late", "fallback", "clipped")
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,58 +58,34 @@ class HardStep:
     """Where it stands in the arrays of `RunSteps`."""
 
 
-def run_steps(steps: pd.DataFrame) -> Iterator[tuple[str, RunSteps]]:
-    """Every run of a step table that left a counting row, in the order of the table.
-
-    The table is turned into arrays once: a million rows take a second or two.
-    """
-    counts = steps["counts"].to_numpy(dtype=np.bool_)
-    rows = np.flatnonzero(counts)
-    if not len(rows):
-        return
-    table = steps.loc[counts]
-    columns = {name: _floats(table, name) for name in _FLOATS}
-    flags = {name: table[name].to_numpy(dtype=np.bool_) for name in _FLAGS}
-    known = decided(table).to_numpy(dtype=np.bool_)
-    flags["true"] = table["true"].to_numpy(dtype=np.bool_) | ~known
-    flags["failed"] = failed_steps(table).to_numpy(dtype=np.bool_)
-    k, status = table["k"].to_numpy(dtype=np.int64), table["status"].to_numpy(dtype=object)
-    repeat = table["repeat"].to_numpy(dtype=np.int64)
-    names, codes = np.unique(table["run_id"].to_numpy(dtype=object), return_inverse=True)
-    edges = np.flatnonzero(np.diff(codes)) + 1
-    for part in np.split(np.arange(len(k)), edges):
-        rounds = len(np.unique(repeat[part]))
-        yield str(names[codes[part[0]]]), _one(part, k, columns, flags, status, rows, rounds)
+def run_steps(counting: CountingRows) -> Iterator[tuple[str, RunSteps]]:
+    """Every run that left a counting row, in the order of the table."""
+    for run_id in counting.bounds:
+        yield run_id, _one(counting.of(run_id))
 
 
-def _one(
-    part: Ints,
-    k: Ints,
-    columns: Mapping[str, Floats],
-    flags: Mapping[str, Flags],
-    status: NDArray[np.object_],
-    rows: Ints,
-    rounds: int,
-) -> RunSteps:
-    """The run whose rows are `part` of the arrays."""
-    steps, at = np.unique(k[part], return_inverse=True)
+def _one(rows: CountingRows) -> RunSteps:
+    """The steps of the rows of one run."""
+    steps, at = np.unique(rows.k, return_inverse=True)
     last = np.zeros(len(steps), dtype=np.int64)
-    last[at] = part
-    error = _over(np.fmax, at, len(steps), columns["error_move"][part])
+    last[at] = np.arange(len(at))
+    error = _over(np.fmax, at, len(steps), rows.error_move)
     said = last.copy()
-    worst = columns["error_move"][part] == error[at]
-    said[at[worst]] = part[worst]
+    worst = np.flatnonzero(rows.error_move == error[at])
+    said[at[worst]] = worst
+    flags = {name: getattr(rows, name)[last] for name in _FLAGS}
     return RunSteps(
         k=steps,
-        time_ns=_over(np.fmin, at, len(steps), columns["total_ns"][part]),
-        raw_ns=_over(np.fmax, at, len(steps), columns["total_ns"][part]),
+        time_ns=_over(np.fmin, at, len(steps), rows.total_ns),
+        raw_ns=_over(np.fmax, at, len(steps), rows.total_ns),
         error=error,
-        iterations=_over(np.fmax, at, len(steps), columns["iterations"][part]),
-        n_active=_over(np.fmax, at, len(steps), columns["n_active"][part]),
-        **{name: values[last] for name, values in flags.items()},
-        status=status[said],
-        rounds=rounds,
-        rows=rows[last],
+        iterations=_over(np.fmax, at, len(steps), rows.iterations),
+        n_active=_over(np.fmax, at, len(steps), rows.n_active),
+        true=(rows.true | ~rows.known)[last],
+        **flags,
+        status=rows.status[said],
+        rounds=len(np.unique(rows.repeat)),
+        rows=rows.rows[last],
     )
 
 
@@ -122,12 +93,12 @@ def hardest(run: RunSteps, measure: Measure, count: int = 5) -> list[HardStep]:
     """The hardest steps of a run, the hardest first; those without a figure are none of them."""
     values = {"time": run.time_ns, "iterations": run.iterations, "error": run.error}[measure]
     there = np.flatnonzero(~np.isnan(values))
+    if len(there) > count:
+        # Only those that reach the least of the hardest have to be put in order.
+        least = np.partition(values[there], -count)[-count]
+        there = there[values[there] >= least]
     order = there[np.argsort(-values[there], kind="stable")][:count]
     return [HardStep(measure, float(values[i]), int(i)) for i in order]
-
-
-def _floats(table: pd.DataFrame, name: str) -> Floats:
-    return table[name].to_numpy(dtype=np.float64, na_value=np.nan)
 
 
 def _over(choose: np.ufunc, at: Ints, count: int, values: Floats) -> Floats:

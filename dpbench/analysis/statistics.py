@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from dpbench.bench.judge.rules import supports
 
@@ -115,7 +115,7 @@ def pooled_mean(logs: Sequence[Floats], comparisons: int = 1) -> Interval:
         for of_sequence in logs
     ]
     spread = float(np.linalg.norm(errors)) / len(logs)
-    reach = float(norm.isf((1.0 - CONFIDENCE) / (2.0 * comparisons))) * spread
+    reach = -float(ndtri((1.0 - CONFIDENCE) / (2.0 * comparisons))) * spread
     low, high = np.exp([middle - reach, middle + reach]).tolist()
     return Interval(float(np.exp(middle)), low, high)
 

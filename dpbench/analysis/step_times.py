@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
+from dpbench.analysis.counting_rows import CountingRows
 from dpbench.analysis.statistics import Floats
-from dpbench.bench.judge.rules import decided, failed_steps
 
 PHASES = ("setup", "update", "solve", "read")
 
@@ -45,23 +43,19 @@ class StepTimes:
     rounds: int
 
 
-def step_times_of(steps: pd.DataFrame) -> StepTimes | None:
+def step_times_of(rows: CountingRows) -> StepTimes | None:
     """Step times of the rows of one replay; None when no counting round left a step."""
-    counting = steps[steps["counts"]]
-    if counting.empty:
+    if not len(rows):
         return None
-    k = counting["k"].to_numpy(dtype=np.int64)
-    raw = counting["total_ns"].to_numpy(dtype=np.float64, na_value=np.nan)
+    k, raw = rows.k, rows.total_ns
     best = np.full(int(k.max()) + 1, np.inf)
     np.minimum.at(best, k, raw)
     done = np.flatnonzero(np.isfinite(best))
     true = np.ones(len(best), dtype=np.bool_)
-    not_untrue = counting["true"] | ~decided(counting)
-    np.logical_and.at(true, k, not_untrue.to_numpy(dtype=np.bool_))
+    np.logical_and.at(true, k, rows.true | ~rows.known)
     error = np.zeros(len(best))
-    np.maximum.at(error, k, _achieved(counting))
-    iterations = counting["iterations"].to_numpy(dtype=np.float64, na_value=np.nan)
-    counted = iterations[np.isfinite(iterations)]
+    np.maximum.at(error, k, _achieved(rows))
+    counted = rows.iterations[np.isfinite(rows.iterations)]
     return StepTimes(
         k=done,
         algo_ns=best[done],
@@ -70,11 +64,11 @@ def step_times_of(steps: pd.DataFrame) -> StepTimes | None:
         raw_k=k,
         true=true[done],
         error=error[done],
-        phase_ns={phase: _median(counting[f"{phase}_ns"]) for phase in PHASES},
+        phase_ns={phase: _median(getattr(rows, f"{phase}_ns")) for phase in PHASES},
         iterations=(float(np.median(counted)), float(counted.mean()), float(counted.max()))
         if len(counted)
         else (float(np.nan), float(np.nan), float(np.nan)),
-        rounds=int(counting["repeat"].nunique()),
+        rounds=len(np.unique(rows.repeat)),
     )
 
 
@@ -88,16 +82,13 @@ def _medians(k: NDArray[np.int64], raw: Floats, wanted: NDArray[np.int64]) -> Fl
     return middle
 
 
-def _achieved(steps: pd.DataFrame) -> Floats:
+def _achieved(rows: CountingRows) -> Floats:
     """error_move of each row, inf where it failed or is not true; see `StepTimes.error`."""
-    known = decided(steps)
-    lost = (failed_steps(steps) | (known & ~steps["true"])).to_numpy(dtype=np.bool_)
-    error = steps["error_move"].to_numpy(dtype=np.float64, na_value=np.nan)
-    error = np.where(known, np.nan_to_num(error, nan=0.0, posinf=np.inf), 0.0)
+    lost = rows.failed | (rows.known & ~rows.true)
+    error = np.where(rows.known, np.nan_to_num(rows.error_move, nan=0.0, posinf=np.inf), 0.0)
     return np.where(lost, np.inf, error)
 
 
-def _median(column: pd.Series[Any]) -> float:
-    numbers = column.to_numpy(dtype=np.float64, na_value=np.nan)
+def _median(numbers: Floats) -> float:
     numbers = numbers[np.isfinite(numbers)]
     return float(np.median(numbers)) if len(numbers) else float(np.nan)

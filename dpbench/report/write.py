@@ -13,7 +13,7 @@ from dpbench.analysis.verdict import verdicts_of
 from dpbench.bench.design import Designs, load_designs
 from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.errors import InputError
-from dpbench.report.charts.style import FORMATS, save
+from dpbench.report.charts.render import FORMATS, save
 from dpbench.report.csv_tables import write_tables
 from dpbench.report.lines import last_lines
 from dpbench.report.markdown import report_markdown

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from dpbench.analysis.counting_rows import counting_of
 from dpbench.analysis.run_steps import MEASURES, Measure, RunSteps, hardest, run_steps
 from dpbench.bench.record.schema import as_steps
 
@@ -22,7 +23,7 @@ def _several(records: Any) -> pd.DataFrame:
 
 
 def _by_run(steps: pd.DataFrame) -> dict[str, RunSteps]:
-    return dict(run_steps(steps))
+    return dict(run_steps(counting_of(steps)))
 
 
 def _floats(column: Any) -> Any:
@@ -32,7 +33,7 @@ def _floats(column: Any) -> Any:
 def test_every_run_with_a_counting_step_is_there_once(records: Any) -> None:
     """In the order of the table, which is that of the runs."""
     steps = _several(records)
-    found = [name for name, _ in run_steps(steps)]
+    found = [name for name, _ in run_steps(counting_of(steps))]
     assert found == ["run0000", "run0001", "run0002"]
 
 

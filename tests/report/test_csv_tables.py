@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from dpbench.analysis.counting_rows import counting_of
 from dpbench.analysis.run_steps import run_steps
 from dpbench.report.page.answer import Answer
 from dpbench.report.write import write_report
@@ -53,7 +54,7 @@ def test_verdicts_are_those_of_the_analysis(written: Any) -> None:
 def test_hard_steps_are_the_largest_of_each_run(written: Any) -> None:
     """The hardest by time has the largest least time of its run, and so by error."""
     hard = _table(written.folder, "hard_steps")
-    steps = dict(run_steps(written.results.steps))
+    steps = dict(run_steps(counting_of(written.results.steps)))
     assert set(hard["by"]) == {"time", "iterations", "error"}
     assert hard.groupby(["run_id", "by"]).size().max() == 5
     first = hard.drop_duplicates(["run_id", "by"]).set_index(["run_id", "by"])

@@ -7,7 +7,16 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
-from dpbench.report.charts.style import FAMILY_COLOURS, INK, MISSES, NAMES, styled
+from dpbench.report.charts.style import (
+    FAMILY_COLOURS,
+    INK,
+    NAMES,
+    below,
+    limit_rule,
+    log_scale,
+    styled,
+    tip,
+)
 
 COLUMNS = ("id", "solver", "family", "settings", "route", "policy", "error", "p50_us", "p99_us")
 FLOOR = 1e-16
@@ -30,18 +39,18 @@ def accuracy(table: pd.DataFrame, demand_error: float) -> Any:
         "family:N",
         scale=alt.Scale(domain=families, range=[FAMILY_COLOURS[f] for f in families]),
         title=None,
-        legend=alt.Legend(orient="bottom", columns=3),
+        legend=below(columns=3),
     )
     base = (
         alt.Chart(table)
         .transform_calculate(time="percentile == 'p99' ? datum.p99_us : datum.p50_us")
         .transform_filter("isValid(datum.time)")
         .encode(
-            x=alt.X("time:Q", title="step time [µs], log scale", scale=alt.Scale(type="log")),
+            x=alt.X("time:Q", title="step time [µs], log scale", scale=log_scale()),
             y=alt.Y(
                 "shown:Q",
                 title="largest error_move",
-                scale=alt.Scale(type="log"),
+                scale=log_scale(),
                 axis=alt.Axis(format=".0e"),
             ),
             color=colour,
@@ -51,16 +60,15 @@ def accuracy(table: pd.DataFrame, demand_error: float) -> Any:
                 alt.Tooltip("settings:N"),
                 alt.Tooltip("route:N"),
                 alt.Tooltip("policy:N"),
-                alt.Tooltip("error:Q", format=".2~g"),
-                alt.Tooltip("p50_us:Q", title="p50 [µs]", format=".4~g"),
-                alt.Tooltip("p99_us:Q", title="p99 [µs]", format=".4~g"),
+                tip("error:Q", digits=2),
+                tip("p50_us:Q", "p50 [µs]"),
+                tip("p99_us:Q", "p99 [µs]"),
             ],
         )
     )
-    lines = base.mark_line(strokeWidth=1, opacity=0.45)
-    settings_legend = alt.Legend(orient="bottom", symbolFillColor=INK)
+    lines = base.mark_line(strokeWidth=1, opacity=0.45).add_params(percentile, pick)
     dots = base.mark_point(filled=True, opacity=0.95).encode(
-        shape=alt.Shape("settings:N", title=None, legend=settings_legend),
+        shape=alt.Shape("settings:N", title=None, legend=below(symbolFillColor=INK)),
         size=alt.condition(pick, alt.value(190), alt.value(70)),
     )
     named = (
@@ -69,14 +77,8 @@ def accuracy(table: pd.DataFrame, demand_error: float) -> Any:
         .mark_point(filled=True, opacity=0, size=110)
         .properties(name=NAMES)
     )
-    limit = (
-        alt.Chart(alt.InlineData(values=[{"demand": demand_error}]))
-        .mark_rule(color=MISSES, strokeDash=[4, 3])
-        .encode(y="demand:Q")
-    )
-    chart = alt.layer(lines, limit, dots, named).add_params(percentile, pick)
     return styled(
-        chart.properties(width=620, height=360),
+        alt.layer(lines, limit_rule(demand_error), dots, named, width=620, height=360),
         "Accuracy against time",
         "Largest error of the first move against step time, a point for each settings level.",
     )

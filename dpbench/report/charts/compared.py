@@ -7,11 +7,22 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
-from dpbench.report.charts.style import INK, MEETS, MISSES, SOFT, styled
+from dpbench.report.charts.style import (
+    INK,
+    MEETS,
+    MISSES,
+    NOT_RUN,
+    SOFT,
+    alike,
+    below,
+    log_scale,
+    styled,
+    tip,
+)
 
 COLUMNS = ("name", "ratio", "low", "high", "verdict", "a_us", "b_us", "sequence")
 VERDICTS = ("slower", "faster", "equivalent", "no difference shown")
-_COLOURS = (MISSES, MEETS, SOFT, "#9aa5b1")
+_COLOURS = (MISSES, MEETS, SOFT, NOT_RUN)
 _SHAPES = ("triangle-right", "triangle-left", "circle", "square")
 
 
@@ -30,14 +41,14 @@ def ratios(table: pd.DataFrame, margin: float) -> Any:
     x = alt.X(
         "ratio:Q",
         title="B / A, machine factor taken out",
-        scale=alt.Scale(type="log"),
+        scale=log_scale(),
         axis=alt.Axis(orient="top", format="~g"),
     )
     spans = base.mark_rule(strokeWidth=1.5).encode(x=alt.X("low:Q"), x2="high:Q")
     points = base.mark_point(filled=True, size=60, opacity=1).encode(x=x, shape=_shape())
     edges = pd.DataFrame({"edge": [1.0 / (1.0 + margin), 1.0, 1.0 + margin]})
     rules = alt.Chart(edges).mark_rule(color=INK, strokeDash=[2, 3]).encode(x="edge:Q")
-    chart = alt.layer(rules, spans, points).properties(width=430, height=alt.Step(17))
+    chart = alt.layer(rules, spans, points, width=430, height=alt.Step(17))
     return styled(chart, "What became slower", "Ratio of step times of each configuration.")
 
 
@@ -45,23 +56,21 @@ def both(table: pd.DataFrame) -> Any:
     """Median step time in B against A on equal axes, a mark a configuration and sequence."""
     low = 0.8 * float(table[["a_us", "b_us"]].min().min())
     high = 1.25 * float(table[["a_us", "b_us"]].max().max())
-    scale = alt.Scale(type="log", domain=[low, high])
-    alike = pd.DataFrame({"a_us": [low, high], "b_us": [low, high]})
+    scale = log_scale(domain=[low, high])
     x = alt.X("a_us:Q", title="A: median step time [µs]", scale=scale)
     y = alt.Y("b_us:Q", title="B: median step time [µs]", scale=scale)
-    line = alt.Chart(alike).mark_line(color=SOFT, strokeDash=[4, 3]).encode(x=x, y=y)
     points = (
         alt.Chart(table)
         .mark_point(filled=True, size=55, opacity=0.9)
         .encode(x=x, y=y, color=_colour(), shape=_shape(), tooltip=_tips())
     )
-    chart = alt.layer(line, points).properties(width=330, height=330)
+    chart = alt.layer(alike(low, high, x, y), points, width=330, height=330)
     return styled(chart, "Both runs", "Median step times of both runs against each other.")
 
 
 def _colour() -> alt.Color:
     scale = alt.Scale(domain=list(VERDICTS), range=list(_COLOURS))
-    return alt.Color("verdict:N", scale=scale, title=None, legend=alt.Legend(orient="bottom"))
+    return alt.Color("verdict:N", scale=scale, title=None, legend=below())
 
 
 def _shape() -> alt.Shape:
@@ -73,7 +82,7 @@ def _tips() -> list[alt.Tooltip]:
     return [
         alt.Tooltip("name:N", title="configuration"),
         alt.Tooltip("verdict:N"),
-        *(alt.Tooltip(f"{name}:Q", format=".4~g") for name in ("ratio", "low", "high")),
-        alt.Tooltip("a_us:Q", title="A [µs]", format=".4~g"),
-        alt.Tooltip("b_us:Q", title="B [µs]", format=".4~g"),
+        *(tip(f"{name}:Q") for name in ("ratio", "low", "high")),
+        tip("a_us:Q", "A [µs]"),
+        tip("b_us:Q", "B [µs]"),
     ]

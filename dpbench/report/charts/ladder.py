@@ -12,9 +12,12 @@ from dpbench.report.charts.style import (
     INK,
     LINE,
     SOFT,
+    below,
+    log_scale,
     outcome_colour,
     outcome_shape,
     styled,
+    tip,
 )
 
 COLUMNS = ("id", "solver", "label", "outcome", "p50_ms", "p99_ms", "max_ms", "raw_max_ms", "share")
@@ -37,6 +40,7 @@ def ladder(table: pd.DataFrame, deadline_ms: float, *, slow: float = 1.0) -> Any
     order = table["label"].tolist()
     factor = alt.param(name="slow", value=slow)
     narrow = alt.param(name="narrow", value=False)
+    pick = alt.selection_point(name="pick", fields=["id"], on="click", empty=False)
     names = alt.Axis(labelLimit=260, labelExpr="narrow ? split(datum.label, ' (')[0] : datum.label")
     base = (
         alt.Chart(table)
@@ -53,7 +57,7 @@ def ladder(table: pd.DataFrame, deadline_ms: float, *, slow: float = 1.0) -> Any
     x = alt.X(
         "a:Q",
         title="step time [ms], log scale",
-        scale=alt.Scale(type="log", domain=[LOWEST_MS, high], clamp=True),
+        scale=log_scale(domain=[LOWEST_MS, high], clamp=True),
         axis=alt.Axis(
             values=[10.0**e for e in range(-3, 5)], format="~g", orient="top", labelOverlap="greedy"
         ),
@@ -62,14 +66,13 @@ def ladder(table: pd.DataFrame, deadline_ms: float, *, slow: float = 1.0) -> Any
         "outcome:N",
         scale=outcome_colour(),
         title="demand",
-        legend=alt.Legend(orient="bottom", columns=alt.ExprRef("narrow ? 2 : 4")),
+        legend=below(columns=alt.ExprRef("narrow ? 2 : 4")),
     )
-    pick = alt.selection_point(name="pick", fields=["id"], on="click", empty=False)
     tips = [
         alt.Tooltip("label:N", title="configuration"),
         alt.Tooltip("outcome:N", title="demand"),
         *(
-            alt.Tooltip(f"{name}:Q", title=f"{title} [ms]", format=".3~g")
+            tip(f"{name}:Q", f"{title} [ms]", 3)
             for name, title in (
                 ("a", "p50"),
                 ("c", "p99"),
@@ -81,6 +84,7 @@ def ladder(table: pd.DataFrame, deadline_ms: float, *, slow: float = 1.0) -> Any
     rows = base.mark_rule(strokeWidth=22, opacity=0.0).encode(
         x=alt.value(0), x2=alt.value("width"), tooltip=tips
     )
+    rows = rows.add_params(factor, narrow, pick)
     chosen = base.mark_rule(strokeWidth=22, color=ACCENT).encode(
         x=alt.value(0),
         x2=alt.value("width"),
@@ -109,14 +113,9 @@ def ladder(table: pd.DataFrame, deadline_ms: float, *, slow: float = 1.0) -> Any
         .mark_text(align="right", dx=-5, dy=4, baseline="top", color=INK, fontSize=12)
         .encode(x="deadline:Q", y=alt.value("height"), text="text:N")
     )
-    chart = (
-        alt.layer(rows, chosen, calling, whisker, line, bar, point, deadline, named)
-        .add_params(factor, narrow, pick)
-        .properties(width=560, height=alt.Step(22))
-        .resolve_scale(x="shared")
-    )
+    parts = (rows, chosen, calling, whisker, line, bar, point, deadline, named)
     return styled(
-        chart,
+        alt.layer(*parts, width=560, height=alt.Step(22)),
         "How close to the deadline",
         "Step times of each solver from median over p99 to the largest, against the deadline.",
     )

@@ -7,20 +7,19 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
-from dpbench.report.charts.style import MISSES, SOFT, styled
+from dpbench.report.charts.style import (
+    FILLS,
+    MEETS,
+    MISSES,
+    PALETTE,
+    alike,
+    limit_rule,
+    log_scale,
+    styled,
+    tip,
+)
 
 COLUMNS = ("name", "x", "y", "good")
-PALETTE = (
-    "#0072b2",
-    "#d55e00",
-    "#009e73",
-    "#cc79a7",
-    "#e69f00",
-    "#56b4e9",
-    "#7f7f7f",
-    "#8c510a",
-)
-"""Colour-blind safe (Okabe and Ito); a ninth line has the first colour with another dash."""
 
 
 def lines(
@@ -44,10 +43,10 @@ def lines(
         x=alt.X(
             "x:Q",
             title=x[0],
-            scale=alt.Scale(type="log", nice=False, padding=8),
+            scale=log_scale(nice=False, padding=8),
             axis=alt.Axis(format=x[1]),
         ),
-        y=alt.Y("y:Q", title=y[0], scale=alt.Scale(type="log"), axis=alt.Axis(format=y[1])),
+        y=alt.Y("y:Q", title=y[0], scale=log_scale(), axis=alt.Axis(format=y[1])),
         color=alt.Color(
             "name:N",
             title=None,
@@ -59,7 +58,7 @@ def lines(
         tooltip=[
             alt.Tooltip("name:N"),
             alt.Tooltip("x:Q", title=x[0]),
-            alt.Tooltip("y:Q", title=y[0], format=".4~g"),
+            tip("y:Q", y[0]),
         ],
     )
     joined = base.mark_line(strokeWidth=1.5).encode(
@@ -72,11 +71,8 @@ def lines(
     )
     layers = [joined, dots]
     if limit is not None:
-        rule = alt.Chart(pd.DataFrame({"limit": [limit]})).mark_rule(
-            color=MISSES, strokeDash=[4, 3]
-        )
-        layers.append(rule.encode(y="limit:Q"))
-    return styled(alt.layer(*layers).properties(width=520, height=330), title, title)
+        layers.append(limit_rule(limit))
+    return styled(alt.layer(*layers, width=520, height=330), title, title)
 
 
 def dots(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
@@ -87,19 +83,15 @@ def dots(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
     table : columns name, x and y, all positive.
     """
     low, high = 0.6 * table[["x", "y"]].min().min(), 1.6 * table[["x", "y"]].max().max()
-    scale = alt.Scale(type="log", domain=[low, high])
-    line = (
-        alt.Chart(pd.DataFrame({"x": [low, high], "y": [low, high]}))
-        .mark_line(color=SOFT, strokeDash=[4, 3])
-        .encode(x=alt.X("x:Q", title=x, scale=scale), y=alt.Y("y:Q", title=y, scale=scale))
-    )
+    scale = log_scale(domain=[low, high])
+    line = alike(low, high, alt.X("x:Q", title=x, scale=scale), alt.Y("y:Q", title=y, scale=scale))
     points = (
         alt.Chart(table)
         .mark_point(filled=True, size=70, color=PALETTE[0], opacity=1)
         .encode(x="x:Q", y="y:Q", tooltip=["name:N", "x:Q", "y:Q"])
     )
     names = points.mark_text(align="left", dx=8, fontSize=12).encode(text="name:N")
-    return styled(alt.layer(line, points, names).properties(width=330, height=260), title, title)
+    return styled(alt.layer(line, points, names, width=330, height=260), title, title)
 
 
 def tiles(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
@@ -120,11 +112,11 @@ def tiles(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
         tooltip=[alt.Tooltip("y:N", title=y), alt.Tooltip("x:N", title=x), alt.Tooltip("count:Q")],
     )
     squares = base.mark_rect(stroke="white").encode(
-        color=alt.condition("datum.count > 0", alt.value("#f9d8c4"), alt.value("#d7efe6"))
+        color=alt.condition("datum.count > 0", alt.value(FILLS[2]), alt.value(FILLS[0]))
     )
     numbers = base.mark_text(fontSize=12).encode(
         text="count:Q",
-        color=alt.condition("datum.count > 0", alt.value(MISSES), alt.value("#1b7f5c")),
+        color=alt.condition("datum.count > 0", alt.value(MISSES), alt.value(MEETS)),
     )
-    chart = alt.layer(squares, numbers).properties(width=alt.Step(44), height=alt.Step(20))
+    chart = alt.layer(squares, numbers, width=alt.Step(44), height=alt.Step(20))
     return styled(chart, title, title)

@@ -7,13 +7,19 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
-from dpbench.report.charts.style import ACCENT, INK, MEETS, MISSES, NOT_RUN, OPEN, styled
+from dpbench.report.charts.style import (
+    ACCENT,
+    FILLS,
+    INK,
+    OUTCOME_COLOURS,
+    OUTCOMES,
+    PAPER,
+    below,
+    styled,
+    tip,
+)
 
 COLUMNS = ("solver", "place", "settings", "state", "error", "failed", "id", "place_id", "detail")
-STATES = ("meets", "open", "misses", "not run")
-FILLS = ("#d7efe6", "#faeccc", "#f9d8c4", "#eef1f4")
-INKS = (MEETS, OPEN, MISSES, NOT_RUN)
-PAPER = "#ffffff"
 MARKS = ("✓", "?", "✕", "–")
 
 
@@ -30,7 +36,8 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     """
     solvers, places = table["solver"].unique().tolist(), table["place"].unique().tolist()
     levels = table["settings"].unique().tolist()
-    signs, inks = dict(zip(STATES, MARKS, strict=True)), dict(zip(STATES, INKS, strict=True))
+    signs = dict(zip(OUTCOMES, MARKS, strict=True))
+    inks = dict(zip(OUTCOMES, OUTCOME_COLOURS, strict=True))
     table = table.assign(sign=table["state"].map(signs), ink=table["state"].map(inks))
     pick = alt.selection_point(name="pick", fields=["id", "place_id"], on="click", empty=False)
     x = alt.X(
@@ -45,7 +52,7 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
         alt.Tooltip("settings:N"),
         alt.Tooltip("place:N", title="in"),
         alt.Tooltip("state:N", title="demand"),
-        alt.Tooltip("error:Q", title="largest error_move", format=".2~g"),
+        tip("error:Q", "largest error_move", 2),
         alt.Tooltip("failed:Q", title="failed steps"),
         alt.Tooltip("detail:N", title="why"),
     ]
@@ -53,9 +60,9 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     tiles = base.mark_rect(strokeWidth=1.5).encode(
         color=alt.Color(
             "state:N",
-            scale=alt.Scale(domain=list(STATES), range=list(FILLS)),
+            scale=alt.Scale(domain=list(OUTCOMES), range=list(FILLS)),
             title="demand",
-            legend=alt.Legend(orient="bottom", symbolType="square"),
+            legend=below(symbolType="square"),
         ),
         stroke=alt.condition(pick, alt.value(ACCENT), alt.value(PAPER)),
         strokeWidth=alt.condition(pick, alt.value(3), alt.value(1.5)),
@@ -72,8 +79,8 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
         labelOrient="top",
         labelAngle=0,
     )
-    placed = alt.layer(tiles, text, data=table).add_params(pick)
-    placed = placed.properties(width=alt.Step(30), height=alt.Step(22))
+    tiles = tiles.add_params(pick)
+    placed = alt.layer(tiles, text, data=table, width=alt.Step(30), height=alt.Step(22))
     chart = (
         placed.facet(row=alt.Row("settings:N", sort=levels, title=None, header=header), spacing=14)
         if stacked

@@ -7,7 +7,7 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
-from dpbench.report.charts.style import ACCENT, SOFT, styled
+from dpbench.report.charts.style import ACCENT, SOFT, log_scale, styled, tip
 
 COLUMNS = ("k", "a_us", "b_us", "sequence")
 
@@ -24,7 +24,7 @@ def pairs(table: pd.DataFrame, first: str, second: str) -> Any:
         name="pairs",
         values=[dict(zip(COLUMNS, row, strict=True)) for row in table[list(COLUMNS)].to_numpy()],
     )
-    scale = alt.Scale(type="log", nice=False, padding=6)
+    scale = log_scale(nice=False, padding=6)
     dots = (
         alt.Chart(data)
         .mark_circle(size=14, opacity=0.5, color=ACCENT)
@@ -34,8 +34,8 @@ def pairs(table: pd.DataFrame, first: str, second: str) -> Any:
             tooltip=[
                 alt.Tooltip("sequence:N"),
                 alt.Tooltip("k:Q"),
-                alt.Tooltip("a_us:Q", format=".4~g"),
-                alt.Tooltip("b_us:Q", format=".4~g"),
+                tip("a_us:Q"),
+                tip("b_us:Q"),
             ],
         )
     )
@@ -47,9 +47,8 @@ def pairs(table: pd.DataFrame, first: str, second: str) -> Any:
         .mark_line(color=SOFT, strokeDash=[4, 3])
         .encode(x="at:Q", y="at:Q")
     )
-    chart = alt.layer(dots, ends).properties(width=330, height=330)
     return styled(
-        chart,
+        alt.layer(dots, ends, width=330, height=330),
         "Two configurations, step by step [µs]",
         "Step times of two configurations against each other; below the line the second is faster.",
     )

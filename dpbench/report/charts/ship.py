@@ -10,12 +10,11 @@ import altair as alt
 import numpy as np
 import pandas as pd
 
-from dpbench.report.charts.style import INK, SOFT, styled
+from dpbench.report.charts.style import INK, PALETTE, SOFT, below, log_scale, styled
 from dpbench.scenario.scenario import Scenario
 
 CIRCLE_M = 1.0
 """Radius of the paper's precision circle."""
-COLOURS = ("#0072b2", "#d55e00")
 AXES = (
     ("surge", "x", "N", 1e3, "kN"),
     ("sway", "y", "N", 1e3, "kN"),
@@ -80,11 +79,11 @@ def path(laws: Sequence[Law], scenario: Scenario) -> Any:
                 "what:N",
                 title=None,
                 scale=alt.Scale(domain=["start", "reference"], range=["circle", "cross"]),
-                legend=alt.Legend(orient="bottom"),
+                legend=below(),
             ),
         )
     )
-    chart = alt.layer(ring, lines, marks).properties(width=360, height=360)
+    chart = alt.layer(ring, lines, marks, width=360, height=360)
     return styled(chart, "Path of the ship", "Path of the ship under each control law.")
 
 
@@ -160,7 +159,7 @@ def _tables(laws: Sequence[Law], value: Any) -> pd.DataFrame:
 
 
 def _lines(table: pd.DataFrame, laws: Sequence[Law], title: str, *, log: bool = False) -> Any:
-    scale = alt.Scale(type="log") if log else alt.Scale()
+    scale = log_scale() if log else alt.Scale()
     return (
         alt.Chart(table)
         .mark_line(strokeWidth=1.3, interpolate="step-after")
@@ -184,15 +183,16 @@ def _limits(values: Sequence[float]) -> Any:
 
 def _stack(panels: Sequence[Any]) -> Any:
     """Panels above each other on one time axis, which the last one names."""
-    return alt.vconcat(*panels, spacing=4, title=alt.Undefined).resolve_scale(x="shared")
+    shared = alt.Resolve(scale=alt.ScaleResolveMap(x="shared"))
+    return alt.vconcat(*panels, spacing=4, resolve=shared)
 
 
 def _law(laws: Sequence[Law]) -> alt.Color:
     return alt.Color(
         "law:N",
         title=None,
-        scale=alt.Scale(domain=[law.label for law in laws], range=list(COLOURS[: len(laws)])),
-        legend=alt.Legend(orient="bottom", labelLimit=260),
+        scale=alt.Scale(domain=[law.label for law in laws], range=list(PALETTE[: len(laws)])),
+        legend=below(labelLimit=260),
     )
 
 

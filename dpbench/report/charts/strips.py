@@ -7,11 +7,22 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
-from dpbench.report.charts.style import ACCENT, INK, LINE, MISSES, SOFT, styled
+from dpbench.report.charts.style import (
+    ACCENT,
+    INK,
+    LINE,
+    MISSES,
+    PALETTE,
+    SOFT,
+    below,
+    limit_rule,
+    log_scale,
+    styled,
+    tip,
+)
 
 COLUMNS = ("k", "time_us", "raw_us", "error", "iterations", "active", "failed")
 FORCES = ("surge", "sway", "yaw")
-FORCE_COLOURS = ("#0072b2", "#d55e00", "#009e73")
 _WIDTH = 620
 
 
@@ -25,27 +36,26 @@ def strips(table: pd.DataFrame, forces: pd.DataFrame, demand_error: float) -> An
     demand_error : what the error of the first move may be.
     """
     at = alt.param(name="at", value=-1)
-    steps, tau = (
-        alt.InlineData(name="steps", values=_rows(table)),
-        alt.InlineData(name="forces", values=_rows(forces)),
-    )
-    panels = [
-        _time(steps),
-        _error(steps, demand_error),
-        _iterations(steps),
-        _forces(tau),
-    ]
+    steps = alt.InlineData(name="steps", values=_rows(table))
+    tau = alt.InlineData(name="forces", values=_rows(forces))
     rule = (
         alt.Chart(alt.InlineData(values=[{}]))
         .mark_rule(color=ACCENT, strokeWidth=1.5)
         .transform_calculate(at="at")
         .transform_filter("datum.at >= 0")
         .encode(x="at:Q")
-    )
-    chart = (
-        alt.vconcat(*(alt.layer(panel, rule) for panel in panels), spacing=6)
         .add_params(at)
-        .resolve_scale(x="shared")
+    )
+    panels = (
+        (110, _time(steps)),
+        (90, _error(steps, demand_error)),
+        (80, _iterations(steps)),
+        (90, _forces(tau)),
+    )
+    chart = alt.vconcat(
+        *(alt.layer(*parts, rule, height=height, width=_WIDTH) for height, parts in panels),
+        spacing=6,
+        resolve=alt.Resolve(scale=alt.ScaleResolveMap(x="shared")),
     )
     return styled(
         chart,
@@ -66,37 +76,37 @@ def _x(*, last: bool = False) -> alt.X:
     return alt.X("k:Q", axis=axis, scale=alt.Scale(nice=False, zero=False))
 
 
-def _time(steps: alt.InlineData) -> Any:
-    base = alt.Chart(steps, height=110, width=_WIDTH).encode(
+def _time(steps: alt.InlineData) -> tuple[Any, ...]:
+    base = alt.Chart(steps).encode(
         x=_x(),
         tooltip=[
             alt.Tooltip("k:Q"),
-            alt.Tooltip("time_us:Q", title="step time [µs]", format=".4~g"),
-            alt.Tooltip("raw_us:Q", title="largest sample [µs]", format=".4~g"),
+            tip("time_us:Q", "step time [µs]"),
+            tip("raw_us:Q", "largest sample [µs]"),
         ],
     )
-    y = alt.Y("time_us:Q", title="time [µs]", scale=alt.Scale(type="log", nice=False))
+    y = alt.Y("time_us:Q", title="time [µs]", scale=log_scale(nice=False))
     span = base.mark_rule(color=LINE, strokeWidth=1).encode(y=y, y2="raw_us:Q")
-    return alt.layer(span, base.mark_circle(size=9, opacity=0.9, color=ACCENT).encode(y=y))
+    return span, base.mark_circle(size=9, opacity=0.9, color=ACCENT).encode(y=y)
 
 
-def _error(steps: alt.InlineData, demand_error: float) -> Any:
+def _error(steps: alt.InlineData, demand_error: float) -> tuple[Any, ...]:
     floor = 1e-16
     base = (
-        alt.Chart(steps, height=90, width=_WIDTH)
+        alt.Chart(steps)
         .transform_calculate(shown=f"datum.error === null ? null : max(datum.error, {floor})")
         .encode(
             x=_x(),
             tooltip=[
                 alt.Tooltip("k:Q"),
-                alt.Tooltip("error:Q", title="error of the first move", format=".2~g"),
+                tip("error:Q", "error of the first move", 2),
             ],
         )
     )
     y = alt.Y(
         "shown:Q",
         title="error_move",
-        scale=alt.Scale(type="log", domainMax=10.0, clamp=True, nice=False),
+        scale=log_scale(domainMax=10.0, clamp=True, nice=False),
         axis=alt.Axis(format=".0e", tickCount=5),
     )
     dots = base.mark_circle(size=9, opacity=0.9).encode(
@@ -104,30 +114,23 @@ def _error(steps: alt.InlineData, demand_error: float) -> Any:
         color=alt.condition("datum.failed", alt.value(MISSES), alt.value(SOFT)),
         size=alt.condition("datum.failed", alt.value(40), alt.value(9)),
     )
-    limit = (
-        alt.Chart(alt.InlineData(values=[{"demand": demand_error}]))
-        .mark_rule(color=MISSES, strokeDash=[4, 3])
-        .encode(y="demand:Q")
-    )
-    return alt.layer(dots, limit)
+    return dots, limit_rule(demand_error)
 
 
-def _iterations(steps: alt.InlineData) -> Any:
-    base = alt.Chart(steps, height=80, width=_WIDTH).encode(
+def _iterations(steps: alt.InlineData) -> tuple[Any, ...]:
+    base = alt.Chart(steps).encode(
         x=_x(),
         tooltip=[alt.Tooltip("k:Q"), alt.Tooltip("iterations:Q"), alt.Tooltip("active:Q")],
     )
     area = base.mark_area(color=LINE, opacity=0.8, interpolate="step").encode(
         y=alt.Y("active:Q", title="iterations, active")
     )
-    return alt.layer(
-        area, base.mark_circle(size=9, color=INK, opacity=0.9).encode(y="iterations:Q")
-    )
+    return area, base.mark_circle(size=9, color=INK, opacity=0.9).encode(y="iterations:Q")
 
 
-def _forces(forces: alt.InlineData) -> Any:
-    base = alt.Chart(forces, height=90, width=_WIDTH).encode(x=_x(last=True))
-    return base.mark_line(strokeWidth=1.3, interpolate="step-after").encode(
+def _forces(forces: alt.InlineData) -> tuple[Any, ...]:
+    base = alt.Chart(forces).encode(x=_x(last=True))
+    line = base.mark_line(strokeWidth=1.3, interpolate="step-after").encode(
         y=alt.Y(
             "share:Q",
             title="force / limit",
@@ -136,8 +139,9 @@ def _forces(forces: alt.InlineData) -> Any:
         ),
         color=alt.Color(
             "force:N",
-            scale=alt.Scale(domain=list(FORCES), range=list(FORCE_COLOURS)),
+            scale=alt.Scale(domain=list(FORCES), range=list(PALETTE[:3])),
             title=None,
-            legend=alt.Legend(orient="bottom"),
+            legend=below(),
         ),
     )
+    return (line,)

@@ -9,7 +9,7 @@ import pandas as pd
 from markupsafe import Markup
 
 from dpbench.report.charts.compared import COLUMNS, both, ratios
-from dpbench.report.charts.style import svg
+from dpbench.report.charts.render import svg
 from dpbench.report.compare.comparison import Comparison
 from dpbench.report.page.write import environment, follow, own
 

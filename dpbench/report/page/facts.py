@@ -113,7 +113,7 @@ class Facts:
     @cached_property
     def steps(self) -> dict[str, RunSteps]:
         """Every run that left a counting step, by its id."""
-        return dict(run_steps(self.records.table))
+        return dict(run_steps(self.records.counting))
 
     def _judged(self, configuration: Configuration, run: RunRecord) -> Verdict:
         place = "", ""

@@ -6,6 +6,7 @@ solved loop most closely: most ships sail the same line to a millimetre, and zer
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -66,10 +67,11 @@ def pack_steps(block: Block, run: RunSteps) -> dict[str, int]:
 def track_of(steps: pd.DataFrame, limits: Floats) -> Track:
     """The track of a closed loop from its rows; `limits` (3,) of the forces [N, N, N·m]."""
     every = max(1, -(-len(steps) // MOST_POINTS))
-    thin = steps.iloc[::every]
-    position = thin[list(TRACK)].to_numpy(dtype=np.float64)
-    force = thin[list(FORCES)].to_numpy(dtype=np.float64) / limits
-    return Track(every, position, force)
+
+    def thin(names: Iterable[str]) -> Floats:
+        return np.column_stack([steps[n].to_numpy(dtype=np.float64)[::every] for n in names])
+
+    return Track(every, thin(TRACK), thin(FORCES) / limits)
 
 
 def pack_track(block: Block, track: Track, reference: Track | None) -> dict[str, Any]:

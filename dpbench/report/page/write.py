@@ -25,20 +25,22 @@ from dpbench.analysis.times.work_precision import (
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.charts.accuracy import accuracy
 from dpbench.report.charts.ladder import ladder
-from dpbench.report.charts.matrix import FILLS, PAPER, matrix
+from dpbench.report.charts.matrix import matrix
 from dpbench.report.charts.pairs import COLUMNS as PAIR_COLUMNS
 from dpbench.report.charts.pairs import pairs
+from dpbench.report.charts.render import svg, vega
 from dpbench.report.charts.strips import COLUMNS as STRIP_COLUMNS
 from dpbench.report.charts.strips import strips
 from dpbench.report.charts.style import (
     ACCENT,
     FAMILY_COLOURS,
+    FILLS,
+    GRID,
     INK,
     LINE,
     OUTCOME_COLOURS,
+    PAPER,
     SOFT,
-    svg,
-    vega,
 )
 from dpbench.report.page.answer import Answer
 from dpbench.report.page.facts import Facts, columns_of, number
@@ -60,7 +62,7 @@ VARIABLES = {
     INK: "var(--ink)",
     SOFT: "var(--soft)",
     LINE: "var(--line)",
-    "#e7ebef": "var(--grid)",
+    GRID: "var(--grid)",
     PAPER: "var(--paper)",
     ACCENT: "var(--accent)",
     **dict(zip(OUTCOME_COLOURS, _STATES, strict=True)),

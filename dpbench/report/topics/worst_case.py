@@ -19,7 +19,7 @@ def worst_case_topic(records: Records) -> Topic | None:
     k = asked.get("step")
     if k is None:
         return None
-    steps = dict(run_steps(records.table))
+    steps = dict(run_steps(records.counting))
     here = [(run, steps[run.run_id]) for run in records.runs if run.run_id in steps]
     rows = [row for run, of_run in here if (row := _row(run, of_run, k)) is not None]
     if not rows:

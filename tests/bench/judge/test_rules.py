@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from dpbench.analysis.counting_rows import counting_of
 from dpbench.analysis.step_times import step_times_of
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
 from dpbench.bench.judge.replay import evaluate_sequence
@@ -77,7 +78,7 @@ def test_the_run_counts_the_rounds_that_the_report_counts(
     """Never the warm-up, no disturbed round; where all are disturbed, all but the warm-up, and it
     is said."""
     steps, run = _tables(_judged(_log([SLOWED if r in slowed else CALM for r in range(4)])))
-    shown = step_times_of(steps)
+    shown = step_times_of(counting_of(steps))
     assert shown is not None
     assert (run["rounds"], shown.rounds) == (rounds, rounds)
     assert run["raw_samples"] == len(shown.raw_ns) == rounds * STEPS
@@ -90,7 +91,7 @@ def test_a_replay_that_ended_in_its_warm_up_has_no_figures() -> None:
     log = _log([CALM] * 4)
     log.done[1:] = 0
     steps, run = _tables(_judged(log))
-    assert len(steps) == WARM_UP_STEPS and step_times_of(steps) is None
+    assert len(steps) == WARM_UP_STEPS and step_times_of(counting_of(steps)) is None
     assert run["steps_done"] == 0
     assert pd.isna(run["raw_samples"]) and np.isnan(run["error_move_max"])
 
@@ -140,7 +141,7 @@ def test_a_step_undecided_at_rounding_is_charged_to_nobody(status: Status) -> No
     assert (run["uncertified"], run["undecided_steps"]) == (0, 12)
     assert (run["claimed_not_true"], run["true_not_claimed"], run["failed_steps"]) == (0, 0, 0)
     assert run["true_share"] == 1.0 and run["error_move_max"] == 0.0 and run["primal_max"] == 0.0
-    times = step_times_of(steps)
+    times = step_times_of(counting_of(steps))
     assert times is not None and times.true.all() and not times.error.any()
     worst = worst_of(evaluated, "error")
     assert worst is not None and worst.objective == 0.0

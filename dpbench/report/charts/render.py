@@ -1,0 +1,111 @@
+"""The ways out of a figure: Vega for a page, SVG, PDF and PNG, without a browser."""
+
+from __future__ import annotations
+
+import json
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import Any
+
+import altair as alt
+import vl_convert as vlc
+
+from dpbench.report.charts.style import FONT, NAMES
+
+FORMATS = ("svg", "pdf", "png")
+
+
+class _Same:
+    """A chart as a key: it is itself and like no other."""
+
+    def __init__(self, chart: Any) -> None:
+        self.chart = chart
+
+    def __hash__(self) -> int:
+        return id(self.chart)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and other.chart is self.chart
+
+
+def vega(chart: Any) -> dict[str, Any]:
+    """The specification compiled to Vega, which a page needs the smaller library for; without the
+    title, which stands above it there."""
+    compiled: dict[str, Any] = json.loads(_compiled(_Same(chart)))
+    return {name: value for name, value in compiled.items() if name != "title"}
+
+
+def svg(chart: Any, *, titled: bool = True) -> str:
+    """The figure as SVG with real text."""
+    return _drawn(_compiled(_Same(chart)) if titled else json.dumps(vega(chart)))
+
+
+@lru_cache(maxsize=64)
+def _compiled(chart: _Same) -> str:
+    """The specification as Vega, where names keep clear of each other: Vega-Lite cannot say so.
+
+    Kept, since a figure is asked for as a file, as a picture on the page and for the browser.
+    """
+    simple = json.dumps(_json(chart.chart))
+    specification: dict[str, Any] = vlc.vegalite_to_vega(simple, vl_version=_version())
+    marks = specification["marks"]
+    if any(mark.get("name") == f"{NAMES}_marks" for mark in marks):
+        marks.append(_names())
+    return json.dumps(specification)
+
+
+@lru_cache(maxsize=64)
+def _drawn(specification: str) -> str:
+    return vlc.vega_to_svg(specification)
+
+
+def _names() -> dict[str, Any]:
+    """Names of the points of the layer `NAMES`."""
+    place = {
+        "type": "label",
+        "size": {"signal": "[width, height]"},
+        "anchor": ["right", "left", "top", "bottom"],
+        "offset": [3],
+        # Keeping off the points takes a canvas, which only a browser has.
+        "avoidBaseMark": False,
+    }
+    look = {
+        "text": {"field": "datum.solver"},
+        "fill": {"field": "fill"},
+        "font": {"value": FONT},
+        "fontSize": {"value": 12},
+    }
+    return {
+        "type": "text",
+        "from": {"data": f"{NAMES}_marks"},
+        "encode": {"update": look},
+        "interactive": False,
+        "transform": [place],
+    }
+
+
+def save(chart: Any, path: Path) -> Path:
+    """Write the figure in the format that the name of the file ends with."""
+    kind = path.suffix.lstrip(".")
+    if kind == "svg":
+        path.write_text(svg(chart), encoding="utf-8")
+    elif kind == "pdf":
+        path.write_bytes(vlc.vega_to_pdf(_compiled(_Same(chart))))
+    else:
+        path.write_bytes(vlc.vega_to_png(_compiled(_Same(chart)), scale=2))
+    return path
+
+
+def _json(chart: Any) -> dict[str, Any]:
+    # The tests validate every figure against the grammar, which takes longer than drawing it.
+    with alt.data_transformers.enable("default", max_rows=None):
+        specification: dict[str, Any] = chart.to_dict(validate=False)
+    return specification
+
+
+@cache
+def _version() -> str:
+    """The newest version of the grammar that the compiler has, up to that of the charts."""
+    wanted = ".".join(alt.SCHEMA_VERSION.lstrip("v").split(".")[:2])
+    known = list(vlc.get_vegalite_versions())
+    return wanted if wanted in known else max(known, key=lambda v: [int(x) for x in v.split(".")])
