@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import altair as alt
@@ -21,6 +22,8 @@ AXES = (
     ("yaw", "n", "Nm", 1e6, "MN·m"),
 )
 _WIDTH = 430
+MOST = 2000
+"""So many points of a run a figure draws: four and more a pixel."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,12 +41,13 @@ def path(laws: Sequence[Law], scenario: Scenario) -> Any:
             pd.DataFrame(
                 {
                     "law": law.label,
-                    "i": range(len(law.steps)),
-                    "n": law.steps["n_m"],
-                    "e": law.steps["e_m"],
+                    "i": range(len(thin)),
+                    "n": thin["n_m"],
+                    "e": thin["e_m"],
                 }
             )
             for law in laws
+            for thin in [law.steps.iloc[:: len(law.steps) // MOST + 1]]
         ]
     )
     north, east = (float(x) for x in scenario.reference[:2])
@@ -150,12 +154,27 @@ def _force(
 
 
 def _tables(laws: Sequence[Law], value: Any) -> pd.DataFrame:
-    return pd.concat(
-        [
-            pd.DataFrame({"law": law.label, "t": law.steps["t_s"].to_numpy(), "value": value(law)})
-            for law in laws
-        ]
-    )
+    tables = []
+    for law in laws:
+        values, t = np.asarray(value(law), dtype=np.float64), law.steps["t_s"].to_numpy()
+        shown = extremes(values)
+        tables.append(pd.DataFrame({"law": law.label, "t": t[shown], "value": values[shown]}))
+    return pd.concat(tables)
+
+
+def extremes(values: np.ndarray, most: int = MOST) -> np.ndarray:
+    """(M,) places of the values to draw, rising: all, or of equal parts the least and largest.
+
+    No more than `most`, of which a line of a few hundred pixels shows no difference.
+    """
+    if len(values) <= most:
+        return np.arange(len(values))
+    edges = np.linspace(0, len(values), most // 2 + 1).astype(np.int64)
+    known = np.nan_to_num(values)
+    places = [
+        a + extreme(known[a:b]) for a, b in pairwise(edges) for extreme in (np.argmin, np.argmax)
+    ]
+    return np.unique(places)
 
 
 def _lines(table: pd.DataFrame, laws: Sequence[Law], title: str, *, log: bool = False) -> Any:

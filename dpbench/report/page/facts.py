@@ -25,7 +25,7 @@ from dpbench.analysis.slowdown import survived
 from dpbench.analysis.verdict import Verdict, Verdicts, verdict_of
 from dpbench.bench.record.configuration import Configuration, settings_level
 from dpbench.report.page.pack import Block
-from dpbench.report.page.steps import Track, pack_steps, pack_track, track_of
+from dpbench.report.page.steps import Room, Track, pack_steps, pack_track, track_of
 
 
 @dataclass(frozen=True)
@@ -140,14 +140,15 @@ class Facts:
     def cells(self) -> Iterator[dict[str, Any]]:
         """Every run with its packed steps and hardest steps."""
         references: dict[int, Track] = {}
+        room = Room.of([len(steps.k) for steps in self.steps.values()])
         order = sorted(self.runs, key=lambda key: (key[1], self._deviation(self.runs[key])))
         for c, p in order:
             run = self.runs[c, p]
             entry, steps = self._cell(c, p, run), self.steps.get(run.run_id)
             if steps is not None:
-                entry |= pack_steps(self.block, steps) | {"hard": _hard(steps)}
+                entry |= pack_steps(self.block, steps, room.steps) | {"hard": _hard(steps)}
                 if run.mode == "closed_loop" and (limits := self._limits(run)) is not None:
-                    track = track_of(self.records.steps(run), limits)
+                    track = track_of(self.records.steps(run), limits, room.points)
                     entry |= pack_track(self.block, track, references.get(p))
                     entry["reference"] = p not in references
                     references.setdefault(p, track)

@@ -30,6 +30,8 @@ SMALLEST = 1e-16
 MISSING, ZERO, INFINITE = 0, 1, 65535
 """Codes of a `log` array; of a `count` array the last is missing."""
 GAP = -32768
+LEVEL = 6
+"""Of zlib; the highest saves 1.5 % more in three times the time."""
 
 
 class Block:
@@ -77,7 +79,7 @@ class Block:
             allow_nan=False,
         ).encode()
         raw = struct.pack("<I", len(head)) + head + b"".join(self._parts)
-        return base64.b64encode(zlib.compress(raw, 9)).decode("ascii")
+        return base64.b64encode(zlib.compress(raw, LEVEL)).decode("ascii")
 
 
 def log_codes(values: ArrayLike) -> NDArray[np.uint16]:

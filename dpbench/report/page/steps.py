@@ -6,15 +6,15 @@ solved loop most closely: most ships sail the same line to a millimetre, and zer
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from dpbench.analysis.run_steps import RunSteps
+from dpbench.analysis.counting_rows import Flags, Floats, Ints
+from dpbench.analysis.run_steps import MEASURES, RunSteps, hardest
 from dpbench.report.page.pack import Block
 
 TRACK = {"n_m": 1e-3, "e_m": 1e-3, "psi_rad": 1e-4}
@@ -22,11 +22,14 @@ TRACK = {"n_m": 1e-3, "e_m": 1e-3, "psi_rad": 1e-4}
 FORCES = ("tau_x_N", "tau_y_N", "tau_n_Nm")
 FORCE_SHARE = 1e-3
 """What is told apart of a force, as a share of its limit."""
-MOST_POINTS = 400
-"""Points of a track; a longer run is thinned to so many."""
 FLAGS = ("claimed", "true", "failed", "late", "fallback", "clipped")
-"""Bits of a step's flag, the lowest first."""
-Floats = NDArray[np.float64]
+"""Bits of a step's flag, the lowest first; the one above them marks a step that a thinned run keeps
+only since it is a hard one, so that it stands in no mean."""
+MOST_STEPS, MOST_POINTS = 480_000, 240_000
+"""So many steps and points of tracks the page has room for, all runs together."""
+MOST_POINTS_EACH = 400
+WORST = 200
+"""So many hard steps of a thinned run are kept, at most a third of what is kept of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,18 +41,63 @@ class Track:
     force: Floats
 
 
-def pack_steps(block: Block, run: RunSteps) -> dict[str, int]:
-    """The steps of a run, as numbers of arrays in `block`, element 0 for step `first`."""
+@dataclass(frozen=True)
+class Room:
+    """How much of one run the page has room for: steps, and points of its track."""
+
+    steps: int
+    points: int
+
+    @classmethod
+    def of(cls, lengths: Sequence[int]) -> Room:
+        """The room when runs of these lengths share the page; short ones stay whole."""
+        return cls(_share(lengths, MOST_STEPS), min(MOST_POINTS_EACH, _share(lengths, MOST_POINTS)))
+
+
+def _share(lengths: Sequence[int], most: int) -> int:
+    """The largest number at which as much of each length adds up to `most`, or less."""
+    shortest_first, rest = sorted(lengths), most
+    for i, length in enumerate(shortest_first):
+        share = rest // (len(shortest_first) - i)
+        if length > share:
+            return max(1, share)
+        rest -= length
+    return max(shortest_first, default=1)
+
+
+def kept(run: RunSteps, most: int) -> tuple[Ints, Flags]:
+    """Which steps of a run are kept, about `most`, rising; and which of them for being hard alone.
+
+    Of a longer run every so manieth stays, and of the rest the hardest by each measure.
+    """
+    count = len(run.k)
+    if count <= most:
+        return np.arange(count), np.zeros(count, dtype=np.bool_)
+    worst = min(WORST, most // 3)
+    each = max(1, worst // len(MEASURES))
+    regular = np.arange(0, count, -(-count // max(1, most - worst)))
+    hard = [step.at for measure in MEASURES for step in hardest(run, measure, each)]
+    both = np.union1d(regular, np.array(hard, dtype=np.int64))
+    return both, ~np.isin(both, regular)
+
+
+def pack_steps(block: Block, run: RunSteps, most: int) -> dict[str, int]:
+    """The steps of a run, as numbers of arrays in `block`, element 0 for step `first`.
+
+    A run of more than `most` steps is thinned, see `kept`; what is left out packs to nothing.
+    """
     first, count = int(run.k[0]), int(run.k[-1] - run.k[0]) + 1
+    chosen, extra = kept(run, most)
 
     def spread(values: Floats) -> Floats:
         out = np.full(count, np.nan)
-        out[run.k - first] = values
+        out[run.k[chosen] - first] = values[chosen]
         return out
 
     bits = np.zeros(count, dtype=np.int64)
-    bits[run.k - first] = sum(
-        (1 << bit) * getattr(run, name).astype(np.int64) for bit, name in enumerate(FLAGS)
+    bits[run.k[chosen] - first] = extra.astype(np.int64) << len(FLAGS)
+    bits[run.k[chosen] - first] += sum(
+        (1 << bit) * getattr(run, name)[chosen].astype(np.int64) for bit, name in enumerate(FLAGS)
     )
     entry = {
         "first": first,
@@ -64,9 +112,10 @@ def pack_steps(block: Block, run: RunSteps) -> dict[str, int]:
     return entry
 
 
-def track_of(steps: pd.DataFrame, limits: Floats) -> Track:
-    """The track of a closed loop from its rows; `limits` (3,) of the forces [N, N, N·m]."""
-    every = max(1, -(-len(steps) // MOST_POINTS))
+def track_of(steps: pd.DataFrame, limits: Floats, most: int) -> Track:
+    """The track of a closed loop from its rows, at most `most` points; `limits` (3,) of the forces
+    [N, N, N·m]."""
+    every = max(1, -(-len(steps) // most))
 
     def thin(names: Iterable[str]) -> Floats:
         return np.column_stack([steps[n].to_numpy(dtype=np.float64)[::every] for n in names])
