@@ -22,7 +22,8 @@ from dpbench.bench.plan.suite import SuiteFile, load_suite, naming, sequence_sui
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.machine import describe_machine
-from dpbench.bench.record.result_folder import Results, claimed, write_results
+from dpbench.bench.record.result_folder import Results, claimed, read_json, write_results
+from dpbench.bench.record.revision import Revision, revision, revisions
 from dpbench.bench.sequences.recording import read_sequence
 from dpbench.bench.sequences.source import is_random, is_sound, source_key
 from dpbench.bench.tabulate import tabulate
@@ -135,12 +136,21 @@ class Campaign:
             if became == "lost":
                 self._store.finish(job, job.outcome)
 
+    def _earlier_revisions(self) -> list[Revision]:
+        """Those of the cells that an interrupted campaign left in the folder."""
+        previous = self._out / "suite.json"
+        if self._fresh or not previous.is_file():
+            return []
+        earlier: list[Revision] = read_json(previous).get("revisions", [])
+        return earlier
+
     def _write(self, started: datetime, wall_s: float, remarks: Sequence[str]) -> None:
         runs, steps = tabulate(self.work, self._store, self.machine["id"])
         suite: dict[str, Any] = {
             "name": self._name,
             **self._suite.model_dump(),
             "harness_version": HARNESS_VERSION,
+            "revisions": revisions(self._earlier_revisions(), revision()),
             "started_utc": started.isoformat(timespec="seconds"),
             "wall_s": round(wall_s, 1),
             **_accidents(runs, remarks),

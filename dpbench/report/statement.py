@@ -18,6 +18,7 @@ import vl_convert as vlc
 from dpbench.analysis.times.fastest import recommend
 from dpbench.analysis.verdict import Verdict
 from dpbench.bench.record.result_folder import Results
+from dpbench.bench.record.revision import revision_text
 from dpbench.errors import InputError
 from dpbench.report.charts.style import INK, LINE, SOFT
 from dpbench.report.formats import error_text, plural, rounded_down, time_text
@@ -79,11 +80,7 @@ def _lines(folder: Path, results: Results, facts: Facts, chosen: Verdict) -> lis
     version = _version(results, c.solver)
     return [
         Line("QP solver for the model predictive controller of a DP vessel", 15, bold=True),
-        Line(
-            f"Statement on measured results, dpbench {results.suite.get('harness_version', '')}",
-            10,
-            colour=SOFT,
-        ),
+        Line(f"Statement on measured results, {_made_by(results)}", 10, colour=SOFT),
         *_section("Recommended"),
         Line(
             f"Solver {c.solver} {version}, route {c.route}, policy {c.policy}, settings "
@@ -125,6 +122,12 @@ def _lines(folder: Path, results: Results, facts: Facts, chosen: Verdict) -> lis
             8.5,
         ),
     ]
+
+
+def _made_by(results: Results) -> str:
+    """Version and commits of the dpbench that made the run."""
+    version = f"dpbench {results.suite.get('harness_version', '')}"
+    return ", ".join(filter(None, (version, revision_text(results.suite))))
 
 
 def _section(title: str) -> list[Line]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -98,6 +99,16 @@ def test_it_names_where_it_holds_and_what_is_not_covered(drawn: str, written: An
         if facts.state(facts.index(first), p) == "meets":
             assert place.label in text
     assert "Not covered" in text and "Other vessels" in text
+
+
+def test_it_names_the_commit_where_the_record_has_one(written: Any) -> None:
+    """An older folder says its version alone."""
+    results, facts = written.results, written.report.facts
+    old = statement_svg(written.folder, results, facts)
+    suite = results.suite | {"revisions": [{"commit": "c0ffee" * 6, "clean": False}]}
+    new = statement_svg(written.folder, replace(results, suite=suite), facts)
+    assert "commit" not in old
+    assert "commit c0ffeec0ffee with changes" in new
 
 
 def test_it_fits_a_page(drawn: str) -> None:

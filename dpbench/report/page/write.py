@@ -23,6 +23,7 @@ from dpbench.analysis.times.work_precision import (
     native_route_levels,
 )
 from dpbench.bench.record.result_folder import Results
+from dpbench.bench.record.revision import revision_text
 from dpbench.report.charts.accuracy import accuracy
 from dpbench.report.charts.ladder import ladder
 from dpbench.report.charts.matrix import matrix
@@ -327,8 +328,9 @@ def _files(folder: Path) -> list[dict[str, str]]:
 
 def _footer(results: Results) -> str:
     versions = results.machine.get("versions", {})
+    commit = revision_text(results.suite)
     return (
-        f"dpbench {results.suite.get('harness_version', '')}, run "
+        f"dpbench {results.suite.get('harness_version', '')}{f', {commit}' if commit else ''}, run "
         f"{results.suite.get('started_utc', '')[:10]}; "
         f"numpy {versions.get('numpy', '')}. Page made from the files above alone."
     )
