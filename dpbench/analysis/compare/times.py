@@ -44,14 +44,21 @@ off."""
 @dataclass(frozen=True, eq=False)
 class Timing:
     """log(B/A) of one configuration on one sequence, its standard error from inside the runs, its
-    sizes."""
+    sizes; of each step in both runs `k`, and `a_ns`, `b_ns`, the minima over as many rounds."""
 
     pair: Pair
     log: float
     own: float
     steps: int
     rounds: int
-    median_ns: tuple[float, float]
+    k: NDArray[np.int64]
+    a_ns: Floats
+    b_ns: Floats
+
+    @property
+    def median_ns(self) -> tuple[float, float]:
+        """The median step in either run [ns]."""
+        return float(np.median(self.a_ns)), float(np.median(self.b_ns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,8 +275,8 @@ def _timing(pair: Pair, a: pd.DataFrame | None, b: pd.DataFrame | None) -> Timin
         else logs.std()
     )
     own = float(np.sqrt(over_steps**2 + _variance(a_ns) + _variance(b_ns)))
-    medians = float(np.median(best_a_ns)), float(np.median(best_b_ns))
-    return Timing(pair, float(logs.mean()), own, len(steps), rounds, medians)
+    k = steps.to_numpy(dtype=np.int64)
+    return Timing(pair, float(logs.mean()), own, len(steps), rounds, k, best_a_ns, best_b_ns)
 
 
 def _variance(times: Floats) -> float:

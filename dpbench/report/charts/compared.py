@@ -1,4 +1,7 @@
-"""Two folders side by side: the ratio of step times of each configuration, and both times."""
+"""Two folders side by side: the ratio of step times of each configuration, and both times.
+
+Clicking sets `pick`, the chosen one is marked.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ import altair as alt
 import pandas as pd
 
 from dpbench.report.charts.style import (
+    ACCENT,
     INK,
     MEETS,
     MISSES,
@@ -20,7 +24,7 @@ from dpbench.report.charts.style import (
     tip,
 )
 
-COLUMNS = ("name", "ratio", "low", "high", "verdict", "a_us", "b_us", "sequence")
+COLUMNS = ("id", "name", "ratio", "low", "high", "verdict", "a_us", "b_us", "sequence")
 VERDICTS = ("slower", "faster", "equivalent", "no difference shown")
 _COLOURS = (MISSES, MEETS, SOFT, NOT_RUN)
 _SHAPES = ("triangle-right", "triangle-left", "circle", "square")
@@ -33,11 +37,21 @@ def ratios(table: pd.DataFrame, margin: float) -> Any:
     ----------
     table : columns `COLUMNS`, the slowest first; margin : what is no difference.
     """
+    narrow = alt.param(name="narrow", value=False)
+    names = alt.Axis(labelLimit=alt.ExprRef("narrow ? 170 : 330"))
     base = alt.Chart(table).encode(
-        y=alt.Y("name:N", sort=table["name"].tolist(), title=None, axis=alt.Axis(labelLimit=330)),
+        y=alt.Y("name:N", sort=table["name"].tolist(), title=None, axis=names),
         color=_colour(),
         tooltip=_tips(),
     )
+    pick = _pick()
+    rows = base.mark_rule(strokeWidth=16, color=ACCENT).encode(
+        x=alt.value(0),
+        x2=alt.value("width"),
+        color=alt.value(ACCENT),
+        opacity=alt.condition(pick, alt.value(0.16), alt.value(0.0)),
+    )
+    rows = rows.add_params(narrow, pick)
     x = alt.X(
         "ratio:Q",
         title="B / A, machine factor taken out",
@@ -48,7 +62,7 @@ def ratios(table: pd.DataFrame, margin: float) -> Any:
     points = base.mark_point(filled=True, size=60, opacity=1).encode(x=x, shape=_shape())
     edges = pd.DataFrame({"edge": [1.0 / (1.0 + margin), 1.0, 1.0 + margin]})
     rules = alt.Chart(edges).mark_rule(color=INK, strokeDash=[2, 3]).encode(x="edge:Q")
-    chart = alt.layer(rules, spans, points, width=430, height=alt.Step(17))
+    chart = alt.layer(rows, rules, spans, points, width=430, height=alt.Step(17))
     return styled(chart, "What became slower", "Ratio of step times of each configuration.")
 
 
@@ -59,10 +73,19 @@ def both(table: pd.DataFrame) -> Any:
     scale = log_scale(domain=[low, high])
     x = alt.X("a_us:Q", title="A: median step time [µs]", scale=scale)
     y = alt.Y("b_us:Q", title="B: median step time [µs]", scale=scale)
+    pick = _pick()
     points = (
         alt.Chart(table)
-        .mark_point(filled=True, size=55, opacity=0.9)
-        .encode(x=x, y=y, color=_colour(), shape=_shape(), tooltip=_tips())
+        .mark_point(filled=True, opacity=0.9)
+        .encode(
+            x=x,
+            y=y,
+            color=_colour(),
+            shape=_shape(),
+            size=alt.condition(pick, alt.value(260), alt.value(55)),
+            tooltip=_tips(),
+        )
+        .add_params(pick)
     )
     chart = alt.layer(alike(low, high, x, y), points, width=330, height=330)
     return styled(chart, "Both runs", "Median step times of both runs against each other.")
@@ -70,12 +93,16 @@ def both(table: pd.DataFrame) -> Any:
 
 def _colour() -> alt.Color:
     scale = alt.Scale(domain=list(VERDICTS), range=list(_COLOURS))
-    return alt.Color("verdict:N", scale=scale, title=None, legend=below())
+    return alt.Color("verdict:N", scale=scale, title=None, legend=below(columns=2))
 
 
 def _shape() -> alt.Shape:
     scale = alt.Scale(domain=list(VERDICTS), range=list(_SHAPES))
     return alt.Shape("verdict:N", scale=scale, title=None)
+
+
+def _pick() -> alt.Parameter:
+    return alt.selection_point(name="pick", fields=["id"], on="click", empty=False)
 
 
 def _tips() -> list[alt.Tooltip]:

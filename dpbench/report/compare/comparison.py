@@ -40,7 +40,8 @@ class Comparison:
     ----------
     compared : step times with their verdicts; shared : what all configurations of a sequence share.
     found : every figure of accuracy and control; pairs : which cells were compared.
-    lines : the verdict in a few lines of text; tables : the rest; margin : what is no difference.
+    lines : the verdict in a few lines of text; tables : the rest; margin : what is no difference;
+    alpha : the family-wise error of the claims.
     """
 
     compared: list[Compared]
@@ -50,6 +51,7 @@ class Comparison:
     lines: list[str]
     tables: list[Table]
     margin: float = 0.05
+    alpha: float = 0.05
 
     @property
     def worse(self) -> bool:
@@ -122,7 +124,7 @@ def compare(
     tables = [solvers_table(compared, found)] if compared or found else []
     tables += [times_table(compared, margin, alpha)] if compared else []
     tables += [changed] if changed is not None else []
-    return Comparison(compared, shared, found, pairs, lines, tables, margin)
+    return Comparison(compared, shared, found, pairs, lines, tables, margin, alpha)
 
 
 def _machine(view: Records) -> str:

@@ -1,63 +1,104 @@
-"""A comparison as a page, in the style of the report: one file, its figures as SVG."""
+"""A comparison as a page, in the style of the report: one file, one chosen configuration, kept in
+the address."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlencode
 
+import numpy as np
 import pandas as pd
 from markupsafe import Markup
 
+from dpbench.analysis.compare.times import Compared, Timing
 from dpbench.report.charts.compared import COLUMNS, both, ratios
-from dpbench.report.charts.render import svg
+from dpbench.report.charts.pairs import COLUMNS as STEP_COLUMNS
+from dpbench.report.charts.pairs import pairs
+from dpbench.report.charts.render import svg, vega
 from dpbench.report.compare.comparison import Comparison
+from dpbench.report.compare.lead import lead, said
+from dpbench.report.compare.tables import times_table
+from dpbench.report.page.facts import columns_of
+from dpbench.report.page.pack import Block
+from dpbench.report.page.vendored import script, vendored
 from dpbench.report.page.write import environment, follow, own
+from dpbench.report.table import Table
 
 SHOWN = 12
 """So many of the slowest and of the fastest are drawn whatever is said of them."""
+MOST_ROWS = 40
+"""So many rows of a table stand on the page before any script has run."""
+LEFT_OUT = ("B/A", "steps × rounds")
+"""Columns of the table of times that the page has no room for."""
 
 
 def write_comparison(path: Path, comparison: Comparison) -> Path:
     """Write the page of a comparison."""
-    table = _table(comparison)
-    figures = []
-    if len(table):
-        drawn = (
-            ("Both runs", both(table)),
-            ("What became slower or faster", ratios(_furthest(table), comparison.margin)),
-        )
-        figures = [
-            {"title": title, "svg": Markup(follow(svg(chart, titled=False)))}
-            for title, chart in drawn
-        ]
-    text = (
-        environment()
-        .get_template("compare.html.j2")
-        .render(
-            css=Markup(own("page.css")),
-            verdict="worse somewhere" if comparison.worse else "no regression shown",
-            lines=[line.replace("`", "") for line in comparison.lines],
-            figures=figures,
-            tables=[_small(t) for t in comparison.tables],
-        )
+    order = _claims_first(comparison.compared)
+    charts = _charts(order, comparison.margin)
+    times = _times(order, comparison) if order else None
+    template = environment().get_template("compare.html.j2")
+    text = template.render(
+        css=Markup(own("page.css")),
+        verdict="worse somewhere" if comparison.worse else "no regression shown",
+        lead=lead(comparison),
+        lines=[line.replace("`", "") for line in comparison.lines],
+        figures={
+            name: Markup(follow(svg(chart, titled=False)))
+            for name, chart in charts.items()
+            if name != "steps"
+        },
+        left_out=len(order) - len(_furthest(_table(order))) if order else 0,
+        times=None if times is None else _cut(times),
+        tables=[_cut(_small(t)) for t in comparison.tables if not _is_times(t)],
+        block="" if times is None else _block(order, charts, times),
+        scripts=[
+            *(Markup(script(entry)) for entry in vendored()),
+            *(Markup(own(name)) for name in ("common.js", "compare.js")),
+        ],
     )
     path.write_text(text, encoding="utf-8")
     return path
 
 
-def _table(comparison: Comparison) -> pd.DataFrame:
+def _claims_first(compared: Sequence[Compared]) -> list[Compared]:
+    """What is slower first, the most so in front; then what is faster, then the rest by ratio."""
+    rank = {"slower": 0, "faster": 1}
+    return sorted(
+        compared,
+        key=lambda c: (rank.get(c.assessment.verdict, 2), -c.assessment.ratio.value),
+    )
+
+
+def _charts(order: Sequence[Compared], margin: float) -> dict[str, Any]:
+    if not order:
+        return {}
+    table = _table(order)
+    nothing = pd.DataFrame(columns=list(STEP_COLUMNS))
+    return {
+        "ratios": ratios(_furthest(table), margin),
+        "both": both(table),
+        "steps": pairs(nothing, "A: step time", "B: step time"),
+    }
+
+
+def _table(order: Sequence[Compared]) -> pd.DataFrame:
     rows = [
         (
+            str(i),
             f"{one.timing.pair.a.configuration.label}, {one.timing.pair.a.sequence}",
             one.assessment.ratio.value,
             one.assessment.ratio.low,
             one.assessment.ratio.high,
             one.assessment.verdict,
-            one.timing.pair.a.algo_p50_ns / 1e3,
-            one.timing.pair.b.algo_p50_ns / 1e3,
+            one.timing.median_ns[0] / 1e3,
+            one.timing.median_ns[1] / 1e3,
             one.timing.pair.a.sequence,
         )
-        for one in comparison.compared
+        for i, one in enumerate(order)
     ]
     table = pd.DataFrame(rows, columns=list(COLUMNS))
     return table.sort_values("ratio", ascending=False, kind="stable")
@@ -70,6 +111,74 @@ def _furthest(table: pd.DataFrame) -> pd.DataFrame:
     return table[judged | (place < SHOWN) | (place >= len(table) - SHOWN)]
 
 
-def _small(table: Any) -> dict[str, Any]:
+def _is_times(table: Table) -> bool:
+    return "B/A less machine" in table.heads
+
+
+def _times(order: Sequence[Compared], comparison: Comparison) -> dict[str, Any]:
+    """The table of times in the order of the page, without `LEFT_OUT`."""
+    whole = times_table(order, comparison.margin, comparison.alpha, ordered=True)
+    small = _small(whole)
+    kept = [i for i, head in enumerate(whole.heads) if head not in LEFT_OUT]
+    return small | {
+        "head": [small["head"][i] for i in kept],
+        "rows": [[row[i] for i in kept] for row in small["rows"]],
+    }
+
+
+def _small(table: Table) -> dict[str, Any]:
     rows = [[cell.text.replace("`", "") for cell in row] for row in table.rows]
-    return {"title": table.title, "head": table.heads, "rows": rows, "count": len(rows)}
+    return {"title": table.title, "note": table.note, "head": table.heads, "rows": rows}
+
+
+def _cut(table: dict[str, Any]) -> dict[str, Any]:
+    rows = table["rows"]
+    return table | {"rows": rows[:MOST_ROWS], "cut": max(0, len(rows) - MOST_ROWS)}
+
+
+def _block(order: Sequence[Compared], charts: dict[str, Any], times: dict[str, Any]) -> str:
+    """The data of the page: every configuration with its steps, and the figures."""
+    block, addresses = Block(), _addresses(order)
+    rows = [
+        {
+            "name": one.timing.pair.a.configuration.label,
+            "where": one.timing.pair.a.problem,
+            "address": address,
+            "said": said(one),
+            "cells": cells,
+            **_steps(block, one.timing),
+        }
+        for one, address, cells in zip(order, addresses, times["rows"], strict=True)
+    ]
+    document = {
+        "compared": columns_of(rows),
+        "heads": list(times["head"]),
+        "charts": {name: json.loads(follow(json.dumps(vega(c)))) for name, c in charts.items()},
+    }
+    return block.text(document)
+
+
+def _steps(block: Block, timing: Timing) -> dict[str, int]:
+    """Both times of each step, element 0 for step `first`."""
+    first = int(timing.k[0])
+    times = np.full((2, int(timing.k[-1]) - first + 1), np.nan)
+    times[:, timing.k - first] = timing.a_ns, timing.b_ns
+    return {"first": first, "a": block.log(times[0]), "b": block.log(times[1])}
+
+
+def _addresses(order: Sequence[Compared]) -> list[str]:
+    """The fragment that chooses each, named as on the page of a run; of several alike, numbered."""
+    seen: dict[str, int] = {}
+    addresses = []
+    for one in order:
+        run = one.timing.pair.a
+        parts = {
+            "s": run.solver,
+            "w": f"{run.route}-{run.policy}",
+            "set": run.settings,
+            "sc": run.problem,
+        }
+        address = urlencode(parts)
+        seen[address] = seen.get(address, 0) + 1
+        addresses.append(address if seen[address] == 1 else f"{address}&n={seen[address]}")
+    return addresses

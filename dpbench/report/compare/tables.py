@@ -64,9 +64,14 @@ def _together(counts: Counter[str], order: tuple[str, ...]) -> str:
     return next((verdict for verdict in order if counts[verdict]), MISSING)
 
 
-def times_table(compared: Sequence[Compared], margin: float, alpha: float) -> Table:
-    """One row per configuration and sequence, those with a claim first."""
-    rows = sorted(compared, key=lambda c: TIMES.index(c.assessment.verdict))
+def times_table(
+    compared: Sequence[Compared], margin: float, alpha: float, *, ordered: bool = False
+) -> Table:
+    """One row per configuration and sequence, those with a claim first; as they come if
+    `ordered`."""
+    rows = (
+        compared if ordered else sorted(compared, key=lambda c: TIMES.index(c.assessment.verdict))
+    )
     percent = f"{100 * margin:g} %"
     return Table(
         title="Step times, replays",
@@ -145,6 +150,13 @@ def answers_table(answers: Sequence[Answer], margin: float) -> Table | None:
         rows=tuple(_answer_row(answer) for answer in changed),
         text_columns=3,
     )
+
+
+def answer_line(answer: Answer) -> str:
+    """One figure that changed, in a line."""
+    column = answer.measure.column
+    values = " → ".join(_range_text(column, values) for values in (answer.a, answer.b))
+    return f"{answer.measure.head} of {answer.pair.label} in {answer.pair.a.problem}, {values}"
 
 
 def _answer_row(answer: Answer) -> tuple[Cell, ...]:

@@ -108,5 +108,5 @@ def test_the_block_of_many_long_runs_stays_within_its_room(
         return len(facts.block.text({}))
 
     whole = size()
-    monkeypatch.setattr(packing, "MOST_STEPS", 1200)
+    monkeypatch.setattr(packing, "MOST_STEPS", 400)
     assert size() < whole / 3

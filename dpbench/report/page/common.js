@@ -1,0 +1,70 @@
+// What the pages share: unpacking the block of data, numbers as words, colours and tooltips.
+"use strict";
+
+const $ = (id) => document.getElementById(id);
+const MISSING = 65535, GAP = -32768;
+let facts, bytes, base;
+const decoded = new Map();
+
+async function unpack() {
+  const packed = Uint8Array.from(atob($("block").textContent.trim()), (c) => c.charCodeAt(0));
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+  bytes = new Uint8Array(await new Response(stream).arrayBuffer());
+  const length = new DataView(bytes.buffer).getUint32(0, true);
+  base = 4 + length;
+  facts = JSON.parse(new TextDecoder().decode(bytes.subarray(4, base)));
+}
+
+// The numbers of one packed array; null where one is missing.
+function array(index) {
+  if (index === undefined || index === null) return [];
+  if (decoded.has(index)) return decoded.get(index);
+  const [kind, start, count, scale] = facts.arrays[index], at = base + start, out = new Array(count);
+  let before = 0;
+  for (let i = 0; i < count; i++) {
+    if (kind === "flag") { out[i] = bytes[at + i]; continue; }
+    let code = bytes[at + i] | (bytes[at + count + i] << 8);
+    if (kind !== "log") before = code = (before + code) & 65535;
+    if (kind === "log") {
+      out[i] = code === 0 ? null : code === 1 ? 0 : code === 65535 ? Infinity
+        : 1e-16 * 10 ** ((code - 2) / 200);
+    } else if (kind === "count") out[i] = code === MISSING ? null : code;
+    else {
+      const signed = code > 32767 ? code - 65536 : code;
+      out[i] = signed === GAP ? null : signed * scale;
+    }
+  }
+  decoded.set(index, out);
+  return out;
+}
+
+function figure(x, digits = 3) {
+  if (x === null || x === undefined) return "–";
+  if (x === "inf" || x === Infinity) return "∞";
+  return x !== 0 && (Math.abs(x) < 1e-3 || Math.abs(x) >= 1e7)
+    ? Number(x).toExponential(Math.max(1, digits - 2)) : String(Number(Number(x).toPrecision(digits)));
+}
+
+// A canvas knows no variables of the style sheet: it gets the colours they have now.
+function inked(spec) {
+  const style = getComputedStyle(document.documentElement);
+  return JSON.parse(JSON.stringify(spec).replace(/var\((--[\w-]+)\)/g,
+    (_, name) => style.getPropertyValue(name).trim()));
+}
+
+// A tooltip of text alone; the grammar hands over rows of names and values.
+function vegaTooltip() {
+  const box = $("tip");
+  return (_, event, __, value) => {
+    if (!value) { box.hidden = true; return; }
+    box.replaceChildren(...Object.entries(value).map(([name, text]) => {
+      const row = document.createElement("div"), head = document.createElement("b");
+      head.textContent = name; row.append(head, ` ${text}`);
+      return row;
+    }));
+    box.hidden = false;
+    box.style.left = `${Math.min(event.pageX + 14, scrollX + innerWidth - box.offsetWidth - 8)}px`;
+    const below = event.clientY + 14 + box.offsetHeight < innerHeight;
+    box.style.top = `${event.pageY + (below ? 14 : -14 - box.offsetHeight)}px`;
+  };
+}

@@ -1,0 +1,108 @@
+"""What the page of a comparison does in a browser: its selection, its figures, its table."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dpbench.bench.record.result_folder import Results, load_results, write_results
+from dpbench.report.compare.comparison import compare
+from dpbench.report.compare.page import write_comparison
+from tests.report.browser.conftest import Opener
+
+PHONE = (390, 844)
+SLOWER, FACTOR = "piqp", 1.5
+
+
+@pytest.fixture(scope="module")
+def comparison_file(campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The campaign against itself with one solver slowed."""
+    folder = tmp_path_factory.mktemp("compared")
+    a = load_results(shutil.copytree(campaign, folder / "a"))
+    slow = set(a.runs.loc[a.runs["solver"] == SLOWER, "run_id"])
+    steps = a.steps.copy()
+    rows = steps["run_id"].isin(slow)
+    steps.loc[rows, "total_ns"] = (steps.loc[rows, "total_ns"] * FACTOR).round().astype("Int64")
+    write_results(folder / "b", Results(a.runs, steps, a.machine, a.suite))
+    return write_comparison(folder / "compare.html", compare(folder / "a", folder / "b"))
+
+
+@pytest.fixture
+def compared(chromium: Any, comparison_file: Path) -> Iterator[Opener]:
+    """Opens the page; what it logged as an error or warning fails the test."""
+    opener = Opener(chromium, comparison_file)
+    yield opener
+    opener.close()
+    assert opener.errors == []
+
+
+def test_it_opens_with_what_became_slower_most(compared: Opener) -> None:
+    """One sentence, one figure, the steps of the first; nothing is fetched."""
+    page = compared()
+    assert [u for u in compared.requests if not u.startswith("data:")] == [compared.file.as_uri()]
+    assert SLOWER in page.inner_text("#answer .lead")
+    assert page.locator("#figure-ratios svg").bounding_box()["y"] < 900
+    assert page.inner_text("#one-title").startswith(SLOWER)
+    assert page.evaluate("views.steps.then((view) => view.data('pairs').length)") > 100
+    assert page.evaluate("document.querySelectorAll('*').length") <= 3000
+    assert comparison_is_small(compared.file)
+
+
+def comparison_is_small(file: Path) -> bool:
+    """Within the budget of a page."""
+    return file.stat().st_size <= 5_000_000
+
+
+def test_a_row_and_a_dot_are_chosen_and_kept_in_the_address(compared: Opener) -> None:
+    """Heading, steps and mark follow; reload and back restore."""
+    page = compared()
+    page.fill("#table-filter", "osqp")
+    page.locator("#times-body button").first.click()
+    page.wait_for_function("location.hash.includes('s=osqp')")
+    assert page.inner_text("#one-title").startswith("osqp")
+    page.locator("#furthest button").first.click()
+    page.wait_for_function("location.hash.includes('k=')")
+    assert "ratio" in page.inner_text("#step-said")
+    page.reload()
+    page.wait_for_selector("html[data-ready]", state="attached")
+    assert page.inner_text("#one-title").startswith("osqp")
+    assert "ratio" in page.inner_text("#step-said")
+    page.go_back()
+    page.wait_for_function("!location.hash.includes('k=')")
+
+
+def test_a_mark_of_the_figure_is_chosen_by_a_click(compared: Opener) -> None:
+    """Anywhere in its row."""
+    page = compared()
+    name = page.locator("#figure-ratios text", has_text="osqp").first
+    chosen = str(name.text_content()).split(" (")[0]
+    box, figure = name.bounding_box(), page.locator("#figure-ratios").bounding_box()
+    page.mouse.click(figure["x"] + 0.95 * figure["width"], box["y"] + box["height"] / 2)
+    page.wait_for_function(f"location.hash.includes('s={chosen}')")
+    assert page.inner_text("#one-title").startswith(chosen)
+
+
+def test_it_answers_without_scripts(compared: Opener) -> None:
+    """Sentence, both figures and the table; no control that would do nothing."""
+    page = compared(scripts=False)
+    assert SLOWER in page.inner_text("#answer .lead")
+    for name in ("ratios", "both"):
+        assert page.locator(f"#figure-{name} svg text").count() > 5
+    assert SLOWER in page.inner_text("#times-body tr:first-child")
+    for control in page.locator("button, select, input").all():
+        assert not control.is_visible()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", [(1400, 900), PHONE])
+def test_axe_has_nothing_to_say(compared: Opener, size: tuple[int, int], scheme: str) -> None:
+    """On the desk and the phone, by day and night; nothing scrolls sideways."""
+    page = compared(size=size, scheme=scheme)
+    page.add_script_tag(path=str(Path(__file__).parent / "axe" / "axe.min.js"))
+    found = page.evaluate("axe.run().then((result) => result.violations.map((v) => v.id))")
+    assert found == []
+    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
