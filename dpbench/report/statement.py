@@ -79,7 +79,7 @@ def _lines(folder: Path, results: Results, facts: Facts, chosen: Verdict) -> lis
     own = ", ".join(f"{key} = {value!r}" for key, value in options.items()) or "the library's own"
     version = _version(results, c.solver)
     return [
-        Line("QP solver for the model predictive controller of a DP vessel", 15, bold=True),
+        Line("QP solver for the model predictive controller of a DP vessel", 14, bold=True),
         Line(f"Statement on measured results, {_made_by(results)}", 10, colour=SOFT),
         *_section("Recommended"),
         Line(
