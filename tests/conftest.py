@@ -282,22 +282,23 @@ class MadeRecords:
         algo = 1e3 * median_us * np.exp(spread * self._rng.standard_normal(steps))
         for k, factor in (slow or {}).items():
             algo[k] *= factor
-        true = np.full(steps, error <= 1e-2)
-        true[list(wrong)] = False
-        frames = []
-        for r in range(rounds + 1):
-            # Round 1 is the fastest on every step, so that the minimum is known.
-            slower = 1.0 if r == 1 else 1.0 + self._rng.uniform(0.01, 0.3, steps)
-            frame = self._replay_round(row["run_id"], r, algo * slower)
-            frame["true"], frame["iterations"] = true, iterations + frame["k"] % 4
-            frame["error_move"], frame["fallback"] = error, frame["k"].isin(lost)
-            if setup:
-                frame["setup_ns"], frame["update_ns"] = frame["update_ns"], pd.NA
-            frames.append(as_steps(frame.iloc[:done]))
-        self._steps.append(pd.concat(frames, ignore_index=True))
+        # Round 1 is the fastest on every step, so that the minimum is known.
+        slower = [
+            np.ones(steps) if r == 1 else 1.0 + self._rng.uniform(0.01, 0.3, steps)
+            for r in range(rounds + 1)
+        ]
+        frame = self._rounds(row["run_id"], (algo * np.array(slower))[:, :done])
+        frame["true"] = (error <= 1e-2) & ~frame["k"].isin(wrong)
+        frame["iterations"] = iterations + frame["k"] % 4
+        frame["error_move"], frame["fallback"] = error, frame["k"].isin(lost)
+        if setup:
+            frame["setup_ns"], frame["update_ns"] = frame["update_ns"], pd.NA
+        self._steps.append(as_steps(frame))
 
-    def _replay_round(self, run_id: str, r: int, total: np.ndarray) -> pd.DataFrame:
-        k = np.arange(len(total))
+    def _rounds(self, run_id: str, total: np.ndarray) -> pd.DataFrame:
+        """The warm-up round and those that count, with their times (rounds, steps) [ns]."""
+        r, k = (index.ravel() for index in np.indices(total.shape))
+        ns = total.ravel()
         return pd.DataFrame(
             {
                 "run_id": run_id,
@@ -306,20 +307,18 @@ class MadeRecords:
                 "counts": r > 0,
                 "k": k,
                 "t_s": 0.3 * k,
-                "total_ns": np.round(total).astype(np.int64),
-                "update_ns": np.round(0.2 * total).astype(np.int64),
-                "solve_ns": np.round(0.7 * total).astype(np.int64),
-                "read_ns": np.round(0.1 * total).astype(np.int64),
+                "total_ns": np.round(ns).astype(np.int64),
+                "update_ns": np.round(0.2 * ns).astype(np.int64),
+                "solve_ns": np.round(0.7 * ns).astype(np.int64),
+                "read_ns": np.round(0.1 * ns).astype(np.int64),
             }
         )
 
     def results(self) -> Results:
         """The records so far."""
-        steps = self._steps or [pd.DataFrame({"run_id": pd.Series([], dtype="str")})]
+        steps = self._steps or [as_steps(pd.DataFrame({"run_id": pd.Series([], dtype="str")}))]
         runs = pd.DataFrame(self._runs or {"run_id": pd.Series([], dtype="str")})
-        return Results(
-            as_runs(runs), as_steps(pd.concat(steps, ignore_index=True)), MACHINE, self.suite
-        )
+        return Results(as_runs(runs), pd.concat(steps, ignore_index=True), MACHINE, self.suite)
 
     def view(self) -> Records:
         """The view of the records so far."""

@@ -6,7 +6,7 @@ integer), never a made-up one.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -291,16 +291,21 @@ RUN_COLUMNS = (
 )
 
 
+def _missing(dtype: DType, rows: int) -> Any:
+    """A column of that type without a value in any row."""
+    fillers: dict[str, object] = {"str": "", "bool": False, "int32": 0, "int64": 0, "Int64": pd.NA}
+    return pd.Series(fillers.get(dtype, np.nan), index=range(rows), dtype=dtype).array
+
+
 def _conform(frame: pd.DataFrame, columns: Columns) -> pd.DataFrame:
-    missing_of = {"str": "", "bool": False, "int32": 0, "int64": 0}
-    out = {}
-    for name, (dtype, _) in columns.items():
-        if name in frame:
-            out[name] = frame[name].astype(dtype)
-        else:
-            filler = missing_of.get(dtype, pd.NA if dtype == "Int64" else np.nan)
-            out[name] = pd.Series(filler, index=frame.index, dtype=dtype)
-    return pd.DataFrame(out)
+    # Most runs lack most columns: what is absent is made once for each type, not for each column.
+    types = {dtype for dtype, _ in columns.values()}
+    absent = {dtype: _missing(dtype, len(frame)) for dtype in types}
+    out = {
+        name: frame[name].astype(dtype).array if name in frame else absent[dtype]
+        for name, (dtype, _) in columns.items()
+    }
+    return pd.DataFrame(out, index=frame.index)
 
 
 def as_steps(frame: pd.DataFrame) -> pd.DataFrame:
