@@ -6,12 +6,22 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 
 import pytest
 
 from dpbench.bench.workers.interrupts import forget_interrupts, interrupts_wait, one_interrupt
 
 pytestmark = pytest.mark.alone
+
+
+@pytest.fixture(autouse=True)
+def listens() -> Iterator[None]:
+    """Ctrl-C is heard here and in processes started here, even where a shell that runs the tests in
+    the background has it ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 def test_only_the_first_press_is_heard() -> None:
