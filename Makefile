@@ -18,6 +18,8 @@ SIDE_BY_SIDE := -n 2 --dist worksteal
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
+# Each of many processes would compile all sources again where the shell forbids to keep that.
+export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
 .PHONY: setup bench full test test-fast test-core test-lowest test-casadi lint bench-ci bench-compare vendored report clean clean-results help

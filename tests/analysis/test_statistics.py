@@ -133,6 +133,7 @@ def test_the_least_blocks_give_an_interval_that_often_holds() -> None:
     assert 240 <= held < 300
 
 
+@pytest.mark.slow
 def test_intervals_hold_together() -> None:
     """Ten intervals of as many comparisons all cover the truth in about 95 % of 200 draws.
 

@@ -230,6 +230,7 @@ def test_an_unknown_baseline_writes_nothing(
 
 
 @pytest.mark.parametrize(("named", "second"), [("piqp", "piqp"), ("scs", "osqp"), (None, "osqp")])
+@pytest.mark.slow
 def test_the_suite_names_the_baseline(records: Any, named: str | None, second: str) -> None:
     """It holds where it was run; a part of the suite may be run without it."""
     for solver, us in (("daqp", 10.0), ("osqp", 20.0), ("piqp", 30.0)):

@@ -50,7 +50,10 @@ def test_pdf_and_svg_are_written(
     assert line.endswith("allowed: a file that ends in .pdf or .svg")
 
 
-@pytest.mark.parametrize("missing", ["loop", "replay", "right", "all"])
+@pytest.mark.parametrize(
+    "missing",
+    ["loop", *(pytest.param(part, marks=pytest.mark.slow) for part in ("replay", "right", "all"))],
+)
 def test_nothing_to_recommend_is_nothing_to_state(
     records: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], missing: str
 ) -> None:

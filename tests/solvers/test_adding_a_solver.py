@@ -82,6 +82,7 @@ print(json.dumps(told))
     assert all(one[key] for one in (native, wrapped) for key in ("ok", "aboard", "coloured"))
 
 
+@pytest.mark.slow
 def test_it_is_listed(copied: Path) -> None:
     """`dpbench list solvers` tells of it."""
     listed = _run(copied, "-m", "dpbench", "list", "solvers")
@@ -89,6 +90,7 @@ def test_it_is_listed(copied: Path) -> None:
     assert re.search(r"^newcomer_wrapped +│", listed, re.M)
 
 
+@pytest.mark.slow
 def test_conformance_is_tested_from_its_record(copied: Path) -> None:
     """The command that CONTRIBUTING gives runs the tests of the new solvers, and they pass."""
     (asked,) = re.findall(r"`pytest tests/solvers (-k NAME)`", TEXT)

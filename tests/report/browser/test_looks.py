@@ -59,6 +59,7 @@ def test_axe_is_what_its_list_says() -> None:
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+@pytest.mark.slow
 def test_axe_has_nothing_to_say(opened: Any, size: tuple[int, int], scheme: str) -> None:
     """No violation of any of its rules."""
     page = opened(CHOSEN, size=size, scheme=scheme)
@@ -69,6 +70,7 @@ def test_axe_has_nothing_to_say(opened: Any, size: tuple[int, int], scheme: str)
 
 
 @pytest.mark.parametrize("width", [320, 390, 768, 1400])
+@pytest.mark.slow
 def test_nothing_scrolls_sideways(opened: Any, width: int) -> None:
     """Neither the page nor a box within it."""
     page = opened(CHOSEN, size=(width, 844))
@@ -84,6 +86,7 @@ def test_nothing_scrolls_sideways(opened: Any, width: int) -> None:
 
 
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+@pytest.mark.slow
 def test_no_two_texts_of_a_figure_overlap(opened: Any, size: tuple[int, int]) -> None:
     """Boxes of texts have no area in common; slanted ones keep a line apart."""
     page = opened(CHOSEN, size=size)
@@ -107,6 +110,7 @@ def test_no_two_texts_of_a_figure_overlap(opened: Any, size: tuple[int, int]) ->
     assert overlapping == []
 
 
+@pytest.mark.slow
 def test_letters_are_large_enough_on_a_phone(opened: Any) -> None:
     """Twelve pixels in every figure that follows the selection."""
     texts = opened(CHOSEN, size=PHONE).evaluate(TEXTS, FIGURES)
@@ -114,6 +118,7 @@ def test_letters_are_large_enough_on_a_phone(opened: Any) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.slow
 def test_signs_of_the_tiles_can_be_read(opened: Any, scheme: str) -> None:
     """Contrast of each sign to its tile, and of a figure's letters to the page: 4.5 to 1."""
     page = opened(scheme=scheme)

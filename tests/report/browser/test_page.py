@@ -42,6 +42,7 @@ def test_it_opens_without_error_or_request(opened: Any) -> None:
     assert page.locator("#slow").bounding_box()["y"] < 900
 
 
+@pytest.mark.slow
 def test_it_keeps_its_budget(opened: Any) -> None:
     """Nodes before anything is opened, words that are seen, screens."""
     page = opened()
@@ -57,6 +58,7 @@ def test_it_keeps_its_budget(opened: Any) -> None:
     assert 100 < words <= 1500
 
 
+@pytest.mark.slow
 def test_it_answers_without_scripts(opened: Any) -> None:
     """Answer, ladder, matrix, accuracy and files; no control that would do nothing."""
     page = opened(scripts=False)
@@ -84,6 +86,7 @@ def test_a_row_of_the_ladder_is_chosen_by_a_click(opened: Any) -> None:
     assert marked == [str(page.evaluate("state.c"))]
 
 
+@pytest.mark.slow
 def test_a_tile_of_the_matrix_chooses_the_place_too(opened: Any) -> None:
     """Solver, settings and scenario."""
     page = opened()
@@ -101,6 +104,7 @@ def test_a_tile_of_the_matrix_chooses_the_place_too(opened: Any) -> None:
     assert rows_in(page, "strips", "forces") >= 100
 
 
+@pytest.mark.slow
 def test_a_row_of_the_table_is_chosen_by_a_click(opened: Any) -> None:
     """The row opens above the table."""
     page = opened()
@@ -113,6 +117,7 @@ def test_a_row_of_the_table_is_chosen_by_a_click(opened: Any) -> None:
     assert page.evaluate("document.activeElement.id") == "one"
 
 
+@pytest.mark.slow
 def test_a_hard_step_opens(opened: Any) -> None:
     """Its numbers, the command that writes it, and the query of its row."""
     page = opened()
@@ -133,6 +138,7 @@ def test_a_hard_step_opens(opened: Any) -> None:
     assert run_id in page.inner_text("#data-query")
 
 
+@pytest.mark.slow
 def test_the_slider_moves_the_ladder(opened: Any) -> None:
     """Every bar moves to the right; the largest sample of this machine stays."""
     page = opened()
@@ -148,6 +154,7 @@ def test_the_slider_moves_the_ladder(opened: Any) -> None:
     assert re.fullmatch(r"\d+ of \d+ keep the deadline.*", page.inner_text("#slow-kept"))
 
 
+@pytest.mark.slow
 def test_reload_and_back_restore(opened: Any) -> None:
     """The address is the whole state."""
     page = opened(CHOSEN + "&slow=50")
@@ -167,6 +174,7 @@ def test_reload_and_back_restore(opened: Any) -> None:
     assert page.inner_text("#slow-said") == "× 50"
 
 
+@pytest.mark.slow
 def test_sections_and_colours_keep_the_selection(opened: Any) -> None:
     """A link to a section scrolls; a change to the dark draws anew."""
     page = opened(CHOSEN + "&slow=50")
@@ -181,6 +189,7 @@ def test_sections_and_colours_keep_the_selection(opened: Any) -> None:
     assert rows_in(page, "strips", "steps") >= 100
 
 
+@pytest.mark.slow
 def test_the_csv_holds_the_numbers_of_the_parquet(opened: Any, campaign: Path) -> None:
     """All rows and every group of columns, to the last digit."""
     page = opened()
@@ -205,6 +214,7 @@ def test_the_csv_holds_the_numbers_of_the_parquet(opened: Any, campaign: Path) -
         assert numbers or group in ("memory", "deadline")
 
 
+@pytest.mark.slow
 def test_two_solvers_are_compared(opened: Any) -> None:
     """A dot a step, the ratio in words, and Markdown for a pull request."""
     page = opened("#s=piqp&w=qpsolvers-fresh&set=default&sc=paper&b=daqp~qpsolvers-fresh~default")
@@ -219,6 +229,7 @@ def test_two_solvers_are_compared(opened: Any) -> None:
     assert len(markdown.encode()) < 3000
 
 
+@pytest.mark.slow
 def test_the_keyboard_reaches_everything(opened: Any) -> None:
     """Every control and link is met by the tabulator, and shows that it is."""
     page = opened(CHOSEN)
@@ -243,12 +254,14 @@ def test_the_keyboard_reaches_everything(opened: Any) -> None:
     assert selection(page)["k"] != "74"
 
 
+@pytest.mark.slow
 def test_it_prints(opened: Any) -> None:
     """Answer, ladder and matrix come along; twelve pages at most."""
     sheets = re.findall(rb"/Type\s*/Page\b", opened().pdf(format="A4"))
     assert 1 <= len(sheets) <= 12
 
 
+@pytest.mark.slow
 def test_the_largest_sample_is_never_scaled(opened: Any) -> None:
     """On a slower computer a whisker is left out where a step has overtaken it."""
     whiskers = "#figure-ladder path[stroke-dasharray], #figure-ladder line[stroke-dasharray]"
