@@ -29,9 +29,11 @@ NEWCOMERS = ("newcomer", "newcomer_wrapped")
 def copied(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the package with two more files in it, and of these tests."""
     root = tmp_path_factory.mktemp("copied")
-    # With the caches of what is compiled: compiling takes a minute.
-    shutil.copytree(ROOT / "dpbench", root / "dpbench")
-    shutil.copytree(HERE, root / "tests")
+    # With the caches of what is compiled: compiling takes a minute. What another test is writing
+    # just now, bytecode or such a cache, has a name that is gone a moment later.
+    passing = shutil.ignore_patterns("*.pyc*", "*.tmp*")
+    shutil.copytree(ROOT / "dpbench", root / "dpbench", ignore=passing)
+    shutil.copytree(HERE, root / "tests", ignore=passing)
     shutil.copy(HERE / "example_native.py", root / NATIVE / "newcomer.py")
     shutil.copy(HERE / "example_wrapped.py", root / WRAPPED / "newcomer_wrapped.py")
     return root
