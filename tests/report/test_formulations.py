@@ -6,7 +6,7 @@ from dpbench.analysis.demand import Demand
 from dpbench.analysis.times.routes import route_comparisons
 from dpbench.analysis.verdict import Verdict, verdicts_of
 from dpbench.report.page.topic import SmallTable
-from dpbench.report.topics.sweeps import formulations_topic
+from dpbench.report.topics.replays import formulations_topic
 
 DEMAND = Demand()
 

@@ -66,8 +66,8 @@ def lines(
             "name:N", scale=alt.Scale(domain=names, range=dashes), legend=None
         )
     )
-    dots = base.mark_point(filled=True, size=45, opacity=1).encode(
-        fillOpacity=alt.condition("datum.good", alt.value(1.0), alt.value(0.0)),
+    dots = base.mark_point(size=45, opacity=1, strokeWidth=1.5).encode(
+        fill=alt.condition("datum.good", alt.Color("name:N", legend=None), alt.value("white")),
     )
     layers = [joined, dots]
     if limit is not None:

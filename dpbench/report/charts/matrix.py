@@ -21,6 +21,8 @@ from dpbench.report.charts.style import (
 
 COLUMNS = ("solver", "place", "settings", "state", "error", "failed", "id", "place_id", "detail")
 MARKS = ("✓", "?", "✕", "–")
+MOST_ACROSS = 30
+"""Places side by side; more would leave no room for a name."""
 
 
 def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
@@ -29,6 +31,8 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
 
     Colour and sign say the same; the tooltip has the largest error and the failed steps. Clicking
     sets `pick`.
+
+    More places than `MOST_ACROSS` stand below each other, solvers side by side.
 
     Parameters
     ----------
@@ -40,13 +44,16 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     inks = dict(zip(OUTCOMES, OUTCOME_COLOURS, strict=True))
     table = table.assign(sign=table["state"].map(signs), ink=table["state"].map(inks))
     pick = alt.selection_point(name="pick", fields=["id", "place_id"], on="click", empty=False)
+    long = len(places) > MOST_ACROSS
+    across, down = ("solver", "place") if long else ("place", "solver")
+    order = {"solver": solvers, "place": places}
     x = alt.X(
-        "place:N",
-        sort=places,
+        f"{across}:N",
+        sort=order[across],
         title=None,
         axis=alt.Axis(orient="top", labelAngle=-90 if stacked else -40),
     )
-    y = alt.Y("solver:N", sort=solvers, title=None)
+    y = alt.Y(f"{down}:N", sort=order[down], title=None)
     tips = [
         alt.Tooltip("solver:N"),
         alt.Tooltip("settings:N"),
@@ -80,7 +87,9 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
         labelAngle=0,
     )
     tiles = tiles.add_params(pick)
-    placed = alt.layer(tiles, text, data=table, width=alt.Step(30), height=alt.Step(22))
+    placed = alt.layer(
+        tiles, text, data=table, width=alt.Step(30), height=alt.Step(15 if long else 22)
+    )
     chart = (
         placed.facet(row=alt.Row("settings:N", sort=levels, title=None, header=header), spacing=14)
         if stacked

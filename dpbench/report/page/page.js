@@ -2,55 +2,14 @@
 //
 //   #s=osqp&w=native-warm&set=high&sc=turn&k=74&slow=100&b=daqp~native-warm~default
 //
-// The block of data is unpacked once; arrays are decoded when they are first looked at.
+// The block of data is unpacked once; arrays are decoded when they are first looked at (common.js).
 "use strict";
 
-const $ = (id) => document.getElementById(id);
-const ROWS = 20, MISSING = 65535, GAP = -32768;
+const ROWS = 20;
 const NARROW = 640;  // A figure of less than this many pixels is drawn for a phone.
-let facts, bytes, base;
-const decoded = new Map(), views = {}, state = {};
-
-async function unpack() {
-  const packed = Uint8Array.from(atob($("block").textContent.trim()), (c) => c.charCodeAt(0));
-  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
-  bytes = new Uint8Array(await new Response(stream).arrayBuffer());
-  const length = new DataView(bytes.buffer).getUint32(0, true);
-  base = 4 + length;
-  facts = JSON.parse(new TextDecoder().decode(bytes.subarray(4, base)));
-}
-
-// The numbers of one packed array; null where one is missing.
-function array(index) {
-  if (index === undefined || index === null) return [];
-  if (decoded.has(index)) return decoded.get(index);
-  const [kind, start, count, scale] = facts.arrays[index], at = base + start, out = new Array(count);
-  let before = 0;
-  for (let i = 0; i < count; i++) {
-    if (kind === "flag") { out[i] = bytes[at + i]; continue; }
-    let code = bytes[at + i] | (bytes[at + count + i] << 8);
-    if (kind !== "log") before = code = (before + code) & 65535;
-    if (kind === "log") {
-      out[i] = code === 0 ? null : code === 1 ? 0 : code === 65535 ? Infinity
-        : 1e-16 * 10 ** ((code - 2) / 200);
-    } else if (kind === "count") out[i] = code === MISSING ? null : code;
-    else {
-      const signed = code > 32767 ? code - 65536 : code;
-      out[i] = signed === GAP ? null : signed * scale;
-    }
-  }
-  decoded.set(index, out);
-  return out;
-}
+const views = {}, state = {};
 
 // -- words --------------------------------------------------------------------------------------
-
-function figure(x, digits = 3) {
-  if (x === null || x === undefined) return "–";
-  if (x === "inf" || x === Infinity) return "∞";
-  return x !== 0 && (Math.abs(x) < 1e-3 || Math.abs(x) >= 1e7)
-    ? Number(x).toExponential(Math.max(1, digits - 2)) : String(Number(Number(x).toPrecision(digits)));
-}
 
 function time(ns) {
   if (ns === null || ns === undefined) return "–";
@@ -119,6 +78,7 @@ function select(change) {
 
 // -- figures ------------------------------------------------------------------------------------
 
+const HARD_ONLY = 64;  // Bit of a step that a thinned run keeps only since it is a hard one.
 const CANVAS = ["strips", "pairs"];
 
 async function figureOf(name) {
@@ -150,9 +110,10 @@ function sized(name, width) {
   if (name === "matrix") {
     const at = narrow ? facts.charts.matrix_narrow : spec, table = spec.data.find((d) => d.values);
     const of = (key) => unique(table.values.map((row) => row[key]));
-    const labels = 14 + 7 * Math.max(...of("solver").map((text) => text.length));
+    const tiles = of("place").length > facts.most_across ? ["solver", "place"] : ["place", "solver"];
+    const labels = 14 + 7 * Math.max(...of(tiles[1]).map((text) => text.length));
     const levels = narrow ? 1 : of("settings").length, slant = narrow ? 0 : 90;
-    const step = (width - labels - slant - 16 * levels) / (levels * of("place").length);
+    const step = (width - labels - slant - 16 * levels) / (levels * of(tiles[0]).length);
     return set(at, { x_step: Math.max(14, Math.min(46, step)) });
   }
   if (name === "strips") return { ...spec, width: width - 78, autosize: { type: "pad", resize: true } };
@@ -183,30 +144,6 @@ async function redraw() {
   for (const name of had) await figureOf(name);
   if ($("percentile")) await signal("accuracy", { percentile: $("percentile").value });
   await draw();
-}
-
-// A canvas knows no variables of the style sheet: it gets the colours they have now.
-function inked(spec) {
-  const style = getComputedStyle(document.documentElement);
-  return JSON.parse(JSON.stringify(spec).replace(/var\((--[\w-]+)\)/g,
-    (_, name) => style.getPropertyValue(name).trim()));
-}
-
-// A tooltip of text alone; the grammar hands over rows of names and values.
-function vegaTooltip() {
-  const box = $("tip");
-  return (_, event, __, value) => {
-    if (!value) { box.hidden = true; return; }
-    box.replaceChildren(...Object.entries(value).map(([name, text]) => {
-      const row = document.createElement("div"), head = document.createElement("b");
-      head.textContent = name; row.append(head, ` ${text}`);
-      return row;
-    }));
-    box.hidden = false;
-    box.style.left = `${Math.min(event.pageX + 14, scrollX + innerWidth - box.offsetWidth - 8)}px`;
-    const below = event.clientY + 14 + box.offsetHeight < innerHeight;
-    box.style.top = `${event.pageY + (below ? 14 : -14 - box.offsetHeight)}px`;
-  };
 }
 
 function picked(name, datum) {
@@ -454,10 +391,10 @@ async function drawTwo() {
   facts.places.forEach((place, p) => {
     const a = cell(state.c, p), b = cell(state.b, p);
     if (place.mode !== "replay" || !a || !b || a.t == null || b.t == null) return;
-    const x = array(a.t), y = array(b.t);
+    const x = array(a.t), y = array(b.t), f = array(a.f), g = array(b.f);
     x.forEach((ns, j) => {
-      const other = y[a.first + j - b.first];
-      if (ns > 0 && other > 0) rows.push({
+      const i = a.first + j - b.first, other = y[i];
+      if (ns > 0 && other > 0 && !((f[j] | g[i]) & HARD_ONLY)) rows.push({
         k: a.first + j, a_us: ns / 1e3, b_us: other / 1e3, sequence: place.label });
     });
   });

@@ -26,7 +26,7 @@ from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.revision import revision_text
 from dpbench.report.charts.accuracy import accuracy
 from dpbench.report.charts.ladder import ladder
-from dpbench.report.charts.matrix import matrix
+from dpbench.report.charts.matrix import MOST_ACROSS, matrix
 from dpbench.report.charts.pairs import COLUMNS as PAIR_COLUMNS
 from dpbench.report.charts.pairs import pairs
 from dpbench.report.charts.render import svg, vega
@@ -124,7 +124,10 @@ def page_html(
         files=_files(folder),
         footer=_footer(results),
         block=facts.block.text(document),
-        scripts=[*(Markup(script(entry)) for entry in vendored()), Markup(own("page.js"))],
+        scripts=[
+            *(Markup(script(entry)) for entry in vendored()),
+            *(Markup(own(name)) for name in ("common.js", "page.js")),
+        ],
     )
 
 
@@ -217,6 +220,7 @@ def _document(
         "places": [_place(facts, p) for p in range(len(facts.places))],
         "cells": columns_of(cells),
         "flags": FLAGS,
+        "most_across": MOST_ACROSS,
         "charts": {name: json.loads(follow(json.dumps(vega(c)))) for name, c in charts.items()},
         "answer": _opening(facts, results, answer),
         "paired": _paired(facts, answer),

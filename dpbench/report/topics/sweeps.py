@@ -47,7 +47,11 @@ def horizon_topic(records: Records, demand: Demand) -> Topic | None:
             figures.append(
                 Figure(f"horizon-{sweep.name}", chart, "Hollow: answers miss the demand there.")
             )
-            head = ("configuration", "grows as n^", f"largest horizon within {demand.p99_ms:g} ms")
+            head = (
+                "configuration",
+                "grows as n^",
+                f"largest horizon, {_by(sweep)} within {demand.p99_ms:g} ms",
+            )
             tables.append(SmallTable(head, tuple(rows), sweep.name))
     if not figures:
         return None
@@ -68,17 +72,16 @@ def _longest_horizons(records: Records, demand: Demand) -> list[str]:
             for swept in sweep.best
             if (fits := _fits(sweep, swept, demand.p99_ns)) is not None
         }
-        by = "p99" if _has_p99(sweep) else f"largest of {sweep.steps} steps"
-        limit = f"within {demand.p99_ms:g} ms ({by})"
+        limit = f"with {_by(sweep)} within {demand.p99_ms:g} ms"
         if not largest:
-            said.append(f"In {sweep.name} nobody fits a horizon {limit}.")
+            said.append(f"In {sweep.name} nobody fits a horizon, right and {limit}.")
             continue
         longest = max(largest.values(), key=moves_of)
         who = [name for name, horizons in largest.items() if horizons == longest]
         beyond = "" if longest != sweep.horizons[-1] else ", the longest that was run"
         said.append(
             f"In {sweep.name} {_some(who)} {'fits' if len(who) == 1 else 'fit'} "
-            f"{longest[0]}/{longest[1]}{beyond}, right {limit}."
+            f"{longest[0]}/{longest[1]}{beyond}, right and {limit}."
         )
     return said
 
@@ -93,6 +96,11 @@ def _has_p99(sweep: Sweep) -> bool:
     """Whether any of its replays has enough steps for a p99."""
     points = [point for swept in sweep.swept for point in swept.timed.values()]
     return any(math.isfinite(point.p99_ns) for point in points)
+
+
+def _by(sweep: Sweep) -> str:
+    """The time that a horizon is judged by."""
+    return "p99" if _has_p99(sweep) else f"each of {sweep.steps} steps"
 
 
 def _fits(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> Horizons | None:

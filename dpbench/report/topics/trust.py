@@ -9,6 +9,7 @@ import pandas as pd
 from dpbench.analysis.machine import delayed_runs, disturbance_of, timed_runs
 from dpbench.analysis.records import Records
 from dpbench.bench.judge.calibration import within_bar
+from dpbench.bench.record.revision import revision_text
 from dpbench.report.charts.lines import dots
 from dpbench.report.machine_verdict import (
     disturbance_facts,
@@ -69,6 +70,7 @@ def trust_topic(records: Records) -> Topic | None:
         *machine_facts(records.machine),
         *(disturbance_facts(found) if found.seconds > 0 else ()),
         *own_switches(timed),
+        *(("dpbench", text) for text in (revision_text(records.suite),) if text),
     ]
     return Topic(
         id="trust",

@@ -217,13 +217,14 @@ def test_the_topic_says_no_more_of_a_limit_than_the_runs(records: Any) -> None:
 
 
 def test_a_thin_sweep_has_no_p99(records: Any) -> None:
-    """999 steps leave less than ten beyond the 99th percentile."""
+    """999 steps leave less than ten beyond the 99th percentile; the largest step decides then."""
     _law(records, "daqp", 10.0, 1.0, steps=999)
     (swept,) = _best(records).values()
     assert all(math.isnan(point.p99_ns) for point in swept.points.values())
     assert swept.largest_within(1e9) is None
     topic = horizon_topic(records.view(), DEMAND)
-    assert topic is not None and topic.tables[0].rows[0][2] == "–"
+    assert topic is not None and topic.lines[0].endswith("with each of 999 steps within 3 ms.")
+    assert topic.tables[0].rows[0][2] == "200/40"
 
 
 def test_the_figure_is_over_the_variables_of_the_qp(records: Any) -> None:
