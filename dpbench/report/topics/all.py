@@ -67,13 +67,11 @@ def _question(records: Records, topics: Sequence[str]) -> str:
         return next((id for id in ("slowdown", "random", "trust") if id in topics), "")
     if records.delayed or records.random:
         return ""
+    if _only(records, "replay"):
+        return next((id for id in ("horizon", *_CONTRASTS) if id in topics), "")
     if "formulations" in topics and _mostly_forms(records):
         return "formulations"
-    if _only(records, "closed_loop"):
-        return "loops" if "loops" in topics else ""
-    if not _only(records, "replay"):
-        return ""
-    return next((id for id in ("horizon", *_CONTRASTS) if id in topics), "")
+    return "loops" if "loops" in topics and _only(records, "closed_loop") else ""
 
 
 def _only(records: Records, mode: str) -> bool:
