@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
-from dpbench.mpc.kernels import condense_blocks, hessian_blocks, map_blocks, markov_blocks
+from dpbench.mpc.kernels import condense_blocks, map_blocks
 from dpbench.mpc.model import StateSpace, rotated
 from dpbench.mpc.terminal import TerminalCost, terminal_cost
 from dpbench.qp.program import shaped
@@ -76,14 +76,6 @@ class ControlProblem:
         return replace(self, model=rotated(self.model, turn_rad))
 
 
-def markov(model: StateSpace, N_p: int) -> tuple[Matrix, NDArray[np.float64]]:
-    """F (N_p·n_y, n_x) of eq. 15 and the Markov parameters h (N_p, n_y, n_u)."""
-    F = np.empty((N_p * model.n_y, model.n_x))
-    h = np.empty((N_p, model.n_y, model.n_u))
-    markov_blocks(model.A, model.B, model.C, F, h)
-    return F, h
-
-
 def toeplitz(h: NDArray[np.float64], N_c: int) -> Matrix:
     """Φ (N_p·n_y, N_c·n_u) of eq. 15, the block-Toeplitz matrix of h (N_p, n_y, n_u)."""
     N_p, n_y, n_u = h.shape
@@ -97,17 +89,6 @@ def toeplitz(h: NDArray[np.float64], N_c: int) -> Matrix:
         writeable=False,
     )
     return blocks.reshape(N_p * n_y, N_c * n_u)
-
-
-def hessian(h: NDArray[np.float64], Q: Matrix, R: Matrix, N_c: int) -> Matrix:
-    """E = Φᵀ Q̄ Φ + R̄ (eq. 24) from the Markov parameters h (N_p, n_y, n_u), without Φ.
-
-    P_ij = P_{i+1,j+1} + h_{N_p−i}ᵀ Q h_{N_p−j} (blocks counted from 1), because Φ is Toeplitz.
-    """
-    n = N_c * h.shape[2]
-    E = np.empty((n, n))
-    hessian_blocks(np.ascontiguousarray(h), Q, R, N_c, E)
-    return E
 
 
 def summed_moves(N_c: int, n_u: int) -> Matrix:

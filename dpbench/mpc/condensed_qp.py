@@ -24,7 +24,6 @@ from dpbench.mpc.model import HORIZONTAL
 from dpbench.mpc.outputs import OutputBounds, instants, output_layers
 from dpbench.mpc.soft_limits import Penalty, amplitude_layer, lay
 from dpbench.qp.program import QPStep, QuadraticProgram, Units
-from dpbench.qp.solution import Solution
 
 Amplitude = Literal["reachable", "hard", "soft"]
 """What amplitude limits that `emit` is given mean for plan row i: `reachable`, the limits or what
@@ -227,10 +226,3 @@ class CondensedQP:
         cost = 0.5 * float(np.einsum("ki,ij,kj->", error, self.control.Q, error))
         end = self.matrices.end
         return cost if end is None else cost + end.constant(x, y_d[-self.control.model.n_y :])
-
-    def to_scaled(self, solution: Solution) -> Solution:
-        """The answer mapped to scaled units: the same plan, multipliers of the scaled rows."""
-        if self.units == "scaled":
-            return solution
-        z, row = self.scale.z, self.scale.row
-        return solution.with_iterate(solution.z / z, solution.y * row, solution.y_box * z)

@@ -53,38 +53,3 @@ def closed_loop_eigenvalues(model: StateSpace, law: Gains) -> np.ndarray:
     """Roots of eq. 35, by falling modulus."""
     roots = np.linalg.eigvals(closed_loop(model, law))
     return roots[np.argsort(-np.abs(roots), kind="stable")]
-
-
-def active_set_correction(
-    E: Matrix, M_act: Matrix, lam_act: Vector, n_u: int
-) -> tuple[Vector, Vector]:
-    """K0 = E⁻¹ M_actᵀ λ_act (n,) of eq. 36 and K K0 (n_u,), what it takes off the first move.
-
-    E (n, n), M_act (a, n) the active rows of eq. 25 and λ_act (a,) ≥ 0 their multipliers, all in
-    one system of units.
-    """
-    K0 = scipy.linalg.solve(E, M_act.T @ lam_act, assume_a="pos")
-    return K0, K0[:n_u]
-
-
-def controllable_rank(model: StateSpace, tolerance: float = 1e-9) -> int:
-    """Dimension of the controllable subspace of (A, B): n_x means controllable (paper III.E).
-
-    Built as the span of [B, A B, …] by orthogonalising every new block against the span so far,
-    scaled to unit columns: the plain controllability matrix is too far scaled in SI units
-    (Golub & Van Loan 2013, section 7.4.5, block Krylov subspace).
-    """
-    basis = np.empty((model.n_x, 0))
-    block = model.B
-    while basis.shape[1] < model.n_x:
-        norms = np.linalg.norm(block, axis=0)
-        block = block[:, norms > 0] / norms[norms > 0]
-        for _ in range(2):
-            block = block - basis @ (basis.T @ block)
-        directions, sizes, _ = np.linalg.svd(block, full_matrices=False)
-        fresh = directions[:, sizes > tolerance]
-        if not fresh.shape[1]:
-            break
-        basis = np.hstack([basis, fresh])
-        block = model.A @ fresh
-    return basis.shape[1]

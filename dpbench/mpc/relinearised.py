@@ -97,7 +97,7 @@ class RelinearisedQP(CondensedQP):
     Attributes
     ----------
     P, A, Z, matrices : those of the last step; A and P in arrays that later steps leave alone.
-    heading_rad : where they are linearised; rebuilt : how often that happened.
+    heading_rad : where they are linearised.
 
     Raises
     ------
@@ -124,7 +124,6 @@ class RelinearisedQP(CondensedQP):
             raise InputError("RelinearisedQP", "threshold_rad", threshold_rad, "0 or more")
         self.psi0_rad = self.heading_rad = psi0_rad
         self.threshold_rad = threshold_rad
-        self.rebuilt = 0
         self._condensed_at = psi0_rad
         *samples, check = [self._built(turn) for turn in (*_TURNS, _CHECKED_TURN)]
         self._sampled = [sample.matrices for sample in samples]
@@ -187,7 +186,6 @@ class RelinearisedQP(CondensedQP):
             self._series["A"].write(turn, self.A)
         # In place: `emit` holds the product with this very array.
         self._series["Z"].write(turn, self.Z)
-        self.rebuilt += 1
 
     def emit(
         self,

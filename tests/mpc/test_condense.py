@@ -7,6 +7,7 @@ powers of A taken one by one.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpbench.errors import InputError, ShapeError
-from dpbench.mpc.condense import ControlProblem, condense_matrices, hessian, markov, toeplitz
+from dpbench.mpc.condense import ControlProblem, condense_matrices
 from dpbench.mpc.condensed_qp import CondensedQP
 
 RELATIVE = 1e-11
@@ -36,8 +37,8 @@ def test_predicted_outputs_are_those_of_the_stepped_model(case: Any) -> None:
         du = moves[i] if i < problem.N_c else np.zeros(problem.model.n_u)
         state = problem.model.A @ state + problem.model.B @ du
         outputs.append(problem.model.C @ state)
-    F, h = markov(problem.model, problem.N_p)
-    predicted = F @ case.x + toeplitz(h, problem.N_c) @ moves.reshape(-1)
+    matrices = condense_matrices(problem)
+    predicted = matrices.F @ case.x + matrices.Phi @ moves.reshape(-1)
     close(predicted, np.concatenate(outputs))
 
 
@@ -168,9 +169,8 @@ def test_many_moves_condense_like_the_naive_construction(ship: Any, naive: Any, 
 def test_hessian_needs_no_diagonal_weights(random_plant: Any, naive: Any) -> None:
     """Full Q and R are used whole: exchanging two axes of one weight changes the Hessian."""
     problem = random_plant(11, 3, 3, 9, 4)
-    _, h = markov(problem.model, problem.N_p)
-    diagonal = hessian(h, np.diag(np.diag(problem.Q)), problem.R, problem.N_c)
-    full = hessian(h, problem.Q, problem.R, problem.N_c)
+    diagonal = condense_matrices(replace(problem, Q=np.diag(np.diag(problem.Q)))).E
+    full = condense_matrices(problem).E
     x, u_prev = np.zeros(problem.model.n_x), np.zeros(3)
     close(full, naive(problem, x, np.zeros((9, 3)), u_prev).E)
     assert np.abs(full - diagonal).max() > 1e-3 * np.abs(full).max()
