@@ -20,9 +20,9 @@ EXPLAINED = sorted(
 HARD = {
     "dpbench.qp.referee.rational",
     "dpbench.qp.referee.referee",
-    "dpbench.ship.estimation.kalman_model",
+    "dpbench.ship.estimation.kalman",
     "dpbench.solvers.own.active_set.kernel",
-    "dpbench.solvers.own.hildreth_kernel",
+    "dpbench.solvers.own.hildreth",
     "dpbench.solvers.own.safeguards.exact_point",
 }
 

@@ -10,10 +10,8 @@ from dpbench.arrays import Vector
 from dpbench.errors import InputError
 from dpbench.scenario.tables import EstimatorTable, ScenarioFile
 from dpbench.ship.estimation.estimator import Estimator, MeasuredState
-from dpbench.ship.estimation.kalman import KalmanFilter
-from dpbench.ship.estimation.kalman_model import SENSOR_STD, KalmanTuning
-from dpbench.ship.estimation.passive_observer import PassiveObserver
-from dpbench.ship.estimation.passive_tuning import PassiveTuning
+from dpbench.ship.estimation.kalman import SENSOR_STD, KalmanFilter, KalmanTuning
+from dpbench.ship.estimation.passive_observer import PassiveObserver, PassiveTuning
 from dpbench.ship.estimation.wave_filter import WaveModel
 from dpbench.ship.froude import Froude
 from dpbench.ship.vessel import Vessel

@@ -20,9 +20,9 @@ from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.model import prediction_model
 from dpbench.ship.plant import SUBSTEPS, Plant
 from dpbench.ship.vessel import Vessel
-from dpbench.solvers.own import hildreth_kernel, paper_active_set
+from dpbench.solvers.own import hildreth, paper_active_set
 
-__all__ = ["hildreth_kernel", "worker"]
+__all__ = ["hildreth", "worker"]
 
 
 def _prime() -> None:

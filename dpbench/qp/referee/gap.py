@@ -71,7 +71,7 @@ def gap_certificate(
 
     Returns
     -------
-    None where no feasible z is found this way, as with equality-like rows (see `enclosure`).
+    None where no feasible z is found this way, as with equality-like rows (see `last_resort`).
     """
     rows = system.rows
     limits = np.concatenate((problem.U, problem.L))[system.limits]

@@ -59,13 +59,12 @@ from dpbench.qp.referee.feasibility.farkas import (
     farkas_valid,
     unbounded_valid,
 )
-from dpbench.qp.referee.feasibility.forced import fix_forced
+from dpbench.qp.referee.feasibility.implied import fix_forced
 from dpbench.qp.referee.feasibility.rounding import least_violation, refute
 from dpbench.qp.referee.gap import gap_certificate, independent, met
 from dpbench.qp.referee.joint import ExactMatrices, JointQP, Kind, Proof, Signs
-from dpbench.qp.referee.kkt import KKTSystem, positive_definite
+from dpbench.qp.referee.kkt import Geometry, KKTSystem, linear_certificate, positive_definite
 from dpbench.qp.referee.last_resort import LastResort
-from dpbench.qp.referee.linear import Geometry, linear_certificate
 from dpbench.qp.referee.oracle import guesses
 from dpbench.qp.referee.rational import rational_certificate
 from dpbench.qp.residuals import best_multipliers

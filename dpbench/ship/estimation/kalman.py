@@ -1,6 +1,6 @@
 """Kalman filter of a ship in dynamic positioning, with bias and wave-frequency states.
 
-    x⁻ = Φ x + Γ τ,     ε = Tᵀ y − C x⁻,     x = x⁻ + K ε         (model in `kalman_model`)
+    x⁻ = Φ x + Γ τ,     ε = Tᵀ y − C x⁻,     x = x⁻ + K ε         (the model below)
 
 T(ψ) turns vessel-parallel axes into north-east ones, ψ being the *measured* heading. The gain is
 computed once, in vessel-parallel axes, where the model does not depend on the heading; positions,
@@ -8,28 +8,276 @@ bias and wave states are remembered in north-east axes, so that a turn of the sh
 them. Of the state x (see `observer` for its layout) these are η, b, ξ1, ξ2; ν is along the ship in
 both. What is left out is the turn within one sample and the wave part of the measured heading,
 both a degree or so.
+
+The stochastic model behind it: in vessel-parallel axes (positions and forces turned by the measured
+heading), states [η, b, ν, ξ1, ξ2] of three each, w white with unit intensity, v white with the
+sensors' variance:
+
+    η̇ = ν,   ḃ = −b/T_b + E_b w,   M ν̇ = τ + b − D ν + E_ν w,   ξ as in `wave_filter`
+    y_k = η + ξ2 + v_k                                      (Fossen 2021, ch. 13.4)
+
+Discrete: Φ = e^{Ah}, Γ = ∫ e^{As} B ds, Q = ∫ e^{As} E Eᵀ e^{Aᵀs} ds over a sample (Van Loan 1978),
+P = Φ (P − P Cᵀ S⁻¹ C P) Φᵀ + Q,   S = C P Cᵀ + R,   K = P Cᵀ S⁻¹.
+
+The matrices in blocks of three (0 left out; without the wave filter the last two rows and columns
+of blocks are not there), the order of x that of `observer`:
+
+    A       η    b       ν       ξ1     ξ2          B         E   on bias  on speed  on waves
+    η                    I                          η         η
+    b          −I/T_b                               b         b   E_b
+    ν           M⁻¹     −M⁻¹D                       ν  M⁻¹    ν            M⁻¹E_f
+    ξ1                                  I           ξ1        ξ1
+    ξ2                          −ω0²   −2λω0        ξ2        ξ2                     K_w
+    C       I                           I
+
+Two examples to follow by hand. A trolley of mass 1 on rails, ṗ = v, v̇ = u + w: over h = 2 s a held
+force of 1 moves it by h²/2 = 2 and makes it faster by h = 2, and white noise leaves the variances
+h³/3 = 8/3 of p, h = 2 of v and h²/2 = 2 between them.
+
+>>> A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
+>>> Phi, Gamma, Q = discretise(A, B, B, 2.0)
+>>> bool(np.allclose(Phi, [[1, 2], [0, 1]]) and np.allclose(Gamma, [[2], [2]]))
+True
+>>> bool(np.allclose(Q, [[8 / 3, 2], [2, 2]]))
+True
+
+Three positions that walk at random, x⁺ = x + w and y = x + v with unit variances, each on its own:
+p = p − p²/(p + 1) + 1, that is p² = p + 1, so p = (1 + √5)/2 = 1.618, s = p + 1 = 2.618 and
+k = p/s = 1/p = 0.618. Of what a measurement says anew the filter believes that share.
+
+>>> one = np.eye(3)
+>>> P, S, K = _steady_state(one, one, one, "random walk")
+>>> golden = (1 + math.sqrt(5)) / 2
+>>> [bool(np.allclose(X, x * one)) for X, x in ((P, golden), (S, golden + 1), (K, 1 / golden))]
+[True, True, True]
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 from numba import njit
+from scipy.linalg import LinAlgError, expm, solve_discrete_are
 
-from dpbench.arrays import Vector
-from dpbench.ship.estimation.estimator import nearest_turn
-from dpbench.ship.estimation.kalman_model import KalmanModel, KalmanTuning, kalman_model
+from dpbench.arrays import Matrix, Vector
+from dpbench.errors import InputError
+from dpbench.ship.estimation.estimator import checked_sample, nearest_turn
 from dpbench.ship.estimation.observer import (
     BIAS,
     ETA,
     NU,
+    WITH_WAVES,
     WITHOUT_WAVES,
     XI1,
     XI2,
     ModelObserver,
     model_change,
 )
+from dpbench.ship.estimation.wave_filter import WaveModel
 from dpbench.ship.layout import AXES
+from dpbench.ship.validation import store_positive_vectors
 from dpbench.ship.vessel import Vessel
+
+NOISES = range(0, 3 * AXES, AXES)
+"""First entry of w that drives the bias, the speed and, with the wave filter, the waves."""
+SENSOR_STD = np.array([0.1, 0.1, np.radians(0.1)])
+"""White noise of satellite position and gyrocompass [m, m, rad], per sample."""
+FORCE_SHARE = 0.005
+"""Root intensity of the unmodelled white force, as a share of the thrust τ_max·√T_p."""
+BIAS_SHARE = 0.02
+"""Growth of the bias over one period T_p of the waves, as a share of the thrust τ_max.
+
+Small enough that in waves of 2 m the thrusters of `supply_fs99` meet their rate limit in a few per
+cent of the steps only; the bias then follows weather that changes within minutes, not faster."""
+RESIDUAL_MAX = 1e-6
+"""Largest relative residual of the Riccati equation that a solution may leave."""
+RADIUS_MAX = 1.0 - 1e-9
+"""Largest spectral radius of a filter; at 0.3 s it forgets its start in ten years."""
+
+
+@dataclass(frozen=True, eq=False)
+class KalmanTuning:
+    """What the filter assumes of the noise; axes surge, sway, yaw.
+
+    Parameters
+    ----------
+    measurement_std : (3,) standard deviation of the white sensor noise [m, m, rad].
+    force_noise : (3,) root intensity of the white force on the ship [N√s, N√s, N·m√s].
+    bias_noise : (3,) root intensity of what drives the bias: a random walk grows by this in one
+        second [N/√s, N/√s, N·m/√s].
+    waves : model of the wave motion; None switches the wave filter off.
+    bias_time_s : time constant of the bias (first-order Markov) [s]; inf for a random walk.
+    where : the file named in errors.
+
+    Raises
+    ------
+    ShapeError, InputError : naming the key, what was found and what is allowed.
+    """
+
+    measurement_std: Vector
+    force_noise: Vector
+    bias_noise: Vector
+    waves: WaveModel | None
+    bias_time_s: float = math.inf
+    where: str = "KalmanTuning"
+
+    def __post_init__(self) -> None:
+        store_positive_vectors(self, self.where, "measurement_std", "force_noise", "bias_noise")
+        if not self.bias_time_s > 0:
+            raise InputError(self.where, "bias_time_s", self.bias_time_s, "a positive time or inf")
+
+    @classmethod
+    def of_ship(
+        cls,
+        ship: Vessel,
+        waves: WaveModel,
+        measurement_std: Vector = SENSOR_STD,
+        *,
+        wave_filter: bool = True,
+        where: str = "KalmanTuning",
+    ) -> KalmanTuning:
+        """Noise in proportion to the ship's limits and to the period of the sea.
+
+        Without the wave filter the motion of the waves counts as sensor noise.
+        """
+        period = waves.peak_period_s
+        # Weather pushes no harder along the ship than across it, whatever its main propellers can.
+        force = np.minimum(ship.tau_max, [ship.tau_max[1], np.inf, np.inf])
+        if not wave_filter:
+            measurement_std = np.hypot(measurement_std, waves.std)
+        return cls(
+            measurement_std,
+            FORCE_SHARE * force * np.sqrt(period),
+            BIAS_SHARE * force / np.sqrt(period),
+            waves if wave_filter else None,
+            where=where,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class KalmanModel:
+    """The discrete model in SI, n = 15 states (9 without wave filter), and its steady state.
+
+    Phi (n, n), Gamma (n, 3), C (3, n), Q (n, n), R (3, 3); P (n, n) covariance of the predicted
+    state, S (3, 3) of the innovation, K (n, 3) gain of the correction.
+    """
+
+    Phi: Matrix
+    Gamma: Matrix
+    C: Matrix
+    Q: Matrix
+    R: Matrix
+    P: Matrix
+    S: Matrix
+    K: Matrix
+
+
+def kalman_model(ship: Vessel, tuning: KalmanTuning, sample_s: float) -> KalmanModel:
+    """Discretise exactly and solve the Riccati equation.
+
+    The algebra runs in units of the problem (σ of the sensor, the time of the filter, the force
+    that moves one by the other); in SI the same call returns five digits of the gain.
+
+    Raises
+    ------
+    InputError : when the noise leaves no steady state that rounding can tell.
+    """
+    h = checked_sample(tuning.where, sample_s)
+    A, B, E, C = _continuous(ship, tuning)
+    unit = _units(ship, tuning, len(A))
+    sigma = tuning.measurement_std
+    Phi, Gamma, Q = discretise(A * unit / unit[:, None], B / unit[:, None], E / unit[:, None], h)
+    Cs = C * unit / sigma[:, None]
+    P, S, K = _steady_state(Phi, Cs, Q, tuning.where)
+    outer = np.outer(unit, unit)
+    return KalmanModel(
+        Phi=np.ascontiguousarray(Phi * unit[:, None] / unit),
+        Gamma=np.ascontiguousarray(Gamma * unit[:, None]),
+        C=C,
+        Q=Q * outer,
+        R=np.diag(sigma**2),
+        P=P * outer,
+        S=S * np.outer(sigma, sigma),
+        K=np.ascontiguousarray(K * unit[:, None] / sigma),
+    )
+
+
+def discretise(A: Matrix, B: Matrix, E: Matrix, h: float) -> tuple[Matrix, Matrix, Matrix]:
+    """Φ, Γ and Q of ẋ = A x + B u + E w over h seconds, u held, w white with unit intensity.
+
+    Van Loan, "Computing integrals involving the matrix exponential", IEEE TAC 23 (1978).
+    """
+    n, m = B.shape
+    held = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * h)
+    noise = expm(np.block([[-A, E @ E.T], [np.zeros((n, n)), A.T]]) * h)
+    Phi, Gamma = held[:n, :n], held[:n, n:]
+    Q = Phi @ noise[:n, n:]
+    return Phi, Gamma, 0.5 * (Q + Q.T)
+
+
+def _steady_state(Phi: Matrix, C: Matrix, Q: Matrix, where: str) -> tuple[Matrix, Matrix, Matrix]:
+    """P, S, K of the module's equations for R = I, verified; InputError where there is none."""
+    n, one = len(Phi), np.eye(AXES)
+    allowed = "noises of comparable effect"
+    try:
+        # Our own units balance it; LAPACK's balancing overflows where the noises differ too much.
+        P = np.asarray(solve_discrete_are(Phi.T, C.T, Q, one, balanced=False), np.float64)
+    except (LinAlgError, ValueError) as error:
+        raise InputError(where, "", f"no steady state ({error})", allowed) from error
+    S = C @ P @ C.T + one
+    K = np.asarray(np.linalg.solve(S, C @ P).T, np.float64)
+    spread = np.sqrt(np.abs(np.diag(P)))
+    rest = (Phi @ (P - K @ S @ K.T) @ Phi.T + Q - P) / np.outer(spread, spread)
+    residual = float(np.abs(rest).max())
+    radius = float(np.abs(np.linalg.eigvals((np.eye(n) - K @ C) @ Phi)).max())
+    if not (residual < RESIDUAL_MAX and radius < RADIUS_MAX):
+        measured = f"Riccati residual {residual:.1e}, spectral radius {radius:.12f}"
+        raise InputError(where, "", f"no steady state ({measured})", allowed)
+    return P, S, K
+
+
+def _continuous(ship: Vessel, tuning: KalmanTuning) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+    """A, B, E, C of the module's equations, in SI."""
+    n = WITHOUT_WAVES if tuning.waves is None else WITH_WAVES
+    Minv = np.linalg.inv(ship.M)
+    A, B, C = np.zeros((n, n)), np.zeros((n, AXES)), np.zeros((AXES, n))
+    # A column a state less the pose; those of ξ1, which nothing drives, stay zero at the end.
+    E = np.zeros((n, n - AXES))
+    eta, b, nu, xi1, xi2 = (slice(first, first + AXES) for first in (ETA, BIAS, NU, XI1, XI2))
+    on_bias, on_speed, on_waves = (slice(first, first + AXES) for first in NOISES)
+    one = np.eye(AXES)
+    A[eta, nu] = C[:, eta] = one
+    A[b, b] = -one / tuning.bias_time_s
+    A[nu, b] = B[nu] = Minv
+    A[nu, nu] = -Minv @ ship.D
+    E[b, on_bias], E[nu, on_speed] = np.diag(tuning.bias_noise), Minv * tuning.force_noise
+    if tuning.waves is not None:
+        omega0 = tuning.waves.omega0_radps
+        A[xi1, xi2] = C[:, xi2] = one
+        A[xi2, xi1] = -np.diag(omega0**2)
+        A[xi2, xi2] = -np.diag(2 * tuning.waves.damping * omega0)
+        E[xi2, on_waves] = np.diag(tuning.waves.K_w)
+    return A, B, E, C
+
+
+def _units(ship: Vessel, tuning: KalmanTuning, n: int) -> Vector:
+    """One unit (n,) per state: lengths in σ of the sensor, times in the filter's own.
+
+    That time is 1/ω0 with a wave filter, else the time in which the bias alone moves the ship by
+    σ: bias noise · t^2.5 = M σ.
+    """
+    sigma, mass = tuning.measurement_std, np.diag(ship.M)
+    if tuning.waves is None:
+        time = (mass * sigma / tuning.bias_noise) ** 0.4
+    else:
+        time = 1 / tuning.waves.omega0_radps
+    unit = np.concatenate(
+        [sigma, mass * sigma / time**2, sigma / time, sigma * time, sigma],
+    )
+    scaled: Vector = unit[:n]
+    return scaled
 
 
 @njit(cache=True)

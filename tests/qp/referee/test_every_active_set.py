@@ -9,8 +9,7 @@ import pytest
 
 from dpbench.qp.referee.gap import gap_certificate
 from dpbench.qp.referee.joint import ExactMatrices, JointQP
-from dpbench.qp.referee.kkt import KKTSystem
-from dpbench.qp.referee.linear import Geometry, linear_certificate
+from dpbench.qp.referee.kkt import Geometry, KKTSystem, linear_certificate
 from dpbench.qp.referee.rational import rational_certificate
 
 ACTIVE_SETS = [np.array(signs, dtype=np.int8) for signs in product((-1, 0, 1), repeat=3)]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dpbench.qp.program import QuadraticProgram
-from dpbench.qp.referee.feasibility.forced import fix_forced
+from dpbench.qp.referee.feasibility.implied import fix_forced
 from dpbench.qp.referee.joint import ExactMatrices, JointQP
 from dpbench.qp.referee.rational import rational_certificate
 from dpbench.qp.referee.referee import certify

@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee import oracle
-from dpbench.qp.referee.enclosure import enclosure_certificate
 from dpbench.qp.referee.equilibrated import Scales, safe
 from dpbench.qp.referee.feasibility.implied import with_implied, without_empty
 from dpbench.qp.referee.joint import ExactMatrices, JointQP, Proof
 from dpbench.qp.referee.kkt import KKTSystem
-from dpbench.qp.referee.last_resort import LastResort
+from dpbench.qp.referee.last_resort import LastResort, enclosure_certificate
 from dpbench.qp.referee.rational import rational_certificate
 from dpbench.qp.referee.referee import Optimum, Referee, certify
 from dpbench.qp.residuals import is_true, residuals

@@ -11,11 +11,9 @@ from dpbench.errors import InputError, ShapeError
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.environment import Environment
 from dpbench.ship.estimation.estimator import Estimator, MeasuredState
-from dpbench.ship.estimation.kalman import KalmanFilter
-from dpbench.ship.estimation.kalman_model import SENSOR_STD, KalmanTuning
+from dpbench.ship.estimation.kalman import SENSOR_STD, KalmanFilter, KalmanTuning
 from dpbench.ship.estimation.observer import change_matrix, model_change
-from dpbench.ship.estimation.passive_observer import PassiveObserver
-from dpbench.ship.estimation.passive_tuning import PassiveTuning
+from dpbench.ship.estimation.passive_observer import PassiveObserver, PassiveTuning
 from dpbench.ship.estimation.wave_filter import WaveModel
 from dpbench.ship.plant import SUBSTEPS, Plant
 

@@ -12,8 +12,13 @@ from scipy.stats import binom, chi2
 
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import load_vessel
-from dpbench.ship.estimation.kalman import KalmanFilter
-from dpbench.ship.estimation.kalman_model import SENSOR_STD, KalmanTuning, discretise, kalman_model
+from dpbench.ship.estimation.kalman import (
+    SENSOR_STD,
+    KalmanFilter,
+    KalmanTuning,
+    discretise,
+    kalman_model,
+)
 from dpbench.ship.estimation.wave_filter import WaveModel
 from dpbench.ship.vessel import Vessel
 

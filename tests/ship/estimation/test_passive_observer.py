@@ -10,8 +10,7 @@ from scipy.integrate import solve_ivp
 
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import load_vessel
-from dpbench.ship.estimation.passive_observer import PassiveObserver
-from dpbench.ship.estimation.passive_tuning import PassiveTuning
+from dpbench.ship.estimation.passive_observer import PassiveObserver, PassiveTuning
 from dpbench.ship.estimation.wave_filter import WaveModel
 from dpbench.ship.vessel import Vessel
 

@@ -24,8 +24,7 @@ from dpbench.solvers.native.hpipm.library import (
     load_library,
     pointer,
 )
-from dpbench.solvers.native.hpipm.stage_data import Part, StageData, addresses
-from dpbench.solvers.native.hpipm.stages import find_stages
+from dpbench.solvers.native.hpipm.stages import Part, StageData, addresses, find_stages
 from dpbench.solvers.one_sided import Sides
 from dpbench.solvers.record import SolverRecord, by_tolerance
 
