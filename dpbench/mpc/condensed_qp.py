@@ -175,7 +175,7 @@ class CondensedQP:
         moves = step.q.reshape(self._shape)[self._upper]
         moves += slope.reshape(moves.shape)
         bounds = self.outputs
-        if bounds is not None and bounds.radius_m is not None and bounds.centre_m is None:
+        if bounds is not None and bounds.radius_m is not None:
             # The circle moves with the reference as it does with the one that is held.
             first = self._lower[1].stop
             circle = slice(first, first + bounds.sides)

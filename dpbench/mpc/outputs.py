@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.arrays import Matrix, Vector
-from dpbench.errors import InputError, ShapeError
+from dpbench.arrays import Matrix
+from dpbench.errors import ShapeError
 from dpbench.mpc.condense import CondensedMatrices, ControlProblem
 from dpbench.mpc.model import HORIZONTAL, ThetaLayout
 from dpbench.mpc.soft_limits import Layer, unlimited
@@ -30,31 +30,16 @@ class OutputBounds:
 
     Parameters
     ----------
-    radius_m : of the watch circle, None for none.
+    radius_m : of the watch circle around the reference, None for none.
     speed_mps : largest speed over ground, from Δη/ΔT, None for none.
     sample_s : ΔT.
-    centre_m : (2,) north and east of the circle; None moves it with the reference.
     sides : K.
     """
 
     sample_s: float
     radius_m: float | None = None
     speed_mps: float | None = None
-    centre_m: Vector | None = None
     sides: int = 8
-
-    def __post_init__(self) -> None:
-        for name in ("sample_s", "radius_m", "speed_mps"):
-            value = getattr(self, name)
-            if value is not None and not 0.0 < value < np.inf:
-                raise InputError("OutputBounds", name, value, "a positive number")
-        if self.radius_m is None and self.speed_mps is None:
-            raise InputError("OutputBounds", "radius_m, speed_mps", None, "at least one of them")
-        if self.sides < 3:
-            raise InputError("OutputBounds", "sides", self.sides, "3 or more")
-        if self.centre_m is not None and np.shape(self.centre_m) != (2,):
-            shape = np.shape(self.centre_m)
-            raise ShapeError.of("OutputBounds", "centre_m", shape, "shape (2,)")
 
     @property
     def directions(self) -> Matrix:
@@ -124,7 +109,4 @@ def _polygon(
 def _centre(layer: Layer, bounds: OutputBounds, theta: ThetaLayout) -> None:
     """Move the polygon of a layer from the origin to the centre of the circle."""
     d = bounds.directions / layer.row_unit[0]
-    if bounds.centre_m is None:
-        layer.high[:, :, theta.y_ref][:, :, HORIZONTAL] = d
-    else:
-        layer.high[:, :, theta.one] += d @ bounds.centre_m
+    layer.high[:, :, theta.y_ref][:, :, HORIZONTAL] = d

@@ -13,7 +13,6 @@ import numpy as np
 import scipy.linalg
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.errors import InputError
 from dpbench.ship.estimation.estimator import nearest_turn
 from dpbench.ship.layout import YAW
 
@@ -26,13 +25,6 @@ class ReferenceFilter:
 
     period_s: float
     damping: float = 1.0
-    where: str = "ReferenceFilter"
-
-    def __post_init__(self) -> None:
-        for name in ("period_s", "damping"):
-            value = getattr(self, name)
-            if not 0.0 < value < np.inf:
-                raise InputError(self.where, name, value, "a positive number")
 
 
 def nearest_pose(target: Vector, start: Vector) -> Vector:

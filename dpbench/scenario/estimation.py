@@ -49,7 +49,7 @@ class EstimatorChoice:
                 ship, self.waves, self.sensor_std, wave_filter=filtering, where=self.where
             )
             return KalmanFilter(ship, kalman, sample_s)
-        passive = PassiveTuning.of_ship(ship, self.waves, wave_filter=filtering, where=self.where)
+        passive = PassiveTuning.of_ship(ship, self.waves, wave_filter=filtering)
         return PassiveObserver(ship, passive, sample_s)
 
 
@@ -68,7 +68,7 @@ def estimator_choice(spec: ScenarioFile, scale: Froude, where: str) -> Estimator
     if table.kind != "measured":
         floor = CALM_STD * scale.pose
         std = floor if sea.waves is None else np.maximum(sea.waves.motion_std(scale), floor)
-        waves = WaveModel.of_sea(_peak_period(table, spec, place) * scale.time, std, place)
+        waves = WaveModel.of_sea(_peak_period(table, spec, place) * scale.time, std)
     return EstimatorChoice(table.kind, table.wave_filter, waves, sensor, place)
 
 

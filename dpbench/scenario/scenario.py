@@ -177,7 +177,7 @@ def scenario_of(
     true_ship = replace(vessel, where=f"{where}: plant").with_mismatch(
         plant.mass_percent, plant.damping_percent
     )
-    environment = spec.environment.environment(scale, f"{where}: environment")
+    environment = spec.environment.environment(scale)
     # Said here, before anything runs: wind and drift need to know the hull.
     environment.load_coefficients(vessel)
     return Scenario(
@@ -186,7 +186,7 @@ def scenario_of(
         shows=spec.shows,
         vessel=vessel,
         true_ship=true_ship,
-        actuators=_actuators(spec, f"{where}: plant"),
+        actuators=_actuators(spec),
         environment=environment,
         estimation=estimator_choice(spec, scale, where),
         steps=steps,
@@ -194,7 +194,7 @@ def scenario_of(
         start=spec.start.pose() * scale.pose,
         velocity=spec.start.velocity() * scale.velocity,
         reference=spec.reference.pose() * scale.pose,
-        smoothed=spec.reference.smoothed(scale, f"{where}: reference.filter"),
+        smoothed=spec.reference.smoothed(scale),
         preview=spec.reference.preview,
         N_p=controller.prediction_horizon,
         N_c=controller.control_horizon,
@@ -228,11 +228,11 @@ def _move_weight(controller: ControllerTable, du_max: Vector, scale: Froude) -> 
     return np.array(controller.move_weight) / scale.force**2
 
 
-def _actuators(spec: ScenarioFile, where: str) -> Actuators | None:
+def _actuators(spec: ScenarioFile) -> Actuators | None:
     loss = np.array(spec.plant.thrust_loss_percent)
     if not loss.any() and spec.plant.delay_samples == 0:
         return None
-    return Actuators(1.0 - loss / 100.0, spec.plant.delay_samples, where)
+    return Actuators(1.0 - loss / 100.0, spec.plant.delay_samples)
 
 
 def _outputs(controller: ControllerTable, scale: Froude, sample_s: float) -> OutputBounds | None:

@@ -111,11 +111,12 @@ class VesselFile(FileModel):
             assert self.mass_kg is not None, "the validator demands it beside inertia_bis"
             M = bis_descaled(np.array(self.inertia_bis), self.mass_kg, self.length_m)
             D = bis_descaled_damping(np.array(self.damping_bis), self.mass_kg, self.length_m)
-        low, high = np.array([self.limits.surge_N, self.limits.sway_N, self.limits.yaw_Nm]).T
+        ranges = np.array([self.limits.surge_N, self.limits.sway_N, self.limits.yaw_Nm])
+        low, high = np.ascontiguousarray(ranges.T)
         rate = np.array(self.limits.rate_max_N_per_s)
         air, water = self.windage, self.reflection
-        windage = Windage(**air.model_dump(), where=where) if air else None
-        reflection = WaveReflection(**water.model_dump(), where=where) if water else None
+        windage = Windage(**air.model_dump()) if air else None
+        reflection = WaveReflection(**water.model_dump()) if water else None
         ship = (name, self.title, self.source, self.length_m, M, D, low, high, rate, where)
         try:
             return Vessel(*ship, windage, reflection)
@@ -242,11 +243,11 @@ class ReferenceTable(PoseTable):
     filter: FilterTable | None = None
     preview: bool = False
 
-    def smoothed(self, scale: Froude, where: str) -> ReferenceFilter | None:
+    def smoothed(self, scale: Froude) -> ReferenceFilter | None:
         """The filter in SI; None for none."""
         if self.filter is None:
             return None
-        return ReferenceFilter(self.filter.period_s * scale.time, self.filter.damping, where)
+        return ReferenceFilter(self.filter.period_s * scale.time, self.filter.damping)
 
 
 class ScenarioFile(FileModel):

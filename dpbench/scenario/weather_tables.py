@@ -10,7 +10,7 @@ import math
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
 from dpbench.arrays import Vector
 from dpbench.scenario.key_types import (
@@ -43,7 +43,15 @@ class SquallTable(FileModel):
     decay_s: Positive
     force_kN: Three
 
-    def squall(self, scale: Froude, where: str) -> Squall:
+    @field_validator("hold_until_s")
+    @classmethod
+    def _risen(cls, hold_until_s: float, info: ValidationInfo) -> float:
+        risen_s = info.data.get("start_s", 0.0) + info.data.get("rise_s", 0.0)
+        if hold_until_s < risen_s:
+            raise ValueError(f"start_s + rise_s = {risen_s:g} s or later")
+        return hold_until_s
+
+    def squall(self, scale: Froude) -> Squall:
         """In SI."""
         return Squall(
             self.start_s * scale.time,
@@ -51,7 +59,6 @@ class SquallTable(FileModel):
             self.hold_until_s * scale.time,
             self.decay_s * scale.time,
             _PER_KN * np.array(self.force_kN) * scale.force,
-            where,
         )
 
 
@@ -62,9 +69,9 @@ class WindTable(FileModel):
     from_deg: Degrees
     gusts: Literal["norsok", "harris", "none"] = "norsok"
 
-    def wind(self, scale: Froude, where: str) -> Wind:
+    def wind(self, scale: Froude) -> Wind:
         """In SI."""
-        return Wind(self.speed_mps * scale.time, towards_rad(self.from_deg), self.gusts, where)
+        return Wind(self.speed_mps * scale.time, towards_rad(self.from_deg), self.gusts)
 
 
 class CurrentTable(FileModel):
@@ -73,9 +80,9 @@ class CurrentTable(FileModel):
     speed_mps: NotNegative
     towards_deg: Degrees
 
-    def current(self, scale: Froude, where: str) -> Current:
+    def current(self, scale: Froude) -> Current:
         """In SI."""
-        return Current(self.speed_mps * scale.time, math.radians(self.towards_deg), where)
+        return Current(self.speed_mps * scale.time, math.radians(self.towards_deg))
 
 
 class MotionTable(FileModel):
@@ -96,27 +103,25 @@ class WavesTable(FileModel):
     drift: bool = True
     motion: MotionTable | None = None
 
-    def sea(self, scale: Froude, where: str) -> Sea:
+    def sea(self, scale: Froude) -> Sea:
         """In SI."""
         return Sea(
             self.hs_m * scale.length,
             self.tp_s * scale.time,
             towards_rad(self.from_deg),
             self.gamma,
-            where,
         )
 
-    def first_order(self, scale: Froude, where: str) -> FirstOrderMotion | None:
+    def first_order(self, scale: Froude) -> FirstOrderMotion | None:
         """In SI; None where the measurement shows none."""
         if self.motion is None:
             return None
         turn = math.radians(self.motion.heading_deg_per_m) / scale.length
         return FirstOrderMotion(
-            self.sea(scale, where),
+            self.sea(scale),
             self.motion.along_m_per_m,
             self.motion.across_m_per_m,
             turn,
-            where,
         )
 
     def motion_std(self, scale: Froude) -> Vector:
@@ -134,9 +139,9 @@ class NoiseTable(FileModel):
     position_m: NotNegative
     heading_deg: NotNegative
 
-    def noise(self, scale: Froude, where: str) -> SensorNoise:
+    def noise(self, scale: Froude) -> SensorNoise:
         """In SI."""
-        return SensorNoise(self.std(scale), where)
+        return SensorNoise(self.std(scale))
 
     def std(self, scale: Froude) -> Vector:
         """(3,) [m, m, rad]."""
@@ -160,24 +165,20 @@ class EnvironmentTable(FileModel):
     waves: WavesTable | None = None
     noise: NoiseTable | None = None
 
-    def environment(self, scale: Froude, where: str) -> Environment:
-        """The weather in SI; InputError naming `where` and the key."""
-        sea = self.waves.sea(scale, f"{where}.waves") if self.waves else None
+    def environment(self, scale: Froude) -> Environment:
+        """The weather in SI."""
+        sea = self.waves.sea(scale) if self.waves else None
         return Environment(
             _PER_KN * np.array(self.mean_kN) * scale.force,
             _PER_KN * np.array(self.amplitude_kN) * scale.force,
             np.array(self.period_s) * scale.time,
             np.array(self.phase_rad),
             self.ramp_s * scale.time,
-            where,
-            squalls=tuple(
-                squall.squall(scale, f"{where}.squalls[{i}]")
-                for i, squall in enumerate(self.squalls)
-            ),
-            wind=self.wind.wind(scale, f"{where}.wind") if self.wind else None,
-            current=self.current.current(scale, f"{where}.current") if self.current else None,
+            squalls=tuple(squall.squall(scale) for squall in self.squalls),
+            wind=self.wind.wind(scale) if self.wind else None,
+            current=self.current.current(scale) if self.current else None,
             drift=WaveDrift(sea) if sea and self.waves and self.waves.drift else None,
-            motion=self.waves.first_order(scale, f"{where}.waves") if self.waves else None,
-            noise=self.noise.noise(scale, f"{where}.noise") if self.noise else None,
+            motion=self.waves.first_order(scale) if self.waves else None,
+            noise=self.noise.noise(scale) if self.noise else None,
             seed=self.seed,
         )

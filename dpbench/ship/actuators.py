@@ -10,9 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dpbench.arrays import Vector
-from dpbench.errors import InputError
 from dpbench.ship.layout import AXES
-from dpbench.ship.validation import finite_array
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,21 +21,10 @@ class Actuators:
     ----------
     efficiency : (3,) share of the command that reaches the hull in surge, sway, yaw, 0 to 1.
     delay_samples : whole samples between command and force.
-    where : the file named in errors.
     """
 
     efficiency: Vector = field(default_factory=lambda: np.ones(AXES))
     delay_samples: int = 0
-    where: str = "Actuators"
-
-    def __post_init__(self) -> None:
-        share = finite_array(self.where, "efficiency", self.efficiency, (AXES,))
-        object.__setattr__(self, "efficiency", share)
-        if not ((share >= 0).all() and (share <= 1).all()):
-            raise InputError(self.where, "efficiency", share.tolist(), "shares from 0 to 1")
-        if not (self.delay_samples >= 0 and self.delay_samples == int(self.delay_samples)):
-            allowed = "whole samples, 0 or more"
-            raise InputError(self.where, "delay_samples", self.delay_samples, allowed)
 
 
 class Thrust:

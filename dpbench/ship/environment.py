@@ -31,7 +31,6 @@ from dpbench.ship.layout import (
     WIND_U,
 )
 from dpbench.ship.sensors import SensorNoise
-from dpbench.ship.validation import finite_array
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather.current import Current
 from dpbench.ship.weather.squall import Squall
@@ -49,7 +48,6 @@ class Environment:
     period_s : (3,) periods [s], positive.
     phase_rad : (3,) phases [rad].
     ramp_s : time over which the weather grows from zero [s]; 0 for none. Squalls have their own.
-    where : the file named in errors.
     squalls, wind, current, drift : what else pushes the ship.
     motion, noise : what the measurement shows beside the ship's low-frequency motion.
     seed : of all random sources; each draws from its own stream of it.
@@ -60,7 +58,6 @@ class Environment:
     period_s: Vector
     phase_rad: Vector
     ramp_s: float = 0.0
-    where: str = "Environment"
     squalls: tuple[Squall, ...] = ()
     wind: Wind | None = None
     current: Current | None = None
@@ -68,17 +65,6 @@ class Environment:
     motion: FirstOrderMotion | None = None
     noise: SensorNoise | None = None
     seed: int = 0
-
-    def __post_init__(self) -> None:
-        for name in ("mean", "amplitude", "period_s", "phase_rad"):
-            array = finite_array(self.where, name, getattr(self, name), (AXES,))
-            object.__setattr__(self, name, array)
-        if not (self.period_s > 0).all():
-            raise InputError(self.where, "period_s", self.period_s.tolist(), "positive periods")
-        if not self.ramp_s >= 0:
-            raise InputError(self.where, "ramp_s", self.ramp_s, "a time of 0 s or more")
-        if not self.seed >= 0:
-            raise InputError(self.where, "seed", self.seed, "a whole number of 0 or more")
 
     @property
     def moves_with_the_ship(self) -> bool:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.ship.validation import finite_array, not_negative
 from dpbench.ship.weather.streams import stream
 
 
@@ -18,15 +17,9 @@ class SensorNoise:
     Parameters
     ----------
     std : (3,) standard deviations of north, east, heading [m, m, rad].
-    where : the file named in errors.
     """
 
     std: Vector
-    where: str = "SensorNoise"
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "std", finite_array(self.where, "std", self.std, (3,)))
-        not_negative(self.where, std=float(self.std.min()))
 
     def table(self, samples: int, seed: int) -> Matrix:
         """(samples, 3) [m, m, rad]; a longer table begins with the shorter one."""

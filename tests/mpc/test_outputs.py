@@ -162,7 +162,7 @@ def test_where_the_bounds_cannot_be_kept_their_excess_is_paid(ship: Any) -> None
     x[6:8] = [6.0, 1.0]
     totals = []
     for factor in (1.0, 100.0):
-        bounds = OutputBounds(SAMPLE_S, radius_m=5.0, centre_m=np.zeros(2))
+        bounds = OutputBounds(SAMPLE_S, radius_m=5.0)
         plain = CondensedQP(problem, outputs=bounds).penalty
         assert plain is not None
         penalty = Penalty(plain.amplitude, factor * plain.outputs, plain.curvature)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.signal import lti, step
 
-from dpbench.errors import InputError
 from dpbench.mpc.reference import ReferenceFilter, nearest_pose, reference_table
 
 START, GOAL = np.array([1.0, -2.0, 0.1]), np.array([21.0, 13.0, 0.6])
@@ -46,10 +45,3 @@ def test_heading_goes_the_short_way() -> None:
     heading = np.degrees(reference_table(start, goal, 100, 0.3, ReferenceFilter(20.0))[:, 2])
     assert heading.min() >= 175.0 - 1e-9
     assert heading.max() <= 185.0 + 1e-9
-
-
-@pytest.mark.parametrize(("period", "damping"), [(0.0, 1.0), (-1.0, 1.0), (10.0, 0.0)])
-def test_a_filter_without_period_or_damping_is_refused(period: float, damping: float) -> None:
-    """Both are positive."""
-    with pytest.raises(InputError, match="a positive number"):
-        ReferenceFilter(period, damping)

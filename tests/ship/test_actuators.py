@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dpbench.errors import InputError
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.actuators import Actuators
 from dpbench.ship.environment import Environment
@@ -65,24 +64,3 @@ def test_the_command_is_left_as_it_was() -> None:
     )
     plant.advance(tau, STAGES)
     np.testing.assert_array_equal(tau, before)
-
-
-@pytest.mark.parametrize(
-    ("share", "delay", "key", "allowed"),
-    [
-        ([1.0, 1.2, 1.0], 0, "efficiency", "0 to 1"),
-        ([1.0, -0.1, 1.0], 0, "efficiency", "0 to 1"),
-        ([1.0, np.nan, 1.0], 0, "efficiency", "finite"),
-        ([1.0, 1.0], 0, "efficiency", "shape (3,)"),
-        ([1.0, 1.0, 1.0], -1, "delay_samples", "whole samples"),
-        ([1.0, 1.0, 1.0], 1.5, "delay_samples", "whole samples"),
-    ],
-)
-def test_actuators_that_cannot_be_are_refused(
-    share: list[float], delay: int, key: str, allowed: str
-) -> None:
-    """Shares outside 0 to 1 and delays that are no whole number are named."""
-    with pytest.raises(InputError) as caught:
-        Actuators(share, delay, "fault.toml")  # type: ignore[arg-type] # bad on purpose
-    assert (caught.value.where, caught.value.key) == ("fault.toml", key)
-    assert allowed in caught.value.allowed

@@ -63,39 +63,6 @@ def test_samples_join_without_a_gap() -> None:
     np.testing.assert_allclose(table[:-1, -1], table[1:, 0], rtol=1e-12, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "found", "allowed"),
-    [
-        ("mean", [1.0, 2.0], "shape (2,)", "shape (3,)"),
-        ("amplitude", [0.0, np.nan, 0.0], "nan", "finite"),
-        ("phase_rad", [0.0, np.inf, 0.0], "inf", "finite"),
-        ("period_s", [60.0, 0.0, 60.0], "[60.0, 0.0, 60.0]", "positive"),
-        ("ramp_s", -1.0, "-1.0", "0 s or more"),
-        ("ramp_s", math.nan, "nan", "0 s or more"),
-        ("seed", -1, "-1", "0 or more"),
-    ],
-)
-def test_bad_weather_is_refused_in_one_line(
-    key: str, value: object, found: str, allowed: str
-) -> None:
-    """A wrong shape, no number, a period of zero and a negative ramp or seed are refused."""
-    arguments: dict[str, object] = {
-        "mean": MEAN,
-        "amplitude": AMPLITUDE,
-        "period_s": PERIOD_S,
-        "phase_rad": PHASE_RAD,
-        "ramp_s": 0.0,
-        "where": "weather.toml: environment",
-    }
-    with pytest.raises(InputError) as caught:
-        Environment(**{**arguments, key: value})  # type: ignore[arg-type] # bad on purpose
-    error = caught.value
-    assert (error.where, error.key) == ("weather.toml: environment", key)
-    assert found in str(error.found)
-    assert allowed in error.allowed
-    assert "\n" not in str(error)
-
-
 WAVES = Sea(3.1, 8.5, 0.4)
 SOURCES = {
     "wind": Wind(13.8, -1.0),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from dpbench.errors import InputError, ShapeError
+from dpbench.errors import InputError
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.vessel import Vessel, bis_descaled, bis_descaled_damping
 
@@ -27,22 +27,17 @@ def vessel(**changes: object) -> Vessel:
 @pytest.mark.parametrize(
     ("key", "value", "found", "allowed"),
     [
-        ("M", np.eye(2), "shape (2, 2)", "shape (3, 3)"),
-        ("tau_max", np.ones(4), "shape (4,)", "shape (3,)"),
-        ("D", np.full((3, 3), np.nan), "nan", "finite"),
         ("M", np.array([[5e6, 0, 0], [0, 8e6, 1e7], [0, 0, 4e9]]), "10000000.0", "symmetric"),
         ("M", np.diag([5e6, -8e6, 4e9]), "-8e+06", "positive definite"),
         ("D", np.diag([5e4, 3e5, 0.0]), "eigenvalue 0", "positive definite"),
         ("tau_min", np.array([-1e6, 1.0, -2e7]), "1.0", "zero inside"),
         ("tau_max", np.array([1e6, 4e5, 0.0]), "0.0]", "zero inside"),
-        ("rate_max", np.array([1e5, 0.0, 1e6]), "0.0", "positive"),
-        ("rate_max", np.array([1e5, np.inf, 1e6]), "inf", "finite"),
     ],
 )
 def test_a_vessel_that_cannot_exist_is_refused_in_one_line(
     key: str, value: np.ndarray, found: str, allowed: str
 ) -> None:
-    """Shape, finiteness, symmetry, definiteness and limits around zero are checked by name."""
+    """Symmetry, definiteness and limits around zero are checked by name."""
     with pytest.raises(InputError) as caught:
         vessel(**{key: value})
     error = caught.value
@@ -51,12 +46,6 @@ def test_a_vessel_that_cannot_exist_is_refused_in_one_line(
     assert found in str(error.found)
     assert allowed in error.allowed
     assert "\n" not in str(error)
-
-
-def test_a_wrong_shape_is_an_error_of_its_own_kind() -> None:
-    """A caller can tell a wrong shape from a wrong value."""
-    with pytest.raises(ShapeError):
-        vessel(D=np.ones(3))
 
 
 def test_unsymmetric_damping_is_allowed() -> None:
@@ -134,12 +123,3 @@ def test_a_mismatched_ship_differs_in_mass_and_damping_only() -> None:
     same = ship.with_mismatch()
     np.testing.assert_array_equal(same.M, ship.M)
     np.testing.assert_array_equal(same.D, ship.D)
-
-
-@pytest.mark.parametrize("key", ["mass_percent", "damping_percent"])
-@pytest.mark.parametrize("percent", [-100.0, np.nan, np.inf])
-def test_a_mismatch_that_leaves_no_ship_is_refused(key: str, percent: float) -> None:
-    """A ship cannot lose all of its mass or damping."""
-    with pytest.raises(InputError) as caught:
-        vessel().with_mismatch(**{key: percent})
-    assert (caught.value.where, caught.value.key) == ("ship.toml", key)

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from dpbench.arrays import Vector
-from dpbench.errors import InputError, ShapeError
+from dpbench.errors import ShapeError
 from dpbench.ship.layout import HEADING, STATE
 
 TURN = 2.0 * math.pi
@@ -93,10 +93,3 @@ class MeasuredState(Estimator):
             change[...] = 0.0
             self._first = False
         return estimate
-
-
-def checked_sample(where: str, sample_s: float) -> float:
-    """The sample [s]; InputError unless it is a positive finite number."""
-    if not 0.0 < sample_s < math.inf:
-        raise InputError(where, "sample_s", sample_s, "a positive number of seconds")
-    return float(sample_s)

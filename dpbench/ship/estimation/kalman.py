@@ -63,7 +63,7 @@ from scipy.linalg import LinAlgError, expm, solve_discrete_are
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
-from dpbench.ship.estimation.estimator import checked_sample, nearest_turn
+from dpbench.ship.estimation.estimator import nearest_turn
 from dpbench.ship.estimation.observer import (
     BIAS,
     ETA,
@@ -77,7 +77,6 @@ from dpbench.ship.estimation.observer import (
 )
 from dpbench.ship.estimation.wave_filter import WaveModel
 from dpbench.ship.layout import AXES
-from dpbench.ship.validation import store_positive_vectors
 from dpbench.ship.vessel import Vessel
 
 NOISES = range(0, 3 * AXES, AXES)
@@ -110,10 +109,6 @@ class KalmanTuning:
     waves : model of the wave motion; None switches the wave filter off.
     bias_time_s : time constant of the bias (first-order Markov) [s]; inf for a random walk.
     where : the file named in errors.
-
-    Raises
-    ------
-    ShapeError, InputError : naming the key, what was found and what is allowed.
     """
 
     measurement_std: Vector
@@ -122,11 +117,6 @@ class KalmanTuning:
     waves: WaveModel | None
     bias_time_s: float = math.inf
     where: str = "KalmanTuning"
-
-    def __post_init__(self) -> None:
-        store_positive_vectors(self, self.where, "measurement_std", "force_noise", "bias_noise")
-        if not self.bias_time_s > 0:
-            raise InputError(self.where, "bias_time_s", self.bias_time_s, "a positive time or inf")
 
     @classmethod
     def of_ship(
@@ -184,11 +174,12 @@ def kalman_model(ship: Vessel, tuning: KalmanTuning, sample_s: float) -> KalmanM
     ------
     InputError : when the noise leaves no steady state that rounding can tell.
     """
-    h = checked_sample(tuning.where, sample_s)
     A, B, E, C = _continuous(ship, tuning)
     unit = _units(ship, tuning, len(A))
     sigma = tuning.measurement_std
-    Phi, Gamma, Q = discretise(A * unit / unit[:, None], B / unit[:, None], E / unit[:, None], h)
+    Phi, Gamma, Q = discretise(
+        A * unit / unit[:, None], B / unit[:, None], E / unit[:, None], sample_s
+    )
     Cs = C * unit / sigma[:, None]
     P, S, K = _steady_state(Phi, Cs, Q, tuning.where)
     outer = np.outer(unit, unit)
@@ -336,7 +327,7 @@ class KalmanFilter(ModelObserver):
 
     Raises
     ------
-    InputError : for a bad sample or noise without a steady state.
+    InputError : for noise without a steady state.
     """
 
     def __init__(self, ship: Vessel, tuning: KalmanTuning, sample_s: float) -> None:

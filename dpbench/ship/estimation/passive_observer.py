@@ -25,8 +25,7 @@ import numpy as np
 from numba import njit
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.errors import InputError
-from dpbench.ship.estimation.estimator import checked_sample, nearest_turn
+from dpbench.ship.estimation.estimator import nearest_turn
 from dpbench.ship.estimation.observer import (
     BIAS,
     ETA,
@@ -39,7 +38,6 @@ from dpbench.ship.estimation.observer import (
 )
 from dpbench.ship.estimation.wave_filter import WaveModel
 from dpbench.ship.layout import AXES, POSE
-from dpbench.ship.validation import store_positive_vectors
 from dpbench.ship.vessel import Vessel
 
 CUTOFF_RATIO = 1.5
@@ -66,11 +64,6 @@ class PassiveTuning:
     bias_rate_radps : (3,) K3/K4 [rad/s], between 1/T_b and ω0.
     bias_time_s : (3,) T_b [s].
     wave_filter : False leaves the wave states out (K1 = 0).
-    where : the file named in errors.
-
-    Raises
-    ------
-    ShapeError, InputError : naming the key, what was found and what is allowed.
     """
 
     waves: WaveModel
@@ -80,21 +73,6 @@ class PassiveTuning:
     bias_rate_radps: Vector
     bias_time_s: Vector
     wave_filter: bool = True
-    where: str = "PassiveTuning"
-
-    def __post_init__(self) -> None:
-        gains = "notch_damping", "cutoff_radps", "K4", "bias_rate_radps", "bias_time_s"
-        store_positive_vectors(self, self.where, *gains)
-        omega0, damping = self.waves.omega0_radps, self.waves.damping
-        rules = (
-            ("notch_damping", self.notch_damping > damping, f"above {damping.tolist()}"),
-            ("cutoff_radps", self.cutoff_radps > omega0, f"above {omega0.tolist()}"),
-            ("bias_rate_radps", self.bias_rate_radps < omega0, f"below {omega0.tolist()}"),
-            ("bias_rate_radps", self.bias_rate_radps * self.bias_time_s > 1, "above 1/bias_time_s"),
-        )
-        for name, kept, allowed in rules:
-            if not kept.all():
-                raise InputError(self.where, name, getattr(self, name).tolist(), allowed)
 
     @classmethod
     def of_ship(
@@ -103,7 +81,6 @@ class PassiveTuning:
         waves: WaveModel,
         *,
         wave_filter: bool = True,
-        where: str = "PassiveTuning",
     ) -> PassiveTuning:
         """Gains in proportion to the ship's inertia and to the peak of the sea."""
         omega0 = waves.omega0_radps
@@ -115,7 +92,6 @@ class PassiveTuning:
             BIAS_RATIO * omega0,
             BIAS_TIME_RATIO / omega0,
             wave_filter,
-            where,
         )
 
     @property
@@ -206,10 +182,6 @@ class PassiveObserver(ModelObserver):
     tuning : gains and wave model.
     sample_s : time between updates [s].
     substeps : Runge-Kutta steps per sample.
-
-    Raises
-    ------
-    InputError : for a bad sample.
     """
 
     def __init__(
@@ -219,7 +191,6 @@ class PassiveObserver(ModelObserver):
         sample_s: float,
         substeps: int = OBSERVER_SUBSTEPS,
     ) -> None:
-        h = checked_sample(tuning.where, sample_s) / substeps
         super().__init__(ship, sample_s, WITH_WAVES)
         waves = tuning.waves
         omega0 = waves.omega0_radps
@@ -228,7 +199,7 @@ class PassiveObserver(ModelObserver):
         )
         self._Minv: Matrix = np.ascontiguousarray(np.linalg.inv(ship.M))
         self._MinvD: Matrix = np.ascontiguousarray(np.linalg.solve(ship.M, ship.D))
-        self._h, self._substeps = h, substeps
+        self._h, self._substeps = sample_s / substeps, substeps
         self._pose = np.zeros(AXES)
 
     def start(self, state: Vector) -> None:

@@ -14,8 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from dpbench.arrays import Vector
-from dpbench.errors import InputError
-from dpbench.ship.validation import store_positive_vectors
 
 JONSWAP_DAMPING = 0.1
 """λ that fits a JONSWAP spectrum of γ = 3.3; 0.26 fits Pierson-Moskowitz (Fossen 2021)."""
@@ -31,27 +29,16 @@ class WaveModel:
     damping : (3,) relative damping λ of the oscillator, below 1.
     std : (3,) standard deviation σ of the motion [m, m, rad]; a Kalman filter weighs the wave
         states by it, the passive observer has no use for it.
-    where : the file named in errors.
-
-    Raises
-    ------
-    ShapeError, InputError : naming the key, what was found and what is allowed.
     """
 
     peak_period_s: Vector
     damping: Vector
     std: Vector
-    where: str = "WaveModel"
-
-    def __post_init__(self) -> None:
-        store_positive_vectors(self, self.where, "peak_period_s", "damping", "std")
-        if not (self.damping < 1).all():
-            raise InputError(self.where, "damping", self.damping.tolist(), "numbers below 1")
 
     @classmethod
-    def of_sea(cls, peak_period_s: float, std: Vector, where: str = "WaveModel") -> WaveModel:
+    def of_sea(cls, peak_period_s: float, std: Vector) -> WaveModel:
         """The same peak and JONSWAP's damping in every axis."""
-        return cls(np.full(3, peak_period_s), np.full(3, JONSWAP_DAMPING), std, where)
+        return cls(np.full(3, peak_period_s), np.full(3, JONSWAP_DAMPING), std)
 
     @property
     def omega0_radps(self) -> Vector:

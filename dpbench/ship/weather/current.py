@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from dpbench.arrays import Vector
-from dpbench.ship.validation import finite, not_negative
 
 
 @dataclass(frozen=True)
@@ -25,16 +24,10 @@ class Current:
     ----------
     speed_mps : V_c [m/s].
     to_rad : β, where it sets *to*, clockwise from north [rad]; sailors name it the same way.
-    where : the file named in errors.
     """
 
     speed_mps: float
     to_rad: float
-    where: str = "Current"
-
-    def __post_init__(self) -> None:
-        not_negative(self.where, speed_mps=self.speed_mps)
-        finite(self.where, to_rad=self.to_rad)
 
     @property
     def velocity(self) -> Vector:

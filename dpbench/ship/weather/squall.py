@@ -8,8 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.errors import InputError
-from dpbench.ship.validation import finite_array, not_negative, positive
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +19,6 @@ class Squall:
     start_s, rise_s : it grows from zero at start_s to the full force at start_s + rise_s [s].
     hold_until_s, decay_s : it stays until hold_until_s and is gone decay_s later [s].
     force : (3,) full force, north, east, yaw [N, N, N·m].
-    where : the file named in errors.
     """
 
     start_s: float
@@ -29,15 +26,6 @@ class Squall:
     hold_until_s: float
     decay_s: float
     force: Vector
-    where: str = "Squall"
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "force", finite_array(self.where, "force", self.force, (3,)))
-        not_negative(self.where, start_s=self.start_s, hold_until_s=self.hold_until_s)
-        positive(self.where, rise_s=self.rise_s, decay_s=self.decay_s)
-        if self.hold_until_s < self.start_s + self.rise_s:
-            allowed = f"start_s + rise_s = {self.start_s + self.rise_s:g} s or later"
-            raise InputError(self.where, "hold_until_s", self.hold_until_s, allowed)
 
     def at(self, t_s: ArrayLike) -> Matrix:
         """The force at the times t_s (...,): (..., 3) [N, N, N·m]."""

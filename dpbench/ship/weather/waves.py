@@ -17,8 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.errors import InputError
-from dpbench.ship.validation import finite, not_negative, positive
 from dpbench.ship.weather.harmonics import Harmonics, realise
 from dpbench.ship.weather.spectra import jonswap
 from dpbench.ship.weather.streams import stream
@@ -43,21 +41,12 @@ class Sea:
     to_rad : where the waves run to, clockwise from north [rad]; `wind.towards_rad` gives it from
         the direction they come from.
     gamma : peakedness, 1 (Pierson-Moskowitz) to 7.
-    where : the file named in errors.
     """
 
     hs_m: float
     tp_s: float
     to_rad: float
     gamma: float = 3.3
-    where: str = "Sea"
-
-    def __post_init__(self) -> None:
-        not_negative(self.where, hs_m=self.hs_m)
-        positive(self.where, tp_s=self.tp_s)
-        finite(self.where, to_rad=self.to_rad)
-        if not 1.0 <= self.gamma <= 7.0:
-            raise InputError(self.where, "gamma", self.gamma, "1 to 7")
 
     def harmonics(self, seed: int) -> Harmonics:
         """The waves of this seed, the same for drift and motion; Hs holds exactly."""
@@ -95,18 +84,12 @@ class WaveReflection:
     breadth_m : B [m].
     head, beam, yaw : R₀² of short waves from ahead (the standard's value for a bow of 22°),
         from abeam and, for the moment, from the quarters.
-    where : the file named in errors.
     """
 
     breadth_m: float
     head: float = 0.42
     beam: float = 0.72
     yaw: float = 0.018
-    where: str = "WaveReflection"
-
-    def __post_init__(self) -> None:
-        positive(self.where, breadth_m=self.breadth_m)
-        not_negative(self.where, head=self.head, beam=self.beam, yaw=self.yaw)
 
     def coefficients(self, length_m: float, sea: Sea) -> Vector:
         """½ρ g (B R_x², L R_y², L² R_n²): (3,) [N/m², N/m², N/m]."""
@@ -138,22 +121,12 @@ class FirstOrderMotion:
     sea : the waves.
     along, across : motion per wave amplitude [m/m]; the water's own at the surface is 1.
     heading_rad_per_m : heading per wave amplitude [rad/m].
-    where : the file named in errors.
     """
 
     sea: Sea
     along: float = 0.6
     across: float = 0.0
     heading_rad_per_m: float = 0.0
-    where: str = "FirstOrderMotion"
-
-    def __post_init__(self) -> None:
-        finite(
-            self.where,
-            along=self.along,
-            across=self.across,
-            heading_rad_per_m=self.heading_rad_per_m,
-        )
 
     def table(self, t_s: Vector, seed: int) -> Matrix:
         """Motion and its time derivative at t_s (K,): (K, 6) = [n, e, ψ, ṅ, ė, ψ̇], NED, SI."""

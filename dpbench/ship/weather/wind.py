@@ -22,8 +22,6 @@ from typing import Literal
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.errors import InputError
-from dpbench.ship.validation import finite, not_negative, positive
 from dpbench.ship.weather.harmonics import realise
 from dpbench.ship.weather.spectra import harris_gust, norsok_gust
 from dpbench.ship.weather.streams import stream
@@ -55,20 +53,11 @@ class Wind:
     speed_mps : mean speed [m/s].
     to_rad : where it blows to, clockwise from north [rad].
     gusts : spectrum of the gusts, "none" for a steady wind.
-    where : the file named in errors.
     """
 
     speed_mps: float
     to_rad: float
     gusts: Literal["norsok", "harris", "none"] = "norsok"
-    where: str = "Wind"
-
-    def __post_init__(self) -> None:
-        not_negative(self.where, speed_mps=self.speed_mps)
-        finite(self.where, to_rad=self.to_rad)
-        if self.gusts != "none" and self.gusts not in _GUSTS:
-            allowed = f"{', '.join(_GUSTS)} or none"
-            raise InputError(self.where, "gusts", repr(self.gusts), allowed)
 
     def speed(self, start_s: Vector, offset_s: Vector, seed: int) -> Matrix:
         """Speed along the wind [m/s] at the times start_s (K,) + offset_s (M,): (K, M)."""
@@ -95,7 +84,6 @@ class Windage:
     frontal_m2, lateral_m2 : projected areas A_F, A_L.
     c_x, c_y, c_n : coefficients; Fossen 2021 gives 0.50-0.90, 0.70-0.95 and 0.05-0.20, and
         DNV-ST-0111, section 3.5, has 0.7, 0.9 and about 0.095.
-    where : the file named in errors.
     """
 
     frontal_m2: float
@@ -103,11 +91,6 @@ class Windage:
     c_x: float = 0.7
     c_y: float = 0.9
     c_n: float = 0.095
-    where: str = "Windage"
-
-    def __post_init__(self) -> None:
-        positive(self.where, frontal_m2=self.frontal_m2, lateral_m2=self.lateral_m2)
-        not_negative(self.where, c_x=self.c_x, c_y=self.c_y, c_n=self.c_n)
 
     def coefficients(self, length_m: float) -> Vector:
         """½ρ (c_x A_F, c_y A_L, c_n A_L L): (3,) [kg/m, kg/m, kg]."""

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from dpbench.errors import InputError, ShapeError
+from dpbench.errors import ShapeError
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.environment import Environment
 from dpbench.ship.estimation.estimator import Estimator, MeasuredState
@@ -164,26 +164,3 @@ def test_a_pose_does_not_make_a_measured_state() -> None:
     estimator.start(np.zeros(6))
     with pytest.raises(ShapeError, match=r"MeasuredState: measured: found shape \(3,\)"):
         estimator.update(np.zeros(3), NOTHING)
-
-
-@pytest.mark.parametrize(
-    ("key", "value", "found", "allowed"),
-    [
-        ("peak_period_s", np.array([8.5, 8.5]), "shape (2,)", "shape (3,)"),
-        ("peak_period_s", np.array([8.5, 0.0, 8.5]), "0.0", "positive"),
-        ("damping", np.array([0.1, 1.0, 0.1]), "1.0", "below 1"),
-        ("std", np.array([0.3, np.nan, 0.01]), "nan", "positive finite"),
-    ],
-)
-def test_a_sea_that_cannot_be_is_refused_in_one_line(
-    key: str, value: np.ndarray, found: str, allowed: str
-) -> None:
-    """Shape, sign, finiteness and a damping below 1 are checked by name."""
-    good = {"peak_period_s": np.full(3, 8.5), "damping": np.full(3, 0.1), "std": np.full(3, 0.3)}
-    with pytest.raises(InputError) as caught:
-        WaveModel(**{**good, key: value}, where="sea.toml: waves")
-    error = caught.value
-    assert (error.where, error.key) == ("sea.toml: waves", key)
-    assert found in str(error.found)
-    assert allowed in error.allowed
-    assert "\n" not in str(error)

@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from dpbench.errors import InputError
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.environment import Environment
 from dpbench.ship.plant import SUBSTEPS, Plant
@@ -50,13 +49,3 @@ def test_a_ship_at_rest_is_pushed_by_its_damping_times_the_current(
     inside = 0.6 * np.array([np.cos(2.0 - psi), np.sin(2.0 - psi), 0.0])
     found = felt_force(ship, flowing(0.6, 2.0), psi)
     np.testing.assert_allclose(found, ship.D @ inside, rtol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("speed", "to", "key"), [(-0.1, 0.0, "speed_mps"), (0.5, np.nan, "to_rad")]
-)
-def test_a_current_that_cannot_flow_is_refused(speed: float, to: float, key: str) -> None:
-    """A negative speed and a direction that is no number are named."""
-    with pytest.raises(InputError) as caught:
-        Current(speed, to, "sea.toml")
-    assert (caught.value.where, caught.value.key) == ("sea.toml", key)

@@ -8,7 +8,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from dpbench.errors import InputError
 from dpbench.ship.environment import Environment
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather.waves import FirstOrderMotion, Sea, WaveDrift, WaveReflection
@@ -145,26 +144,3 @@ def test_drift_and_motion_belong_to_the_same_waves() -> None:
     motion = FirstOrderMotion(Sea(3.1, 8.5, 0.0), 1.0, 1.0).table(t, 8)
     envelope = WaveDrift(Sea(3.1, 8.5, 0.0)).envelope(t, NOW, 8)[:, 0]
     np.testing.assert_allclose(np.hypot(motion[:, 0], motion[:, 1]), envelope, rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("make", "key", "allowed"),
-    [
-        (lambda: Sea(-1.0, 8.0, 0.0, where="sea.toml"), "hs_m", "0 or more"),
-        (lambda: Sea(1.0, 0.0, 0.0, where="sea.toml"), "tp_s", "positive"),
-        (lambda: Sea(1.0, 8.0, math.nan, where="sea.toml"), "to_rad", "finite"),
-        (lambda: Sea(1.0, 8.0, 0.0, 0.5, "sea.toml"), "gamma", "1 to 7"),
-        (lambda: WaveReflection(-18.0, where="sea.toml"), "breadth_m", "positive"),
-        (lambda: WaveReflection(18.0, beam=-1.0, where="sea.toml"), "beam", "0 or more"),
-        (lambda: FirstOrderMotion(SEA, math.inf, where="sea.toml"), "along", "finite"),
-    ],
-)
-def test_a_sea_that_cannot_be_is_refused_in_one_line(
-    make: Callable[[], object], key: str, allowed: str
-) -> None:
-    """Heights, periods, peakedness and hull data are checked by name."""
-    with pytest.raises(InputError) as caught:
-        make()
-    assert (caught.value.where, caught.value.key) == ("sea.toml", key)
-    assert allowed in caught.value.allowed
-    assert "\n" not in str(caught.value)

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from dpbench.errors import InputError
 from dpbench.ship.environment import Environment
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather.spectra import harris_gust, norsok_gust
-from dpbench.ship.weather.wind import Wind, Windage, towards_rad
+from dpbench.ship.weather.wind import Wind, towards_rad
 
 Felt = Callable[..., np.ndarray]
 
@@ -87,26 +86,3 @@ def test_a_wind_without_gusts_is_steady() -> None:
     t = 0.3 * np.arange(50)
     for wind in (Wind(12.0, 1.0, "none"), Wind(0.0, 1.0, "norsok")):
         np.testing.assert_array_equal(wind.speed(t, np.zeros(2), 0), wind.speed_mps)
-
-
-@pytest.mark.parametrize(
-    ("make", "key", "allowed"),
-    [
-        (lambda: Wind(-1.0, 0.0, where="sea.toml"), "speed_mps", "0 or more"),
-        (lambda: Wind(math.nan, 0.0, where="sea.toml"), "speed_mps", "0 or more"),
-        (lambda: Wind(10.0, math.inf, where="sea.toml"), "to_rad", "finite"),
-        (lambda: Wind(10.0, 0.0, "kaimal", "sea.toml"), "gusts", "norsok, harris or none"),
-        (lambda: Windage(0.0, 700.0, where="sea.toml"), "frontal_m2", "positive"),
-        (lambda: Windage(290.0, math.inf, where="sea.toml"), "lateral_m2", "positive"),
-        (lambda: Windage(290.0, 700.0, c_y=-0.1, where="sea.toml"), "c_y", "0 or more"),
-    ],
-)
-def test_wind_that_cannot_blow_is_refused_in_one_line(
-    make: Callable[[], object], key: str, allowed: str
-) -> None:
-    """Negative speeds, unknown spectra and hulls without area are named with what is allowed."""
-    with pytest.raises(InputError) as caught:
-        make()
-    assert (caught.value.where, caught.value.key) == ("sea.toml", key)
-    assert allowed in caught.value.allowed
-    assert "\n" not in str(caught.value)
