@@ -137,6 +137,15 @@ def attributes(settings: Any) -> list[str]:
     return [n for n in names if n != "verbose" and not callable(getattr(settings, n))]
 
 
+def made_by(module: str, name: str) -> Callable[[], Any]:
+    """The `settings_object` of a library whose `name` makes one, imported when it is asked for."""
+
+    def settings_object() -> Any:
+        return getattr(import_module(module), name)()
+
+    return settings_object
+
+
 class _Registered(Protocol):
     @property
     def record(self) -> SolverRecord: ...

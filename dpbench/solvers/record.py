@@ -102,12 +102,15 @@ def unread() -> Build:
     return UNREAD
 
 
+UNSTATED = "not stated", ""
+
+
 @dataclass(frozen=True)
 class Fact:
     """A statement and where the project makes it, in words; no source, no statement."""
 
-    value: str = "not stated"
-    source: str = ""
+    value: str
+    source: str
 
 
 @dataclass(frozen=True)
@@ -133,17 +136,17 @@ def stated(
     *,
     licence: tuple[str, str] | None,
     language: tuple[str, str] | None,
-    c_code: tuple[str, str] | None,
-    allocation_free: tuple[str, str] | None,
-    single_precision: tuple[str, str] | None,
+    c_code: tuple[str, str] | None = None,
+    allocation_free: tuple[str, str] | None = None,
+    single_precision: tuple[str, str] | None = None,
 ) -> Project:
     """What a project states, each with the place; None where it does not, as far as is known here:
-    nothing is inferred, and nothing can be left out."""
+    nothing is inferred."""
     facts = (licence, language, c_code, allocation_free, single_precision)
-    return Project(*(Fact() if fact is None else Fact(*fact) for fact in facts))
+    return Project(*(Fact(*(fact or UNSTATED)) for fact in facts))
 
 
-NOT_STATED = Project(*(Fact() for _ in range(5)))
+NOT_STATED = stated(licence=None, language=None)
 
 
 @dataclass(frozen=True)

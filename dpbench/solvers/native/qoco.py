@@ -35,7 +35,6 @@ RECORD = SolverRecord(
         language=("C", "QOCO documentation"),
         c_code=("yes, by QOCOGEN", "QOCOGEN README"),
         allocation_free=("yes, generated code", "QOCOGEN README: static memory allocation only"),
-        single_precision=None,
     ),
 )
 

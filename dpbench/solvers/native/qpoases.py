@@ -45,8 +45,6 @@ RECORD = SolverRecord(
     project=stated(
         licence=("LGPL-2.1-or-later", "qpOASES source, head of each file"),
         language=("C++", "qpOASES manual, Introduction"),
-        c_code=None,
-        allocation_free=None,
         single_precision=("yes, __USE_SINGLE_PRECISION__", "qpOASES source, Constants.hpp"),
     ),
 )

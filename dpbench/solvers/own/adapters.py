@@ -28,9 +28,6 @@ PAPER_ACTIVE_SET = SolverRecord(
     project=stated(
         licence=("Apache-2.0", "dpbench, pyproject.toml"),
         language=("Python, compiled by Numba", "dpbench, source"),
-        c_code=None,
-        allocation_free=None,
-        single_precision=None,
     ),
     needs_strict_convexity=True,
 )

@@ -9,10 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from dpbench.arrays import Matrix
-from dpbench.errors import DpbenchError
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Policy, Route, Workspace, check_step, owned
+from dpbench.solvers.contract import Policy, Route, Workspace, check_step, not_set_up, owned
 from dpbench.solvers.own.active_set import layout as layout
 from dpbench.solvers.own.active_set.constants import empty, fill, results, vectors
 from dpbench.solvers.own.active_set.kernel import take_over
@@ -60,7 +59,7 @@ class CompiledWorkspace(Workspace):
         """Arrays of another layout or type, new matrices, or a mistake."""
         base = self._base
         if base is None or self._S is None:
-            raise DpbenchError("update before setup: call setup with the whole problem first")
+            raise not_set_up("update")
         check_step(step, base.n, base.m)
         if step.refresh is Refresh.VECTORS:
             kept = vectors(self._S, base.n, base.m)
@@ -72,7 +71,7 @@ class CompiledWorkspace(Workspace):
 
     def _cannot(self) -> None:
         if self._base is None:
-            raise DpbenchError("solve before setup: call setup with the whole problem first")
+            raise not_set_up("solve")
         self._unusual = self._missing(Status.ERROR, self._refusal)
         self._ending = layout.UNDECIDED
 
@@ -112,7 +111,7 @@ class CompiledWorkspace(Workspace):
 
     def _missing(self, status: Status, detail: str) -> Solution:
         if self._base is None:
-            raise DpbenchError("read before setup: call setup with the whole problem first")
+            raise not_set_up("read")
         return Solution.missing(self._base.n, self._base.m, status, detail)
 
     def reset(self) -> None:

@@ -11,10 +11,9 @@ import numpy as np
 import scipy.linalg
 
 from dpbench.arrays import Vector
-from dpbench.errors import DpbenchError
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Policy, Route, Workspace, check_step, owned
+from dpbench.solvers.contract import Policy, Route, Workspace, check_step, not_set_up, owned
 
 
 class Unconstrained(Workspace):
@@ -38,7 +37,7 @@ class Unconstrained(Workspace):
     def update(self, step: QPStep) -> None:
         """Take over q; new matrices are factorised again."""
         if self._base is None:
-            raise DpbenchError("update before setup: call setup with the whole problem first")
+            raise not_set_up("update")
         check_step(step, self._base.n, self._base.m)
         if step.refresh is Refresh.VECTORS:
             self._q[:] = step.q
@@ -55,7 +54,7 @@ class Unconstrained(Workspace):
     def read(self) -> Solution:
         """The law claims nothing about the constrained problem: UNKNOWN, zero multipliers."""
         if self._base is None:
-            raise DpbenchError("read before setup: call setup with the whole problem first")
+            raise not_set_up("read")
         n, m = self._base.n, self._base.m
         if self._factor is None:
             return Solution.missing(n, m, Status.ERROR, "P is not positive definite")

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter, attributes
+from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter, attributes, made_by
 from dpbench.solvers.contract import Options
 from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
 
@@ -23,8 +22,6 @@ RECORD = SolverRecord(
     project=stated(
         licence=("Apache-2.0", "Clarabel, metadata of its distribution"),
         language=("Rust", "Clarabel, metadata of its distribution"),
-        c_code=None,
-        allocation_free=None,
         single_precision=("yes, generic in its float type", "Clarabel.rs source, algebra/floats"),
     ),
 )
@@ -51,11 +48,7 @@ def read_status(answer: Any, options: Options) -> ClaimedStatus:
     return ClaimedStatus(status, reported_ns=round(answer.extras["solve_time"] * 1e9), detail=name)
 
 
-def settings_object() -> Any:
-    """Clarabel's settings at their defaults."""
-    return import_module("clarabel").DefaultSettings()
-
-
+settings_object = made_by("clarabel", "DefaultSettings")
 ADAPTER = QpsolversAdapter(
     RECORD, "rows", read_status, lambda: attributes(settings_object()), settings_object
 )

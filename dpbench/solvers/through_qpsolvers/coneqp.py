@@ -60,9 +60,6 @@ def _record(name: str, licensed: str) -> SolverRecord:
         project=stated(
             licence=("GPL-3.0-or-later", licensed),
             language=("Python and C", f"{name.upper()}, metadata of its distribution"),
-            c_code=None,
-            allocation_free=None,
-            single_precision=None,
         ),
     )
 

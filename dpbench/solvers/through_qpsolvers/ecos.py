@@ -23,9 +23,6 @@ RECORD = SolverRecord(
     project=stated(
         licence=("GPL-3.0", "ECOS, metadata of its distribution"),
         language=("C", "ECOS README"),
-        c_code=None,
-        allocation_free=None,
-        single_precision=None,
     ),
     needs_strict_convexity=True,
 )

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import Any
-
-from dpbench.solvers.adapter import QpsolversAdapter, attributes, found_is_all
+from dpbench.solvers.adapter import QpsolversAdapter, attributes, found_is_all, made_by
 from dpbench.solvers.record import NAN_IGNORED, RouteRecord, SolverRecord, by_tolerance, stated
 
 RECORD = SolverRecord(
@@ -23,18 +20,11 @@ RECORD = SolverRecord(
     project=stated(
         licence=("MIT", "HiGHS, metadata of its distribution"),
         language=("C++, C interface", "HiGHS documentation, front page"),
-        c_code=None,
-        allocation_free=None,
-        single_precision=None,
     ),
 )
 
 
-def settings_object() -> Any:
-    """HiGHS's options at their defaults."""
-    return import_module("highspy").HighsOptions()
-
-
+settings_object = made_by("highspy", "HighsOptions")
 # Without a solution HiGHS fills x with zeros, which must not be taken for an iterate.
 ADAPTER = QpsolversAdapter(
     RECORD,

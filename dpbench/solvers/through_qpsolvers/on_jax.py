@@ -57,9 +57,6 @@ def _project(licence: str, name: str) -> Project:
     return stated(
         licence=(licence, f"{name} README"),
         language=("Python on JAX", f"{name} README"),
-        c_code=None,
-        allocation_free=None,
-        single_precision=None,
     )
 
 

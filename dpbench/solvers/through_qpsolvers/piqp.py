@@ -36,9 +36,7 @@ RECORD = SolverRecord(
     project=stated(
         licence=("BSD-2-Clause", "PIQP README, Features"),
         language=("C++14, C interface", "PIQP README, Features and Interfaces"),
-        c_code=None,
         allocation_free=("yes, updates and re-solves", "PIQP README, Features"),
-        single_precision=None,
     ),
     build=lambda: vectorised_build("piqp.piqp_python"),
 )

@@ -38,9 +38,6 @@ RECORD = SolverRecord(
     project=stated(
         licence=("BSD-2-Clause", "ProxSuite documentation, What is ProxSuite?"),
         language=("C++14", "ProxSuite README, main features"),
-        c_code=None,
-        allocation_free=None,
-        single_precision=None,
     ),
     build=lambda: vectorised_build("proxsuite.proxsuite_pywrap"),
 )

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter, attributes
+from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter, attributes, made_by
 from dpbench.solvers.contract import Options
 from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord, stated
 
@@ -23,9 +22,7 @@ RECORD = SolverRecord(
     project=stated(
         licence=("BSD-3-Clause", "pyqpmad, LICENSE of its distribution"),
         language=("C++, header-only on Eigen", "qpmad README"),
-        c_code=None,
         allocation_free=("yes, after reserve", "pyqpmad README, Control Loop Example"),
-        single_precision=None,
     ),
     needs_strict_convexity=True,
 )
@@ -36,11 +33,7 @@ def read_status(answer: Any, options: Options) -> ClaimedStatus:
     return ClaimedStatus(Status.SOLVED, int(answer.extras["num_iterations"]))
 
 
-def settings_object() -> Any:
-    """qpmad's parameters at their defaults."""
-    return import_module("pyqpmad").SolverParameters()
-
-
+settings_object = made_by("pyqpmad", "SolverParameters")
 ADAPTER = QpsolversAdapter(
     RECORD, "rows", read_status, lambda: attributes(settings_object()), settings_object
 )

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter, attributes
+from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter, attributes, made_by
 from dpbench.solvers.contract import Options
 from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
 
@@ -31,9 +30,6 @@ RECORD = SolverRecord(
     project=stated(
         licence=("LGPL-3.0-or-later", "QPALM, metadata of its distribution"),
         language=("C", "QPALM README, Supported platforms"),
-        c_code=None,
-        allocation_free=None,
-        single_precision=None,
     ),
 )
 
@@ -57,11 +53,7 @@ def read_status(answer: Any, options: Options) -> ClaimedStatus:
     return ClaimedStatus(status, int(info.iter), round(info.run_time * 1e9), name)
 
 
-def settings_object() -> Any:
-    """QPALM's settings at their defaults."""
-    return import_module("qpalm").Settings()
-
-
+settings_object = made_by("qpalm", "Settings")
 ADAPTER = QpsolversAdapter(
     RECORD, "rows", read_status, lambda: attributes(settings_object()), settings_object
 )

@@ -32,9 +32,6 @@ RECORD = SolverRecord(
     project=stated(
         licence=("Apache-2.0", "QTQP, metadata of its distribution"),
         language=("Python", "QTQP README"),
-        c_code=None,
-        allocation_free=None,
-        single_precision=None,
     ),
 )
 

@@ -22,9 +22,6 @@ RECORD = SolverRecord(
     project=stated(
         licence=("GPL-2.0-or-later", "quadprog, metadata of its distribution"),
         language=("C, from Fortran", "quadprog, its source"),
-        c_code=None,
-        allocation_free=None,
-        single_precision=None,
     ),
     needs_strict_convexity=True,
 )

@@ -23,8 +23,6 @@ RECORD = SolverRecord(
     project=stated(
         licence=("MIT", "SCS, metadata of its distribution"),
         language=("C", "SCS documentation, front page"),
-        c_code=None,
-        allocation_free=None,
         single_precision=("yes, a flag of its build", "SCS source, scs.mk"),
     ),
 )

@@ -25,9 +25,7 @@ RECORD = SolverRecord(
     project=stated(
         licence=("MIT", "SIP, metadata of its distribution"),
         language=("C++", "SIP QP README"),
-        c_code=None,
         allocation_free=("yes, with Workspace::mem_assign", "SIP QP README"),
-        single_precision=None,
     ),
     # It orders its matrices with the AMD of CVXOPT.
     needs_modules=("cvxopt",),
