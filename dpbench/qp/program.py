@@ -111,8 +111,10 @@ class QuadraticProgram:
 
     def copy(self) -> QuadraticProgram:
         """The same problem in memory that nobody else holds."""
-        step = QPStep(self.q, self.l, self.u, self.P, self.A, self.lb, self.ub)
-        return self.at(step.copy())
+        P, q, A, l, u, lb, ub = (  # noqa: E741 - see `l` above
+            array.copy() for array in (self.P, self.q, self.A, self.l, self.u, self.lb, self.ub)
+        )
+        return QuadraticProgram(P, q, A, l, u, lb, ub, self.block, self.moves)
 
     def changed_by(self, step: QPStep) -> bool:
         """Whether a step has to be solved with other matrices than those of this problem."""

@@ -83,14 +83,6 @@ def check_step(step: QPStep, n: int, m: int) -> None:
             raise ShapeError.of("QPStep", name, array.shape, f"shape {shape}")
 
 
-def owned(qp: QuadraticProgram) -> QuadraticProgram:
-    """The same problem in memory that nobody else holds."""
-    P, q, A, l, u, lb, ub = (  # noqa: E741 - see QuadraticProgram.l
-        array.copy() for array in (qp.P, qp.q, qp.A, qp.l, qp.u, qp.lb, qp.ub)
-    )
-    return QuadraticProgram(P, q, A, l, u, lb, ub, qp.block)
-
-
 def not_set_up(call: str) -> DpbenchError:
     """What is raised when a workspace is used before its set-up."""
     return DpbenchError(f"{call} before setup: call setup with the whole problem first")

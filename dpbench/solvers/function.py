@@ -10,7 +10,7 @@ from typing import Concatenate
 
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status, received
-from dpbench.solvers.contract import Options, Policy, Workspace, check_step, not_set_up, owned
+from dpbench.solvers.contract import Options, Policy, Workspace, check_step, not_set_up
 
 Solve = Callable[Concatenate[QuadraticProgram, ...], Solution]
 
@@ -27,7 +27,7 @@ class FunctionWorkspace(Workspace):
 
     def setup(self, qp: QuadraticProgram) -> None:
         """Copy the problem."""
-        self._qp, self._solution = owned(qp), None
+        self._qp, self._solution = qp.copy(), None
 
     def update(self, step: QPStep) -> None:
         """Copy the problem with what `step` changes."""

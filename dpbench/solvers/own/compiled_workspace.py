@@ -11,7 +11,7 @@ import numpy as np
 from dpbench.arrays import Matrix
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Policy, Route, Workspace, check_step, not_set_up, owned
+from dpbench.solvers.contract import Policy, Route, Workspace, check_step, not_set_up
 from dpbench.solvers.own.active_set import layout as layout
 from dpbench.solvers.own.active_set.constants import empty, fill, results, vectors
 from dpbench.solvers.own.active_set.kernel import take_over
@@ -34,7 +34,7 @@ class CompiledWorkspace(Workspace):
 
     def setup(self, qp: QuadraticProgram) -> None:
         """The constants of `qp`; a P that is not positive definite shows as ERROR when solved."""
-        self._prepare(owned(qp))
+        self._prepare(qp.copy())
 
     def _prepare(self, qp: QuadraticProgram) -> None:
         before, n, m = self._base, qp.n, qp.m
@@ -67,7 +67,7 @@ class CompiledWorkspace(Workspace):
                 vector[:] = new
         else:
             self.matrix_updates += 1
-            self._prepare(owned(base.at(step)))
+            self._prepare(base.at(step).copy())
 
     def _cannot(self) -> None:
         if self._base is None:

@@ -13,7 +13,7 @@ import scipy.linalg
 from dpbench.arrays import Vector
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Policy, Route, Workspace, check_step, not_set_up, owned
+from dpbench.solvers.contract import Policy, Route, Workspace, check_step, not_set_up
 
 
 class Unconstrained(Workspace):
@@ -27,7 +27,7 @@ class Unconstrained(Workspace):
 
     def setup(self, qp: QuadraticProgram) -> None:
         """Factorise P; a P that is not positive definite shows as ERROR when solved."""
-        self._base, self._z = owned(qp), None
+        self._base, self._z = qp.copy(), None
         self._q = self._base.q.copy()
         try:
             self._factor = np.linalg.cholesky(self._base.P)

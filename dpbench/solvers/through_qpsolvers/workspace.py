@@ -22,7 +22,6 @@ from dpbench.solvers.contract import (
     Workspace,
     check_step,
     not_set_up,
-    owned,
     shift_into,
 )
 from dpbench.solvers.one_sided import OneSidedForm
@@ -55,7 +54,7 @@ class QpsolversWorkspace(Workspace):
     def setup(self, qp: QuadraticProgram) -> None:
         """Keep `qp` in the library's form; forgets every earlier answer."""
         self.reset()
-        self._prepare(owned(qp))
+        self._prepare(qp.copy())
 
     def _prepare(self, qp: QuadraticProgram) -> None:
         self._base = qp
@@ -80,7 +79,7 @@ class QpsolversWorkspace(Workspace):
         if vectors_only and self._form.fits(step.l, step.u):
             self._fill(step.q, step.l, step.u)
         else:
-            self._prepare(owned(base.at(step)))
+            self._prepare(base.at(step).copy())
 
     def _shifted_start(self, block: int) -> np.ndarray | None:
         """The previous answer one move later, its last move zero; None without a usable one."""

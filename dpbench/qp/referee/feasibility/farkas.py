@@ -118,12 +118,25 @@ def _fractions(vector: Vector) -> list[Vector]:
     vectors = []
     for unit in {size, smallest} - {0.0}:
         for limit in DENOMINATORS:
-            parts = [Fraction(value / unit).limit_denominator(limit) for value in vector.tolist()]
-            common = lcm(*(part.denominator for part in parts))
-            whole = [part * common for part in parts]
-            if all(abs(number) < 1 << 53 for number in whole):
-                vectors.append(np.array([float(number) for number in whole]))
+            whole = in_integers(vector / unit, limit)
+            if whole is not None:
+                vectors.append(whole)
     return vectors
+
+
+def in_integers(vector: Vector, denominator: int) -> Vector | None:
+    """Integers in the proportions of the nearest fractions; None where float64 cannot hold them.
+
+    Parameters
+    ----------
+    denominator : the largest of a fraction.
+    """
+    parts = [Fraction(value).limit_denominator(denominator) for value in vector.tolist()]
+    common = lcm(*(part.denominator for part in parts))
+    numbers = [part * common for part in parts]
+    if any(abs(number) >= 1 << 53 for number in numbers):
+        return None
+    return np.array([float(number) for number in numbers])
 
 
 def unbounded_valid(qp: QuadraticProgram, d: Vector) -> bool:

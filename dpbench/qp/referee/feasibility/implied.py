@@ -18,15 +18,13 @@ active set beyond doubt.
 
 from __future__ import annotations
 
-from fractions import Fraction
-from math import lcm
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.qp.referee.dyadic import Dyadic
+from dpbench.qp.referee.feasibility.farkas import in_integers
 from dpbench.qp.referee.gap import independent
 from dpbench.qp.referee.joint import JointQP, Signs
 
@@ -106,7 +104,7 @@ def with_implied(problem: JointQP, touched: Signs) -> JointQP | None:
     limits = np.where(touched > 0, problem.U, problem.L)
     L, U = problem.L.copy(), problem.U.copy()
     if weights.any():
-        exact = _whole(weights)
+        exact = in_integers(weights, DENOMINATOR)
         if exact is None or (exact * touched < 0.0)[~equal].any():
             return None
         if not _balanced(problem, limits, exact):
@@ -140,16 +138,6 @@ def _weights(
     return weights
 
 
-def _whole(weights: Vector) -> Vector | None:
-    """Integers in the proportions of `weights`, or None where they are no small fractions."""
-    parts = [Fraction(weight).limit_denominator(DENOMINATOR) for weight in weights.tolist()]
-    common = lcm(*(part.denominator for part in parts))
-    numbers = [part * common for part in parts]
-    if any(abs(number) >= 1 << 53 for number in numbers):
-        return None
-    return np.array([float(number) for number in numbers])
-
-
 def _balanced(problem: JointQP, limits: Vector, weights: Vector) -> bool:
     """Whether the weighted rows and the weighted limits add up to nothing, exactly."""
     used = np.flatnonzero(weights)
@@ -169,7 +157,7 @@ def _independent_equalities(problem: JointQP) -> JointQP | None:
         shares = np.linalg.lstsq(problem.C[kept].T, problem.C[i], rcond=None)[0]
         weights = np.zeros(len(L))
         weights[kept], weights[i] = np.where(np.abs(shares) < NONE, 0.0, shares), -1.0
-        exact = _whole(weights)
+        exact = in_integers(weights, DENOMINATOR)
         if exact is None or not _balanced(problem, problem.U, exact):
             return None
         L[i], U[i] = -np.inf, np.inf
