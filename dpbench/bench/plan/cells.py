@@ -14,13 +14,18 @@ from dpbench.bench.plan.configurations import (
     module_of,
     refusal_of,
 )
-from dpbench.bench.plan.suite import ClosedLoopTable, RandomTable, RecordedTable, SuiteFile
+from dpbench.bench.plan.suite import (
+    ClosedLoopTable,
+    RandomTable,
+    RecordedTable,
+    ReplayTable,
+    SuiteFile,
+)
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.sequences.recording import read_sequence
 from dpbench.bench.sequences.source import random_source, recorded_source
 from dpbench.errors import InputError
-from dpbench.qp.program import QPSequence
 from dpbench.qp.random.recipe import FAMILIES, RandomRecipe
 from dpbench.qp.referee.kkt import positive_definite
 from dpbench.scenario.problem_files import sequence_path
@@ -77,6 +82,38 @@ def cell_of(
     return _if_semidefinite(replace(planned, refused=planned.refused or no_stages))
 
 
+def replay_cells(
+    suite: SuiteFile,
+    table: ReplayTable | RecordedTable | RandomTable,
+    solvers: Sequence[str],
+    steps: int,
+    *,
+    no_stages: str = NO_MODEL,
+    **fields: Any,
+) -> list[PlannedCell]:
+    """The cells of a replay of so many steps; `fields` say of what, the rest is as in `cell_of`.
+
+    Random sequences are not timed alone, so they have no budget of their own.
+    """
+    if not isinstance(table, RandomTable):
+        fields |= {"budget_s": suite.replay_budget_s, "repeat_budget_s": suite.repeat_budget_s}
+    return [
+        cell_of(
+            configuration,
+            suite,
+            table,
+            no_stages=no_stages,
+            mode="replay",
+            steps=steps,
+            rounds=suite.rounds,
+            warmup_steps=min(suite.warmup_steps, steps),
+            **fields,
+        )
+        for configuration in configurations_of(solvers, table)
+        if configuration.solver != BASELINE_LAW
+    ]
+
+
 def _own_limit_s(table: Table) -> float | None:
     """The limit of a table's cells, where it has one of its own."""
     return table.limit_s if isinstance(table, ClosedLoopTable) else None
@@ -112,37 +149,11 @@ def recorded_cells(
         if known != source["sha256"] or sequence.name in taken:
             allowed = "sequences and scenarios of different names, which tell their results apart"
             raise InputError(str(path), "name", f"another called {sequence.name!r}", allowed)
-        cells += _of_sequence(suite, table, solvers, sequence, source)
+        planned = replay_cells(suite, table, solvers, len(sequence), scenario={}, source=source)
+        matrices = [sequence.base.P] if sequence.P is None else list(sequence.P)
+        strict = all(positive_definite(P) for P in matrices)
+        cells += planned if strict else map(_if_semidefinite, planned)
     return cells
-
-
-def _of_sequence(
-    suite: SuiteFile,
-    table: RecordedTable,
-    solvers: Sequence[str],
-    sequence: QPSequence,
-    source: dict[str, Any],
-) -> list[PlannedCell]:
-    matrices = [sequence.base.P] if sequence.P is None else list(sequence.P)
-    strict = all(positive_definite(P) for P in matrices)
-    cells = [
-        cell_of(
-            configuration,
-            suite,
-            table,
-            mode="replay",
-            scenario={},
-            steps=len(sequence),
-            rounds=suite.rounds,
-            warmup_steps=min(suite.warmup_steps, len(sequence)),
-            budget_s=suite.replay_budget_s,
-            repeat_budget_s=suite.repeat_budget_s,
-            source=source,
-        )
-        for configuration in configurations_of(solvers, table)
-        if configuration.solver != BASELINE_LAW
-    ]
-    return cells if strict else [_if_semidefinite(planned) for planned in cells]
 
 
 def _if_semidefinite(planned: PlannedCell) -> PlannedCell:
@@ -155,20 +166,7 @@ def random_cells(suite: SuiteFile, table: RandomTable, solvers: Sequence[str]) -
     """The cells of a table of random sequences."""
     # What depends on the configuration alone is found out once: a table may make thousands of
     # cells.
-    blanks = [
-        cell_of(
-            configuration,
-            suite,
-            table,
-            mode="replay",
-            scenario={},
-            steps=table.steps,
-            rounds=suite.rounds,
-            warmup_steps=min(suite.warmup_steps, table.steps),
-        )
-        for configuration in configurations_of(solvers, table)
-        if configuration.solver != BASELINE_LAW
-    ]
+    blanks = replay_cells(suite, table, solvers, table.steps, scenario={})
     return [_of_recipe(blank, recipe) for recipe in table.recipes() for blank in blanks]
 
 

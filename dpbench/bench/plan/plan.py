@@ -6,7 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from dpbench.bench.plan.cells import PlannedCell, cell_of, random_cells, recorded_cells
+from dpbench.bench.plan.cells import (
+    PlannedCell,
+    cell_of,
+    random_cells,
+    recorded_cells,
+    replay_cells,
+)
 from dpbench.bench.plan.configurations import BASELINE_LAW, choose_solvers, configurations_of
 from dpbench.bench.plan.suite import ClosedLoopTable, ReplayTable, SuiteFile
 from dpbench.bench.sequences.recording import with_horizons
@@ -130,21 +136,12 @@ def _replay_cells(
             f"suite: replay of {scenario.name}", "first", table.first, f"below {scenario.steps}"
         )
     steps = min(table.steps or scenario.steps, scenario.steps - table.first)
-    return [
-        cell_of(
-            configuration,
-            suite,
-            table,
-            no_stages=no_stages(scenario),
-            mode="replay",
-            scenario=scenario.files,
-            steps=steps,
-            first=table.first,
-            rounds=suite.rounds,
-            warmup_steps=min(suite.warmup_steps, steps),
-            budget_s=suite.replay_budget_s,
-            repeat_budget_s=suite.repeat_budget_s,
-        )
-        for configuration in configurations_of(solvers, table)
-        if configuration.solver != BASELINE_LAW
-    ]
+    return replay_cells(
+        suite,
+        table,
+        solvers,
+        steps,
+        no_stages=no_stages(scenario),
+        scenario=scenario.files,
+        first=table.first,
+    )

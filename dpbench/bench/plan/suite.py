@@ -9,19 +9,18 @@ from typing import Annotated, ClassVar, Literal, get_args
 
 from pydantic import AfterValidator, Field
 
-from dpbench.bench.record.cell import SLOWEST
+from dpbench.bench.record.cell import SLOWEST, Fallback, Units
 from dpbench.errors import InputError
 from dpbench.qp.random.recipe import RandomRecipe
 from dpbench.scenario.horizons import Horizons, different_horizons, parse_horizons
 from dpbench.scenario.problem_files import FileModel, problem_path, read_model
+from dpbench.solvers.contract import Policy
 from dpbench.solvers.record import LEVELS
 
 Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Size = Annotated[list[Count], Field(min_length=2, max_length=2)]
-UnitName = Literal["scaled", "si"]
-PolicyName = Literal["fresh", "reuse", "warm"]
 RouteName = Literal["default", "qpsolvers", "native"]
 FormulationName = Literal["condensed_box", "condensed_stacked", "sparse"]
 
@@ -45,7 +44,15 @@ class DemandTable(FileModel):
     deadline_ms: Positive = 300.0
 
 
-class ClosedLoopTable(FileModel):
+class _RunsTable(FileModel):
+    """In which ways solvers run; settings that a solver does not have are left out."""
+
+    settings: list[str] = ["default"]
+    routes: list[RouteName] = ["default"]
+    policies: list[Policy] = ["fresh"]
+
+
+class ClosedLoopTable(_RunsTable):
     """Every solver steers the ship itself; route "default" is each solver's own.
 
     With `vessels` every scenario is run with each of them instead of its own. `slowdowns` says how
@@ -59,12 +66,9 @@ class ClosedLoopTable(FileModel):
     solvers: list[str] = []
     without: list[str] = []
     vessels: list[str] = []
-    units: list[UnitName] = ["scaled"]
-    settings: list[str] = ["default"]
-    routes: list[RouteName] = ["default"]
-    policies: list[PolicyName] = ["fresh"]
+    units: list[Units] = ["scaled"]
     formulations: list[FormulationName] = ["condensed_box"]
-    fallback: Literal["shifted_plan", "hold", "clip"] = "shifted_plan"
+    fallback: Fallback = "shifted_plan"
     slowdowns: Annotated[list[Slowdown], Field(min_length=1)] = [0.0]
     deadline_s: NotNegative = 0.0
     limit_s: Positive | None = None
@@ -78,7 +82,7 @@ class ClosedLoopTable(FileModel):
         return [f"{scenario}@{vessel}" for scenario in self.scenarios for vessel in self.vessels]
 
 
-class ReplayTable(FileModel):
+class ReplayTable(_RunsTable):
     """Identical QPs, recorded along the exactly solved loop, through every solver.
 
     With `horizons` ("30/5") the scenario is run under each of them instead of those of its tuning.
@@ -90,10 +94,7 @@ class ReplayTable(FileModel):
     horizons: Annotated[list[str], AfterValidator(different_horizons)] = []
     first: Count = 0
     steps: Count = 0
-    units: list[UnitName] = ["scaled"]
-    settings: list[str] = ["default"]
-    routes: list[RouteName] = ["default"]
-    policies: list[PolicyName] = ["fresh"]
+    units: list[Units] = ["scaled"]
     formulations: list[FormulationName] = ["condensed_box"]
 
     @property
@@ -102,23 +103,20 @@ class ReplayTable(FileModel):
         return [parse_horizons(text) for text in self.horizons] or [None]
 
 
-class RandomTable(FileModel):
+class RandomTable(_RunsTable):
     """Random QPs with a planted optimum, through every solver: families × sizes × seeds.
 
     A size is [n, m]. Such QPs have no units but their own.
     """
 
-    units: ClassVar[list[UnitName]] = ["scaled"]
+    units: ClassVar[list[Units]] = ["scaled"]
     formulations: ClassVar[list[FormulationName]] = ["condensed_box"]
     families: Annotated[list[str], Field(min_length=1)]
     sizes: Annotated[list[Size], Field(min_length=1)]
     seeds: list[Count] = [1]
     steps: Annotated[int, Field(ge=1)] = 24
     block: Count = 0
-    cond: Annotated[float, Field(ge=0)] = 0.0
-    settings: list[str] = ["default"]
-    routes: list[RouteName] = ["default"]
-    policies: list[PolicyName] = ["fresh"]
+    cond: NotNegative = 0.0
 
     def recipes(self) -> list[RandomRecipe]:
         """The recipes of the table; InputError for one that cannot be."""
@@ -130,17 +128,14 @@ class RandomTable(FileModel):
         ]
 
 
-class RecordedTable(FileModel):
+class RecordedTable(_RunsTable):
     """Recorded QPs through every solver: a stored sequence by name, a `.npz`, or a folder.
 
     A relative path is looked for beside the suite first. Such QPs have no units but their own.
     """
 
-    units: ClassVar[list[UnitName]] = ["scaled"]
+    units: ClassVar[list[Units]] = ["scaled"]
     sequence: str
-    settings: list[str] = ["default"]
-    routes: list[RouteName] = ["default"]
-    policies: list[PolicyName] = ["fresh"]
     formulations: list[FormulationName] = ["condensed_box"]
 
 
@@ -181,7 +176,7 @@ class SuiteFile(FileModel):
     baseline_law: bool = True
     calibration: bool = False
     cell_limit_s: Positive = 5.0
-    replay_budget_s: Annotated[float, Field(ge=0)] = 0.0
+    replay_budget_s: NotNegative = 0.0
     repeat_budget_s: NotNegative = 0.25
     rounds: Annotated[int, Field(ge=1)] = 5
     warmup_steps: Count = 50
@@ -214,7 +209,7 @@ def load_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
 
 _WAY: dict[str, Collection[str]] = {
     "route": get_args(RouteName),
-    "policy": get_args(PolicyName),
+    "policy": get_args(Policy),
     "settings": LEVELS,
 }
 _TABLE_KEY = {"route": "routes", "policy": "policies", "settings": "settings"}
