@@ -11,12 +11,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
-from dpbench.bench.plan.configurations import module_of, refusal_of
+from dpbench.bench.plan.configurations import module_of
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.sequences.sequence_file import save_sequence
 from dpbench.bench.workers.child import template_context
@@ -28,7 +27,6 @@ from dpbench.bench.worst_case.space import SearchSpace
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import MAX_STEPS, Scenario, load_scenario
 from dpbench.solvers.contract import Policy, Route
-from dpbench.solvers.settings import setting_names
 from dpbench.solvers.table import available, load_solver_module, record
 
 BUDGET = 300
@@ -170,27 +168,15 @@ def _make_room(path: Path) -> None:
 
 
 def _cell(solver: str, route: Route | None, policy: Policy, settings: str, base: Scenario) -> Cell:
+    """The replay of the scenario itself; what cannot run is said when its solver is opened."""
     row = record(solver)
     # Many libraries count their iterations, and qpsolvers does not pass the count on.
     own: Route = "native" if "native" in row.policies else row.default_route
-    chosen = own if route is None else route
-    if chosen not in row.policies:
-        raise InputError(
-            "--route", "", repr(chosen), f"a route of {solver}: {', '.join(row.policies)}"
-        )
-    if policy not in get_args(Policy):
-        raise InputError("--policy", "", repr(policy), " | ".join(get_args(Policy)))
-    names = setting_names(solver)
-    if settings not in names:
-        raise InputError("--settings", "", repr(settings), f"of {solver}: {', '.join(names)}")
-    reason = refusal_of(Configuration(solver, chosen, policy, settings))
-    if reason:
-        raise InputError(f"solver {solver}", "", reason, "a configuration that can run")
     return Cell(
         mode="replay",
         scenario=base.files,
         solver=solver,
-        route=chosen,
+        route=route or own,
         policy=policy,
         settings=settings,
         steps=base.steps,

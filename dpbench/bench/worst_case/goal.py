@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
-from dpbench.bench.judge.rules import INFEASIBLE, WARM_UP, decided
+from dpbench.bench.judge.rules import INFEASIBLE, UNCERTIFIED, UNDECIDED, WARM_UP
 from dpbench.qp.solution import Status
 
 Goal = Literal["iterations", "error"]
@@ -97,16 +96,12 @@ def worst_of(evaluated: Evaluated, goal: Goal) -> Worst | None:
 
 def _objective_of_errors(evaluated: Evaluated) -> NDArray[np.float64]:
     columns = evaluated.columns
-    status, evaluations = columns["status"], columns["evaluations"]
-    error, true = (
-        evaluations[:, EVALUATION.index("error_plan")],
-        evaluations[:, EVALUATION.index("true")] == 1.0,
-    )
+    status = columns["status"]
+    error, true = (columns["evaluations"][:, EVALUATION.index(x)] for x in ("error_plan", "true"))
     solved, empty = status == Status.SOLVED, np.isin(status, _INFEASIBLE_CLAIMS)
-    certificate = pd.DataFrame({"certificate": np.array(CERTIFICATES)[columns["certificate"]]})
-    infeasible = (certificate["certificate"] == INFEASIBLE).to_numpy()
+    certificate = np.array(CERTIFICATES)[columns["certificate"]]
     objective = np.where(solved, error, np.minimum(error, DECLINED))
-    objective[(empty & ~true) | (solved & infeasible)] = np.inf
-    objective[~decided(certificate).to_numpy()] = 0.0
+    objective[(empty & (true != 1.0)) | (solved & (certificate == INFEASIBLE))] = np.inf
+    objective[np.isin(certificate, (UNCERTIFIED, UNDECIDED))] = 0.0
     # No optimum to compare with, and nothing false about it.
     return np.nan_to_num(objective, nan=0.0, posinf=np.inf)
