@@ -24,13 +24,14 @@ Mode = Literal["closed_loop", "replay"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunRecord:
-    """One run of one configuration. The columns mean what `bench/record/schema.py` says of them.
+    """One run of one configuration: of its columns those that somebody asks for.
+
+    They mean what `bench/record/schema.py` says of them.
 
     Parameters
     ----------
     description : what `cell` says, read.
-    family, drawn_n, drawn_m : of a random sequence its family and its size as drawn; "" and 0 of
-        every other run.
+    family : of a random sequence; "" of every other run.
     default_route : whether it runs on its solver's own route, which `Records` finds out.
     own_switches_a_step : involuntary switches a step that the configuration makes itself, which
         `machine.py` finds out; they are not among `involuntary_switches` then. NaN for none.
@@ -44,49 +45,27 @@ class RunRecord:
     solver: str
     solver_version: str
     build: str
-    generic_build: bool
     route: Route
     policy: Policy
     settings: str
     formulation: Formulation
-    form: str
     N_p: Count
     N_c: Count
-    n: Count
-    m: Count
     units: Units
     slowdown: float
     deadline_s: float
-    seed: int
     outcome: str
     outcome_detail: str
-    machine_id: str
-    schema: int
-    cell: str
     steps_planned: int
     steps_done: int
     # accuracy: `ACCURACY_COLUMNS`
-    claimed_share: float
     true_share: float
-    true_1e4_share: float
-    true_1e6_share: float
-    claimed_not_true: Count
-    true_not_claimed: Count
-    error_move_p50: float
     error_move_max: float
     error_plan_max: float
-    primal_max: float
-    dual_max: float
-    optimum_bound_max: float
     uncertified: Count
     undecided_steps: Count
-    infeasible_steps: Count
     failed_steps: Count
-    iterations_p50: float
-    iterations_max: float
     # timing: `TIMING_COLUMNS`
-    setup_once_ns: float
-    matrix_updates: Count
     rounds: Count
     disturbed_rounds: Count
     counting_disturbed: Count
@@ -94,97 +73,35 @@ class RunRecord:
     reference_kernel_ns: float
     load_kernel_ns: float
     algo_p50_ns: float
-    algo_p95_ns: float
-    algo_p99_ns: float
-    algo_max_ns: float
-    algo_median_p50_ns: float
     raw_p50_ns: float
-    raw_p99_ns: float
-    raw_p999_ns: float
     raw_max_ns: float
-    raw_samples: Count
     first_visit_ratio: float
     loop_ratio: float
-    emit_p50_ns: float
-    overhead_p50_ns: float
     # machine: `MACHINE_COLUMNS`
     replay_s: float
-    voluntary_switches: Count
     involuntary_switches: Count
     steal_s: float
     throttle_events: float
-    bit_identical_share: float
-    answer_spread_max: float
-    iterations_identical_share: float
-    iterations_spread: Count
-    peak_rss_bytes: float
-    os_threads: Count
-    pool_threads: Count
-    python_blocks_per_step: float
-    python_peak_bytes_per_step: float
-    heap_growth_bytes_per_step: float
     # control: `CONTROL_COLUMNS`
     fallbacks: Count
-    fallback_longest: Count
-    recover_steps_max: Count
-    deadline_misses: Count
-    longest_miss_streak: Count
-    miss_recover_steps_max: Count
-    computations: Count
-    interrupted: Count
-    latency_p50_ns: float
     latency_max_ns: float
-    unconverged: Count
-    clipped: Count
     limit_violations: Count
-    matrix_steps: Count
     r_rms_m: float
-    r_95_m: float
-    r_max_m: float
     r_tail_max_m: float
-    heading_rms_deg: float
     heading_max_deg: float
-    iae_n: float
-    iae_e: float
-    iae_psi: float
-    ise_n: float
-    ise_e: float
-    ise_psi: float
-    itae_n: float
-    itae_e: float
-    itae_psi: float
-    settle_s: float
     settle_0p1m_s: float
-    overshoot_n: float
     overshoot_e: float
-    overshoot_psi: float
     share_1m: float
-    share_green: float
-    share_yellow: float
-    share_red: float
-    pose_error: float
-    effort_s: float
     total_variation: float
-    work_J: float
     at_rate_surge: float
     at_rate_sway: float
     at_rate_yaw: float
-    at_amplitude_surge: float
-    at_amplitude_sway: float
-    at_amplitude_yaw: float
     closed_loop_cost: float
     exact_cost: float
     dev_position_max_m: float
-    dev_position_rms_m: float
-    dev_heading_max_deg: float
-    dev_heading_rms_deg: float
-    dev_force_max_N: float
-    dev_force_rms_N: float
 
     description: dict[str, Any] = field(repr=False)
     family: str = ""
-    drawn_n: int = 0
-    drawn_m: int = 0
     default_route: bool = False
     own_switches_a_step: float = np.nan
 
@@ -192,16 +109,15 @@ class RunRecord:
     def of(cls, row: Mapping[str, Any]) -> RunRecord:
         """The record of a row of `runs.parquet`."""
         columns: dict[str, Any] = {
-            name: _READ[dtype](row[name]) for name, (dtype, _) in RUN_COLUMNS.items()
+            name: _READ[RUN_COLUMNS[name][0]](row[name])
+            for name in cls.__annotations__
+            if name in RUN_COLUMNS
         }
-        described = columns["cell"].startswith("{")
-        description = json.loads(columns["cell"]) if described else {}
+        cell = str(row["cell"])
+        description = json.loads(cell) if cell.startswith("{") else {}
         source = description.get("source", {})
-        if source.get("kind") != "random":
-            return cls(**columns, description=description)
-        recipe = source["recipe"]
-        family, n, m = str(recipe["family"]), int(recipe["n"]), int(recipe["m"])
-        return cls(**columns, description=description, family=family, drawn_n=n, drawn_m=m)
+        family = str(source["recipe"]["family"]) if source.get("kind") == "random" else ""
+        return cls(**columns, description=description, family=family)
 
     @property
     def configuration(self) -> Configuration:
@@ -254,24 +170,16 @@ class RunRecord:
         return is_remembered(self.first_visit_ratio, self.loop_ratio)
 
     @property
-    def short_name(self) -> str:
-        """The solver, with its route where not its default, its policy where not `fresh`."""
-        return self._named([])
-
-    @property
     def name(self) -> str:
-        """As `short_name`, with settings, units and formulation where they are not the default."""
-        words = [self._named([] if self.settings == "default" else [self.settings])]
-        words += [] if self.units == "scaled" else [self.units]
-        common = self.formulation in (COMMON, "none")
-        words += [] if common else [self.formulation.replace("_", " ")]
-        return ", ".join(words)
-
-    def _named(self, settings: list[str]) -> str:
+        """The solver, with its route, policy, settings, units and formulation where they are not
+        the default."""
         words = [] if self.default_route else [str(self.route)]
         words += [] if self.policy == "fresh" else [str(self.policy)]
-        words += settings
-        return f"{self.solver} ({', '.join(words)})" if words else self.solver
+        words += [] if self.settings == "default" else [self.settings]
+        names = [f"{self.solver} ({', '.join(words)})" if words else self.solver]
+        names += [] if self.units == "scaled" else [self.units]
+        common = self.formulation in (COMMON, "none")
+        return ", ".join(names if common else [*names, self.formulation.replace("_", " ")])
 
 
 def records_of(runs: pd.DataFrame) -> list[RunRecord]:
