@@ -22,11 +22,11 @@ import numpy as np
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from dpbench.bench.plan.suite import DesignTable
-from dpbench.bench.record.cell import HARNESS_VERSION
+from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.result_folder import read_json, write_json
 from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.workers.executor import Bench
-from dpbench.bench.workers.process_setup import pin, settle, verdict_of
+from dpbench.bench.workers.process_setup import leave_verdict, pin, settle
 from dpbench.errors import CertificateError, InputError, RenamedWarning, ResultsError
 from dpbench.mpc.law import closed_loop_eigenvalues, gains
 from dpbench.scenario.problem_files import problem_path
@@ -243,7 +243,7 @@ def run_design(text: str, folder: Path, name: str, core: int, path: Path) -> Non
     pin(core)
     settle(folder / f"{name}.noise")
     _write(path, Designs((design_record(Design(**json.loads(text))),)))
-    write_json(folder / f"{name}.json", verdict_of("finished", ""))
+    leave_verdict(folder / f"{name}.json", Outcome("finished", ""))
 
 
 class DesignStudy:

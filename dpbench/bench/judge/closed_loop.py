@@ -21,7 +21,7 @@ from dpbench.bench.run.exact_loop import ExactLoop, base_problem
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Units
 from dpbench.qp.referee.referee import ACTIVE_MULTIPLIER, Optimum, Referee, claim_is_true, error_of
-from dpbench.qp.residuals import TRUE_TOL, Residuals, best_multipliers, is_true, residuals
+from dpbench.qp.residuals import TRUE_TOL, best_multipliers, is_true, residuals
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import scenario_once
 
@@ -117,8 +117,19 @@ class StepEvaluator:
         if answer.status in _NO_ANSWER_CLAIMS:
             levels: tuple[bool, ...] = (claim_is_true(qp, mapped, optimum),) * 3
         else:
-            levels = _truth(qp, in_scaled, plan)
-        return (*_numbers(in_scaled, in_own), move, plan, *_facts(optimum), *map(float, levels))
+            levels = tuple(is_true(qp, in_scaled, plan, tol) for tol in (TRUE_TOL, 1e-4, 1e-6))
+        return (
+            in_scaled.primal,
+            in_scaled.dual,
+            in_scaled.complementarity,
+            in_scaled.gap,
+            in_own.primal,
+            in_own.dual,
+            move,
+            plan,
+            *_facts(optimum),
+            *map(float, levels),
+        )
 
 
 def _with_multipliers(qp: QuadraticProgram, answer: Solution) -> Solution:
@@ -129,25 +140,10 @@ def _with_multipliers(qp: QuadraticProgram, answer: Solution) -> Solution:
     return answer
 
 
-def _numbers(scaled: Residuals, own: Residuals) -> tuple[float, ...]:
-    return (
-        scaled.primal,
-        scaled.dual,
-        scaled.complementarity,
-        scaled.gap,
-        own.primal,
-        own.dual,
-    )
-
-
 def _facts(optimum: Optimum) -> tuple[float, float]:
     active = np.count_nonzero(np.abs(optimum.y) > ACTIVE_MULTIPLIER)
     active += np.count_nonzero(np.abs(optimum.y_box) > ACTIVE_MULTIPLIER)
     return optimum.bound, float(active)
-
-
-def _truth(qp: QuadraticProgram, measured: Residuals, plan: float) -> tuple[bool, ...]:
-    return tuple(is_true(qp, measured, plan, tol) for tol in (TRUE_TOL, 1e-4, 1e-6))
 
 
 def recorded_answer(log: RawLog, r: int, k: int) -> Solution:

@@ -156,8 +156,21 @@ class _Loop:
         ExactLoop.load(path)
 
 
+class _Stored:
+    """A sequence with its optima in a file of our own, whatever it was made from."""
+
+    def load(self, cell: Cell, path: Path) -> Replayed:
+        recorded = load_recorded(path)
+        # Random QPs, and some that others recorded, follow each other by no known time.
+        sample_s = float(recorded.sequence.meta.get("sample_s", float("nan")))
+        return Replayed(recorded.sequence, sample_s, recorded.optima)
+
+    def check(self, path: Path) -> None:
+        load_recorded(path)
+
+
 @dataclass(frozen=True, eq=False)
-class _Random:
+class _Random(_Stored):
     """A random sequence; its optima are certified once, as some take a second each."""
 
     recipe: RandomRecipe
@@ -166,17 +179,9 @@ class _Random:
         sequence = random_sequence(self.recipe)
         save_sequence(path, sequence, certified(sequence))
 
-    def load(self, cell: Cell, path: Path) -> Replayed:
-        recorded = load_recorded(path)
-        # Its QPs follow each other by no known time.
-        return Replayed(recorded.sequence, float("nan"), recorded.optima)
-
-    def check(self, path: Path) -> None:
-        load_recorded(path)
-
 
 @dataclass(frozen=True, eq=False)
-class _Recorded:
+class _Recorded(_Stored):
     """What others recorded; their optima are not believed but certified again."""
 
     described: dict[str, Any]
@@ -189,11 +194,3 @@ class _Recorded:
             raise InputError(str(place), "", f"SHA-256 {found[:12]}…", allowed)
         recorded = read_sequence(place)
         save_sequence(path, recorded.sequence, units=recorded.units, documents=recorded.documents)
-
-    def load(self, cell: Cell, path: Path) -> Replayed:
-        recorded = load_recorded(path)
-        sample_s = float(recorded.sequence.meta.get("sample_s", float("nan")))
-        return Replayed(recorded.sequence, sample_s, recorded.optima)
-
-    def check(self, path: Path) -> None:
-        load_recorded(path)

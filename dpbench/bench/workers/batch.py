@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
-from dpbench.bench.record.cell import Cell, Outcome
+from dpbench.bench.record.cell import Outcome
 from dpbench.bench.workers.child import Child, with_log
 from dpbench.bench.workers.worker import BatchCell, evaluate_batch, run_batch
 
@@ -126,8 +126,3 @@ class CellBatch:
         return _Run(
             self._context, target, cells, self._folder, core, limit_s=limit_s, verdict=verdict
         )
-
-
-def configuration_of(cell: Cell) -> tuple[str, ...]:
-    """Cells with the same configuration may share a process."""
-    return (cell.solver, cell.route, cell.policy, cell.settings, cell.formulation, cell.units)

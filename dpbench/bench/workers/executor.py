@@ -18,10 +18,11 @@ from dpbench.bench.judge.closed_loop import Evaluated
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import HARNESS_VERSION, OUTCOMES, Cell, Outcome
+from dpbench.bench.record.configuration import COLUMNS
 from dpbench.bench.record.raw_log import discard
 from dpbench.bench.record.result_folder import write_json
 from dpbench.bench.sequences.source import log_size, source_key
-from dpbench.bench.workers.batch import CellBatch, configuration_of
+from dpbench.bench.workers.batch import CellBatch
 from dpbench.bench.workers.child import with_log
 from dpbench.bench.workers.interleaved import ReplayGroup
 from dpbench.bench.workers.scratch import NoRoomError, Scratch
@@ -162,7 +163,8 @@ class Bench:
         sizes = self._sizes(jobs, sources)
         for job in sizes:
             alone = job.cell.mode == "closed_loop"
-            key = (job.run_id,) if alone else configuration_of(job.cell)
+            # Cells with the same configuration may share a process.
+            key = (job.run_id,) if alone else tuple(getattr(job.cell, name) for name in COLUMNS)
             batches.setdefault(key, []).append(job)
         # A batch keeps the logs of all its cells until they are judged.
         needs = sorted(sum(sizes[job] for job in batch) for batch in batches.values())

@@ -22,7 +22,6 @@ from contextlib import suppress
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 from random import Random
-from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -158,18 +157,6 @@ class ReplayGroup:
         return RawLog.open(self._folder / f"{worker.run_id}.raw")
 
 
-class Served(Protocol):
-    """What `repeat_robbed` needs of a `ReplayWorker`."""
-
-    run_id: str
-    cell: Cell
-    serving: bool
-    spent_s: float
-
-
-AnyServed = TypeVar("AnyServed", bound=Served)
-
-
 def load_levels(log: RawLog) -> NDArray[np.float64]:
     """(rounds,) the load kernel around each round [ns]: median of its passes on the quieter side.
 
@@ -188,9 +175,9 @@ def most_robbed(levels: NDArray[np.float64], quietest: float) -> int | None:
 
 
 def repeat_robbed(
-    configurations: Sequence[AnyServed],
+    configurations: Sequence[ReplayWorker],
     logs: Mapping[str, RawLog],
-    serve: Callable[[AnyServed, int], None],
+    serve: Callable[[ReplayWorker, int], None],
     order: Random,
 ) -> None:
     """Run robbed rounds again, one of each configuration by turns, while its budget lasts.

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import gc
-import json
 import os
 import warnings
 from pathlib import Path
-from typing import Any
+
+from dpbench.bench.record.cell import Outcome
+from dpbench.bench.record.result_folder import write_json
 
 
 def settle(noise: Path) -> None:
@@ -31,16 +32,6 @@ def pin(core: int) -> None:
     os.sched_setaffinity(0, {core})
 
 
-def write_verdict(path: Path, verdict: dict[str, Any]) -> None:
-    """Leave a JSON verdict at `path`, whole or not at all."""
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps(verdict), encoding="utf-8")
-    part.replace(path)
-
-
-def verdict_of(
-    outcome: str, detail: str, form: str = "", size: tuple[int, int] | None = None
-) -> dict[str, Any]:
-    """A verdict in the words that the supervisor reads; `size` is n and m of the solver's QP."""
-    n, m = size or (None, None)
-    return {"outcome": outcome, "detail": detail, "form": form, "n": n, "m": m}
+def leave_verdict(path: Path, outcome: Outcome) -> None:
+    """Leave at `path` what became of a cell, for the supervisor to read."""
+    write_json(path, vars(outcome))

@@ -11,8 +11,8 @@ import os
 import sys
 import tempfile
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
 
 import psutil
 
@@ -48,7 +48,7 @@ def free_bytes(place: Path) -> int:
     return min(free, int(psutil.virtual_memory().available)) if place == MEMORY else free
 
 
-class Scratch:
+class Scratch(ExitStack):
     """Scratch folders of one campaign, each made when it is needed, all gone at the end.
 
     Parameters
@@ -57,21 +57,10 @@ class Scratch:
     """
 
     def __init__(self, beside: Path) -> None:
+        super().__init__()
         self._places = _apart([MEMORY, Path(tempfile.gettempdir()), beside])
-        self._made: dict[Path, tempfile.TemporaryDirectory[str]] = {}
+        self._made: dict[Path, Path] = {}
         self._elsewhere: dict[Path, list[tuple[int, str]]] = {}
-
-    def __enter__(self) -> Scratch:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        for folder in self._made.values():
-            folder.cleanup()
 
     @property
     def remarks(self) -> list[str]:
@@ -108,8 +97,8 @@ class Scratch:
 
     def _folder(self, place: Path) -> Path:
         if place not in self._made:
-            self._made[place] = scratch_folder(place)
-        return Path(self._made[place].name)
+            self._made[place] = Path(self.enter_context(scratch_folder(place)))
+        return self._made[place]
 
 
 def _apart(places: Sequence[Path]) -> list[Path]:

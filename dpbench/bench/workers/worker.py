@@ -12,13 +12,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
 from dpbench.bench.judge.replay import evaluate_sequence
-from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.disturbance import counters
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.assemble import clock, closed_loop_setup, replay_parts
@@ -29,7 +28,7 @@ from dpbench.bench.run.replay import PREROLL, ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.bench.sequences.source import replayed, source_of
 from dpbench.bench.workers.notice import AtWork, post
-from dpbench.bench.workers.process_setup import pin, settle, verdict_of, write_verdict
+from dpbench.bench.workers.process_setup import leave_verdict, pin, settle
 from dpbench.errors import CertificateError, InputError
 from dpbench.qp.program import QPSequence
 from dpbench.scenario.scenario import scenario_once
@@ -72,7 +71,7 @@ def _open(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Work
         return _opened(cell, folder, name, settled=settled)
     except InputError as error:
         post(AtWork.HARNESS)
-        write_verdict(folder / f"{name}.json", verdict_of("refused", str(error)))
+        leave_verdict(folder / f"{name}.json", Outcome("refused", str(error)))
         return None
 
 
@@ -98,13 +97,13 @@ def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
             verdict = _steer(cell, workspace, raw)
         else:
             verdict = _replay_untimed(cell, workspace, raw, batch_cell.source)
-        write_verdict(folder / f"{name}.json", verdict)
+        leave_verdict(folder / f"{name}.json", verdict)
         # The collector is off while a solver works.
         del workspace
         gc.collect()
 
 
-def _steer(cell: Cell, workspace: Workspace, raw: Path) -> dict[str, Any]:
+def _steer(cell: Cell, workspace: Workspace, raw: Path) -> Outcome:
     """Let the solver steer the ship; the verdict."""
     scenario = scenario_once(cell.scenario).first(cell.steps)
     limit_ns, new_log = round(cell.limit_s * 1e9), partial(RawLog.create, raw)
@@ -118,7 +117,7 @@ def _steer(cell: Cell, workspace: Workspace, raw: Path) -> dict[str, Any]:
     return _verdict(cell, workspace, setup.solver, stopped)
 
 
-def _replay_untimed(cell: Cell, workspace: Workspace, raw: Path, source: Path) -> dict[str, Any]:
+def _replay_untimed(cell: Cell, workspace: Workspace, raw: Path, source: Path) -> Outcome:
     """Replay all rounds, whatever they take; the verdict."""
     sequence = source_of(cell).load(cell, source).sequence
     # Without a time to take, cold caches do no harm, and a step that hangs should be recorded.
@@ -132,16 +131,14 @@ def _in_round(log: RawLog) -> str:
     return f"in round {int((log.done > 0).sum()) - 1}"
 
 
-def _verdict(
-    cell: Cell, workspace: Workspace, timed_solver: TimedSolver, stopped: str
-) -> dict[str, Any]:
+def _verdict(cell: Cell, workspace: Workspace, timed_solver: TimedSolver, stopped: str) -> Outcome:
     """The verdict on a cell that ended by itself; `stopped` says how far its limit let it come."""
     detail = _worst_detail(timed_solver)
     if stopped:
         stop = f"stopped after {cell.limit_s:g} s {stopped}"
         detail = f"{stop}; {detail}" if detail else stop
     outcome = "timed_out" if stopped else "finished"
-    return verdict_of(outcome, detail, workspace.form, timed_solver.size)
+    return Outcome(outcome, detail, workspace.form, *timed_solver.size)
 
 
 def run_replay_cell(
@@ -171,7 +168,7 @@ def run_replay_cell(
     post(AtWork.HARNESS)
     log.footprint[:3] = (memory.peak_bytes(), *threads())
     verdict = _verdict(cell, workspace, timed_solver, "" if complete else _in_round(log))
-    write_verdict(folder / f"{name}.json", verdict)
+    leave_verdict(folder / f"{name}.json", verdict)
     # The verdict stands: what happens from here on is no part of the replay.
     if complete:
         steps = affordable_steps(log)
@@ -240,11 +237,11 @@ def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> No
         source_of(Cell.from_json(text)).make(part)
         part.replace(path)
     except (CertificateError, InputError) as error:
-        write_verdict(folder / f"{name}.json", verdict_of("invalid", str(error)))
+        leave_verdict(folder / f"{name}.json", Outcome("invalid", str(error)))
         return
     finally:
         part.unlink(missing_ok=True)
-    write_verdict(folder / f"{name}.json", verdict_of("finished", ""))
+    leave_verdict(folder / f"{name}.json", Outcome("finished", ""))
 
 
 def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
@@ -258,7 +255,7 @@ def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
         post(AtWork.HARNESS, i)
         log = RawLog.open(folder / f"{batch_cell.name}.raw")
         _evaluate(batch_cell, log).save(batch_cell.evaluated)
-        write_verdict(folder / f"{batch_cell.name}.evaluated.json", verdict_of("finished", ""))
+        leave_verdict(folder / f"{batch_cell.name}.evaluated.json", Outcome("finished", ""))
 
 
 def _evaluate(batch_cell: BatchCell, log: RawLog) -> Evaluated:

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dpbench.bench.record.cell import Outcome
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.workers import child as supervise
 from dpbench.bench.workers.child import Child, template_context
-from dpbench.bench.workers.process_setup import verdict_of, write_verdict
+from dpbench.bench.workers.process_setup import leave_verdict
 
 pytestmark = pytest.mark.alone
 
@@ -166,7 +167,7 @@ def test_a_process_killed_behind_its_verdict_keeps_it(
     """What a worker does after it said what became of the cell is no part of the cell."""
     child = Child(context, time.sleep, (600.0,), tmp_path, "cell", limit_s=5.0)
     assert not child.has_verdict
-    write_verdict(tmp_path / "cell.json", verdict_of("finished", ""))
+    leave_verdict(tmp_path / "cell.json", Outcome("finished", ""))
     child.kill("" if child.has_verdict else "no verdict")
     assert child.outcome().outcome == "finished"
 
