@@ -9,6 +9,7 @@ case.
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -138,7 +139,12 @@ def find_worst_case(
     _make_room(path)
     space = SearchSpace(base, steps, f"{base.name}-worst-{solver}-{goal}")
     with one_interrupt():
-        search = _searched(cell, space, goal, budget, base, seed, progress or Silent())
+        with (
+            scratch_folder() as folder,
+            closing(SearchedSolver(template_context(), Path(folder), cell)) as solver_process,
+        ):
+            search = Search(solver_process, space, goal, budget, progress or Silent())
+            search.run(base, seed)
         return _saved(WorstCase(goal, cell, search, path, {}), seed)
 
 
@@ -184,26 +190,6 @@ def _cell(solver: str, route: Route | None, policy: Policy, settings: str, base:
         warmup_steps=WARMUP_STEPS,
         solver_module=module_of(solver),
     )
-
-
-def _searched(
-    cell: Cell,
-    space: SearchSpace,
-    goal: Goal,
-    budget: int,
-    base: Scenario,
-    seed: int,
-    progress: Progress,
-) -> Search:
-    """The search, done or interrupted; its solver's process has ended."""
-    with scratch_folder() as folder:
-        solver_process = SearchedSolver(template_context(), Path(folder), cell)
-        try:
-            search = Search(solver_process, space, goal, budget, progress)
-            search.run(base, seed)
-        finally:
-            solver_process.close()
-    return search
 
 
 def _saved(worst_case: WorstCase, seed: int) -> WorstCase:
