@@ -105,10 +105,6 @@ class Records:
         carried = self.scenario(scenario)
         return self.full_steps(scenario) if carried is None else carried.steps
 
-    def is_whole(self, run: RunRecord) -> bool:
-        """Whether a closed loop ran over the whole scenario, and not over its beginning only."""
-        return run.steps_done >= self.whole_steps(run.scenario)
-
     def full_loops(self, scenario: str, settings: str = "default") -> list[RunRecord]:
         """Full-length closed loops of a scenario in scaled units, the baseline law included."""
         return self.select(

@@ -23,7 +23,8 @@ BLOCK_STEPS = 20
 LEAST_BLOCKS = 4
 """With fewer blocks resamples hardly differ, and an interval would be too narrow, or a point."""
 RESAMPLES = 500
-CONFIDENCE = 0.95
+TAILS = (0.025, 0.975)
+"""Of an interval at 95 % confidence."""
 SEED = 20_240_917
 
 
@@ -54,7 +55,6 @@ def percentile_interval(
     *,
     block: int = BLOCK_STEPS,
     resamples: int = RESAMPLES,
-    confidence: float = CONFIDENCE,
     seed: int = SEED,
 ) -> Interval:
     """A percentile over steps with its interval, unknown when the steps do not support it."""
@@ -65,44 +65,25 @@ def percentile_interval(
         return Interval(value, 0.0, np.inf)
     draws = block_indices(len(values), block, resamples, seed)
     resampled = np.percentile(values[draws], percent, axis=1)
-    low, high = np.quantile(resampled, _tails(confidence))
+    low, high = np.quantile(resampled, TAILS)
     return Interval(value, float(low), float(high))
 
 
-def paired_ratio(
-    slower: Floats,
-    faster: Floats,
-    *,
-    comparisons: int = 1,
-    block: int = BLOCK_STEPS,
-    resamples: int = 4 * RESAMPLES,
-    confidence: float = CONFIDENCE,
-    seed: int = SEED,
-) -> Interval:
-    """Geometric mean over steps of slower/faster, with its interval.
-
-    Parameters
-    ----------
-    slower, faster : (K,) times of the same steps.
-    comparisons : how many such intervals are to hold together (Bonferroni).
-    """
+def paired_ratio(slower: Floats, faster: Floats, *, resamples: int = 4 * RESAMPLES) -> Interval:
+    """Geometric mean over the same steps (K,) of slower/faster, with its interval."""
     if len(slower) == 0:
         return UNKNOWN
     logs = np.log(slower / faster)
-    if not enough(len(logs), block):
+    if not enough(len(logs)):
         return Interval(float(np.exp(logs.mean())), 0.0, np.inf)
-    tails = _tails(1.0 - (1.0 - confidence) / comparisons)
-    low, high = np.quantile(resampled_means(logs, block, resamples, seed), tails)
+    low, high = np.quantile(resampled_means(logs, BLOCK_STEPS, resamples, SEED), TAILS)
     return Interval(float(np.exp(logs.mean())), float(np.exp(low)), float(np.exp(high)))
 
 
-def pooled_mean(logs: Sequence[Floats], comparisons: int = 1) -> Interval:
+def pooled_mean(logs: Sequence[Floats]) -> Interval:
     """exp of the mean over sequences of the mean log ratio, with its interval.
 
-    Parameters
-    ----------
-    logs : log ratios of the steps of each sequence; an empty one makes the mean unknown.
-    comparisons : how many such intervals are to hold together.
+    `logs` are the log ratios of the steps of each; an empty one makes the mean unknown.
     """
     if not logs or not all(map(len, logs)):
         return UNKNOWN
@@ -115,13 +96,9 @@ def pooled_mean(logs: Sequence[Floats], comparisons: int = 1) -> Interval:
         for of_sequence in logs
     ]
     spread = float(np.linalg.norm(errors)) / len(logs)
-    reach = -float(ndtri((1.0 - CONFIDENCE) / (2.0 * comparisons))) * spread
+    reach = -float(ndtri(TAILS[0])) * spread
     low, high = np.exp([middle - reach, middle + reach]).tolist()
     return Interval(float(np.exp(middle)), low, high)
-
-
-def _tails(confidence: float) -> tuple[float, float]:
-    return (1.0 - confidence) / 2.0, (1.0 + confidence) / 2.0
 
 
 def _block_starts(count: int, block: int, resamples: int, seed: int) -> NDArray[np.intp]:

@@ -348,7 +348,7 @@ def _timing(
             continue
         algo = times.algo_ns
         algo_max_ns = float(np.fmax(algo_max_ns, algo.max()))
-        raw_max_ns = float(np.fmax(raw_max_ns, times.raw_ns.max()))
+        raw_max_ns = float(np.fmax(raw_max_ns, times.raw_max_ns))
         p99, p95 = percentile(algo, 99), percentile(algo, 95)
         figures.append((p99, float(np.median(algo)), run.sequence))
         if p99 > demand.p99_ns:

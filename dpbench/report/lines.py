@@ -40,11 +40,12 @@ def _random(records: Records) -> list[str]:
     """How many false claims, and whose."""
     if not records.random:
         return []
-    claims = RandomClaims(records)
-    whole = claims.of(claims.runs)
-    liars = sorted(solver for (solver,), tally in claims.by("solver").items() if tally.wrong)
+    by_solver = RandomClaims(records).by("solver")
+    liars = sorted(solver for (solver,), tally in by_solver.items() if tally.wrong)
+    wrong = sum(tally.wrong for tally in by_solver.values())
+    steps = sum(tally.steps for tally in by_solver.values())
     by = f" by {and_list(liars)}" if liars else ""
-    return [f"random QPs: {plural(whole.wrong, 'false claim')} in {whole.steps} answers{by}"]
+    return [f"random QPs: {plural(wrong, 'false claim')} in {steps} answers{by}"]
 
 
 def _harness(records: Records) -> list[str]:

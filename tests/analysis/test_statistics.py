@@ -77,14 +77,6 @@ def test_pairing_removes_what_both_share() -> None:
     assert found.spans(1.01)
 
 
-def test_more_comparisons_widen_each_interval() -> None:
-    """Intervals that are to hold together are wider than a single one."""
-    rng = np.random.default_rng(5)
-    times = np.exp(rng.standard_normal((2, 400)))
-    alone, together = (paired_ratio(times[0], times[1], comparisons=c) for c in (1, 30))
-    assert together.low < alone.low < alone.high < together.high
-
-
 def test_an_unknown_interval_decides_nothing() -> None:
     """Where nothing is known nothing is told apart."""
     assert UNKNOWN.spans(1.0)
@@ -131,26 +123,3 @@ def test_the_least_blocks_give_an_interval_that_often_holds() -> None:
         times = np.exp(0.2 * rng.standard_normal((2, LEAST_BLOCKS * BLOCK_STEPS)))
         held += paired_ratio(times[0], times[1], resamples=200).spans(1.0)
     assert 240 <= held < 300
-
-
-@pytest.mark.slow
-def test_intervals_hold_together() -> None:
-    """Ten intervals of as many comparisons all cover the truth in about 95 % of 200 draws.
-
-    The standard deviation of that share is 1.5 %; with 25 blocks the standard error is a little
-    small, so 88 % is the floor. Without correction they would hold together in 60 %.
-    """
-    rng = np.random.default_rng(5)
-    held = 0
-    for _ in range(200):
-        logs = 0.3 * rng.standard_normal((10, 500))
-        held += all(pooled_mean([log], 10).spans(1.0) for log in logs)
-    assert held >= 0.88 * 200
-
-
-def test_correction_widens_intervals() -> None:
-    """By the ratio of the normal quantiles at 0.05/2 and 0.05/200, 3.48 to 1.96."""
-    logs = [np.random.default_rng(6).standard_normal(400)]
-    one, many = pooled_mean(logs, 1), pooled_mean(logs, 100)
-    widths = [np.log(found.high / found.low) for found in (one, many)]
-    assert widths[1] / widths[0] == pytest.approx(3.4808 / 1.95996, rel=1e-3)

@@ -14,20 +14,31 @@ import numpy as np
 from dpbench.analysis.demand import Demand, is_right
 from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
-from dpbench.analysis.statistics import UNKNOWN, Interval, percentile_interval
+from dpbench.analysis.statistics import UNKNOWN, Floats, Interval, percentile_interval
 from dpbench.analysis.step_times import StepTimes
-from dpbench.analysis.times.growth import Growth, fit_growth
 from dpbench.bench.judge.rules import percentile
 from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.record.schema import FORCES
 from dpbench.scenario.horizons import Horizons
 
 HORIZON_KEYS = ("prediction_horizon", "control_horizon")
+LEAST_SIZES = 3
+"""Two points lie on a line whatever the law is."""
 
 
 def moves_of(horizons: Horizons) -> int:
     """How many moves a plan has: the n of the condensed form, on which all forms are compared."""
     return len(FORCES) * horizons[1]
+
+
+def growth_exponent(sizes: Sequence[int], times: Sequence[Floats]) -> float | None:
+    """p of the power law t = c · size^p through the medians of the step times (K,) at each size.
+
+    Least squares of log t on log size; None with fewer than `LEAST_SIZES` different sizes.
+    """
+    if len(set(sizes)) < LEAST_SIZES:
+        return None
+    return float(np.polyfit(np.log(sizes), np.log([np.median(t) for t in times]), 1)[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,25 +73,15 @@ class SweptConfiguration:
     points: dict[Horizons, Point]
 
     @property
-    def runs(self) -> list[RunRecord]:
-        """The runs of its points."""
-        return [point.run for point in self.points.values()]
-
-    @property
     def timed(self) -> dict[Horizons, Point]:
         """The points with a time for every step."""
         return {h: point for h, point in self.points.items() if point.times is not None}
 
     @property
-    def right(self) -> bool:
-        """Whether all answers behind its times meet the demand."""
-        return all(point.right for point in self.timed.values())
-
-    @cached_property
-    def growth(self) -> Growth | None:
-        """The power law of its medians over the number of moves; None below three points."""
+    def growth(self) -> float | None:
+        """`growth_exponent` over the number of moves."""
         sizes = [moves_of(horizons) for horizons in self.timed]
-        return fit_growth(sizes, [p.times.algo_ns for p in self.timed.values() if p.times])
+        return growth_exponent(sizes, [p.times.algo_ns for p in self.timed.values() if p.times])
 
     def largest_within(self, limit_ns: float) -> Horizons | None:
         """The largest horizons measured with right answers and a p99 of at most `limit_ns`."""
@@ -116,12 +117,6 @@ class Sweep:
     def horizons(self) -> list[Horizons]:
         """All pairs, by the number of moves."""
         return list(self.sequences)
-
-    @property
-    def formulations(self) -> list[str]:
-        """The formulations that left a time."""
-        timed = (swept.configuration.formulation for swept in self.swept if swept.timed)
-        return list(dict.fromkeys(timed))
 
     @property
     def best(self) -> list[SweptConfiguration]:

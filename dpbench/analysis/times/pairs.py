@@ -44,10 +44,10 @@ def common_steps(first: StepTimes, second: StepTimes) -> tuple[NDArray[np.intp],
     return in_first, in_second
 
 
-def paired(slower: StepTimes, faster: StepTimes) -> tuple[Floats, Floats]:
+def paired(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
     """Algorithmic times of the steps that both configurations have done."""
-    in_slower, in_faster = common_steps(slower, faster)
-    return slower.algo_ns[in_slower], faster.algo_ns[in_faster]
+    in_first, in_second = common_steps(first, second)
+    return first.algo_ns[in_first], second.algo_ns[in_second]
 
 
 def paired_comparison(records: Records, first: Verdict, second: Verdict) -> PairedComparison:

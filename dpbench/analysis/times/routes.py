@@ -16,12 +16,12 @@ from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
 from dpbench.analysis.statistics import Interval, paired_ratio
 from dpbench.analysis.step_times import StepTimes
-from dpbench.analysis.times.pairs import common_steps
+from dpbench.analysis.times.pairs import paired
 
 RoutePolicy = tuple[str, str]
 """Route and policy."""
 
-WRAPPED, NATIVE, KEPT, WARM = LEVELS = (
+WRAPPED, NATIVE, KEPT, WARM = (
     ("qpsolvers", "fresh"),
     ("native", "fresh"),
     ("native", "reuse"),
@@ -36,31 +36,16 @@ ABOVE: dict[RoutePolicy, tuple[RoutePolicy, ...]] = {
 }
 """The neighbours a route is compared with: the first that was measured."""
 
-SLOWER_SHARE = 0.05
-SLOWER_NS = 200.0
-"""A step is slower when it takes longer by more than both of these; below is the clock's noise."""
-
 
 @dataclass(frozen=True)
 class Comparison:
-    """A route of a solver beside its neighbour, on the steps that both have done.
+    """A route of a solver beside its neighbour `above`, on the steps that both have done.
 
-    Parameters
-    ----------
     gain : geometric mean over steps of the neighbour's time over this one's.
-    saved_ns : median of the neighbour less the median of this one.
-    slower : steps that take longer; slower_ns : by how much at most, 0 if none does.
-    wrong : steps whose answer is not true here and true there; mended : the other way round.
     """
 
     above: RoutePolicy
     gain: Interval
-    saved_ns: float
-    steps: int
-    slower: int
-    slower_ns: float
-    wrong: tuple[int, ...]
-    mended: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +54,6 @@ class RouteComparison:
 
     solver: str
     settings: str
-    runs: dict[RoutePolicy, RunRecord]
     times: dict[RoutePolicy, StepTimes]
 
     def median_ns(self, route: RoutePolicy) -> float:
@@ -85,29 +69,12 @@ class RouteComparison:
         """The route above it that was measured."""
         return next((above for above in ABOVE.get(route, ()) if above in self.times), None)
 
-    def compare(
-        self, route: RoutePolicy, above: RoutePolicy | None, comparisons: int = 1
-    ) -> Comparison | None:
+    def compare(self, route: RoutePolicy, above: RoutePolicy | None) -> Comparison | None:
         """`route` beside `above`; None when one of them left no common step."""
         if above is None or above not in self.times or route not in self.times:
             return None
-        here, there = self.times[route], self.times[above]
-        i, j = common_steps(here, there)
-        if len(i) == 0:
-            return None
-        here_ns, there_ns = here.algo_ns[i], there.algo_ns[j]
-        longer_ns = here_ns - there_ns
-        slower = (longer_ns > SLOWER_SHARE * there_ns) & (longer_ns > SLOWER_NS)
-        return Comparison(
-            above=above,
-            gain=paired_ratio(there_ns, here_ns, comparisons=comparisons),
-            saved_ns=float(np.median(there_ns) - np.median(here_ns)),
-            steps=len(i),
-            slower=int(slower.sum()),
-            slower_ns=float(longer_ns[slower].max(initial=0.0)),
-            wrong=tuple(here.k[i][~here.true[i] & there.true[j]].tolist()),
-            mended=int((here.true[i] & ~there.true[j]).sum()),
-        )
+        above_ns, route_ns = paired(self.times[above], self.times[route])
+        return Comparison(above, paired_ratio(above_ns, route_ns)) if len(route_ns) else None
 
 
 def route_comparisons(records: Records, sequence: str) -> list[RouteComparison]:
@@ -120,7 +87,7 @@ def route_comparisons(records: Records, sequence: str) -> list[RouteComparison]:
         timed = {route: records.times(run) for route, run in runs.items()}
         times = {route: of_route for route, of_route in timed.items() if of_route is not None}
         if times:
-            comparisons.append(RouteComparison(solver, settings, runs, times))
+            comparisons.append(RouteComparison(solver, settings, times))
     return sorted(comparisons, key=lambda comparison: (comparison.best_ns, comparison.solver))
 
 

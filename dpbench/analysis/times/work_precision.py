@@ -32,10 +32,6 @@ class LevelPoint:
     error_move: float
     failed: int
 
-    def reaches(self, error_move: float) -> bool:
-        """Whether it has this accuracy, and no failed step."""
-        return self.failed == 0 and self.error_move <= error_move
-
 
 def default_route_levels(records: Records, sequences: Sequence[str]) -> dict[str, list[LevelPoint]]:
     """Per solver its points on the default route with policy fresh."""

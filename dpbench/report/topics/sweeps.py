@@ -32,7 +32,7 @@ def horizon_topic(records: Records, demand: Demand) -> Topic | None:
             rows.append(
                 (
                     name,
-                    "–" if growth is None else significant(growth.exponent.value, 2),
+                    "–" if growth is None else significant(growth, 2),
                     _longest(sweep, swept, demand.p99_ns),
                 )
             )

@@ -35,29 +35,6 @@ def _ways(records: Any) -> RouteComparison:
     return ways
 
 
-def test_slower_steps_are_counted_beyond_the_noise(records: Any) -> None:
-    """A step is slower only when it is so by more than 5 % and by more than 0.2 µs.
-
-    Without spread every other step of both configurations takes its median exactly.
-    """
-    for policy, slow in (("reuse", {}), ("warm", {1: 1.04, 2: 1.3, 4: 2.0})):
-        records.replay("a", median_us=10.0, spread=0.0, route="native", policy=policy, slow=slow)
-        records.replay("b", median_us=0.5, spread=0.0, route="native", policy=policy, slow=slow)
-    slower = {w.solver: w.compare(WARM, KEPT) for w in route_comparisons(records.view(), "paper")}
-    assert {name: found and found.slower for name, found in slower.items()} == {"a": 2, "b": 1}
-    assert slower["a"] is not None
-    assert slower["a"].slower_ns == pytest.approx(10_000, abs=1)
-
-
-def test_a_step_that_neither_solves_is_no_regression(records: Any) -> None:
-    """Where the neighbour is wrong as well, the warm start has broken nothing."""
-    for policy, wrong in (("reuse", (7, 9)), ("warm", (9,))):
-        records.replay("scs", route="native", policy=policy, wrong=wrong)
-    found = _ways(records).compare(WARM, KEPT)
-    assert found is not None
-    assert (found.wrong, found.mended) == ((), 1)
-
-
 def _beside(comparison: RouteComparison, route: RoutePolicy) -> Comparison:
     found = comparison.compare(route, comparison.neighbour(route))
     assert found is not None
@@ -67,14 +44,12 @@ def _beside(comparison: RouteComparison, route: RoutePolicy) -> Comparison:
 def test_each_step_down_is_a_ratio_to_the_way_above(records: Any) -> None:
     """Wrapper, reuse and warm gain are the ratios between neighbouring ways.
 
-    The geometric mean of 1000 paired ratios of spread 0.07 is within 1 % of its value (4 sigma),
-    and the difference of two medians within 2 % of the larger one.
+    The geometric mean of 1000 paired ratios of spread 0.07 is within 1 % of its value (4 sigma).
     """
     _routes(records, "daqp", 40.0, 20.0, 10.0, 8.0)
     ways = _ways(records)
     gains = [_beside(ways, route).gain.value for route in (NATIVE, KEPT, WARM)]
     assert gains == pytest.approx([2.0, 2.0, 1.25], rel=0.01)
-    assert _beside(ways, NATIVE).saved_ns == pytest.approx(20e3, abs=800)
 
 
 def test_warm_is_compared_with_fresh_where_there_is_no_reuse(records: Any) -> None:
@@ -88,19 +63,11 @@ def test_warm_is_compared_with_fresh_where_there_is_no_reuse(records: Any) -> No
     assert np.isnan(ways.median_ns(KEPT))
 
 
-def test_an_answer_that_a_warm_start_breaks_is_counted(records: Any) -> None:
-    """A step counts as wrong where the warm answer is not true and its neighbour's is."""
-    _routes(records, "scs", 40.0, 20.0, 10.0, 8.0, wrong=(7, 9))
-    found = _beside(_ways(records), WARM)
-    assert (found.wrong, found.mended, found.steps) == ((7, 9), 0, 1000)
-
-
-def test_a_warm_start_that_costs_time_is_a_loss_on_every_step(records: Any) -> None:
-    """Two medians of 1.5 apart with spread 0.05 differ on every step by more than 5 %."""
+def test_a_warm_start_that_costs_time_is_a_loss(records: Any) -> None:
+    """A gain below 1."""
     _routes(records, "proxqp", 40.0, 20.0, 10.0, 15.0)
     found = _beside(_ways(records), WARM)
     assert 1.0 / found.gain.value == pytest.approx(1.5, rel=0.01)
-    assert found.slower == 1000
 
 
 def test_gain_of_a_warm_start_through_the_wrapper(records: Any) -> None:

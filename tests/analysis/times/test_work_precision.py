@@ -66,26 +66,6 @@ def test_a_solver_on_one_sequence_of_two_has_no_point(records: Any) -> None:
     assert list(default_route_levels(records.view(), BOTH)) == ["whole"]
 
 
-def test_who_fails_a_step_reaches_no_accuracy(records: Any) -> None:
-    """A failing point and an inaccurate one do not; a tighter one of the same solver may."""
-    records.replay("failing", median_us=1.0, failed=1)
-    records.replay("osqp", median_us=2.0, error=0.5)
-    records.replay("osqp", median_us=30.0, settings="high")
-    records.replay("daqp", median_us=10.0)
-    levels_by_solver = default_route_levels(records.view(), BOTH[:1])
-    reached = {
-        (solver, point.configuration.settings): point.reaches(1e-2)
-        for solver, points in levels_by_solver.items()
-        for point in points
-    }
-    assert reached == {
-        ("failing", "default"): False,
-        ("osqp", "default"): False,
-        ("osqp", "high"): True,
-        ("daqp", "default"): True,
-    }
-
-
 @pytest.mark.parametrize("sequence", ["paper", "rough"])
 def test_the_levels_suite_runs_every_level_of_every_solver(sequence: str) -> None:
     """Each solver whose settings matter is replayed at each of its four levels, long enough for

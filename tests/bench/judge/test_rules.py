@@ -80,8 +80,8 @@ def test_the_run_counts_the_rounds_that_the_report_counts(
     steps, run = _tables(_judged(_log([SLOWED if r in slowed else CALM for r in range(4)])))
     shown = step_times_of(counting_of(steps))
     assert shown is not None
-    assert (run["rounds"], shown.rounds) == (rounds, rounds)
-    assert run["raw_samples"] == len(shown.raw_ns) == rounds * STEPS
+    assert (run["rounds"], run["raw_samples"]) == (rounds, rounds * STEPS)
+    assert shown.raw_max_ns == run["raw_max_ns"] and shown.algo_ns.max() == run["algo_max_ns"]
     assert (run["disturbed_rounds"], run["counting_disturbed"]) == (disturbed, counting_disturbed)
     assert run["steps_done"] == STEPS
 
@@ -137,12 +137,10 @@ def test_a_step_undecided_at_rounding_is_charged_to_nobody(status: Status) -> No
     log = _log([CALM] * 3, [status] * 6)
     log.z[:, :6] = np.nan
     evaluated = _certified("undecided", 6, log)
-    steps, run = _tables(evaluated)
+    _, run = _tables(evaluated)
     assert (run["uncertified"], run["undecided_steps"]) == (0, 12)
     assert (run["claimed_not_true"], run["true_not_claimed"], run["failed_steps"]) == (0, 0, 0)
     assert run["true_share"] == 1.0 and run["error_move_max"] == 0.0 and run["primal_max"] == 0.0
-    times = step_times_of(counting_of(steps))
-    assert times is not None and times.true.all() and not times.error.any()
     worst = worst_of(evaluated, "error")
     assert worst is not None and worst.objective == 0.0
 
