@@ -8,6 +8,8 @@ that leaves the run: it is a `Status` in a record.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
+from difflib import get_close_matches
 
 
 class DpbenchError(Exception):
@@ -60,6 +62,12 @@ class SolverUnavailableError(InputError):
 
 class ResultsError(InputError):
     """A result folder or file that is missing, damaged or of another schema."""
+
+
+def one_of(text: str, known: Sequence[str]) -> str:
+    """What could stand in place of `text`: the nearest of the known names, then all of them."""
+    near = get_close_matches(text, known, n=3)
+    return f"{'e.g. ' + ', '.join(near) + '; ' if near else ''}one of {', '.join(known)}"
 
 
 class RenamedWarning(FutureWarning):

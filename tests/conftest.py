@@ -19,6 +19,8 @@ from dpbench.analysis.records import Records
 from dpbench.bench.record.result_folder import Results, write_results
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
 from dpbench.errors import SolverUnavailableError
+from dpbench.report.ending import ending
+from dpbench.report.write import Report
 from dpbench.scenario.scenario import Scenario, load_scenario
 
 # No test asserts how long something takes, and neither does the library that makes up its examples.
@@ -323,6 +325,11 @@ class MadeRecords:
     def view(self) -> Records:
         """The view of the records so far."""
         return Records(self.results())
+
+    def ending(self) -> dict[str, str]:
+        """What a run that left these records ends with, by what each line is about."""
+        report = Report.of(self.results())
+        return dict(ending(report.facts, report.answer, report.topics))
 
     def write(self, folder: Path) -> Path:
         """Write a result folder."""

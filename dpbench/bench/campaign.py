@@ -17,6 +17,7 @@ import pandas as pd
 
 from dpbench.bench.design import Design, DesignStudy, plan_designs
 from dpbench.bench.plan.cells import PlannedCell
+from dpbench.bench.plan.choices import remarks_on, with_choices
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import SuiteFile, load_suite, naming, sequence_suite
 from dpbench.bench.progress import Progress, Silent
@@ -206,6 +207,8 @@ def run_campaign(
     *,
     solvers: Sequence[str] | None = None,
     scenarios: Sequence[str] | None = None,
+    settings: Sequence[str] | None = None,
+    steps: int | None = None,
     jobs: int | None = None,
     fresh: bool = False,
     solver_module: str | Path | None = None,
@@ -218,8 +221,10 @@ def run_campaign(
     ----------
     suite : a name under `problems/suites/` or a TOML path; None with `sequence`.
     out : result folder; by default `results/<suite>`, `results/sequence-<its file>`, and
-        `-part` behind it with `solvers` or `scenarios`, so that a part never replaces the whole.
-    solvers, scenarios : only these.
+        `-part` behind it with a choice of any kind, so that a part never replaces the whole.
+    solvers, scenarios, settings : only these; scenarios that the suite does not name, by name or
+        TOML file, take the place of its own.
+    steps : at most so many of each loop and replay.
     jobs : closed loops or random sequences at a time; all cores by default. Replays along a loop
         always run alone.
     fresh : run every cell again, also those finished before.
@@ -240,15 +245,19 @@ def run_campaign(
         load_solver_module(solver_module)
     name, path, document = _asked(suite, sequence)
     # A part of a suite is about its solvers and runs; no design depends on them.
-    whole = document.design is not None and not (solvers or scenarios)
+    part = bool(solvers or scenarios or settings or steps is not None)
+    whole = document.design is not None and not part
+    document = with_choices(document, scenarios=scenarios, settings=settings, steps=steps)
     with naming(path):
         planned = plan(document, solvers=solvers, scenarios=scenarios, beside=path.parent)
         designs = plan_designs(document.design, path.parent) if document.design and whole else []
     cores = len(os.sched_getaffinity(0))
     if jobs is not None and not 1 <= jobs <= cores:
         raise InputError("--jobs", "", jobs, f"a number from 1 to {cores}, the cores available")
-    part = "-part" if solvers or scenarios else ""
-    folder = Path(out) if out is not None else Path("results") / f"{name}{part}"
+    folder = Path(out) if out is not None else Path("results") / f"{name}{'-part' * part}"
+    progress = progress or Silent()
+    for remark in remarks_on(planned):
+        progress.remark(remark)
     with claimed(folder, name):
         campaign = Campaign(name, document, planned, designs, folder, jobs or cores, fresh)
-        return campaign.run(progress or Silent())
+        return campaign.run(progress)

@@ -14,6 +14,9 @@ class Progress(Protocol):
     def advance(self, work: int, what: str) -> None:
         """So much is done now, the last of it on `what`."""
 
+    def remark(self, text: str) -> None:
+        """Something worth knowing before it goes on."""
+
 
 class Silent:
     """A progress that shows nothing."""
@@ -23,3 +26,6 @@ class Silent:
 
     def advance(self, work: int, what: str) -> None:
         """Show nothing."""
+
+    def remark(self, text: str) -> None:
+        """Say nothing."""

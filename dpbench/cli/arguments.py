@@ -27,7 +27,17 @@ def parser(
     whole = _Parser(prog="dpbench", description="Benchmark QP solvers inside a ship's DP MPC.")
     whole.add_argument("--version", action="version", version=f"dpbench {version('dpbench')}")
     commands = whole.add_subparsers(dest="command", required=True, parser_class=_Parser)
-    for add in (_run, _report, _compare, _export, _worst_case, _list, _check, _doctor):
+    for add in (
+        _run,
+        _report,
+        _compare,
+        _export,
+        _worst_case,
+        _list,
+        _check,
+        _doctor,
+        _completion,
+    ):
         add(commands)
     for name, command in commands.choices.items():
         command.set_defaults(call=calls[name])
@@ -49,12 +59,28 @@ def _run(commands: Commands) -> None:
     )
     run.add_argument("--out", help="result folder (default: results/<suite>)")
     run.add_argument("--solver", action="append", metavar="S", help="only this solver; repeatable")
-    run.add_argument("--scenario", action="append", metavar="N", help="only this scenario")
+    run.add_argument(
+        "--scenario",
+        action="append",
+        metavar="N",
+        help="only this scenario; another one, or a file, takes the place of the suite's",
+    )
+    run.add_argument(
+        "--settings", action="append", metavar="L", help="only at default, low, mid or high"
+    )
+    run.add_argument("--steps", type=int, metavar="N", help="at most N steps of each run")
     run.add_argument(
         "--jobs", type=int, metavar="J", help="loops or random configurations at a time"
     )
     run.add_argument("--solver-module", metavar="FILE.py", help="a plug-in that brings a solver")
     run.add_argument("--fresh", action="store_true", help="run finished cells again too")
+    _how_to_end(run)
+
+
+def _how_to_end(command: Any) -> None:
+    command.add_argument("--open", action="store_true", help="open the page in a browser")
+    command.add_argument("--json", action="store_true", help="say how it ended as JSON")
+    command.add_argument("--quiet", action="store_true", help="say nothing but where the page is")
 
 
 def _report(commands: Commands) -> None:
@@ -67,6 +93,7 @@ def _report(commands: Commands) -> None:
     report.add_argument(
         "--statement", metavar="FILE.pdf", help="a one-page statement for a class society"
     )
+    _how_to_end(report)
 
 
 def _compare(commands: Commands) -> None:
@@ -126,7 +153,12 @@ def _worst_case(commands: Commands) -> None:
 def _list(commands: Commands) -> None:
     listing = commands.add_parser("list", help="what there is")
     kinds = ("vessels", "scenarios", "suites", "sequences", "solvers")
-    listing.add_argument("what", choices=kinds)
+    listing.add_argument("what", choices=kinds, type=_plural)
+
+
+def _plural(word: str) -> str:
+    """`solver` is as good as `solvers`."""
+    return word if word.endswith("s") else f"{word}s"
 
 
 def _check(commands: Commands) -> None:
@@ -140,3 +172,13 @@ def _check(commands: Commands) -> None:
 
 def _doctor(commands: Commands) -> None:
     commands.add_parser("doctor", help="is this machine quiet, is the harness right")
+
+
+def _completion(commands: Commands) -> None:
+    completion = commands.add_parser(
+        "completion",
+        help="complete names in a shell",
+        epilog='bash, zsh: eval "$(dpbench completion bash)"; '
+        "fish: dpbench completion fish | source",
+    )
+    completion.add_argument("shell", choices=("bash", "zsh", "fish"))

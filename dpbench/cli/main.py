@@ -8,6 +8,7 @@ here.
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import warnings
 from collections.abc import Sequence
@@ -15,6 +16,8 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from dpbench.cli.arguments import parser
+from dpbench.cli.completion import complete
+from dpbench.cli.ending import say_ending
 from dpbench.errors import DpbenchError, InputError, RenamedWarning, renamed
 
 OLD_COMMANDS = {"hunt": "worst-case"}
@@ -30,7 +33,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         if words and words[0] in OLD_COMMANDS:
             renamed("command", words[0], OLD_COMMANDS[words[0]])
             words[0] = OLD_COMMANDS[words[0]]
-        return _exit_code(parser(_CALLS).parse_args(words))
+        whole = parser(_CALLS)
+        if "_ARGCOMPLETE" in os.environ:
+            complete(whole)
+        return _exit_code(whole.parse_args(words))
 
 
 def _one_line(
@@ -74,14 +80,16 @@ def _run(arguments: argparse.Namespace) -> int:
     from dpbench.bench.campaign import run_campaign
     from dpbench.bench.record.result_folder import accidents
     from dpbench.cli.progress_bar import Bar
-    from dpbench.report.write import report_and_lines
+    from dpbench.report.write import report_and_ending
 
-    with Bar() as bar:
+    with Bar(quiet=arguments.quiet or arguments.json) as bar:
         out = run_campaign(
             arguments.suite,
             arguments.out,
             solvers=arguments.solver,
             scenarios=arguments.scenario,
+            settings=arguments.settings,
+            steps=arguments.steps,
             jobs=arguments.jobs,
             fresh=arguments.fresh,
             solver_module=arguments.solver_module,
@@ -89,8 +97,8 @@ def _run(arguments: argparse.Namespace) -> int:
             progress=bar,
         )
         bar.advance(0, "writing the report")
-        found = report_and_lines(out)
-    _say_verdict(*found)
+        found = report_and_ending(out)
+    say_ending(*found, arguments)
     lost, remarks = accidents(out)
     for line in remarks:
         print(f"dpbench: {line}", file=sys.stderr)
@@ -98,22 +106,24 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _report(arguments: argparse.Namespace) -> int:
-    from dpbench.report.write import report_and_lines
+    from dpbench.report.write import report_and_ending
 
-    said = report_and_lines(
+    said = report_and_ending(
         arguments.dir,
         baseline=arguments.baseline,
         figures=arguments.figures or (),
         statement=arguments.statement,
     )
-    _say_verdict(*said)
+    say_ending(*said, arguments)
     return 0
 
 
-def _say_verdict(page: Path, lines: list[str]) -> None:
-    for line in lines:
-        print(line)
-    print(f"report: {page}")
+def _completion(arguments: argparse.Namespace) -> int:
+    from argcomplete.shell_integration import shellcode
+
+    code = shellcode(["dpbench"], shell=arguments.shell)  # type: ignore[no-untyped-call] # it is not typed
+    print(code)
+    return 0
 
 
 def _compare(arguments: argparse.Namespace) -> int:
@@ -235,4 +245,5 @@ _CALLS = {
     "list": _list,
     "check": _check,
     "doctor": _doctor,
+    "completion": _completion,
 }

@@ -9,9 +9,10 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 
 class Bar:
-    """A progress bar with the time left, fed by the campaign; a transient one leaves no line."""
+    """A progress bar with the time left, fed by the campaign; a transient one leaves no line, a
+    quiet one shows nothing."""
 
-    def __init__(self, *, transient: bool = False) -> None:
+    def __init__(self, *, transient: bool = False, quiet: bool = False) -> None:
         self._progress = Progress(
             TextColumn("{task.description:<44}"),
             BarColumn(),
@@ -20,7 +21,7 @@ class Bar:
             TextColumn("left"),
             TimeRemainingColumn(),
             transient=transient,
-            disable=transient and not sys.stdout.isatty(),
+            disable=quiet or (transient and not sys.stdout.isatty()),
         )
         self._task = self._progress.add_task("starting", total=None)
 
@@ -40,6 +41,11 @@ class Bar:
         """So much is to be done; until now the input could still be refused, without a bar."""
         self._progress.start()
         self._progress.update(self._task, total=work)
+
+    def remark(self, text: str) -> None:
+        """A line above the bar."""
+        if not self._progress.disable:
+            self._progress.console.print(f"dpbench: {text}", highlight=False)
 
     def advance(self, work: int, what: str) -> None:
         """So much is done now, the last of it on `what`."""

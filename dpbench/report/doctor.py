@@ -6,8 +6,12 @@ from dpbench.bench.judge.calibration import calibrate
 from dpbench.bench.record.disturbance import RULE
 from dpbench.bench.record.machine import describe_machine
 from dpbench.report.formats import MISSING
-from dpbench.report.lines import calibration_line
-from dpbench.report.machine_verdict import disturbance_facts, machine_facts, verdict_text
+from dpbench.report.machine_verdict import (
+    calibration_text,
+    disturbance_facts,
+    machine_facts,
+    verdict_text,
+)
 
 _WIDTH = 32
 
@@ -33,5 +37,5 @@ def doctor_lines() -> list[str]:
         *(f"{what:<{_WIDTH}}{said}" for what, said in facts),
         f"machine: {verdict_text(found.disturbance)}",
         f"quiet means: {RULE}",
-        calibration_line(found.p50_ns),
+        f"harness: {calibration_text(found.p50_ns)}",
     ]

@@ -7,14 +7,31 @@ from math import isnan
 from typing import Any
 
 from dpbench.analysis.run_record import RunRecord
+from dpbench.bench.judge.calibration import within_bar
 from dpbench.bench.record.disturbance import Disturbance
-from dpbench.report.formats import MISSING, and_list, count_text, plural, share_text, significant
+from dpbench.report.formats import (
+    MISSING,
+    and_list,
+    count_text,
+    plural,
+    share_text,
+    significant,
+    time_text,
+)
 
 
 def verdict_text(found: Disturbance) -> str:
     """ "quiet", or "disturbed" and by what."""
     complaints = found.complaints()
     return f"disturbed: {and_list(complaints)}" if complaints else "quiet"
+
+
+def calibration_text(p50_ns: dict[str, float]) -> str:
+    """What the harness's own solvers say, from the median of each [ns]."""
+    missed = [name for name, p50 in p50_ns.items() if within_bar(name, p50) is False]
+    said = ", ".join(f"{name} {time_text(p50)}" for name, p50 in p50_ns.items())
+    verdict = f"missed by {and_list(missed)}" if missed else "within the bar"
+    return f"{verdict} ({said})"
 
 
 def machine_facts(machine: dict[str, Any]) -> list[tuple[str, str]]:

@@ -21,7 +21,11 @@ def report_markdown(results: Results, facts: Facts, answer: Answer, topics: Sequ
     """The report in Markdown, at most `MOST_BYTES` long."""
     suite = results.suite
     lead = [topic.lines[0] for topic in topics if topic.leads]
-    said = [answer.sentence, *answer.notes] if facts.verdicts.of or not lead else []
+    said = (
+        [answer.sentence, *(note for _, note in answer.notes)]
+        if facts.verdicts.of or not lead
+        else []
+    )
     parts = [f"# dpbench: {suite.get('name', 'results')}", *lead, *said]
     rows = _rows(facts)
     if rows:

@@ -1,9 +1,9 @@
-"""Say verdicts and recommendation in plain sentences; every number in them comes from rows."""
+"""Verdicts in plain words; every number in them comes from rows."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.records import Records
@@ -12,20 +12,19 @@ from dpbench.analysis.times.fastest import (
     Recommendation,
     fastest_first,
     known_record,
-    recommend,
 )
-from dpbench.analysis.times.pairs import PairedComparison, paired_comparison
+from dpbench.analysis.times.pairs import PairedComparison
 from dpbench.analysis.verdict import Finding, Outcome, Verdict, Verdicts, detail
 from dpbench.report.formats import (
     and_list,
     count_text,
     error_text,
-    interval_text,
     plural,
-    rounded_down,
     significant,
     time_text,
 )
+
+NOBODY = "No solver was run, so there is nothing to judge."
 
 
 def demand_text(demand: Demand) -> str:
@@ -44,135 +43,40 @@ def demand_text(demand: Demand) -> str:
     )
 
 
-def summary(verdicts: Verdicts) -> list[str]:
-    """How many solvers meet the demand in their default configuration, who does so only in
-    another one, who misses it, who is open; every solver once."""
-    references = verdicts.references
-    if not references:
-        return ["No solver was run, so there is nothing to judge."]
-    run = [v for v in references if v.outcome != "not run"]
-    good = fastest_first(_with(references, "meets"))
-    rescued = [_only(verdicts, v) for v in run if v.outcome != "meets"]
-    only = [v for v in rescued if v is not None]
-    rest = [
-        v
-        for v in run
-        if v.outcome != "meets"
-        and v.configuration.solver not in {o.configuration.solver for o in only}
-    ]
-    lines = [_count_line(run, good)]
-    if only:
-        lines.append(f"Only in another configuration: {_labels(only)}.")
-    lines += _no_longer(verdicts, good)
-    missing = _with(rest, "misses")
-    if missing:
-        lines.append(f"{_names(missing)} {_verb(missing, 'miss')} it.")
-    unsure = _with(rest, "open")
-    if unsure:
-        lines.append(f"{_names(unsure)} cannot be judged on these records.")
-    absent = _with(references, "not run")
-    if absent:
-        lines.append(f"Not run: {_names(absent)}.")
-    return lines
+def counted(verdicts: Verdicts) -> str:
+    """How many solvers meet the demand as they come, who only in another configuration, who misses
+    it, who is open or was not run; every solver once."""
+    if not verdicts.references:
+        return NOBODY
+    good = [v for v in verdicts.references if v.outcome == "meets"]
+    run = sum(v.outcome != "not run" for v in verdicts.references)
+    only = {v.configuration.solver: _rescue(verdicts, v) for v in verdicts.references}
+    groups = {
+        "only otherwise": [v.configuration.label for v in only.values() if v is not None],
+        "miss it": _left(verdicts, "misses", only),
+        "open": _left(verdicts, "open", only),
+        "not run": _left(verdicts, "not run", only),
+    }
+    said = [f"{len(good)} of {run} meet the demand"] if good or not groups["open"] else []
+    said += [f"{what}: {', '.join(names)}" for what, names in groups.items() if names]
+    return "; ".join(said)
 
 
-def _only(verdicts: Verdicts, reference: Verdict) -> Verdict | None:
+def _rescue(verdicts: Verdicts, reference: Verdict) -> Verdict | None:
     """The fastest configuration that meets the demand where a solver's reference does not."""
-    return next(
-        iter(fastest_first(_with(verdicts.of[reference.configuration.solver], "meets"))), None
-    )
+    if reference.outcome in ("meets", "not run"):
+        return None
+    meets = [v for v in verdicts.of[reference.configuration.solver] if v.outcome == "meets"]
+    return next(iter(fastest_first(meets)), None)
 
 
-def _no_longer(verdicts: Verdicts, good: Sequence[Verdict]) -> list[str]:
-    """Who meets the demand by default and misses it at another level."""
-    lines = []
-    for level in verdicts.levels:
-        lost = [
-            v
-            for v in _with(verdicts.at(level), "misses")
-            if v.configuration.solver in _solvers(good)
-        ]
-        if lost:
-            lines.append(f"With settings `{level}` no longer: {_names(lost)}.")
-    return lines
-
-
-def _count_line(run: Sequence[Verdict], good: Sequence[Verdict]) -> str:
-    """How many meet the demand; that this is open where nobody can be said to."""
-    if not run:
-        return "No solver ran."
-    if not good and all(_lacks(v, "no replay") for v in run):
-        return "Nothing can be judged on time: no replay was run."
-    unsure = _with(run, "open")
-    if not good and unsure:
-        loops = not all(_lacks(v, "no closed loop") for v in unsure)
-        why = "" if loops else f", as {_WORDS['no closed loop']}"
-        return (
-            "Whether a solver meets the demand in its default configuration is open: "
-            f"{len(unsure)} of {plural(len(run), 'solver')} that ran cannot be judged{why}."
-        )
-    names = f": {_names(good)}" if good else ""
-    return (
-        f"{len(good)} of {plural(len(run), 'solver')} that ran {_verb(good, 'meet')} the demand "
-        f"in {'its' if len(good) == 1 else 'their'} default configuration{names}."
-    )
-
-
-def _lacks(verdict: Verdict, kind: str) -> bool:
-    """Whether a kind of run is missing from a verdict."""
-    return any(finding.kind == kind for finding in verdict.missing)
-
-
-def _verb(subjects: Sequence[Verdict], verb: str) -> str:
-    return verb if len(subjects) != 1 else f"{verb}es" if verb.endswith("ss") else f"{verb}s"
-
-
-def _with(verdicts: Sequence[Verdict], outcome: Outcome) -> list[Verdict]:
-    return [v for v in verdicts if v.outcome == outcome]
-
-
-def _solvers(verdicts: Sequence[Verdict]) -> set[str]:
-    return {v.configuration.solver for v in verdicts}
-
-
-def _names(verdicts: Sequence[Verdict]) -> str:
-    return and_list([v.configuration.solver for v in verdicts])
-
-
-def _labels(verdicts: Sequence[Verdict]) -> str:
-    return and_list([v.configuration.label for v in verdicts])
-
-
-def recommendation(view: Records, verdicts: Verdicts) -> list[str]:
-    """What to use, what is faster and cannot go aboard, and how clear the lead is."""
-    found = recommend(verdicts)
-    if found.chosen is None:
-        return [_nobody(view, verdicts, found)]
-    lines = [_use(found.chosen, verdicts.demand)]
-    if found.faster is not None:
-        faster = found.faster.configuration
-        lines.append(
-            f"Faster: **{faster.solver}** ({faster.options}, "
-            f"{figures(found.faster)}), which cannot go aboard as it is: {found.because}."
-        )
-    if found.runner_up is not None:
-        lines.append(paired_text(paired_comparison(view, found.chosen, found.runner_up)))
-    return lines
-
-
-def _use(chosen: Verdict, demand: Demand) -> str:
-    if chosen.outcome == "meets":
-        head = f"Use **{chosen.configuration.solver}**"
-        right = f"right on every step of {judged_on(chosen)}"
-    else:
-        head = f"Nothing contradicts **{chosen.configuration.solver}**"
-        right = f"right on every step of {judged_on(chosen)}, {clauses(chosen.missing)}"
-    who = chosen.configuration
-    return (
-        f"{head} (route {who.route}, policy {who.policy}, settings `{who.settings}`), the "
-        f"fastest by {yardstick(chosen)} that can go aboard: {right}; {figures(chosen)}; "
-        f"{slack_text(chosen, demand)}. {aboard(who.solver)}"
-    )
+def _left(verdicts: Verdicts, outcome: Outcome, only: Mapping[str, Verdict | None]) -> list[str]:
+    """Solvers whose reference has this outcome and that no other configuration rescues."""
+    return [
+        v.configuration.solver
+        for v in verdicts.references
+        if v.outcome == outcome and only[v.configuration.solver] is None
+    ]
 
 
 def aboard(solver: str) -> str:
@@ -187,12 +91,12 @@ def aboard(solver: str) -> str:
     )
 
 
-def _nobody(view: Records, verdicts: Verdicts, found: Recommendation) -> str:
+def why_nothing(view: Records, verdicts: Verdicts, found: Recommendation) -> str:
     """Why nothing is recommended."""
     if found.faster is not None:
         return (
             "Nothing that can go aboard meets the demand; "
-            f"{found.faster.configuration.label} does, {figures(found.faster)}: {found.because}."
+            f"{found.faster.configuration.label} does: {found.because}."
         )
     if not any(row.has_steps for row in view.select(mode="replay", units="scaled")):
         return "Nothing is recommended, as no replay left a step, so nothing is timed."
@@ -202,61 +106,26 @@ def _nobody(view: Records, verdicts: Verdicts, found: Recommendation) -> str:
     return "Nothing is recommended: no solver meets the demand in any configuration that was run."
 
 
-def yardstick(configuration: Verdict) -> str:
-    """What a configuration is ranked by: its p99, or its largest step where there is no p99."""
-    return "p99" if math.isfinite(configuration.p99_ns) else "largest step"
-
-
-def figures(verdict: Verdict) -> str:
-    """Error and step times of a configuration."""
-    p99 = (
-        f"p99 {time_text(verdict.p99_ns)}"
-        if math.isfinite(verdict.p99_ns)
-        else "too few steps for a p99"
-    )
-    return (
-        f"error_move at most {error_text(verdict.error_move)}, p50 {time_text(verdict.p50_ns)} and "
-        f"{p99} on `{verdict.timed_on}`, largest step {time_text(verdict.algo_max_ns)}"
-    )
-
-
-def slack_text(verdict: Verdict, demand: Demand) -> str:
-    """How much slower a computer may be, by the largest algorithmic step and by the largest sample,
-    as a clause."""
-    deadline = f"{demand.deadline_ms / 1e3:g} s"
-    by_step, by_sample = verdict.slowdown(demand), verdict.raw_slowdown(demand)
-    if by_step < 1.0:
-        return f"its largest step, {time_text(verdict.algo_max_ns)}, misses the {deadline}"
-    return (
-        f"a computer {rounded_down(by_step)} times slower would still make the {deadline} deadline "
-        f"by its largest algorithmic step, {rounded_down(by_sample)} times by its largest sample "
-        f"({time_text(verdict.raw_max_ns)}, jitter of this machine included)"
-    )
+def usual_time(verdict: Verdict) -> str:
+    """Its p99, or its p50 where there are too few steps for one."""
+    if math.isnan(verdict.p99_ns):
+        return f"p50 {time_text(verdict.p50_ns)}"
+    return f"p99 {time_text(verdict.p99_ns)}"
 
 
 def paired_text(found: PairedComparison) -> str:
-    """How the top two compare, with caution where they cannot be told apart."""
+    """How many times as long the second takes, and whether the two can be told apart at all."""
     if found.steps == 0:
-        return f"{found.second} is second; no step was replayed by both, so they are not compared."
-    ratio = significant(found.ratio.value)
-    bounded = math.isfinite(found.ratio.high)
-    span = interval_text(found.ratio.low, found.ratio.high)
-    known = f"95 % interval {span}" if bounded else "too few for an interval"
-    pair = (
-        f"{found.second} takes {ratio} times as long as {found.first} per step "
-        f"(geometric mean of the paired ratios of {plural(found.steps, 'step')}, each sequence of "
-        "equal weight, "
-        f"{known})"
-    )
+        return "no step was replayed by both"
+    said = f"{significant(found.ratio.value)} times as long a step"
+    if not math.isfinite(found.ratio.high):
+        return f"{said}, on too few steps to tell the two apart"
+    said += f" ({significant(found.ratio.low)} to {significant(found.ratio.high)})"
     if found.tied:
-        why = "the interval holds 1, so" if bounded else "without one"
-        return f"Caution: {pair}; {why} the two cannot be told apart."
+        return f"{said}: the two cannot be told apart"
     if found.unstable:
-        by = {name: f"{found.leaders[name]} by {name}" for name in found.leaders}
-        return (
-            f"Caution: {pair}; the order depends on the yardstick: {and_list(list(by.values()))}."
-        )
-    return f"Second: {pair}."
+        return f"{said}; which is faster depends on the yardstick"
+    return said
 
 
 def clauses(findings: Sequence[Finding]) -> str:

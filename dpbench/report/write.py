@@ -15,7 +15,7 @@ from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.errors import InputError
 from dpbench.report.charts.render import FORMATS, save
 from dpbench.report.csv_tables import write_tables
-from dpbench.report.lines import last_lines
+from dpbench.report.ending import ending
 from dpbench.report.markdown import report_markdown
 from dpbench.report.page.answer import Answer, answer_of
 from dpbench.report.page.facts import Facts
@@ -74,17 +74,17 @@ def write_report(out: str | Path, *, baseline: str | None = None) -> Path:
     ResultsError : when the folder holds no readable results.
     InputError : for a baseline that was not run; nothing is written then.
     """
-    return report_and_lines(out, baseline=baseline)[0]
+    return report_and_ending(out, baseline=baseline)[0]
 
 
-def report_and_lines(
+def report_and_ending(
     out: str | Path,
     *,
     baseline: str | None = None,
     figures: Sequence[str] = (),
     statement: str | None = None,
-) -> tuple[Path, list[str]]:
-    """As `write_report`; with it the verdict on the folder in a few plain lines.
+) -> tuple[Path, list[tuple[str, str]]]:
+    """As `write_report`; with it what a run ends with: see `ending`.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def report_and_lines(
         ),
         encoding="utf-8",
     )
-    return page, last_lines(report.facts.records, report.facts.verdicts)
+    return page, ending(report.facts, report.answer, report.topics)
 
 
 def _write_figures(folder: Path, report: Report, formats: Sequence[str]) -> None:

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from dpbench.errors import InputError, UnknownNameError, renamed
+from dpbench.errors import InputError, UnknownNameError, one_of, renamed
 
 KINDS = ("vessels", "scenarios", "suites")
 SEQUENCES = "sequences"
@@ -102,9 +102,7 @@ def unknown_name(kind: str, text: str, otherwise: str) -> UnknownNameError:
 
     `otherwise` is what could stand there instead of a name.
     """
-    known = problem_names(kind)
-    near = difflib.get_close_matches(text, known, n=3)
-    allowed = f"{'e.g. ' + ', '.join(near) + '; ' if near else ''}one of {', '.join(known)}"
+    allowed = one_of(text, problem_names(kind))
     shown = repr(text if len(text) <= 80 else f"{text[:77]}...")
     return UnknownNameError(f"{kind[:-1]} name", "", shown, f"{allowed}; or {otherwise}")
 

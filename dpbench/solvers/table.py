@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-from dpbench.errors import UnknownNameError
+from dpbench.errors import UnknownNameError, one_of
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter
 from dpbench.solvers.calibration import CALIBRATION, open_calibration
 from dpbench.solvers.native import NATIVE
@@ -68,7 +68,7 @@ def record(name: str) -> SolverRecord:
         return plugin.record
     if is_served(name):
         return generic_adapter(name).record
-    raise UnknownNameError("solver", "", repr(name), ", ".join(solver_names()))
+    raise UnknownNameError("solver", "", repr(name), one_of(name, solver_names()))
 
 
 def native_adapter(name: str) -> NativeAdapter:

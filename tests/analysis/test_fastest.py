@@ -9,7 +9,8 @@ from dpbench.analysis.demand import Demand, is_right
 from dpbench.analysis.times.fastest import fastest_of, podium, ranked
 from dpbench.analysis.times.work_precision import LevelPoint, default_route_levels
 from dpbench.analysis.verdict import Verdicts, verdicts_of
-from dpbench.report.verdict_text import judged_on, recommendation
+from dpbench.report.verdict_text import judged_on
+from dpbench.report.write import Report
 
 DEMAND = Demand()
 
@@ -64,9 +65,9 @@ def test_accuracy_in_closed_loop_is_claimed_only_where_one_was_run(records: Any)
     records.replay("daqp", median_us=20.0)
     records.replay("daqp", median_us=5.0, route="native", policy="warm")
     assert [judged_on(v) for v in ranked(_found(records))] == ["1 replay", "1 replay"]
-    text = recommendation(records.view(), _found(records))[0]
-    assert text.startswith("Nothing contradicts **daqp** (route native, policy warm")
-    assert "right on every step of 1 replay, no closed loop was run" in text
+    text = Report.of(records.results()).answer.sentence
+    assert text.startswith("Nothing contradicts daqp (native, warm, default): right on every step")
+    assert "of 1 replay" in text and "no closed loop was run" in text
 
 
 @pytest.mark.parametrize("witness", [{"first_visit_ratio": 40.0}, {"loop_ratio": 40.0}])
@@ -116,7 +117,7 @@ def test_short_sequences_have_a_fastest_configuration_without_p99(records: Any) 
     assert [v.configuration.solver for v in ranked(_found(records))] == ["fast", "slow"]
     assert math.isnan(ranked(_found(records))[0].p99_ns)
     records.replay("daqp", steps=100, median_us=5.0)
-    assert "too few steps for a p99" in recommendation(records.view(), _found(records))[0]
+    assert "p99" not in records.ending()["answer"] and "p50" in records.ending()["answer"]
 
 
 def test_usual_settings_are_named_where_others_are_hardly_faster(records: Any) -> None:
@@ -135,8 +136,7 @@ def test_a_headline_that_cannot_be_told_apart_carries_caution(records: Any) -> N
     for solver in ("daqp", "osqp"):
         records.replay(solver, median_us=10.0, spread=0.1, route="native", policy="warm")
         records.replay(solver, median_us=50.0)
-    _, second = recommendation(records.view(), _found(records))
-    assert second.startswith("Caution: ")
+    second = records.ending()["next"]
     assert "cannot be told apart" in second
     assert "(native warm)" in second
 
@@ -191,5 +191,5 @@ def test_no_candidate_is_said_plainly(records: Any, fill: bool, says: str) -> No
     records.loop("osqp")
     if fill:
         records.replay("osqp", error=0.5)
-    assert recommendation(records.view(), _found(records))[0].startswith(says)
+    assert Report.of(records.results()).answer.sentence.startswith(says)
     assert podium(_found(records)) == []

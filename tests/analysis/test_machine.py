@@ -4,11 +4,8 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.demand import Demand
 from dpbench.analysis.machine import disturbance_of, timed_runs
-from dpbench.analysis.verdict import verdicts_of
 from dpbench.report.formats import and_list
-from dpbench.report.lines import last_lines
 from dpbench.report.topics.trust import trust_topic
 from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
 
@@ -35,34 +32,25 @@ def _with_calibration(records: Any, off_us: float = 0.4, **columns: Any) -> None
         )
 
 
-def _lines(records: Any) -> list[str]:
-    view = records.view()
-    return last_lines(view, verdicts_of(view, Demand()))
-
-
-def _machine(records: Any) -> list[str]:
-    return [line for line in _lines(records) if line.startswith("machine: ")]
-
-
 def test_own_configurations_change_nothing_of_the_verdicts(records: Any) -> None:
     """With and without them, everything but what is said of machine and harness reads the same."""
     for solver, median in (("daqp", 18.0), ("quadprog", 25.0)):
         records.replay(solver, median_us=median, **QUIET)
         records.loop(solver)
-    before = _lines(records)
+    before = records.ending()
     _with_calibration(records)
-    after = _lines(records)
-    assert after[: len(before)] == before
-    (harness,) = after[len(before) :]
-    assert harness.startswith("harness: ") and "busy_wait_20us" in harness
+    after = records.ending()
+    assert "busy_wait_20us" in after.pop("harness")
+    assert after == before
 
 
 def test_nothing_but_the_harness_has_no_verdict(records: Any) -> None:
     """The suite `calibration` alone: machine and harness, and no sentence that misses solvers."""
     _with_calibration(records)
-    machine, harness = _lines(records)
-    assert machine == "machine: quiet"
-    assert harness.startswith("harness: within the bar (no_op ")
+    said = records.ending()
+    assert list(said) == ["answer", "machine", "harness"]
+    assert said["machine"] == "quiet."
+    assert said["harness"].startswith("within the bar (no_op ")
 
 
 def test_own_configurations_are_seen_in_no_other_part_of_the_view(records: Any) -> None:
@@ -89,8 +77,7 @@ def test_the_bar_is_a_microsecond_or_a_hundredth(
 ) -> None:
     """20, 50 and 200 µs and nothing at all: within 1, 1, 2 and 1 µs; 1000 µs within 10."""
     _with_calibration(records, off_us)
-    (line,) = (line for line in _lines(records) if line.startswith("harness: "))
-    verdict, _, figures = line.removeprefix("harness: ").partition(" (")
+    verdict, _, figures = records.ending()["harness"].partition(" (")
     assert verdict == (f"missed by {and_list(missed)}" if missed else "within the bar")
     assert all(name in figures for name in CALIBRATION)
     topic = trust_topic(records.view())
@@ -107,9 +94,9 @@ def test_a_quiet_machine_and_a_disturbed_one(records: Any) -> None:
     view = records.view()
     found = disturbance_of(timed_runs(view))
     assert (found.rounds, found.seconds, found.involuntary, found.rerun) == (3, 2.0, 4, 1)
-    assert _machine(records) == ["machine: quiet"]
+    assert records.ending()["machine"] == "quiet."
     records.replay("daqp", **(QUIET | {"involuntary_switches": 96, "steal_s": 0.2}))
-    (line,) = _machine(records)
+    line = records.ending()["machine"]
     assert "25 involuntary context switches a second" in line and "5.0 % of the time" in line
 
 
@@ -128,7 +115,7 @@ def test_switches_a_configuration_makes_itself_are_not_the_machines(records: Any
         _switching(records, solver, 2.0, step_s, 0.0)
     _switching(records, "threads", 2.0, 2e-3, 1.0)
     view = records.view()
-    assert _machine(records) == ["machine: quiet"]
+    assert records.ending()["machine"] == "quiet."
     topic = trust_topic(view)
     assert topic is not None
     said = dict(topic.tables[0].rows)
@@ -141,27 +128,27 @@ def test_a_busy_machine_hits_every_configuration_and_is_told(records: Any) -> No
     """At 100 switches a second a step of 20 ms has two, and they are still the machine's."""
     for solver, step_s in (("daqp", 1e-3), ("osqp", 5e-3), ("qtqp", 2e-2)):
         _switching(records, solver, 100.0, step_s, 0.0)
-    (line,) = _machine(records)
+    line = records.ending()["machine"]
     assert "100 involuntary context switches a second" in line
 
 
 def test_disturbed_rounds_are_part_of_all_rounds(records: Any) -> None:
     """Three rounds count and one is disturbed: one of four."""
     records.replay("daqp", **(QUIET | {"disturbed_rounds": 1}))
-    assert "1 of 4 rounds disturbed" in _machine(records)[0]
+    assert "1 of 4 rounds disturbed" in records.ending()["machine"]
 
 
 def test_records_without_counters_say_nothing(records: Any) -> None:
     """A folder of closed loops has no topic on what was never looked at."""
     records.loop("daqp")
     assert trust_topic(records.view()) is None
-    assert _machine(records) == []
+    assert "machine" not in records.ending()
 
 
 def test_replays_of_disturbed_rounds_alone_say_so(records: Any) -> None:
     """Three rounds count though all are disturbed: three of three."""
     records.replay("daqp", **(QUIET | {"disturbed_rounds": 3, "counting_disturbed": 3}))
-    assert "3 of 3 rounds disturbed" in _machine(records)[0]
+    assert "3 of 3 rounds disturbed" in records.ending()["machine"]
     topic = trust_topic(records.view())
     assert topic is not None and "3 of 3 rounds disturbed" in topic.lines[0]
     assert dict(topic.tables[0].rows)["disturbed rounds left"] == "3 of 3 rounds; 1 run again"

@@ -10,7 +10,6 @@ import pytest
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.slowdown import DelayedGroup, cost_ratio, delayed_groups
 from dpbench.analysis.verdict import verdicts_of
-from dpbench.report.lines import last_lines
 from dpbench.report.topics.sweeps import slowdown_topic
 
 COSTS = {
@@ -116,34 +115,24 @@ def test_without_such_loops_there_is_no_topic(records: Any) -> None:
     records.loop("daqp")
     view = records.view()
     assert slowdown_topic(view) is None
-    assert not any(
-        "slower computers" in line for line in last_lines(view, verdicts_of(view, Demand()))
-    )
+    assert "slowdown" not in records.ending()
 
 
 def test_the_terminal_hears_who_survives_what(records: Any) -> None:
     """A suite of slow computers alone has a line on them, and none on verdicts."""
     fill(records)
-    view = records.view()
-    (line,) = last_lines(view, verdicts_of(view, Demand()))
-    assert line == (
-        "slower computers, paper: daqp (qpsolvers fresh) × 1000, hildreth (qpsolvers fresh) × 1"
-    )
-    assert "machine" not in line
+    said = "Slower computers, paper: daqp (qpsolvers fresh) × 1000, hildreth (qpsolvers fresh) × 1."
+    assert records.ending() == {"answer": said}
 
 
 def test_nobody_survives_is_said(records: Any) -> None:
     """Loops that cost too much even here."""
     slow(records, "scs", 1, 112.0)
-    view = records.view()
-    (line,) = last_lines(view, verdicts_of(view, Demand()))
-    assert line.endswith("nobody survives a slow-down")
+    assert records.ending()["answer"].endswith("nobody survives a slow-down.")
 
 
 def test_the_machine_of_slow_loops_is_judged(records: Any) -> None:
     """Where nothing was replayed the loops themselves tell what disturbed them."""
     slow(records, "daqp", 1, 100.0, replay_s=2.0, involuntary_switches=400, steal_s=0.0)
     slow(records, "osqp", 1, 100.0, replay_s=2.0, involuntary_switches=420, steal_s=0.0)
-    view = records.view()
-    (line,) = (x for x in last_lines(view, verdicts_of(view, Demand())) if x.startswith("machine"))
-    assert "involuntary context switches a second" in line
+    assert "involuntary context switches a second" in records.ending()["machine"]

@@ -15,7 +15,6 @@ from dpbench.mpc.soft_limits import Penalty
 from dpbench.qp.referee.referee import certify
 
 SAMPLE_S = 0.3
-CENTRE = np.array([0.7, -0.4])
 
 
 def stepped(problem: Any, x: np.ndarray, moves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -55,7 +54,6 @@ def under_way(seed: int) -> tuple[np.ndarray, np.ndarray]:
     sides=st.integers(3, 12),
     radius_m=st.none() | st.floats(0.5, 20.0),
     speed_mps=st.none() | st.floats(0.02, 1.0),
-    moving=st.booleans(),
     soft=st.booleans(),
     N_c=st.sampled_from([1, 5, 7, 30]),
 )
@@ -64,17 +62,16 @@ def test_output_rows_are_the_sides_of_the_polygons_of_the_stepped_model(
     sides: int,
     radius_m: float | None,
     speed_mps: float | None,
-    moving: bool,
     soft: bool,
     N_c: int,
     ship: Any,
 ) -> None:
     """For any plan, what a row lacks is how far the stepped model is outside that side at that
-    instant, less the slack; in m and m/s in SI, round a fixed centre or the held reference."""
+    instant, less the slack; in m and m/s in SI, round the held reference."""
     if radius_m is None and speed_mps is None:
         speed_mps = 0.1
     problem = ship("supply_mss", psi0_rad=0.6, N_c=N_c)
-    bounds = OutputBounds(SAMPLE_S, radius_m, speed_mps, None if moving else CENTRE, sides)
+    bounds = OutputBounds(SAMPLE_S, radius_m, speed_mps, sides)
     amplitude: Any = "soft" if soft else "reachable"
     builder = CondensedQP(problem, units="si", outputs=bounds, amplitude=amplitude)
     x, u_prev = under_way(seed)
@@ -91,8 +88,7 @@ def test_output_rows_are_the_sides_of_the_polygons_of_the_stepped_model(
     at = np.array([(j * 30) // N_c for j in range(1, N_c + 1)]) - 1
     expected = []
     if radius_m is not None:
-        centre = y_ref[:2] if moving else CENTRE
-        expected.append(excess(position[at] - centre, radius_m, sides))
+        expected.append(excess(position[at] - y_ref[:2], radius_m, sides))
     if speed_mps is not None:
         expected.append(excess(speed[at], speed_mps, sides))
     np.testing.assert_allclose(
@@ -103,7 +99,7 @@ def test_output_rows_are_the_sides_of_the_polygons_of_the_stepped_model(
 
 
 def test_the_circle_moves_with_a_previewed_reference(ship: Any) -> None:
-    """With a preview and no fixed centre, the sides stand round the reference of their instant."""
+    """With a preview the sides stand round the reference of their instant."""
     problem = ship("supply_fs99", psi0_rad=0.2)
     rng = np.random.default_rng(2)
     x, u_prev = under_way(5)

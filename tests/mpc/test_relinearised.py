@@ -23,7 +23,7 @@ UNLIKE = np.array([[1.0, 0.3, 2.0], [0.3, 4.0, 0.0], [2.0, 0.0, 300.0]])
 OPTIONS: dict[str, dict[str, Any]] = {
     "plain": {},
     "soft": {"amplitude": "soft"},
-    "outputs": {"outputs": OutputBounds(0.3, 5.0, 0.2, np.array([2.0, -1.0]))},
+    "outputs": {"outputs": OutputBounds(0.3, 5.0, 0.2)},
     "soft, round the reference": {"amplitude": "soft", "outputs": OutputBounds(0.3, 5.0)},
 }
 

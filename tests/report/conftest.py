@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dpbench.bench.record.result_folder import Results, load_results
-from dpbench.report.write import Report, report_and_lines
+from dpbench.report.write import Report, report_and_ending
 
 
 class Written:
@@ -15,7 +15,7 @@ class Written:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.page, self.lines = report_and_lines(folder, figures=("pdf",))
+        self.page, self.lines = report_and_ending(folder, figures=("pdf",))
         self.markdown = (folder / "report.md").read_text(encoding="utf-8")
         self.html = self.page.read_text(encoding="utf-8")
         self.results: Results = load_results(folder)

@@ -43,18 +43,15 @@ def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
     chosen = recommend(verdicts).chosen
     assert chosen is not None and chosen.configuration.solver == "daqp"
     page, text = _plain(written.html), written.markdown
-    terminal = "\n".join(written.lines)
+    terminal = "\n".join(said for _, said in written.lines)
     by_step = rounded_down(chosen.slowdown(demand))
     by_sample = rounded_down(chosen.raw_slowdown(demand))
-    for said in (page, text):
+    for said in (page, text, terminal):
         assert "Use daqp (qpsolvers, fresh, default): right on every step of 4 closed loops" in said
         assert f"p99 {time_text(chosen.p99_ns)}" in said
         assert error_text(chosen.error_move) in said
         assert f"A computer {by_step} times slower" in said
         assert f"{by_sample} times by its largest sample" in said
-    assert "Use daqp (route qpsolvers, policy fresh, settings default), the fastest" in terminal
-    for figure in (time_text(chosen.p99_ns), f"{by_step} times slower", f"{by_sample} times by"):
-        assert figure in terminal
     assert "native warm" not in terminal, "a way that was replayed alone is not recommended"
 
 
@@ -146,8 +143,7 @@ def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> 
     answer = _answer(records)
     assert answer.first is not None and answer.second is not None
     assert (answer.first.solver, answer.second.solver) == ("daqp", "hildreth")
-    (faster,) = (note for note in answer.notes if "is faster" in note)
-    assert "is not the answer: own code of this benchmark" in faster
+    assert "is not the answer: own code of this benchmark" in dict(answer.notes)["faster"]
 
 
 def test_a_snippet_opens_what_it_recommends(records: Any) -> None:

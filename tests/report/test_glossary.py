@@ -10,12 +10,13 @@ import pytest
 
 from dpbench.analysis.compare.evidence import Verdict as Compared
 from dpbench.analysis.verdict import Outcome as Verdict
-from dpbench.bench.plan.suite import FormulationName, PolicyName, RouteName, UnitName
-from dpbench.bench.record.cell import OUTCOMES, Cell, Fallback, Formulation
+from dpbench.bench.plan.suite import FormulationName, RouteName
+from dpbench.bench.record.cell import OUTCOMES, Cell, Fallback, Formulation, Units
 from dpbench.qp.random.recipe import FAMILIES
 from dpbench.qp.referee.joint import Kind
 from dpbench.qp.solution import Status
 from dpbench.report.glossary import as_markdown, meanings, topics
+from dpbench.solvers.record import POLICIES
 from dpbench.solvers.settings import LEVELS
 
 DOCS = Path(__file__).parents[2] / "docs" / "glossary.md"
@@ -23,10 +24,10 @@ PRINTED = {
     "outcomes of cells": OUTCOMES,
     "modes": get_args(Cell.__annotations__["mode"]) or ("closed_loop", "replay"),
     "routes": set(get_args(RouteName)),
-    "policies": get_args(PolicyName),
+    "policies": POLICIES,
     "tolerance levels": tuple(LEVELS),
     "formulations": {*get_args(FormulationName), *get_args(Formulation)},
-    "units": get_args(UnitName),
+    "units": get_args(Units),
     "fallbacks": get_args(Fallback),
     "certificates": get_args(Kind),
     "statuses": [status.name.lower() for status in Status],

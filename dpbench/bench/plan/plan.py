@@ -38,13 +38,12 @@ def plan(
     InputError : for an unknown scenario or solver, or a scenario that the suite does not have.
     """
     chosen = choose_solvers(suite, solvers)
-    known = [name for table in suite.closed_loop for name in table.names]
-    known += [table.scenario for table in suite.replay]
+    known = suite.scenario_names
     for name in scenarios or ():
         if name not in known:
-            allowed = ", ".join(dict.fromkeys(known)) or "none, the suite has no scenario"
+            allowed = ", ".join(known) or "none, the suite has no scenario"
             raise InputError("--scenario", "", repr(name), f"a scenario of the suite: {allowed}")
-    loaded = {name: load_scenario(name, beside=beside) for name in dict.fromkeys(known)}
+    loaded = {name: load_scenario(name, beside=beside) for name in known}
     swept = _under_horizons(suite, loaded)
     stems = _different_names([*loaded.values(), *swept.values()])
     wanted = set(scenarios) if scenarios else set(known)

@@ -188,6 +188,12 @@ class SuiteFile(FileModel):
     recorded: list[RecordedTable] = []
     random: list[RandomTable] = []
 
+    @property
+    def scenario_names(self) -> list[str]:
+        """All scenarios that it names, once each."""
+        known = [name for table in self.closed_loop for name in table.names]
+        return list(dict.fromkeys([*known, *(table.scenario for table in self.replay)]))
+
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:

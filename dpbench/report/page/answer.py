@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from math import isnan
 from typing import Any
 
 from dpbench.analysis.times.fastest import Recommendation, fastest_of, recommend
+from dpbench.analysis.times.pairs import paired_comparison
 from dpbench.analysis.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
 from dpbench.errors import InputError
-from dpbench.report.formats import error_text, rounded_down, time_text
-from dpbench.report.lines import last_lines
+from dpbench.report.formats import error_text, rounded_down
 from dpbench.report.page.facts import Facts
-from dpbench.report.verdict_text import aboard, clauses, demand_text, judged_on, recommendation
+from dpbench.report.verdict_text import (
+    NOBODY,
+    aboard,
+    clauses,
+    demand_text,
+    judged_on,
+    paired_text,
+    usual_time,
+    why_nothing,
+)
 from dpbench.solvers.settings import level_options
 
 MOST_CHIPS = 16
@@ -36,7 +44,7 @@ class Answer:
     """What stands first on the page."""
 
     sentence: str
-    notes: tuple[str, ...]
+    notes: tuple[tuple[str, str], ...]
     chips: tuple[Chip, ...]
     snippet: str
     demand: str
@@ -79,7 +87,7 @@ def answer_of(facts: Facts, machine: Mapping[str, Any], baseline: str | None = N
         fastest = fastest_of(facts.verdicts, baseline)
         second = fastest.configuration if fastest else own[0]
     return Answer(
-        sentence=_sentence(facts, chosen),
+        sentence=_sentence(facts, found),
         notes=tuple(_notes(facts, found)),
         chips=tuple(_chips(facts, first)),
         snippet=_snippet(chosen.configuration) if chosen else "",
@@ -90,35 +98,26 @@ def answer_of(facts: Facts, machine: Mapping[str, Any], baseline: str | None = N
     )
 
 
-def _sentence(facts: Facts, chosen: Verdict | None) -> str:
+def _sentence(facts: Facts, found: Recommendation) -> str:
+    chosen = found.chosen
     if chosen is None:
-        return _nothing(facts)
+        return _nothing(facts, found)
     c = chosen.configuration
     head = "Use" if chosen.outcome == "meets" else "Nothing contradicts"
     left_open = "" if chosen.outcome == "meets" else f"; {_plain(clauses(chosen.missing))}"
     return (
         f"{head} {c.solver} ({c.route}, {c.policy}, {c.settings}): right on every step of "
-        f"{judged_on(chosen)}, {_usual_time(chosen)}, largest error of the first move "
+        f"{judged_on(chosen)}, {usual_time(chosen)}, largest error of the first move "
         f"{error_text(chosen.error_move)}{left_open}."
     )
 
 
-def _usual_time(verdict: Verdict) -> str:
-    """Its p99, or its p50 where there are too few steps for one."""
-    if isnan(verdict.p99_ns):
-        return f"p50 {time_text(verdict.p50_ns)}"
-    return f"p99 {time_text(verdict.p99_ns)}"
-
-
-def _nothing(facts: Facts) -> str:
-    """What is said where nothing can be recommended, or nobody asked for a recommendation."""
-    if any(not run.is_baseline_law for run in facts.records.runs):
-        said = recommendation(facts.records, facts.verdicts)
-    else:
-        said = [
-            f"{line[:1].upper()}{line[1:]}" for line in last_lines(facts.records, facts.verdicts)
-        ]
-    return _plain(" ".join(line if line.endswith(".") else f"{line}." for line in said))
+def _nothing(facts: Facts, found: Recommendation) -> str:
+    """Why nothing is recommended; empty where nobody asked for a recommendation."""
+    records = facts.records
+    if any(not run.is_baseline_law for run in records.runs):
+        return _plain(why_nothing(records, facts.verdicts, found))
+    return "" if records.random or records.delayed or records.calibration else NOBODY
 
 
 def _plain(text: str) -> str:
@@ -126,26 +125,25 @@ def _plain(text: str) -> str:
     return text.replace("**", "").replace("`", "")
 
 
-def _notes(facts: Facts, found: Recommendation) -> list[str]:
-    notes = []
+def _notes(facts: Facts, found: Recommendation) -> Iterator[tuple[str, str]]:
+    """What belongs to the answer, each with a word for what it is about."""
     chosen = found.chosen
-    if chosen is not None:
-        notes.append(aboard(chosen.configuration.solver))
-        notes.append(
-            f"A computer {rounded_down(chosen.slowdown(facts.demand))} times slower still makes "
-            "the "
-            f"deadline by its largest step, {rounded_down(chosen.raw_slowdown(facts.demand))} "
-            "times "
-            "by its largest sample on this machine."
-        )
-    if chosen is not None and found.faster is not None:
-        notes.append(
-            f"{found.faster.configuration.label} is faster, and is not the answer: {found.because}."
-        )
+    if chosen is None:
+        return
+    yield "aboard", aboard(chosen.configuration.solver)
+    yield (
+        "slower",
+        f"A computer {rounded_down(chosen.slowdown(facts.demand))} times slower still makes the "
+        f"deadline by its largest step, {rounded_down(chosen.raw_slowdown(facts.demand))} times "
+        "by its largest sample on this machine.",
+    )
+    if found.faster is not None:
+        label = found.faster.configuration.label
+        yield "faster", f"{label} is faster, and is not the answer: {found.because}."
     if found.runner_up is not None:
-        next_best = found.runner_up
-        notes.append(f"Next: {next_best.configuration.label}, {_usual_time(next_best)}.")
-    return notes
+        beside = paired_text(paired_comparison(facts.records, chosen, found.runner_up))
+        label, time = found.runner_up.configuration.label, usual_time(found.runner_up)
+        yield "next", f"Next: {label}, {time}, {beside}."
 
 
 def _chips(facts: Facts, first: Configuration | None) -> list[Chip]:

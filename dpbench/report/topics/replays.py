@@ -151,7 +151,7 @@ def race_topic(records: Records) -> Topic | None:
             in_here, in_there = common_steps(here, there)
             ratio = paired_ratio(here.algo_ns[in_here], there.algo_ns[in_there])
             options = run.configuration.options
-            said.append(f"{_ratio_text(ratio)} in {sequence}, {options}")
+            said.append(f"{_ratio_text(ratio)} in {sequence} ({options})")
             rows.append(
                 (
                     sequence,
@@ -165,7 +165,7 @@ def race_topic(records: Records) -> Topic | None:
         return None
     head = ("sequence", "way", *(f"{s} p50" for s in (first, second)))
     head += (*(f"{s} p99" for s in (first, second)), "ratio (95 %)")
-    lead = f"{first} takes so many times as long as {second} per step: {'; '.join(said)}."
+    lead = f"{first} takes {', '.join(said)} times as long a step as {second}."
     note = "Geometric mean of the paired ratios of all common steps."
     return Topic(
         "race", f"{first} against {second}", (lead, note), (), (SmallTable(head, tuple(rows)),)

@@ -8,11 +8,10 @@ import pandas as pd
 
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.records import Records
-from dpbench.analysis.slowdown import MARGIN, cost_ratio, delayed_groups
+from dpbench.analysis.slowdown import MARGIN, DelayedGroup, cost_ratio, delayed_groups
 from dpbench.analysis.times.horizon_sweep import Sweep, SweptConfiguration, moves_of, sweeps
 from dpbench.report.charts.lines import lines
 from dpbench.report.formats import and_list, significant, time_text
-from dpbench.report.lines import slowdown_lines
 from dpbench.report.page.topic import Figure, SmallTable, Topic
 from dpbench.scenario.horizons import Horizons
 
@@ -172,8 +171,16 @@ def slowdown_topic(records: Records) -> Topic | None:
     if not tables:
         return None
     said = (
-        *(f"{line[:1].upper()}{line[1:]}." for line in slowdown_lines(records)),
+        *map(_survivors, delayed_groups(records)),
         "The ship sailed with answers as late as a slower computer makes them. A configuration "
         f"survives a slow-down while the loop costs at most {100 * MARGIN:g} % more.",
     )
     return Topic("slowdown", "Slower computers", said, tuple(figures), tuple(tables))
+
+
+def _survivors(group: DelayedGroup) -> str:
+    """Who survives most in a scenario."""
+    survivors = [c for c in group.configurations if c.survives > 0]
+    best = [f"{c.configuration.label} × {c.survives:g}" for c in survivors[:3]]
+    said = ", ".join(best) if best else "nobody survives a slow-down"
+    return f"Slower computers, {group.scenario}: {said}."

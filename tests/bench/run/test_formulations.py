@@ -284,7 +284,7 @@ formulations = ["condensed_box", "sparse"]
     strict = runs[(runs["solver"] == "quadprog") & (runs["formulation"] == "sparse")]
     assert set(strict["outcome_detail"]) == {NOT_STRICT}
     page = write_report(out).with_suffix(".md").read_text(encoding="utf-8")
-    assert "Formulations: Median step time of the same QPs in each form" in page
+    assert "Fastest form with right answers, of 4 configurations on a sequence: " in page
     assert (out / "tables" / "formulations.csv").is_file()
 
 

@@ -1,0 +1,38 @@
+"""What a run ends with on a terminal: a few lines, each with a word for what it is about."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from dpbench.analysis.machine import delayed_runs, disturbance_of, timed_runs
+from dpbench.report.machine_verdict import calibration_text, verdict_text
+from dpbench.report.page.answer import Answer
+from dpbench.report.page.facts import Facts
+from dpbench.report.page.topic import Topic
+from dpbench.report.verdict_text import counted
+
+TERMINAL_NOTES = ("slower", "faster", "next")
+"""The notes of the answer that are worth a line there."""
+BESIDE = ("slowdown", "random")
+"""Topics that have a line of their own where they are not the answer."""
+
+
+def ending(facts: Facts, answer: Answer, topics: Sequence[Topic]) -> list[tuple[str, str]]:
+    """The answer, the notes to it, the count of the solvers, then machine and harness."""
+    records = facts.records
+    lead = next((topic for topic in topics if topic.leads), None)
+    rows = [("answer", lead.lines[0])] if lead else []
+    if answer.sentence and not (lead and lead.id == "loops"):
+        rows.append(("solver" if lead else "answer", answer.sentence))
+    rows += [note for note in answer.notes if note[0] in TERMINAL_NOTES]
+    beside = (topic for topic in topics if topic.id in BESIDE and not topic.leads)
+    rows += [(topic.id, topic.lines[0]) for topic in beside]
+    if facts.verdicts.of:
+        rows.append(("solvers", f"{counted(facts.verdicts)}."))
+    disturbance = disturbance_of(timed_runs(records) or delayed_runs(records))
+    if disturbance.seconds > 0:
+        rows.append(("machine", f"{verdict_text(disturbance)}."))
+    timed = {run.solver: run.raw_p50_ns for run in records.calibration if run.has_steps}
+    if timed:
+        rows.append(("harness", f"{calibration_text(timed)}."))
+    return rows
