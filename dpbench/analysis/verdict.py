@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -25,7 +25,9 @@ from dpbench.bench.judge.rules import percentile, supports
 from dpbench.bench.record.configuration import Configuration, settings_level
 from dpbench.solvers.record import POLICIES
 
-Outcome = Literal["meets", "misses", "open", "not run"]
+Outcome = Literal["meets", "open", "misses", "not run"]
+OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
+"""The best first."""
 Cause = Literal["no answer", "inaccurate", "failed", "crashed", "hung", "p99 late", "p95 late"]
 Doubt = Literal[
     "stopped",

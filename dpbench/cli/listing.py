@@ -51,6 +51,12 @@ def _table(*columns: str) -> Table:
     return table
 
 
+STYLES = dict.fromkeys(("slower", "worse"), "bold red") | dict.fromkeys(
+    ("faster", "better"), "green"
+)
+"""Colours of the words that a comparison is read for."""
+
+
 def rich_table(table: ReportTable) -> Table:
     """A table of the report for a terminal, its note below it."""
     shown = Table(
@@ -63,9 +69,8 @@ def rich_table(table: ReportTable) -> Table:
     )
     for i, head in enumerate(table.heads):
         shown.add_column(escape(head), justify="left" if i < table.text_columns else "right")
-    styles = {"good": "green", "bad": "bold red", "warn": "yellow"}
     for row in table.rows:
-        shown.add_row(*(Text(cell.text, style=styles.get(cell.mark, "")) for cell in row))
+        shown.add_row(*(Text(cell, style=STYLES.get(cell, "")) for cell in row))
     return shown
 
 

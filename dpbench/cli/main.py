@@ -212,7 +212,7 @@ def _list(arguments: argparse.Namespace) -> int:
 
 
 def _doctor(arguments: argparse.Namespace) -> int:
-    from dpbench.report.doctor import doctor_lines
+    from dpbench.cli.doctor import doctor_lines
 
     for line in doctor_lines():
         print(line)

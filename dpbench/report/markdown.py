@@ -5,12 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from dpbench.analysis.times.fastest import best_of_each
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.formats import error_text, time_text
 from dpbench.report.page.answer import Answer
 from dpbench.report.page.facts import Facts
-from dpbench.report.page.tables import best_of_each
 from dpbench.report.page.topic import Topic
+from dpbench.report.table import markdown
 
 MOST_BYTES = 8000
 """A comment on a pull request is read when it is one screen or two."""
@@ -29,7 +30,7 @@ def report_markdown(results: Results, facts: Facts, answer: Answer, topics: Sequ
     parts = [f"# dpbench: {suite.get('name', 'results')}", *lead, *said]
     rows = _rows(facts)
     if rows:
-        parts.append(_table(HEAD, rows))
+        parts.append(markdown(HEAD, rows, 3))
     held = ", ".join(chip.text for chip in answer.chips)
     if held:
         parts.append(f"Valid for: {held}.")
@@ -54,15 +55,8 @@ def _rows(facts: Facts) -> list[tuple[str, ...]]:
             error_text(verdict.error_move),
             str(verdict.failed_steps),
         )
-        for verdict in best_of_each(facts)
+        for verdict in best_of_each(facts.verdicts)
     ]
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join(
-        "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |" for cells in lines
-    )
 
 
 def _cut(text: str) -> str:

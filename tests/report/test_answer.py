@@ -10,7 +10,7 @@ import pytest
 
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.records import Records
-from dpbench.analysis.times.fastest import recommend
+from dpbench.analysis.times.fastest import best_of_each, recommend
 from dpbench.analysis.verdict import verdicts_of
 from dpbench.cli.main import main
 from dpbench.errors import InputError
@@ -18,7 +18,7 @@ from dpbench.report.formats import error_text, rounded_down, time_text
 from dpbench.report.markdown import MOST_BYTES, report_markdown
 from dpbench.report.page.answer import Answer, answer_of
 from dpbench.report.page.facts import Facts
-from dpbench.report.page.tables import best_of_each, ladder_table, matrix_table
+from dpbench.report.page.tables import ladder_table, matrix_table
 from dpbench.report.write import Report
 
 
@@ -60,7 +60,7 @@ def test_the_markdown_is_short_and_its_table_that_of_the_verdicts(written: Any) 
     assert len(written.markdown.encode()) <= MOST_BYTES
     rows = [line.strip("| ").split(" | ") for line in written.markdown.splitlines() if "|" in line]
     head, _, *body = rows
-    best = best_of_each(written.report.facts)
+    best = best_of_each(written.report.facts.verdicts)
     assert len(body) == len(best) == len(written.report.facts.verdicts.of)
     for cells, verdict in zip(body, best, strict=True):
         row = dict(zip(head, cells, strict=True))

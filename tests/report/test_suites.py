@@ -228,7 +228,7 @@ PARTIAL = [
     (_all_silent, "Nothing is recommended: no solver meets the demand"),
     (_baseline_law_only, "No solver was run, so there is nothing to judge."),
     (_si_only, "Right on every step of 1 closed loop: daqp (qpsolvers fresh, high, si)."),
-    (_odd_names, "Right on every step of 1 closed loop: nobody."),
+    (_odd_names, "Nobody is right on every step of 1 closed loop;"),
 ]
 
 

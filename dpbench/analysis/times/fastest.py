@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dpbench.analysis.verdict import Verdict, Verdicts
+from dpbench.analysis.verdict import OUTCOMES, Verdict, Verdicts
 from dpbench.bench.record.configuration import settings_level
 from dpbench.errors import UnknownNameError
 from dpbench.solvers.record import SolverRecord
@@ -121,3 +121,13 @@ def why_not_aboard(solver: str) -> str:
     """Why a solver cannot go aboard as it is; "" where it can."""
     known = known_record(solver)
     return "not in the table of this installation" if known is None else known.why_not_aboard
+
+
+def best_of_each(verdicts: Verdicts) -> list[Verdict]:
+    """For each solver the fastest of its configurations that nothing is said against, else its
+    reference; those that meet the demand first, then by time."""
+    chosen = [
+        fastest_of(verdicts, reference.configuration.solver) or reference
+        for reference in verdicts.references
+    ]
+    return sorted(fastest_first(chosen), key=lambda v: OUTCOMES.index(v.outcome))

@@ -7,12 +7,12 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
+from dpbench.analysis.verdict import OUTCOMES
 from dpbench.report.charts.style import (
     ACCENT,
     FILLS,
     INK,
     OUTCOME_COLOURS,
-    OUTCOMES,
     PAPER,
     below,
     styled,

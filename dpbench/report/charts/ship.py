@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import altair as alt
 import numpy as np
 import pandas as pd
 
+from dpbench.analysis.thinning import MOST, extremes
 from dpbench.report.charts.style import INK, PALETTE, SOFT, below, log_scale, styled
 from dpbench.scenario.scenario import Scenario
 
@@ -22,8 +22,6 @@ AXES = (
     ("yaw", "n", "Nm", 1e6, "MN·m"),
 )
 _WIDTH = 430
-MOST = 2000
-"""So many points of a run a figure draws: four and more a pixel."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,21 +158,6 @@ def _tables(laws: Sequence[Law], value: Any) -> pd.DataFrame:
         shown = extremes(values)
         tables.append(pd.DataFrame({"law": law.label, "t": t[shown], "value": values[shown]}))
     return pd.concat(tables)
-
-
-def extremes(values: np.ndarray, most: int = MOST) -> np.ndarray:
-    """(M,) places of the values to draw, rising: all, or of equal parts the least and largest.
-
-    No more than `most`, of which a line of a few hundred pixels shows no difference.
-    """
-    if len(values) <= most:
-        return np.arange(len(values))
-    edges = np.linspace(0, len(values), most // 2 + 1).astype(np.int64)
-    known = np.nan_to_num(values)
-    places = [
-        a + extreme(known[a:b]) for a, b in pairwise(edges) for extreme in (np.argmin, np.argmax)
-    ]
-    return np.unique(places)
 
 
 def _lines(table: pd.DataFrame, laws: Sequence[Law], title: str, *, log: bool = False) -> Any:

@@ -6,11 +6,12 @@ from typing import Any
 
 import altair as alt
 
+from dpbench.analysis.verdict import OUTCOMES
+
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif"
 INK, SOFT, LINE, GRID, ACCENT = "#1d2733", "#5b6876", "#c9d1d9", "#e7ebef", "#0b6e99"
 PAPER = "#ffffff"
 MEETS, MISSES, OPEN, NOT_RUN = "#1b7f5c", "#c2410c", "#b7791f", "#9aa5b1"
-OUTCOMES = ("meets", "open", "misses", "not run")
 OUTCOME_COLOURS = (MEETS, OPEN, MISSES, NOT_RUN)
 FILLS = ("#d7efe6", "#faeccc", "#f9d8c4", "#eef1f4")
 """Tiles of the outcomes."""

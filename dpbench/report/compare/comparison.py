@@ -76,7 +76,10 @@ class Comparison:
     def markdown(self) -> str:
         """The comparison as a Markdown document."""
         parts = ["# Comparison", "\n".join(f"- {line}" for line in self.lines)]
-        parts += [f"## {t.title}\n\n{t.note}\n\n{markdown(t)}" for t in self.tables]
+        parts += [
+            f"## {t.title}\n\n{t.note}\n\n{markdown(t.heads, t.rows, t.text_columns)}"
+            for t in self.tables
+        ]
         return "\n\n".join(parts) + "\n"
 
 

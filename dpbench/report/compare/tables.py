@@ -17,11 +17,10 @@ from dpbench.report.formats import (
     share_text,
     significant,
 )
-from dpbench.report.table import Cell, Mark, Table, row_of
+from dpbench.report.table import Table
 
 TIMES = ("slower", "faster", "no difference shown", "equivalent")
 """Verdicts on a step time: the two claims, then what claims less."""
-_MARKS: dict[str, Mark] = {"slower": "bad", "worse": "bad", "faster": "good", "better": "good"}
 
 
 def solvers_table(compared: Sequence[Compared], answers: Sequence[Answer]) -> Table:
@@ -36,9 +35,9 @@ def solvers_table(compared: Sequence[Compared], answers: Sequence[Answer]) -> Ta
         changes = Counter[str](a.change for a in answers if a.pair.a.solver == solver)
         cells = (_together(times, TIMES), _together(changes, ("worse", "better", "same")))
         rows.append(
-            row_of(
+            (
                 solver,
-                *(Cell(verdict, _MARKS.get(verdict, "")) for verdict in cells),
+                *cells,
                 ", ".join(f"{times[v]} {v}" for v in TIMES if times[v]) or MISSING,
                 count_text(changes.total()),
             )
@@ -101,9 +100,9 @@ def times_table(
     )
 
 
-def _time_row(compared: Compared) -> tuple[Cell, ...]:
+def _time_row(compared: Compared) -> tuple[str, ...]:
     timing, found = compared.timing, compared.assessment
-    return row_of(
+    return (
         timing.pair.label,
         timing.pair.a.problem,
         micro_text(timing.median_ns[0]),
@@ -113,7 +112,7 @@ def _time_row(compared: Compared) -> tuple[Cell, ...]:
         f"{found.ratio.value:.3f}",
         interval_text(found.ratio.low, found.ratio.high),
         f"{count_text(timing.steps)} × {count_text(timing.rounds)}",
-        Cell(found.verdict, _MARKS.get(found.verdict, "")),
+        found.verdict,
     )
 
 
@@ -159,15 +158,15 @@ def answer_line(answer: Answer) -> str:
     return f"{answer.measure.head} of {answer.pair.label} in {answer.pair.a.problem}, {values}"
 
 
-def _answer_row(answer: Answer) -> tuple[Cell, ...]:
+def _answer_row(answer: Answer) -> tuple[str, ...]:
     mode = "closed loop" if answer.pair.a.mode == "closed_loop" else "replay"
-    return row_of(
+    return (
         answer.pair.label,
         f"{mode} of {answer.pair.a.problem}",
         answer.measure.head,
         _range_text(answer.measure.column, answer.a),
         _range_text(answer.measure.column, answer.b),
-        Cell(answer.change, _MARKS[answer.change]),
+        answer.change,
     )
 
 

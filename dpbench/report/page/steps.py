@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.counting_rows import Flags, Floats, Ints
-from dpbench.analysis.run_steps import MEASURES, RunSteps, hardest
+from dpbench.analysis.counting_rows import Floats
+from dpbench.analysis.run_steps import RunSteps
+from dpbench.analysis.thinning import kept, share
 from dpbench.report.page.pack import Block
 
 TRACK = {"n_m": 1e-3, "e_m": 1e-3, "psi_rad": 1e-4}
@@ -28,8 +29,6 @@ only since it is a hard one, so that it stands in no mean."""
 MOST_STEPS, MOST_POINTS = 480_000, 240_000
 """So many steps and points of tracks the page has room for, all runs together."""
 MOST_POINTS_EACH = 400
-WORST = 200
-"""So many hard steps of a thinned run are kept, at most a third of what is kept of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,34 +50,7 @@ class Room:
     @classmethod
     def of(cls, lengths: Sequence[int]) -> Room:
         """The room when runs of these lengths share the page; short ones stay whole."""
-        return cls(_share(lengths, MOST_STEPS), min(MOST_POINTS_EACH, _share(lengths, MOST_POINTS)))
-
-
-def _share(lengths: Sequence[int], most: int) -> int:
-    """The largest number at which as much of each length adds up to `most`, or less."""
-    shortest_first, rest = sorted(lengths), most
-    for i, length in enumerate(shortest_first):
-        share = rest // (len(shortest_first) - i)
-        if length > share:
-            return max(1, share)
-        rest -= length
-    return max(shortest_first, default=1)
-
-
-def kept(run: RunSteps, most: int) -> tuple[Ints, Flags]:
-    """Which steps of a run are kept, about `most`, rising; and which of them for being hard alone.
-
-    Of a longer run every so manieth stays, and of the rest the hardest by each measure.
-    """
-    count = len(run.k)
-    if count <= most:
-        return np.arange(count), np.zeros(count, dtype=np.bool_)
-    worst = min(WORST, most // 3)
-    each = max(1, worst // len(MEASURES))
-    regular = np.arange(0, count, -(-count // max(1, most - worst)))
-    hard = [step.at for measure in MEASURES for step in hardest(run, measure, each)]
-    both = np.union1d(regular, np.array(hard, dtype=np.int64))
-    return both, ~np.isin(both, regular)
+        return cls(share(lengths, MOST_STEPS), min(MOST_POINTS_EACH, share(lengths, MOST_POINTS)))
 
 
 def pack_steps(block: Block, run: RunSteps, most: int) -> dict[str, int]:

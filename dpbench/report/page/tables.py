@@ -8,11 +8,9 @@ from typing import Any
 
 import pandas as pd
 
-from dpbench.analysis.times.fastest import fastest_first, fastest_of
-from dpbench.analysis.verdict import Verdict
+from dpbench.analysis.times.fastest import best_of_each
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.report.charts.ladder import COLUMNS as LADDER_COLUMNS
-from dpbench.report.charts.style import OUTCOMES
 from dpbench.report.page.facts import Facts, Place, number
 
 ALWAYS = ("solver", "way", "settings", "where", "outcome")
@@ -104,18 +102,6 @@ def runs_table(facts: Facts, runs: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-def best_of_each(facts: Facts) -> list[Verdict]:
-    """For each solver the fastest of its configurations that nothing is said against, else its
-    default; those that meet the demand first, then by time."""
-    verdicts = facts.verdicts
-    chosen = [
-        fastest_of(verdicts, reference.configuration.solver) or reference
-        for reference in verdicts.references
-    ]
-    order = list(OUTCOMES).index
-    return sorted(fastest_first(chosen), key=lambda v: order(v.outcome))
-
-
 def ladder_table(facts: Facts, calling_ns: float) -> pd.DataFrame:
     """A row for each solver that was timed, as `charts.ladder` wants it.
 
@@ -133,7 +119,7 @@ def ladder_table(facts: Facts, calling_ns: float) -> pd.DataFrame:
             "raw_max_ms": verdict.raw_max_ns / 1e6,
             "share": 0.0 if isnan(calling_ns) else min(1.0, calling_ns / verdict.p50_ns),
         }
-        for verdict in best_of_each(facts)
+        for verdict in best_of_each(facts.verdicts)
         if verdict.timed_on
     ]
     return pd.DataFrame(rows, columns=list(LADDER_COLUMNS))

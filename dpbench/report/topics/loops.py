@@ -28,10 +28,13 @@ def loops_topic(records: Records, demand: Demand) -> Topic | None:
     }
     most = max(len(runs) for runs in by_name.values())
     right = [name for name, runs in by_name.items() if whole[name] == len(runs) == most]
-    others = len(by_name) - len(right)
-    lead = f"Right on every step of {plural(most, 'closed loop')}: {_named(right)}."
-    if others:
-        lead += f" {plural(others, 'configuration')} {'is' if others == 1 else 'are'} not."
+    loops = plural(most, "closed loop")
+    best = max(whole, key=lambda name: whole[name])
+    lead = f"Nobody is right on every step of {loops}; {best} is in {whole[best]}."
+    if right:
+        rest = len(by_name) - len(right)
+        others = f" {plural(rest, 'configuration')} {'is' if rest == 1 else 'are'} not."
+        lead = f"Right on every step of {loops}: {_named(right)}.{others if rest else ''}"
     rows = [
         (name, f"{whole[name]} of {len(runs)}", *_control(runs)) for name, runs in by_name.items()
     ]
@@ -42,7 +45,7 @@ def loops_topic(records: Records, demand: Demand) -> Topic | None:
 
 def _named(names: Sequence[str]) -> str:
     """All of a few, else how many."""
-    return and_list(list(names)) or "nobody" if len(names) <= 4 else f"{len(names)} configurations"
+    return and_list(list(names)) if len(names) <= 4 else f"{len(names)} configurations"
 
 
 def _control(runs: Sequence[RunRecord]) -> tuple[str, str, str]:

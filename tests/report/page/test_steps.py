@@ -11,12 +11,12 @@ import pytest
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.records import Records
 from dpbench.analysis.run_steps import MEASURES, RunSteps, hardest
+from dpbench.analysis.thinning import extremes, kept
 from dpbench.analysis.verdict import verdicts_of
-from dpbench.report.charts.ship import extremes
 from dpbench.report.page import steps as packing
 from dpbench.report.page.facts import Facts
 from dpbench.report.page.pack import Block
-from dpbench.report.page.steps import FLAGS, Room, kept, pack_steps, track_of
+from dpbench.report.page.steps import FLAGS, Room, pack_steps, track_of
 
 
 def _long(count: int, seed: int = 1) -> RunSteps:
