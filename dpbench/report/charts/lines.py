@@ -13,6 +13,7 @@ from dpbench.report.charts.style import (
     MISSES,
     PALETTE,
     alike,
+    below,
     limit_rule,
     log_scale,
     styled,
@@ -39,6 +40,7 @@ def lines(
     """
     names = list(dict.fromkeys(table["name"]))
     dashes = [[[1, 0], [6, 3], [2, 2]][(i // len(PALETTE)) % 3] for i in range(len(names))]
+    hues = alt.Scale(domain=names, range=[PALETTE[i % len(PALETTE)] for i in range(len(names))])
     base = alt.Chart(table).encode(
         x=alt.X(
             "x:Q",
@@ -50,10 +52,8 @@ def lines(
         color=alt.Color(
             "name:N",
             title=None,
-            scale=alt.Scale(
-                domain=names, range=[PALETTE[i % len(PALETTE)] for i in range(len(names))]
-            ),
-            legend=alt.Legend(symbolLimit=40, labelLimit=260),
+            scale=hues,
+            legend=below(symbolLimit=40, labelLimit=320, columns=1),
         ),
         tooltip=[
             alt.Tooltip("name:N"),
@@ -67,12 +67,14 @@ def lines(
         )
     )
     dots = base.mark_point(size=45, opacity=1, strokeWidth=1.5).encode(
-        fill=alt.condition("datum.good", alt.Color("name:N", legend=None), alt.value("white")),
+        fill=alt.condition(
+            "datum.good", alt.Color("name:N", scale=hues, legend=None), alt.value("white")
+        ),
     )
     layers = [joined, dots]
     if limit is not None:
         layers.append(limit_rule(limit))
-    return styled(alt.layer(*layers, width=520, height=330), title, title)
+    return styled(alt.layer(*layers, width=290, height=260), title, title)
 
 
 def dots(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
@@ -91,7 +93,7 @@ def dots(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
         .encode(x="x:Q", y="y:Q", tooltip=["name:N", "x:Q", "y:Q"])
     )
     names = points.mark_text(align="left", dx=8, fontSize=12).encode(text="name:N")
-    return styled(alt.layer(line, points, names, width=330, height=260), title, title)
+    return styled(alt.layer(line, points, names, width=290, height=240), title, title)
 
 
 def tiles(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
@@ -118,5 +120,5 @@ def tiles(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
         text="count:Q",
         color=alt.condition("datum.count > 0", alt.value(MISSES), alt.value(MEETS)),
     )
-    chart = alt.layer(squares, numbers, width=alt.Step(44), height=alt.Step(20))
+    chart = alt.layer(squares, numbers, width=alt.Step(26), height=alt.Step(20))
     return styled(chart, title, title)

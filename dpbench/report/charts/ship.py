@@ -21,7 +21,7 @@ AXES = (
     ("sway", "y", "N", 1e3, "kN"),
     ("yaw", "n", "Nm", 1e6, "MN·m"),
 )
-_WIDTH = 430
+_WIDTH = 285
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +81,11 @@ def path(laws: Sequence[Law], scenario: Scenario) -> Any:
                 "what:N",
                 title=None,
                 scale=alt.Scale(domain=["start", "reference"], range=["circle", "cross"]),
-                legend=below(),
+                legend=below(columns=1),
             ),
         )
     )
-    chart = alt.layer(ring, lines, marks, width=360, height=360)
+    chart = alt.layer(ring, lines, marks, width=285, height=285)
     return styled(chart, "Path of the ship", "Path of the ship under each control law.")
 
 
@@ -95,7 +95,7 @@ def precision(laws: Sequence[Law], scenario: Scenario) -> Any:
     for name, unit in (("north", "m"), ("east", "m"), ("heading", "°"), ("radial", "m")):
         table = _tables(laws, lambda law, name=name: errors(law.steps, scenario.reference)[name])
         log = name == "radial"
-        panel = _lines(table, laws, f"{name} [{unit}]", log=log)
+        panel = _lines(table, laws, f"{name} [{unit}]", last=log, log=log)
         if log:
             panel = alt.layer(panel, _limits((CIRCLE_M,)))
         panels.append(panel)
@@ -144,11 +144,17 @@ def _force(
     table = _tables(laws, lambda law: law.steps[column].to_numpy() / scale)
     reach = float(np.abs(table["value"]).max())
     near = [limit / scale for limit in limits if abs(limit / scale) <= 2.5 * max(reach, 1e-12)]
-    if not near:
-        # Said, as a figure without them looks as if there were none.
-        title = f"{title}; limits ±{max(map(abs, limits)) / scale:.3g}"
-    panel = _lines(table, laws, title)
-    return alt.layer(panel, _limits(near)) if near else panel
+    # Limits far off are said, as a figure without them looks as if there were none.
+    far = f"limits ±{max(map(abs, limits)) / scale:.4g}"
+    beside = _limits(near) if near else _note(far)
+    return alt.layer(_lines(table, laws, title, last="yaw" in title), beside)
+
+
+def _note(text: str) -> Any:
+    """A remark in the upper right corner of a panel."""
+    mark = alt.MarkDef("text", align="right", baseline="top", color=SOFT, fontSize=12)
+    place = {"x": alt.value("width"), "y": alt.value(0), "text": alt.value(text)}
+    return alt.Chart(alt.InlineData(values=[{}]), mark=mark).encode(**place)
 
 
 def _tables(laws: Sequence[Law], value: Any) -> pd.DataFrame:
@@ -160,13 +166,15 @@ def _tables(laws: Sequence[Law], value: Any) -> pd.DataFrame:
     return pd.concat(tables)
 
 
-def _lines(table: pd.DataFrame, laws: Sequence[Law], title: str, *, log: bool = False) -> Any:
+def _lines(
+    table: pd.DataFrame, laws: Sequence[Law], title: str, *, last: bool, log: bool = False
+) -> Any:
     scale = log_scale() if log else alt.Scale()
     return (
         alt.Chart(table)
         .mark_line(strokeWidth=1.3, interpolate="step-after")
         .encode(
-            x=alt.X("t:Q", title=None, scale=alt.Scale(nice=False)),
+            x=alt.X("t:Q", title="t [s]" if last else None, scale=alt.Scale(nice=False)),
             y=alt.Y("value:Q", title=title, scale=scale, axis=alt.Axis(tickCount=4)),
             color=_law(laws),
             strokeDash=_dash(laws),
@@ -194,7 +202,7 @@ def _law(laws: Sequence[Law]) -> alt.Color:
         "law:N",
         title=None,
         scale=alt.Scale(domain=[law.label for law in laws], range=list(PALETTE[: len(laws)])),
-        legend=below(labelLimit=260),
+        legend=below(labelLimit=260, columns=1),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 
@@ -22,6 +22,11 @@ class SmallTable:
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     title: str = ""
+
+    @property
+    def plain(self) -> SmallTable:
+        """The same without the marks of Markdown, which a page would show."""
+        return replace(self, rows=tuple(tuple(c.replace("`", "") for c in r) for r in self.rows))
 
 
 @dataclass(frozen=True)

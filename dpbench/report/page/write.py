@@ -314,7 +314,7 @@ def _markup(topic: Topic) -> dict[str, Any]:
         "title": topic.title,
         "lines": topic.lines,
         "figures": figures,
-        "tables": topic.tables,
+        "tables": [t.plain for t in topic.tables],
     }
 
 
