@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -16,6 +17,17 @@ OWN_A_STEP, OWN_TIMES = 0.5, 10.0
 the median configuration and the rule allow, makes them itself: a library that starts a thread in
 each solve is put off its only core by that thread, where a busy machine would put off its
 neighbours too."""
+
+
+def round_spread(records: Records) -> tuple[float, float]:
+    """How many times as long the slowest round of a replay takes as its fastest: the median over
+    the replays, and the largest; NaN where no replay has two rounds."""
+    ratios = [
+        float(times.rounds_ns.max() / times.rounds_ns.min())
+        for run in records.select(mode="replay")
+        if (times := records.times(run)) is not None and len(times.rounds_ns) > 1
+    ]
+    return (float(np.median(ratios)), max(ratios)) if ratios else (math.nan, math.nan)
 
 
 def timed_runs(records: Records) -> list[RunRecord]:

@@ -60,6 +60,7 @@ class RunRecord:
     steps_done: int
     # accuracy: `ACCURACY_COLUMNS`
     true_share: float
+    claimed_not_true: Count
     error_move_max: float
     error_plan_max: float
     uncertified: Count
@@ -89,6 +90,7 @@ class RunRecord:
     r_rms_m: float
     r_tail_max_m: float
     heading_max_deg: float
+    settle_s: float
     settle_0p1m_s: float
     overshoot_e: float
     share_1m: float

@@ -19,11 +19,14 @@ class StepTimes:
     ----------
     k : (K,) steps, rising; algo_ns : (K,) least over the rounds, the algorithmic time.
     raw_max_ns : the largest single sample.
+    rounds_ns : (R,) median of the samples of each round, in the order of the rounds: how far they
+        lie apart is what the machine adds, whatever the solver.
     """
 
     k: NDArray[np.int64]
     algo_ns: Floats
     raw_max_ns: float
+    rounds_ns: Floats
 
 
 def step_times_of(rows: CountingRows) -> StepTimes | None:
@@ -33,4 +36,5 @@ def step_times_of(rows: CountingRows) -> StepTimes | None:
     best = np.full(int(rows.k.max()) + 1, np.inf)
     np.minimum.at(best, rows.k, rows.total_ns)
     done = np.flatnonzero(np.isfinite(best))
-    return StepTimes(done, best[done], float(rows.total_ns.max()))
+    rounds = [float(np.median(rows.total_ns[rows.repeat == r])) for r in np.unique(rows.repeat)]
+    return StepTimes(done, best[done], float(rows.total_ns.max()), np.array(rounds))

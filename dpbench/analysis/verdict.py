@@ -75,6 +75,7 @@ class Verdict:
     error_move : the largest error of the first move among them.
     p50_ns, p99_ns : algorithmic step time on the sequence `timed_on`, that of the worst p99, or of
         the worst p50 where none supports a p99.
+    rounds_ns : median of the fastest and of the slowest round there.
     algo_max_ns, raw_max_ns : largest algorithmic step time and largest single sample of all
         sequences.
     """
@@ -93,6 +94,7 @@ class Verdict:
     p50_ns: float = math.nan
     p99_ns: float = math.nan
     timed_on: str = ""
+    rounds_ns: tuple[float, float] = (math.nan, math.nan)
     algo_max_ns: float = math.nan
     raw_max_ns: float = math.nan
 
@@ -338,7 +340,7 @@ def _timing(
     """What contradicts the time demand, what is doubtful, and the figures behind."""
     late: list[Finding] = []
     unsure: list[Finding] = []
-    figures: list[tuple[float, float, str]] = []
+    figures: list[tuple[float, float, str, tuple[float, float]]] = []
     algo_max_ns = raw_max_ns = math.nan
     for run in replays:
         if run.remembers:
@@ -352,7 +354,8 @@ def _timing(
         algo_max_ns = float(np.fmax(algo_max_ns, algo.max()))
         raw_max_ns = float(np.fmax(raw_max_ns, times.raw_max_ns))
         p99, p95 = percentile(algo, 99), percentile(algo, 95)
-        figures.append((p99, float(np.median(algo)), run.sequence))
+        rounds_ns = float(times.rounds_ns.min()), float(times.rounds_ns.max())
+        figures.append((p99, float(np.median(algo)), run.sequence, rounds_ns))
         if p99 > demand.p99_ns:
             late.append(Finding("p99 late", (run,), p99))
         elif p95 > demand.p99_ns:
@@ -362,6 +365,9 @@ def _timing(
     if not figures:
         return late, unsure, {}
     known = [figure for figure in figures if math.isfinite(figure[0])]
-    p99, p50, timed_on = max(known) if known else max(figures, key=lambda figure: figure[1])
+    p99, p50, timed_on, rounds_ns = (
+        max(known) if known else max(figures, key=lambda figure: figure[1])
+    )
     times_ns = {"algo_max_ns": algo_max_ns, "raw_max_ns": raw_max_ns}
-    return late, unsure, {"p50_ns": p50, "p99_ns": p99, "timed_on": timed_on, **times_ns}
+    on = {"timed_on": timed_on, "rounds_ns": rounds_ns}
+    return late, unsure, {"p50_ns": p50, "p99_ns": p99, **on, **times_ns}

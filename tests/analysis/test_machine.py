@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.machine import disturbance_of, timed_runs
+from dpbench.analysis.machine import disturbance_of, round_spread, timed_runs
 from dpbench.report.formats import and_list
 from dpbench.report.topics.trust import trust_topic
 from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
@@ -82,8 +82,9 @@ def test_the_bar_is_a_microsecond_or_a_hundredth(
     assert all(name in figures for name in CALIBRATION)
     topic = trust_topic(records.view())
     assert topic is not None
-    waits = sorted(name for name in missed if name in WAITS_NS)
-    assert (", ".join(waits) if waits else "within 1 µs or 1 %") in topic.lines[0]
+    waits = [WAITS_NS[name] / 1e3 for name in sorted(missed) if name in WAITS_NS]
+    off = ", ".join(f"{us:g} µs took {us + off_us:.1f} µs" for us in waits)
+    assert (off or "within 1 µs or 1 %") in topic.lines[0]
 
 
 def test_a_quiet_machine_and_a_disturbed_one(records: Any) -> None:
@@ -150,5 +151,18 @@ def test_replays_of_disturbed_rounds_alone_say_so(records: Any) -> None:
     records.replay("daqp", **(QUIET | {"disturbed_rounds": 3, "counting_disturbed": 3}))
     assert "3 of 3 rounds disturbed" in records.ending()["machine"]
     topic = trust_topic(records.view())
-    assert topic is not None and "3 of 3 rounds disturbed" in topic.lines[0]
+    assert topic is not None and "3 of 3 rounds disturbed" in topic.lines[1]
     assert dict(topic.tables[0].rows)["disturbed rounds left"] == "3 of 3 rounds; 1 run again"
+
+
+def test_how_far_rounds_lie_apart_is_said(records: Any) -> None:
+    """A replay whose last round takes twice as long as its first: no ratio below two counts."""
+    records.replay("daqp", spread=0.0, median_us=10.0, rounds=3, **QUIET)
+    steps = records._steps[-1]
+    for repeat, total_ns in zip((1, 2, 3), (10_000, 15_000, 20_000), strict=True):
+        steps.loc[steps["repeat"] == repeat, "total_ns"] = total_ns
+    assert round_spread(records.view()) == (2.0, 2.0)
+    topic = trust_topic(records.view())
+    assert topic is not None and topic.lines[0].startswith(
+        "Ratios of two solvers: yes, beyond 2.00."
+    )

@@ -152,7 +152,7 @@ def test_the_verdict_of_a_solver_is_that_of_its_configurations(make: Make) -> No
     b = make("b", seed=2, slow=slow, loop={"r_rms_m": 0.4}, errors={"osqp": 0.5})
     found = compare(a, b)
     first = found.tables[0]
-    said = {row[0].text: (row[1].text, row[2].text) for row in first.rows}
+    said = {row[0]: (row[1], row[2]) for row in first.rows}
     assert said["piqp"][0] == "slower" and said["scs"][0] == "faster"
     assert said["osqp"] == ("equivalent", "worse")
     steered = set(found.answers[found.answers["figure"] == "r_rms_m"]["solver"])

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import pandas as pd
 
-from dpbench.analysis.compare.pairs import Pair
+from dpbench.analysis.compare.pairs import Pair, key_of
 from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
 from dpbench.bench.judge.rules import decided, failed_steps
@@ -67,6 +67,18 @@ class Answer:
     a: Range
     b: Range
     change: Change
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """Identity, figure, ranges in A and B and what became of it, for a table."""
+        return key_of(self.pair.a) | {
+            "figure": self.measure.column,
+            "a_low": self.a[0],
+            "a_high": self.a[1],
+            "b_low": self.b[0],
+            "b_high": self.b[1],
+            "change": self.change,
+        }
 
 
 def compare_answers(a: Records, b: Records, pairs: Sequence[Pair], margin: float) -> list[Answer]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -67,6 +68,24 @@ class Compared:
 
     timing: Timing
     assessment: Assessment
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """Identity, ratios, interval, adjusted p-values and verdict, for a table."""
+        timing, found = self.timing, self.assessment
+        return key_of(timing.pair.a) | {
+            "raw": found.raw,
+            "machine": found.machine,
+            "ratio": found.ratio.value,
+            "low": found.ratio.low,
+            "high": found.ratio.high,
+            "own": timing.own,
+            "p_differs": found.p_differs,
+            "p_equal": found.p_equal,
+            "steps": timing.steps,
+            "rounds": timing.rounds,
+            "verdict": found.verdict,
+        }
 
 
 @dataclass(frozen=True)

@@ -64,9 +64,15 @@ def _most_usual(own: Sequence[Verdict]) -> Verdict:
         for verdict in own
         if verdict.configuration.route == best.configuration.route
         and verdict.configuration.policy == best.configuration.policy
-        and _figure(verdict) <= (1.0 + ALIKE) * _figure(best)
+        and (_figure(verdict) <= (1.0 + ALIKE) * _figure(best) or _rounds_overlap(verdict, best))
     ]
     return min(alike, key=_level)
+
+
+def _rounds_overlap(a: Verdict, b: Verdict) -> bool:
+    """Whether a round of either was as slow as one of the other: by chance the least of a few
+    rounds may then be lower for the slower one."""
+    return a.rounds_ns[0] <= b.rounds_ns[1] and b.rounds_ns[0] <= a.rounds_ns[1]
 
 
 def _level(verdict: Verdict) -> tuple[int, str]:

@@ -6,12 +6,11 @@ import math
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
 from dpbench.analysis.compare.answers import Answer, compare_answers
-from dpbench.analysis.compare.pairs import Pairs, check_machines, key_of, pair_cells
+from dpbench.analysis.compare.pairs import Pairs, check_machines, pair_cells
 from dpbench.analysis.compare.times import (
     Compared,
     Shared,
@@ -66,12 +65,12 @@ class Comparison:
     def times(self) -> pd.DataFrame:
         """One row per configuration and sequence: identity, ratios, interval, adjusted p-values,
         verdict."""
-        return pd.DataFrame([_time_row(compared) for compared in self.compared])
+        return pd.DataFrame([compared.row for compared in self.compared])
 
     @property
     def answers(self) -> pd.DataFrame:
         """One row per configuration, experiment and figure: identity, ranges in A and B, change."""
-        return pd.DataFrame([_answer_row(answer) for answer in self.found])
+        return pd.DataFrame([answer.row for answer in self.found])
 
     def markdown(self) -> str:
         """The comparison as a Markdown document."""
@@ -159,31 +158,3 @@ def _lines(
             more = f" and {len(cells) - LISTED} more" if len(cells) > LISTED else ""
             lines.append(f"{what}, not compared: {'; '.join(cells[:LISTED])}{more}")
     return lines
-
-
-def _time_row(compared: Compared) -> dict[str, Any]:
-    timing, found = compared.timing, compared.assessment
-    return key_of(timing.pair.a) | {
-        "raw": found.raw,
-        "machine": found.machine,
-        "ratio": found.ratio.value,
-        "low": found.ratio.low,
-        "high": found.ratio.high,
-        "own": timing.own,
-        "p_differs": found.p_differs,
-        "p_equal": found.p_equal,
-        "steps": timing.steps,
-        "rounds": timing.rounds,
-        "verdict": found.verdict,
-    }
-
-
-def _answer_row(answer: Answer) -> dict[str, Any]:
-    return key_of(answer.pair.a) | {
-        "figure": answer.measure.column,
-        "a_low": answer.a[0],
-        "a_high": answer.a[1],
-        "b_low": answer.b[0],
-        "b_high": answer.b[1],
-        "change": answer.change,
-    }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from math import isnan
 from typing import Any
 
 from dpbench.analysis.times.fastest import Recommendation, fastest_of, recommend
@@ -12,7 +13,7 @@ from dpbench.analysis.times.pairs import paired_comparison
 from dpbench.analysis.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
 from dpbench.errors import InputError
-from dpbench.report.formats import error_text, rounded_down
+from dpbench.report.formats import error_text, rounded_down, time_text
 from dpbench.report.page.facts import Facts
 from dpbench.report.verdict_text import (
     NOBODY,
@@ -135,7 +136,7 @@ def _notes(facts: Facts, found: Recommendation) -> Iterator[tuple[str, str]]:
         "slower",
         f"A computer {rounded_down(chosen.slowdown(facts.demand))} times slower still makes the "
         f"deadline by its largest step, {rounded_down(chosen.raw_slowdown(facts.demand))} times "
-        "by its largest sample on this machine.",
+        "by its largest sample on this machine." + _in_loops(facts, chosen.configuration),
     )
     if found.faster is not None:
         label = found.faster.configuration.label
@@ -144,6 +145,23 @@ def _notes(facts: Facts, found: Recommendation) -> Iterator[tuple[str, str]]:
         beside = paired_text(paired_comparison(facts.records, chosen, found.runner_up))
         label, time = found.runner_up.configuration.label, usual_time(found.runner_up)
         yield "next", f"Next: {label}, {time}, {beside}."
+
+
+def _in_loops(facts: Facts, chosen: Configuration) -> str:
+    """The largest sample of its closed loops: harder QPs than those replayed, not timed alone."""
+    c = facts.index(chosen)
+    loops = [
+        run
+        for (d, p), run in facts.runs.items()
+        if d == c and facts.places[p].mode == "closed_loop" and not isnan(run.raw_max_ns)
+    ]
+    if not loops:
+        return ""
+    worst = max(loops, key=lambda run: run.raw_max_ns)
+    return (
+        f" In its closed loops, which are not timed alone, the largest sample is "
+        f"{time_text(worst.raw_max_ns)}, in {worst.scenario}."
+    )
 
 
 def _chips(facts: Facts, first: Configuration | None) -> list[Chip]:

@@ -166,6 +166,9 @@ class Facts:
             "planned": run.steps_planned,
             "error": number(run.error_move_max),
             "failed": number(run.failed_steps),
+            "untrue": number(run.claimed_not_true),
+            "off_m": number(run.dev_position_max_m),
+            "settle_s": number(run.settle_s),
         }
 
     def _limits(self, run: RunRecord) -> Any:

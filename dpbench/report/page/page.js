@@ -34,6 +34,14 @@ function configuration(solver, w, settings) {
     ?? own.find((c) => way(c) === w) ?? own.find((c) => C().settings[c] === settings) ?? own[0];
 }
 
+// Of a solver the configuration most like the wanted one that was run in the chosen place.
+function nearest(solver, w, settings) {
+  const ran = (c) => cell(c, state.p)?.t != null, wanted = configuration(solver, w, settings);
+  const like = (c) => 4 * ran(c) + 2 * (way(c) === w) + (C().settings[c] === settings);
+  const own = all().filter((c) => C().solver[c] === solver);
+  return own.reduce((best, c) => (like(c) > like(best) ? c : best), wanted);
+}
+
 function cell(c, p) {
   const i = facts.index.get(`${c}/${p}`);
   return i === undefined ? null : Object.fromEntries(
@@ -218,6 +226,11 @@ function referenceOf(p) {
   return i < 0 ? null : trackOf(cell(facts.cells.c[i], p));
 }
 
+// On how many steps the first move is farther off than the demand allows.
+function over(run) {
+  return run.t == null ? "–" : array(run.e).filter((e) => e > facts.demand).length;
+}
+
 async function drawOne() {
   const run = cell(state.c, state.p), text = $("one-said");
   const solver = facts.solvers[C().solver[state.c]] ?? {};
@@ -232,8 +245,11 @@ async function drawOne() {
   const p99 = C().p99[state.c];
   text.textContent = [
     `${run.state === "meets" ? "Holds" : run.state === "misses" ? "Misses the demand" : "Open"} in `
-    + `${facts.places[state.p].label}: ${run.steps} of ${run.planned} steps, largest error of the `
-    + `first move ${figure(run.error)}, ${figure(run.failed)} failed steps.`,
+    + `${facts.places[state.p].label}: ran ${run.steps} of ${run.planned} steps; first move beyond the `
+    + `demand on ${over(run)}, at most ${figure(run.error)}; claimed solved and not true on `
+    + `${figure(run.untrue)}; failed on ${figure(run.failed)}.`,
+    run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the exactly solved loop`
+      + `${run.settle_s === null || run.settle_s === "inf" ? "." : ` and settled at ${figure(run.settle_s)} s.`}`,
     run.why ? `${run.outcome}: ${run.why}.` : "",
     `Over the whole run: ${C().outcome[state.c]}${C().why[state.c] ? ` (${C().why[state.c]})` : ""}`
     + (p99 === null ? "." : `; p99 ${time(p99)} on ${C().timed_on[state.c]}.`),
@@ -242,6 +258,9 @@ async function drawOne() {
   drawHard(run);
   const stepped = run.t !== undefined && run.t !== null;
   $("figure-strips").hidden = $("strips-said").hidden = !stepped;
+  $("strips-time").textContent = facts.places[state.p].mode === "replay"
+    ? "Dot: the fastest counted round, grey up to the largest sample."
+    : "Dot: one sample a step, not timed alone; only replays compare times.";
   if (!stepped) { drawShip(null); return; }
   const view = await figureOf("strips");
   if (view) {
@@ -432,8 +451,8 @@ function drawTable() {
     .filter(([column]) => column.group === "" || column.group === group);
   const rows = Array.from({ length: table.rows }, (_, i) => i)
     .filter((i) => $("table-of").value === "all" || table.c[i] === state.c)
-    .filter((i) => !filter || table.columns.some((column, j) => column.text
-      && String(table.values[j][i]).toLowerCase().includes(filter)));
+    .filter((i) => filter.split(/\s+/).every((word) => table.columns.some((column, j) => column.text
+      && String(table.values[j][i]).toLowerCase().includes(word))));
   const values = table.values[sorting.column] ?? table.values[0];
   const rank = (x) => (x === null ? Infinity : x === "inf" ? 1e300 : x);
   rows.sort((a, b) => {
@@ -475,11 +494,15 @@ function drawTable() {
   });
   $("table-head").replaceChildren(head);
   $("table-body").replaceChildren(...body);
-  $("table-said").textContent = `${Math.min(ROWS, rows.length)} of ${rows.length} rows`;
+  $("table-said").textContent = `${Math.min(ROWS, rows.length)} of ${rows.length} rows${
+    $("table-of").value === "all" ? "" : `, of ${table.rows} in all`}`;
   const run = cell(state.c, state.p);
   $("data-query").textContent = run
-    ? `pandas.read_parquet("steps.parquet", filters=[("run_id", "==", "${run.id}")])`
-      + `  # ${label(state.c)} in ${facts.places[state.p].label}` : "";
+    ? `steps = pandas.read_parquet("steps.parquet", filters=[("run_id", "==", "${run.id}")])`
+      + `  # ${label(state.c)} in ${facts.places[state.p].label}`
+      + (facts.places[state.p].mode === "replay"
+        ? `\nsteps[steps.counts].groupby("k").total_ns.min().quantile([0.5, 0.99])  # p50 and p99`
+        : "") : "";
   $("data-query").hidden = !run;
   state.rows = rows; state.shown = shown;
 }
@@ -509,7 +532,9 @@ function kept() {
   const rows = sets.find((values) => "max_ms" in values[0]);
   const { deadline } = sets.find((values) => "deadline" in values[0])[0];
   const within = rows.filter((row) => row.max_ms * state.slow <= deadline);
-  return `${within.length} of ${rows.length} keep the deadline`;
+  const named = within.length && within.length <= 8 && within.length < rows.length
+    ? `: ${within.map((row) => row.solver).join(", ")}` : "";
+  return `${within.length} of ${rows.length} keep the deadline by their largest step${named}`;
 }
 
 // What follows from a change of some parts of the selection; without them, from all of it.
@@ -555,7 +580,10 @@ function listen() {
   $("choose-other")?.addEventListener("change", (e) => select({ b: Number(e.target.value) }));
   $("slow")?.addEventListener("input", (e) => select({ slow: 10 ** Number(e.target.value) }));
   $("percentile")?.addEventListener("change", (e) => signal("accuracy", { percentile: e.target.value }));
-  $("copy")?.addEventListener("click", () => navigator.clipboard?.writeText(state.markdown));
+  $("copy")?.addEventListener("click", async () => {
+    await navigator.clipboard?.writeText(state.markdown);
+    $("copy").textContent = "Copied";
+  });
   $("table-filter").addEventListener("input", drawTable);
   $("table-group").addEventListener("change", drawTable);
   $("table-csv").addEventListener("click", () => download("runs.csv", csv()));
@@ -568,7 +596,7 @@ function listenOne() {
   if (!$("one")) return;
   const choose = (change) => {
     const solver = change.solver ?? C().solver[state.c];
-    const c = configuration(solver, change.way ?? way(state.c), change.settings ?? C().settings[state.c]);
+    const c = nearest(solver, change.way ?? way(state.c), change.settings ?? C().settings[state.c]);
     select({ c, p: cell(c, state.p) ? state.p : Math.max(0, facts.places.findIndex((_, p) => cell(c, p))), k: null });
   };
   $("choose-solver").addEventListener("change", (e) => choose({ solver: e.target.value }));

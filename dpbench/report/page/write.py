@@ -43,6 +43,7 @@ from dpbench.report.charts.style import (
     PAPER,
     SOFT,
 )
+from dpbench.report.glossary import meanings
 from dpbench.report.page.answer import Answer
 from dpbench.report.page.facts import Facts, columns_of, number
 from dpbench.report.page.steps import FLAGS
@@ -122,6 +123,7 @@ def page_html(
         topics=[_markup(topic) for topic in others],
         groups=list(GROUPS),
         files=_files(folder),
+        words=[(term, meanings()[term]) for term in WORDS],
         footer=_footer(results),
         block=facts.block.text(document),
         scripts=[
@@ -131,6 +133,11 @@ def page_html(
     )
 
 
+WORDS = tuple(
+    "route native policy fresh reuse warm settings default high replay certificate claimed true "
+    "fallback open".split()
+)
+"""What a reader asks first; the whole glossary is in the documentation."""
 _CHART_OF = {"two": "pairs"}
 DRAWN = ("ladder", "matrix", "accuracy")
 """Figures that stand on the page before any script has run."""
@@ -221,6 +228,7 @@ def _document(
         "cells": columns_of(cells),
         "flags": FLAGS,
         "most_across": MOST_ACROSS,
+        "demand": facts.demand.error_move,
         "charts": {name: json.loads(follow(json.dumps(vega(c)))) for name, c in charts.items()},
         "answer": _opening(facts, results, answer),
         "paired": _paired(facts, answer),
@@ -283,9 +291,9 @@ def _solver(name: str) -> dict[str, str]:
 
 
 MATRIX = (
-    "Each solver on its default route and policy, in the order of the suite. A tile is what that "
-    "run "
-    "alone says of the demand; point at it for the largest error and the failed steps."
+    "Each solver in the way it is judged by, its default where that was run; other ways below. A "
+    "tile is what that run alone says of the demand: ✓ meets, ✕ misses, ? open (not everything "
+    "was run or could be judged), – not run. Units SI are a trial outside the verdict."
 )
 
 

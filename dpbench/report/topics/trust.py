@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import pandas as pd
 
-from dpbench.analysis.machine import delayed_runs, disturbance_of, timed_runs
+from dpbench.analysis.machine import delayed_runs, disturbance_of, round_spread, timed_runs
 from dpbench.analysis.records import Records
 from dpbench.bench.judge.calibration import within_bar
 from dpbench.bench.record.revision import revision_text
 from dpbench.report.charts.lines import dots
+from dpbench.report.formats import significant
 from dpbench.report.machine_verdict import (
     disturbance_facts,
     machine_facts,
@@ -36,6 +38,24 @@ def calling_ns(records: Records) -> float:
     return min(known) if known else math.nan
 
 
+def _spread(records: Records) -> list[str]:
+    """From which ratio on two solvers differ, by what rounds of one replay differ."""
+    usual, largest = round_spread(records)
+    if math.isnan(largest):
+        return []
+    return [
+        f"Ratios of two solvers: yes, beyond {significant(largest)}. So far apart, at most, lie "
+        f"fastest and slowest round of one replay (in the median {significant(usual)}); the time "
+        "of a step is its fastest. Microseconds: of this machine on that day alone."
+    ]
+
+
+def _off(asked: Sequence[tuple[str, float, float]], missed: Sequence[str]) -> str:
+    """What was asked of the waits off the bar [µs], and what was measured."""
+    longest = {name: (us, max(p50 for n, _, p50 in asked if n == name)) for name, us, _ in asked}
+    return ", ".join(f"{longest[n][0]:g} µs took {longest[n][1]:.1f} µs" for n in missed)
+
+
 def trust_topic(records: Records) -> Topic | None:
     """The topic; None where nothing was timed."""
     timed = timed_runs(records) or delayed_runs(records)
@@ -47,14 +67,14 @@ def trust_topic(records: Records) -> Topic | None:
     ]
     if not found.seconds > 0 and not asked:
         return None
-    lines = []
+    lines = _spread(records)
     figures = []
     if asked:
         missed = sorted({n for n, _, p50 in asked if within_bar(n, 1e3 * p50) is False})
         lines.append(
             "Waits of known length were measured "
             + (
-                f"off the bar of 1 µs or 1 % by {', '.join(missed)}."
+                f"off the bar of 1 µs or 1 %: {_off(asked, missed)}."
                 if missed
                 else "within 1 µs or 1 %."
             )

@@ -277,6 +277,9 @@ class _Remover:
     def start(self, work: int) -> None:
         """Nothing yet."""
 
+    def remark(self, text: str) -> None:
+        """Nothing to say."""
+
     def advance(self, work: int, what: str) -> None:
         if what == "replay paper, round 0":
             for folder in self._place.glob("dpbench-*"):
