@@ -134,8 +134,23 @@ def page_html(
 
 
 WORDS = tuple(
-    "route native policy fresh reuse warm settings default high replay certificate claimed true "
-    "fallback open".split()
+    [
+        "route",
+        "native",
+        "policy",
+        "fresh",
+        "reuse",
+        "warm",
+        "settings",
+        "default",
+        "high",
+        "replay",
+        "certificate",
+        "claimed",
+        "true",
+        "fallback",
+        "open",
+    ]
 )
 """What a reader asks first; the whole glossary is in the documentation."""
 _CHART_OF = {"two": "pairs"}
