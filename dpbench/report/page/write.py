@@ -43,7 +43,7 @@ from dpbench.report.charts.style import (
     PAPER,
     SOFT,
 )
-from dpbench.report.glossary import meanings
+from dpbench.report.glossary import topics as glossary
 from dpbench.report.page.answer import Answer
 from dpbench.report.page.facts import Facts, columns_of, number
 from dpbench.report.page.steps import FLAGS
@@ -123,7 +123,7 @@ def page_html(
         topics=[_markup(topic) for topic in others],
         groups=list(GROUPS),
         files=_files(folder),
-        words=[(term, meanings()[term]) for term in WORDS],
+        words=glossary()["Solvers and how they are run"] | glossary()["Times"],
         footer=_footer(results),
         block=facts.block.text(document),
         scripts=[
@@ -133,26 +133,6 @@ def page_html(
     )
 
 
-WORDS = tuple(
-    [
-        "route",
-        "native",
-        "policy",
-        "fresh",
-        "reuse",
-        "warm",
-        "settings",
-        "default",
-        "high",
-        "replay",
-        "certificate",
-        "claimed",
-        "true",
-        "fallback",
-        "open",
-    ]
-)
-"""What a reader asks first; the whole glossary is in the documentation."""
 _CHART_OF = {"two": "pairs"}
 DRAWN = ("ladder", "matrix", "accuracy")
 """Figures that stand on the page before any script has run."""
