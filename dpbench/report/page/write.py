@@ -123,7 +123,7 @@ def page_html(
         topics=[_markup(topic) for topic in others],
         groups=list(GROUPS),
         files=_files(folder),
-        words=glossary()["Solvers and how they are run"] | glossary()["Times"],
+        words=glossary()["Solvers and how they are run"],
         footer=_footer(results),
         block=facts.block.text(document),
         scripts=[
