@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dpbench.bench.campaign import run_campaign
-    from dpbench.bench.in_process import Run, replay, run_closed_loop
     from dpbench.bench.record.result_folder import load_results
     from dpbench.bench.run.exact_loop import record_sequence
     from dpbench.bench.sequences.sequence_file import load_sequence, save_sequence
     from dpbench.errors import DpbenchError, InputError
     from dpbench.mpc.condensed_qp import CondensedQP
+    from dpbench.notebook.runs import Run, replay, run_closed_loop
     from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, Refresh
     from dpbench.qp.referee.referee import Optimum, certify
     from dpbench.qp.residuals import Residuals, residuals
@@ -38,7 +38,7 @@ _HOMES = {
     "QuadraticProgram": "qp.program",
     "Refresh": "qp.program",
     "Residuals": "qp.residuals",
-    "Run": "bench.in_process",
+    "Run": "notebook.runs",
     "Scenario": "scenario.scenario",
     "Solution": "qp.solution",
     "Status": "qp.solution",
@@ -51,10 +51,10 @@ _HOMES = {
     "load_sequence": "bench.sequences.sequence_file",
     "open_workspace": "solvers.open",
     "record_sequence": "bench.run.exact_loop",
-    "replay": "bench.in_process",
+    "replay": "notebook.runs",
     "residuals": "qp.residuals",
     "run_campaign": "bench.campaign",
-    "run_closed_loop": "bench.in_process",
+    "run_closed_loop": "notebook.runs",
     "save_sequence": "bench.sequences.sequence_file",
     "write_report": "report.write",
 }

@@ -34,7 +34,7 @@ BUDGET = 300
 STEPS = 60
 """Of a case: 18 s of the paper's ship, in which its slowest thruster reaches its limit."""
 WARMUP_STEPS = 50
-"""As in `in_process.replay` and a suite."""
+"""As in `notebook.runs.replay` and a suite."""
 _WORDS = {"timed_out": "slow"}
 
 

@@ -2,7 +2,7 @@
 
 The solver answers one sequence after the other in a process of its own; one that crashes or hangs
 costs the sequence it failed on. Every sequence is answered by a new workspace in the way
-`in_process.replay` and a campaign do it (a warm-up round, then one that counts), so that what is
+`notebook.runs.replay` and a campaign do it (a warm-up round, then one that counts), so that what is
 found replays to the same figures.
 """
 
