@@ -1,4 +1,4 @@
-"""Run one solver in this process: the library's door for a notebook or a test.
+"""Run one solver in this process, for a notebook or a test.
 
 A campaign runs cells in processes of their own; here nothing protects the caller from a solver
 that crashes, and no core is pinned. The assessment is the same.
@@ -6,6 +6,7 @@ that crashes, and no core is pinned. The assessment is the same.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,9 +23,19 @@ from dpbench.bench.run.closed_loop import closed_loop
 from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver
+from dpbench.display import fields_html
 from dpbench.errors import InputError
 from dpbench.mpc.condense import UnitSystem
+from dpbench.notebook.plots import RunPlots
 from dpbench.qp.program import QPSequence
+from dpbench.report.formats import (
+    count_text,
+    error_text,
+    plural,
+    seconds_text,
+    significant,
+    time_text,
+)
 from dpbench.scenario.scenario import Scenario
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.table import Availability
@@ -32,10 +43,72 @@ from dpbench.solvers.table import Availability
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A judged run: `steps` with the columns of steps.parquet, `summary` with those of runs."""
+    """A judged run.
+
+    Parameters
+    ----------
+    steps : a row for each answer, with the columns of steps.parquet.
+    summary : what they amount to, with the columns of runs.parquet.
+    scenario : what the ship was steered through; None of a replay, which has no ship.
+    """
 
     steps: pd.DataFrame
     summary: pd.Series[Any]
+    scenario: Scenario | None = None
+
+    @property
+    def label(self) -> str:
+        """The solver, and the way it was called."""
+        return "{solver} ({route}, {policy})".format(**self.summary)
+
+    @property
+    def plot(self) -> RunPlots:
+        """The figures of the page: `steps()`, and of a closed loop `ship()` and `errors()`."""
+        return RunPlots(self)
+
+    def __repr__(self) -> str:
+        row = self.summary
+        return (
+            f"<Run of {self.label}: {self._where}, {self._done}, "
+            f"error_move ≤ {error_text(row['error_move_max'])}, p50 {time_text(row['raw_p50_ns'])}>"
+        )
+
+    def _repr_html_(self) -> str:
+        row = self.summary
+        fields = {
+            "steps": self._done,
+            "failed steps": count_text(row["failed_steps"]),
+            "largest error of the first move": error_text(row["error_move_max"]),
+            "median of the step time": time_text(row["raw_p50_ns"]),
+        }
+        return fields_html(f"{self.label}: {self._where}", fields | self._control())
+
+    @property
+    def _where(self) -> str:
+        mode = str(self.summary["mode"]).replace("_", " ")
+        return f"{mode} {self.summary['scenario'] or self.summary['sequence']}"
+
+    @property
+    def _done(self) -> str:
+        row = self.summary
+        return f"{row['steps_done']} of {plural(row['steps_planned'], 'step')}"
+
+    def _control(self) -> dict[str, str]:
+        """What is said of the ship."""
+        if self.scenario is None:
+            return {}
+        row = self.summary
+        return {
+            "fallbacks": count_text(row["fallbacks"]),
+            "position error, rms": f"{significant(row['r_rms_m'])} m",
+            "position error, second half": f"≤ {significant(row['r_tail_max_m'])} m",
+            "settled into 0.1 m after": _settled(row["settle_0p1m_s"]),
+            "farthest from the exact loop": f"{significant(row['dev_position_max_m'])} m",
+        }
+
+
+def _settled(after_s: float) -> str:
+    return seconds_text(after_s) + (" s" if math.isfinite(after_s) else "")
 
 
 def run_closed_loop(
@@ -47,11 +120,13 @@ def run_closed_loop(
     fallback: Fallback = "shifted_plan",
     slowdown: float = 0.0,
     deadline_s: float = 0.0,
+    steps: int | None = None,
 ) -> Run:
     """Let `workspace` steer the ship through `scenario`, and judge every answer.
 
     Parameters
     ----------
+    steps : only the first so many; by default the whole scenario.
     slowdown : how much slower than this machine the ship's computer is (≥ 1), so that answers
         arrive late; 0 for a ship that waits for each. Time is simulated, not waited for.
     deadline_s : what a step may take of its time [s], at most the sample; 0 for the sample.
@@ -59,10 +134,12 @@ def run_closed_loop(
     Raises
     ------
     InputError : for an unknown formulation or fallback, "sparse" for a scenario that has none, or
-        a slow-down or deadline that cannot be.
+        a slow-down, deadline or number of steps that cannot be.
     """
     _check("fallback", fallback, FALLBACKS)
     _check_workspace(workspace, formulation)
+    if steps is not None:
+        scenario = scenario.first(steps)
     cell = _cell_of(
         workspace,
         mode="closed_loop",
@@ -77,7 +154,7 @@ def run_closed_loop(
     setup = closed_loop_setup(cell, scenario, workspace, RawLog.in_memory, NO_LIMIT_NS)
     closed_loop(setup)
     evaluated = evaluate_log(cell, setup.log, solve_exactly(scenario))
-    return _run(cell, workspace, setup.solver, evaluated)
+    return _run(cell, workspace, setup.solver, evaluated, scenario)
 
 
 def replay(
@@ -140,8 +217,14 @@ def _cell_of(workspace: Workspace, **fields: Any) -> Cell:
     )
 
 
-def _run(cell: Cell, workspace: Workspace, timed_solver: TimedSolver, evaluated: Evaluated) -> Run:
+def _run(
+    cell: Cell,
+    workspace: Workspace,
+    timed_solver: TimedSolver,
+    evaluated: Evaluated,
+    scenario: Scenario | None = None,
+) -> Run:
     steps = step_rows("in-process", cell, evaluated)
     outcome = Outcome("finished", "", workspace.form, *timed_solver.size)
     row = run_row("in-process", cell, outcome, Availability(True), "", evaluated, steps)
-    return Run(as_steps(steps), as_runs(pd.DataFrame([row])).iloc[0])
+    return Run(as_steps(steps), as_runs(pd.DataFrame([row])).iloc[0], scenario)

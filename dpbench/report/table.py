@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from dpbench.display import table_html
+
 
 @dataclass(frozen=True)
 class Table:
@@ -28,6 +30,11 @@ def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]], text_columns: 
     """A pipe table of Markdown; columns after the first `text_columns` are right-aligned."""
     align = [":--" if i < text_columns else "--:" for i in range(len(heads))]
     return "\n".join(map(_line, [heads, align, *rows]))
+
+
+def html(table: Table) -> str:
+    """The table as plain HTML, for a notebook."""
+    return table_html(table.heads, table.rows, title=table.title, note=table.note)
 
 
 def _line(cells: Sequence[str]) -> str:

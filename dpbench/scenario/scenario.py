@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
+from dpbench.display import fields_html, numbers_text
 from dpbench.errors import InputError, UnknownNameError
 from dpbench.mpc.condense import ControlProblem, Terminal, UnitSystem
 from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
@@ -81,6 +82,31 @@ class Scenario:
     faults: tuple[tuple[int, Vector, Vector], ...]
     tuning: str
     files: dict[str, Any]
+
+    def __repr__(self) -> str:
+        return (
+            f"<Scenario {self.name}: {self.vessel.id}, {self._controller}, "
+            f"{self.steps} steps of {self.sample_s:.4g} s>"
+        )
+
+    def _repr_html_(self) -> str:
+        units = ("m", "m", "rad")
+        fields = {
+            "shows": self.shows,
+            "vessel": f"{self.vessel.title} ({self.vessel.id})",
+            "controller": self._controller,
+            "length": f"{self.steps} steps of {self.sample_s:.4g} s",
+            "start": numbers_text(self.start, units),
+            "reference": numbers_text(self.reference, units),
+            "most in one step": numbers_text(self.du_max, ("N", "N", "N·m")),
+            "state": self.estimation.kind,
+            "amplitude limits": self.amplitude,
+        }
+        return fields_html(f"{self.name}: {self.title}", fields)
+
+    @property
+    def _controller(self) -> str:
+        return f"tuning {self.tuning} {self.N_p}/{self.N_c}"
 
     @property
     def du_max(self) -> Vector:

@@ -50,6 +50,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from dpbench.arrays import Matrix, Vector
+from dpbench.display import fields_html, numbers_text
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.referee.dyadic import Dyadic, semidefinite
 from dpbench.qp.referee.equilibrated import alike, safe
@@ -102,6 +103,30 @@ class Optimum:
     y_box: Vector
     bound: float
     kind: Kind
+
+    def __repr__(self) -> str:
+        return f"<Optimum of {len(self.z)} variables: {self._proven}>"
+
+    def _repr_html_(self) -> str:
+        fields = {
+            "certificate": f"{self.kind}: {self._proven}",
+            "z": numbers_text(self.z),
+            "y": numbers_text(self.y),
+            "y_box": numbers_text(self.y_box),
+        }
+        return fields_html(f"Optimum of {len(self.z)} variables", fields)
+
+    @property
+    def _proven(self) -> str:
+        """What is proven, in words."""
+        if not np.isfinite(self.bound):
+            proofs = {
+                "infeasible": "no point is feasible",
+                "undecided": "feasible or infeasible by rounding alone",
+            }
+            return proofs.get(self.kind, "nothing certified")
+        active = np.count_nonzero(self.y) + np.count_nonzero(self.y_box)
+        return f"z within {self.bound:.1e} of the exact one, {active} limits active"
 
 
 class Referee:

@@ -22,6 +22,8 @@ AXES = (
     ("yaw", "n", "Nm", 1e6, "MN·m"),
 )
 _WIDTH = 285
+MOST_TOGETHER = 4800
+"""So many points of all runs a figure draws: a notebook refuses tables of more than 5000 rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +47,7 @@ def path(laws: Sequence[Law], scenario: Scenario) -> Any:
                 }
             )
             for law in laws
-            for thin in [law.steps.iloc[:: len(law.steps) // MOST + 1]]
+            for thin in [law.steps.iloc[:: len(law.steps) // _room(laws) + 1]]
         ]
     )
     north, east = (float(x) for x in scenario.reference[:2])
@@ -161,9 +163,14 @@ def _tables(laws: Sequence[Law], value: Any) -> pd.DataFrame:
     tables = []
     for law in laws:
         values, t = np.asarray(value(law), dtype=np.float64), law.steps["t_s"].to_numpy()
-        shown = extremes(values)
+        shown = extremes(values, _room(laws))
         tables.append(pd.DataFrame({"law": law.label, "t": t[shown], "value": values[shown]}))
     return pd.concat(tables)
+
+
+def _room(laws: Sequence[Law]) -> int:
+    """How many points of each run a figure of these draws."""
+    return min(MOST, MOST_TOGETHER // len(laws))
 
 
 def _lines(

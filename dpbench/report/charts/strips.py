@@ -23,6 +23,8 @@ from dpbench.report.charts.style import (
 
 COLUMNS = ("k", "time_us", "raw_us", "error", "iterations", "active", "failed")
 FORCES = ("surge", "sway", "yaw")
+NO_ANSWER = 1e9
+"""What an infinite error is drawn as: JSON has no infinity, and the axis ends below."""
 _WIDTH = 620
 
 

@@ -21,11 +21,12 @@ from dpbench.analysis.compare.times import (
 from dpbench.analysis.machine import disturbance_of, timed_runs
 from dpbench.analysis.records import Records
 from dpbench.bench.record.result_folder import load_results
+from dpbench.display import table_html
 from dpbench.errors import InputError
 from dpbench.report.compare.tables import answers_table, shared_line, solvers_table, times_table
 from dpbench.report.formats import plural
 from dpbench.report.machine_verdict import verdict_text
-from dpbench.report.table import Table, markdown
+from dpbench.report.table import Table, html, markdown
 
 LISTED = 5
 """So many cells without a partner are named."""
@@ -51,6 +52,15 @@ class Comparison:
     tables: list[Table]
     margin: float = 0.05
     alpha: float = 0.05
+
+    def __repr__(self) -> str:
+        verdict = "a regression" if self.worse else "no regression"
+        return f"<Comparison of {plural(len(self.pairs.pairs), 'cell')}: {verdict} shown>"
+
+    def _repr_html_(self) -> str:
+        """The verdict, then the tables, as `dpbench compare` prints them."""
+        lines = table_html((), [(line,) for line in self.lines], title="Comparison")
+        return lines + "".join(html(table) for table in self.tables)
 
     @property
     def worse(self) -> bool:

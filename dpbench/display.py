@@ -1,0 +1,36 @@
+"""What a notebook shows of an object: plain HTML tables, without script and style."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+
+
+def table_html(
+    heads: Sequence[str], rows: Iterable[Sequence[object]], *, title: str = "", note: str = ""
+) -> str:
+    """A table with a title above and a note below it; every cell as text."""
+    head = "".join(f"<th>{escape(text)}</th>" for text in heads)
+    body = "".join(f"<tr>{_cells(row)}</tr>" for row in rows)
+    above = f"<caption>{escape(title)}</caption>" if title else ""
+    below = f"<p>{escape(note)}</p>" if note else ""
+    whole = f"<thead><tr>{head}</tr></thead>" if heads else ""
+    return f"<table>{above}{whole}<tbody>{body}</tbody></table>{below}"
+
+
+def fields_html(title: str, fields: Mapping[str, object], *, note: str = "") -> str:
+    """What an object says of itself, a row for each of its fields; empty ones are left out."""
+    rows = [(name, value) for name, value in fields.items() if str(value) != ""]
+    return table_html((), rows, title=title, note=note)
+
+
+def numbers_text(numbers: Iterable[float], units: Sequence[str] = ()) -> str:
+    """Numbers to four digits with commas between, each with its unit where there are any."""
+    texts = [f"{number:.4g}" for number in numbers]
+    if units:
+        texts = [f"{text} {unit}" for text, unit in zip(texts, units, strict=True)]
+    return ", ".join(texts)
+
+
+def _cells(row: Sequence[object]) -> str:
+    return "".join(f"<td>{escape(str(cell))}</td>" for cell in row)

@@ -1,0 +1,120 @@
+"""The figures of the page for runs in memory; Altair is imported when the first is asked for."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from dpbench.errors import InputError
+from dpbench.scenario.scenario import Scenario
+
+if TYPE_CHECKING:
+    from dpbench.notebook.runs import Run
+
+
+class RunPlots:
+    """The figures of one run; each is an Altair chart, which a notebook draws.
+
+    `run.plot.ship(other)` draws other runs of the same scenario into the same figure. A chart has
+    `save` for PNG, SVG, PDF and HTML.
+    """
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+
+    def __repr__(self) -> str:
+        return "<figures: steps()" + (", ship(), errors()>" if self._run.scenario else ">")
+
+    def steps(self) -> Any:
+        """Step time, error of the first move, iterations and forces over the steps."""
+        from dpbench.analysis.demand import Demand
+        from dpbench.report.charts.strips import strips
+
+        run = self._run
+        return strips(_steps_of(run.steps), _forces_of(run), Demand().error_move)
+
+    def ship(self, *others: Run) -> Any:
+        """The ship's path in the north-east plane with the 1 m circle (Fig. 4 of the paper).
+
+        Raises
+        ------
+        InputError : for a replay, which has no ship, or runs of two scenarios.
+        """
+        from dpbench.report.charts.ship import path
+
+        scenario = self._scenario(others)
+        return path(_laws((self._run, *others)), scenario)
+
+    def errors(self, *others: Run) -> Any:
+        """North, east, heading and radial error of the ship against time (Fig. 5 of the paper).
+
+        Raises
+        ------
+        InputError : as `ship`.
+        """
+        from dpbench.report.charts.ship import precision
+
+        scenario = self._scenario(others)
+        return precision(_laws((self._run, *others)), scenario)
+
+    def _scenario(self, others: tuple[Run, ...]) -> Scenario:
+        """The scenario of this run and of all others, which may differ in length."""
+        scenario = self._run.scenario
+        for run in (self._run, *others):
+            if run.scenario is None or scenario is None:
+                raise InputError("plot", "run", "a replay", "a closed loop; a replay has no ship")
+            if run.scenario.files != scenario.files:
+                found = f"{scenario.name} and {run.scenario.name}"
+                raise InputError("plot", "run", found, "closed loops of one scenario")
+        assert scenario is not None, "of a closed loop"
+        return scenario
+
+
+def _laws(runs: tuple[Run, ...]) -> list[Any]:
+    """The runs as laws of a figure, those of one name numbered."""
+    from dpbench.report.charts.ship import Law
+
+    names = [run.label for run in runs]
+    labels = [
+        name if names.count(name) == 1 else f"{name} #{names[:i].count(name) + 1}"
+        for i, name in enumerate(names)
+    ]
+    return [Law(label, run.steps) for label, run in zip(labels, runs, strict=True)]
+
+
+def _steps_of(steps: pd.DataFrame) -> pd.DataFrame:
+    """The rows of `charts.strips`, one a step: times in µs, the largest sample of a replay."""
+    from dpbench.analysis.counting_rows import counting_of
+    from dpbench.analysis.run_steps import run_steps
+    from dpbench.report.charts.strips import NO_ANSWER
+
+    ((_, run),) = run_steps(counting_of(steps))
+    return pd.DataFrame(
+        {
+            "k": run.k,
+            "time_us": run.time_ns / 1e3,
+            "raw_us": run.raw_ns / 1e3 if run.rounds > 1 else np.nan,
+            "error": np.minimum(run.error, NO_ANSWER),
+            "iterations": run.iterations,
+            "active": run.n_active,
+            "failed": run.failed,
+        }
+    )
+
+
+def _forces_of(run: Run) -> pd.DataFrame:
+    """The forces of a closed loop as shares of their limits; no row of a replay."""
+    from dpbench.report.charts.strips import FORCES
+    from dpbench.report.page.steps import FORCES as COLUMNS
+
+    if run.scenario is None:
+        return pd.DataFrame(columns=["k", "force", "share"])
+    vessel = run.scenario.vessel
+    limits = np.maximum(vessel.tau_max, -vessel.tau_min)
+    tables = [
+        pd.DataFrame({"k": run.steps["k"], "force": force, "share": run.steps[column] / limit})
+        for force, column, limit in zip(FORCES, COLUMNS, limits, strict=True)
+    ]
+    return pd.concat(tables)

@@ -1,0 +1,188 @@
+"""A run in this process: its length, its text, and the figures of the page."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dpbench import (
+    InputError,
+    Run,
+    certify,
+    condense,
+    load_scenario,
+    open_workspace,
+    record_sequence,
+    replay,
+    run_closed_loop,
+)
+
+STEPS = 12
+
+
+@pytest.fixture(scope="module")
+def loop() -> Run:
+    return run_closed_loop(
+        load_scenario("paper"), open_workspace("daqp", route="native"), steps=STEPS
+    )
+
+
+@pytest.fixture(scope="module")
+def clipped() -> Run:
+    law = open_workspace("unconstrained_clipped")
+    return run_closed_loop(load_scenario("paper"), law, formulation="none", steps=STEPS)
+
+
+@pytest.fixture(scope="module")
+def replayed() -> Run:
+    sequence = record_sequence(load_scenario("paper").first(STEPS))
+    return replay(sequence, open_workspace("daqp", route="native"), repeats=3, warmup_steps=2)
+
+
+class _Cells(HTMLParser):
+    """The cells of plain tables; any tag that a notebook would run or load is kept, too."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags: set[str] = set()
+        self.cells: list[str] = []
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        assert not attrs
+
+    def handle_data(self, data: str) -> None:
+        self.cells.append(data)
+
+
+def test_a_run_ends_after_the_steps_asked_for(loop: Run) -> None:
+    """`steps` cuts the scenario: the first rows are those of any longer run."""
+    longer = run_closed_loop(
+        load_scenario("paper"), open_workspace("daqp", route="native"), steps=2 * STEPS
+    )
+    assert len(loop.steps) == STEPS == loop.summary["steps_planned"]
+    assert len(longer.steps) == 2 * STEPS
+    np.testing.assert_array_equal(loop.steps["e_m"], longer.steps["e_m"][:STEPS])
+    with pytest.raises(InputError, match="steps"):
+        run_closed_loop(load_scenario("paper"), open_workspace("daqp"), steps=0)
+
+
+def test_objects_say_what_they_are_in_a_line(loop: Run, replayed: Run) -> None:
+    """No repr prints arrays or documents; each names what it is about."""
+    scenario = load_scenario("paper")
+    qp = condense(scenario).problem(condense(scenario).emit(np.ones(9), np.zeros(3), np.zeros(3)))
+    for shown, words in (
+        (scenario, ("paper", "supply_fs99", "30/5", "1000 steps")),
+        (certify(qp), ("15 variables", "limits active")),
+        (loop, ("daqp", "native", "closed loop paper", "12 of 12 steps")),
+        (replayed, ("daqp", "replay paper", "12 of 12 steps")),
+    ):
+        text = repr(shown)
+        assert len(text) < 120 and "\n" not in text
+        assert all(word in text for word in words), text
+
+
+def test_an_optimum_without_a_point_says_so() -> None:
+    """An infeasible QP is not shown as one with a bound."""
+    qp = condense(load_scenario("paper"))
+    problem = qp.problem(qp.emit(np.zeros(9), np.zeros(3), np.zeros(3)))
+    problem.l[0], problem.u[0] = 1e6, 2e6
+    assert "no point is feasible" in repr(certify(problem))
+
+
+def test_html_is_plain_tables_with_the_numbers_of_the_run(loop: Run, replayed: Run) -> None:
+    """Nothing that runs, loads or styles; the figures are those of the summary."""
+    for shown in (load_scenario("paper"), loop, replayed):
+        page = _Cells(shown._repr_html_())
+        assert page.tags <= {"table", "caption", "tbody", "tr", "td"}
+    cells = _Cells(loop._repr_html_()).cells
+    assert cells[cells.index("failed steps") + 1] == str(loop.summary["failed_steps"])
+    assert "fallbacks" not in _Cells(replayed._repr_html_()).cells
+
+
+def test_text_in_html_is_escaped() -> None:
+    """A title out of a file is text, whatever it holds."""
+    scenario = replace(load_scenario("paper"), title="<script>x</script>")
+    assert "<script" not in scenario._repr_html_()
+
+
+def test_the_path_is_that_of_the_steps(loop: Run, clipped: Run) -> None:
+    """The figure of two laws has both tracks, by their labels."""
+    chart = loop.plot.ship(clipped)
+    chart.to_dict()  # against the grammar
+    lines = chart.layer[1].data
+    assert list(dict.fromkeys(lines["law"])) == [loop.label, clipped.label]
+    own = lines[lines["law"] == clipped.label]
+    np.testing.assert_array_equal(own["e"], clipped.steps["e_m"])
+
+
+def test_errors_are_those_of_the_steps(loop: Run) -> None:
+    """North error of the figure is north of the steps; two runs of a name are numbered."""
+    chart = loop.plot.errors(loop)
+    chart.to_dict()
+    north = chart.vconcat[0].data
+    first, second = dict.fromkeys(north["law"])
+    assert (first, second) == (f"{loop.label} #1", f"{loop.label} #2")
+    own = north[north["law"] == first]
+    np.testing.assert_allclose(own["value"], loop.steps["n_m"], atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["loop", "replayed"])
+def test_steps_are_those_of_the_run(kind: str, request: pytest.FixtureRequest) -> None:
+    """Times are the least over the rounds, the largest sample only that of a replay."""
+    run: Run = request.getfixturevalue(kind)
+    chart = run.plot.steps()
+    chart.to_dict()
+    shown = pd.DataFrame(chart.vconcat[0].layer[0].data.values)
+    counting = run.steps[run.steps["counts"]].groupby("k")["total_ns"]
+    np.testing.assert_allclose(shown["time_us"], counting.min() / 1e3)
+    if kind == "replayed":
+        np.testing.assert_allclose(shown["raw_us"], counting.max() / 1e3)
+    else:
+        assert shown["raw_us"].isna().all()
+        forces = pd.DataFrame(chart.vconcat[3].layer[0].data.values)
+        sway = forces[forces["force"] == "sway"]["share"]
+        assert loop_limit(run) * sway.to_numpy() == pytest.approx(run.steps["tau_y_N"].to_numpy())
+
+
+def loop_limit(run: Run) -> float:
+    """The largest sway force [N]."""
+    assert run.scenario is not None
+    return float(run.scenario.vessel.tau_max[1])
+
+
+def test_an_answer_that_is_none_can_be_drawn(loop: Run) -> None:
+    """An infinite error is a number in the figure: JSON has no infinity."""
+    steps = loop.steps.copy()
+    steps.loc[3, "error_move"] = np.inf
+    chart = Run(steps, loop.summary, loop.scenario).plot.steps()
+    shown = pd.DataFrame(chart.vconcat[1].layer[0].data.values)
+    assert np.isfinite(shown["error"]).all() and shown["error"][3] > 1.0
+
+
+def test_what_has_no_ship_draws_none(loop: Run, replayed: Run) -> None:
+    """A replay has steps alone; runs of two scenarios share no figure."""
+    with pytest.raises(InputError, match="replay"):
+        replayed.plot.ship()
+    with pytest.raises(InputError, match="replay"):
+        loop.plot.errors(replayed)
+    other = run_closed_loop(load_scenario("rough"), open_workspace("daqp"), steps=2)
+    with pytest.raises(InputError, match="paper and rough"):
+        loop.plot.ship(other)
+
+
+@pytest.mark.slow
+def test_a_run_does_not_load_what_draws() -> None:
+    """Altair is imported when a figure is asked for, and not before."""
+    script = (
+        "import sys, dpbench; dpbench.load_results, dpbench.run_closed_loop, dpbench.Run.plot;"
+        "raise SystemExit('altair' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
