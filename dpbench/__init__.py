@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dpbench.bench.campaign import run_campaign
-    from dpbench.bench.record.result_folder import load_results
     from dpbench.bench.run.exact_loop import record_sequence
     from dpbench.bench.sequences.sequence_file import load_sequence, save_sequence
     from dpbench.errors import DpbenchError, InputError
     from dpbench.mpc.condensed_qp import CondensedQP
+    from dpbench.notebook.results import Results, load_results
     from dpbench.notebook.runs import Run, replay, run_closed_loop
     from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, Refresh
     from dpbench.qp.referee.referee import Optimum, certify
@@ -38,6 +38,7 @@ _HOMES = {
     "QuadraticProgram": "qp.program",
     "Refresh": "qp.program",
     "Residuals": "qp.residuals",
+    "Results": "notebook.results",
     "Run": "notebook.runs",
     "Scenario": "scenario.scenario",
     "Solution": "qp.solution",
@@ -46,7 +47,7 @@ _HOMES = {
     "certify": "qp.referee.referee",
     "compare": "report.compare.comparison",
     "condense": "scenario.scenario",
-    "load_results": "bench.record.result_folder",
+    "load_results": "notebook.results",
     "load_scenario": "scenario.scenario",
     "load_sequence": "bench.sequences.sequence_file",
     "open_workspace": "solvers.open",
@@ -70,6 +71,7 @@ __all__ = [
     "QuadraticProgram",
     "Refresh",
     "Residuals",
+    "Results",
     "Run",
     "Scenario",
     "Solution",

@@ -28,7 +28,7 @@ def report_markdown(results: Results, facts: Facts, answer: Answer, topics: Sequ
         else []
     )
     parts = [f"# dpbench: {suite.get('name', 'results')}", *lead, *said]
-    rows = _rows(facts)
+    rows = solver_rows(facts)
     if rows:
         parts.append(markdown(HEAD, rows, 3))
     held = ", ".join(chip.text for chip in answer.chips)
@@ -43,7 +43,8 @@ def report_markdown(results: Results, facts: Facts, answer: Answer, topics: Sequ
     return _cut("\n\n".join(part for part in parts if part) + "\n")
 
 
-def _rows(facts: Facts) -> list[tuple[str, ...]]:
+def solver_rows(facts: Facts) -> list[tuple[str, ...]]:
+    """A row for the best configuration of each solver, under `HEAD`."""
     return [
         (
             verdict.configuration.solver,

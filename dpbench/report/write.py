@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
+
+import pandas as pd
 
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.records import Records
@@ -14,7 +17,7 @@ from dpbench.bench.design import Designs, load_designs
 from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.errors import InputError
 from dpbench.report.charts.render import FORMATS, save
-from dpbench.report.csv_tables import write_tables
+from dpbench.report.csv_tables import tables_of, write_tables
 from dpbench.report.ending import ending
 from dpbench.report.markdown import report_markdown
 from dpbench.report.page.answer import Answer, answer_of
@@ -33,7 +36,6 @@ class Report:
     results: Results
     facts: Facts
     answer: Answer
-    charts: Mapping[str, Any]
     topics: Sequence[Topic]
 
     @classmethod
@@ -47,8 +49,17 @@ class Report:
         if named not in {v.configuration.solver for v in facts.verdicts.all if v.steps}:
             named = None  # a part of the suite was run, without it
         answer = answer_of(facts, results.machine, baseline or named)
-        charts = charts_of(facts, calling_ns(records))
-        return cls(results, facts, answer, charts, topics_of(records, demand, designs))
+        return cls(results, facts, answer, topics_of(records, demand, designs))
+
+    @cached_property
+    def charts(self) -> Mapping[str, Any]:
+        """The figures of the page that follow what is chosen there, by name."""
+        return charts_of(self.facts, calling_ns(self.facts.records))
+
+    @cached_property
+    def tables(self) -> Mapping[str, pd.DataFrame]:
+        """All tables, by name: see `csv_tables.tables_of`."""
+        return tables_of(self.results, self.facts, self.answer, self.topics)
 
     @property
     def figures(self) -> dict[str, Any]:
@@ -103,7 +114,7 @@ def report_and_ending(
     if statement is not None:
         write_statement(Path(statement), folder, report.results, report.facts)
     _write_figures(folder / "figures", report, ("svg", *figures))
-    write_tables(folder / "tables", report.results, report.facts, report.answer, report.topics)
+    write_tables(folder / "tables", report.tables)
     text = report_markdown(report.results, report.facts, report.answer, report.topics)
     (folder / "report.md").write_text(text, encoding="utf-8")
     page = folder / "report.html"

@@ -1,0 +1,103 @@
+"""A result folder in memory, with everything that the report finds in it as data frames."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from dpbench.bench.design import load_designs
+from dpbench.bench.record import result_folder
+from dpbench.display import table_html
+from dpbench.report.formats import plural
+
+if TYPE_CHECKING:
+    from dpbench.report.write import Report
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Results(result_folder.Results):
+    """A result folder: its tables `runs` and `steps`, `machine`, `suite`, and what follows.
+
+    What follows is made when it is first asked for, from the tables alone, and is what
+    `dpbench report` writes into `tables/`.
+    """
+
+    folder: Path
+
+    @property
+    def answer(self) -> str:
+        """What the page answers: which configuration to use and why, or what the suite asks."""
+        from dpbench.report.ending import ending
+
+        rows = ending(self._report.facts, self._report.answer, self._report.topics)
+        return next((text for about, text in rows if about == "answer"), "")
+
+    @property
+    def tables(self) -> Mapping[str, pd.DataFrame]:
+        """All tables of the analysis by name: the ones below, runs, places, and the topics'."""
+        return self._report.tables
+
+    def verdict(self) -> pd.DataFrame:
+        """A row for each configuration: whether it meets the demand, why not, and its figures.
+
+        Times in ns; error_move and failed_steps over all its runs.
+        """
+        return self.tables["verdicts"]
+
+    def hard_steps(self) -> pd.DataFrame:
+        """The five hardest steps of each run by time [ns], by iterations and by error."""
+        return self.tables["hard_steps"]
+
+    def ladder(self) -> pd.DataFrame:
+        """The best configuration of each solver that was timed, with its step times [ms].
+
+        `share` is what calling a library that does nothing takes of its median.
+        """
+        return self.tables["ladder"]
+
+    def paired_ratios(self) -> pd.DataFrame:
+        """How many times as long each of those takes as the fastest, on the same steps.
+
+        `low` and `high` bound the mean ratio, 0 and inf where the steps are too few to tell;
+        `tied` where they include 1; `unstable` where another yardstick names another leader.
+        """
+        return self.tables["paired_ratios"]
+
+    def __repr__(self) -> str:
+        runs = plural(len(self.runs), "run")
+        solvers = plural(self.runs["solver"].nunique(), "solver")
+        return f"<Results {self.suite.get('name', self.folder.name)}: {runs} of {solvers}>"
+
+    def _repr_html_(self) -> str:
+        """The answer, and the best configuration of each solver."""
+        from dpbench.report.markdown import HEAD, solver_rows
+
+        title = str(self.suite.get("name", self.folder.name))
+        return table_html(HEAD, solver_rows(self._report.facts), title=title, note=self.answer)
+
+    @cached_property
+    def _report(self) -> Report:
+        # The report draws, and Altair takes its time.
+        from dpbench.report.write import Report
+
+        return Report.of(self, load_designs(self.folder))
+
+
+def load_results(out: str | Path) -> Results:
+    """Read a result folder, for its tables and the verdict on it.
+
+    Parameters
+    ----------
+    out : a folder written by `run_campaign` or `dpbench run`.
+
+    Raises
+    ------
+    ResultsError : naming the file, when one is missing, damaged or of another schema.
+    """
+    stored = result_folder.load_results(out)
+    return Results(stored.runs, stored.steps, stored.machine, stored.suite, Path(out))

@@ -1,0 +1,79 @@
+"""A result folder in a notebook: the tables of the report as data frames."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dpbench import compare, load_results
+from dpbench.notebook.results import Results
+from dpbench.report.csv_tables import write_tables
+
+
+@pytest.fixture(scope="module")
+def results(campaign: Path) -> Results:
+    return load_results(campaign)
+
+
+def test_the_verdict_has_a_row_for_each_configuration(results: Results) -> None:
+    """As judged by the report: who meets the demand, and why others do not."""
+    verdict = results.verdict().set_index(["solver", "route", "policy", "settings"])
+    assert verdict.index.is_unique
+    assert set(verdict["outcome"]) <= {"meets", "misses", "open", "not run"}
+    misses = verdict[verdict["outcome"] == "misses"]
+    assert len(misses) and (misses["why"] != "").all()
+    assert (verdict[verdict["outcome"] == "meets"]["why"] == "").all()
+
+
+def test_tables_are_those_beside_the_page(results: Results, tmp_path: Path) -> None:
+    """One source: what is written by a report is what a notebook gets, table by table."""
+    write_tables(tmp_path, results.tables)
+    written = {path.stem for path in tmp_path.glob("*.csv")}
+    assert written == {name for name, table in results.tables.items() if len(table)}
+    assert {"verdicts", "hard_steps", "ladder", "paired_ratios", "places", "runs"} <= written
+    for name in ("ladder", "paired_ratios"):
+        again = pd.read_csv(tmp_path / f"{name}.csv")
+        assert list(again.columns) == list(results.tables[name].columns)
+
+
+def test_ladder_and_ratios_are_of_the_same_solvers(results: Results) -> None:
+    """A row for each timed solver; the fastest is what all others are compared with."""
+    ladder, ratios = results.ladder(), results.paired_ratios()
+    assert ladder["solver"].is_unique
+    assert len(ratios) == len(ladder) - 1
+    assert ratios["first"].nunique() == 1
+    fastest = ladder.set_index("label").loc[ratios["first"][0]]
+    known = ladder["p99_ms"].notna()
+    assert fastest["p99_ms"] == ladder[known]["p99_ms"].min()
+    assert ((ratios["low"] <= ratios["ratio"]) & (ratios["ratio"] <= ratios["high"])).all()
+    np.testing.assert_array_equal(ratios["tied"], (ratios["low"] <= 1.0) & (ratios["high"] >= 1.0))
+
+
+def test_hard_steps_lie_in_their_runs(results: Results) -> None:
+    """Each hard step is a row of the run's own steps."""
+    hard = results.hard_steps()
+    known = set(zip(results.steps["run_id"], results.steps["k"], strict=True))
+    assert set(zip(hard["run_id"], hard["k"], strict=True)) <= known
+
+
+def test_results_say_what_they_are(results: Results) -> None:
+    """One line as text; the answer and the solvers as plain HTML."""
+    solvers = results.runs["solver"].nunique()
+    assert repr(results) == f"<Results synthetic: {len(results.runs)} runs of {solvers} solvers>"
+    html = results._repr_html_()
+    assert "<script" not in html and "style" not in html
+    assert all(f"<td>{solver}</td>" in html for solver in results.ladder()["solver"])
+    assert results.answer.split(":")[0] in html
+
+
+@pytest.mark.slow
+def test_a_comparison_says_what_it_found(campaign: Path) -> None:
+    """A folder with itself: no regression; its tables as in the terminal."""
+    found = compare(campaign, campaign)
+    assert "no regression" in repr(found) and len(repr(found)) < 100
+    html = found._repr_html_()
+    assert "<script" not in html
+    assert all(table.title in html for table in found.tables)
