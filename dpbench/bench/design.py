@@ -222,19 +222,25 @@ def design_record(design: Design) -> DesignRecord:
     """Look into a design, in this process."""
     scenario, documents = scenario_of(design.files), design.files["scenario"]
     still = scenario_of(design.files | {"scenario": documents | {"environment": {}}})
+    held = {
+        STILL: find_bracket(partial(is_held, still)),
+        WEATHER: find_bracket(partial(is_held, scenario)),
+    }
+    return replace(linear_record(scenario), controller=design.controller, held=held)
+
+
+def linear_record(scenario: Scenario) -> DesignRecord:
+    """What is known of a scenario's controller without a trial: the roots of paper eq. 35."""
     problem = scenario.control_problem()
     roots = closed_loop_eigenvalues(problem.model, gains(problem))
     return DesignRecord(
-        vessel=design.vessel,
-        controller=design.controller,
+        vessel=scenario.vessel.id,
+        controller=scenario.name,
         tuning=scenario.tuning,
         N_p=scenario.N_p,
         N_c=scenario.N_c,
         eigenvalues=tuple((float(root.real), float(root.imag)) for root in roots),
-        held={
-            STILL: find_bracket(partial(is_held, still)),
-            WEATHER: find_bracket(partial(is_held, scenario)),
-        },
+        held={},
     )
 
 

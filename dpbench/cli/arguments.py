@@ -33,6 +33,7 @@ def parser(
         _compare,
         _export,
         _worst_case,
+        _paper,
         _list,
         _check,
         _doctor,
@@ -148,6 +149,16 @@ def _worst_case(commands: Commands) -> None:
     worst_case.add_argument(
         "--solver-module", metavar="FILE.py", help="a plug-in that brings the solver"
     )
+
+
+def _paper(commands: Commands) -> None:
+    paper = commands.add_parser(
+        "paper",
+        help="reproduce the paper: Figures 4-7, the data behind them, its claims",
+        epilog="Exit code: 0 done, whatever became of the claims; 1 runs were lost by the "
+        "benchmark itself, give the same command again; 2 bad input.",
+    )
+    paper.add_argument("--out", metavar="DIR", help="folder (default: results/paper)")
 
 
 def _list(commands: Commands) -> None:

@@ -204,6 +204,19 @@ def _worst_case(arguments: argparse.Namespace) -> int:
     return 130 if found.search.stopped == "interrupted" else 0
 
 
+def _paper(arguments: argparse.Namespace) -> int:
+    from dpbench.cli.progress_bar import Bar
+    from dpbench.report.reproduce import reproduce_paper
+
+    with Bar(transient=True) as bar:
+        found = reproduce_paper(arguments.out, progress=bar)
+    for line in found.lines:
+        print(line)
+    for line in found.remarks:
+        print(f"dpbench: {line}", file=sys.stderr)
+    return 0 if found.complete else 1
+
+
 def _list(arguments: argparse.Namespace) -> int:
     from dpbench.cli.listing import listing
 
@@ -242,6 +255,7 @@ _CALLS = {
     "compare": _compare,
     "export": _export,
     "worst-case": _worst_case,
+    "paper": _paper,
     "list": _list,
     "check": _check,
     "doctor": _doctor,

@@ -97,6 +97,9 @@ def precision(laws: Sequence[Law], scenario: Scenario) -> Any:
     for name, unit in (("north", "m"), ("east", "m"), ("heading", "°"), ("radial", "m")):
         table = _tables(laws, lambda law, name=name: errors(law.steps, scenario.reference)[name])
         log = name == "radial"
+        if log:
+            # A zero has no place on a log axis; a micrometre is below anything of interest.
+            table["value"] = table["value"].clip(lower=1e-6)
         panel = _lines(table, laws, f"{name} [{unit}]", last=log, log=log)
         if log:
             panel = alt.layer(panel, _limits((CIRCLE_M,)))
@@ -109,8 +112,7 @@ def errors(steps: pd.DataFrame, reference: np.ndarray) -> dict[str, np.ndarray]:
     n = steps["n_m"].to_numpy() - reference[0]
     e = steps["e_m"].to_numpy() - reference[1]
     psi = np.degrees(steps["psi_rad"].to_numpy() - reference[2])
-    # A zero has no place on a log axis; a micrometre is below anything of interest.
-    return {"north": n, "east": e, "heading": psi, "radial": np.maximum(np.hypot(n, e), 1e-6)}
+    return {"north": n, "east": e, "heading": psi, "radial": np.hypot(n, e)}
 
 
 def forces(laws: Sequence[Law], scenario: Scenario) -> Any:

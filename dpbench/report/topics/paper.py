@@ -16,22 +16,33 @@ BIBTEX = (
 )
 
 
-def paper_topic(records: Records, designs: Designs | None = None) -> Topic | None:
-    """The topic, None of records without the paper's own scenario."""
-    pair, scenario = pair_of(records, PAPER), records.scenario(PAPER)
-    found = claims(records)
-    measured = [claim for claim in found if claim.state != "not measured"]
-    if scenario is None or pair.constrained is None or not measured:
-        return None
+DRAWN = (
+    ("path", path, "Fig. 4: path with the 1 m circle."),
+    ("errors", precision, "Fig. 5: errors of position and heading."),
+    ("forces", forces, "Fig. 6: forces with their limits."),
+    ("increments", increments, "Fig. 7: increments with the rate limits."),
+)
+"""Figures 4 to 7: name, what draws it of the laws, caption."""
+
+
+def laws_of(records: Records) -> list[Law]:
+    """The constrained law of the paper's own scenario, and the clipped one if it was run."""
+    pair = pair_of(records, PAPER)
+    if pair.constrained is None:
+        return []
     laws = [Law(f"constrained ({pair.constrained.solver})", records.steps(pair.constrained))]
     if pair.clipped is not None:
         laws.append(Law("unconstrained, clipped", records.steps(pair.clipped)))
-    drawn = (
-        ("path", path, "Fig. 4: path with the 1 m circle."),
-        ("errors", precision, "Fig. 5: errors of position and heading."),
-        ("forces", forces, "Fig. 6: forces with their limits."),
-        ("increments", increments, "Fig. 7: increments with the rate limits."),
-    )
+    return laws
+
+
+def paper_topic(records: Records, designs: Designs | None = None) -> Topic | None:
+    """The topic, None of records without the paper's own scenario."""
+    laws, scenario = laws_of(records), records.scenario(PAPER)
+    found = claims(records)
+    measured = [claim for claim in found if claim.state != "not measured"]
+    if scenario is None or not laws or not measured:
+        return None
     held = sum(claim.state == "reproduced" for claim in measured)
     return Topic(
         id="paper",
@@ -41,7 +52,7 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
             f"Cite: {BIBTEX}",
         ),
         figures=tuple(
-            Figure(f"paper-{name}", draw(laws, scenario), caption) for name, draw, caption in drawn
+            Figure(f"paper-{name}", draw(laws, scenario), caption) for name, draw, caption in DRAWN
         ),
         tables=(
             SmallTable(

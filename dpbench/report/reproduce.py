@@ -1,0 +1,195 @@
+"""The paper from nothing: its loops, Figures 4-7, the data behind each, the table of its claims."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from dpbench.analysis.records import Records
+from dpbench.bench.campaign import run_campaign
+from dpbench.bench.design import Designs, linear_record
+from dpbench.bench.progress import Progress
+from dpbench.bench.record.result_folder import Results, accidents, load_results
+from dpbench.bench.record.revision import revision_text
+from dpbench.report.charts.render import save
+from dpbench.report.charts.ship import Law, errors
+from dpbench.report.formats import plural
+from dpbench.report.page.topic import SmallTable, Topic
+from dpbench.report.table import markdown
+from dpbench.report.topics.claims import Claim, claims
+from dpbench.report.topics.paper import PAPER, laws_of, paper_topic
+from dpbench.scenario.scenario import Scenario
+
+SUITE = "claims"
+RUNS = "runs"
+"""The folder of the runs, a result folder like any other, within that of the reproduction."""
+FORMATS = ("pdf", "svg")
+MOST_NAMED = 4
+"""So many claims that are not reproduced are named on the terminal."""
+_AXES = ("x_N", "y_N", "n_Nm")
+Columns = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """What became of the paper.
+
+    Parameters
+    ----------
+    lines : what to say of it, at most ten; remarks : what of the runs went wrong.
+    complete : whether the benchmark lost none of them.
+    """
+
+    lines: tuple[str, ...]
+    remarks: tuple[str, ...]
+    complete: bool
+
+
+def reproduce_paper(
+    out: str | Path | None = None, *, progress: Progress | None = None
+) -> Reproduction:
+    """Run the paper's case under an exact solver and the clipped law, and write what it shows.
+
+    What is written is said by `write_reproduction`; the runs lie in the folder `runs` beside it.
+    Loops that were finished before are not run again.
+
+    Parameters
+    ----------
+    out : the folder; by default `results/paper`.
+    progress : told how far it is.
+
+    Raises
+    ------
+    InputError : when the folder cannot be written, or holds other runs.
+    """
+    folder = Path(out) if out is not None else Path("results") / PAPER
+    return write_reproduction(run_campaign(SUITE, folder / RUNS, progress=progress), folder)
+
+
+def write_reproduction(runs: Path, folder: Path) -> Reproduction:
+    """Write what the runs of a result folder say of the paper.
+
+    `figure4_path` to `figure7_increments` as PDF, SVG and CSV; `claims.md` and `claims.csv`.
+    """
+    results = load_results(runs)
+    records = Records(results)
+    scenario = records.scenario(PAPER)
+    # How far off the ship is brought back from takes a quarter of a minute more: suite `standard`.
+    designs = Designs((linear_record(scenario),)) if scenario is not None else None
+    topic = paper_topic(records, designs)
+    lost, remarks = accidents(runs)
+    if topic is None or scenario is None:
+        nothing = f"nothing is reproduced: no loop of the paper's case was finished; see {runs}"
+        return Reproduction((nothing,), tuple(remarks), complete=False)
+    _write_figures(folder, topic, laws_of(records), scenario)
+    _frame(topic.tables[0]).to_csv(folder / "claims.csv", index=False)
+    (folder / "claims.md").write_text(_document(topic, results), encoding="utf-8")
+    contradicted = _contradicted(claims(records))
+    radius = linear_record(scenario).spectral_radius
+    stable = f"stability: largest |λ| {radius:.4f} (eq. 35); sway offsets held: not run"
+    said = (topic.lines[0], *contradicted, stable, *_places(folder))
+    return Reproduction(said, tuple(remarks), complete=lost == 0)
+
+
+def _write_figures(folder: Path, topic: Topic, laws: Sequence[Law], scenario: Scenario) -> None:
+    """Figures 4 to 7 in every format, and what each draws."""
+    for number, figure in enumerate(topic.figures, 4):
+        short = figure.name.removeprefix(f"{topic.id}-")
+        name = f"figure{number}_{short}"
+        for kind in FORMATS:
+            save(figure.chart, folder / f"{name}.{kind}")
+        data_behind(short, laws, scenario).to_csv(folder / f"{name}.csv", index=False)
+
+
+def data_behind(figure: str, laws: Sequence[Law], scenario: Scenario) -> pd.DataFrame:
+    """What a figure draws of every step: law, t_s, and its columns with their units."""
+    columns = _COLUMNS[figure]
+    return pd.concat(
+        [
+            pd.DataFrame(
+                {"law": law.label, "t_s": law.steps["t_s"], **columns(law.steps, scenario)}
+            )
+            for law in laws
+        ]
+    )
+
+
+def _path(steps: pd.DataFrame, scenario: Scenario) -> Columns:
+    return {name: steps[name] for name in ("n_m", "e_m")}
+
+
+def _errors(steps: pd.DataFrame, scenario: Scenario) -> Columns:
+    units = {"north": "m", "east": "m", "heading": "deg", "radial": "m"}
+    found = errors(steps, scenario.reference)
+    return {f"{name}_{unit}": found[name] for name, unit in units.items()}
+
+
+def _forces(steps: pd.DataFrame, scenario: Scenario) -> Columns:
+    vessel = scenario.vessel
+    return _with_limits(steps, "tau", vessel.tau_min, vessel.tau_max)
+
+
+def _increments(steps: pd.DataFrame, scenario: Scenario) -> Columns:
+    return _with_limits(steps, "dtau", -scenario.du_max, scenario.du_max)
+
+
+def _with_limits(steps: pd.DataFrame, what: str, low: np.ndarray, high: np.ndarray) -> Columns:
+    """A force or increment in each axis, then its limits."""
+    columns: dict[str, Any] = {f"{what}_{axis}": steps[f"{what}_{axis}"] for axis in _AXES}
+    for i, axis in enumerate(_AXES):
+        columns |= {f"{what}_min_{axis}": low[i], f"{what}_max_{axis}": high[i]}
+    return columns
+
+
+_COLUMNS: Mapping[str, Callable[[pd.DataFrame, Scenario], Columns]] = {
+    "path": _path,
+    "errors": _errors,
+    "forces": _forces,
+    "increments": _increments,
+}
+"""What each figure draws, by the name of the figure."""
+
+
+def _frame(table: SmallTable) -> pd.DataFrame:
+    return pd.DataFrame(table.rows, columns=list(table.head))
+
+
+def _document(topic: Topic, results: Results) -> str:
+    """The claims and all that belongs to them, in Markdown."""
+    versions = results.runs.drop_duplicates("solver")
+    ran = ", ".join(
+        " ".join(filter(None, (row["solver"], row["solver_version"], row["build"])))
+        for row in versions.to_dict("records")
+    )
+    commit = revision_text(results.suite)
+    parts = ["# The paper, reproduced", *topic.lines]
+    for table in topic.tables:
+        parts += [
+            f"## {table.title}" if table.title else "",
+            markdown(table.head, table.rows, len(table.head)),
+        ]
+    parts += ["## Figures", "\n".join(f"- {figure.caption}" for figure in topic.figures)]
+    version = f"dpbench {results.suite['harness_version']}{f', {commit}' if commit else ''}"
+    parts.append(f"Run by {version}: {ran}. Data: `figure*.csv`, and `{RUNS}/steps.parquet`.")
+    return "\n\n".join(filter(None, parts)) + "\n"
+
+
+def _contradicted(found: Sequence[Claim]) -> list[str]:
+    """The claims that the runs contradict or say nothing of, at most `MOST_NAMED` of them."""
+    named = [f"{claim.state}: {claim.claim}" for claim in found if claim.state != "reproduced"]
+    rest = len(named) - MOST_NAMED
+    more = [f"and {plural(rest, 'other')}: see claims.md"] if rest > 0 else []
+    return [line.replace("`", "") for line in named[:MOST_NAMED]] + more
+
+
+def _places(folder: Path) -> list[str]:
+    return [
+        f"figures 4-7: {folder / 'figure*.pdf'}, .svg and .csv",
+        f"claims: {folder / 'claims.md'} and .csv",
+        f"runs: {folder / RUNS}; `dpbench report` makes their page",
+    ]
