@@ -113,7 +113,7 @@ def _searched(records: Any) -> None:
 KINDS: dict[str, tuple[Callable[[Any], None], str, set[str]]] = {
     "replays": (_replay_only, "race", set()),
     "loops": (_loops_only, "loops", set()),
-    "paper": (_paper, "loops", {"paper"}),
+    "paper": (_paper, "paper", set()),
     "timed": (_timed, "", {"trust"}),
     "random": (_random, "random", set()),
     "slow computers": (_slow, "slowdown", set()),
@@ -130,7 +130,7 @@ KINDS: dict[str, tuple[Callable[[Any], None], str, set[str]]] = {
 
 def _words(html: str) -> str:
     """What stands on the page before a script runs."""
-    body = re.sub(r"<(script|style|svg)\b.*?</\1>", " ", html, flags=re.S)
+    body = re.sub(r"<(script|style|svg|details)\b.*?</\1>", " ", html, flags=re.S)
     return " ".join(re.sub(r"<[^>]+>", " ", body).split())
 
 

@@ -71,7 +71,10 @@ def _question(records: Records, topics: Sequence[str]) -> str:
         return next((id for id in ("horizon", *_CONTRASTS) if id in topics), "")
     if "formulations" in topics and _mostly_forms(records):
         return "formulations"
-    return "loops" if "loops" in topics and _only(records, "closed_loop") else ""
+    if not _only(records, "closed_loop"):
+        return ""
+    of_the_paper = {"paper", "paper_tight"} >= {run.scenario for run in records.runs}
+    return next((id for id in ("paper",) * of_the_paper + ("loops",) if id in topics), "")
 
 
 def _only(records: Records, mode: str) -> bool:
