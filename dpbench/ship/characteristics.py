@@ -1,0 +1,104 @@
+"""What a ship is, in the numbers its master knows: time constants, reach, drift, force in weather.
+
+Each is of the linear model M ν̇ + D ν = τ + w at rest in its reference, order surge, sway, yaw.
+Speeds are those at which linear damping balances the force; it is meant for some cm/s, and a hull
+that drifts faster meets quadratic drag as well (Fossen 2021, chapter 6).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from dpbench.arrays import Matrix, Vector
+from dpbench.ship.environment import Environment
+from dpbench.ship.layout import DRIFT_U, WIND_U
+from dpbench.ship.vessel import Vessel
+from dpbench.ship.weather.waves import GRAVITY
+
+SWAY = 1
+SLOW_FROUDE_NUMBER = 0.2
+"""Beyond it linear damping says nothing of a hull: waves of its own making take over."""
+
+
+def axis_time_constants_s(vessel: Vessel) -> Vector:
+    """Time constants of surge, sway and yaw: (3,) [s].
+
+    1 over the real parts of the eigenvalues of M⁻¹D, each given to the axis that takes the largest
+    part in its mode: the moduli of left times right eigenvectors, entry by entry (participation
+    factors, Kundur 1994, chapter 12), assigned so that their sum is largest.
+    """
+    rates, right = np.linalg.eig(np.linalg.solve(vessel.M, vessel.D))
+    participation = np.abs(right * np.linalg.inv(right).T)
+    axes, modes = linear_sum_assignment(participation, maximize=True)
+    constants = np.empty(len(axes))
+    constants[axes] = 1.0 / rates.real[modes]
+    return constants
+
+
+def steady_speed(vessel: Vessel) -> Matrix:
+    """Speed at which damping balances the full force astern, port, port; ahead, starboard,
+    starboard: (2, 3) [m/s, m/s, rad/s], each with the other axes held."""
+    return np.stack([vessel.tau_min, vessel.tau_max]) / np.diag(vessel.D)
+
+
+def slow_speed(vessel: Vessel) -> Vector:
+    """Speeds up to which a number of the linear model is worth saying: (3,) [m/s, m/s, rad/s].
+
+    Fr √(gL) along both axes, and that of bow and stern in a turn.
+    """
+    speed_mps = SLOW_FROUDE_NUMBER * np.sqrt(GRAVITY * vessel.length_m)
+    return np.array([speed_mps, speed_mps, speed_mps / (0.5 * vessel.length_m)])
+
+
+def sideways_force(vessel: Vessel, speed_mps: float = 1.0) -> Vector:
+    """Force that holds the ship in a current abeam, or moves it sideways: (3,) [N, N, N·m]."""
+    force: Vector = vessel.D[:, SWAY] * speed_mps
+    return force
+
+
+def largest_current_abeam_mps(vessel: Vessel) -> float:
+    """Current abeam [m/s] that the weaker side of the limits of all axes still balances."""
+    reach = np.minimum(-vessel.tau_min, vessel.tau_max)
+    per_mps = np.abs(sideways_force(vessel))
+    return float(np.min(reach[per_mps > 0] / per_mps[per_mps > 0]))
+
+
+def has_mirror_symmetry(vessel: Vessel) -> bool:
+    """Whether port mirrors starboard: surge uncoupled, limits of sway and yaw as far either way."""
+    across = np.concatenate([vessel.M[0, 1:], vessel.M[1:, 0], vessel.D[0, 1:], vessel.D[1:, 0]])
+    return not across.any() and np.array_equal(vessel.tau_min[1:], -vessel.tau_max[1:])
+
+
+def mean_load(vessel: Vessel, weather: Environment, heading_rad: float = 0.0) -> Vector:
+    """Mean force of the weather on the ship at rest, along its axes: (3,) [N, N, N·m].
+
+    The mean of the slow forces, of the wind without gusts, of the current through D, and of the
+    drift, whose squared envelope has the mean Hs²/8. Squalls are left out.
+
+    Raises
+    ------
+    InputError : the weather has wind or drift and the vessel no hull data for it.
+    """
+    c, s = np.cos(heading_rad), np.sin(heading_rad)
+    load = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ weather.mean
+    hull = weather.load_coefficients(vessel)
+    if hull is None:
+        return load
+    if weather.wind is not None:
+        towards = weather.wind.to_rad - heading_rad
+        load = load + weather.wind.speed_mps**2 * hull[WIND_U:DRIFT_U] * _shares(towards)
+    if weather.drift is not None:
+        sea = weather.drift.sea
+        load = load + sea.hs_m**2 / 8.0 * hull[DRIFT_U:] * _shares(sea.to_rad - heading_rad)
+    if weather.current is not None:
+        towards = weather.current.to_rad - heading_rad
+        flow = np.array([np.cos(towards), np.sin(towards), 0.0])
+        load = load + weather.current.speed_mps * vessel.D @ flow
+    return load
+
+
+def _shares(towards_rad: float) -> Vector:
+    """What |V| u, |V| v and −2 u v are for V of length 1 in that direction: (3,)."""
+    u, v = np.cos(towards_rad), np.sin(towards_rad)
+    return np.array([u, v, -2.0 * u * v])
