@@ -1,0 +1,178 @@
+"""A ship of one's own from what its master knows: a library vessel scaled to its size.
+
+Inertia and damping are taken over in the Bis system (Norrbin 1970; Fossen 2021),
+which knows a ship by its mass m and its length L:
+
+    M = m N M_b N,   D = m √(g/L) N D_b N,   N = diag(1, 1, L)
+
+Two ships of one form and one fineness have the same M_b and D_b. The rest follows Froude's law.
+Breadth and draught have no part in it: they say how far the ship's form is from the library's, and
+the added masses of two published regressions say how far the result can be trusted.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dpbench.arrays import Matrix, Vector
+from dpbench.scenario.scenario import load_vessel
+from dpbench.ship.vessel import Vessel
+from dpbench.ship.weather.waves import GRAVITY, WATER_DENSITY
+
+
+@dataclass(frozen=True)
+class Particulars:
+    """Length between perpendiculars, breadth, draught [m], displacement [kg]."""
+
+    length_m: float
+    breadth_m: float
+    draught_m: float
+    displacement_kg: float
+
+    @property
+    def block_coefficient(self) -> float:
+        """C_B = ∇/(L B T) in sea water."""
+        block_m3 = self.length_m * self.breadth_m * self.draught_m
+        return self.displacement_kg / WATER_DENSITY / block_m3
+
+
+@dataclass(frozen=True)
+class LibraryShip:
+    """Size and mass that the matrices of a library vessel belong to; m, m, kg."""
+
+    length_m: float
+    breadth_m: float
+    mass_kg: float
+
+
+LIBRARY = {
+    "supply_fs99": LibraryShip(76.2, 18.0, 4.591e6),
+    "supply_mss": LibraryShip(76.2, 18.0, 6.0e6),
+    "supply_tmr": LibraryShip(82.8, 19.2, 6.362e6),
+    "osv": LibraryShip(83.0, 18.0, 4.977e6),
+}
+"""Library vessels of full size; breadths of the first two as their wave reflection has them."""
+
+PAPER_SHIP = "supply_fs99"
+NOT_CHOSEN = ("osv",)
+"""Taken only when asked for: MSS `osv.m` makes its damping from chosen time constants (100 s,
+100 s, 1 s), so it says nothing of another hull."""
+
+
+@dataclass(frozen=True, eq=False)
+class Thrust:
+    """Largest force ahead, sideways and in yaw [N, N, N·m]; None for the library vessel's share."""
+
+    ahead_N: float
+    sway_N: float | None = None
+    yaw_Nm: float | None = None
+
+
+def nearest_ship(own: Particulars) -> str:
+    """The library vessel nearest in length, breadth and ∇^⅓, by the squares of their logarithms."""
+
+    def distance(name: str) -> float:
+        ship = LIBRARY[name]
+        ratios = (
+            own.length_m / ship.length_m,
+            own.breadth_m / ship.breadth_m,
+            math.cbrt(own.displacement_kg / ship.mass_kg),
+        )
+        return sum(math.log(ratio) ** 2 for ratio in ratios)
+
+    return min((name for name in LIBRARY if name not in NOT_CHOSEN), key=distance)
+
+
+def scale_matrices(like: str, length_m: float, mass_kg: float) -> tuple[Matrix, Matrix]:
+    """M and D (3, 3) of a ship of that length and mass, and of the form of a library vessel.
+
+    Returns
+    -------
+    M [kg, kg·m, kg·m²], D [kg/s, kg·m/s, kg·m²/s].
+    """
+    vessel, ship = load_vessel(like), LIBRARY[like]
+    longer = length_m / ship.length_m
+    N = np.diag([1.0, 1.0, longer])
+    M = mass_kg / ship.mass_kg * N @ vessel.M @ N
+    D = mass_kg / ship.mass_kg / math.sqrt(longer) * N @ vessel.D @ N
+    return M, D
+
+
+def scale_vessel(like: str, own: Particulars, thrust: Thrust, name: str = "own") -> Vessel:
+    """The library vessel `like` at the size of `own`, with its limits made of `thrust`.
+
+    Forces that are not given keep the library vessel's share of the force ahead, the moment its
+    share of sway force times length. Times, and with them the rate limits, grow with √L. Areas in
+    the wind grow with L² on the side and with L·B in front.
+
+    Raises
+    ------
+    InputError : there is no such vessel; limits without zero inside.
+    """
+    vessel, ship = load_vessel(like), LIBRARY[like]
+    longer, broader = own.length_m / ship.length_m, own.breadth_m / ship.breadth_m
+    M, D = scale_matrices(like, own.length_m, own.displacement_kg)
+    ahead = thrust.ahead_N / vessel.tau_max[0]
+    sway = ahead if thrust.sway_N is None else thrust.sway_N / vessel.tau_max[1]
+    yaw = sway * longer if thrust.yaw_Nm is None else thrust.yaw_Nm / vessel.tau_max[2]
+    stronger: Vector = np.array([ahead, sway, yaw])
+    windage, reflection = vessel.windage, vessel.reflection
+    return replace(
+        vessel,
+        id=name,
+        length_m=own.length_m,
+        M=M,
+        D=D,
+        tau_min=stronger * vessel.tau_min,
+        tau_max=stronger * vessel.tau_max,
+        rate_max=stronger * vessel.rate_max / math.sqrt(longer),
+        where=name,
+        windage=windage
+        and replace(
+            windage,
+            frontal_m2=windage.frontal_m2 * longer * broader,
+            lateral_m2=windage.lateral_m2 * longer**2,
+        ),
+        reflection=reflection and replace(reflection, breadth_m=own.breadth_m),
+    )
+
+
+def regression_added_mass(own: Particulars) -> Vector:
+    """Added mass of surge, sway and yaw by published regressions: (3,) [kg, kg, kg·m²].
+
+    Surge: 2.7 ρ ∇^(5/3)/L² (Söding 1982). Sway and yaw, over ½ρL³ and ½ρL⁵ (Clarke, Gedling &
+    Hine 1983; MSS has them as `addedMassSurge.m` and `clarke83.m`):
+
+        π (T/L)² (1 + 0.16 C_B B/T − 5.1 (B/L)²),   π (T/L)² (1/12 + 0.017 C_B B/T − 0.33 B/L)
+    """
+    L, B, T = own.length_m, own.breadth_m, own.draught_m
+    fullness = own.block_coefficient * B / T
+    volume_m3 = own.displacement_kg / WATER_DENSITY
+    slender = math.pi * (T / L) ** 2
+    half = 0.5 * WATER_DENSITY
+    return np.array(
+        [
+            2.7 * WATER_DENSITY * volume_m3 ** (5.0 / 3.0) / L**2,
+            half * L**3 * slender * (1.0 + 0.16 * fullness - 5.1 * (B / L) ** 2),
+            half * L**5 * slender * (1.0 / 12.0 + 0.017 * fullness - 0.33 * B / L),
+        ]
+    )
+
+
+def rigid_body(own: Particulars) -> Vector:
+    """Mass, mass and moment of inertia m (L/4)², the usual radius of a ship: (3,)."""
+    m = own.displacement_kg
+    return np.array([m, m, m * (0.25 * own.length_m) ** 2])
+
+
+def thrust_to_weight(own: Particulars, force_N: float) -> float:
+    """A force over the ship's weight."""
+    return force_N / (own.displacement_kg * GRAVITY)
+
+
+def froude_time(length_m: float) -> float:
+    """How much longer all times are than those of the paper's ship: √(L/L_paper)."""
+    return math.sqrt(length_m / LIBRARY[PAPER_SHIP].length_m)

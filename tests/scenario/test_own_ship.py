@@ -1,0 +1,134 @@
+"""A library vessel at another size: back to its own size, by Froude's law, beside regressions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dpbench.scenario.own_ship import (
+    LIBRARY,
+    NOT_CHOSEN,
+    LibraryShip,
+    Particulars,
+    Thrust,
+    froude_time,
+    nearest_ship,
+    regression_added_mass,
+    scale_vessel,
+)
+from dpbench.scenario.scenario import load_vessel
+from dpbench.scenario.sea_states import DP_NUMBERS, SPARE, largest_sea, load_share
+from dpbench.ship.characteristics import axis_time_constants_s
+from dpbench.ship.froude import Froude
+from dpbench.ship.weather.waves import WATER_DENSITY
+
+
+def own_size(ship: LibraryShip, factor: float = 1.0) -> Particulars:
+    """The library ship itself, or all its lengths times a factor."""
+    lengths = factor * ship.length_m, factor * ship.breadth_m, factor * 6.0
+    return Particulars(*lengths, factor**3 * ship.mass_kg)
+
+
+@pytest.mark.parametrize("name", LIBRARY)
+def test_a_library_vessel_at_its_own_size_is_itself(name: str) -> None:
+    """Inertia, damping, limits, rates and areas come back."""
+    vessel, ship = load_vessel(name), LIBRARY[name]
+    same = scale_vessel(name, own_size(ship), Thrust(vessel.tau_max[0]))
+    for key in ("M", "D", "tau_min", "tau_max", "rate_max"):
+        np.testing.assert_allclose(getattr(same, key), getattr(vessel, key), rtol=1e-12)
+    assert same.length_m == vessel.length_m
+    assert same.windage == vessel.windage
+    assert same.reflection is not None and same.reflection.breadth_m == ship.breadth_m
+
+
+@given(name=st.sampled_from(sorted(LIBRARY)), factor=st.floats(0.05, 20.0))
+def test_a_larger_ship_of_one_form_follows_froudes_law(name: str, factor: float) -> None:
+    """Masses grow with λ³, times with √λ, accelerations stay; limits and rates as the forces."""
+    vessel, ship, law = load_vessel(name), LIBRARY[name], Froude(1.0 / factor)
+    thrust = Thrust(vessel.tau_max[0] * law.force[0])
+    large = scale_vessel(name, own_size(ship, factor), thrust)
+    arm = np.array([1.0, 1.0, law.length])
+    by_mass = law.length**3 * np.outer(arm, arm)
+    np.testing.assert_allclose(large.M, by_mass * vessel.M, rtol=1e-9)
+    np.testing.assert_allclose(large.D, by_mass * vessel.D / law.time, rtol=1e-9)
+    np.testing.assert_allclose(large.tau_max, law.force * vessel.tau_max, rtol=1e-9)
+    np.testing.assert_allclose(large.tau_min, law.force * vessel.tau_min, rtol=1e-9)
+    np.testing.assert_allclose(large.rate_max, law.force / law.time * vessel.rate_max, rtol=1e-9)
+    times = axis_time_constants_s(large), law.time * axis_time_constants_s(vessel)
+    np.testing.assert_allclose(*times, rtol=1e-7)
+    gain = large.reachable_acceleration() / vessel.reachable_acceleration()
+    np.testing.assert_allclose(gain[:, :2], 1.0, rtol=1e-9)
+    np.testing.assert_allclose(gain[:, 2], 1.0 / factor, rtol=1e-9)
+    assert large.windage is not None and vessel.windage is not None
+    areas = large.windage.frontal_m2, large.windage.lateral_m2
+    grown = factor**2 * vessel.windage.frontal_m2, factor**2 * vessel.windage.lateral_m2
+    np.testing.assert_allclose(areas, grown, rtol=1e-9)
+
+
+@given(heavier=st.floats(0.5, 2.0), stronger=st.floats(0.1, 10.0))
+def test_a_heavier_ship_of_one_length_keeps_its_time_constants(
+    heavier: float, stronger: float
+) -> None:
+    """In the Bis system mass scales inertia and damping alike; thrust has no part in either."""
+    vessel, ship = load_vessel("supply_mss"), LIBRARY["supply_mss"]
+    own = Particulars(ship.length_m, ship.breadth_m, 6.0, heavier * ship.mass_kg)
+    heavy = scale_vessel("supply_mss", own, Thrust(stronger * vessel.tau_max[0]))
+    times = axis_time_constants_s(heavy), axis_time_constants_s(vessel)
+    np.testing.assert_allclose(*times, rtol=1e-9)
+    np.testing.assert_allclose(heavy.tau_max, stronger * vessel.tau_max, rtol=1e-12)
+
+
+def test_forces_that_are_given_are_taken() -> None:
+    """Sway force and moment replace the shares, and the moment follows the sway force."""
+    own = own_size(LIBRARY["supply_fs99"])
+    given_ = scale_vessel("supply_fs99", own, Thrust(3e5, 2e5, 5e6))
+    np.testing.assert_allclose(given_.tau_max, [3e5, 2e5, 5e6])
+    np.testing.assert_allclose(given_.tau_min[1:], [-2e5, -5e6])
+    half = scale_vessel("supply_fs99", own, Thrust(3e5, 417e3 / 2))
+    assert half.tau_max[2] == pytest.approx(9e6)
+    rise_s = given_.tau_max / given_.rate_max
+    vessel = load_vessel("supply_fs99")
+    np.testing.assert_allclose(rise_s, vessel.tau_max / vessel.rate_max)
+
+
+@pytest.mark.parametrize("name", [name for name in LIBRARY if name not in NOT_CHOSEN])
+def test_the_nearest_ship_of_a_library_ship_is_itself(name: str) -> None:
+    """Also a little larger."""
+    assert nearest_ship(own_size(LIBRARY[name])) == name
+    assert nearest_ship(own_size(LIBRARY[name], 1.01)) == name
+
+
+def test_the_regressions_of_a_ship_worked_out_by_hand() -> None:
+    """L 100, B 20, T 5 m, C_B 0.6: π(T/L)² = 7.854e-3, brackets 1.18 and 0.058133."""
+    own = Particulars(100.0, 20.0, 5.0, 0.6 * WATER_DENSITY * 1e4)
+    assert own.block_coefficient == pytest.approx(0.6)
+    # Surge: 2.7 · 1026 · 6000^(5/3) / 1e4, and 6000^(5/3) = 1.98116e6.
+    by_hand = [5.4881e5, 4.7543e6, 2.3422e9]
+    np.testing.assert_allclose(regression_added_mass(own), by_hand, rtol=1e-4)
+
+
+def test_times_are_those_of_the_papers_ship() -> None:
+    """1 for it; twice for a ship four times as long."""
+    assert froude_time(76.2) == 1.0
+    assert froude_time(4 * 76.2) == 2.0
+
+
+@pytest.mark.parametrize("name", LIBRARY)
+def test_the_largest_sea_leaves_thrust_to_spare(name: str) -> None:
+    """Its mean force is within the share, that of the next beyond it, and loads grow."""
+    vessel = load_vessel(name)
+    shares = [load_share(vessel, number) for number in DP_NUMBERS]
+    assert shares == sorted(shares)
+    number = largest_sea(vessel)
+    assert load_share(vessel, number) <= SPARE
+    assert number == max(DP_NUMBERS) or load_share(vessel, number + 1) > SPARE
+
+
+def test_a_ship_that_no_sea_suits_gets_the_smallest() -> None:
+    """A hundredth of the thrust."""
+    own = own_size(LIBRARY["supply_fs99"])
+    weak = scale_vessel("supply_fs99", own, Thrust(5e3))
+    assert load_share(weak, 1) > SPARE
+    assert largest_sea(weak) == 1
