@@ -1,0 +1,209 @@
+"""Hulls from other people's files: a vessel structure of the MSS toolbox, a table of coefficients.
+
+**MSS** (Fossen & Perez, Marine Systems Simulator): a `.mat` file with a structure `vessel`, made by
+its `veres2vessel` or `wamit2vessel`. Surge, sway and yaw are rows and columns 1, 2 and 6. The ship
+of dynamic positioning is that of low frequency: M = MRB + A(ω₀) and D = B(ω₀) + Bv(ω₀) at the
+lowest frequency of the file (Fossen 2021, chapter 6), at its first speed where it has several.
+
+**Table**: a CSV file with the columns `coefficient,value` (and any further one, as for remarks):
+
+    coefficient,value,remark
+    length_m,82.8
+    M11,7.0101e6,mass with added mass
+    D22,8.8164e5
+
+`length_m`, `breadth_m`, `draught_m` and `displacement_t` are the particulars; M11 M22 M26 M66 and
+D11 D22 D26 D62 D66 are entries in SI units, numbered as the six degrees of freedom. Couplings may
+be left out and are zero then, D62 is then D26.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.io
+
+from dpbench.arrays import Matrix
+from dpbench.errors import InputError
+
+_SURGE_SWAY_YAW = np.ix_([0, 1, 5], [0, 1, 5])
+NEXT_DIFFERS = 0.1
+"""From here on it is said how far off the added mass at the next frequency is."""
+
+PARTICULARS = ("length_m", "breadth_m", "draught_m", "displacement_t")
+REQUIRED = ("M11", "M22", "M66", "D11", "D22", "D66")
+COUPLINGS = ("M26", "D26", "D62")
+
+
+@dataclass(frozen=True, eq=False)
+class Hull:
+    """What a file says of a hull.
+
+    Parameters
+    ----------
+    M, D : (3, 3) inertia and damping [SI]. particulars : those of `PARTICULARS` that it has.
+    method : how they were made, a sentence. remarks : what the reader of the ship has to know.
+    """
+
+    M: Matrix
+    D: Matrix
+    particulars: dict[str, float]
+    method: str
+    remarks: list[str] = field(default_factory=list)
+
+
+def read_mss(path: Path) -> Hull:
+    """The hull of a vessel structure of the MSS toolbox.
+
+    Raises
+    ------
+    InputError : naming file, field, what was found and what is allowed.
+    """
+    vessel = _structure(path)
+    rigid = _field(vessel, path, "MRB")
+    omega = np.atleast_1d(_field(vessel, path, "freqs")).ravel()
+    added, potential = (_by_frequency(vessel, path, key, omega) for key in ("A", "B"))
+    viscous = _viscous(vessel, path, omega)
+    if rigid.shape != (6, 6):
+        raise InputError(str(path), "vessel.MRB", f"shape {rigid.shape}", "shape (6, 6)")
+    lowest, *others = np.argsort(omega)
+    M = (rigid + added[lowest])[_SURGE_SWAY_YAW]
+    D = (potential[lowest] + viscous[lowest])[_SURGE_SWAY_YAW]
+    first = f"{omega[lowest]:.3g} rad/s"
+    remarks = []
+    if others:
+        here, there = (np.diag(added[k][_SURGE_SWAY_YAW]) for k in (lowest, others[0]))
+        ratios = there / here
+        if (np.abs(ratios - 1.0) > NEXT_DIFFERS).any():
+            said = ", ".join(f"{ratio:.2f}" for ratio in ratios)
+            remarks.append(
+                f"At the next frequency, {omega[others[0]]:.3g} rad/s, the added mass of surge, "
+                f"sway, yaw is {said} times that at {first}: strip theory may be weak there."
+            )
+    method = f"M = MRB + A and D = B + Bv of {path.name} at its lowest frequency, {first}"
+    return Hull(M, D, _main(vessel), method, remarks)
+
+
+def _structure(path: Path) -> Mapping[str, Any]:
+    try:
+        # Opened here: scipy would not say why it cannot be.
+        with path.open("rb"):
+            content = scipy.io.loadmat(path, simplify_cells=True)
+    except OSError as error:
+        raise InputError(str(path), "", error.strerror or str(error), "a readable file") from error
+    # What is no such file makes scipy raise almost anything.
+    except Exception as error:
+        allowed = "a .mat file of version 7 or older (in MATLAB: save -v7)"
+        raise InputError(str(path), "", f"no MATLAB file ({error})", allowed) from error
+    vessel = content.get("vessel")
+    if not isinstance(vessel, dict):
+        names = ", ".join(name for name in content if not name.startswith("__")) or "nothing"
+        raise InputError(str(path), "vessel", names, "a structure `vessel` of the MSS toolbox")
+    return vessel
+
+
+def _field(vessel: Mapping[str, Any], path: Path, key: str) -> Matrix:
+    try:
+        array = np.asarray(vessel[key], dtype=np.float64)
+    except (KeyError, TypeError, ValueError) as error:
+        found = "nothing" if key not in vessel else "no numbers"
+        raise InputError(str(path), f"vessel.{key}", found, "an array of numbers") from error
+    if not np.isfinite(array).all():
+        raise InputError(str(path), f"vessel.{key}", "NaN or infinity", "finite numbers")
+    return array
+
+
+def _by_frequency(vessel: Mapping[str, Any], path: Path, key: str, omega: Matrix) -> Matrix:
+    """A field (6, 6, frequencies) or (6, 6, frequencies, speeds) as (frequencies, 6, 6)."""
+    array = _field(vessel, path, key)
+    # One frequency alone loses its axis in MATLAB.
+    array = array[:, :, np.newaxis] if array.ndim == 2 else array
+    array = array[..., 0] if array.ndim == 4 else array
+    if array.shape != (6, 6, omega.size):
+        expected = f"shape (6, 6, {omega.size}), as there are {omega.size} frequencies"
+        raise InputError(str(path), f"vessel.{key}", f"shape {array.shape}", expected)
+    return np.moveaxis(array, -1, 0)
+
+
+def _viscous(vessel: Mapping[str, Any], path: Path, omega: Matrix) -> Matrix:
+    """Bv at each frequency; one matrix stands for all, and potential damping alone is refused."""
+    if "Bv" not in vessel:
+        allowed = "viscous damping (MSS: ABCtransform, viscous): at low frequency there is no other"
+        raise InputError(str(path), "vessel.Bv", "nothing", allowed)
+    if _field(vessel, path, "Bv").ndim == 2:
+        return np.broadcast_to(_field(vessel, path, "Bv"), (omega.size, 6, 6))
+    return _by_frequency(vessel, path, "Bv", omega)
+
+
+def _main(vessel: Mapping[str, Any]) -> dict[str, float]:
+    """The particulars of `vessel.main`, as far as it has them as numbers above zero."""
+    main = vessel.get("main")
+    if not isinstance(main, dict):
+        return {}
+    keys = {"length_m": "Lpp", "breadth_m": "B", "draught_m": "T", "displacement_t": "m"}
+    per = {"displacement_t": 1000.0}
+    numbers = {name: main.get(key) for name, key in keys.items()}
+    return {
+        name: float(number) / per.get(name, 1.0)
+        for name, number in numbers.items()
+        if isinstance(number, (int, float, np.number)) and float(number) > 0.0
+    }
+
+
+def read_table(path: Path) -> Hull:
+    """The hull of a table of coefficients.
+
+    Raises
+    ------
+    InputError : naming file, coefficient, what was found and what is allowed.
+    """
+    values = _values(path)
+    for name in REQUIRED:
+        if name not in values:
+            needed = f"a row of each of {', '.join(REQUIRED)}"
+            raise InputError(str(path), name, "nothing", needed)
+    m26, d26 = values.get("M26", 0.0), values.get("D26", 0.0)
+    d62 = values.get("D62", d26)
+    M = [[values["M11"], 0, 0], [0, values["M22"], m26], [0, m26, values["M66"]]]
+    D = [[values["D11"], 0, 0], [0, values["D22"], d26], [0, d62, values["D66"]]]
+    particulars = {name: values[name] for name in PARTICULARS if name in values}
+    method = f"the coefficients of {path.name}"
+    return Hull(np.array(M, dtype=float), np.array(D, dtype=float), particulars, method)
+
+
+def _values(path: Path) -> dict[str, float]:
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = [row for row in csv.reader(file) if row and not row[0].startswith("#")]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(str(path), "", reason, "a readable CSV file in UTF-8") from error
+    if not rows or [cell.strip() for cell in rows[0][:2]] != ["coefficient", "value"]:
+        first = ",".join(rows[0]) if rows else "an empty file"
+        raise InputError(str(path), "first row", repr(first)[:80], "coefficient,value")
+    values: dict[str, float] = {}
+    known = (*PARTICULARS, *REQUIRED, *COUPLINGS)
+    for cell, *rest in rows[1:]:
+        name = cell.strip()
+        if name not in known or name in values:
+            found = "a second row" if name in values else "an unknown coefficient"
+            raise InputError(str(path), repr(name)[:80], found, f"each once, of {', '.join(known)}")
+        values[name] = _number(path, name, rest[0] if rest else "")
+    return values
+
+
+def _number(path: Path, name: str, text: str) -> float:
+    """A finite number; all but couplings are above zero."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value) or (name not in COUPLINGS and value <= 0.0):
+        allowed = "a number" if name in COUPLINGS else "a number above zero"
+        raise InputError(str(path), name, repr(text)[:80], allowed)
+    return value

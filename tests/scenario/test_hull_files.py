@@ -1,0 +1,176 @@
+"""Hulls from files: the MSS structure against its own entries, a table of coefficients.
+
+`mss/supply_cut.mat` is the supply ship of the MSS toolbox (licence beside it), cut to the fields
+that are read and to its three lowest frequencies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.io
+
+from dpbench.errors import InputError
+from dpbench.scenario.hull_files import read_mss, read_table
+from dpbench.scenario.own_ship import Particulars, regression_added_mass
+from dpbench.scenario.scenario import load_vessel
+
+CUT = Path(__file__).parent / "mss" / "supply_cut.mat"
+
+
+def structure() -> dict[str, Any]:
+    """The structure of the cut file, as dictionaries."""
+    vessel: dict[str, Any] = scipy.io.loadmat(CUT, simplify_cells=True)["vessel"]
+    return vessel
+
+
+def save(path: Path, vessel: dict[str, Any]) -> Path:
+    """A file with such a structure."""
+    scipy.io.savemat(path, {"vessel": vessel})
+    return path
+
+
+def test_the_mss_hull_is_made_of_the_files_own_entries() -> None:
+    """Rows 1, 2, 6 of MRB + A and B + Bv at the lowest frequency; main gives the particulars."""
+    raw = scipy.io.loadmat(CUT)["vessel"][0, 0]
+    hull = read_mss(CUT)
+    for i, row in enumerate((0, 1, 5)):
+        for j, column in enumerate((0, 1, 5)):
+            assert hull.M[i, j] == raw["MRB"][row, column] + raw["A"][row, column, 0]
+            assert hull.D[i, j] == raw["B"][row, column, 0] + raw["Bv"][row, column, 0]
+    main = raw["main"][0, 0]
+    assert hull.particulars == {
+        "length_m": float(main["Lpp"].item()),
+        "breadth_m": float(main["B"].item()),
+        "draught_m": float(main["T"].item()),
+        "displacement_t": float(main["m"].item()) / 1000,
+    }
+    assert "0.105 rad/s" in hull.method
+
+
+def test_the_mss_hull_is_the_ship_that_others_published() -> None:
+    """NTNU's course vessel is this ship: its M agrees within 8 %; its surge is Söding's formula."""
+    hull, published = read_mss(CUT), load_vessel("supply_tmr")
+    np.testing.assert_allclose(np.diag(hull.M), np.diag(published.M), rtol=0.08)
+    own = Particulars(82.8, 19.2, 6.0, 6.3622085e6)
+    surge = hull.M[0, 0] - own.displacement_kg
+    assert regression_added_mass(own)[0] == pytest.approx(surge, rel=2e-3)
+
+
+def test_what_the_next_frequency_says_is_said() -> None:
+    """Sway's added mass almost doubles to the next frequency of this file."""
+    (remark,) = read_mss(CUT).remarks
+    assert "0.209 rad/s" in remark and "1.91, 1.91, 1.89" in remark
+
+
+def test_order_speeds_and_one_matrix_of_viscous_damping(tmp_path: Path) -> None:
+    """Frequencies in any order, a fourth axis of speeds, Bv as one matrix: the same hull."""
+    vessel, expected = structure(), read_mss(CUT)
+    other = vessel | {
+        "freqs": vessel["freqs"][::-1],
+        "Bv": vessel["Bv"][:, :, 0],
+        **{
+            key: np.stack([vessel[key][:, :, ::-1], np.full((6, 6, 3), 7.0)], axis=3)
+            for key in ("A", "B")
+        },
+    }
+    hull = read_mss(save(tmp_path / "other.mat", other))
+    np.testing.assert_array_equal(hull.M, expected.M)
+    np.testing.assert_array_equal(hull.D, expected.D)
+
+
+def test_a_file_of_one_frequency(tmp_path: Path) -> None:
+    """MATLAB drops its axis; nothing is said of a next one."""
+    vessel = structure()
+    alone = vessel | {key: vessel[key][:, :, 0] for key in ("A", "B", "Bv")} | {"freqs": 0.1}
+    hull = read_mss(save(tmp_path / "alone.mat", alone))
+    np.testing.assert_array_equal(hull.M, read_mss(CUT).M)
+    assert not hull.remarks
+
+
+@pytest.mark.parametrize(
+    ("change", "parts"),
+    [
+        (lambda v: v.pop("Bv"), ["vessel.Bv", "nothing", "viscous"]),
+        (lambda v: v.pop("MRB"), ["vessel.MRB", "nothing"]),
+        (lambda v: v.update(A=np.ones((6, 6, 2))), ["vessel.A", "(6, 6, 2)", "(6, 6, 3)"]),
+        (lambda v: v.update(MRB=np.eye(3)), ["vessel.MRB", "(3, 3)", "(6, 6)"]),
+        (lambda v: v.update(MRB=np.full((6, 6), np.nan)), ["vessel.MRB", "NaN"]),
+        (lambda v: v.update(freqs="none"), ["vessel.freqs", "no numbers"]),
+    ],
+)
+def test_a_structure_that_lacks_something_is_refused_in_one_line(
+    change: Callable[[dict[str, Any]], object], parts: list[str], tmp_path: Path
+) -> None:
+    """The line names file, field, what was found and what is allowed."""
+    vessel = structure()
+    change(vessel)
+    path = save(tmp_path / "bad.mat", vessel)
+    with pytest.raises(InputError) as caught:
+        read_mss(path)
+    assert all(part in str(caught.value) for part in [str(path), *parts]), caught.value
+
+
+def test_files_that_are_no_such_structure_are_refused(tmp_path: Path) -> None:
+    """No file, no MATLAB file, another variable."""
+    (tmp_path / "text.mat").write_text("nonsense " * 40, encoding="utf-8")
+    scipy.io.savemat(tmp_path / "ship.mat", {"ship": 1.0})
+    for name, part in (("none", "No such file"), ("text", "save -v7"), ("ship", "found ship")):
+        with pytest.raises(InputError, match=part) as caught:
+            read_mss(tmp_path / f"{name}.mat")
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["supply_fs99", "supply_mss", "osv"])
+def test_a_table_gives_back_what_was_written_into_it(name: str, tmp_path: Path) -> None:
+    """All coefficients of library vessels, with remarks and in any order."""
+    ship = load_vessel(name)
+    entries = {(0, 0): "11", (1, 1): "22", (2, 2): "66", (1, 2): "26", (2, 1): "62"}
+    rows = [f"M{key},{float(ship.M[ij])!r}" for ij, key in entries.items() if key != "62"]
+    rows += [f"D{key},{float(ship.D[ij])!r},a remark" for ij, key in entries.items()]
+    path = tmp_path / "ship.csv"
+    head = ["# a comment", "coefficient,value,remark", "length_m,80"]
+    path.write_text("\n".join([*head, *reversed(rows)]), encoding="utf-8")
+    hull = read_table(path)
+    np.testing.assert_allclose(hull.M, ship.M, rtol=1e-15)
+    np.testing.assert_allclose(hull.D, ship.D, rtol=1e-15)
+    assert hull.particulars == {"length_m": 80.0}
+
+
+GOOD = "coefficient,value\nM11,7e6\nM22,8e6\nM66,4e9\nD11,2e5\nD22,8e5\nD66,3e8\n"
+
+
+def test_couplings_may_be_left_out(tmp_path: Path) -> None:
+    """They are zero then, and D62 is D26."""
+    path = tmp_path / "ship.csv"
+    path.write_text(GOOD, encoding="utf-8")
+    np.testing.assert_array_equal(read_table(path).M, np.diag([7e6, 8e6, 4e9]))
+    path.write_text(GOOD + "D26,-3e6\n", encoding="utf-8")
+    D = read_table(path).D
+    assert D[1, 2] == D[2, 1] == -3e6
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("", ["first row", "an empty file", "coefficient,value"]),
+        ("name;value\n", ["first row", "name;value"]),
+        (GOOD.replace("M22,8e6\n", ""), ["M22", "nothing"]),
+        (GOOD + "M12,3\n", ["M12", "an unknown coefficient", "M11"]),
+        (GOOD + "D66,3e8\n", ["D66", "a second row"]),
+        (GOOD.replace("8e6", "-8e6"), ["M22", "'-8e6'", "above zero"]),
+        (GOOD.replace("8e6", "eight"), ["M22", "'eight'"]),
+        (GOOD + "M26\n", ["M26", "''", "a number"]),
+    ],
+)
+def test_a_bad_table_is_refused_in_one_line(text: str, parts: list[str], tmp_path: Path) -> None:
+    """The line names file, coefficient, what was found and what is allowed."""
+    path = tmp_path / "ship.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        read_table(path)
+    assert all(part in str(caught.value) for part in [str(path), *parts]), caught.value
