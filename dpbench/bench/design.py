@@ -31,6 +31,7 @@ from dpbench.errors import CertificateError, InputError, RenamedWarning, Results
 from dpbench.mpc.law import closed_loop_eigenvalues, gains
 from dpbench.scenario.problem_files import problem_path
 from dpbench.scenario.scenario import Scenario, load_scenario, scenario_of
+from dpbench.ship.characteristics import has_mirror_symmetry
 from dpbench.ship.froude import Froude
 
 DESIGN_FILE = "design.json"
@@ -55,6 +56,9 @@ LIMIT_S = 600.0
 """Of a design; it takes some six seconds on a machine of today."""
 WORK = 20_000
 """A design for the progress bar, in steps: about as long as so many steps of a solver."""
+
+
+Holds = Callable[[Scenario, float, Sequence[float]], bool]
 
 
 @dataclass(frozen=True)
@@ -172,14 +176,17 @@ def _trial_files(controller: Scenario, vessel: Path) -> dict[str, Any]:
     return files | {"scenario": trial}
 
 
-def is_held(scenario: Scenario, offset_m: float) -> bool:
+SIDES = (1.0, -1.0)
+
+
+def is_held(scenario: Scenario, offset_m: float, sides: Sequence[float] = SIDES) -> bool:
     """Whether the ship comes back from this offset at full size, from both sides.
 
     A step without a certified optimum says nothing; such an offset does not count as held.
     """
     scale = _scale(scenario)
     tail = round(TAIL_S * scale.time / scenario.sample_s)
-    for sign in (1.0, -1.0):
+    for sign in sides:
         start = np.array([0.0, sign * offset_m * scale.length, 0.0])
         try:
             state = solve_exactly(replace(scenario, start=start, velocity=np.zeros(3))).state
@@ -242,6 +249,23 @@ def linear_record(scenario: Scenario) -> DesignRecord:
         eigenvalues=tuple((float(root.real), float(root.imag)) for root in roots),
         held={},
     )
+
+
+def held_in_still_water(scenario: Scenario, holds: Holds = is_held) -> Bracket:
+    """The bracket of the scenario's controller in its vessel, whatever its weather, plant or goal.
+
+    Parameters
+    ----------
+    holds : says of a trial, an offset [m] and its sides whether the ship comes back.
+    """
+    own = scenario.files["scenario"]
+    kept = ("title", "shows", "vessel", "sample_s", "controller")
+    trial = {key: own[key] for key in kept} | {"duration_s": DURATION_S, "environment": {}}
+    still = scenario_of(scenario.files | {"scenario": trial})
+    # In still water port mirrors starboard, where ship and model do.
+    mirrored = has_mirror_symmetry(still.vessel) and still.psi0_rad == 0.0
+    sides = SIDES[:1] if mirrored else SIDES
+    return find_bracket(lambda offset_m: holds(still, offset_m, sides))
 
 
 def run_design(text: str, folder: Path, name: str, core: int, path: Path) -> None:

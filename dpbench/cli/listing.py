@@ -16,6 +16,7 @@ from dpbench.bench.plan.suite import load_suite, naming
 from dpbench.bench.progress import Progress
 from dpbench.bench.sequences.sequence_file import active_set, load_recorded
 from dpbench.bench.sequences.verify import verify_sequence
+from dpbench.cli.ship_text import scenario_text, vessel_text
 from dpbench.errors import InputError
 from dpbench.report.table import Table as ReportTable
 from dpbench.scenario.problem_files import (
@@ -27,7 +28,7 @@ from dpbench.scenario.problem_files import (
     read_toml,
     sequence_path,
 )
-from dpbench.scenario.scenario import Scenario, load_scenario, load_vessel
+from dpbench.scenario.scenario import load_scenario, load_vessel
 from dpbench.solvers.settings import describe_levels
 from dpbench.solvers.table import available, record, solver_names
 
@@ -140,7 +141,7 @@ def _solvers() -> Table:
 
 
 def check_file(asked: str, progress: Progress | None = None) -> str:
-    """Check what `run` takes, by its name or path; one line of what it is.
+    """Check what `run` takes, by its name or path; what it is, in one line, or a dozen of a ship.
 
     That is a vessel, scenario (`rough`, `rough@osv`) or suite, a sequence, or a problem or a folder
     of problems by qpsolvers. Every optimum is certified, which may take a while.
@@ -153,14 +154,14 @@ def check_file(asked: str, progress: Progress | None = None) -> str:
         return verify_sequence(sequence_path(asked), progress)
     for kind in KINDS:
         if asked in problem_names(kind):
-            return _check_document(problem_path(kind, asked))
+            return _check_document(problem_path(kind, asked), progress)
     # Unlike Path.exists, these are False for a name that is too long to exist.
     if os.path.isdir(asked) or asked.endswith(".npz"):
         return verify_sequence(Path(asked), progress)
     if os.path.isfile(asked):
-        return _check_document(Path(asked))
+        return _check_document(Path(asked), progress)
     if "@" in asked:
-        return _scenario_text(asked, load_scenario(asked))
+        return scenario_text(asked, load_scenario(asked), progress)
     if asked.endswith(".toml") or "/" in asked:
         raise InputError(asked, "", "no such file or folder", CHECKED)
     raise _unknown(asked)
@@ -175,18 +176,13 @@ def _unknown(asked: str) -> InputError:
     return InputError("check", "", shown, f"{hint}{CHECKED}; `dpbench list` has the names")
 
 
-def _scenario_text(name: str | Path, scenario: Scenario) -> str:
-    return f"{name}: a scenario of {scenario.steps} steps with vessel {scenario.vessel.id}"
-
-
-def _check_document(file: Path) -> str:
+def _check_document(file: Path, progress: Progress | None) -> str:
     """A TOML file, recognised by its tables."""
     document = read_toml(file)
     if "limits" in document:
-        vessel = load_vessel(file)
-        return f"{file}: a vessel, {vessel.title}"
+        return vessel_text(file, load_vessel(file), progress)
     if "controller" in document or "environment" in document:
-        return _scenario_text(file, load_scenario(file))
+        return scenario_text(file, load_scenario(file), progress)
     if any(table in document for table in ("closed_loop", "replay", "recorded", "random")):
         suite_path, suite = load_suite(file)
         with naming(suite_path):

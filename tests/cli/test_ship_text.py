@@ -1,0 +1,116 @@
+"""What `dpbench check` says of a ship: short, aligned, and what the loop itself says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dpbench.bench.design import find_bracket, held_in_still_water, is_held
+from dpbench.cli import ship_text
+from dpbench.scenario.problem_files import problem_names, problem_path
+from dpbench.scenario.scenario import load_scenario, load_vessel
+
+
+def up_to(monkeypatch: pytest.MonkeyPatch, offset_m: float) -> None:
+    """Every tuning holds what is not beyond `offset_m`."""
+    monkeypatch.setattr(ship_text, "is_held", lambda trial, offset, sides: offset <= offset_m)
+
+
+def text_of(name: str) -> str:
+    """What is said of a library vessel."""
+    return ship_text.vessel_text(problem_path("vessels", name), load_vessel(name))
+
+
+@pytest.mark.parametrize("name", problem_names("vessels"))
+@pytest.mark.parametrize("offset_m", [0.0, 1.7, 100.0])
+def test_a_vessel_fits_a_dozen_lines_of_a_terminal(
+    name: str, offset_m: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At most 12 lines of 80 columns, the four columns of the table below each other."""
+    up_to(monkeypatch, offset_m)
+    lines = text_of(name).splitlines()
+    assert len(lines) <= 12
+    assert max(map(len, lines)) <= 80
+    for line in lines[2:7]:
+        assert all(line[at - 1] == " " and line[at] != " " for at in (22, 41, 60)), line
+
+
+@pytest.mark.parametrize("name", problem_names("scenarios"))
+def test_a_scenario_fits_a_dozen_lines_of_a_terminal(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With its weather and its own tuning."""
+    up_to(monkeypatch, 1.7)
+    lines = ship_text.scenario_text(name, load_scenario(name)).splitlines()
+    assert len(lines) <= 12
+    assert max(map(len, lines)) <= 80
+
+
+def test_the_numbers_of_the_papers_ship(monkeypatch: pytest.MonkeyPatch) -> None:
+    """M/D of surge 105.7 s, 1240 kN over 5312 t, 417 kN over 272 t/s, and what 1 m/s takes."""
+    up_to(monkeypatch, 1.65)
+    text = text_of("supply_fs99")
+    for said in ("-980..1240 kN", "±417 kN", "±18000 kN·m", "11.4 s", "106 s", "233 mm/s²"):
+        assert said in text
+    assert "1 m/s sideways needs 272 kN of 417; holds 1.5 m/s of current abeam" in text
+    assert "tuning paper 30/5     holds calm water, up to 1.62 m sideways (not 1.69 m)" in text
+
+
+@pytest.mark.parametrize(
+    ("offset_m", "said"),
+    [
+        (0.0, "does not hold calm water: 0.25 m sideways is too much"),
+        (100.0, "holds calm water, from 64 m sideways and all below"),
+    ],
+)
+def test_a_tuning_that_holds_nothing_or_everything(
+    offset_m: float, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a bracket it says which end it is."""
+    up_to(monkeypatch, offset_m)
+    assert text_of("osv").count(said) == 2
+
+
+def test_a_drift_beyond_linear_damping_has_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    """MSS osv would drift at 22 m/s ahead and 6 m/s sideways; 0.2 of Froude is 5.7 m/s."""
+    up_to(monkeypatch, 1.0)
+    text = text_of("osv")
+    assert "> 5.7 m/s          > 5.7 m/s          0.296 °/s" in text
+    assert "holds > 5.7 m/s of current abeam" in text
+
+
+def test_a_weather_that_is_too_much_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """417 kN of sway force: a mean of 330 kN is 79 % of it, one of 500 kN cannot be held."""
+    up_to(monkeypatch, 1.0)
+    assert "weather: 11%, 79%, 14% of the limits\n" in ship_text.scenario_text(
+        "extreme", load_scenario("extreme")
+    )
+    text = problem_path("scenarios", "extreme").read_text(encoding="utf-8")
+    path = tmp_path / "worse.toml"
+    path.write_text(text.replace("330.0", "500.0"), encoding="utf-8")
+    assert "120%, 14% of the limits - it cannot hold" in ship_text.scenario_text(
+        path, load_scenario(path)
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.alone
+def test_what_the_paper_holds_is_what_the_loop_holds() -> None:
+    """About 1.65 m of the paper's ship, and from both sides as from the one that is tried."""
+    scenario = load_scenario("paper")
+    tried: list[tuple[float, ...]] = []
+
+    def holds(trial: object, offset_m: float, sides: object) -> bool:
+        assert isinstance(sides, tuple)
+        tried.append(sides)
+        return is_held(trial, offset_m, sides)  # type: ignore[arg-type] # a scenario
+
+    one_side = held_in_still_water(scenario, holds)
+    assert set(tried) == {(1.0,)}
+    both = held_in_still_water(scenario, lambda trial, offset_m, _: is_held(trial, offset_m))
+    assert one_side == both
+    assert both.fails_m is not None and 1.5 < both.holds_m < both.fails_m < 1.8
+    assert both == find_bracket(lambda offset_m: offset_m <= both.holds_m)
