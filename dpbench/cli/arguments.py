@@ -38,6 +38,7 @@ def parser(
         _check,
         _doctor,
         _completion,
+        _init,
     ):
         add(commands)
     for name, command in commands.choices.items():
@@ -193,3 +194,27 @@ def _completion(commands: Commands) -> None:
         "fish: dpbench completion fish | source",
     )
     completion.add_argument("shell", choices=("bash", "zsh", "fish"))
+
+
+def _init(commands: Commands) -> None:
+    init = commands.add_parser(
+        "init",
+        help="write vessel, scenario and suite of your own ship",
+        description="Write NAME.toml (the ship), NAME_weather.toml and NAME_suite.toml, with what "
+        "was derived how in their comments. With NAME.toml there and --sea N alone: the same ship "
+        "in another sea.",
+    )
+    init.add_argument("name", metavar="NAME", help="of the ship: letters, digits, _ and -")
+    init.add_argument("--length", metavar="M", help="between perpendiculars [m]")
+    init.add_argument("--breadth", metavar="M", help="[m]")
+    init.add_argument("--draught", metavar="M", help="[m]")
+    init.add_argument("--displacement", metavar="T", help="[t]")
+    init.add_argument("--thrust", metavar="KN", help="largest force ahead [kN]")
+    init.add_argument("--sway-thrust", metavar="KN", help="sideways [kN] (a third of --thrust)")
+    init.add_argument("--yaw-moment", metavar="KNM", help="[kN·m] (0.57 sway thrust times length)")
+    init.add_argument("--like", metavar="V", help="library vessel to scale (the nearest)")
+    init.add_argument("--from-mss", metavar="FILE.mat", help="a vessel of the MSS toolbox")
+    init.add_argument("--from-csv", metavar="FILE", help="rows coefficient,value (see docs)")
+    init.add_argument("--sea", metavar="N", help="DP number, 1 to 9 (what the ship can hold)")
+    init.add_argument("--out", default=".", metavar="DIR", help="folder to write to (here)")
+    init.add_argument("--force", action="store_true", help="write over files that are there")

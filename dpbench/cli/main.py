@@ -224,6 +224,14 @@ def _list(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _init(arguments: argparse.Namespace) -> int:
+    from dpbench.cli.own_ship import make_own_ship
+
+    for line in make_own_ship(arguments):
+        print(line)
+    return 0
+
+
 def _doctor(arguments: argparse.Namespace) -> int:
     from dpbench.cli.doctor import doctor_lines
 
@@ -260,4 +268,5 @@ _CALLS = {
     "check": _check,
     "doctor": _doctor,
     "completion": _completion,
+    "init": _init,
 }
