@@ -22,14 +22,14 @@ export MKL_NUM_THREADS := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: setup bench full test test-fast test-core test-lowest test-casadi lint bench-ci bench-compare vendored report clean clean-results help
+.PHONY: setup bench full test test-fast test-core test-lowest test-casadi lint docs bench-ci bench-compare vendored report clean clean-results help
 
 setup: $(STAMP) ## make .venv with all solvers and the development tools
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[solvers,peers,dev]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[solvers,peers,dev,docs]'
 	touch $(STAMP)
 
 bench: setup ## run the standard suite (five to twelve minutes) and write its report
@@ -77,6 +77,10 @@ lint: setup ## ruff, mypy --strict, import floors
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# What the theme says of its own future is no warning of ours.
+docs: setup ## the documentation in build/site; a warning or a dead link is an error
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 bench-ci: setup ## pytest-benchmark of the parts; writes results/bench-ci.json
 	mkdir -p results

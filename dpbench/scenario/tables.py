@@ -52,28 +52,42 @@ class LimitsTable(FileModel):
     """Limits of the control force and of its rate."""
 
     surge_N: Two
+    """Least and largest surge force [N]; zero lies between."""
     sway_N: Two
+    """Least and largest sway force [N]; zero lies between."""
     yaw_Nm: Two
+    """Least and largest yaw moment [N·m]; zero lies between."""
     rate_max_N_per_s: ThreePositive
+    """Fastest change of surge, sway [N/s] and yaw [N·m/s]; times the sample it is the rate
+    limit."""
 
 
 class WindageTable(FileModel):
     """The hull above the water, as the wind sees it."""
 
     frontal_m2: Positive
+    """Projected area above the water seen from ahead, A_F [m²]."""
     lateral_m2: Positive
+    """Projected area above the water seen from abeam, A_L [m²]."""
     c_x: NotNegative = 0.7
+    """Coefficient of the force along the ship; Fossen (2021) gives 0.50 to 0.90."""
     c_y: NotNegative = 0.9
+    """Coefficient of the force across the ship; Fossen (2021) gives 0.70 to 0.95."""
     c_n: NotNegative = 0.095
+    """Coefficient of the moment; Fossen (2021) gives 0.05 to 0.20."""
 
 
 class ReflectionTable(FileModel):
     """The hull at the waterline, as wave drift sees it."""
 
     breadth_m: Positive
+    """Breadth at the waterline [m]."""
     head: NotNegative = 0.42
+    """R₀², the share that short waves from ahead act with (DNV-ST-0111, bow of 22°)."""
     beam: NotNegative = 0.72
+    """R₀² of short waves from abeam."""
     yaw: NotNegative = 0.018
+    """R₀² of the moment of short waves from the quarters."""
 
 
 class VesselFile(FileModel):
@@ -83,17 +97,31 @@ class VesselFile(FileModel):
     """
 
     title: str
+    """The ship in words."""
     source: str
+    """Where the numbers come from."""
     length_m: Positive
+    """Length the numbers belong to [m]; Bis scaling and the moments of wind and drift use it."""
     limits: LimitsTable
+    """Limits of the control force and of its rate."""
     model_scale: Positive = 1.0
+    """λ of a model ship of scale 1 : λ; scenarios are scaled to it by Froude's law. 1: full
+    size."""
     windage: WindageTable | None = None
+    """Needed where the weather has wind."""
     reflection: ReflectionTable | None = None
+    """Needed where the weather has wave drift."""
     inertia: ThreeByThree | None = None
+    """M (3, 3) with added mass [kg, kg·m, kg·m²], rows surge, sway, yaw; symmetric, positive
+    definite."""
     damping: ThreeByThree | None = None
+    """D (3, 3), linear [kg/s, kg·m/s, kg·m²/s]; its symmetric part positive definite."""
     mass_kg: Positive | None = None
+    """Mass for the Bis system [kg]."""
     inertia_bis: ThreeByThree | None = None
+    """M without dimension in the Bis system."""
     damping_bis: ThreeByThree | None = None
+    """D without dimension in the Bis system."""
 
     @model_validator(mode="after")
     def _one_system(self) -> VesselFile:
@@ -135,17 +163,25 @@ class EstimatorTable(FileModel):
     """
 
     kind: Literal["measured", "kalman", "passive"] = "measured"
+    """measured: the controller sees what the sensors see; kalman, passive: a filter between
+    them."""
     wave_filter: bool = True
+    """Whether the filter tells the motion of the waves from that of the ship."""
     peak_period_s: Positive | None = None
+    """Peak period the filter reckons with [s]; by default that of the waves of the weather."""
 
 
 class PlantTable(FileModel):
     """How the true ship differs from the controller's model of it."""
 
     mass_percent: Percent = 0.0
+    """How much larger M of the true ship is [%]."""
     damping_percent: Percent = 0.0
+    """How much larger D of the true ship is [%]."""
     thrust_loss_percent: ThreeLosses = [0.0, 0.0, 0.0]
+    """Share of the commanded surge, sway, yaw that never arrives [%]."""
     delay_samples: Count = 0
+    """Samples by which a command arrives late."""
 
 
 class FaultTable(FileModel):
@@ -153,14 +189,18 @@ class FaultTable(FileModel):
     controller at that sample."""
 
     at_s: NotNegative
+    """When [s]."""
     limit_share: ThreeShares
+    """Share of the vessel's limits in surge, sway, yaw from then on."""
 
 
 class OutputsTable(FileModel):
     """Softened bounds on the predicted output: watch circle around the reference, speed."""
 
     radius_m: Positive | None = None
+    """Radius of the watch circle around the reference [m]; none by default."""
     speed_mps: Positive | None = None
+    """Largest speed over ground [m/s]; none by default."""
 
     @model_validator(mode="after")
     def _something(self) -> OutputsTable:
@@ -173,17 +213,29 @@ class ControllerTable(FileModel):
     """Horizons and weights; R either in SI or in multiples of 1/Δu_max²."""
 
     tuning: str
+    """A name for horizons and weights, for tables."""
     prediction_horizon: Horizon
+    """N_p, samples over which is predicted."""
     control_horizon: Horizon
+    """N_c, moves that are planned; the QP has three variables for each. At most N_p."""
     output_weight: ThreeNotNegative
+    """Diagonal of Q: north, east [1/m²], heading [1/rad²]."""
     # Positive move weights keep the QP strictly convex.
     move_weight: ThreePositive | None = None
+    """Diagonal of R: surge, sway [1/N²], yaw [1/(N·m)²]. Either this or move_weight_relative."""
     move_weight_relative: ThreePositive | None = None
+    """Diagonal of R in multiples of 1/Δu_max², Δu_max the rate limit of a sample."""
     model_heading_deg: Degrees = 0.0
+    """Heading the model is linearised at [°]."""
     linearisation: Literal["fixed", "each_step"] = "fixed"
+    """fixed: one model; each_step: the model, and with it P, anew at every measured heading."""
     amplitude: Literal["reachable", "hard", "soft"] = "reachable"
+    """Amplitude limits. reachable: widened to what the rate can reach; hard: as they are, may
+    be infeasible; soft: slacks with an exact penalty."""
     terminal: Literal["none", "riccati"] = "none"
+    """Cost beyond the horizon; riccati: that of the unconstrained regulator."""
     outputs: OutputsTable | None = None
+    """Bounds on predicted position and speed, softened; none by default."""
 
     @model_validator(mode="after")
     def _consistent(self) -> ControllerTable:
@@ -204,8 +256,11 @@ class PoseTable(FileModel):
     """A position and heading."""
 
     north_m: Number = 0.0
+    """North [m]."""
     east_m: Number = 0.0
+    """East [m]."""
     heading_deg: Degrees = 0.0
+    """Heading, clockwise from north [°]."""
 
     def pose(self) -> Vector:
         """[n, e, ψ] in m, m, rad."""
@@ -216,8 +271,11 @@ class StartTable(PoseTable):
     """Where the ship is at the first sample, and how it moves: over ground, along its own axes."""
 
     surge_mps: Speed = 0.0
+    """Speed ahead over ground [m/s]."""
     sway_mps: Speed = 0.0
+    """Speed to starboard over ground [m/s]."""
     yaw_degps: TurnRate = 0.0
+    """Rate of turn to starboard [°/s]."""
 
     def velocity(self) -> Vector:
         """[u, v, r] in m/s, m/s, rad/s."""
@@ -234,14 +292,18 @@ class FilterTable(FileModel):
     """A third-order reference filter, which starts at rest at the ship's start."""
 
     period_s: Positive
+    """Natural period of the filter [s]."""
     damping: Positive = 1.0
+    """Relative damping of the filter."""
 
 
 class ReferenceTable(PoseTable):
     """The set-point, whether it is filtered, and whether the controller sees it coming."""
 
     filter: FilterTable | None = None
+    """Filters the set-point; none by default."""
     preview: bool = False
+    """Whether the controller sees the reference of the coming samples."""
 
     def smoothed(self, scale: Froude) -> ReferenceFilter | None:
         """The filter in SI; None for none."""
@@ -254,14 +316,26 @@ class ScenarioFile(FileModel):
     """`problems/scenarios/*.toml`."""
 
     title: str
+    """The scenario in words."""
     shows: str
+    """What a reader learns from it."""
     vessel: str
+    """A vessel by name, or a TOML file, looked for beside this one first."""
     sample_s: Seconds
+    """Time between two answers of the controller [s]."""
     duration_s: Seconds
+    """Length of the run [s]."""
     controller: ControllerTable
+    """Horizons, weights, limits of the controller."""
     environment: EnvironmentTable
+    """The weather; an empty table is calm water."""
     start: StartTable = StartTable()
+    """Pose and speed at the first sample; at rest in the origin by default."""
     reference: ReferenceTable = ReferenceTable()
+    """Where the ship is to be; the origin by default."""
     estimator: EstimatorTable = EstimatorTable()
+    """Between sensors and controller; nothing by default."""
     plant: PlantTable = PlantTable()
+    """How the true ship differs from the model; not at all by default."""
     faults: list[FaultTable] = []
+    """What is lost when; nothing by default."""

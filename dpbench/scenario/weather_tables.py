@@ -38,10 +38,15 @@ class SquallTable(FileModel):
     """A force that rises, holds and decays along straight lines, on top of the slow forces."""
 
     start_s: NotNegative
+    """When it begins to rise [s]."""
     rise_s: Positive
+    """How long it rises [s]."""
     hold_until_s: NotNegative
+    """Until when it holds [s]; not before it has risen."""
     decay_s: Positive
+    """How long it decays [s]."""
     force_kN: Three
+    """Full force, north, east [kN], yaw [kN·m]."""
 
     @field_validator("hold_until_s")
     @classmethod
@@ -66,8 +71,11 @@ class WindTable(FileModel):
     """Mean wind 10 m above the water with gusts along it."""
 
     speed_mps: NotNegative
+    """Mean speed 10 m above the water [m/s]."""
     from_deg: Degrees
+    """Compass direction it comes from [°]."""
     gusts: Literal["norsok", "harris", "none"] = "norsok"
+    """Spectrum of the gusts; none: a steady wind."""
 
     def wind(self, scale: Froude) -> Wind:
         """In SI."""
@@ -78,7 +86,9 @@ class CurrentTable(FileModel):
     """A steady current."""
 
     speed_mps: NotNegative
+    """Speed [m/s]."""
     towards_deg: Degrees
+    """Compass direction it sets towards [°]."""
 
     def current(self, scale: Froude) -> Current:
         """In SI."""
@@ -89,19 +99,28 @@ class MotionTable(FileModel):
     """First-order motion in the measurement, per metre of wave amplitude."""
 
     along_m_per_m: Number = 0.6
+    """Along the waves, per metre of wave amplitude; the water's own is 1."""
     across_m_per_m: Number = 0.2
+    """Across the waves, per metre of wave amplitude."""
     heading_deg_per_m: Number = 0.3
+    """Heading [°] per metre of wave amplitude."""
 
 
 class WavesTable(FileModel):
     """A JONSWAP sea: drift force on the ship, first-order motion in what is measured."""
 
     hs_m: NotNegative
+    """Significant height [m]."""
     tp_s: Positive
+    """Peak period [s]."""
     from_deg: Degrees
+    """Compass direction they come from [°]."""
     gamma: Annotated[float, Field(ge=1, le=7)] = 3.3
+    """Peakedness of the JONSWAP spectrum; 1 is Pierson-Moskowitz."""
     drift: bool = True
+    """Whether the slow drift force acts on the ship."""
     motion: MotionTable | None = None
+    """First-order motion in the measurement; {} takes the defaults, none without the key."""
 
     def sea(self, scale: Froude) -> Sea:
         """In SI."""
@@ -137,7 +156,9 @@ class NoiseTable(FileModel):
     """White noise of the sensors, standard deviations."""
 
     position_m: NotNegative
+    """Of north and east [m]."""
     heading_deg: NotNegative
+    """Of the heading [°]."""
 
     def noise(self, scale: Froude) -> SensorNoise:
         """In SI."""
@@ -154,16 +175,27 @@ class EnvironmentTable(FileModel):
     whatever else of the weather there is."""
 
     mean_kN: Three = [0.0, 0.0, 0.0]
+    """Constant part of the slow force: north, east [kN], yaw [kN·m]."""
     amplitude_kN: Three = [0.0, 0.0, 0.0]
+    """Amplitude of its sine: north, east [kN], yaw [kN·m]."""
     period_s: ThreePositive = [60.0, 60.0, 60.0]
+    """Period T of each sine [s]."""
     phase_rad: Three = [0.0, 1.0, 2.0]
+    """Phase of each sine [rad]."""
     ramp_s: NotNegative = 0.0
+    """g(t) grows from 0 to 1 in this time [s]; 0: it is 1 from the start."""
     seed: Count = 0
+    """Of gusts, waves and noise: the same seed is the same weather."""
     squalls: list[SquallTable] = []
+    """Squalls, one table each."""
     wind: WindTable | None = None
+    """Wind; needs the vessel's windage."""
     current: CurrentTable | None = None
+    """A current."""
     waves: WavesTable | None = None
+    """Waves; their drift needs the vessel's reflection."""
     noise: NoiseTable | None = None
+    """Noise of the sensors."""
 
     def environment(self, scale: Froude) -> Environment:
         """The weather in SI."""

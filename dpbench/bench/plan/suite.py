@@ -39,17 +39,24 @@ class DemandTable(FileModel):
     """What a controller demands of a solver."""
 
     error_move: Positive = 1e-2
+    """Largest error of the first move on any step, in rate-limit steps."""
     failed_steps: Count = 0
+    """Most failed steps of a run."""
     p99_ms: Positive = 3.0
+    """Largest p99 of the algorithmic step time [ms]."""
     deadline_ms: Positive = 300.0
+    """The deadline of a step, for the slow-downs a solver survives [ms]."""
 
 
 class _RunsTable(FileModel):
     """In which ways solvers run; settings that a solver does not have are left out."""
 
     settings: list[str] = ["default"]
+    """default, low, mid, high, or a name that a solver has beside them."""
     routes: list[RouteName] = ["default"]
+    """How a solver is called; default: each solver's own."""
     policies: list[Policy] = ["fresh"]
+    """What is kept between two steps."""
 
 
 class ClosedLoopTable(_RunsTable):
@@ -63,16 +70,27 @@ class ClosedLoopTable(_RunsTable):
     """
 
     scenarios: list[str]
+    """Scenarios by name, scenario@vessel, or TOML files beside the suite."""
     solvers: list[str] = []
+    """Only these of the suite's solvers; all where it is empty."""
     without: list[str] = []
+    """All but these of the suite's solvers."""
     vessels: list[str] = []
+    """Run every scenario with each of these vessels instead of its own."""
     units: list[Units] = ["scaled"]
+    """Units of the QP a solver is given."""
     formulations: list[FormulationName] = ["condensed_box"]
+    """Forms of the QP a solver is given."""
     fallback: Fallback = "shifted_plan"
+    """What acts where there is no usable answer."""
     slowdowns: Annotated[list[Slowdown], Field(min_length=1)] = [0.0]
+    """How much slower the ship's computer is, 1 to 1e9; 0: the ship waits for every answer."""
     deadline_s: NotNegative = 0.0
+    """What a step may take of that computer's time [s]; 0: the whole sample."""
     limit_s: Positive | None = None
+    """Run time after which a cell stops here [s]; by default cell_limit_s of the suite."""
     steps: Count = 0
+    """Only the first steps; 0: all."""
 
     @property
     def names(self) -> list[str]:
@@ -90,12 +108,19 @@ class ReplayTable(_RunsTable):
     """
 
     scenario: str
+    """The scenario whose exactly solved loop is recorded."""
     solvers: list[str] = []
+    """Only these of the suite's solvers; all where it is empty."""
     horizons: Annotated[list[str], AfterValidator(different_horizons)] = []
+    """Pairs such as 30/5, instead of the scenario's own."""
     first: Count = 0
+    """The first step that is replayed."""
     steps: Count = 0
+    """How many steps are replayed; 0: all."""
     units: list[Units] = ["scaled"]
+    """Units of the QP a solver is given."""
     formulations: list[FormulationName] = ["condensed_box"]
+    """Forms of the QP a solver is given."""
 
     @property
     def pairs(self) -> list[Horizons | None]:
@@ -112,11 +137,17 @@ class RandomTable(_RunsTable):
     units: ClassVar[list[Units]] = ["scaled"]
     formulations: ClassVar[list[FormulationName]] = ["condensed_box"]
     families: Annotated[list[str], Field(min_length=1)]
+    """Families of random problems, see the glossary."""
     sizes: Annotated[list[Size], Field(min_length=1)]
+    """Pairs of variables and rows."""
     seeds: list[Count] = [1]
+    """One sequence for each."""
     steps: Annotated[int, Field(ge=1)] = 24
+    """Length of each sequence."""
     block: Count = 0
+    """Variables per move by which a warm start is shifted; 0: it is not shifted."""
     cond: NotNegative = 0.0
+    """Condition number of P, 1 to 1e8; 0: that of the family."""
 
     def recipes(self) -> list[RandomRecipe]:
         """The recipes of the table; InputError for one that cannot be."""
@@ -136,7 +167,9 @@ class RecordedTable(_RunsTable):
 
     units: ClassVar[list[Units]] = ["scaled"]
     sequence: str
+    """A stored sequence by name, a .npz, or a folder of problems by qpsolvers."""
     formulations: list[FormulationName] = ["condensed_box"]
+    """Forms of the QP a solver is given."""
 
 
 class DesignTable(FileModel):
@@ -144,7 +177,9 @@ class DesignTable(FileModel):
     solver's part."""
 
     controllers: Annotated[list[str], Field(min_length=1)]
+    """Scenarios whose controllers are studied."""
     vessels: Annotated[list[str], Field(min_length=1)]
+    """Vessels they are studied with."""
 
 
 class ReportTable(FileModel):
@@ -155,8 +190,11 @@ class ReportTable(FileModel):
     """
 
     baseline: str | None = None
+    """The solver set beside the answer; by default the next best."""
     step: Count | None = None
+    """The step the report shows first."""
     configuration: str | None = None
+    """For whom that step was found, as the report names it."""
 
 
 class SuiteFile(FileModel):
@@ -172,21 +210,37 @@ class SuiteFile(FileModel):
     old_keys: ClassVar[dict[str, str]] = {"contrast": "baseline_law"}
 
     title: str
+    """The suite in words."""
     solvers: Annotated[list[str], Field(min_length=1)] = ["all"]
+    """Which solvers run; all: every one that is installed."""
     baseline_law: bool = True
+    """Whether the clipped unconstrained law steers too."""
     calibration: bool = False
+    """Whether the harness's own configurations, whose cost is known, take part in replays."""
     cell_limit_s: Positive = 5.0
+    """Run time of its own after which a cell stops [s]."""
     replay_budget_s: NotNegative = 0.0
+    """Run time after which a replay gets no further round [s]; 0: none."""
     repeat_budget_s: NotNegative = 0.25
+    """Run time for rounds of a replay that other work slowed, again [s]; 0: none."""
     rounds: Annotated[int, Field(ge=1)] = 5
+    """Rounds of a replay that count."""
     warmup_steps: Count = 50
+    """Steps of the round before them, which does not count."""
     demand: DemandTable = DemandTable()
+    """What is demanded of a solver."""
     report: ReportTable = ReportTable()
+    """What the report shows first."""
     design: DesignTable | None = None
+    """Stability and region of attraction of the controllers; not studied without this table."""
     closed_loop: list[ClosedLoopTable] = []
+    """Every solver steers the ship itself."""
     replay: list[ReplayTable] = []
+    """Identical QPs through every solver: the source of timing."""
     recorded: list[RecordedTable] = []
+    """Recorded QPs through every solver."""
     random: list[RandomTable] = []
+    """Random QPs with a planted optimum through every solver."""
 
     @property
     def scenario_names(self) -> list[str]:

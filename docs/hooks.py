@@ -1,0 +1,34 @@
+"""Hooks of mkdocs: pages made from the code join those written by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from sitegen import columns, command_line, python_names, solvers, toml_keys
+
+ROOT = Path(__file__).parents[1]
+MAKERS = (toml_keys.pages, columns.pages, command_line.pages, python_names.pages, solvers.pages)
+
+
+def pages() -> dict[str, str]:
+    """Markdown of every page that is not in the folder, by its file."""
+    made = {name: text for make in MAKERS for name, text in make().items()}
+    # It stands where contributors look for it; within the site its links start one folder deeper.
+    contributing = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    return made | {"contributing.md": contributing.replace("](docs/", "](")}
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Every solver has its place in the navigation."""
+    (entry,) = (part for part in config.nav or [] if "Solvers" in part)
+    entry["Solvers"] = [name for name in solvers.pages()]
+    return config
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """The generated pages stand beside the written ones."""
+    for name, text in pages().items():
+        files.append(File.generated(config, name, content=text))
+    return files

@@ -1,0 +1,139 @@
+"""A page for every solver, from its record and from what is known of its faults."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+from sitegen.markup import code, prose, table
+
+from dpbench.solvers.contract import Route
+from dpbench.solvers.record import NOT_OFFERED, POLICIES, RouteRecord, SolverRecord
+from dpbench.solvers.settings import level_options, setting_names, settings_matter
+from dpbench.solvers.table import TABLE
+
+PITFALLS: dict[str, list[str]] = tomllib.loads(
+    Path(__file__).with_name("pitfalls.toml").read_text(encoding="utf-8")
+)
+"""What one should know before one uses a solver, by its name."""
+ROUTES: dict[Route, str] = {
+    "native": "through its own interface",
+    "qpsolvers": "through the package qpsolvers",
+}
+INTRODUCTION = """# Solvers
+
+One page for each solver that dpbench has an adapter for. A solver that qpsolvers serves works by its
+name without one, and [your own](../tutorials/add-a-solver.md) is one file. `dpbench list solvers`
+says which are installed here, in which version.
+"""
+EXTRAS = {
+    "core": "with dpbench",
+    "solvers": "with the extra `solvers`",
+    "jax": "with the extra `jax` (some 600 MB)",
+    "casadi": "with the extra `casadi`",
+    "own": "part of dpbench",
+}
+
+
+def pages() -> dict[str, str]:
+    """Markdown by file of the documentation."""
+    return {"solvers/index.md": _index()} | {
+        f"solvers/{name}.md": _page(row) for name, row in TABLE.items()
+    }
+
+
+def _index() -> str:
+    rows = (
+        (
+            f"[{name}]({name}.md)",
+            row.family,
+            prose(row.method),
+            ", ".join(row.routes),
+            prose(row.project.licence.value),
+            prose(row.project.language.value),
+        )
+        for name, row in TABLE.items()
+    )
+    heads = ("solver", "family", "method", "routes", "licence", "language")
+    return f"{INTRODUCTION}\n{table(heads, rows)}"
+
+
+def _page(row: SolverRecord) -> str:
+    parts = [f"# {row.name}\n", f"{prose(row.method[0].upper() + row.method[1:])}.\n", _facts(row)]
+    for route, can in row.routes.items():
+        parts += [f"## Route {code(route)}\n", f"How it is run {ROUTES[route]}.\n"]
+        parts += [_abilities(row, route, can), *_faults(can)]
+    parts += ["## Settings\n", _settings(row)]
+    known = PITFALLS.get(row.name, [])
+    if known:
+        parts += ["## What to know before you use it\n"]
+        parts += ["\n".join(f"- {prose(text)}" for text in known), ""]
+    return "\n".join(parts)
+
+
+def _facts(row: SolverRecord) -> str:
+    install = f"`pip install {row.distribution}`; " if row.distribution else ""
+    rows = [
+        ("name in dpbench", code(row.name), ""),
+        ("family", row.family, ""),
+        ("comes", f"{install}{EXTRAS[row.extra]}", ""),
+        ("matrices", {"dense": "dense", "csc": "sparse, by columns"}[row.form], ""),
+        ("P has to be positive definite", _yes(row.needs_strict_convexity), ""),
+        ("may go aboard as it is", f"no: {row.why_not_aboard}" if row.why_not_aboard else "yes", ""),
+    ]
+    stated = {
+        "licence": row.project.licence,
+        "language": row.project.language,
+        "C code": row.project.c_code,
+        "solves without allocating": row.project.allocation_free,
+        "single precision": row.project.single_precision,
+    }
+    rows += [(what, prose(fact.value), prose(fact.source)) for what, fact in stated.items()]
+    return table(("", "", "where its project says so"), rows)
+
+
+def _yes(value: bool) -> str:
+    return "yes" if value else "no"
+
+
+def _abilities(row: SolverRecord, route: Route, can: RouteRecord) -> str:
+    rows = [
+        (f"policy {code(policy)}: {text}", _policy(row, route, can, policy))
+        for policy, text in POLICIES.items()
+    ]
+    rows += [
+        ("takes over without a new set-up", can.updates),
+        ("a warm start is made of", can.start),
+        ("two-sided limits reach it as such", _yes(can.two_sided)),
+        ("multipliers come back", _yes(can.gives_multipliers)),
+        ("an infeasible problem is reported as such", _yes(can.detects_infeasibility)),
+    ]
+    if can.keeps:
+        rows.append(("a kept workspace also keeps", prose(can.keeps)))
+    return table(("what it can do", ""), rows)
+
+
+def _policy(row: SolverRecord, route: Route, can: RouteRecord, policy: str) -> str:
+    for name in POLICIES:
+        if name == policy:
+            refusal = row.refusal(route, name)
+            return "yes" if not refusal else "no" if refusal == NOT_OFFERED else f"no: {prose(refusal)}"
+    raise KeyError(policy)
+
+
+def _faults(can: RouteRecord) -> list[str]:
+    if not can.faults:
+        return []
+    lines = (f"- {prose(name)}: {prose(why)}" for name, why in can.faults.items())
+    return ["Known faults; a test shows each, and fails on the day it is gone:\n", *lines, ""]
+
+
+def _settings(row: SolverRecord) -> str:
+    if not settings_matter(row.name):
+        return "It has no tolerance to set: all levels are the same.\n"
+    rows = [
+        (code(name), ", ".join(code(f"{k}={v!r}") for k, v in level_options(name, row.name).items()))
+        for name in setting_names(row.name)
+    ]
+    shown = [(name, text or "the library's own defaults") for name, text in rows]
+    return table(("settings", "what they set"), shown)
