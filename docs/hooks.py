@@ -6,10 +6,18 @@ from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
-from sitegen import columns, command_line, python_names, solvers, toml_keys
+
+from sitegen import columns, command_line, library, python_names, solvers, toml_keys
 
 ROOT = Path(__file__).parents[1]
-MAKERS = (toml_keys.pages, columns.pages, command_line.pages, python_names.pages, solvers.pages)
+MAKERS = (
+    toml_keys.pages,
+    library.pages,
+    columns.pages,
+    command_line.pages,
+    python_names.pages,
+    solvers.pages,
+)
 
 
 def pages() -> dict[str, str]:
@@ -23,7 +31,7 @@ def pages() -> dict[str, str]:
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Every solver has its place in the navigation."""
     (entry,) = (part for part in config.nav or [] if "Solvers" in part)
-    entry["Solvers"] = [name for name in solvers.pages()]
+    entry["Solvers"] = list(solvers.pages())
     return config
 
 

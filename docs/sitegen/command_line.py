@@ -7,9 +7,8 @@ import textwrap
 from collections import defaultdict
 from collections.abc import Mapping
 
-from sitegen.markup import code, prose, table
-
 from dpbench.cli.arguments import parser
+from sitegen.markup import code, prose, table
 
 INTRODUCTION = """# Command line
 
@@ -24,7 +23,8 @@ def pages() -> dict[str, str]:
     for name, (command, summary) in commands().items():
         parts += [f"## {code(f'dpbench {name}')}\n", f"{prose(_sentence(summary))}\n"]
         parts += [_usage(command), _arguments(command)]
-        parts += [f"{prose(_sentence(text))}\n" for text in (command.description, command.epilog) if text]
+        more = filter(None, (command.description, command.epilog))
+        parts += [f"{prose(_sentence(text))}\n" for text in more]
     return {"reference/command-line.md": "\n".join(parts)}
 
 
@@ -57,7 +57,7 @@ def _arguments(command: argparse.ArgumentParser) -> str:
 
 def _called(action: argparse.Action) -> str:
     """How an argument is written, with what follows it."""
-    value = action.metavar or action.dest
+    value = action.metavar or (action.dest.upper() if action.option_strings else action.dest)
     shown = " ".join(value) if isinstance(value, tuple) else value
     if not action.option_strings:
         return shown

@@ -38,9 +38,8 @@ def docstring(thing: object) -> str:
         head, _, rest = block.partition("\n")
         if head in SECTIONS and rest.startswith("-"):
             section = head
-            blocks.append(f"*{head}*")
-            block = rest.partition("\n")[2]
-        if section:
+            blocks += [f"*{head}*", _entries(rest.partition("\n")[2])]
+        elif section:
             blocks.append(_entries(block))
         elif all(line.startswith("    ") for line in block.splitlines()):
             blocks.append(f"```text\n{inspect.cleandoc(block)}\n```")

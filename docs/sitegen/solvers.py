@@ -5,12 +5,11 @@ from __future__ import annotations
 import tomllib
 from pathlib import Path
 
-from sitegen.markup import code, prose, table
-
 from dpbench.solvers.contract import Route
 from dpbench.solvers.record import NOT_OFFERED, POLICIES, RouteRecord, SolverRecord
 from dpbench.solvers.settings import level_options, setting_names, settings_matter
 from dpbench.solvers.table import TABLE
+from sitegen.markup import code, prose, table
 
 PITFALLS: dict[str, list[str]] = tomllib.loads(
     Path(__file__).with_name("pitfalls.toml").read_text(encoding="utf-8")
@@ -22,9 +21,9 @@ ROUTES: dict[Route, str] = {
 }
 INTRODUCTION = """# Solvers
 
-One page for each solver that dpbench has an adapter for. A solver that qpsolvers serves works by its
-name without one, and [your own](../tutorials/add-a-solver.md) is one file. `dpbench list solvers`
-says which are installed here, in which version.
+One page for each solver that dpbench has an adapter for. A solver that qpsolvers serves works by
+its name without one, and [your own](../tutorials/add-a-solver.md) is one file.
+`dpbench list solvers` says which are installed here, in which version.
 """
 EXTRAS = {
     "core": "with dpbench",
@@ -79,7 +78,7 @@ def _facts(row: SolverRecord) -> str:
         ("comes", f"{install}{EXTRAS[row.extra]}", ""),
         ("matrices", {"dense": "dense", "csc": "sparse, by columns"}[row.form], ""),
         ("P has to be positive definite", _yes(row.needs_strict_convexity), ""),
-        ("may go aboard as it is", f"no: {row.why_not_aboard}" if row.why_not_aboard else "yes", ""),
+        ("may go aboard as it is", _unless(row.why_not_aboard), ""),
     ]
     stated = {
         "licence": row.project.licence,
@@ -96,9 +95,16 @@ def _yes(value: bool) -> str:
     return "yes" if value else "no"
 
 
+def _unless(reason: str) -> str:
+    """ "yes" where nothing stands against it; else the reason, where it says more than "no"."""
+    if reason == NOT_OFFERED:
+        return "no"
+    return f"no: {prose(reason)}" if reason else "yes"
+
+
 def _abilities(row: SolverRecord, route: Route, can: RouteRecord) -> str:
     rows = [
-        (f"policy {code(policy)}: {text}", _policy(row, route, can, policy))
+        (f"policy {code(policy)}: {text}", _unless(row.refusal(route, policy)))
         for policy, text in POLICIES.items()
     ]
     rows += [
@@ -113,14 +119,6 @@ def _abilities(row: SolverRecord, route: Route, can: RouteRecord) -> str:
     return table(("what it can do", ""), rows)
 
 
-def _policy(row: SolverRecord, route: Route, can: RouteRecord, policy: str) -> str:
-    for name in POLICIES:
-        if name == policy:
-            refusal = row.refusal(route, name)
-            return "yes" if not refusal else "no" if refusal == NOT_OFFERED else f"no: {prose(refusal)}"
-    raise KeyError(policy)
-
-
 def _faults(can: RouteRecord) -> list[str]:
     if not can.faults:
         return []
@@ -131,9 +129,9 @@ def _faults(can: RouteRecord) -> list[str]:
 def _settings(row: SolverRecord) -> str:
     if not settings_matter(row.name):
         return "It has no tolerance to set: all levels are the same.\n"
-    rows = [
-        (code(name), ", ".join(code(f"{k}={v!r}") for k, v in level_options(name, row.name).items()))
-        for name in setting_names(row.name)
-    ]
-    shown = [(name, text or "the library's own defaults") for name, text in rows]
-    return table(("settings", "what they set"), shown)
+    rows = []
+    for name in setting_names(row.name):
+        keys = level_options(name, row.name).items()
+        options = ", ".join(code(f"{key}={value!r}") for key, value in keys)
+        rows.append((code(name), options or "the library's own defaults"))
+    return table(("settings", "what they set"), rows)

@@ -16,11 +16,11 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
-from sitegen.markup import code, prose, table
 
 from dpbench.bench.plan.suite import SuiteFile
 from dpbench.scenario.problem_files import FileModel
 from dpbench.scenario.tables import ScenarioFile, VesselFile
+from sitegen.markup import code, prose, table
 
 FILES: dict[str, type[FileModel]] = {
     "vessel": VesselFile,
@@ -83,7 +83,8 @@ def _page(kind: str, model: type[FileModel]) -> str:
     for section in sections(model):
         parts.append(f"## {code(section.header) or 'Top of the file'}\n")
         if section.header:
-            parts.append(f"{prose((inspect.getdoc(section.model) or '').partition(chr(10))[0])}\n")
+            summary = (inspect.getdoc(section.model) or "").split("\n\n")[0]
+            parts.append(f"{prose(summary)}\n")
         parts.append(_keys(section.model))
     return "\n".join(parts)
 

@@ -1,0 +1,40 @@
+"""What comes with the package: its vessels, scenarios and suites, from their files."""
+
+from __future__ import annotations
+
+from dpbench.bench.plan.suite import load_suite
+from dpbench.scenario.problem_files import problem_names
+from dpbench.scenario.scenario import load_scenario, load_vessel
+from sitegen.markup import code, prose, table
+
+INTRODUCTION = """# What comes with it
+
+A scenario runs with another vessel as `rough@osv`. Every file is under `problems/`, and says where
+its numbers come from.
+"""
+
+
+def pages() -> dict[str, str]:
+    """Markdown by file of the documentation."""
+    parts = [INTRODUCTION, "## Suites\n", _suites(), "## Scenarios\n", _scenarios()]
+    return {"reference/library.md": "\n".join([*parts, "## Vessels\n", _vessels()])}
+
+
+def _suites() -> str:
+    titles = ((name, load_suite(name)[1].title) for name in problem_names("suites"))
+    return table(("suite", "asks"), ((code(name), prose(title)) for name, title in titles))
+
+
+def _scenarios() -> str:
+    rows = []
+    for name in problem_names("scenarios"):
+        run = load_scenario(name)
+        tuning = f"{run.tuning} {run.N_p}/{run.N_c}"
+        rows.append((code(name), run.vessel.id, tuning, str(run.steps), prose(run.shows)))
+    return table(("scenario", "vessel", "tuning", "steps", "what it shows"), rows)
+
+
+def _vessels() -> str:
+    ships = [load_vessel(name) for name in problem_names("vessels")]
+    rows = ((code(ship.id), prose(ship.title), prose(ship.source)) for ship in ships)
+    return table(("vessel", "ship", "source"), rows)

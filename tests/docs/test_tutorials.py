@@ -1,0 +1,82 @@
+"""Whoever follows a page of the documentation from top to bottom gets what it promises."""
+
+from __future__ import annotations
+
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dpbench.cli.main import main
+from dpbench.solvers import plugins
+from tests.docs.markdown_blocks import DOCS, PAGES, Block, blocks_of
+
+ROOT = DOCS.parent
+FOLLOWED = [page for page in PAGES if blocks_of(page)]
+REGRESSION_SHOWN = 1
+
+
+def test_the_five_ways_have_something_to_follow() -> None:
+    """Each tutorial has commands; so do the pages of the guide that promise some."""
+    tutorials = {page.stem for page in FOLLOWED if page.parent.name == "tutorials"}
+    assert len(tutorials) == 5
+    assert all(
+        any(block.language == "sh" for block in blocks_of(DOCS / "tutorials" / f"{name}.md"))
+        for name in tutorials
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.alone  # cells have a limit of some seconds
+@pytest.mark.parametrize("page", FOLLOWED, ids=lambda page: str(page.stem))
+def test_a_page_runs_from_top_to_bottom(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Files are saved under the names it gives, every command ends as it should, Python runs.
+
+    A long command is replaced by what its page says in a comment, `tested as`.
+    """
+    monkeypatch.chdir(tmp_path)
+    # Another page may have loaded the same name from another file.
+    monkeypatch.setattr(plugins, "_LOADED", {})
+    for block in blocks_of(page):
+        if block.title:
+            Path(block.title).write_text(f"{block.body}\n", encoding="utf-8")
+        elif block.language == "python":
+            exec(compile(block.body, str(page), "exec"), {"__name__": "page"})
+        elif block.language == "sh":
+            for command in block.tested:
+                _run(command)
+
+
+def _run(command: str) -> None:
+    program, *words = shlex.split(command)
+    if program == "dpbench":
+        # Two runs of the same code may differ; that a comparison says so is no fault of the page.
+        allowed = (0, REGRESSION_SHOWN) if words[0] == "compare" else (0,)
+        assert main(words) in allowed, command
+    else:
+        assert program == "python", command
+        subprocess.run([sys.executable, *words], check=True, cwd=ROOT)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.stem))
+def test_what_is_tested_is_what_is_printed(page: Path) -> None:
+    """A replacement is the same command with other limits: as many lines, the same words first."""
+    for block in blocks_of(page):
+        if not block.instead:
+            continue
+        assert len(block.commands) == len(block.tested), block
+        for printed, tested in zip(block.commands, block.tested, strict=True):
+            assert _kind(block, printed) == _kind(block, tested)
+
+
+def _kind(block: Block, command: str) -> list[str]:
+    """Program and command; of `run` how it is told what to run."""
+    assert block.language == "sh"
+    words = shlex.split(command)
+    return words[:2] + [
+        word for word in words if word in ("--sequence", "--solver-module", "--format")
+    ]
