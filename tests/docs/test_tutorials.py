@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from dpbench import load_results
 from dpbench.cli.main import main
 from dpbench.solvers import plugins
 from tests.docs.markdown_blocks import DOCS, PAGES, Block, blocks_of
@@ -49,6 +50,10 @@ def test_a_page_runs_from_top_to_bottom(
         elif block.language == "sh":
             for command in block.tested:
                 _run(command)
+    for table in Path("results").glob("*/runs.parquet"):
+        runs = load_results(table.parent).runs
+        bad = runs[runs["outcome"].isin(["crashed", "hung", "invalid", "lost"])]
+        assert bad.empty, bad[["solver", "outcome_detail"]].to_string()
 
 
 def _run(command: str) -> None:
