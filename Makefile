@@ -80,7 +80,7 @@ lint: setup ## ruff, mypy --strict, import floors
 
 # What the theme says of its own future is no warning of ours.
 docs: setup ## the documentation in build/site; a warning or a dead link is an error
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 bench-ci: setup ## pytest-benchmark of the parts; writes results/bench-ci.json
 	mkdir -p results
