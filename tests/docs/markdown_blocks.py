@@ -8,6 +8,7 @@ from pathlib import Path
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
+README = DOCS.parent / "README.md"
 _BLOCK = re.compile(
     r"(?:^<!-- tested as:\n(?P<instead>.*?)\n-->\n)?"
     r'^```(?P<language>\w+)(?: title="(?P<title>[\w./-]+)")?\n(?P<body>.*?)\n```$',

@@ -12,10 +12,10 @@ import pytest
 from dpbench import load_results
 from dpbench.cli.main import main
 from dpbench.solvers import plugins
-from tests.docs.markdown_blocks import DOCS, PAGES, Block, blocks_of
+from tests.docs.markdown_blocks import DOCS, PAGES, README, Block, blocks_of
 
 ROOT = DOCS.parent
-FOLLOWED = [page for page in PAGES if blocks_of(page)]
+FOLLOWED = [page for page in (README, *PAGES) if blocks_of(page)]
 REGRESSION_SHOWN = 1
 
 
@@ -57,7 +57,7 @@ def test_a_page_runs_from_top_to_bottom(
 
 
 def _run(command: str) -> None:
-    program, *words = shlex.split(command)
+    program, *words = shlex.split(command, comments=True)
     if program == "dpbench":
         # Two runs of the same code may differ; that a comparison says so is no fault of the page.
         allowed = (0, REGRESSION_SHOWN) if words[0] == "compare" else (0,)
@@ -67,7 +67,7 @@ def _run(command: str) -> None:
         subprocess.run([sys.executable, *words], check=True, cwd=ROOT)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.stem))
+@pytest.mark.parametrize("page", (README, *PAGES), ids=lambda page: str(page.stem))
 def test_what_is_tested_is_what_is_printed(page: Path) -> None:
     """A replacement is the same command with other limits: as many lines, the same words first."""
     for block in blocks_of(page):
@@ -81,7 +81,7 @@ def test_what_is_tested_is_what_is_printed(page: Path) -> None:
 def _kind(block: Block, command: str) -> list[str]:
     """Program and command; of `run` how it is told what to run."""
     assert block.language == "sh"
-    words = shlex.split(command)
+    words = shlex.split(command, comments=True)
     return words[:2] + [
         word for word in words if word in ("--sequence", "--solver-module", "--format")
     ]
