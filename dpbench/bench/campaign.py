@@ -28,7 +28,7 @@ from dpbench.bench.record.revision import Revision, revision, revisions
 from dpbench.bench.sequences.recording import read_sequence
 from dpbench.bench.sequences.source import is_random, is_sound, source_key
 from dpbench.bench.tabulate import tabulate
-from dpbench.bench.workers.child import template_context
+from dpbench.bench.workers.child import is_compiled, template_context
 from dpbench.bench.workers.executor import Bench, CellJob, CellStore, work_of
 from dpbench.bench.workers.scratch import Scratch
 from dpbench.bench.workers.worker import make_source
@@ -78,6 +78,8 @@ class Campaign:
                 pending.append(job)
         work = sum(work_of(job.cell) for job in pending)
         progress.start(work + self._designs.work)
+        if not is_compiled():
+            progress.remark("compiling the kernels, once after an installation: some 30 s")
         with Scratch(self._store.folder) as scratch:
             context, slots = template_context(), self._jobs
             bench = Bench(context, scratch, self._store, self._cores, slots, progress)

@@ -15,6 +15,7 @@ from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
 from typing import Any
 
+import dpbench
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.record.machine import THREAD_VARIABLES, pin_threads
 from dpbench.bench.record.raw_log import RawLog, is_whole
@@ -34,6 +35,13 @@ def with_log(outcome: Outcome, raw: Path) -> Outcome:
     if outcome.outcome in ("finished", "timed_out") and not raw.exists():
         return Outcome("lost", "its log went away before it was judged")
     return outcome
+
+
+def is_compiled() -> bool:
+    """Whether the kernels were compiled before on this machine, into Numba's cache."""
+    kept = os.environ.get("NUMBA_CACHE_DIR")
+    folder = Path(kept) if kept else Path(dpbench.__file__).parent
+    return any(folder.rglob("*.nbi"))
 
 
 def template_context() -> ForkServerContext:
