@@ -15,7 +15,6 @@ from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
 from typing import Any
 
-import dpbench
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.record.machine import THREAD_VARIABLES, pin_threads
 from dpbench.bench.record.raw_log import RawLog, is_whole
@@ -40,7 +39,7 @@ def with_log(outcome: Outcome, raw: Path) -> Outcome:
 def is_compiled() -> bool:
     """Whether the kernels were compiled before on this machine, into Numba's cache."""
     kept = os.environ.get("NUMBA_CACHE_DIR")
-    folder = Path(kept) if kept else Path(dpbench.__file__).parent
+    folder = Path(kept) if kept else Path(__file__).parents[2]
     return any(folder.rglob("*.nbi"))
 
 
