@@ -97,7 +97,6 @@ def test_a_weather_that_is_too_much_is_named(
 
 
 @pytest.mark.slow
-@pytest.mark.alone
 def test_what_the_paper_holds_is_what_the_loop_holds() -> None:
     """About 1.65 m of the paper's ship, and from both sides as from the one that is tried."""
     scenario = load_scenario("paper")

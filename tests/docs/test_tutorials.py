@@ -30,7 +30,6 @@ def test_the_five_ways_have_something_to_follow() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.alone  # cells have a limit of some seconds
 @pytest.mark.parametrize("page", FOLLOWED, ids=lambda page: str(page.stem))
 def test_a_page_runs_from_top_to_bottom(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -30,7 +30,6 @@ def test_it_is_kept_without_outputs() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.alone
 def test_every_cell_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a kernel of its own and an empty folder; tables are HTML, figures are Vega-Lite."""
     import nbclient

@@ -89,7 +89,6 @@ def test_a_folder_of_other_things_is_refused(
 
 
 @pytest.mark.slow
-@pytest.mark.alone
 def test_the_paper_is_reproduced_from_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
