@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from dpbench.mpc.condense import ControlProblem, affine_map, condense_matrices, hessian
+from dpbench.mpc.condense import ControlProblem, affine_map, condense_matrices
 from dpbench.mpc.condensed_qp import CondensedQP
+from dpbench.mpc.kernels import hessian_blocks
 
 SIZES = (75, 150, 300, 600, 900)
 
@@ -106,7 +107,8 @@ def test_hessian_grows(benchmark: BenchmarkFixture, problem: ControlProblem, n: 
     horizon = n // problem.model.n_u
     h = condense_matrices(replace(problem, N_p=horizon, N_c=horizon)).h
     benchmark.extra_info["n"] = n
-    benchmark(hessian, h, problem.Q, problem.R, horizon)
+    E = np.empty((n, n))
+    benchmark(hessian_blocks, np.ascontiguousarray(h), problem.Q, problem.R, horizon, E)
 
 
 @pytest.mark.benchmark(group="growth: the whole CondensedQP, N_p = N_c = n/3")

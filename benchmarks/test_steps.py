@@ -10,7 +10,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from dpbench import open_workspace
-from dpbench.bench.plan.plan import BASELINE_LAW
+from dpbench.bench.plan.configurations import BASELINE_LAW
 from dpbench.bench.record.raw_log import RawLog, loop_layout
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.exact_loop import ExactLoop, ExactWorkspace, base_problem, sequence_of

@@ -139,7 +139,8 @@ def test_the_report_shows_who_lied(folder: Path) -> None:
     assert lies.index[0] == "faulty"
     assert lies.to_dict() == {"faulty": 3 * STEPS, "daqp": 0, "quadprog": 0}
     html = (folder / "report.html").read_text(encoding="utf-8")
-    assert '<section id="random">' in html and '<section id="matrix">' not in html
+    answer = html.split('<section id="answer">')[1].split("</section>")[0]
+    assert "faulty 18" in answer and '<section id="matrix">' not in html
 
 
 def test_a_finished_random_cell_is_not_run_again(folder: Path, results: Results) -> None:
