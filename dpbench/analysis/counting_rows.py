@@ -98,4 +98,4 @@ def counting_of(steps: pd.DataFrame) -> CountingRows:
             arrays[field.name] = column.to_numpy(dtype=np.int64)[counts]
         else:
             arrays[field.name] = column.to_numpy(dtype=np.float64, na_value=np.nan)[counts]
-    return CountingRows(**arrays)  # type: ignore[arg-type]  # each has the type of its kind
+    return CountingRows(**arrays)  # type: ignore[arg-type] # each array has its field's type, made so above

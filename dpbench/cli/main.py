@@ -121,7 +121,7 @@ def _report(arguments: argparse.Namespace) -> int:
 def _completion(arguments: argparse.Namespace) -> int:
     from argcomplete.shell_integration import shellcode
 
-    code = shellcode(["dpbench"], shell=arguments.shell)  # type: ignore[no-untyped-call] # it is not typed
+    code = shellcode(["dpbench"], shell=arguments.shell)  # type: ignore[no-untyped-call] # argcomplete types nothing
     print(code)
     return 0
 

@@ -111,7 +111,7 @@ class QuadraticProgram:
 
     def copy(self) -> QuadraticProgram:
         """The same problem in memory that nobody else holds."""
-        P, q, A, l, u, lb, ub = (  # noqa: E741 - see `l` above
+        P, q, A, l, u, lb, ub = (  # noqa: E741 - the name in OSQP's notation, as `l` above
             array.copy() for array in (self.P, self.q, self.A, self.l, self.u, self.lb, self.ub)
         )
         return QuadraticProgram(P, q, A, l, u, lb, ub, self.block, self.moves)

@@ -96,8 +96,7 @@ def _structure(path: Path) -> Mapping[str, Any]:
             content = scipy.io.loadmat(path, simplify_cells=True)
     except OSError as error:
         raise InputError(str(path), "", error.strerror or str(error), "a readable file") from error
-    # What is no such file makes scipy raise almost anything.
-    except Exception as error:
+    except Exception as error:  # of what is no such file scipy may raise anything: an InputError
         allowed = "a .mat file of version 7 or older (in MATLAB: save -v7)"
         raise InputError(str(path), "", f"no MATLAB file ({error})", allowed) from error
     vessel = content.get("vessel")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from dpbench.bench.design import find_bracket, held_in_still_water, is_held
 from dpbench.cli import ship_text
 from dpbench.scenario.problem_files import problem_names, problem_path
-from dpbench.scenario.scenario import load_scenario, load_vessel
+from dpbench.scenario.scenario import Scenario, load_scenario, load_vessel
 
 
 def up_to(monkeypatch: pytest.MonkeyPatch, offset_m: float) -> None:
@@ -102,10 +103,9 @@ def test_what_the_paper_holds_is_what_the_loop_holds() -> None:
     scenario = load_scenario("paper")
     tried: list[tuple[float, ...]] = []
 
-    def holds(trial: object, offset_m: float, sides: object) -> bool:
-        assert isinstance(sides, tuple)
-        tried.append(sides)
-        return is_held(trial, offset_m, sides)  # type: ignore[arg-type] # a scenario
+    def holds(trial: Scenario, offset_m: float, sides: Sequence[float]) -> bool:
+        tried.append(tuple(sides))
+        return is_held(trial, offset_m, sides)
 
     one_side = held_in_still_water(scenario, holds)
     assert set(tried) == {(1.0,)}

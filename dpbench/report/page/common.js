@@ -68,3 +68,15 @@ function vegaTooltip() {
     box.style.top = `${event.pageY + (below ? 14 : -14 - box.offsetHeight)}px`;
   };
 }
+
+// Draws again when the colours or the width there is have changed.
+function onNewLook(redraw) {
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
+  let width = innerWidth, waiting = null;
+  addEventListener("resize", () => {
+    if (innerWidth === width) return;
+    width = innerWidth;
+    clearTimeout(waiting);
+    waiting = setTimeout(redraw, 200);
+  });
+}

@@ -140,14 +140,7 @@ async function start() {
   for (const node of document.querySelectorAll("[data-static]")) node.hidden = true;
   $("table-filter").addEventListener("input", drawTable);
   addEventListener("popstate", () => { read(); draw(); });
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
-  let width = innerWidth, waiting = null;
-  addEventListener("resize", () => {
-    if (innerWidth === width) return;
-    width = innerWidth;
-    clearTimeout(waiting);
-    waiting = setTimeout(redraw, 200);
-  });
+  onNewLook(redraw);
   read();
   await draw();
   document.documentElement.dataset.ready = "yes";

@@ -619,13 +619,7 @@ function listenPage() {
       go(link.getAttribute("href").slice(1));
     });
   }
-  let width = innerWidth, waiting = null;
-  addEventListener("resize", () => {
-    if (innerWidth === width) return;
-    width = innerWidth;
-    clearTimeout(waiting);
-    waiting = setTimeout(redraw, 200);
-  });
+  onNewLook(redraw);
   for (const button of document.querySelectorAll("[data-go]")) {
     button.addEventListener("click", () => {
       const [solver, w, settings] = button.dataset.go.split("~");
@@ -636,7 +630,6 @@ function listenPage() {
 
 async function start() {
   await unpack();
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   facts.index = new Map((facts.cells.c ?? []).map((c, i) => [`${c}/${facts.cells.p[i]}`, i]));
   for (const node of document.querySelectorAll("[data-live]")) node.hidden = false;
   read();

@@ -173,7 +173,7 @@ def ascend(S: Matrix, max_iter: int, eps_change: float, eps_row: float) -> int:
 
 def _entry_point(version: int) -> Callable[..., Any]:
     @njit("i8(f8[:, ::1], i8, f8, f8)", cache=True, fastmath=REORDER, error_model="numpy")
-    def hildreth_step(S, max_iter, eps_change, eps_row):  # type: ignore[no-untyped-def] # numba
+    def hildreth_step(S, max_iter, eps_change, eps_row):  # type: ignore[no-untyped-def] # Numba gives the types
         S[HEAD, STAMP] = version
         ending = ascend(S, max_iter, eps_change, eps_row)
         S[HEAD, STALE] = 1.0 if ending < 0 and ending != UNDECIDED else 0.0

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,9 @@ def _absent(reason: str) -> None:
 def chromium(request: pytest.FixtureRequest) -> Iterator[Any]:
     """A running browser."""
     if request.config.getoption("--without-extras"):
-        pytest.skip("the tools of the browser are left out with the extras")
+        pytest.skip(
+            "no browser"
+        )  # its tools are left out on purpose; another job looks at the page
     try:
         from playwright.sync_api import sync_playwright
     except ImportError:
@@ -94,10 +97,17 @@ class Opener:
             context.close()
 
 
-@pytest.fixture
-def opened(chromium: Any, page_file: Path) -> Iterator[Opener]:
-    """Opens the page; what it logged as an error or warning fails the test."""
-    opener = Opener(chromium, page_file)
+@contextmanager
+def opening(browser: Any, file: Path) -> Iterator[Opener]:
+    """Opens a page; what it logged as an error or warning fails the test."""
+    opener = Opener(browser, file)
     yield opener
     opener.close()
     assert opener.errors == []
+
+
+@pytest.fixture
+def opened(chromium: Any, page_file: Path) -> Iterator[Opener]:
+    """The page of the campaign."""
+    with opening(chromium, page_file) as opener:
+        yield opener

@@ -12,7 +12,7 @@ import pytest
 from dpbench.bench.record.result_folder import Results, load_results, write_results
 from dpbench.report.compare.comparison import compare
 from dpbench.report.compare.page import write_comparison
-from tests.report.browser.conftest import Opener
+from tests.report.browser.conftest import Opener, opening
 
 PHONE = (390, 844)
 SLOWER, FACTOR = "piqp", 1.5
@@ -33,11 +33,9 @@ def comparison_file(campaign: Path, tmp_path_factory: pytest.TempPathFactory) ->
 
 @pytest.fixture
 def compared(chromium: Any, comparison_file: Path) -> Iterator[Opener]:
-    """Opens the page; what it logged as an error or warning fails the test."""
-    opener = Opener(chromium, comparison_file)
-    yield opener
-    opener.close()
-    assert opener.errors == []
+    """The page of the comparison."""
+    with opening(chromium, comparison_file) as opener:
+        yield opener
 
 
 def test_it_opens_with_what_became_slower_most(compared: Opener) -> None:
