@@ -26,31 +26,31 @@ from dpbench.report.topics.worst_case import worst_case_topic
 def topics_of(records: Records, demand: Demand, designs: Designs | None) -> list[Topic]:
     """Those that have something to say, the suite's own question first; what nobody asked for is
     not mentioned."""
+    replays, loops = (_only(records, mode) for mode in ("replay", "closed_loop"))
     found = (
         worst_case_topic(records),
         horizon_topic(records, demand),
         slowdown_topic(records),
         random_topic(records),
         formulations_topic(records, demand),
-        loops_topic(records, demand),
-        race_topic(records),
-        routes_topic(records),
-        levels_topic(records, demand),
+        loops_topic(records, demand) if loops else None,
+        race_topic(records) if replays else None,
+        routes_topic(records) if replays else None,
+        levels_topic(records, demand) if replays else None,
         paper_topic(records, designs),
         trust_topic(records),
     )
     topics = [topic for topic in found if topic is not None]
     question = _question(records, [topic.id for topic in topics])
     topics = [replace(topic, leads=topic.id == question) for topic in topics]
-    mixed = ("formulations",) if not _only(records, "replay") else ()
-    shown = [t for t in topics if t.leads or t.id not in _OWN_SUITE or t.id in mixed]
+    hidden = ("loops", *(_CONTRASTS if replays else ()))
+    shown = [topic for topic in topics if topic.leads or topic.id not in hidden]
     return sorted(shown, key=lambda topic: not topic.leads)
 
 
 _CONTRASTS = ("formulations", "race", "routes", "levels")
-"""Questions about the same replays, in the order in which a suite of replays is taken to ask."""
-_OWN_SUITE = ("loops", *_CONTRASTS)
-"""What stands on the page only where it is what the suite asks."""
+"""Questions about the same replays, in the order in which a suite of replays is taken to ask; its
+page answers that one alone."""
 
 
 def _mostly_forms(records: Records) -> bool:
