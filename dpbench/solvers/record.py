@@ -114,6 +114,21 @@ class Fact:
 
 
 @dataclass(frozen=True)
+class CSettings:
+    """The structure of a C library whose fields have the names of the options.
+
+    Parameters
+    ----------
+    struct : its type; `defaults` : the function that fills one, given its address.
+    source : where the library says so.
+    """
+
+    struct: str
+    defaults: str
+    source: str
+
+
+@dataclass(frozen=True)
 class Project:
     """What a controller's author asks about a solver, as its own documentation answers it.
 
@@ -123,6 +138,7 @@ class Project:
     c_code : whether it generates C code for a problem, or is C code one can embed.
     allocation_free : whether a solve after set-up allocates no memory.
     single_precision : whether it can be built in single precision.
+    c_settings : how its options are set in C; None where they have other names there.
     """
 
     licence: Fact
@@ -130,6 +146,7 @@ class Project:
     c_code: Fact
     allocation_free: Fact
     single_precision: Fact
+    c_settings: CSettings | None = field(default=None, kw_only=True)
 
 
 def stated(
@@ -139,11 +156,12 @@ def stated(
     c_code: tuple[str, str] | None = None,
     allocation_free: tuple[str, str] | None = None,
     single_precision: tuple[str, str] | None = None,
+    c_settings: CSettings | None = None,
 ) -> Project:
     """What a project states, each with the place; None where it does not, as far as is known here:
     nothing is inferred."""
     facts = (licence, language, c_code, allocation_free, single_precision)
-    return Project(*(Fact(*(fact or UNSTATED)) for fact in facts))
+    return Project(*(Fact(*(fact or UNSTATED)) for fact in facts), c_settings=c_settings)
 
 
 NOT_STATED = stated(licence=None, language=None)

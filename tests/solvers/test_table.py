@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -167,10 +168,25 @@ def test_no_fact_without_a_source():
     """What is said of a project names its source; every one has a licence and a language."""
     for row in TABLE.values():
         facts = dataclasses.asdict(row.project)
+        in_c = facts.pop("c_settings")
+        assert in_c is None or all(in_c.values()), row.name
         for fact in facts.values():
             assert (fact["value"] == "not stated") == (fact["source"] == "")
         assert facts["licence"]["source"], row.name
         assert facts["language"]["source"], row.name
+
+
+def test_settings_in_c_have_the_names_of_the_options():
+    """The headers that OSQP installs beside its Python interface have the structure, each option
+    of each level as a field, and the function that fills it."""
+    row = TABLE["osqp"]
+    headers = Path(import_module("osqp").__file__).parent.rglob("osqp_api_*.h")
+    text = "".join(header.read_text(encoding="utf-8") for header in headers)
+    in_c = row.project.c_settings
+    assert re.search(rf"void {in_c.defaults}\({in_c.struct}\s*\*\s*\w+\)", text)
+    fields = text.split(f"}} {in_c.struct};")[0].rsplit("typedef struct", 1)[1]
+    for option in {key for level in row.levels.values() for key in level}:
+        assert re.search(rf"\b{option};", fields), option
 
 
 def test_a_record_tells_the_routes_apart():

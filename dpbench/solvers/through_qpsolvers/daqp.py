@@ -6,7 +6,14 @@ import inspect
 from importlib import import_module
 
 from dpbench.solvers.adapter import QpsolversAdapter, found_is_all
-from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord, by_tolerance, stated
+from dpbench.solvers.record import (
+    NAN_FAULTS,
+    CSettings,
+    RouteRecord,
+    SolverRecord,
+    by_tolerance,
+    stated,
+)
 
 RECORD = SolverRecord(
     name="daqp",
@@ -33,6 +40,9 @@ RECORD = SolverRecord(
         c_code=("yes, renders a workspace", "DAQP source, codegen"),
         allocation_free=("yes, after setup", "DAQP Python interface, docstring of Model"),
         single_precision=("yes, DAQP_SINGLE_PRECISION", "DAQP source, include/types.h"),
+        c_settings=CSettings(
+            "DAQPSettings", "daqp_default_settings", "DAQP source, include/types.h and api.h"
+        ),
     ),
 )
 

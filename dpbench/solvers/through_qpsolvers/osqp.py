@@ -12,6 +12,7 @@ from dpbench.solvers.record import (
     DEFAULT,
     HIGH,
     Build,
+    CSettings,
     RouteRecord,
     SolverRecord,
     by_tolerance,
@@ -50,6 +51,9 @@ RECORD = SolverRecord(
         c_code=("yes, generates code for a problem", "OSQP web site, Features: Embeddable"),
         allocation_free=("yes, generated code", "OSQP web site, Features: no memory manager"),
         single_precision=("yes, OSQP_USE_FLOAT", "OSQP source, osqp_api_types.h"),
+        c_settings=CSettings(
+            "OSQPSettings", "osqp_set_default_settings", "OSQP source, osqp_api_types.h"
+        ),
     ),
     build=build,
 )

@@ -7,7 +7,7 @@ from typing import Any
 from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter, attributes, made_by
 from dpbench.solvers.contract import Options
-from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
+from dpbench.solvers.record import CSettings, RouteRecord, SolverRecord, by_tolerance, stated
 
 RECORD = SolverRecord(
     name="qpalm",
@@ -30,6 +30,9 @@ RECORD = SolverRecord(
     project=stated(
         licence=("LGPL-3.0-or-later", "QPALM, metadata of its distribution"),
         language=("C", "QPALM README, Supported platforms"),
+        c_settings=CSettings(
+            "QPALMSettings", "qpalm_set_default_settings", "QPALM source, types.h"
+        ),
     ),
 )
 

@@ -8,7 +8,7 @@ from typing import Any
 from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter
 from dpbench.solvers.contract import Options
-from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
+from dpbench.solvers.record import CSettings, RouteRecord, SolverRecord, by_tolerance, stated
 
 RECORD = SolverRecord(
     name="scs",
@@ -24,6 +24,7 @@ RECORD = SolverRecord(
         licence=("MIT", "SCS, metadata of its distribution"),
         language=("C", "SCS documentation, front page"),
         single_precision=("yes, a flag of its build", "SCS source, scs.mk"),
+        c_settings=CSettings("ScsSettings", "scs_set_default_settings", "SCS source, scs.h"),
     ),
 )
 
