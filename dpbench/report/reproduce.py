@@ -174,6 +174,7 @@ def _document(topic: Topic, results: Results) -> str:
             markdown(table.head, table.rows, len(table.head)),
         ]
     parts += ["## Figures", "\n".join(f"- {figure.caption}" for figure in topic.figures)]
+    parts.append(f"## Cite\n\n```bibtex\n{topic.paste}\n```")
     version = f"dpbench {results.suite['harness_version']}{f', {commit}' if commit else ''}"
     parts.append(f"Run by {version}: {ran}. Data: `figure*.csv`, and `{RUNS}/steps.parquet`.")
     return "\n\n".join(filter(None, parts)) + "\n"

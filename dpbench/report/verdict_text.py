@@ -109,8 +109,8 @@ def why_nothing(view: Records, verdicts: Verdicts, found: Recommendation) -> str
 def usual_time(verdict: Verdict) -> str:
     """Its p99, or its p50 where there are too few steps for one."""
     if math.isnan(verdict.p99_ns):
-        return f"p50 {time_text(verdict.p50_ns)} on {verdict.timed_on}"
-    return f"p99 {time_text(verdict.p99_ns)} on {verdict.timed_on}"
+        return f"p50 {time_text(verdict.p50_ns)} in the replay of {verdict.timed_on}"
+    return f"p99 {time_text(verdict.p99_ns)} in the replay of {verdict.timed_on}"
 
 
 def paired_text(found: PairedComparison) -> str:

@@ -123,7 +123,7 @@ def test_nothing_qualifies_is_said_as_far_as_the_runs_go(
     records.replay("osqp")
     answer = _answer(records)
     assert answer.sentence.startswith(says) and "`" not in answer.sentence
-    assert answer.snippet == "" and answer.notes == ()
+    assert answer.snippets == () and answer.notes == ()
 
 
 def test_own_code_alone_is_no_recommendation(records: Any) -> None:
@@ -151,8 +151,33 @@ def test_a_snippet_opens_what_it_recommends(records: Any) -> None:
     records.loop("daqp", route="native", policy="warm")
     records.replay("daqp", route="native", policy="warm")
     names: dict[str, Any] = {}
-    exec(compile(_answer(records).snippet, "snippet", "exec"), names)
+    exec(compile(dict(_answer(records).snippets)["Python"], "snippet", "exec"), names)
     assert names["solver"] is not None
+
+
+@pytest.mark.parametrize(
+    ("solver", "settings", "text"),
+    [
+        ("daqp", "default", "DAQPSettings settings;\ndaqp_default_settings(&settings);"),
+        (
+            "osqp",
+            "default_polished",
+            "OSQPSettings settings;\nosqp_set_default_settings(&settings);\n"
+            "settings.adaptive_rho = 1;\nsettings.adaptive_rho_interval = 50;\n"
+            "settings.polishing = 1;",
+        ),
+        ("quadprog", "default", None),
+    ],
+)
+def test_a_snippet_in_c_has_the_numbers_of_the_record(
+    records: Any, solver: str, settings: str, text: str | None
+) -> None:
+    """In the structure that the record names; without one there is none."""
+    for settings_run in dict.fromkeys(("default", settings)):
+        error = 0.4 if settings_run != settings else 1e-9
+        records.loop(solver, settings=settings_run, error=error)
+        records.replay(solver, settings=settings_run, error=error)
+    assert dict(_answer(records).snippets).get("C") == text
 
 
 def test_why_is_the_verdicts_cause(records: Any) -> None:

@@ -181,7 +181,7 @@ def test_without_a_solver_on_a_ship_no_demand_is_spoken_of(records: Any, kind: s
         "calibration": "Waits of known length were measured within ",
     }
     assert lead.leads and lead.lines[0].startswith(starts[kind])
-    assert (answer.sentence, answer.demand, answer.snippet, answer.chips) == ("", "", "", ())
+    assert (answer.sentence, answer.demand, answer.snippets, answer.chips) == ("", "", (), ())
 
 
 def _nothing(records: Any) -> None:

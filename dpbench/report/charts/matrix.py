@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import altair as alt
@@ -19,7 +20,10 @@ from dpbench.report.charts.style import (
     tip,
 )
 
-COLUMNS = ("solver", "place", "settings", "state", "error", "failed", "id", "place_id", "detail")
+COLUMNS = (
+    *("solver", "place", "settings", "way", "state"),
+    *("error", "failed", "id", "place_id", "detail"),
+)
 MARKS = ("✓", "?", "✕", "–")
 MOST_ACROSS = 30
 """Places side by side; more would leave no room for a name."""
@@ -40,9 +44,9 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     """
     solvers, places = table["solver"].unique().tolist(), table["place"].unique().tolist()
     levels = table["settings"].unique().tolist()
-    signs = dict(zip(OUTCOMES, MARKS, strict=True))
-    inks = dict(zip(OUTCOMES, OUTCOME_COLOURS, strict=True))
-    table = table.assign(sign=table["state"].map(signs), ink=table["state"].map(inks))
+    # Worked out in the figure, so that the page can hand it other rows.
+    signs = json.dumps(dict(zip(OUTCOMES, MARKS, strict=True)), ensure_ascii=False)
+    inks = json.dumps(dict(zip(OUTCOMES, OUTCOME_COLOURS, strict=True)))
     pick = alt.selection_point(name="pick", fields=["id", "place_id"], on="click", empty=False)
     long = len(places) > MOST_ACROSS
     across, down = ("solver", "place") if long else ("place", "solver")
@@ -56,6 +60,7 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     y = alt.Y(f"{down}:N", sort=order[down], title=None)
     tips = [
         alt.Tooltip("solver:N"),
+        alt.Tooltip("way:N"),
         alt.Tooltip("settings:N"),
         alt.Tooltip("place:N", title="in"),
         alt.Tooltip("state:N", title="demand"),
@@ -74,7 +79,8 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
         stroke=alt.condition(pick, alt.value(ACCENT), alt.value(PAPER)),
         strokeWidth=alt.condition(pick, alt.value(3), alt.value(1.5)),
     )
-    text = base.mark_text(fontSize=12, fontWeight=600).encode(
+    signed = base.transform_calculate(sign=f"{signs}[datum.state]", ink=f"{inks}[datum.state]")
+    text = signed.mark_text(fontSize=12, fontWeight=600).encode(
         text="sign:N",
         color=alt.Color("ink:N", scale=None),
     )
@@ -91,7 +97,9 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
         tiles, text, data=table, width=alt.Step(30), height=alt.Step(15 if long else 22)
     )
     chart = (
-        placed.facet(row=alt.Row("settings:N", sort=levels, title=None, header=header), spacing=14)
+        placed.facet(
+            row=alt.Row("settings:N", sort=levels, title=None, header=header), spacing=14
+        ).resolve_axis(x="independent")
         if stacked
         else placed.facet(
             column=alt.Column("settings:N", sort=levels, title=None, header=header), spacing=14

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import isnan
 from typing import Any
 
-from dpbench.analysis.times.fastest import Recommendation, fastest_of, recommend
+from dpbench.analysis.times.fastest import Recommendation, fastest_of, known_record, recommend
 from dpbench.analysis.times.pairs import paired_comparison
 from dpbench.analysis.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
@@ -47,7 +47,7 @@ class Answer:
     sentence: str
     notes: tuple[tuple[str, str], ...]
     chips: tuple[Chip, ...]
-    snippet: str
+    snippets: tuple[tuple[str, str], ...]
     demand: str
     machine: str
     first: Configuration | None
@@ -91,7 +91,7 @@ def answer_of(facts: Facts, machine: Mapping[str, Any], baseline: str | None = N
         sentence=_sentence(facts, found),
         notes=tuple(_notes(facts, found)),
         chips=tuple(_chips(facts, first)),
-        snippet=_snippet(chosen.configuration) if chosen else "",
+        snippets=tuple(_snippets(chosen.configuration)) if chosen else (),
         demand=demand_text(facts.demand) if facts.verdicts.of else "",
         machine=_machine(machine),
         first=first,
@@ -186,15 +186,26 @@ def _chips(facts: Facts, first: Configuration | None) -> list[Chip]:
     return [*sums, *named]
 
 
-def _snippet(c: Configuration) -> str:
+def _snippets(c: Configuration) -> Iterator[tuple[str, str]]:
+    """What to paste: each language with its text; C where the solver's record says how."""
     options = level_options(c.settings, c.solver)
     keys = ", ".join(f"{key}={value!r}" for key, value in options.items())
-    return (
+    yield (
+        "Python",
         "import dpbench\n"
         f'solver = dpbench.open_workspace("{c.solver}", route="{c.route}", policy="{c.policy}", '
         f'settings="{c.settings}")\n'
-        f"# in its own words: {keys or 'nothing set'}"
+        f"# that is, {keys or 'as the library has them'}",
     )
+    known = known_record(c.solver)
+    names = known.project.c_settings if known else None
+    if names is None:
+        return
+    # C has no True.
+    numbers = {key: int(x) if isinstance(x, bool) else x for key, x in options.items()}
+    lines = [f"settings.{key} = {value!r};" for key, value in numbers.items()]
+    start = f"{names.struct} settings;\n{names.defaults}(&settings);"
+    yield "C", "\n".join([start, *lines])
 
 
 def _machine(machine: Mapping[str, Any]) -> str:

@@ -60,7 +60,7 @@ function read() {
     p = facts.places.findIndex((_, i) => cell(c, i)?.t != null);
   }
   const [bs, bw, bset] = (asked.get("b") ?? "").split("~");
-  const b = configuration(bs, bw, bset) ?? facts.answer.second;
+  const b = configuration(bs, bw, bset) ?? null;
   const slow = Math.min(1e4, Math.max(1, Number(asked.get("slow")) || 1));
   const k = asked.get("k") ? Number(asked.get("k")) : asked.has("s") ? null : facts.answer.k;
   Object.assign(state, { c, p: Math.max(0, p), k: Number.isInteger(k) ? k : null, slow, b });
@@ -74,7 +74,7 @@ function select(change) {
   });
   if (state.k !== null) hash.set("k", state.k);
   if (state.slow !== 1) hash.set("slow", figure(state.slow));
-  if (state.b !== undefined && state.b !== null) hash.set("b", key(state.b));
+  if (state.b !== null) hash.set("b", key(state.b));
   const text = `#${hash}`;
   if (text !== location.hash) {
     // Sliding and playing leave no trail in the history; choosing does.
@@ -105,6 +105,9 @@ async function made(name, host) {
   });
   await view.initialize(aside).runAsync();
   host.replaceChildren(aside);
+  // What paper has to make up for.
+  host.classList.toggle("narrow", host.parentElement.clientWidth < NARROW);
+  host.classList.toggle("dark", matchMedia("(prefers-color-scheme: dark)").matches);
   view.addEventListener("click", (_, item) => picked(name, item?.datum));
   return view;
 }
@@ -151,6 +154,7 @@ async function redraw() {
   for (const name of had) { (await views[name])?.finalize(); delete views[name]; }
   for (const name of had) await figureOf(name);
   if ($("percentile")) await signal("accuracy", { percentile: $("percentile").value });
+  if ($("matrix-way")?.value) await drawMatrix();
   await draw();
 }
 
@@ -163,6 +167,70 @@ function picked(name, datum) {
     if (datum.place_id !== undefined) change.p = Number(datum.place_id);
     if (C().solver[change.c] !== undefined) select({ ...change, k: null });
   }
+}
+
+// The rows that a figure was written with.
+function rowsDrawn(name) {
+  return facts.charts[name].data.find((data) => data.values?.[0]?.id !== undefined);
+}
+
+// The tiles of the matrix: as it was written, or all of one way of running the solvers.
+function tiles() {
+  // Copies by name: the figure has numbered its rows by a symbol, and takes a number once.
+  const own = rowsDrawn("matrix").values.map((row) => Object.fromEntries(Object.entries(row)));
+  const wanted = $("matrix-way").value;
+  return !wanted ? own : own.map((row) => {
+    const c = all().find((i) => C().solver[i] === row.solver && way(i) === wanted
+      && C().settings[i] === row.settings) ?? -1;
+    const run = cell(c, Number(row.place_id));
+    return { ...row, way: wanted.replace("-", " "), id: String(c), state: run?.state ?? "not run", error: run?.error ?? null,
+      failed: run?.failed ?? null, detail: run?.why ?? "" };
+  });
+}
+
+async function drawMatrix() {
+  const view = await figureOf("matrix");
+  if (view) await view.data(rowsDrawn("matrix").name, tiles()).runAsync();
+}
+
+// The rows and tiles that can be chosen in a figure, each at its place in the grid that is seen.
+function grid(name) {
+  const own = name === "matrix" ? tiles() : rowsDrawn(name).values;
+  if (name === "ladder") return own.map((row, y) => ({ c: Number(row.id), x: 0, y }));
+  const of = (key) => unique(own.map((row) => row[key]));
+  const levels = of("settings"), solvers = of("solver"), places = of("place");
+  const long = places.length > facts.most_across;
+  const [across, down] = long ? [solvers, places] : [places, solvers];
+  const below = $("figure-matrix").classList.contains("narrow");
+  return own.map((row) => {
+    const level = levels.indexOf(row.settings);
+    const [x, y] = [row.place, row.solver].map((value, i) => [places, solvers][i].indexOf(value));
+    return { c: Number(row.id), p: Number(row.place_id),
+      x: (long ? y : x) + (below ? 0 : level * across.length),
+      y: (long ? x : y) + (below ? level * down.length : 0) };
+  }).filter((tile) => tile.c >= 0);
+}
+
+// A figure that the arrow keys choose in, as a click does; Enter opens what is chosen.
+function steerable(name) {
+  const host = $(`figure-${name}`);
+  if (!host) return;
+  host.tabIndex = 0;
+  host.setAttribute("role", "application");
+  host.setAttribute("aria-label", `${facts.charts[name].description} Arrow keys choose, Enter opens.`);
+  host.addEventListener("keydown", (event) => {
+    const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+    if (event.key === "Enter") go("one");
+    if (!step) return;
+    event.preventDefault();
+    const known = grid(name), [dx, dy] = step;
+    const at = known.find((t) => t.c === state.c && (t.p ?? state.p) === state.p)
+      ?? known.find((t) => C().solver[t.c] === C().solver[state.c]) ?? known[0];
+    const ahead = (t) => (t.x - at.x) * dx + (t.y - at.y) * dy;
+    const next = known.filter((t) => ahead(t) > 0 && (dx ? t.y === at.y : t.x === at.x))
+      .sort((a, b) => ahead(a) - ahead(b))[0];
+    if (next) select({ c: next.c, p: next.p ?? state.p, k: null });
+  });
 }
 
 async function signal(name, values) {
@@ -379,7 +447,8 @@ function drawShip(run) {
   host.replaceChildren(root);
   const slider = $("ship-k");
   slider.max = String(last); slider.value = String(at);
-  $("ship-said").textContent = `k ${run.first + at * track.every}: `
+  const kept = run.first + at * track.every;
+  $("ship-said").textContent = `k ${kept}${state.k === null || state.k === kept ? "" : " (the nearest kept)"}: `
     + `${figure(N[at])} m north, ${figure(E[at])} m east, heading ${figure((psi[at] * 180) / Math.PI)}°`;
 }
 
@@ -403,12 +472,14 @@ function play() {
 
 async function drawTwo() {
   const others = all().filter((c) => c !== state.c && C().p50[c] !== null);
-  if (state.b === state.c || state.b === undefined || state.b === null) state.b = others[0];
-  if (state.b === undefined) return;
-  options("choose-other", others.map((c) => [c, label(c)]), state.b);
+  // Unless one was asked for: the answer, and beside the answer the next.
+  const second = [state.b, facts.answer.first, facts.answer.second, others[0]]
+    .find((c) => others.includes(c));
+  if (second === undefined) return;
+  options("choose-other", others.map((c) => [c, label(c)]), second);
   const rows = [];
   facts.places.forEach((place, p) => {
-    const a = cell(state.c, p), b = cell(state.b, p);
+    const a = cell(state.c, p), b = cell(second, p);
     if (place.mode !== "replay" || !a || !b || a.t == null || b.t == null) return;
     const x = array(a.t), y = array(b.t), f = array(a.f), g = array(b.f);
     x.forEach((ns, j) => {
@@ -425,20 +496,20 @@ async function drawTwo() {
     const own = rows.filter((row) => row.sequence === name);
     return own.reduce((sum, row) => sum + Math.log(row.b_us / row.a_us), 0) / own.length;
   }).reduce((sum, x) => sum + x, 0) / sequences.length;
-  const ratio = Math.exp(mean), pair = facts.paired[`${state.c}/${state.b}`];
+  const ratio = Math.exp(mean), pair = facts.paired[`${state.c}/${second}`];
   const interval = pair ? `, 95 % interval ${
     (ratio >= 1 ? pair : [1 / pair[1], 1 / pair[0]]).map((x) => figure(x)).join(" to ")}` : "";
-  const [slower, faster] = ratio >= 1 ? [state.b, state.c] : [state.c, state.b];
+  const [slower, faster] = ratio >= 1 ? [second, state.c] : [state.c, second];
   said.textContent = `${label(slower)} takes ${figure(Math.max(ratio, 1 / ratio))} times as long as `
     + `${label(faster)} (geometric mean over ${rows.length} steps, each sequence of equal weight`
-    + `${interval}). Below the dashed line ${label(state.b)} is the faster one.`;
+    + `${interval}). Below the dashed line ${label(second)} is the faster one.`;
   const view = await figureOf("pairs");
   if (view) await view.data("pairs", rows).runAsync();
-  state.markdown = `| | ${label(state.c)} | ${label(state.b)} |\n|---|---|---|\n`
+  $("two-markdown").textContent = `| | ${label(state.c)} | ${label(second)} |\n|---|---|---|\n`
     + [["p50", "p50"], ["p99", "p99"], ["largest step", "max"]].map(([name, column]) =>
-      `| ${name} | ${time(C()[column][state.c])} | ${time(C()[column][state.b])} |`).join("\n")
-    + `\n| largest error | ${figure(C().error[state.c])} | ${figure(C().error[state.b])} |\n`
-    + `| demand | ${C().outcome[state.c]} | ${C().outcome[state.b]} |\n\n${said.textContent.split(" Below")[0]}\n`;
+      `| ${name} | ${time(C()[column][state.c])} | ${time(C()[column][second])} |`).join("\n")
+    + `\n| largest error | ${figure(C().error[state.c])} | ${figure(C().error[second])} |\n`
+    + `| demand | ${C().outcome[state.c]} | ${C().outcome[second]} |\n\n${said.textContent.split(" Below")[0]}\n`;
 }
 
 // -- the table ----------------------------------------------------------------------------------
@@ -542,7 +613,9 @@ async function draw(changed = ["slow", "c", "p", "b", "k"]) {
   if (!count()) { drawTable(); return; }
   const touched = (...parts) => parts.some((part) => changed.includes(part));
   const place = facts.places[state.p].label;
-  $("chosen").textContent = `${label(state.c)} in ${place}${state.k === null ? "" : `, k ${state.k}`}`;
+  const p99 = C().p99[state.c];
+  $("chosen").textContent = `${label(state.c)}: ${C().outcome[state.c]}`
+    + `${p99 === null ? "" : `, p99 ${time(p99)}`}; in ${place}${state.k === null ? "" : `, k ${state.k}`}`;
   if (touched("slow") && $("slow")) {
     $("slow-said").textContent = `× ${figure(state.slow)}`;
     $("slow").value = String(Math.log10(state.slow));
@@ -559,9 +632,22 @@ async function draw(changed = ["slow", "c", "p", "b", "k"]) {
   if (touched("c", "b") && $("two")) await drawTwo();
 }
 
+// A text to the clipboard; where the browser has none to give, it is marked for copying by hand.
+async function copy(button, text) {
+  try {
+    await navigator.clipboard.writeText(text.textContent);
+    button.textContent = "Copied";
+  } catch {
+    text.hidden = false;
+    getSelection().selectAllChildren(text);
+    button.textContent = "Marked: copy by hand";
+  }
+}
+
 // To a section; the address keeps the selection.
 function go(id) {
   const section = $(id);
+  if (section.tagName === "DETAILS") section.open = true;
   section.tabIndex = -1;
   section.focus({ preventScroll: true });
   section.scrollIntoView();
@@ -577,13 +663,15 @@ function arrived() {
 
 function listen() {
   listenOne();
+  for (const name of ["ladder", "matrix"]) steerable(name);
+  $("matrix-way")?.append(...unique(all().map(way)).map((w) => new Option(w.replace("-", " "), w)));
+  $("matrix-way")?.addEventListener("change", drawMatrix);
   $("choose-other")?.addEventListener("change", (e) => select({ b: Number(e.target.value) }));
   $("slow")?.addEventListener("input", (e) => select({ slow: 10 ** Number(e.target.value) }));
   $("percentile")?.addEventListener("change", (e) => signal("accuracy", { percentile: e.target.value }));
-  $("copy")?.addEventListener("click", async () => {
-    await navigator.clipboard?.writeText(state.markdown);
-    $("copy").textContent = "Copied";
-  });
+  for (const button of document.querySelectorAll("[data-copy]")) {
+    button.addEventListener("click", () => copy(button, $(button.dataset.copy)));
+  }
   $("table-filter").addEventListener("input", drawTable);
   $("table-group").addEventListener("change", drawTable);
   $("table-csv").addEventListener("click", () => download("runs.csv", csv()));

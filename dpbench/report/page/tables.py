@@ -9,6 +9,7 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.times.fastest import best_of_each
+from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.report.charts.ladder import COLUMNS as LADDER_COLUMNS
 from dpbench.report.page.facts import Facts, Place, number
@@ -130,19 +131,21 @@ def matrix_table(facts: Facts) -> pd.DataFrame:
     rows = []
     for own in facts.references:
         for level in facts.levels:
-            wanted = facts.index(replace(own, settings=level))
+            wanted = replace(own, settings=level)
             for p, place in enumerate(facts.places):
-                rows.append(_tile(facts, own.solver, level, wanted, p, place))
+                rows.append(_tile(facts, wanted, p, place))
     return pd.DataFrame(rows)
 
 
-def _tile(facts: Facts, solver: str, level: str, c: int, p: int, place: Place) -> dict[str, Any]:
+def _tile(facts: Facts, wanted: Configuration, p: int, place: Place) -> dict[str, Any]:
+    c = facts.index(wanted)
     run = facts.runs.get((c, p))
     verdict = facts.states.get((c, p))
     findings = () if verdict is None else (*verdict.causes, *verdict.doubts)
     return {
-        "solver": solver,
-        "settings": level,
+        "solver": wanted.solver,
+        "settings": wanted.settings,
+        "way": f"{wanted.route} {wanted.policy}",
         "place": place.label,
         "state": facts.state(c, p),
         "error": None if run is None else number(run.error_move_max),

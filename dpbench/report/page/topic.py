@@ -31,7 +31,7 @@ class SmallTable:
 
 @dataclass(frozen=True)
 class Topic:
-    """A section made of lines, figures and tables.
+    """A section made of lines, figures, tables and a text to paste elsewhere.
 
     The one that `leads` is what the suite asks: it stands in the answer, its first line the answer.
     """
@@ -41,4 +41,5 @@ class Topic:
     lines: tuple[str, ...] = ()
     figures: tuple[Figure, ...] = ()
     tables: tuple[SmallTable, ...] = ()
+    paste: str = ""
     leads: bool = False

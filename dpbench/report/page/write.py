@@ -29,7 +29,7 @@ from dpbench.report.charts.ladder import ladder
 from dpbench.report.charts.matrix import MOST_ACROSS, matrix
 from dpbench.report.charts.pairs import COLUMNS as PAIR_COLUMNS
 from dpbench.report.charts.pairs import pairs
-from dpbench.report.charts.render import svg, vega
+from dpbench.report.charts.render import FORMATS, svg, vega
 from dpbench.report.charts.strips import COLUMNS as STRIP_COLUMNS
 from dpbench.report.charts.strips import strips
 from dpbench.report.charts.style import (
@@ -45,6 +45,7 @@ from dpbench.report.charts.style import (
 )
 from dpbench.report.glossary import topics as glossary
 from dpbench.report.page.answer import Answer
+from dpbench.report.page.cite import software
 from dpbench.report.page.facts import Facts, columns_of, number
 from dpbench.report.page.steps import FLAGS
 from dpbench.report.page.tables import GROUPS, ladder_table, matrix_table, runs_table
@@ -59,6 +60,7 @@ FILES = {
     "steps.parquet": "one row a step",
     "machine.json": "the machine and the versions",
     "suite.json": "what was asked",
+    "tables/runs.csv": "the runs as CSV; beside it more tables of this page",
 }
 VARIABLES = {
     INK: "var(--ink)",
@@ -123,6 +125,8 @@ def page_html(
         topics=[_markup(topic) for topic in others],
         groups=list(GROUPS),
         files=_files(folder),
+        kinds=[kind for kind in FORMATS[1:] if any((folder / "figures").glob(f"*.{kind}"))],
+        cite=software(results),
         words=glossary()["Solvers and how they are run"],
         footer=_footer(results),
         block=facts.block.text(document),
@@ -286,7 +290,7 @@ def _solver(name: str) -> dict[str, str]:
 
 
 MATRIX = (
-    "Each solver in the way it is judged by, its default where that was run; other ways below. A "
+    "Each solver in the way it is judged by, its default where that was run. A "
     "tile is what that run alone says of the demand: ✓ meets, ✕ misses, ? open (not everything "
     "was run or could be judged), – not run. Units SI are a trial outside the verdict."
 )
@@ -318,6 +322,7 @@ def _markup(topic: Topic) -> dict[str, Any]:
         "lines": topic.lines,
         "figures": figures,
         "tables": [t.plain for t in topic.tables],
+        "paste": topic.paste,
     }
 
 

@@ -6,15 +6,11 @@ from dpbench.analysis.records import Records
 from dpbench.bench.design import STILL, WEATHER, Bracket, Designs
 from dpbench.report.charts.ship import Law, forces, increments, path, precision
 from dpbench.report.formats import MISSING, rounded_down, rounded_up
+from dpbench.report.page import cite
 from dpbench.report.page.topic import Figure, SmallTable, Topic
 from dpbench.report.topics.claims import choices, claims, pair_of
 
 PAPER = "paper"
-BIBTEX = (
-    "@inproceedings{xia_dp_mpc, author = {Xia, Guoqing and Liu, Ju and Pang, Chengcheng and Xue, "
-    "Jingjing}, title = {Constrained MPC Design for Dynamic Positioning of a Supply Ship}}"
-)
-
 
 DRAWN = (
     ("path", path, "Fig. 4: path with the 1 m circle."),
@@ -47,10 +43,8 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
     return Topic(
         id="paper",
         title="The paper",
-        lines=(
-            f"{held} of {len(measured)} claims of Xia, Liu, Pang & Xue are reproduced.",
-            f"Cite: {BIBTEX}",
-        ),
+        lines=(f"{held} of {len(measured)} claims of Xia, Liu, Pang & Xue are reproduced.",),
+        paste=cite.PAPER,
         figures=tuple(
             Figure(f"paper-{name}", draw(laws, scenario), caption) for name, draw, caption in DRAWN
         ),

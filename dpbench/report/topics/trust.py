@@ -74,7 +74,7 @@ def trust_topic(records: Records) -> Topic | None:
         lines.append(
             "Waits of known length were measured "
             + (
-                f"off the bar of 1 µs or 1 %: {_off(asked, missed)}."
+                f"wrong by more than 1 µs or 1 %: {_off(asked, missed)}."
                 if missed
                 else "within 1 µs or 1 %."
             )

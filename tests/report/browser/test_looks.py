@@ -72,17 +72,35 @@ def test_axe_has_nothing_to_say(opened: Any, size: tuple[int, int], scheme: str)
 @pytest.mark.parametrize("width", [320, 390, 768, 1400])
 @pytest.mark.slow
 def test_nothing_scrolls_sideways(opened: Any, width: int) -> None:
-    """Neither the page nor a box within it."""
+    """Neither the page nor a box within it, but the line of sections on a phone."""
     page = opened(CHOSEN, size=(width, 844))
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     boxes = page.evaluate(
         """() => [...document.querySelectorAll("body *")].filter((node) => {
           const style = getComputedStyle(node);
           return /auto|scroll/.test(style.overflowX + style.overflowY)
-            && !["SELECT", "TEXTAREA"].includes(node.tagName);
+            && !["SELECT", "TEXTAREA", "NAV"].includes(node.tagName);
         }).map((node) => node.outerHTML.slice(0, 120))"""
     )
     assert boxes == []
+
+
+@pytest.mark.slow
+def test_sections_and_places_stay_on_a_phone(opened: Any) -> None:
+    """From the end of the page every section is a touch away, in one line; each part of the matrix
+    has the names of its places."""
+    page = opened(CHOSEN, size=PHONE)
+    page.evaluate("scrollTo(0, document.documentElement.scrollHeight)")
+    line = page.locator("nav").bounding_box()
+    assert 0 <= line["y"] < 40 and line["height"] < 40
+    page.locator("nav a").last.click()
+    assert page.evaluate("document.activeElement.id") == "data"
+    assert page.locator("#data h2").bounding_box()["y"] >= line["y"] + line["height"]
+    page.locator("nav a").first.click()
+    assert page.evaluate("document.activeElement.id") == "answer"
+    levels = page.evaluate("unique(rowsDrawn('matrix').values.map((row) => row.settings)).length")
+    heads = page.locator("#figure-matrix text").get_by_text("paper_tight", exact=True)
+    assert heads.count() == levels > 1
 
 
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 DRAWN = ("ladder", "matrix", "accuracy")
-PHONE = (390, 844)
+DESK, PHONE = (1400, 900), (390, 844)
 CHOSEN = "#s=piqp&w=qpsolvers-fresh&set=default&sc=rough&k=74"
 
 
@@ -80,7 +80,10 @@ def test_a_row_of_the_ladder_is_chosen_by_a_click(opened: Any) -> None:
     page.wait_for_function("location.hash.includes('s=clarabel')")
     settled(page)
     assert page.inner_text("#one-title").startswith("clarabel (")
-    assert page.inner_text("#chosen").startswith("clarabel (")
+    assert re.match(
+        r"clarabel \(.*\): (meets|misses|open), p99 .*; in ", page.inner_text("#chosen")
+    )
+    assert page.input_value("#choose-other") == str(page.evaluate("facts.answer.first"))
     assert rows_in(page, "strips", "steps") >= 100
     marked = page.evaluate("views.ladder.then((view) => view.data('pick_store')[0].values)")
     assert marked == [str(page.evaluate("state.c"))]
@@ -175,6 +178,15 @@ def test_reload_and_back_restore(opened: Any) -> None:
 
 
 @pytest.mark.slow
+def test_words_are_a_click_away(opened: Any) -> None:
+    """From the answer to the list of terms, which opens."""
+    page = opened()
+    page.click("#answer a[href='#words']")
+    assert page.locator("#words dt").first.is_visible()
+    assert page.evaluate("document.activeElement.id") == "words"
+
+
+@pytest.mark.slow
 def test_sections_and_colours_keep_the_selection(opened: Any) -> None:
     """A link to a section scrolls; a change to the dark draws anew."""
     page = opened(CHOSEN + "&slow=50")
@@ -224,7 +236,7 @@ def test_two_solvers_are_compared(opened: Any) -> None:
     assert ratio
     assert said.startswith("piqp (")
     assert float(ratio[1]) == pytest.approx(90.0 / 18.0, rel=0.1)
-    markdown = page.evaluate("state.markdown")
+    markdown = page.text_content("#two-markdown")
     assert "| p99 |" in markdown
     assert len(markdown.encode()) < 3000
 
@@ -235,7 +247,8 @@ def test_the_keyboard_reaches_everything(opened: Any) -> None:
     page = opened(CHOSEN)
     wanted = page.evaluate(
         """() => {
-          const all = [...document.querySelectorAll("a[href], button, select, input")];
+          const all = [...document.querySelectorAll(
+            "a[href], button, select, input, [tabindex='0']")];
           const seen = all.filter((node) => node.checkVisibility());
           seen.forEach((node, i) => { node.dataset.nth = i; });
           return seen.length;
@@ -255,10 +268,116 @@ def test_the_keyboard_reaches_everything(opened: Any) -> None:
 
 
 @pytest.mark.slow
+def test_arrow_keys_choose_in_the_ladder(opened: Any) -> None:
+    """A row down and up again; what has the keys is seen to have them; Enter opens the choice."""
+    page = opened()
+    rows = page.evaluate("rowsDrawn('ladder').values.map((row) => Number(row.id))")
+    page.focus("#figure-ladder")
+    page.keyboard.press("ArrowDown")
+    settled(page)
+    chosen = page.evaluate("state.c")
+    assert chosen in rows and rows.index(chosen) > 0
+    assert selection(page)["s"] == page.evaluate(f"C().solver[{chosen}]")
+    assert page.evaluate("views.ladder.then((view) => view.data('pick_store')[0].values)") == [
+        str(chosen)
+    ]
+    assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
+    page.keyboard.press("ArrowUp")
+    assert page.evaluate("state.c") == rows[rows.index(chosen) - 1]
+    page.keyboard.press("Enter")
+    assert page.evaluate("document.activeElement.id") == "one"
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+@pytest.mark.slow
+def test_arrow_keys_choose_in_the_matrix(opened: Any, size: tuple[int, int]) -> None:
+    """To the next place, the next solver, and past the last place or solver to the next settings,
+    beside it or below."""
+    page = opened("#s=clarabel&w=qpsolvers-fresh&set=default&sc=paper", size=size)
+    page.focus("#figure-matrix")
+    page.keyboard.press("ArrowRight")
+    assert (selection(page)["s"], selection(page)["sc"]) == ("clarabel", "paper_tight")
+    page.keyboard.press("ArrowLeft")
+    page.keyboard.press("ArrowDown")
+    below = selection(page)
+    assert below["sc"] == "paper"
+    assert below["s"] == page.evaluate(
+        """() => { const own = unique(rowsDrawn("matrix").values.map((row) => row.solver));
+          return own[own.indexOf("clarabel") + 1]; }"""
+    )
+    for _ in range(60):
+        page.keyboard.press("ArrowRight" if size == DESK else "ArrowDown")
+    last = page.evaluate("rowsDrawn('matrix').values.at(-1)")
+    assert selection(page)["set"] == last["settings"]
+
+
+@pytest.mark.slow
+def test_the_matrix_shows_another_way(opened: Any) -> None:
+    """The tiles are the runs of that way alone; what was not run so is said to be not run."""
+    page = opened()
+    ways = page.locator("#matrix-way option").evaluate_all("(all) => all.map((one) => one.value)")
+    before = page.locator("#figure-matrix path[aria-label*='demand: meets']").count()
+    page.select_option("#matrix-way", ways[-1])
+    page.wait_for_timeout(300)
+    solvers = page.evaluate(
+        f"unique(all().filter((c) => way(c) === {ways[-1]!r}).map((c) => C().solver[c]))"
+    )
+    run = page.locator("#figure-matrix path[aria-label]:not([aria-label*='not run'])")
+    shown = {
+        label.split("solver: ")[1].split(";")[0]
+        for label in run.evaluate_all("(all) => all.map((tile) => tile.getAttribute('aria-label'))")
+        if "solver: " in label
+    }
+    assert shown and shown <= set(solvers)
+    page.select_option("#matrix-way", "")
+    page.wait_for_timeout(300)
+    assert page.locator("#figure-matrix path[aria-label*='demand: meets']").count() == before
+
+
+@pytest.mark.slow
+def test_it_copies(opened: Any) -> None:
+    """What is to be pasted is in the clipboard; where there is none it is marked."""
+    page = opened()
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    buttons = [one for one in page.locator("[data-copy]").all() if one.is_visible()]
+    assert len(buttons) >= 3
+    for button in buttons:
+        button.click()
+        text = page.text_content(f"#{button.get_attribute('data-copy')}")
+        page.wait_for_function(
+            "(text) => navigator.clipboard.readText().then((got) => got === text)", arg=text
+        )
+        assert button.inner_text() == "Copied"
+    page.evaluate("() => { navigator.clipboard.writeText = () => Promise.reject(Error()); }")
+    page.click("[data-copy='paste-1']")
+    page.wait_for_function("getSelection().toString().includes('open_workspace')")
+
+
+@pytest.mark.slow
 def test_it_prints(opened: Any) -> None:
-    """Answer, ladder and matrix come along; twelve pages at most."""
+    """Twelve sheets at most."""
     sheets = re.findall(rb"/Type\s*/Page\b", opened().pdf(format="A4"))
     assert 1 <= len(sheets) <= 12
+
+
+@pytest.mark.slow
+def test_print_has_the_answer_and_what_is_chosen(opened: Any) -> None:
+    """Answer, ladder and matrix on the first sheet, then the chosen solver with its step and its
+    figures; no control; dark letters whatever the screen has."""
+    page = opened(CHOSEN, scheme="dark")
+    page.emulate_media(media="print")
+    page.set_viewport_size({"width": 710, "height": 1039})  # A4 less its margins, at 96 dpi
+    page.wait_for_timeout(800)
+    assert page.locator("#matrix").bounding_box()["height"] > 200
+    assert page.evaluate("document.querySelector('#matrix').getBoundingClientRect().bottom") < 1039
+    assert page.evaluate("getComputedStyle($('one')).breakBefore") == "page"
+    for part in ("#one-said", "#hard", "#step-said", "#figure-strips canvas", "#figure-ship svg"):
+        assert page.locator(part).first.is_visible(), part
+    assert page.evaluate("document.documentElement.scrollWidth") <= 710
+    controls = [one for one in page.locator("select, input, button").all() if one.is_visible()]
+    assert [one.inner_text() for one in controls if not one.inner_text().startswith("k ")] == []
+    ink = page.evaluate("getComputedStyle(document.documentElement).getPropertyValue('--ink')")
+    assert ink.strip() == "#1d2733"
 
 
 @pytest.mark.slow

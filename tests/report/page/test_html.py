@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import re
+import shutil
 from html.parser import HTMLParser
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import pytest
+from markupsafe import escape
 
+from dpbench.report.page import cite
 from dpbench.report.write import write_report
 from tests.report.page.test_pack import unpacked
 
+CITATION = Path(__file__).parents[3] / "CITATION.cff"
 VOID = {"meta", "img", "br", "link", "input", "hr"}
 JS = files("dpbench.report.page").joinpath("page.js").read_text(encoding="utf-8")
 
@@ -107,7 +112,7 @@ def test_the_block_unpacks_to_the_facts(written: Any) -> None:
 
 def test_files_are_named_with_their_hashes(written: Any) -> None:
     """What the page was made from can be checked."""
-    for name in ("runs.parquet", "steps.parquet", "machine.json", "suite.json"):
+    for name in ("runs.parquet", "steps.parquet", "machine.json", "suite.json", "tables/runs.csv"):
         digest = hashlib.sha256((written.folder / name).read_bytes()).hexdigest()
         assert digest in written.html
 
@@ -126,3 +131,38 @@ def test_without_a_script_the_answer_and_the_figures_stand(written: Any) -> None
     for name in ("ladder", "matrix", "accuracy"):
         assert re.search(rf'<div id="figure-{name}"[^>]*>\s*<svg', written.html), name
     assert "<noscript>" in written.html
+
+
+@pytest.mark.slow
+def test_figures_are_linked_in_each_format_there_is(written: Any, tmp_path: Any) -> None:
+    """PDF beside SVG where it was asked for; else the command that makes it."""
+    for name in written.report.figures:
+        for kind in ("svg", "pdf"):
+            assert f'href="figures/{name}.{kind}"' in written.html
+    assert "--figures pdf" not in written.html
+    plain = write_report(shutil.copytree(written.folder, tmp_path / "plain")).read_text("utf-8")
+    assert '.pdf"' not in plain
+    assert "dpbench report . --figures pdf" in plain
+
+
+def test_citations_are_those_of_the_citation_file(written: Any) -> None:
+    """Titles and authors; the year and version are those of the run."""
+    said = [
+        line.strip().removeprefix("- ").split(": ", 1)
+        for line in CITATION.read_text(encoding="utf-8").splitlines()
+    ]
+    of: dict[str, list[str]] = {}
+    for name, *values in said:
+        of.setdefault(name, []).extend(value.strip('"') for value in values)
+    entry = cite.software(written.results)
+    title, of_the_paper = of["title"]
+    assert title in " ".join(entry.split())
+    assert f"{{{of['name'][0]}}}" in entry
+    assert f"year = {{{written.results.suite['started_utc'][:4]}}}" in entry
+    assert f"version {written.results.suite['harness_version']}" in entry
+    assert f"title = {{{of_the_paper}}}" in cite.PAPER
+    assert len(of["family-names"]) == 4
+    for family, given in zip(of["family-names"], of["given-names"], strict=True):
+        assert f"{family}, {given}" in cite.PAPER
+    for text in (entry, cite.PAPER):
+        assert str(escape(text)) in written.html
