@@ -26,7 +26,9 @@ def parser(
     """The parser; `calls` has for every command what is called with its arguments, as `call`."""
     whole = _Parser(prog="dpbench", description="Benchmark QP solvers inside a ship's DP MPC.")
     whole.add_argument("--version", action="version", version=f"dpbench {version('dpbench')}")
-    commands = whole.add_subparsers(dest="command", required=True, parser_class=_Parser)
+    commands = whole.add_subparsers(
+        dest="command", metavar="COMMAND", required=True, parser_class=_Parser
+    )
     for add in (
         _run,
         _report,

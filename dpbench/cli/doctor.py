@@ -5,6 +5,7 @@ from __future__ import annotations
 from dpbench.bench.judge.calibration import calibrate
 from dpbench.bench.record.disturbance import RULE
 from dpbench.bench.record.machine import describe_machine
+from dpbench.cli.terminal import wrapped
 from dpbench.report.formats import MISSING
 from dpbench.report.machine_verdict import (
     calibration_text,
@@ -34,8 +35,13 @@ def doctor_lines() -> list[str]:
         *disturbance_facts(found.disturbance),
     ]
     return [
-        *(f"{what:<{_WIDTH}}{said}" for what, said in facts),
-        f"machine: {verdict_text(found.disturbance)}",
-        f"quiet means: {RULE}",
-        f"harness: {calibration_text(found.p50_ns)}",
+        *(wrapped(said, first=f"{what:<{_WIDTH}}", others=" " * _WIDTH) for what, said in facts),
+        *(
+            wrapped(said, others="  ")
+            for said in (
+                f"machine: {verdict_text(found.disturbance)}",
+                f"quiet means: {RULE}",
+                f"harness: {calibration_text(found.p50_ns)}",
+            )
+        ),
     ]

@@ -7,8 +7,6 @@ import json
 import webbrowser
 from pathlib import Path
 
-WIDTH = 80
-"""Of a file or a pipe, and the most of a terminal: longer lines are hard to read."""
 STYLES = {"answer": "bold green", "solver": "bold green", "next": "cyan", "page": "bold"}
 
 
@@ -31,15 +29,16 @@ def say_ending(page: Path, rows: list[tuple[str, str]], arguments: argparse.Name
 
 
 def _print_table(rows: list[tuple[str, str]]) -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    console = Console()
-    console.width = min(console.width, WIDTH) if console.is_terminal else WIDTH
+    from dpbench.cli.terminal import WIDTH, console
+
+    screen = console()
+    screen.width = min(screen.width, WIDTH)
     table = Table.grid(padding=(0, 2))
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
     for what, said in rows:
         table.add_row(Text(what, "dim"), Text(said, STYLES.get(what, "")))
-    console.print(table)
+    screen.print(table)

@@ -1,4 +1,4 @@
-"""What `dpbench list` and `dpbench check` say, and tables of the report on a terminal."""
+"""What `dpbench list` and `dpbench check` say."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ import os
 from pathlib import Path
 
 import numpy as np
-from rich.markup import escape
-from rich.table import Table
-from rich.text import Text
+from rich.console import Group, RenderableType
 
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import load_suite, naming
@@ -17,8 +15,8 @@ from dpbench.bench.progress import Progress
 from dpbench.bench.sequences.sequence_file import active_set, load_recorded
 from dpbench.bench.sequences.verify import verify_sequence
 from dpbench.cli.ship_text import scenario_text, vessel_text
+from dpbench.cli.terminal import entry, plain, small_table
 from dpbench.errors import InputError
-from dpbench.report.table import Table as ReportTable
 from dpbench.scenario.problem_files import (
     KINDS,
     SEQUENCES,
@@ -37,107 +35,76 @@ CHECKED = (
     "a .npz or a folder of problems by qpsolvers"
 )
 """What `dpbench check` takes."""
+SEQUENCES_ARE = """
+Each is the exactly solved loop of the scenario it is named after, at the
+horizons N_p-N_c of its name, every optimum certified. n: variables; m: rows;
+K: QPs; active: share of all limits; samples: which of the loop were kept."""
 
 
-def listing(what: str) -> Table:
-    """A table of the vessels, scenarios, suites, sequences or solvers there are."""
-    tables = {"vessels": _vessels, "scenarios": _scenarios, "suites": _suites}
-    return (tables | {"sequences": _sequences, "solvers": _solvers})[what]()
+def listing(what: str) -> RenderableType:
+    """The vessels, scenarios, suites, sequences or solvers there are, in 80 columns."""
+    makers = {"vessels": _vessels, "scenarios": _scenarios, "suites": _suites}
+    return (makers | {"sequences": _sequences, "solvers": _solvers})[what]()
 
 
-def _table(*columns: str) -> Table:
-    table = Table(show_edge=False, pad_edge=False)
-    for i, column in enumerate(columns):
-        table.add_column(column, no_wrap=i == 0)
-    return table
-
-
-STYLES = dict.fromkeys(("slower", "worse"), "bold red") | dict.fromkeys(
-    ("faster", "better"), "green"
-)
-"""Colours of the words that a comparison is read for."""
-
-
-def rich_table(table: ReportTable) -> Table:
-    """A table of the report for a terminal, its note below it."""
-    shown = Table(
-        title=table.title,
-        title_justify="left",
-        caption=table.note,
-        caption_justify="left",
-        show_edge=False,
-        pad_edge=False,
-    )
-    for i, head in enumerate(table.heads):
-        shown.add_column(escape(head), justify="left" if i < table.text_columns else "right")
-    for row in table.rows:
-        shown.add_row(*(Text(cell, style=STYLES.get(cell, "")) for cell in row))
-    return shown
-
-
-def _vessels() -> Table:
-    table = _table("name", "ship", "time constants [s]", "max acceleration [mm/s², mm/s², mrad/s²]")
+def _vessels() -> RenderableType:
+    entries = []
     for name in problem_names("vessels"):
         vessel = load_vessel(name)
         times = ", ".join(f"{t:.3g}" for t in vessel.time_constants_s())
-        reach = 1e3 * vessel.reachable_acceleration()[1]
-        table.add_row(name, vessel.title, times, ", ".join(f"{a:.3g}" for a in reach))
-    return table
+        surge, sway, yaw = 1e3 * vessel.reachable_acceleration()[1]
+        reached = f"{surge:.3g} and {sway:.3g} mm/s², {yaw:.3g} mrad/s²"
+        about = [f"time constants: {times} s", f"acceleration at full thrust: {reached}"]
+        entries.append(entry(name, [vessel.title, *about]))
+    return plain("\n".join(entries))
 
 
-def _scenarios() -> Table:
-    table = _table("name", "vessel", "tuning", "steps", "what it shows")
+def _scenarios() -> RenderableType:
+    entries = []
     for name in problem_names("scenarios"):
         scenario = load_scenario(name)
         tuning = f"{scenario.tuning} {scenario.N_p}/{scenario.N_c}"
-        table.add_row(name, scenario.vessel.id, tuning, str(scenario.steps), scenario.shows)
-    return table
+        about = f"vessel {scenario.vessel.id}, tuning {tuning}, {scenario.steps} steps"
+        entries.append(entry(name, [about, scenario.shows]))
+    return plain("\n".join(entries))
 
 
-def _suites() -> Table:
-    table = _table("name", "cells", "title")
+def _suites() -> RenderableType:
+    table = small_table("name", "cells", "title")
     for name in problem_names("suites"):
         path, suite = load_suite(name)
         table.add_row(name, str(len(plan(suite, beside=path.parent))), suite.title)
     return table
 
 
-def _sequences() -> Table:
-    table = _table("name", "n", "m", "K", "active", "matrices", "source")
+def _sequences() -> RenderableType:
+    table = small_table("name", "n", "m", "K", "active", "matrices", "samples")
     for name in problem_names(SEQUENCES):
         recorded = load_recorded(sequence_path(name))
         sequence, meta = recorded.sequence, recorded.sequence.meta
         sets = [active_set(o) for o in recorded.optima or [] if np.isfinite(o.bound)]
         base, every = sequence.base, int(meta.get("every", 1))
-        stride = "each sample" if every == 1 else f"each {every}th sample"
         table.add_row(
             name,
             *(str(count) for count in (base.n, base.m, len(sequence))),
             f"{np.count_nonzero(sets) / np.size(sets):.1%}" if sets else "–",
             "constant" if sequence.P is None else "each step's",
-            f"{recorded.documents['scenario']['title']}; exactly solved loop, {stride}",
+            "each" if every == 1 else f"each {every}th",
         )
-    return table
+    return Group(table, plain(SEQUENCES_ARE))
 
 
-def _solvers() -> Table:
-    table = _table(
-        "name", "version", "build", "method", "form", "policies", "installed", "settings"
-    )
-    for name in solver_names():
-        row, found = record(name), available(name)
-        policies = "; ".join(f"{route}: {', '.join(p)}" for route, p in row.policies.items())
-        table.add_row(
-            name,
-            found.version or "–",
-            found.build.text or "–",
-            row.method,
-            row.form,
-            policies,
-            "yes" if found.ok else escape(found.reason),
-            escape(describe_levels(name)),
-        )
-    return table
+def _solvers() -> RenderableType:
+    return plain("\n".join(map(_solver, solver_names())))
+
+
+def _solver(name: str) -> str:
+    row, found = record(name), available(name)
+    installed = found.version or "" if found.ok else f"not installed: {found.reason}"
+    build = f", {found.build.text}" if found.build.text else ""
+    policies = "; ".join(f"{route}: {', '.join(p)}" for route, p in row.policies.items())
+    about = [row.method, f"form {row.form}; {policies}", *describe_levels(name).splitlines()]
+    return entry(f"{name} {installed}{build}".rstrip(), about)
 
 
 def check_file(asked: str, progress: Progress | None = None) -> str:

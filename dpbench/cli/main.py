@@ -8,12 +8,13 @@ here.
 from __future__ import annotations
 
 import argparse
+import atexit
 import os
 import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TextIO
 
 from dpbench.cli.arguments import parser
 from dpbench.cli.completion import complete
@@ -52,6 +53,13 @@ def _one_line(
     print(f"dpbench: {kind}{message}", file=sys.stderr)
 
 
+def _no_codes_at_exit() -> None:
+    """Keep colorama, which Numba starts, from a control code after all that was printed."""
+    colorama = sys.modules.get("colorama.initialise")
+    if colorama is not None:
+        atexit.unregister(colorama.reset_all)
+
+
 def _exit_code(arguments: argparse.Namespace) -> int:
     try:
         return int(arguments.call(arguments))
@@ -74,6 +82,8 @@ def _exit_code(arguments: argparse.Namespace) -> int:
         kept = "; finished cells are kept, run again to go on" if arguments.call is _run else ""
         print(f"dpbench: interrupted{kept}", file=sys.stderr)
         return 130
+    finally:
+        _no_codes_at_exit()
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -127,7 +137,7 @@ def _completion(arguments: argparse.Namespace) -> int:
 
 
 def _compare(arguments: argparse.Namespace) -> int:
-    from dpbench.cli.listing import rich_table
+    from dpbench.cli.terminal import console, report_table, say
     from dpbench.report.compare.comparison import compare
 
     found = compare(
@@ -146,16 +156,17 @@ def _compare(arguments: argparse.Namespace) -> int:
         write_comparison(Path(arguments.html), found)
     if arguments.markdown is not None:
         Path(arguments.markdown).write_text(found.markdown(), encoding="utf-8")
-    console = _console()
+    screen = console()
     for table in found.tables:
-        console.print(rich_table(table), "")
-    for line in found.lines:
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+        screen.print(report_table(table, screen))
+        screen.print()
+    say(found.lines)
     return int(found.worse)
 
 
 def _export(arguments: argparse.Namespace) -> int:
     from dpbench.bench.sequences.export import check_asked, export
+    from dpbench.cli.terminal import say
 
     check_asked(vars(arguments))
     if arguments.all:
@@ -164,10 +175,8 @@ def _export(arguments: argparse.Namespace) -> int:
 
         with Bar(transient=True) as bar:
             said = regenerate(arguments.out or "results/sequences", progress=bar)
-        print(said)
-        return 0
-    print(
-        export(
+    else:
+        said = export(
             arguments.what,
             arguments.out,
             format=arguments.format,
@@ -176,13 +185,14 @@ def _export(arguments: argparse.Namespace) -> int:
             every=arguments.every,
             at=arguments.at,
         )
-    )
+    say(said.splitlines())
     return 0
 
 
 def _worst_case(arguments: argparse.Namespace) -> int:
     from dpbench.bench.worst_case.find import find_worst_case
     from dpbench.cli.progress_bar import Bar
+    from dpbench.cli.terminal import say
 
     with Bar() as bar:
         found = find_worst_case(
@@ -199,19 +209,18 @@ def _worst_case(arguments: argparse.Namespace) -> int:
             solver_module=arguments.solver_module,
             progress=bar,
         )
-    for line in found.lines:
-        print(line)
+    say(found.lines)
     return 130 if found.search.stopped == "interrupted" else 0
 
 
 def _paper(arguments: argparse.Namespace) -> int:
     from dpbench.cli.progress_bar import Bar
+    from dpbench.cli.terminal import say
     from dpbench.report.reproduce import reproduce_paper
 
     with Bar(transient=True) as bar:
         found = reproduce_paper(arguments.out, progress=bar)
-    for line in found.lines:
-        print(line)
+    say(found.lines)
     for line in found.remarks:
         print(f"dpbench: {line}", file=sys.stderr)
     return 0 if found.complete else 1
@@ -219,16 +228,17 @@ def _paper(arguments: argparse.Namespace) -> int:
 
 def _list(arguments: argparse.Namespace) -> int:
     from dpbench.cli.listing import listing
+    from dpbench.cli.terminal import console
 
-    _console().print(listing(arguments.what))
+    console().print(listing(arguments.what))
     return 0
 
 
 def _init(arguments: argparse.Namespace) -> int:
     from dpbench.cli.own_ship import make_own_ship
+    from dpbench.cli.terminal import say
 
-    for line in make_own_ship(arguments):
-        print(line)
+    say(make_own_ship(arguments))
     return 0
 
 
@@ -240,20 +250,14 @@ def _doctor(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _console() -> Any:
-    from rich.console import Console
-
-    # Into a file or a pipe a table takes the room it needs instead of 80 columns.
-    return Console() if sys.stdout.isatty() else Console(width=200)
-
-
 def _check(arguments: argparse.Namespace) -> int:
     from dpbench.cli.listing import check_file
     from dpbench.cli.progress_bar import Bar
+    from dpbench.cli.terminal import say
 
     with Bar(transient=True) as bar:
         said = check_file(arguments.file, bar)
-    print(said)
+    say(said.splitlines())
     return 0
 
 

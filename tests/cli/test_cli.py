@@ -11,15 +11,6 @@ from dpbench.cli.main import main
 from dpbench.scenario.problem_files import problem_path
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("what", ["vessels", "scenarios", "suites", "solvers"])
-def test_list_shows_what_there_is(what: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each listing prints and exits with 0."""
-    assert main(["list", what]) == 0
-    expected = {"vessels": "supply_fs99", "scenarios": "paper_tight", "suites": "standard"}
-    assert expected.get(what, "quadprog") in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     ("kind", "name", "said"),
     [

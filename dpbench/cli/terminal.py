@@ -1,0 +1,101 @@
+"""What is printed fits 80 columns: prose is wrapped, a table too wide becomes a list."""
+
+from __future__ import annotations
+
+import sys
+import textwrap
+from collections.abc import Iterable
+
+from rich.console import Console, RenderableType
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from dpbench.report.table import Table as ReportTable
+
+WIDTH = 80
+"""Of a file or a pipe, and the most of prose on a terminal: longer lines are hard to read."""
+STYLES = dict.fromkeys(("slower", "worse"), "bold red") | dict.fromkeys(
+    ("faster", "better"), "green"
+)
+"""Colours of the words that a comparison is read for."""
+_INDENT = 4 * " "
+
+
+def console() -> Console:
+    """Standard output: as wide as a terminal is, 80 columns into a file or a pipe."""
+    return Console() if sys.stdout.isatty() else Console(width=WIDTH)
+
+
+def wrapped(text: str, *, first: str = "", others: str = "") -> str:
+    """A paragraph in lines of 80 columns; a path or a key stays whole, so that it can be copied.
+
+    Parameters
+    ----------
+    first : what the first line begins with; others : the same of the lines after it.
+    """
+    return textwrap.fill(
+        text,
+        WIDTH,
+        initial_indent=first,
+        subsequent_indent=others,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+def say(lines: Iterable[str]) -> None:
+    """Print lines, each wrapped; what goes on is set in by two columns."""
+    for line in lines:
+        print(line if len(line) <= WIDTH else wrapped(line, others="  "))
+
+
+def entry(head: str, paragraphs: Iterable[str]) -> str:
+    """A name with what is said of it below, set in by four columns."""
+    return "\n".join([head, *(wrapped(p, first=_INDENT, others=_INDENT) for p in paragraphs)])
+
+
+def plain(text: str) -> Text:
+    """Text as it is: no markup, no colour, its own line ends."""
+    return Text(text, no_wrap=True, overflow="ignore")
+
+
+def small_table(*columns: str) -> Table:
+    """An empty table whose first column is never broken."""
+    table = Table(show_edge=False, pad_edge=False)
+    for i, column in enumerate(columns):
+        table.add_column(column, no_wrap=i == 0)
+    return table
+
+
+def report_table(table: ReportTable, screen: Console) -> RenderableType:
+    """A table of the report with its note below; row by row as text where it does not fit."""
+    shown = Table(
+        title=table.title,
+        title_justify="left",
+        caption=table.note,
+        caption_justify="left",
+        show_edge=False,
+        pad_edge=False,
+    )
+    for i, head in enumerate(table.heads):
+        shown.add_column(escape(head), justify="left" if i < table.text_columns else "right")
+    for row in table.rows:
+        shown.add_row(*(Text(cell, style=STYLES.get(cell, "")) for cell in row))
+    unbroken = screen.measure(shown, options=screen.options.update_width(1000)).minimum
+    return shown if unbroken <= screen.width else _row_by_row(table)
+
+
+def _row_by_row(table: ReportTable) -> Text:
+    named = table.text_columns
+    rows = [
+        entry(
+            ", ".join(row[:named]),
+            ["; ".join(f"{h} {c}" for h, c in zip(table.heads[named:], row[named:], strict=True))],
+        )
+        for row in table.rows
+    ]
+    said = plain("\n".join([table.title, *rows, wrapped(table.note)]))
+    for word, style in STYLES.items():
+        said.highlight_words([f" {word}"], style)
+    return said

@@ -1,0 +1,186 @@
+"""What people read fits 80 columns and a dumb terminal, and has no codes in it."""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from dpbench.cli import doctor, ship_text
+from dpbench.cli.main import _CALLS, main
+from dpbench.cli.progress_bar import Bar
+from dpbench.cli.terminal import WIDTH, entry, report_table, say
+from dpbench.report.table import Table
+
+CODES = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
+SHIP = [
+    "--length",
+    "80",
+    "--breadth",
+    "18",
+    "--draught",
+    "6",
+    "--displacement",
+    "6000",
+    "--thrust",
+    "300",
+]
+EXPORT = ["export", "rough", "--steps", "2", "--out", "rough.npz"]
+KINDS = ("vessels", "scenarios", "suites", "sequences", "solvers")
+
+
+def assert_readable(text: str) -> None:
+    """No code, and no line over 80 columns that could have been broken at a space."""
+    assert text.strip() and not CODES.search(text)
+    wide = [line for line in text.splitlines() if len(line) > WIDTH]
+    assert not [line for line in wide if " " in line.strip()]
+
+
+@pytest.fixture(autouse=True)
+def _dumb(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("TERM", "dumb")
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+
+
+@pytest.mark.parametrize("command", ["", *_CALLS])
+def test_help_fits(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of the program and of each command, with a sentence for each option."""
+    with pytest.raises(SystemExit, match="0"):
+        main([*command.split(), "--help"])
+    assert_readable(capsys.readouterr().out)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_lists_fit(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Into a pipe; the singular is as good."""
+    assert main(["list", kind.removesuffix("s")]) == 0
+    said = capsys.readouterr().out
+    assert_readable(said)
+    known = dict(zip(KINDS, ("osv", "paper_tight", "standard", "rough-60-10", "daqp"), strict=True))
+    assert re.search(rf"^{known[kind]} *\b", said, re.M)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["check", "osv"],
+        ["check", "rough@osv"],
+        ["check", "smoke"],
+        ["check", "paper-30-5"],
+        ["init", "my_ship", *SHIP],
+        EXPORT,
+        ["worst-case", "daqp", "--budget", "1", "--steps", "3"],
+        ["doctor"],
+        ["paper"],
+        ["run", "smoke", "--solver", "quadprog", "--settings", "default", "--steps", "20"],
+        ["run", "smoke", "--solver", "quadprog", "--steps", "20", "--json", "--out", "b"],
+    ],
+    ids=lambda words: "-".join(words[:2]),
+)
+def test_what_a_command_says_fits(
+    words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Into a pipe. JSON is for scripts: a line each."""
+    monkeypatch.setattr(ship_text, "is_held", lambda trial, offset_m, sides: offset_m <= 1.0)
+    assert main(words) == 0
+    said = capsys.readouterr()
+    if "--json" not in words:
+        assert_readable(said.out)
+    assert not CODES.search(said.out)
+
+
+@pytest.mark.slow
+def test_a_report_and_a_comparison_fit(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The widest tables there are; with the same folder on both sides nothing is worse."""
+    assert main(["report", str(campaign)]) == 0
+    assert main(["compare", str(campaign), str(campaign)]) == 0
+    assert_readable(capsys.readouterr().out)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("setting", [{"TERM": "dumb"}, {"TERM": "xterm", "NO_COLOR": "1"}])
+@pytest.mark.parametrize("words", [["list", "vessels"], EXPORT], ids=lambda words: words[0])
+def test_a_terminal_of_80_columns(words: list[str], setting: dict[str, str]) -> None:
+    """A real one: no colour where none is wanted, no code at the end.
+
+    On one that can do bold, bold is no colour.
+    """
+    primary, secondary = pty.openpty()
+    environment = {k: v for k, v in os.environ.items() if k != "NO_COLOR"} | setting
+    program = [sys.executable, "-m", "dpbench", *words]
+    with subprocess.Popen(program, env=environment, stdout=secondary) as process:
+        os.close(secondary)
+        said = b""
+        while part := _read(primary):
+            said += part
+    os.close(primary)
+    assert process.returncode == 0
+    text = said.decode().replace("\r\n", "\n")
+    bold = re.compile(r"\x1b\[[0-9]m" if setting["TERM"] == "xterm" else r"$^")
+    assert_readable(bold.sub("", text))
+
+
+def _read(terminal: int) -> bytes:
+    """What a terminal has; nothing once nobody writes to it, which Linux says by an error."""
+    try:
+        return os.read(terminal, 1 << 16)
+    except OSError:
+        return b""
+
+
+def wide_table(words: int) -> Table:
+    """A table of one row with so many long columns."""
+    heads = tuple(f"column{i}" for i in range(words))
+    return Table("Wide", "A note.", ("name", *heads), (("daqp", *heads[:-1], "slower"),))
+
+
+def test_a_table_that_does_not_fit_is_told_row_by_row(capsys: pytest.CaptureFixture[str]) -> None:
+    """Whole words, no cell cut: each with its head."""
+    screen = Console(width=WIDTH)
+    screen.print(report_table(wide_table(4), screen))
+    assert "┃" in capsys.readouterr().out
+    screen.print(report_table(wide_table(12), screen))
+    said = capsys.readouterr().out
+    assert "┃" not in said and "…" not in said
+    assert "column11 slower" in " ".join(said.split())
+    assert_readable(said)
+
+
+def test_a_line_is_broken_at_spaces_and_a_path_is_not(capsys: pytest.CaptureFixture[str]) -> None:
+    """What is copied stays whole."""
+    path = "/".join(["folder"] * 20)
+    say(["short", "word " * 30, f"see {path}"])
+    said = capsys.readouterr().out
+    assert_readable(said)
+    assert path in said.splitlines()[-1]
+    assert entry("daqp", ["word " * 30]).splitlines()[1].startswith("    word")
+
+
+@pytest.mark.slow
+def test_doctor_puts_a_long_fact_beside_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Machines differ; what is said of them keeps its column."""
+    machine: dict[str, Any] = {"load_average": [], "memory_GiB": 8, "kernel": "k", "python": "p"}
+    versions = {f"library{i}": "1.0" for i in range(20)}
+    monkeypatch.setattr(doctor, "describe_machine", lambda: machine | {"versions": versions})
+    said = "\n".join(doctor.doctor_lines())
+    assert_readable(said)
+    assert f"\n{' ' * 32}library" in said
+
+
+def test_a_remark_is_said_where_no_bar_can_be(capsys: pytest.CaptureFixture[str]) -> None:
+    """That compiling takes a while, into a pipe: beside the output, not in it."""
+    with Bar(transient=True) as bar:
+        bar.remark("compiling")
+    with Bar(quiet=True) as bar:
+        bar.remark("nothing")
+    assert capsys.readouterr() == ("", "dpbench: compiling\n")
