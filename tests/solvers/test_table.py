@@ -16,6 +16,7 @@ import pytest
 
 import dpbench
 from dpbench.errors import DpbenchError, PolicyError, SolverUnavailableError, UnknownNameError
+from dpbench.solvers import table
 from dpbench.solvers.isolation import isolate
 from dpbench.solvers.native import NATIVE
 from dpbench.solvers.open import open_workspace
@@ -99,7 +100,7 @@ def test_a_missing_distribution_is_listed_with_reason_and_remedy(monkeypatch):
     def missing(name):
         raise importlib.metadata.PackageNotFoundError(name)
 
-    monkeypatch.setattr(importlib.metadata, "version", missing)
+    monkeypatch.setattr(table, "_version", missing)
     assert available("hpipm").reason == "casadi is not installed: pip install casadi"
     assert available("daqp").reason.endswith("pip install daqp")
     with pytest.raises(SolverUnavailableError, match=r"qpax is not installed.*pip install qpax"):
