@@ -250,7 +250,7 @@ def run_campaign(
     part = bool(solvers or scenarios or settings or steps is not None)
     whole = document.design is not None and not part
     document = with_choices(document, scenarios=scenarios, settings=settings, steps=steps)
-    with naming(path):
+    with naming(path, chosen=bool(settings)):
         planned = plan(document, solvers=solvers, scenarios=scenarios, beside=path.parent)
         designs = plan_designs(document.design, path.parent) if document.design and whole else []
     cores = len(os.sched_getaffinity(0))

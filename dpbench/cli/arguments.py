@@ -166,13 +166,15 @@ def _paper(commands: Commands) -> None:
 
 def _list(commands: Commands) -> None:
     listing = commands.add_parser("list", help="what there is")
-    kinds = ("vessels", "scenarios", "suites", "sequences", "solvers")
-    listing.add_argument("what", choices=kinds, type=_plural)
+    listing.add_argument("what", choices=_LISTED, type=_plural)
+
+
+_LISTED = ("vessels", "scenarios", "suites", "sequences", "solvers")
 
 
 def _plural(word: str) -> str:
-    """`solver` is as good as `solvers`."""
-    return word if word.endswith("s") else f"{word}s"
+    """`solver` is as good as `solvers`; what is neither stays as it is."""
+    return f"{word}s" if f"{word}s" in _LISTED else word
 
 
 def _check(commands: Commands) -> None:

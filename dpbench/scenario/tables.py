@@ -41,7 +41,7 @@ from dpbench.scenario.problem_files import FileModel
 from dpbench.scenario.weather_tables import EnvironmentTable
 from dpbench.ship.froude import Froude
 from dpbench.ship.vessel import Vessel, bis_descaled, bis_descaled_damping
-from dpbench.ship.weather.waves import WaveReflection
+from dpbench.ship.weather.waves import WATER_DENSITY, WaveReflection
 from dpbench.ship.weather.wind import Windage
 
 SPEEDS = ("surge_mps", "sway_mps", "yaw_degps")
@@ -147,12 +147,25 @@ class VesselFile(FileModel):
         reflection = WaveReflection(**water.model_dump()) if water else None
         ship = (name, self.title, self.source, self.length_m, M, D, low, high, rate, where)
         try:
-            return Vessel(*ship, windage, reflection)
+            vessel = Vessel(*ship, windage, reflection)
         except InputError as error:
             bis = "" if self.inertia is not None else "_bis"
             keys = {"M": f"inertia{bis}", "D": f"damping{bis}", "tau_min, tau_max": "limits"}
             key = keys.get(error.key, error.key)
             raise InputError(where, key, error.found, error.allowed) from error
+        self._check_units(float(M[0, 0]), where)
+        return vessel
+
+    def _check_units(self, surge_kg: float, where: str) -> None:
+        """Raise InputError where length and mass cannot be those of one ship in m and kg.
+
+        Ships are 0.5 to 5 % of the water in a cube of their length.
+        """
+        share = surge_kg / (WATER_DENSITY * self.length_m**3)
+        if not 1e-4 <= share <= 1.0:
+            found = f"{self.length_m:g} with an inertia of {surge_kg:.3g} kg in surge"
+            allowed = "m and kg: an inertia of 1e-4 to 1 times 1026 kg/m³ times the length cubed"
+            raise InputError(where, "length_m", found, allowed)
 
 
 class EstimatorTable(FileModel):

@@ -61,6 +61,9 @@ def plan(
         cells += recorded_cells(suite, chosen, beside, taken=stems)
     for table in suite.random if not scenarios else ():
         cells += random_cells(suite, table, chosen)
+    if not cells:
+        allowed = "[[closed_loop]], [[replay]], [[recorded]] or [[random]], with a solver to run"
+        raise InputError("suite", "", "nothing to run", allowed)
     return _merged(cells)
 
 

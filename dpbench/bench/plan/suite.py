@@ -13,7 +13,7 @@ from dpbench.bench.record.cell import SLOWEST, Fallback, Units
 from dpbench.errors import InputError
 from dpbench.qp.random.recipe import RandomRecipe
 from dpbench.scenario.horizons import Horizons, different_horizons, parse_horizons
-from dpbench.scenario.problem_files import FileModel, problem_path, read_model
+from dpbench.scenario.problem_files import FileModel, parse_model, problem_path, read_toml
 from dpbench.solvers.contract import Policy
 from dpbench.solvers.record import LEVELS
 
@@ -250,21 +250,39 @@ class SuiteFile(FileModel):
 
 
 @contextmanager
-def naming(path: Path) -> Iterator[None]:
-    """Complaints about "the suite" name its file."""
+def naming(path: Path, *, chosen: bool = False) -> Iterator[None]:
+    """Complaints about "the suite", its scenarios and settings name its file.
+
+    Settings that were `chosen` on the command line are not the file's.
+    """
+    places = {
+        "suite": str(path),
+        "scenario name": f"{path}: scenario name",
+        "settings": "--settings" if chosen else f"{path}: settings",
+    }
     try:
         yield
     except InputError as error:
-        if error.where.split(":")[0] != "suite":
+        place, colon, key = error.where.partition(":")
+        if place not in places:
             raise
-        where = error.where.replace("suite", str(path), 1)
+        where = f"{places[place]}{colon}{key}"
         raise type(error)(where, error.key, error.found, error.allowed) from error
+
+
+_OTHER_FILES = {"limits": "a vessel", "environment": "a scenario", "controller": "a scenario"}
+"""Tables that a suite does not have, with the file that does."""
 
 
 def load_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
     """A suite by name or TOML path, with its file; InputError in one line if it is bad."""
     path = problem_path("suites", name_or_path)
-    return path, read_model(path, SuiteFile)
+    document = read_toml(path)
+    kind = next((kind for key, kind in _OTHER_FILES.items() if key in document), None)
+    if kind is not None:
+        allowed = "a suite; `dpbench run SUITE --scenario FILE` takes a scenario of one's own"
+        raise InputError(str(path), "", kind, allowed)
+    return path, parse_model(document, SuiteFile, str(path))
 
 
 _WAY: dict[str, Collection[str]] = {
