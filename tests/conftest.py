@@ -24,7 +24,10 @@ from dpbench.report.write import Report
 from dpbench.scenario.scenario import Scenario, load_scenario
 
 # No test asserts how long something takes, and neither does the library that makes up its examples.
-hypothesis.settings.register_profile("dpbench", deadline=None)
+# No test asserts how long something takes: beside others an example may be drawn slowly.
+hypothesis.settings.register_profile(
+    "dpbench", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+)
 hypothesis.settings.load_profile("dpbench")
 
 MACHINE: dict[str, Any] = {

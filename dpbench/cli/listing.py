@@ -70,7 +70,7 @@ def _scenarios() -> RenderableType:
 
 
 def _suites() -> RenderableType:
-    table = small_table("name", "cells", "title")
+    table = small_table("name", "cells", "asks")
     for name in problem_names("suites"):
         path, suite = load_suite(name)
         table.add_row(name, str(len(plan(suite, beside=path.parent))), suite.title)

@@ -2,23 +2,41 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from pathlib import Path
-from typing import get_args
+from types import SimpleNamespace
+from typing import Any, get_args
 
 import pytest
+from rich.console import Console
 
+from dpbench.analysis.compare.answers import DONE, Answer
 from dpbench.analysis.compare.evidence import Verdict as Compared
 from dpbench.analysis.verdict import Outcome as Verdict
 from dpbench.bench.plan.suite import FormulationName, RouteName
 from dpbench.bench.record.cell import OUTCOMES, Cell, Fallback, Formulation, Units
+from dpbench.cli.doctor import doctor_lines
+from dpbench.cli.listing import listing
+from dpbench.cli.ship_text import ship_lines
 from dpbench.qp.random.recipe import FAMILIES
 from dpbench.qp.referee.joint import Kind
 from dpbench.qp.solution import Status
+from dpbench.report.compare.tables import answers_table, solvers_table, times_table
+from dpbench.report.ending import BESIDE, TERMINAL_NOTES
 from dpbench.report.glossary import as_markdown, meanings, topics
+from dpbench.report.table import Table
+from dpbench.scenario.scenario import load_vessel
 from dpbench.solvers.record import POLICIES
 from dpbench.solvers.settings import LEVELS
 
+CHANGED = Answer(
+    SimpleNamespace(label="daqp", a=SimpleNamespace(mode="replay", problem="paper")),
+    DONE,
+    (2.0, 2.0),
+    (1.0, 1.0),
+    "worse",
+)
 DOCS = Path(__file__).parents[2] / "docs" / "glossary.md"
 PRINTED = {
     "outcomes of cells": OUTCOMES,
@@ -42,6 +60,76 @@ def test_every_value_of_an_enumeration_is_explained(what: str) -> None:
     """Whatever stands in a column of words."""
     assert PRINTED[what]
     assert not set(PRINTED[what]) - set(meanings())
+
+
+def _spoken() -> set[str]:
+    """Terms, each alone: those that share an entry are set apart by commas."""
+    return {part for term in meanings() for part in (term, *term.split(", "))}
+
+
+@pytest.mark.slow
+def test_every_word_that_a_run_ends_with_is_explained(records: Any) -> None:
+    """What stands before each line on a terminal."""
+    records.replay("daqp")
+    assert {"answer", "solvers"} <= set(records.ending())
+    said = {*records.ending(), *TERMINAL_NOTES, *BESIDE, "solver", "machine", "harness", "page"}
+    assert said <= _spoken()
+
+
+@pytest.mark.parametrize(
+    "table",
+    [solvers_table([], []), times_table([], 0.05, 0.05), answers_table([CHANGED], 0.05)],
+    ids=["solvers", "times", "answers"],
+)
+def test_every_head_of_a_comparison_is_explained(table: Table) -> None:
+    """Without the unit; A and B are the two folders."""
+    heads = {re.sub(r"^[AB] | \[.*\]$", "", head) for head in table.heads}
+    assert len(heads) > 4
+    assert heads <= _spoken()
+
+
+def test_what_check_says_of_a_ship_is_explained() -> None:
+    """The names of its rows and of its axes; the other lines by how they begin."""
+    axes, *rows, sideways = ship_lines(load_vessel("osv"))
+    names = {row[:22].strip() for row in rows}
+    assert len(names) == 5
+    assert {*names, *axes.split()} <= _spoken()
+    assert sideways.startswith("1 m/s sideways") and "1 m/s sideways" in meanings()
+
+
+@pytest.mark.slow
+def test_what_doctor_says_is_explained() -> None:
+    """The name of each fact, and of each verdict before its colon."""
+    lines = [line for line in doctor_lines() if not line.startswith(" ")]
+    names = {re.split(r":| {2,}", line)[0] for text in lines for line in text.splitlines()[:1]}
+    assert {"memory", "quiet means", "harness"} <= names
+    assert names <= _spoken()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["suites", "sequences"])
+def test_every_head_of_a_list_is_explained(kind: str) -> None:
+    """The first line of it, as it is printed."""
+    screen = Console(width=80)
+    with screen.capture() as printed:
+        screen.print(listing(kind))
+    heads = {head.strip() for head in printed.get().splitlines()[0].split("┃")}
+    assert "name" in heads
+    assert heads <= _spoken()
+
+
+@pytest.mark.slow
+def test_every_head_of_a_table_of_the_page_is_explained(written: Any) -> None:
+    """Of each topic; without the unit."""
+    tables = [table for topic in written.report.topics for table in topic.tables]
+    heads = {re.sub(r" \[.*\]$", "", head).lower() for table in tables for head in table.head}
+    assert {"claim", "configuration"} & heads
+    assert heads <= {term.lower() for term in _spoken()}
+
+
+def test_a_word_that_is_not_explained_would_be_found() -> None:
+    """The tests above can fail."""
+    assert not {"answer", "no such word"} <= _spoken()
 
 
 def test_a_term_is_explained_once_and_in_a_sentence() -> None:
