@@ -157,6 +157,7 @@ routes = ["native"]
 """
 
 
+@pytest.mark.slow
 def test_a_worker_hands_over_the_same_qps_in_every_round(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -107,6 +107,7 @@ def test_names_of_sweeps_must_differ_from_those_of_scenarios(tmp_path: Path) -> 
         plan(suite)
 
 
+@pytest.mark.slow
 def test_the_rows_say_how_large_their_problems_are(tmp_path: Path) -> None:
     """N_p, N_c of the ship's controller, n and m of the QP; a random problem has no horizon."""
     out = run(_written(tmp_path, '["20/4", "6/2"]'), tmp_path / "out")
@@ -129,6 +130,7 @@ def test_stacked_form_is_counted_as_the_solver_gets_it() -> None:
     assert pd.isna(row["N_p"]) and pd.isna(row["N_c"])
 
 
+@pytest.mark.slow
 def test_results_of_another_schema_are_refused_in_one_line(tmp_path: Path) -> None:
     """An older table lacks columns; what is said is that its schema is another."""
     out = run(_written(tmp_path, '["6/2"]'), tmp_path / "out")

@@ -175,6 +175,7 @@ def test_our_own_file_runs_from_the_command_line(
     assert cell["source"]["path"] == "turn.npz"
 
 
+@pytest.mark.slow
 def test_a_lie_in_a_file_is_not_believed(tmp_path: Path) -> None:
     """Optima that a file claims with a bound of 0 are certified again by whoever replays it."""
     recorded = record(load_scenario("paper"), steps=3)
