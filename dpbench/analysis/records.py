@@ -57,6 +57,11 @@ class Records:
         starts, ends = [0, *edges.tolist()], [*edges.tolist(), len(codes)]
         return {str(names[codes[a]]): (a, b) for a, b in zip(starts, ends, strict=True)}
 
+    @property
+    def has_steps(self) -> bool:
+        """Whether the folder has the steps of its runs: what is sent to others has not."""
+        return len(self._steps) > 0
+
     @cached_property
     def counting(self) -> CountingRows:
         """The rows of the step table that count, as arrays."""

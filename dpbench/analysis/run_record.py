@@ -74,6 +74,8 @@ class RunRecord:
     reference_kernel_ns: float
     load_kernel_ns: float
     algo_p50_ns: float
+    algo_p99_ns: float
+    algo_max_ns: float
     raw_p50_ns: float
     raw_max_ns: float
     first_visit_ratio: float

@@ -101,10 +101,23 @@ def _report(commands: Commands) -> None:
 
 
 def _compare(commands: Commands) -> None:
-    compare = commands.add_parser("compare", help="what became slower or worse from A to B")
-    compare.add_argument("a", metavar="A", help="a result folder, the baseline")
-    compare.add_argument("b", metavar="B", help="another one of the same suite")
-    compare.add_argument("--any-machine", action="store_true", help="also of another machine")
+    compare = commands.add_parser(
+        "compare",
+        help="what became slower or worse from A to B; solvers over their releases",
+        epilog="Exit code: 0 no regression is shown; 1 one is; 2 bad input.",
+    )
+    compare.add_argument("folders", metavar="DIR", nargs="+", help="two result folders, A and B")
+    compare.add_argument(
+        "--releases",
+        action="store_true",
+        help="instead: each solver over its versions, in two folders or more",
+    )
+    compare.add_argument(
+        "--reference",
+        metavar="S",
+        help="compare ratios to this solver; of two machines always (paper_active_set or daqp)",
+    )
+    compare.add_argument("--any-machine", action="store_true", help=argparse.SUPPRESS)
     compare.add_argument("--margin", type=float, default=0.05, help="what is no difference (0.05)")
     compare.add_argument("--alpha", type=float, default=0.05, help="family-wise error (0.05)")
     compare.add_argument("--markdown", metavar="FILE", help="write Markdown; - for the screen")

@@ -14,12 +14,15 @@ import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
 
 from dpbench.cli.arguments import parser
 from dpbench.cli.completion import complete
 from dpbench.cli.ending import say_ending
 from dpbench.errors import DpbenchError, InputError, RenamedWarning, renamed
+
+if TYPE_CHECKING:
+    from dpbench.report.table import Table
 
 OLD_COMMANDS = {"hunt": "worst-case"}
 """Old names of commands that are still read, with what they are called now."""
@@ -137,31 +140,57 @@ def _completion(arguments: argparse.Namespace) -> int:
 
 
 def _compare(arguments: argparse.Namespace) -> int:
-    from dpbench.cli.terminal import console, report_table, say
     from dpbench.report.compare.comparison import compare
 
-    found = compare(
-        arguments.a,
-        arguments.b,
-        any_machine=arguments.any_machine,
+    if arguments.any_machine:
+        print("dpbench: --any-machine is no longer needed", file=sys.stderr)
+    if arguments.releases:
+        return _releases(arguments)
+    if len(arguments.folders) != 2:
+        found = f"{len(arguments.folders)} of them"
+        raise InputError("compare", "DIR", found, "two, A and B, or several with --releases")
+    compared = compare(
+        *arguments.folders,
+        reference=arguments.reference,
         margin=arguments.margin,
         alpha=arguments.alpha,
     )
-    if arguments.markdown == "-":
-        print(found.markdown(), end="")
-        return int(found.worse)
     if arguments.html is not None:
         from dpbench.report.compare.page import write_comparison
 
-        write_comparison(Path(arguments.html), found)
-    if arguments.markdown is not None:
-        Path(arguments.markdown).write_text(found.markdown(), encoding="utf-8")
+        write_comparison(Path(arguments.html), compared)
+    _say_compared(compared.markdown(), compared.tables, compared.lines, arguments.markdown)
+    return int(compared.worse)
+
+
+def _releases(arguments: argparse.Namespace) -> int:
+    from dpbench.report.compare.releases import releases
+
+    over = releases(arguments.folders, reference=arguments.reference)
+    if arguments.html is not None:
+        from dpbench.report.compare.releases_page import write_releases
+
+        write_releases(Path(arguments.html), over)
+    _say_compared(over.markdown(), over.tables, [*over.lines, *over.lead], arguments.markdown)
+    return 0
+
+
+def _say_compared(
+    markdown: str, tables: Sequence[Table], lines: Sequence[str], file: str | None
+) -> None:
+    """Tables, then lines, on the screen; the Markdown into a file, or alone for `-`."""
+    from dpbench.cli.terminal import console, report_table, say
+
+    if file == "-":
+        print(markdown, end="")
+        return
+    if file is not None:
+        Path(file).write_text(markdown, encoding="utf-8")
     screen = console()
-    for table in found.tables:
+    for table in tables:
         screen.print(report_table(table, screen))
         screen.print()
-    say(found.lines)
-    return int(found.worse)
+    say(lines)
 
 
 def _export(arguments: argparse.Namespace) -> int:

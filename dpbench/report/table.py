@@ -32,6 +32,15 @@ def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]], text_columns: 
     return "\n".join(map(_line, [heads, align, *rows]))
 
 
+def document(title: str, lines: Sequence[str], tables: Sequence[Table]) -> str:
+    """A Markdown document: the lines as a list, then every table under its title and note."""
+    parts = [f"# {title}", "\n".join(f"- {line}" for line in lines)]
+    parts += [
+        f"## {t.title}\n\n{t.note}\n\n{markdown(t.heads, t.rows, t.text_columns)}" for t in tables
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
 def html(table: Table) -> str:
     """The table as plain HTML, for a notebook."""
     return table_html(table.heads, table.rows, title=table.title, note=table.note)

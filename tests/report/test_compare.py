@@ -18,6 +18,7 @@ from dpbench.analysis.run_record import records_of
 from dpbench.bench.record.result_folder import Results, write_results
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
 from dpbench.cli.main import main
+from dpbench.report.compare.page import write_comparison
 from dpbench.report.compare.tables import _together
 
 STEPS, ROUNDS = 100, 8
@@ -334,17 +335,61 @@ def test_a_stretch_of_slow_rounds_hides_nothing(make: Make) -> None:
     assert verdicts(compare(a, b).times)["piqp"] == "slower"
 
 
-@pytest.mark.slow
-def test_another_machine_is_refused_in_one_line(
+def test_two_machines_are_compared_by_ratios_to_a_reference(
     make: Make, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit 2 names both machines and what differs; --any-machine compares all the same."""
-    a, b = make("a", seed=1), make("b", seed=2, machine_id="two", machine=3.0)
-    assert main(["compare", str(a), str(b)]) == 2
+    """B's machine takes 3 times as long, and its osqp 6 times as long again: only that is said."""
+    a = make("a", seed=1)
+    b = make("b", seed=2, machine_id="two", machine=3.0, slow={"osqp": 6.0})
+    assert main(["compare", str(a), str(b)]) == 1
+    said = capsys.readouterr().out.splitlines()
+    (line,) = [line for line in said if line.startswith("step times are compared as ratios to")]
+    assert line.endswith("daqp (native fresh), which takes B/A 3 on paper")
+    assert "another machine: they differ in kernel" in said
+    found = compare(a, b)
+    assert verdicts(found.times)["osqp"] == "slower"
+    assert "daqp" not in verdicts(found.times)
+    row = found.times.set_index("solver").loc["osqp"]
+    assert (row["machine"], row["ratio"]) == (
+        pytest.approx(3, rel=0.02),
+        pytest.approx(6, rel=0.02),
+    )
+    assert not found.shared
+
+
+def test_another_reference_and_one_that_was_not_run(
+    make: Make, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With osqp as the measure all others take a sixth; a name of nobody is one line, exit 2."""
+    a = make("a", seed=1)
+    b = make("b", seed=2, slow={"osqp": 6.0})
+    ratios = compare(a, b, reference="osqp").times.set_index("solver")["ratio"]
+    assert len(ratios) == len(ARMS) - 1
+    assert ratios.to_numpy() == pytest.approx(1 / 6, rel=0.03)
+    assert main(["compare", str(a), str(b), "--reference", "osqq"]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
-    assert all(part in line for part in ("machine.json", "'two'", "'one'", "kernel", "--any-mach"))
-    assert main(["compare", str(a), str(b), "--any-machine"]) == 0
-    assert "another machine" in capsys.readouterr().out
+    assert "--reference" in line and "e.g. osqp" in line
+
+
+def test_between_machines_solvers_differ_more_than_between_runs(make: Make) -> None:
+    """1.2 times as long is a claim on one machine, and none between two."""
+    a = make("a", seed=1)
+    slow = {"piqp": 1.2}
+    assert verdicts(compare(a, make("b", seed=2, slow=slow)).times)["piqp"] == "slower"
+    other = make("c", seed=2, slow=slow, machine_id="two")
+    assert verdicts(compare(a, other).times)["piqp"] == "no difference shown"
+
+
+def test_a_folder_without_steps_is_compared_by_its_medians(make: Make, tmp_path: Path) -> None:
+    """What others send has no steps; the page has none to show either."""
+    a = make("a", seed=1, algo_p50_ns=2e4)
+    b = make("b", seed=2, algo_p50_ns=3e4)
+    (b / "steps.parquet").unlink()
+    found = compare(a, b)
+    assert "no steps.parquet in B: medians of step times are compared" in found.lines
+    assert found.times["raw"].to_numpy() == pytest.approx(1.5)
+    page = write_comparison(tmp_path / "compare.html", found).read_text(encoding="utf-8")
+    assert "Both runs" in page
 
 
 @pytest.mark.parametrize(

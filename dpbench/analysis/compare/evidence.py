@@ -48,6 +48,10 @@ CONFIGURATION_NOISE = Prior(sd=0.01, df=6.0)
 """Between two runs, of one configuration around all configurations."""
 MACHINE_NOISE = Prior(sd=0.05, df=4.0)
 """Between two runs, of all configurations together, beyond what the reference kernel shows."""
+MACHINES_NOISE = Prior(sd=0.1, df=6.0)
+"""Between two machines, of a configuration's ratio to another one: caches and vector units favour
+one solver or the other. Set wide, not measured; what the configurations show counts as soon as it
+is wider."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +133,33 @@ def gather(
             unknown = MACHINE_NOISE.sd**2 if np.isfinite(known) else np.inf
             centre[i] = np.nan_to_num(known)
         error[i] = np.sqrt(spread2 + unknown + max(0.0, own[i] ** 2 - typical2))
+    return Evidence(logs - centre, centre, error, df)
+
+
+def gather_against(
+    logs: Floats,
+    own: Floats,
+    groups: Sequence[str],
+    reference: NDArray[np.int64],
+    own_share: float = 1.0,
+) -> Evidence:
+    """As `gather`, each ratio held against that of a reference solver in the same group.
+
+    Parameters
+    ----------
+    reference : (N,) where the reference stands among the ratios; −1 for none, which leaves nothing
+        known of the ratio.
+    """
+    labels, rows = np.asarray(groups), np.arange(len(logs))
+    centre, error, df = np.zeros(len(logs)), np.empty(len(logs)), np.empty(len(logs))
+    for i, at in enumerate(reference.tolist()):
+        keep = (rows != i) & (rows != at)
+        typical2 = float(np.median(own[keep] ** 2)) if keep.any() else 0.0
+        spread2, df[i] = _spread(logs[keep], labels[keep], MACHINES_NOISE, own_share * typical2)
+        centre[i] = logs[at] if at >= 0 else 0.0
+        # The reference has noise of its own, as large as any other's.
+        both2 = [max(0.0, own[j] ** 2 - typical2) for j in (i, at)]
+        error[i] = np.sqrt(2.0 * spread2 + sum(both2)) if at >= 0 else np.inf
     return Evidence(logs - centre, centre, error, df)
 
 

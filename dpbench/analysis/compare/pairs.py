@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
 from dpbench.bench.record.configuration import COLUMNS
-from dpbench.bench.record.result_folder import Results
 from dpbench.errors import ResultsError
 
 KEY = ("mode", "scenario", "sequence", *COLUMNS, "steps_planned")
@@ -46,18 +46,12 @@ class Pairs:
     lost: list[str]
 
 
-def check_machines(a: Results, b: Results, where: str) -> None:
-    """ResultsError, saying what differs, where two folders come from different machines.
-
-    `where` is the folder of `b`.
-    """
-    ids = a.machine["id"], b.machine["id"]
-    if ids[0] == ids[1]:
-        return
-    differ = [name for name in LASTING if a.machine.get(name) != b.machine.get(name)]
-    differs = f"{ids[1]!r}, which differs in {', '.join(differ) or 'what neither describes'}"
-    allowed = f"the machine of the first folder, {ids[0]!r}, or --any-machine"
-    raise ResultsError(f"{where}/machine.json", "id", differs, allowed)
+def differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
+    """In what two machines differ, as their descriptions say; none for one machine."""
+    if a["id"] == b["id"]:
+        return []
+    differ = [name for name in LASTING if a.get(name) != b.get(name)]
+    return differ or ["what neither describes"]
 
 
 def pair_cells(a: Records, b: Records, names: tuple[str, str]) -> Pairs:
@@ -75,7 +69,7 @@ def pair_cells(a: Records, b: Records, names: tuple[str, str]) -> Pairs:
     for key in (key for key in cells_a if key in cells_b):
         pair = Pair(cells_a[key], cells_b[key])
         outcomes = pair.a.outcome, pair.b.outcome
-        if _problem(pair.a) != _problem(pair.b):
+        if problem_of(pair.a) != problem_of(pair.b):
             changed.append(_name(pair.a))
         elif "lost" in outcomes:
             lost.append(_name(pair.a))
@@ -105,6 +99,6 @@ def _name(run: RunRecord) -> str:
     return f"{run.configuration.label}, {mode} of {run.steps_planned} steps of {run.problem}"
 
 
-def _problem(run: RunRecord) -> dict[str, Any]:
+def problem_of(run: RunRecord) -> dict[str, Any]:
     """What the cell was asked, as far as its description says."""
     return {part: run.description.get(part) for part in PROBLEM}

@@ -3,6 +3,8 @@ its own noise."""
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +13,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from dpbench.analysis.compare.evidence import MACHINE_NOISE, Assessment, Evidence, assess, gather
+from dpbench.analysis.compare.evidence import (
+    MACHINE_NOISE,
+    Assessment,
+    Evidence,
+    assess,
+    gather,
+    gather_against,
+)
 from dpbench.analysis.compare.pairs import Pair, key_of
 from dpbench.analysis.machine import disturbed_sequences
 from dpbench.analysis.records import Records
@@ -24,6 +33,8 @@ from dpbench.analysis.statistics import (
     enough,
     resampled_means,
 )
+from dpbench.bench.record.configuration import settings_level
+from dpbench.errors import UnknownNameError, one_of
 
 PARTS = 4
 """A run's rounds are cut into so many consecutive parts, each left out in turn."""
@@ -42,24 +53,26 @@ does not show (0.76 to 0.82 in those runs, with a correlation of 0.98), and how 
 off."""
 
 
+REFERENCES = ("paper_active_set", "daqp")
+"""The reference solver between two machines: the first that both have timed. Both are small active
+sets without a library below them, so that a build matters least."""
+
+
 @dataclass(frozen=True, eq=False)
 class Timing:
     """log(B/A) of one configuration on one sequence, its standard error from inside the runs, its
-    sizes; of each step in both runs `k`, and `a_ns`, `b_ns`, the minima over as many rounds."""
+    sizes, the median step in either run [ns]; of each step in both runs `k`, and `a_ns`, `b_ns`,
+    the minima over as many rounds: none where a folder has no steps."""
 
     pair: Pair
     log: float
     own: float
     steps: int
     rounds: int
+    median_ns: tuple[float, float]
     k: NDArray[np.int64]
     a_ns: Floats
     b_ns: Floats
-
-    @property
-    def median_ns(self) -> tuple[float, float]:
-        """The median step in either run [ns]."""
-        return float(np.median(self.a_ns)), float(np.median(self.b_ns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,12 +125,9 @@ class Shared:
 def time_pairs(a: Records, b: Records, pairs: Sequence[Pair]) -> list[Timing]:
     """The timings of all replayed pairs that have one."""
     once: dict[tuple[object, ...], Timing] = {}
-    for pair in pairs:
-        timing = (
-            _timing(pair, _rounds(a, pair.a), _rounds(b, pair.b))
-            if pair.a.mode == "replay"
-            else None
-        )
+    time_of = _steps_timing if a.has_steps and b.has_steps else _medians_timing
+    for pair in (pair for pair in pairs if pair.a.mode == "replay"):
+        timing = time_of(a, b, pair)
         if timing is not None:
             # Settings without effect are one run under several names, and one piece of evidence.
             unnamed = key_of(pair.a) | {"settings": ""}
@@ -125,9 +135,7 @@ def time_pairs(a: Records, b: Records, pairs: Sequence[Pair]) -> list[Timing]:
     return list(once.values())
 
 
-def why_unjudged(
-    a: Records, b: Records, timings: Sequence[Timing], *, same_machine: bool
-) -> dict[str, str]:
+def why_unjudged(a: Records, b: Records, timings: Sequence[Timing]) -> dict[str, str]:
     """Why the reference kernel cannot stand for the machine, by sequence; "" where it can.
 
     A kernel feels only some of what a solver feels of a busy machine, so both runs must have
@@ -139,9 +147,7 @@ def why_unjudged(
         disturbances = [by_sequence.get(name) for by_sequence in known]
         hidden = [one is None for one in disturbances]
         disturbed = [one is not None and bool(one.complaints()) for one in disturbances]
-        if not same_machine:
-            reasons[name] = "they are two machines"
-        elif not np.isfinite(_machine([t for t in timings if t.pair.a.problem == name]).kernel):
+        if not np.isfinite(_machine([t for t in timings if t.pair.a.problem == name]).kernel):
             reasons[name] = "the reference kernel was not timed"
         elif any(disturbed):
             reasons[name] = f"{_which(disturbed)} disturbed"
@@ -150,6 +156,64 @@ def why_unjudged(
         else:
             reasons[name] = ""
     return reasons
+
+
+def reference_solver(timings: Sequence[Timing], asked: str | None) -> str:
+    """The solver that two machines are compared by: the one asked for, of `REFERENCES`, or the one
+    that both timed on the most sequences; "" where nothing was timed in both.
+
+    Raises
+    ------
+    InputError : for a solver that was not timed in both.
+    """
+    counts = Counter(t.pair.a.solver for t in timings)
+    if asked is not None and asked not in counts:
+        allowed = one_of(asked, sorted(counts)) if counts else "a solver that both replayed"
+        raise UnknownNameError("--reference", "", repr(asked), allowed)
+    known = [name for name in REFERENCES if name in counts]
+    most = [name for name, _ in counts.most_common(1)]
+    return asked or next(iter([*known, *most]), "")
+
+
+def reference_rows(timings: Sequence[Timing], solver: str) -> NDArray[np.int64]:
+    """(N,) where the timing of the reference solver on the same sequence stands; −1 for none.
+
+    Of several the most usual: default settings, each step from nothing, in scaled units.
+    """
+    order = sorted(
+        (i for i, t in enumerate(timings) if t.pair.a.solver == solver),
+        key=lambda i: usualness(timings[i].pair.a),
+    )
+    first: dict[str, int] = {}
+    for i in order:
+        first.setdefault(timings[i].pair.a.problem, i)
+    return np.array([first.get(t.pair.a.problem, -1) for t in timings], dtype=np.int64)
+
+
+def usualness(run: RunRecord) -> tuple[Any, ...]:
+    """Sort key: default settings, each step from nothing, in scaled units first."""
+    settings = settings_level(run.settings)
+    return run.units != "scaled", settings, run.policy != "fresh", run.route, run.formulation
+
+
+def compare_to_reference(
+    timings: Sequence[Timing], margin: float, alpha: float, rows: NDArray[np.int64]
+) -> list[Compared]:
+    """Verdicts on the ratios to a reference solver, which says what the machine did to all.
+
+    Parameters
+    ----------
+    rows : (N,) as of `reference_rows`; what they name is the measure and has no verdict.
+    """
+    groups = [t.pair.a.problem for t in timings]
+    logs, own = np.array([t.log for t in timings]), np.array([t.own for t in timings])
+    evidence = gather_against(logs, own, groups, rows, JACKKNIFE_SHARE)
+    judged = np.setdiff1d(np.arange(len(timings)), rows)
+    family = Evidence(
+        *(part[judged] for part in (evidence.effect, evidence.machine, evidence.error, evidence.df))
+    )
+    assessments = assess(family, margin, alpha) if len(judged) else []
+    return [Compared(timings[i], one) for i, one in zip(judged, assessments, strict=True)]
 
 
 def _which(of: Sequence[bool]) -> str:
@@ -276,7 +340,20 @@ def _rounds(records: Records, run: RunRecord) -> pd.DataFrame | None:
     return whole if len(whole) else table.dropna(axis="columns")
 
 
-def _timing(pair: Pair, a: pd.DataFrame | None, b: pd.DataFrame | None) -> Timing | None:
+def _medians_timing(a: Records, b: Records, pair: Pair) -> Timing | None:
+    """By the medians that `runs.parquet` has; nothing there tells their error."""
+    medians = pair.a.algo_p50_ns, pair.b.algo_p50_ns
+    if not all(map(math.isfinite, medians)):
+        return None
+    steps = min(pair.a.steps_done, pair.b.steps_done)
+    rounds = int(min(pair.a.rounds, pair.b.rounds))
+    none = np.empty(0)
+    log = math.log(medians[1] / medians[0])
+    return Timing(pair, log, 0.0, steps, rounds, medians, none.astype(np.int64), none, none)
+
+
+def _steps_timing(records_a: Records, records_b: Records, pair: Pair) -> Timing | None:
+    a, b = _rounds(records_a, pair.a), _rounds(records_b, pair.b)
     if a is None or b is None:
         return None
     steps = a.columns.intersection(b.columns)
@@ -295,7 +372,9 @@ def _timing(pair: Pair, a: pd.DataFrame | None, b: pd.DataFrame | None) -> Timin
     )
     own = float(np.sqrt(over_steps**2 + _variance(a_ns) + _variance(b_ns)))
     k = steps.to_numpy(dtype=np.int64)
-    return Timing(pair, float(logs.mean()), own, len(steps), rounds, k, best_a_ns, best_b_ns)
+    medians = float(np.median(best_a_ns)), float(np.median(best_b_ns))
+    mean = float(logs.mean())
+    return Timing(pair, mean, own, len(steps), rounds, medians, k, best_a_ns, best_b_ns)
 
 
 def _variance(times: Floats) -> float:

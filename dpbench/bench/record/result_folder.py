@@ -102,8 +102,13 @@ def accidents(out: Path) -> tuple[int, list[str]]:
     return int(suite.get("lost_cells", 0)), [str(line) for line in suite.get("remarks", [])]
 
 
-def load_results(out: str | Path) -> Results:
+def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
     """Read a result folder.
+
+    Parameters
+    ----------
+    without_steps : a folder that has no `steps.parquet`, as one that was sent to others, will do;
+        its table of steps is empty.
 
     Raises
     ------
@@ -112,13 +117,15 @@ def load_results(out: str | Path) -> Results:
     folder = Path(out)
     if not folder.is_dir():
         raise ResultsError(str(folder), "", "no such folder", "a folder written by `dpbench run`")
+    no_steps = without_steps and not (folder / "steps.parquet").exists()
     results = Results(
         runs=_read_table(folder, "runs"),
-        steps=_read_table(folder, "steps"),
+        steps=as_steps(pd.DataFrame()) if no_steps else _read_table(folder, "steps"),
         machine=read_json(folder / "machine.json"),
         suite=read_json(folder / "suite.json"),
     )
-    for name, frame in (("run_rows", results.runs), ("step_rows", results.steps)):
+    tables = {"run_rows": results.runs} | ({} if no_steps else {"step_rows": results.steps})
+    for name, frame in tables.items():
         promised = results.suite.get(name)
         if promised != len(frame):
             found = f"{promised} where the table has {len(frame)} rows"

@@ -10,11 +10,15 @@ from pathlib import Path
 import pandas as pd
 
 from dpbench.analysis.compare.answers import Answer, compare_answers
-from dpbench.analysis.compare.pairs import Pairs, check_machines, pair_cells
+from dpbench.analysis.compare.pairs import Pairs, differences, pair_cells
 from dpbench.analysis.compare.times import (
     Compared,
     Shared,
+    Timing,
     compare_times,
+    compare_to_reference,
+    reference_rows,
+    reference_solver,
     time_pairs,
     why_unjudged,
 )
@@ -24,9 +28,9 @@ from dpbench.bench.record.result_folder import load_results
 from dpbench.display import table_html
 from dpbench.errors import InputError
 from dpbench.report.compare.tables import answers_table, shared_line, solvers_table, times_table
-from dpbench.report.formats import plural
+from dpbench.report.formats import and_list, plural
 from dpbench.report.machine_verdict import verdict_text
-from dpbench.report.table import Table, html, markdown
+from dpbench.report.table import Table, document, html
 
 LISTED = 5
 """So many cells without a partner are named."""
@@ -41,7 +45,8 @@ class Comparison:
     compared : step times with their verdicts; shared : what all configurations of a sequence share.
     found : every figure of accuracy and control; pairs : which cells were compared.
     lines : the verdict in a few lines of text; tables : the rest; margin : what is no difference;
-    alpha : the family-wise error of the claims.
+    alpha : the family-wise error of the claims; reference : the solver that step times are held
+    against, "" where all configurations of a machine are.
     """
 
     compared: list[Compared]
@@ -52,6 +57,7 @@ class Comparison:
     tables: list[Table]
     margin: float = 0.05
     alpha: float = 0.05
+    reference: str = ""
 
     def __repr__(self) -> str:
         verdict = "a regression" if self.worse else "no regression"
@@ -84,19 +90,14 @@ class Comparison:
 
     def markdown(self) -> str:
         """The comparison as a Markdown document."""
-        parts = ["# Comparison", "\n".join(f"- {line}" for line in self.lines)]
-        parts += [
-            f"## {t.title}\n\n{t.note}\n\n{markdown(t.heads, t.rows, t.text_columns)}"
-            for t in self.tables
-        ]
-        return "\n\n".join(parts) + "\n"
+        return document("Comparison", self.lines, self.tables)
 
 
 def compare(
     a: str | Path,
     b: str | Path,
     *,
-    any_machine: bool = False,
+    reference: str | None = None,
     margin: float = 0.05,
     alpha: float = 0.05,
 ) -> Comparison:
@@ -105,38 +106,63 @@ def compare(
     Parameters
     ----------
     a, b : folders written by `dpbench run`; A is the older one, the baseline.
-    any_machine : compare runs of two machines too; what all configurations share is then not
-        judged.
+    reference : the solver by whose step times all others are measured, so that only ratios to it
+        are compared. Two machines always are: by default with the first of `times.REFERENCES`, or
+        else the solver that both have timed most. One machine: by default with none.
     margin : a ratio up to 1 + margin either way makes no difference.
     alpha : family-wise error of the claims on step times.
 
     Raises
     ------
-    InputError : for a margin or alpha that cannot be; as `ResultsError` for a folder that is
-        missing, damaged, of another machine, or has no cell in common with the other.
+    InputError : for a margin or alpha that cannot be, a reference that was not timed in both; as
+        `ResultsError` for a folder that is missing, damaged, or has no cell in common with the
+        other.
     """
     if not (margin > 0.0 and math.isfinite(margin)):
         raise InputError("--margin", "", margin, "a finite number above 0, as 0.05 for 5 %")
     if not 0.0 < alpha < 0.5:
         raise InputError("--alpha", "", alpha, "a number above 0 and below 0.5")
-    results = load_results(a), load_results(b)
-    if not any_machine:
-        check_machines(*results, where=str(b))
+    results = load_results(a, without_steps=True), load_results(b, without_steps=True)
     views = Records(results[0]), Records(results[1])
     pairs = pair_cells(*views, names=(str(a), str(b)))
-    same = results[0].machine["id"] == results[1].machine["id"]
+    differ = differences(results[0].machine, results[1].machine)
     timings = time_pairs(*views, pairs.pairs)
-    unjudged = why_unjudged(*views, timings, same_machine=same)
-    compared, shared = compare_times(timings, margin, alpha, unjudged)
+    solver = reference_solver(timings, reference) if differ or reference else ""
+    compared, shared, said = _compare_times(views, timings, solver, margin, alpha)
     found = compare_answers(*views, pairs.pairs, margin)
-    lines = [f"A: {a}{_machine(views[0])}"]
-    lines += [f"B: {b}{_machine(views[1])}{'' if same else ' (another machine)'}"]
-    lines += _lines(compared, shared, found, pairs)
+    lines = [f"A: {a}{_machine(views[0])}", f"B: {b}{_machine(views[1])}"]
+    lines += [f"another machine: they differ in {and_list(differ)}"] if differ else []
+    lines += [*said, *_lines(compared, shared, found, pairs)]
     changed = answers_table(found, margin)
     tables = [solvers_table(compared, found)] if compared or found else []
-    tables += [times_table(compared, margin, alpha)] if compared else []
+    tables += [times_table(compared, margin, alpha, reference=solver)] if compared else []
     tables += [changed] if changed is not None else []
-    return Comparison(compared, shared, found, pairs, lines, tables, margin, alpha)
+    return Comparison(compared, shared, found, pairs, lines, tables, margin, alpha, solver)
+
+
+def _compare_times(
+    views: tuple[Records, Records],
+    timings: list[Timing],
+    solver: str,
+    margin: float,
+    alpha: float,
+) -> tuple[list[Compared], list[Shared], list[str]]:
+    """The verdicts on step times, and what is to be said of how they were compared."""
+    said = []
+    bare = [name for name, view in zip("AB", views, strict=True) if not view.has_steps]
+    if bare and timings:
+        said.append(f"no steps.parquet in {and_list(bare)}: medians of step times are compared")
+    if not solver:
+        unjudged = why_unjudged(*views, timings)
+        return *compare_times(timings, margin, alpha, unjudged), said
+    rows = reference_rows(timings, solver)
+    known = [timings[row] for row in dict.fromkeys(rows.tolist()) if row >= 0]
+    took = [f"{math.exp(one.log):.3g} on {one.pair.a.problem}" for one in known]
+    said.append(
+        f"step times are compared as ratios to {known[0].pair.label}, which takes B/A "
+        f"{and_list(took)}"
+    )
+    return compare_to_reference(timings, margin, alpha, rows), [], said
 
 
 def _machine(view: Records) -> str:

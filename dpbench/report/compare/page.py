@@ -117,7 +117,13 @@ def _is_times(table: Table) -> bool:
 
 def _times(order: Sequence[Compared], comparison: Comparison) -> dict[str, Any]:
     """The table of times in the order of the page, without `LEFT_OUT`."""
-    whole = times_table(order, comparison.margin, comparison.alpha, ordered=True)
+    whole = times_table(
+        order,
+        comparison.margin,
+        comparison.alpha,
+        ordered=True,
+        reference=comparison.reference,
+    )
     small = _small(whole)
     kept = [i for i, head in enumerate(whole.heads) if head not in LEFT_OUT]
     return small | {
@@ -158,8 +164,10 @@ def _block(order: Sequence[Compared], charts: dict[str, Any], times: dict[str, A
     return block.text(document)
 
 
-def _steps(block: Block, timing: Timing) -> dict[str, int]:
-    """Both times of each step, element 0 for step `first`."""
+def _steps(block: Block, timing: Timing) -> dict[str, int | None]:
+    """Both times of each step, element 0 for step `first`; nothing of a folder without steps."""
+    if not len(timing.k):
+        return {"first": 0, "a": None, "b": None}
     first = int(timing.k[0])
     times = np.full((2, int(timing.k[-1]) - first + 1), np.nan)
     times[:, timing.k - first] = timing.a_ns, timing.b_ns

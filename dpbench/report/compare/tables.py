@@ -63,11 +63,23 @@ def _together(counts: Counter[str], order: tuple[str, ...]) -> str:
     return next((verdict for verdict in order if counts[verdict]), MISSING)
 
 
+ALL_OTHERS = (
+    "the median of that ratio over the other configurations of the sequence (below four of the "
+    "reference kernel, if both runs were quiet)"
+)
+
+
 def times_table(
-    compared: Sequence[Compared], margin: float, alpha: float, *, ordered: bool = False
+    compared: Sequence[Compared],
+    margin: float,
+    alpha: float,
+    *,
+    ordered: bool = False,
+    reference: str = "",
 ) -> Table:
     """One row per configuration and sequence, those with a claim first; as they come if
     `ordered`."""
+    machine = f"that ratio of {reference}, the reference" if reference else ALL_OTHERS
     rows = (
         compared if ordered else sorted(compared, key=lambda c: TIMES.index(c.assessment.verdict))
     )
@@ -76,9 +88,7 @@ def times_table(
         title="Step times, replays",
         note=(
             "B/A: geometric mean over the steps of the ratio of algorithmic times (minimum over "
-            "as many rounds of either run). Machine: the median of that ratio over the other "
-            "configurations of the sequence (below four of the reference kernel, if both runs "
-            "were quiet), "
+            f"as many rounds of either run). Machine: {machine}, "
             "taken out of the next. Its interval holds for all rows together and counts the noise "
             f"between two runs. Slower or faster: by more than {percent}; equivalent: within "
             f"{percent}; each kind of claim with a family-wise error of {100 * alpha:g} % (Holm)."

@@ -82,6 +82,8 @@ async function drawOne() {
   const steps = rows();
   $("one-title").textContent = `${one("name")} on ${one("where")}`;
   $("one-said").textContent = `${one("said")} Above the dashed line B is the slower one.`;
+  $("step-said").textContent = "A folder without its steps was compared.";
+  if (!steps.length) return;
   const at = steps.find((row) => row.k === state.k);
   $("step-said").textContent = at
     ? `Step ${at.k}: A ${figure(at.a_us)} µs, B ${figure(at.b_us)} µs, ratio ${figure(at.b_us / at.a_us)}.`

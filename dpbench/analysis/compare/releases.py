@@ -1,0 +1,216 @@
+"""Solvers over their releases: the same configuration on the same problem, version by version."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from packaging.version import InvalidVersion, Version
+
+from dpbench.analysis.compare.answers import ORDER
+from dpbench.analysis.compare.pairs import key_of, problem_of
+from dpbench.analysis.compare.times import REFERENCES, usualness
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
+from dpbench.errors import InputError, UnknownNameError, one_of
+
+
+@dataclass(frozen=True, eq=False)
+class Release:
+    """One version of a solver in one configuration on one problem.
+
+    Parameters
+    ----------
+    runs : of every folder that has it, with the folder's name.
+    p50, p99, largest : of the algorithmic step time, geometric mean over the folders, in ns, or as
+        multiples of the reference solver's p50 in the same folder; NaN where nothing was timed.
+    """
+
+    version: str
+    runs: Mapping[str, RunRecord]
+    p50: float
+    p99: float
+    largest: float
+
+    @property
+    def error_move(self) -> float:
+        """The largest error of the first move."""
+        return _largest(run.error_move_max for run in self.runs.values())
+
+    @property
+    def claimed_not_true(self) -> float:
+        """Most steps of a run that were claimed solved and are not."""
+        return _largest(run.claimed_not_true for run in self.runs.values())
+
+    @property
+    def failed_steps(self) -> float:
+        """Most failed steps of a run."""
+        return _largest(run.failed_steps for run in self.runs.values())
+
+    @property
+    def outcome(self) -> str:
+        """The worst outcome of its runs."""
+        outcomes = {run.outcome for run in self.runs.values()}
+        return max(outcomes, key=lambda one: ORDER.index(one) if one in ORDER else len(ORDER))
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """The releases of a solver in one configuration on one problem, the oldest first."""
+
+    releases: Sequence[Release]
+
+    @property
+    def run(self) -> RunRecord:
+        """A run of it, for what all of them share."""
+        return next(iter(self.releases[0].runs.values()))
+
+    @property
+    def changed(self) -> bool:
+        """Whether there are several versions."""
+        return len(self.releases) > 1
+
+    def change(self, i: int) -> float:
+        """p50 of release i over that of the one before; NaN for the first."""
+        return self.releases[i].p50 / self.releases[i - 1].p50 if i else math.nan
+
+    @property
+    def whole_change(self) -> float:
+        """p50 of the newest release over that of the oldest; NaN where one was not timed."""
+        return self.releases[-1].p50 / self.releases[0].p50
+
+
+@dataclass(frozen=True, eq=False)
+class Histories:
+    """All histories of some folders.
+
+    Parameters
+    ----------
+    reference : the solver whose p50 is the unit of all times; "" where they are in ns.
+    spread : the largest ratio between the folders of two p50 of one version of one configuration:
+        what lies within it is no change; NaN where no version was run twice.
+    alone : cells that only one of the folders has.
+    """
+
+    all: Sequence[History]
+    reference: str
+    spread: float
+    alone: int
+
+
+def histories(folders: Mapping[str, Records], reference: str | None = None) -> Histories:
+    """The releases of every configuration and problem that two folders have.
+
+    Parameters
+    ----------
+    folders : by the name each is to be called.
+    reference : the solver by whose p50 times are divided. Folders of two machines always are: by
+        default by the first of `times.REFERENCES` that all of them timed.
+
+    Raises
+    ------
+    InputError : without a reference that all folders timed, where one is needed; where no two
+        folders have a cell in common.
+    """
+    machines = {records.machine["id"] for records in folders.values()}
+    solver = _reference(folders, reference) if reference or len(machines) > 1 else ""
+    cells = _cells(folders)
+    common = {key: runs for key, runs in cells.items() if len(runs) > 1}
+    if not common:
+        allowed = "folders of the same suite"
+        raise InputError("--releases", "", "no cell that two of the folders have", allowed)
+    units = {name: _units(records, solver) for name, records in folders.items()}
+    found = [_history(runs, units) for runs in common.values()]
+    found.sort(key=lambda history: (history.run.solver, usualness(history.run)))
+    ratios = [ratio for history in found for ratio in _repeated(history, units)]
+    return Histories(found, solver, max(ratios, default=math.nan), len(cells) - len(common))
+
+
+def _cells(folders: Mapping[str, Records]) -> dict[str, dict[str, RunRecord]]:
+    """Every cell with the folders that have it; the harness's own and lost ones are none."""
+    cells: dict[str, dict[str, RunRecord]] = {}
+    for name, records in folders.items():
+        for run in records.all_runs:
+            if run.slowdown > 0.0 or run.is_baseline_law or run.outcome in ("lost", "refused"):
+                continue
+            cells.setdefault(repr((key_of(run), problem_of(run))), {})[name] = run
+    return cells
+
+
+def _reference(folders: Mapping[str, Records], asked: str | None) -> str:
+    timed = [{run.solver for run in _timed(records)} for records in folders.values()]
+    common = sorted(set.intersection(*timed))
+    known = [name for name in ((asked,) if asked else REFERENCES) if name in common]
+    if not known:
+        found = repr(asked) if asked else f"none of {', '.join(REFERENCES)} in all folders"
+        allowed = one_of(asked or "", common) if common else "a solver that all folders replayed"
+        raise UnknownNameError("--reference", "", found, allowed)
+    return known[0]
+
+
+def _timed(records: Records) -> Iterator[RunRecord]:
+    return (r for r in records.select(mode="replay") if math.isfinite(r.algo_p50_ns))
+
+
+def _units(records: Records, solver: str) -> Mapping[str, float] | None:
+    """What times are divided by, by problem: the p50 of the most usual run of the reference."""
+    if not solver:
+        return None
+    runs = sorted((r for r in _timed(records) if r.solver == solver), key=usualness, reverse=True)
+    return {run.problem: run.algo_p50_ns for run in runs}
+
+
+def _history(
+    runs: Mapping[str, RunRecord], units: Mapping[str, Mapping[str, float] | None]
+) -> History:
+    versions: dict[str, dict[str, RunRecord]] = {}
+    for name, run in runs.items():
+        version = f"{run.solver_version} {run.build}".strip() or "no version"
+        versions.setdefault(version, {})[name] = run
+    return History(
+        [
+            Release(
+                version,
+                of_version,
+                *(
+                    _mean([_time(run, column, units[name]) for name, run in of_version.items()])
+                    for column in ("algo_p50_ns", "algo_p99_ns", "algo_max_ns")
+                ),
+            )
+            for version, of_version in sorted(versions.items(), key=lambda item: _order(item[0]))
+        ]
+    )
+
+
+def _time(run: RunRecord, column: str, unit: Mapping[str, float] | None) -> float:
+    if run.mode != "replay":
+        return math.nan  # loops run beside each other
+    divisor = 1.0 if unit is None else unit.get(run.problem, math.nan)
+    return float(getattr(run, column)) / divisor
+
+
+def _repeated(history: History, units: Mapping[str, Mapping[str, float] | None]) -> Iterator[float]:
+    """How far the folders of one version lie apart."""
+    for release in history.releases:
+        times = [_time(run, "algo_p50_ns", units[name]) for name, run in release.runs.items()]
+        if len(times) > 1 and all(map(math.isfinite, times)):
+            yield max(times) / min(times)
+
+
+def _order(version: str) -> tuple[Any, ...]:
+    """Sort key: releases by number, what has none before them."""
+    try:
+        return True, Version(version.partition(" ")[0]), version
+    except InvalidVersion:
+        return False, Version("0"), version
+
+
+def _mean(values: Sequence[float]) -> float:
+    return float(np.exp(np.mean(np.log(values))))
+
+
+def _largest(values: Iterable[float]) -> float:
+    return max((value for value in values if not math.isnan(value)), default=math.nan)

@@ -1,0 +1,80 @@
+"""Solvers over their releases: what a step takes with each version, and how wrong it is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import altair as alt
+import pandas as pd
+
+from dpbench.report.charts.style import ACCENT, NOT_RUN, below, log_scale, styled, tip
+
+COLUMNS = ("label", "age", "problem", "p50", "p99", "largest", "error")
+AGES = ("newest release", "earlier release")
+_WIDTH = 260
+"""Narrow enough for a telephone, names included."""
+
+
+def release_times(table: pd.DataFrame, unit: str) -> Any:
+    """A row per version: point p50, bar to p99, line to the largest step; a panel per problem.
+
+    Parameters
+    ----------
+    table : columns `COLUMNS`, the first row on top; unit : of the times.
+    """
+    base = _base(table)
+    x = alt.X("p50:Q", title=f"step time [{unit}]", scale=log_scale(), axis=alt.Axis(format="~g"))
+    line = base.mark_rule(strokeWidth=2).encode(x=x, x2="largest:Q")
+    bar = (
+        base.transform_filter("isValid(datum.p99)").mark_rule(strokeWidth=8).encode(x=x, x2="p99:Q")
+    )
+    point = base.mark_point(filled=True, size=60, opacity=1).encode(x=x)
+    chart = alt.layer(line, bar, point, width=_WIDTH, height=alt.Step(20))
+    return _panels(chart, "Step time", "Step times of each solver, version by version.")
+
+
+def release_errors(table: pd.DataFrame, allowed: float) -> Any:
+    """A row per version: the largest error of the first move, against what the demand allows.
+
+    Parameters
+    ----------
+    table : as of `release_times`; an error of 0 or none at all has no point.
+    """
+    x = alt.X(
+        "error:Q",
+        title="largest error of the first move [rate-limit steps]",
+        scale=log_scale(),
+        axis=alt.Axis(format=".0e", tickCount=6, labelOverlap="greedy"),
+    )
+    base = _base(table)
+    drawn = base.transform_filter("isFinite(datum.error) && datum.error > 0")
+    point = drawn.mark_point(filled=True, size=60, opacity=1).encode(x=x)
+    limit = base.transform_calculate(limit=f"{allowed}").mark_rule(strokeDash=[4, 3], strokeWidth=1)
+    rule = limit.encode(x="limit:Q", color=alt.value(NOT_RUN), y=alt.Y("label:N", sort=None))
+    chart = alt.layer(rule, point, width=_WIDTH, height=alt.Step(20))
+    return _panels(chart, "Error", "Largest error of each solver, version by version.")
+
+
+def _base(table: pd.DataFrame) -> Any:
+    names = alt.Axis(labelLimit=170)
+    colour = alt.Color(
+        "age:N",
+        scale=alt.Scale(domain=list(AGES), range=[ACCENT, NOT_RUN]),
+        title=None,
+        legend=below(),
+    )
+    shape = alt.Shape("age:N", scale=alt.Scale(domain=list(AGES), range=["circle", "diamond"]))
+    order = list(dict.fromkeys(table["label"]))
+    tips = [alt.Tooltip("label:N"), *(tip(f"{name}:Q") for name in COLUMNS[3:])]
+    return alt.Chart(table).encode(
+        y=alt.Y("label:N", sort=order, title=None, axis=names),
+        color=colour,
+        shape=shape,
+        tooltip=tips,
+    )
+
+
+def _panels(chart: Any, title: str, description: str) -> Any:
+    header = alt.Header(title=None, labelAnchor="start", labelFontSize=12)
+    row = alt.Row("problem:N", title=None, header=header, sort=None)
+    return styled(chart.facet(row=row).resolve_scale(y="independent"), title, description)

@@ -1,0 +1,191 @@
+"""Solvers over their releases, in words and tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from dpbench.analysis.compare.pairs import differences
+from dpbench.analysis.compare.releases import Histories, History, histories
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.records import Records
+from dpbench.bench.record.result_folder import load_results
+from dpbench.errors import InputError
+from dpbench.report.formats import (
+    and_list,
+    count_text,
+    error_text,
+    plural,
+    significant,
+    time_text,
+)
+from dpbench.report.table import Table, document
+
+
+@dataclass(frozen=True, eq=False)
+class Releases:
+    """Solvers over their releases.
+
+    Parameters
+    ----------
+    lines : what was compared, and what changed, in a few lines; tables : one a solver of several
+        versions, and one of all the others; demand : of the first folder.
+    """
+
+    histories: Histories
+    lead: Sequence[str]
+    lines: Sequence[str]
+    tables: Sequence[Table]
+    demand: Demand
+
+    def markdown(self) -> str:
+        """The releases as a Markdown document."""
+        return document("Solvers over their releases", [*self.lead, *self.lines], self.tables)
+
+
+def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> Releases:
+    """Each solver of some result folders over its versions.
+
+    Parameters
+    ----------
+    folders : two or more, of the same suite, in any order; `steps.parquet` is not needed.
+    reference : as of `histories`.
+
+    Raises
+    ------
+    InputError : for a single folder, one given twice, or none with a cell in common; as
+        `ResultsError` for one that cannot be read.
+    """
+    if len({Path(folder).resolve() for folder in folders}) < max(2, len(folders)):
+        found = and_list([str(folder) for folder in folders])
+        raise InputError("--releases", "", found, "two or more result folders, each once")
+    records = {str(f): Records(load_results(f, without_steps=True)) for f in folders}
+    over = histories(records, reference)
+    demand = Demand.of(next(iter(records.values())).suite)
+    return Releases(over, _lead(over), _lines(over, records), _tables(over), demand)
+
+
+def _changed(found: Histories) -> dict[str, list[History]]:
+    """By solver, the histories of those with several versions."""
+    changed = {h.run.solver for h in found.all if h.changed}
+    by_solver: dict[str, list[History]] = {}
+    for history in found.all:
+        if history.run.solver in changed:
+            by_solver.setdefault(history.run.solver, []).append(history)
+    return by_solver
+
+
+def _lead(found: Histories) -> list[str]:
+    """A sentence for each solver of several versions, from its most usual configuration."""
+    by_solver = _changed(found)
+    if not by_solver:
+        return ["No solver has two versions in these folders."]
+    return [_sentence(solver, own_histories) for solver, own_histories in by_solver.items()]
+
+
+def _sentence(solver: str, own_histories: Sequence[History]) -> str:
+    changed = [history for history in own_histories if history.changed]
+    timed = [h for h in changed if math.isfinite(h.whole_change)]
+    said = (timed or changed)[0]
+    old, new = said.releases[0], said.releases[-1]
+    where = f"{said.run.configuration.options} on {said.run.problem}"
+    took = f"p50 {significant(said.whole_change)} times as long" if timed else "not timed"
+    errors = " → ".join(error_text(release.error_move) for release in (old, new))
+    failed = " → ".join(count_text(release.failed_steps) for release in (old, new))
+    return (
+        f"{solver} {old.version} → {new.version}: {took} ({where}), largest error {errors}, "
+        f"failed steps {failed}."
+    )
+
+
+def _lines(found: Histories, records: Mapping[str, Records]) -> list[str]:
+    lines = [
+        f"{name}: {view.machine.get('cpu_model', 'an unnamed CPU')}, machine {view.machine['id']}, "
+        f"{view.suite.get('started_utc', '')[:10] or 'no date'}"
+        for name, view in records.items()
+    ]
+    machines = [view.machine for view in records.values()]
+    differ = {word: None for one in machines[1:] for word in differences(machines[0], one)}
+    if differ:
+        lines.append(f"the machines differ in {and_list(list(differ))}")
+    if found.reference:
+        lines.append(
+            f"times are multiples of the p50 of {found.reference} in the same folder: ratios carry "
+            "from machine to machine, microseconds do not"
+        )
+    if math.isfinite(found.spread):
+        lines.append(
+            "what did not change its version differs by a factor of up to "
+            f"{significant(found.spread)} between two folders: a smaller change says nothing"
+        )
+    if found.alone:
+        lines.append(f"{plural(found.alone, 'cell')} in one folder only, left out")
+    return lines
+
+
+def _tables(found: Histories) -> list[Table]:
+    changed = _changed(found)
+    note = "Newest release of each last. p50 to the one before: below 1 is faster."
+    tables = [
+        Table(
+            title=f"{solver} over its releases",
+            note=note,
+            heads=_heads(found.reference),
+            rows=tuple(row for history in own_histories for row in _rows(history, found)),
+            text_columns=4,
+        )
+        for solver, own_histories in changed.items()
+    ]
+    rest = [history for history in found.all if history.run.solver not in changed]
+    if rest:
+        rows = tuple((h.run.solver, *row) for h in rest for row in _rows(h, found))
+        heads = ("solver", *_heads(found.reference))
+        tables.append(Table("Of one version in all folders", "For comparison.", heads, rows, 5))
+    return tables
+
+
+def _heads(reference: str) -> tuple[str, ...]:
+    unit = f" [× {reference}]" if reference else ""
+    return (
+        "configuration",
+        "problem",
+        "version",
+        "folders",
+        f"p50{unit}",
+        "to the one before",
+        f"p99{unit}",
+        f"largest step{unit}",
+        "largest error",
+        "claimed, not true",
+        "failed steps",
+        "outcome",
+    )
+
+
+def _rows(history: History, found: Histories) -> list[tuple[str, ...]]:
+    run = history.run
+    mode = "replay" if run.mode == "replay" else "closed loop"
+    label = run.configuration.label.removeprefix(f"{run.solver} ").strip("()")
+    return [
+        (
+            label,
+            f"{run.problem}, {mode}",
+            release.version,
+            and_list([Path(name).name for name in release.runs]),
+            _time(release.p50, found),
+            significant(history.change(i)),
+            _time(release.p99, found),
+            _time(release.largest, found),
+            error_text(release.error_move),
+            count_text(release.claimed_not_true),
+            count_text(release.failed_steps),
+            release.outcome.replace("_", " "),
+        )
+        for i, release in enumerate(history.releases)
+    ]
+
+
+def _time(value: float, found: Histories) -> str:
+    return significant(value) if found.reference else time_text(value)

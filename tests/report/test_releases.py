@@ -1,0 +1,142 @@
+"""Solvers over their releases: versions in order, times, errors, what is no change."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dpbench.bench.record.result_folder import Results, write_results
+from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
+from dpbench.cli.main import main
+from dpbench.errors import InputError
+from dpbench.report.compare.releases import releases
+from dpbench.report.compare.releases_page import write_releases
+
+Make = Callable[..., Path]
+OLD, NEW = {"piqp": "0.6.4"}, {"piqp": "0.10.0"}
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Make:
+    """Makes a result folder without steps: daqp, osqp and piqp on a replay."""
+
+    def folder(
+        name: str,
+        versions: dict[str, str],
+        times_us: dict[str, float],
+        *,
+        machine: str = "one",
+        errors: Mapping[str, float] = {},
+        scenario: str = "paper",
+    ) -> Path:
+        rows = [
+            {
+                "run_id": f"{name}-{solver}",
+                "mode": "replay",
+                "scenario": scenario,
+                "sequence": scenario,
+                "solver": solver,
+                "solver_version": versions.get(solver, "1.0"),
+                "route": "native",
+                "policy": "fresh",
+                "settings": "default",
+                "formulation": "condensed_box",
+                "units": "scaled",
+                "outcome": "finished",
+                "schema": SCHEMA_VERSION,
+                "cell": json.dumps({"scenario": {"name": scenario}}),
+                "steps_planned": 1000,
+                "steps_done": 1000,
+                "error_move_max": errors.get(solver, 1e-6),
+                "failed_steps": 0,
+                "algo_p50_ns": 1e3 * time,
+                "algo_p99_ns": 2e3 * time,
+                "algo_max_ns": 3e3 * time,
+            }
+            for solver, time in times_us.items()
+        ]
+        folder = tmp_path / name
+        runs, steps = as_runs(pd.DataFrame(rows)), as_steps(pd.DataFrame())
+        machine_json = {"id": machine, "cpu_model": f"CPU {machine}"}
+        write_results(folder, Results(runs, steps, machine_json, {"name": "releases"}))
+        (folder / "steps.parquet").unlink()
+        return folder
+
+    return folder
+
+
+def test_versions_stand_in_their_order_with_what_changed(make: Make, tmp_path: Path) -> None:
+    """0.10.0 comes after 0.6.4; half the time, a smaller error; daqp says what is no change."""
+    new = make("new", NEW, {"daqp": 11.0, "piqp": 40.0}, errors={"piqp": 1e-9})
+    old = make("old", OLD, {"daqp": 10.0, "piqp": 80.0}, errors={"piqp": 1e-4})
+    found = releases([new, old])
+    assert found.lead == [
+        "piqp 0.6.4 → 0.10.0: p50 0.500 times as long (native fresh on paper), largest error "
+        "1.0e-04 → 1.0e-09, failed steps 0 → 0."
+    ]
+    assert any("by a factor of up to 1.10 between two folders" in line for line in found.lines)
+    first, rest = found.tables
+    cells = [(row[2], row[4], row[5], row[6], row[8]) for row in first.rows]
+    assert cells == [
+        ("0.6.4", "80.0 µs", "–", "160 µs", "1.0e-04"),
+        ("0.10.0", "40.0 µs", "0.500", "80.0 µs", "1.0e-09"),
+    ]
+    ((solver, *_, folders, p50, _, _, _, _, _, _, _),) = rest.rows
+    assert (solver, folders, p50) == ("daqp", "new and old", "10.5 µs")
+    page = write_releases(tmp_path / "page.html", found)
+    text = page.read_text(encoding="utf-8")
+    assert "<script" not in text and page.stat().st_size < 200_000
+    assert text.count("<svg") == 2 and "piqp 0.10.0" in text
+
+
+def test_folders_of_two_machines_are_ratios_to_the_reference(make: Make) -> None:
+    """Twice as slow a machine: the ratio to daqp tells that the release did not change."""
+    here = make("here", OLD, {"daqp": 10.0, "piqp": 80.0})
+    there = make("there", NEW, {"daqp": 20.0, "piqp": 160.0}, machine="two")
+    found = releases([here, there])
+    assert any(line.startswith("times are multiples of the p50 of daqp") for line in found.lines)
+    assert [row[4:6] for row in found.tables[0].rows] == [("8.00", "–"), ("8.00", "1.00")]
+    assert "p50 [× daqp]" in found.tables[0].heads
+    with pytest.raises(InputError, match=r"--reference: found 'osqp'; allowed: one of daqp, piqp"):
+        releases([here, there], reference="osqp")
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_one_folder_is_none_to_compare(
+    make: Make, capsys: pytest.CaptureFixture[str], count: int
+) -> None:
+    """Nor is the same one twice; three without --releases are asked which view is meant."""
+    folder = str(make("a", OLD, {"daqp": 10.0}))
+    assert main(["compare", *[folder] * count, "--releases"]) == 2
+    assert "two or more result folders, each once" in capsys.readouterr().err
+    assert main(["compare", folder, folder, folder]) == 2
+    assert "several with --releases" in capsys.readouterr().err
+
+
+def test_folders_of_other_problems_have_no_releases(make: Make) -> None:
+    """Nothing in common is bad input, not an empty page."""
+    folders = [make("a", OLD, {"piqp": 1.0}), make("b", NEW, {"piqp": 1.0}, scenario="rough")]
+    with pytest.raises(InputError, match="no cell that two of the folders have"):
+        releases(folders)
+
+
+def test_the_command_writes_page_and_markdown(make: Make, tmp_path: Path, capsys: Any) -> None:
+    """Three folders, one of them without the solver; exit 0 though a release is slower."""
+    folders = [
+        make("a", OLD, {"daqp": 10.0, "piqp": 80.0}),
+        make("b", NEW, {"daqp": 10.0, "piqp": 99.0}),
+        make("c", {}, {"daqp": 10.0}),
+    ]
+    page, text = tmp_path / "page.html", tmp_path / "page.md"
+    words = ["--releases", "--html", str(page), "--markdown", str(text)]
+    assert main(["compare", *map(str, folders), *words]) == 0
+    assert "piqp 0.6.4 → 0.10.0: p50 1.24 times as long" in capsys.readouterr().out
+    assert "## piqp over its releases" in text.read_text(encoding="utf-8")
+    assert "piqp 0.10.0" in page.read_text(encoding="utf-8")
+    assert np.isclose(releases(folders).histories.spread, 1.0)
