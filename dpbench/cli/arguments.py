@@ -97,6 +97,21 @@ def _report(commands: Commands) -> None:
     report.add_argument(
         "--statement", metavar="FILE.pdf", help="a one-page statement for a class society"
     )
+    report.add_argument(
+        "--for",
+        dest="solver",
+        metavar="S",
+        help="also DIR/S.md: this solver beside others, for a pull request, and its worst steps",
+    )
+    report.add_argument(
+        "--against",
+        action="append",
+        metavar="S",
+        help="with --for: beside this one (osqp and daqp); repeatable",
+    )
+    report.add_argument(
+        "--send", metavar="FOLDER", help="make a folder for results/community, to be sent to us"
+    )
     _how_to_end(report)
 
 
@@ -191,11 +206,13 @@ def _plural(word: str) -> str:
 
 
 def _check(commands: Commands) -> None:
-    check = commands.add_parser("check", help="check a vessel, scenario, suite or sequence")
+    check = commands.add_parser(
+        "check", help="check a vessel, scenario, suite, sequence or sent result"
+    )
     check.add_argument(
         "file",
         help="a name, scenario@vessel, a TOML file, or a .npz or folder of problems, whose every "
-        "step is certified anew",
+        "step is certified anew; or a folder of results/community",
     )
 
 

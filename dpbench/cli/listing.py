@@ -17,6 +17,7 @@ from dpbench.bench.sequences.verify import verify_sequence
 from dpbench.cli.ship_text import scenario_text, vessel_text
 from dpbench.cli.terminal import entry, plain, small_table
 from dpbench.errors import InputError
+from dpbench.report.sent import SENDER, check_sent
 from dpbench.scenario.problem_files import (
     KINDS,
     SEQUENCES,
@@ -32,7 +33,7 @@ from dpbench.solvers.table import available, record, solver_names
 
 CHECKED = (
     "a vessel, scenario, scenario@vessel, suite or sequence by name, a TOML file, "
-    "a .npz or a folder of problems by qpsolvers"
+    "a .npz or a folder of problems by qpsolvers, a folder of results/community"
 )
 """What `dpbench check` takes."""
 SEQUENCES_ARE = """
@@ -111,7 +112,8 @@ def check_file(asked: str, progress: Progress | None = None) -> str:
     """Check what `run` takes, by its name or path; what it is, in one line, or a dozen of a ship.
 
     That is a vessel, scenario (`rough`, `rough@osv`) or suite, a sequence, or a problem or a folder
-    of problems by qpsolvers. Every optimum is certified, which may take a while.
+    of problems by qpsolvers; or a folder of results that was sent to us. Every optimum is
+    certified, which may take a while.
 
     Raises
     ------
@@ -122,6 +124,8 @@ def check_file(asked: str, progress: Progress | None = None) -> str:
     for kind in KINDS:
         if asked in problem_names(kind):
             return _check_document(problem_path(kind, asked), progress)
+    if any(os.path.isfile(os.path.join(asked, name)) for name in (SENDER, "runs.parquet")):
+        return check_sent(Path(asked))
     # Unlike Path.exists, these are False for a name that is too long to exist.
     if os.path.isdir(asked) or asked.endswith(".npz"):
         return verify_sequence(Path(asked), progress)

@@ -121,11 +121,16 @@ def _run(arguments: argparse.Namespace) -> int:
 def _report(arguments: argparse.Namespace) -> int:
     from dpbench.report.write import report_and_ending
 
+    if arguments.against and arguments.solver is None:
+        raise InputError("--against", "", "no solver to set beside them", "--for SOLVER as well")
     said = report_and_ending(
         arguments.dir,
         baseline=arguments.baseline,
         figures=arguments.figures or (),
         statement=arguments.statement,
+        send=arguments.send,
+        solver=arguments.solver,
+        against=arguments.against or (),
     )
     say_ending(*said, arguments)
     return 0

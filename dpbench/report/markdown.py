@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dpbench.analysis.times.fastest import best_of_each
+from dpbench.analysis.verdict import Verdict
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.formats import error_text, time_text
 from dpbench.report.page.answer import Answer
@@ -40,30 +41,33 @@ def report_markdown(results: Results, facts: Facts, answer: Answer, topics: Sequ
         "Everything else: `report.html` (figures, every step), `tables/*.csv`, `figures/*.svg`, "
         "`runs.parquet`, `steps.parquet`."
     )
-    return _cut("\n\n".join(part for part in parts if part) + "\n")
+    text = "\n\n".join(part for part in parts if part) + "\n"
+    return cut(text, MOST_BYTES, "tables/verdicts.csv")
 
 
 def solver_rows(facts: Facts) -> list[tuple[str, ...]]:
     """A row for the best configuration of each solver, under `HEAD`."""
-    return [
-        (
-            verdict.configuration.solver,
-            verdict.configuration.options,
-            verdict.outcome,
-            time_text(verdict.p50_ns),
-            time_text(verdict.p99_ns),
-            time_text(verdict.algo_max_ns),
-            error_text(verdict.error_move),
-            str(verdict.failed_steps),
-        )
-        for verdict in best_of_each(facts.verdicts)
-    ]
+    return [solver_row(verdict) for verdict in best_of_each(facts.verdicts)]
 
 
-def _cut(text: str) -> str:
-    """Whole lines up to the limit; what is cut off is on the page."""
+def solver_row(verdict: Verdict) -> tuple[str, ...]:
+    """The row of a configuration, under `HEAD`."""
+    return (
+        verdict.configuration.solver,
+        verdict.configuration.options,
+        verdict.outcome,
+        time_text(verdict.p50_ns),
+        time_text(verdict.p99_ns),
+        time_text(verdict.algo_max_ns),
+        error_text(verdict.error_move),
+        str(verdict.failed_steps),
+    )
+
+
+def cut(text: str, most_bytes: int, elsewhere: str) -> str:
+    """Whole lines up to the limit; what is cut off is in `elsewhere`."""
     raw = text.encode()
-    if len(raw) <= MOST_BYTES:
+    if len(raw) <= most_bytes:
         return text
-    kept = raw[: MOST_BYTES - 60].decode(errors="ignore").rsplit("\n", 1)[0]
-    return f"{kept}\n\nMore rows: `tables/verdicts.csv`.\n"
+    kept = raw[: most_bytes - 60].decode(errors="ignore").rsplit("\n", 1)[0]
+    return f"{kept}\n\nMore: `{elsewhere}`.\n"

@@ -16,6 +16,7 @@ from dpbench.analysis.verdict import verdicts_of
 from dpbench.bench.design import Designs, load_designs
 from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.errors import InputError
+from dpbench.report.against import beside, worst_text
 from dpbench.report.charts.render import FORMATS, save
 from dpbench.report.csv_tables import tables_of, write_tables
 from dpbench.report.ending import ending
@@ -24,6 +25,7 @@ from dpbench.report.page.answer import Answer, answer_of
 from dpbench.report.page.facts import Facts
 from dpbench.report.page.topic import Topic
 from dpbench.report.page.write import DRAWN, charts_of, page_html
+from dpbench.report.sent import PAGE, prepare
 from dpbench.report.statement import write_statement
 from dpbench.report.topics.all import topics_of
 from dpbench.report.topics.trust import calling_ns
@@ -94,6 +96,9 @@ def report_and_ending(
     baseline: str | None = None,
     figures: Sequence[str] = (),
     statement: str | None = None,
+    send: str | None = None,
+    solver: str | None = None,
+    against: Sequence[str] = (),
 ) -> tuple[Path, list[tuple[str, str]]]:
     """As `write_report`; with it what a run ends with: see `ending`.
 
@@ -101,16 +106,20 @@ def report_and_ending(
     ----------
     figures : further formats of the figures, of `FORMATS`; SVG is always written.
     statement : the file to write the one-page statement to, .pdf or .svg.
+    send : a folder to make that can be sent to others, see `sent.py`.
+    solver, against : a solver to set beside others, in `SOLVER.md`, see `against.py`.
 
     Raises
     ------
-    InputError : for an unknown format, or a statement where nothing can be recommended.
+    InputError : for an unknown format, a statement where nothing can be recommended, a folder to
+        send that holds other things, or a solver that was not run.
     """
     for kind in figures:
         if kind not in FORMATS:
             raise InputError("--figures", "", repr(kind), " | ".join(FORMATS))
     folder = Path(out)
     report = Report.of(load_results(folder), load_designs(folder), baseline)
+    comment, worst = ("", []) if solver is None else beside(report, solver, against)
     if statement is not None:
         write_statement(Path(statement), folder, report.results, report.facts)
     _write_figures(folder / "figures", report, ("svg", *figures))
@@ -118,13 +127,22 @@ def report_and_ending(
     text = report_markdown(report.results, report.facts, report.answer, report.topics)
     (folder / "report.md").write_text(text, encoding="utf-8")
     page = folder / "report.html"
-    page.write_text(
-        page_html(
-            folder, report.results, report.facts, report.answer, report.charts, report.topics
-        ),
-        encoding="utf-8",
-    )
-    return page, ending(report.facts, report.answer, report.topics)
+    page.write_text(_page(folder, report), encoding="utf-8")
+    if send is not None:
+        prepare(folder, Path(send))
+        light = _page(Path(send), report, light=True)
+        (Path(send) / PAGE).write_text(light, encoding="utf-8")
+    ended = ending(report.facts, report.answer, report.topics)
+    if solver is not None:
+        (folder / f"{solver}.md").write_text(comment, encoding="utf-8")
+        ended += [*worst_text(worst), ("comment", str(folder / f"{solver}.md"))]
+    return page, ended
+
+
+def _page(folder: Path, report: Report, *, light: bool = False) -> str:
+    """The page, with links to the files in `folder`."""
+    r = report
+    return page_html(folder, r.results, r.facts, r.answer, r.charts, r.topics, light=light)
 
 
 def _write_figures(folder: Path, report: Report, formats: Sequence[str]) -> None:

@@ -36,6 +36,11 @@ class Release:
     largest: float
 
     @property
+    def load_ns(self) -> float:
+        """The load kernel beside its replays, geometric mean over the folders [ns]."""
+        return _mean([run.load_kernel_ns for run in self.runs.values()])
+
+    @property
     def error_move(self) -> float:
         """The largest error of the first move."""
         return _largest(run.error_move_max for run in self.runs.values())
@@ -76,6 +81,10 @@ class History:
     def change(self, i: int) -> float:
         """p50 of release i over that of the one before; NaN for the first."""
         return self.releases[i].p50 / self.releases[i - 1].p50 if i else math.nan
+
+    def load_change(self, i: int) -> float:
+        """The load kernel, timed in the same rounds, likewise: what else ran on the machine."""
+        return self.releases[i].load_ns / self.releases[i - 1].load_ns if i else math.nan
 
     @property
     def whole_change(self) -> float:
@@ -124,7 +133,7 @@ def histories(folders: Mapping[str, Records], reference: str | None = None) -> H
         raise InputError("--releases", "", "no cell that two of the folders have", allowed)
     units = {name: _units(records, solver) for name, records in folders.items()}
     found = [_history(runs, units) for runs in common.values()]
-    found.sort(key=lambda history: (history.run.solver, usualness(history.run)))
+    found.sort(key=lambda h: (h.run.solver, h.run.mode != "replay", usualness(h.run)))
     ratios = [ratio for history in found for ratio in _repeated(history, units)]
     return Histories(found, solver, max(ratios, default=math.nan), len(cells) - len(common))
 
@@ -167,8 +176,10 @@ def _history(
     runs: Mapping[str, RunRecord], units: Mapping[str, Mapping[str, float] | None]
 ) -> History:
     versions: dict[str, dict[str, RunRecord]] = {}
+    builds = {run.build for run in runs.values()}
     for name, run in runs.items():
-        version = f"{run.solver_version} {run.build}".strip() or "no version"
+        build = run.build if len(builds) > 1 else ""
+        version = f"{run.solver_version} {build}".strip() or "no version"
         versions.setdefault(version, {})[name] = run
     return History(
         [

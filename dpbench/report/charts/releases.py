@@ -7,7 +7,7 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
-from dpbench.report.charts.style import ACCENT, NOT_RUN, below, log_scale, styled, tip
+from dpbench.report.charts.style import ACCENT, MISSES, NOT_RUN, below, log_scale, styled, tip
 
 COLUMNS = ("label", "age", "problem", "p50", "p99", "largest", "error")
 AGES = ("newest release", "earlier release")
@@ -23,7 +23,7 @@ def release_times(table: pd.DataFrame, unit: str) -> Any:
     table : columns `COLUMNS`, the first row on top; unit : of the times.
     """
     base = _base(table)
-    x = alt.X("p50:Q", title=f"step time [{unit}]", scale=log_scale(), axis=alt.Axis(format="~g"))
+    x = alt.X("p50:Q", title=f"step time [{unit}]", scale=log_scale(), axis=_axis("~g"))
     line = base.mark_rule(strokeWidth=2).encode(x=x, x2="largest:Q")
     bar = (
         base.transform_filter("isValid(datum.p99)").mark_rule(strokeWidth=8).encode(x=x, x2="p99:Q")
@@ -44,15 +44,19 @@ def release_errors(table: pd.DataFrame, allowed: float) -> Any:
         "error:Q",
         title="largest error of the first move [rate-limit steps]",
         scale=log_scale(),
-        axis=alt.Axis(format=".0e", tickCount=6, labelOverlap="greedy"),
+        axis=_axis(".0e"),
     )
     base = _base(table)
     drawn = base.transform_filter("isFinite(datum.error) && datum.error > 0")
     point = drawn.mark_point(filled=True, size=60, opacity=1).encode(x=x)
-    limit = base.transform_calculate(limit=f"{allowed}").mark_rule(strokeDash=[4, 3], strokeWidth=1)
-    rule = limit.encode(x="limit:Q", color=alt.value(NOT_RUN), y=alt.Y("label:N", sort=None))
+    limit = alt.Chart(table).transform_calculate(limit=f"{allowed}")
+    rule = limit.mark_rule(strokeDash=[4, 3], color=MISSES).encode(x="limit:Q")
     chart = alt.layer(rule, point, width=_WIDTH, height=alt.Step(20))
     return _panels(chart, "Error", "Largest error of each solver, version by version.")
+
+
+def _axis(form: str) -> alt.Axis:
+    return alt.Axis(format=form, tickCount=5, labelOverlap="greedy", labelSeparation=6)
 
 
 def _base(table: pd.DataFrame) -> Any:
@@ -75,6 +79,6 @@ def _base(table: pd.DataFrame) -> Any:
 
 
 def _panels(chart: Any, title: str, description: str) -> Any:
-    header = alt.Header(title=None, labelAnchor="start", labelFontSize=12)
+    header = alt.Header(title=None, labelAnchor="start", labelOrient="top", labelFontSize=12)
     row = alt.Row("problem:N", title=None, header=header, sort=None)
     return styled(chart.facet(row=row).resolve_scale(y="independent"), title, description)

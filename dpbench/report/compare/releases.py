@@ -23,6 +23,9 @@ from dpbench.report.formats import (
 )
 from dpbench.report.table import Table, document
 
+BUSY = 0.05
+"""A load kernel that changed by more says that the machine was busier in one of two runs."""
+
 
 @dataclass(frozen=True, eq=False)
 class Releases:
@@ -91,7 +94,11 @@ def _sentence(solver: str, own_histories: Sequence[History]) -> str:
     said = (timed or changed)[0]
     old, new = said.releases[0], said.releases[-1]
     where = f"{said.run.configuration.options} on {said.run.problem}"
-    took = f"p50 {significant(said.whole_change)} times as long" if timed else "not timed"
+    took = "not timed"
+    if timed:
+        took = f"p50 {significant(said.whole_change)} times as long"
+        load = new.load_ns / old.load_ns
+        took += f", the load kernel {significant(load)} times" if abs(load - 1) > BUSY else ""
     errors = " → ".join(error_text(release.error_move) for release in (old, new))
     failed = " → ".join(count_text(release.failed_steps) for release in (old, new))
     return (
@@ -127,7 +134,11 @@ def _lines(found: Histories, records: Mapping[str, Records]) -> list[str]:
 
 def _tables(found: Histories) -> list[Table]:
     changed = _changed(found)
-    note = "Newest release of each last. p50 to the one before: below 1 is faster."
+    note = (
+        "To the one before: its p50 over that of the release above it, below 1 is faster; the load "
+        "kernel, timed in the same rounds, tells what of that its neighbours on the machine did. "
+        "Closed loops run beside each other and are not timed."
+    )
     tables = [
         Table(
             title=f"{solver} over its releases",
@@ -155,6 +166,7 @@ def _heads(reference: str) -> tuple[str, ...]:
         "folders",
         f"p50{unit}",
         "to the one before",
+        "load kernel",
         f"p99{unit}",
         f"largest step{unit}",
         "largest error",
@@ -176,6 +188,7 @@ def _rows(history: History, found: Histories) -> list[tuple[str, ...]]:
             and_list([Path(name).name for name in release.runs]),
             _time(release.p50, found),
             significant(history.change(i)),
+            significant(history.load_change(i)),
             _time(release.p99, found),
             _time(release.largest, found),
             error_text(release.error_move),

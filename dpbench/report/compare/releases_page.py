@@ -53,7 +53,7 @@ def write_releases(path: Path, found: Releases) -> Path:
 def _chart_table(found: Histories) -> pd.DataFrame:
     """Columns `COLUMNS`: of each solver its most usual configuration on each replayed problem."""
     drawn: dict[tuple[str, str], History] = {}
-    for history in found.all:
+    for history in sorted(found.all, key=lambda history: not history.changed):
         if history.run.mode == "replay" and math.isfinite(history.releases[0].p50):
             drawn.setdefault((history.run.problem, history.run.solver), history)
     problems = list(dict.fromkeys(problem for problem, _ in drawn))[:MOST_PANELS]

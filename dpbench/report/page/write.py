@@ -83,6 +83,8 @@ def page_html(
     answer: Answer,
     charts: Mapping[str, Any],
     topics: Sequence[Topic],
+    *,
+    light: bool = False,
 ) -> str:
     """The whole page.
 
@@ -90,13 +92,14 @@ def page_html(
     ----------
     folder : where the files are that the page links to.
     topics : sections below those that follow the selection.
+    light : without scripts and the steps they show: what a browser shows that runs none.
     """
     pictures = {
         name: Markup(follow(svg(chart, titled=False)))
         for name, chart in charts.items()
         if name in DRAWN
     }
-    document = _document(facts, results, answer, charts)
+    block = "" if light else facts.block.text(_document(facts, results, answer, charts))
     shown = {"answer": "Answer"} | {
         name: title
         for name, title in (
@@ -106,6 +109,7 @@ def page_html(
             ("accuracy", "Accuracy"),
         )
         if (facts.runs if name == "one" else _CHART_OF.get(name, name) in charts)
+        and not (light and name in LIVE)
     }
     lead = next((topic for topic in topics if topic.leads), None)
     others = [topic for topic in topics if topic is not lead]
@@ -129,7 +133,7 @@ def page_html(
         cite=software(results),
         words=glossary()["Solvers and how they are run"],
         footer=_footer(results),
-        block=facts.block.text(document),
+        block=block,
         scripts=[
             *(Markup(script(entry)) for entry in vendored()),
             *(Markup(own(name)) for name in ("common.js", "page.js")),
@@ -138,6 +142,8 @@ def page_html(
 
 
 _CHART_OF = {"two": "pairs"}
+LIVE = ("one", "two")
+"""Sections that scripts alone can fill."""
 DRAWN = ("ladder", "matrix", "accuracy")
 """Figures that stand on the page before any script has run."""
 

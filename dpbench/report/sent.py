@@ -1,0 +1,135 @@
+"""A result folder as it is sent to others: `results/community/`.
+
+The page without its scripts, the runs, machine and suite, and who ran them how. The steps stay at
+home: they are a hundred times as large.
+"""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+import shutil
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, StringConstraints
+
+from dpbench.bench.record.result_folder import Results, load_results, read_json
+from dpbench.errors import InputError, ResultsError
+from dpbench.report.formats import and_list, plural
+from dpbench.scenario.problem_files import read_model
+
+COPIED = ("runs.parquet", "machine.json", "suite.json")
+PAGE, SENDER = "report.html", "sender.toml"
+SENT = (PAGE, *COPIED, SENDER)
+"""All files of a folder that is sent."""
+MOST_BYTES = 1_000_000
+"""Everybody who clones the repository gets every folder."""
+_Words = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
+_BLANK = """\
+# Who ran this, when, and how. `dpbench check` says what is missing.
+who = ""      # a name, and where to ask if you like
+when = {when}
+command = ""  # what was typed: "dpbench run standard"
+remarks = ""  # what a reader should know: power plan, other load, own build of a solver
+"""
+
+
+class Sender(BaseModel):
+    """What `sender.toml` says; versions and machine are in `machine.json` and `runs.parquet`."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    who: _Words
+    """Who ran it."""
+    when: datetime.date
+    """When it was run."""
+    command: _Words
+    """What was typed."""
+    remarks: str = ""
+    """What a reader should know beside it."""
+
+
+def prepare(folder: Path, target: Path) -> None:
+    """Copy of a result folder what is sent, into a folder of its own, with a form for the sender.
+
+    A `sender.toml` that is there already is kept.
+
+    Raises
+    ------
+    InputError : when `target` is the result folder itself or holds other things.
+    """
+    allowed = "a folder of its own, as results/community/2026-11-22-name"
+    if target.resolve() == folder.resolve():
+        raise InputError("--send", "", str(target), allowed)
+    strangers = _strangers(target) if target.is_dir() else []
+    if strangers:
+        raise InputError("--send", "", f"{target} with {strangers[0]}", allowed)
+    target.mkdir(parents=True, exist_ok=True)
+    for name in COPIED:
+        shutil.copyfile(folder / name, target / name)
+    started = str(read_json(folder / "suite.json").get("started_utc", ""))[:10]
+    if not (target / SENDER).exists():
+        when = started or datetime.datetime.now(datetime.UTC).date().isoformat()
+        (target / SENDER).write_text(_BLANK.format(when=when), encoding="utf-8")
+
+
+def check_sent(folder: Path) -> str:
+    """Whether a folder that was sent is whole and readable; what it is, in one line.
+
+    Raises
+    ------
+    ResultsError : naming the first file at fault: missing, damaged, too much, of another machine,
+        or a page of other runs. InputError : for what `sender.toml` says.
+    """
+    results = load_results(folder, without_steps=True)
+    where = str(folder)
+    strangers = _strangers(folder)
+    if strangers:
+        raise ResultsError(f"{where}/{strangers[0]}", "", "a file", f"only {and_list(list(SENT))}")
+    sender = read_model(_there(folder / SENDER), Sender)
+    _check_runs(folder, results)
+    _check_page(folder)
+    size = sum((folder / name).stat().st_size for name in SENT)
+    if size > MOST_BYTES:
+        raise ResultsError(where, "", f"{size} bytes", f"at most {MOST_BYTES} in all")
+    solvers = plural(results.runs["solver"].nunique(), "solver")
+    cpu = results.machine.get("cpu_model", "an unnamed CPU")
+    return (
+        f"{folder}: {plural(len(results.runs), 'run')} of {solvers}, suite "
+        f"{results.suite.get('name', '')}, on {cpu}, by {sender.who}, {sender.when}"
+    )
+
+
+def _strangers(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir() if path.name not in SENT)
+
+
+def _there(path: Path) -> Path:
+    if not path.is_file():
+        allowed = "one made by `dpbench report DIR --send FOLDER`"
+        raise ResultsError(str(path), "", "no such file", allowed)
+    return path
+
+
+def _check_runs(folder: Path, results: Results) -> None:
+    """Runs there are, all of the machine described, none lost by the harness."""
+    path, runs = str(folder / "runs.parquet"), results.runs
+    if not len(runs):
+        raise ResultsError(path, "", "no run", "at least one")
+    machines = sorted(set(runs["machine_id"]) - {results.machine["id"]})
+    if machines:
+        allowed = f"{results.machine['id']!r} of machine.json alone"
+        raise ResultsError(path, "machine_id", repr(machines[0]), allowed)
+    lost = int((runs["outcome"] == "lost").sum())
+    if lost:
+        raise ResultsError(path, "outcome", f"{lost} lost", "none; run the same command again")
+
+
+def _check_page(folder: Path) -> None:
+    """The page names the very files beside it, by their hashes."""
+    page = _there(folder / PAGE).read_text(encoding="utf-8", errors="replace")
+    for name in COPIED:
+        if hashlib.sha256((folder / name).read_bytes()).hexdigest() not in page:
+            allowed = "the page of these files: `dpbench report DIR --send FOLDER`"
+            raise ResultsError(str(folder / PAGE), "", f"a page of another {name}", allowed)
