@@ -34,6 +34,7 @@ def make(tmp_path: Path) -> Make:
         machine: str = "one",
         errors: Mapping[str, float] = {},
         scenario: str = "paper",
+        **columns: float,
     ) -> Path:
         rows = [
             {
@@ -58,6 +59,7 @@ def make(tmp_path: Path) -> Make:
                 "algo_p50_ns": 1e3 * time,
                 "algo_p99_ns": 2e3 * time,
                 "algo_max_ns": 3e3 * time,
+                **columns,
             }
             for solver, time in times_us.items()
         ]
@@ -77,7 +79,7 @@ def test_versions_stand_in_their_order_with_what_changed(make: Make, tmp_path: P
     old = make("old", OLD, {"daqp": 10.0, "piqp": 80.0}, errors={"piqp": 1e-4})
     found = releases([new, old])
     assert found.lead == [
-        "piqp 0.6.4 → 0.10.0: p50 0.500 times as long (native fresh on paper), largest error "
+        "piqp 0.6.4 → 0.10.0: p50 0.500 times as long, native fresh on paper; largest error "
         "1.0e-04 → 1.0e-09, failed steps 0 → 0."
     ]
     assert any("by a factor of up to 1.10 between two folders" in line for line in found.lines)
@@ -105,6 +107,16 @@ def test_folders_of_two_machines_are_ratios_to_the_reference(make: Make) -> None
     assert "p50 [× daqp]" in found.tables[0].heads
     with pytest.raises(InputError, match=r"--reference: found 'osqp'; allowed: one of daqp, piqp"):
         releases([here, there], reference="osqp")
+
+
+def test_a_busier_machine_is_said_beside_the_change(make: Make) -> None:
+    """Twice the time while the load kernel took twice as long is no change to speak of."""
+    old = make("old", OLD, {"piqp": 10.0}, load_kernel_ns=1e5, rounds=2, claimed_not_true=6)
+    new = make("new", NEW, {"piqp": 20.0}, load_kernel_ns=2e5, rounds=4, claimed_not_true=12)
+    found = releases([old, new])
+    assert "p50 2.00 times as long on a busier machine (load kernel 2.00)" in found.lead[0]
+    ((*_, before, _, _), (*_, after, _, _)) = found.tables[0].rows
+    assert (before, after) == ("3.00", "3.00"), "counts are of one round"
 
 
 @pytest.mark.parametrize("count", [1, 2])

@@ -47,13 +47,13 @@ class Release:
 
     @property
     def claimed_not_true(self) -> float:
-        """Most steps of a run that were claimed solved and are not."""
-        return _largest(run.claimed_not_true for run in self.runs.values())
+        """Most steps a round of a run that were claimed solved and are not."""
+        return _largest(_per_round(run, run.claimed_not_true) for run in self.runs.values())
 
     @property
     def failed_steps(self) -> float:
-        """Most failed steps of a run."""
-        return _largest(run.failed_steps for run in self.runs.values())
+        """Most failed steps a round of a run."""
+        return _largest(_per_round(run, run.failed_steps) for run in self.runs.values())
 
     @property
     def outcome(self) -> str:
@@ -209,6 +209,11 @@ def _repeated(history: History, units: Mapping[str, Mapping[str, float] | None])
         times = [_time(run, "algo_p50_ns", units[name]) for name, run in release.runs.items()]
         if len(times) > 1 and all(map(math.isfinite, times)):
             yield max(times) / min(times)
+
+
+def _per_round(run: RunRecord, count: float) -> float:
+    """A count over all rounds of a replay, for one of them; a loop has one."""
+    return count / run.rounds if run.rounds > 1.0 else count
 
 
 def _order(version: str) -> tuple[Any, ...]:

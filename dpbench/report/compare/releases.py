@@ -15,7 +15,6 @@ from dpbench.bench.record.result_folder import load_results
 from dpbench.errors import InputError
 from dpbench.report.formats import (
     and_list,
-    count_text,
     error_text,
     plural,
     significant,
@@ -64,7 +63,13 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
     if len({Path(folder).resolve() for folder in folders}) < max(2, len(folders)):
         found = and_list([str(folder) for folder in folders])
         raise InputError("--releases", "", found, "two or more result folders, each once")
-    records = {str(f): Records(load_results(f, without_steps=True)) for f in folders}
+    names = [Path(folder).name for folder in folders]
+    if len(set(names)) < len(names):
+        names = [str(folder) for folder in folders]
+    records = {
+        name: Records(load_results(folder, without_steps=True))
+        for name, folder in zip(names, folders, strict=True)
+    }
     over = histories(records, reference)
     demand = Demand.of(next(iter(records.values())).suite)
     return Releases(over, _lead(over), _lines(over, records), _tables(over), demand)
@@ -98,11 +103,13 @@ def _sentence(solver: str, own_histories: Sequence[History]) -> str:
     if timed:
         took = f"p50 {significant(said.whole_change)} times as long"
         load = new.load_ns / old.load_ns
-        took += f", the load kernel {significant(load)} times" if abs(load - 1) > BUSY else ""
+        busier = "busier" if load > 1.0 else "quieter"
+        if abs(load - 1.0) > BUSY:
+            took += f" on a {busier} machine (load kernel {significant(load)})"
     errors = " → ".join(error_text(release.error_move) for release in (old, new))
-    failed = " → ".join(count_text(release.failed_steps) for release in (old, new))
+    failed = " → ".join(significant(release.failed_steps) for release in (old, new))
     return (
-        f"{solver} {old.version} → {new.version}: {took} ({where}), largest error {errors}, "
+        f"{solver} {old.version} → {new.version}: {took}, {where}; largest error {errors}, "
         f"failed steps {failed}."
     )
 
@@ -137,7 +144,7 @@ def _tables(found: Histories) -> list[Table]:
     note = (
         "To the one before: its p50 over that of the release above it, below 1 is faster; the load "
         "kernel, timed in the same rounds, tells what of that its neighbours on the machine did. "
-        "Closed loops run beside each other and are not timed."
+        "Counts are per round. Closed loops run beside each other and are not timed."
     )
     tables = [
         Table(
@@ -185,15 +192,15 @@ def _rows(history: History, found: Histories) -> list[tuple[str, ...]]:
             label,
             f"{run.problem}, {mode}",
             release.version,
-            and_list([Path(name).name for name in release.runs]),
+            and_list(list(release.runs)),
             _time(release.p50, found),
             significant(history.change(i)),
             significant(history.load_change(i)),
             _time(release.p99, found),
             _time(release.largest, found),
             error_text(release.error_move),
-            count_text(release.claimed_not_true),
-            count_text(release.failed_steps),
+            significant(release.claimed_not_true),
+            significant(release.failed_steps),
             release.outcome.replace("_", " "),
         )
         for i, release in enumerate(history.releases)

@@ -1,0 +1,68 @@
+"""A solver beside others, for its author: a short comment, and the steps that export writes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dpbench.cli.main import main
+from dpbench.errors import InputError
+from dpbench.report.against import MOST_BYTES, beside, worst_steps
+
+
+@pytest.mark.parametrize("solver", ["piqp", "ecos", "scs", "daqp"])
+def test_the_comment_is_short_and_names_whom_it_is_beside(written: Any, solver: str) -> None:
+    """At most 3 kB; the usual two, without the solver itself."""
+    text, worst = beside(written.report, solver)
+    assert len(text.encode()) <= MOST_BYTES
+    others = ["osqp"] if solver == "daqp" else ["osqp", "daqp"]
+    assert text.startswith(f"# {solver} beside {' and '.join(others)}\n")
+    assert all(f"| {name} |" in text for name in [solver, *others])
+    assert text.count("against") == len(others)
+    assert all(step.export in text for step in worst)
+
+
+def test_the_worst_step_is_the_largest_of_all_replays(written: Any) -> None:
+    """By error, time and iterations, found in the table of steps without the report's help."""
+    facts, results = written.report.facts, written.results
+    runs = results.runs[(results.runs["solver"] == "piqp") & (results.runs["mode"] == "replay")]
+    known = {run.run_id for run in facts.records.runs}
+    steps = results.steps[results.steps["run_id"].isin(set(runs["run_id"]) & known)]
+    counting = steps[steps["counts"]].astype({"total_ns": float})
+    error, time, _ = worst_steps(facts, "piqp")
+    assert (error.measure, time.measure) == ("error", "time")
+    assert error.value == counting["error_move"].max()
+    assert time.value == counting.groupby(["run_id", "k"])["total_ns"].min().max()
+    row = counting[(counting["run_id"] == error.run.run_id) & (counting["k"] == error.k)]
+    assert np.isclose(row["error_move"].max(), error.value)
+
+
+def test_other_names_and_names_of_nobody(written: Any) -> None:
+    """Whoever ran can be set beside it; a name that did not is an error with the nearest."""
+    text, _ = beside(written.report, "piqp", ["clarabel"])
+    assert text.startswith("# piqp beside clarabel\n")
+    with pytest.raises(InputError, match=r"--for: found 'piq'; allowed: e\.g\. piqp"):
+        beside(written.report, "piq")
+    with pytest.raises(InputError, match="--against: found 'nobody'"):
+        beside(written.report, "piqp", ["nobody"])
+
+
+def test_the_command_writes_it_and_the_step_can_be_exported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Run, report, export: the third command is the one the second prints."""
+    monkeypatch.chdir(tmp_path)
+    run = "run smoke --solver daqp --solver quadprog --steps 12 --out mine --quiet"
+    assert main(run.split()) == 0
+    assert main(["report", "mine", "--for", "quadprog", "--json"]) == 0
+    assert "dpbench export paper --at" in capsys.readouterr().out
+    text = (tmp_path / "mine" / "quadprog.md").read_text("utf-8")
+    commands = [line.strip() for line in text.splitlines() if line.startswith("    dpbench")]
+    assert main(commands[0].split()[1:]) == 0
+    with np.load("worst-error.npz", allow_pickle=False) as stored:
+        assert len(stored["q"]) == 1
+    assert main(["report", "mine", "--against", "daqp"]) == 2
+    assert "--for SOLVER as well" in capsys.readouterr().err

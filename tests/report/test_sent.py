@@ -1,0 +1,143 @@
+"""A result folder that is sent to us: made whole, and every fault of one said in a line."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from dpbench.cli.main import main
+from dpbench.report.sent import MOST_BYTES, SENDER, SENT, check_sent
+from dpbench.report.write import _page
+
+COMMUNITY = Path(__file__).parents[2] / "results" / "community"
+SIGNED = 'who = "Ada"\nwhen = 2026-11-22\ncommand = "dpbench run smoke"\n'
+
+
+@pytest.fixture(scope="module")
+def sent(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small campaign as it is sent."""
+    from tests.conftest import MadeRecords
+
+    records, base = MadeRecords(), tmp_path_factory.mktemp("sent")
+    for solver in ("daqp", "osqp"):
+        records.loop(solver)
+        records.replay(solver, spread=0.1)
+    out = records.write(base / "out")
+    assert main(["report", str(out), "--send", str(base / "folder"), "--quiet"]) == 0
+    assert (base / "folder" / SENDER).read_text("utf-8").startswith("# Who ran this")
+    (base / "folder" / SENDER).write_text(SIGNED, encoding="utf-8")
+    return base / "folder"
+
+
+@pytest.fixture
+def copy(sent: Path, tmp_path: Path) -> Path:
+    """One that a test may spoil."""
+    return Path(shutil.copytree(sent, tmp_path / "sent"))
+
+
+def test_what_is_sent_is_whole_and_small(sent: Path, capsys: Any) -> None:
+    """Five files, no script, far below the limit; the check says what it is."""
+    assert sorted(path.name for path in sent.iterdir()) == sorted(SENT)
+    page = (sent / "report.html").read_text("utf-8")
+    assert "<script" not in page and "steps.parquet" not in page and "<svg" in page
+    assert sum(path.stat().st_size for path in sent.iterdir()) < MOST_BYTES / 2
+    assert main(["check", str(sent)]) == 0
+    assert "4 runs of 2 solvers" in (said := capsys.readouterr().out)
+    assert "by Ada, 2026-11-22" in said.replace("\n", " ")
+
+
+def test_sending_again_keeps_the_signature(written: Any, copy: Path, tmp_path: Path) -> None:
+    """And a folder with other things in it, or the results themselves, are no place to send."""
+    from dpbench.report.sent import prepare
+
+    prepare(written.folder, copy)
+    assert (copy / SENDER).read_text("utf-8") == SIGNED
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "thesis.tex").write_text("", encoding="utf-8")
+    for place in (tmp_path / "other", written.folder):
+        with pytest.raises(ValueError, match=r"--send: found .*a folder of its own"):
+            prepare(written.folder, place)
+
+
+def _edit(name: str, change: Callable[[dict[str, Any]], None]) -> Callable[[Path], None]:
+    def spoil(folder: Path) -> None:
+        document = json.loads((folder / name).read_text("utf-8"))
+        change(document)
+        (folder / name).write_text(json.dumps(document), encoding="utf-8")
+
+    return spoil
+
+
+def _runs(**columns: Any) -> Callable[[Path], None]:
+    def spoil(folder: Path) -> None:
+        table = pd.read_parquet(folder / "runs.parquet").assign(**columns)
+        table.to_parquet(folder / "runs.parquet", index=False)
+
+    return spoil
+
+
+def _written(name: str, text: str) -> Callable[[Path], None]:
+    def spoil(folder: Path) -> None:
+        (folder / name).write_text(text, encoding="utf-8")
+
+    return spoil
+
+
+def _gone(name: str) -> Callable[[Path], None]:
+    return lambda folder: (folder / name).unlink()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "parts"),
+    [
+        *((_gone(name), (name, "o such file")) for name in SENT),
+        (_written("runs.parquet", "PAR1"), ("runs.parquet", "a damaged file")),
+        (_written("suite.json", "{"), ("suite.json", "no JSON")),
+        (_written("notes.txt", ""), ("notes.txt", "a file", "only report.html")),
+        (_written(SENDER, ""), (SENDER, "who", "this key is required")),
+        (_written(SENDER, SIGNED.replace("Ada", " ")), (SENDER, "who: found ' '")),
+        (_written(SENDER, SIGNED.replace("2026-11-22", '"today"')), (SENDER, "when")),
+        (_written(SENDER, f'{SIGNED}mail = "a"\n'), (SENDER, "mail: found an unknown key")),
+        (_edit("suite.json", lambda suite: suite.update(run_rows=3)), ("run_rows", "4 rows")),
+        (_edit("machine.json", lambda machine: machine.update(id="x")), ("machine_id", "'x'")),
+        (_edit("suite.json", lambda suite: suite.update(name="y")), ("a page of another suite",)),
+        (_runs(outcome="lost"), ("outcome", "4 lost")),
+        (_runs(schema=1), ("schema", "run again")),
+    ],
+)
+def test_a_fault_is_one_line(
+    copy: Path, spoil: Callable[[Path], None], parts: tuple[str, ...], capsys: Any
+) -> None:
+    """It names the file, what is found there and what could be; exit 2."""
+    spoil(copy)
+    assert main(["check", str(copy)]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert all(part in line for part in parts), line
+
+
+def test_a_folder_that_is_too_large(copy: Path, capsys: Any) -> None:
+    """A page with scripts and steps is for the sender's own disk."""
+    with (copy / "report.html").open("a", encoding="utf-8") as page:
+        page.write(" " * MOST_BYTES)
+    assert main(["check", str(copy)]) == 2
+    assert f"at most {MOST_BYTES} in all" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("folder", sorted(p for p in COMMUNITY.iterdir() if p.is_dir()), ids=str)
+def test_every_folder_sent_so_far_is_whole(folder: Path) -> None:
+    """What lies in results/community can be read by the dpbench of today."""
+    assert check_sent(folder).startswith(str(folder))
+
+
+def test_the_light_page_has_no_dead_link(written: Any) -> None:
+    """Sections that scripts alone fill are neither there nor named in its contents."""
+    page = _page(written.folder, written.report, light=True)
+    for name in ("one", "two"):
+        assert f'id="{name}"' not in page and f'href="#{name}"' not in page
+    assert "figures/" not in page and "tables/runs.csv" not in page
