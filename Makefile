@@ -102,8 +102,8 @@ clean: ## remove the environment and all caches; results stay
 	    .benchmarks .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-clean-results: ## remove all results but the reference one and the baselines
-	find results -mindepth 1 -maxdepth 1 ! -name reference ! -name baseline -exec rm -rf {} +
+clean-results: ## remove all results but those of the repository and the baselines
+	find results -mindepth 1 -maxdepth 1 ! -name reference ! -name community ! -name baseline -exec rm -rf {} +
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
