@@ -17,7 +17,7 @@ from dpbench.bench.sequences.verify import verify_sequence
 from dpbench.cli.ship_text import scenario_text, vessel_text
 from dpbench.cli.terminal import entry, plain, small_table
 from dpbench.errors import InputError
-from dpbench.report.sent import SENDER, check_sent
+from dpbench.report.documents.sent import SENDER, check_sent
 from dpbench.scenario.problem_files import (
     KINDS,
     SEQUENCES,

@@ -75,7 +75,7 @@ class Results(result_folder.Results):
 
     def _repr_html_(self) -> str:
         """The answer, and the best configuration of each solver."""
-        from dpbench.report.markdown import HEAD, solver_rows
+        from dpbench.report.documents.markdown import HEAD, solver_rows
 
         title = str(self.suite.get("name", self.folder.name))
         return table_html(HEAD, solver_rows(self._report.facts), title=title, note=self.answer)

@@ -16,17 +16,17 @@ from dpbench.analysis.verdict import verdicts_of
 from dpbench.bench.design import Designs, load_designs
 from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.errors import InputError
-from dpbench.report.against import beside, worst_text
 from dpbench.report.charts.render import FORMATS, save
 from dpbench.report.csv_tables import tables_of, write_tables
+from dpbench.report.documents.comment import beside, worst_text
+from dpbench.report.documents.markdown import report_markdown
+from dpbench.report.documents.sent import PAGE, prepare
+from dpbench.report.documents.statement import write_statement
 from dpbench.report.ending import ending
-from dpbench.report.markdown import report_markdown
 from dpbench.report.page.answer import Answer, answer_of
 from dpbench.report.page.facts import Facts
 from dpbench.report.page.topic import Topic
 from dpbench.report.page.write import DRAWN, charts_of, page_html
-from dpbench.report.sent import PAGE, prepare
-from dpbench.report.statement import write_statement
 from dpbench.report.topics.all import topics_of
 from dpbench.report.topics.trust import calling_ns
 
@@ -106,8 +106,8 @@ def report_and_ending(
     ----------
     figures : further formats of the figures, of `FORMATS`; SVG is always written.
     statement : the file to write the one-page statement to, .pdf or .svg.
-    send : a folder to make that can be sent to others, see `sent.py`.
-    solver, against : a solver to set beside others, in `SOLVER.md`, see `against.py`.
+    send : a folder to make that can be sent to others, see `documents/sent.py`.
+    solver, against : a solver to set beside others, in `SOLVER.md`, see `documents/comment.py`.
 
     Raises
     ------

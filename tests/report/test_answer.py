@@ -14,8 +14,8 @@ from dpbench.analysis.times.fastest import best_of_each, recommend
 from dpbench.analysis.verdict import verdicts_of
 from dpbench.cli.main import main
 from dpbench.errors import InputError
+from dpbench.report.documents.markdown import MOST_BYTES, report_markdown
 from dpbench.report.formats import error_text, rounded_down, time_text
-from dpbench.report.markdown import MOST_BYTES, report_markdown
 from dpbench.report.page.answer import Answer, answer_of
 from dpbench.report.page.facts import Facts
 from dpbench.report.page.tables import ladder_table, matrix_table

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from dpbench.cli.main import main
-from dpbench.report.sent import MOST_BYTES, SENDER, SENT, check_sent
+from dpbench.report.documents.sent import MOST_BYTES, SENDER, SENT, check_sent
 from dpbench.report.write import _page
 
 COMMUNITY = Path(__file__).parents[2] / "results" / "community"
@@ -54,7 +54,7 @@ def test_what_is_sent_is_whole_and_small(sent: Path, capsys: Any) -> None:
 
 def test_sending_again_keeps_the_signature(written: Any, copy: Path, tmp_path: Path) -> None:
     """And a folder with other things in it, or the results themselves, are no place to send."""
-    from dpbench.report.sent import prepare
+    from dpbench.report.documents.sent import prepare
 
     prepare(written.folder, copy)
     assert (copy / SENDER).read_text("utf-8") == SIGNED
@@ -129,7 +129,7 @@ def test_a_folder_that_is_too_large(copy: Path, capsys: Any) -> None:
     assert f"at most {MOST_BYTES} in all" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("folder", sorted(p for p in COMMUNITY.iterdir() if p.is_dir()), ids=str)
+@pytest.mark.parametrize("folder", sorted(p for p in COMMUNITY.glob("*") if p.is_dir()), ids=str)
 def test_every_folder_sent_so_far_is_whole(folder: Path) -> None:
     """What lies in results/community can be read by the dpbench of today."""
     assert check_sent(folder).startswith(str(folder))

@@ -12,8 +12,8 @@ from xml.etree import ElementTree
 import pytest
 
 from dpbench.cli.main import main
+from dpbench.report.documents.statement import HEIGHT, MARGIN, WIDTH, statement_svg
 from dpbench.report.formats import error_text, rounded_down, time_text
-from dpbench.report.statement import HEIGHT, MARGIN, WIDTH, statement_svg
 
 
 def _good(records: Any, tmp_path: Path) -> Path:

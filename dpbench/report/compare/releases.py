@@ -94,24 +94,36 @@ def _lead(found: Histories) -> list[str]:
 
 
 def _sentence(solver: str, own_histories: Sequence[History]) -> str:
+    """Times of its most usual replay; errors and failed steps of all that both releases ran."""
     changed = [history for history in own_histories if history.changed]
-    timed = [h for h in changed if math.isfinite(h.whole_change)]
-    said = (timed or changed)[0]
-    old, new = said.releases[0], said.releases[-1]
-    where = f"{said.run.configuration.options} on {said.run.problem}"
-    took = "not timed"
-    if timed:
-        took = f"p50 {significant(said.whole_change)} times as long"
-        load = new.load_ns / old.load_ns
-        busier = "busier" if load > 1.0 else "quieter"
-        if abs(load - 1.0) > BUSY:
-            took += f" on a {busier} machine (load kernel {significant(load)})"
-    errors = " → ".join(error_text(release.error_move) for release in (old, new))
-    failed = " → ".join(significant(release.failed_steps) for release in (old, new))
-    return (
-        f"{solver} {old.version} → {new.version}: {took}, {where}; largest error {errors}, "
-        f"failed steps {failed}."
+    ends = [(history.releases[0], history.releases[-1]) for history in changed]
+    errors, failed = (
+        " → ".join(text(_largest(of_release)) for of_release in zip(*pairs, strict=True))
+        for text, pairs in (
+            (error_text, [tuple(release.error_move for release in two) for two in ends]),
+            (significant, [tuple(release.failed_steps for release in two) for two in ends]),
+        )
     )
+    versions = " → ".join(release.version for release in ends[0])
+    return f"{solver} {versions}: {_took(changed)}; largest error {errors}, failed steps {failed}."
+
+
+def _took(changed: Sequence[History]) -> str:
+    timed = next((h for h in changed if math.isfinite(h.whole_change)), None)
+    if timed is None:
+        return "not timed"
+    load = timed.releases[-1].load_ns / timed.releases[0].load_ns
+    busier = "busier" if load > 1.0 else "quieter"
+    beside = f" on a {busier} machine (load kernel {significant(load)})"
+    return (
+        f"p50 {significant(timed.whole_change)} times as long"
+        f"{beside if abs(load - 1.0) > BUSY else ''}, {timed.run.configuration.options} on "
+        f"{timed.run.problem}"
+    )
+
+
+def _largest(values: Sequence[float]) -> float:
+    return max((value for value in values if not math.isnan(value)), default=math.nan)
 
 
 def _lines(found: Histories, records: Mapping[str, Records]) -> list[str]:

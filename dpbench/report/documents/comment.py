@@ -17,8 +17,8 @@ from dpbench.analysis.times.pairs import paired_comparison
 from dpbench.analysis.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
 from dpbench.errors import UnknownNameError, one_of
+from dpbench.report.documents.markdown import HEAD, cut, solver_row
 from dpbench.report.formats import MISSING, and_list, count_text, error_text, time_text
-from dpbench.report.markdown import HEAD, cut, solver_row
 from dpbench.report.page.facts import Facts
 from dpbench.report.table import markdown
 from dpbench.report.verdict_text import clauses, demand_text, paired_text

@@ -10,7 +10,7 @@ import pytest
 
 from dpbench.cli.main import main
 from dpbench.errors import InputError
-from dpbench.report.against import MOST_BYTES, beside, worst_steps
+from dpbench.report.documents.comment import MOST_BYTES, beside, worst_steps
 
 
 @pytest.mark.parametrize("solver", ["piqp", "ecos", "scs", "daqp"])
