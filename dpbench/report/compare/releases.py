@@ -15,6 +15,7 @@ from dpbench.bench.record.result_folder import load_results
 from dpbench.errors import InputError
 from dpbench.report.formats import (
     and_list,
+    count_text,
     error_text,
     plural,
     significant,
@@ -101,7 +102,7 @@ def _sentence(solver: str, own_histories: Sequence[History]) -> str:
         " → ".join(text(_largest(of_release)) for of_release in zip(*pairs, strict=True))
         for text, pairs in (
             (error_text, [tuple(release.error_move for release in two) for two in ends]),
-            (significant, [tuple(release.failed_steps for release in two) for two in ends]),
+            (_count, [tuple(release.failed_steps for release in two) for two in ends]),
         )
     )
     versions = " → ".join(release.version for release in ends[0])
@@ -211,12 +212,17 @@ def _rows(history: History, found: Histories) -> list[tuple[str, ...]]:
             _time(release.p99, found),
             _time(release.largest, found),
             error_text(release.error_move),
-            significant(release.claimed_not_true),
-            significant(release.failed_steps),
+            _count(release.claimed_not_true),
+            _count(release.failed_steps),
             release.outcome.replace("_", " "),
         )
         for i, release in enumerate(history.releases)
     ]
+
+
+def _count(value: float) -> str:
+    """A count per round, whole where it is in every round."""
+    return count_text(value) if math.isnan(value) or value == round(value) else f"{value:.1f}"
 
 
 def _time(value: float, found: Histories) -> str:
