@@ -90,7 +90,7 @@ def test_versions_stand_in_their_order_with_what_changed(make: Make, tmp_path: P
         ("0.10.0", "40.0 µs", "0.500", "80.0 µs", "1.0e-09"),
     ]
     ((solver, _, _, _, folders, p50, *_),) = rest.rows
-    assert (solver, folders, p50) == ("daqp", "new and old", "10.5 µs")
+    assert (solver, folders, p50) == ("daqp", "all", "10.5 µs")
     page = write_releases(tmp_path / "page.html", found)
     text = page.read_text(encoding="utf-8")
     assert "<script" not in text and page.stat().st_size < 200_000

@@ -101,13 +101,14 @@ class Histories:
     reference : the solver whose p50 is the unit of all times; "" where they are in ns.
     spread : the largest ratio between the folders of two p50 of one version of one configuration:
         what lies within it is no change; NaN where no version was run twice.
-    alone : cells that only one of the folders has.
+    alone : cells that only one of the folders has; folders : how many there are.
     """
 
     all: Sequence[History]
     reference: str
     spread: float
     alone: int
+    folders: int
 
 
 def histories(folders: Mapping[str, Records], reference: str | None = None) -> Histories:
@@ -135,7 +136,8 @@ def histories(folders: Mapping[str, Records], reference: str | None = None) -> H
     found = [_history(runs, units) for runs in common.values()]
     found.sort(key=lambda h: (h.run.solver, h.run.mode != "replay", usualness(h.run)))
     ratios = [ratio for history in found for ratio in _repeated(history, units)]
-    return Histories(found, solver, max(ratios, default=math.nan), len(cells) - len(common))
+    spread = max(ratios, default=math.nan)
+    return Histories(found, solver, spread, len(cells) - len(common), len(folders))
 
 
 def _cells(folders: Mapping[str, Records]) -> dict[str, dict[str, RunRecord]]:

@@ -171,10 +171,23 @@ def _tables(found: Histories) -> list[Table]:
     ]
     rest = [history for history in found.all if history.run.solver not in changed]
     if rest:
-        rows = tuple((h.run.solver, *row) for h in rest for row in _rows(h, found))
-        heads = ("solver", *_heads(found.reference))
-        tables.append(Table("Of one version in all folders", "For comparison.", heads, rows, 5))
+        # With one version there is none before it.
+        kept = [i for i, head in enumerate(_heads(found.reference)) if head not in BEFORE]
+        rows = [(h.run.solver, row) for h in rest for row in _rows(h, found)]
+        tables.append(
+            Table(
+                title="Of one version in all folders",
+                note="For comparison: what these differ by is no change of a solver.",
+                heads=("solver", *(_heads(found.reference)[i] for i in kept)),
+                rows=tuple((solver, *(row[i] for i in kept)) for solver, row in rows),
+                text_columns=5,
+            )
+        )
     return tables
+
+
+BEFORE = ("to the one before", "load kernel")
+"""Columns about the release before."""
 
 
 def _heads(reference: str) -> tuple[str, ...]:
@@ -185,8 +198,7 @@ def _heads(reference: str) -> tuple[str, ...]:
         "version",
         "folders",
         f"p50{unit}",
-        "to the one before",
-        "load kernel",
+        *BEFORE,
         f"p99{unit}",
         f"largest step{unit}",
         "largest error",
@@ -205,7 +217,7 @@ def _rows(history: History, found: Histories) -> list[tuple[str, ...]]:
             label,
             f"{run.problem}, {mode}",
             release.version,
-            and_list(list(release.runs)),
+            "all" if len(release.runs) == found.folders else and_list(list(release.runs)),
             _time(release.p50, found),
             significant(history.change(i)),
             significant(history.load_change(i)),
