@@ -346,6 +346,8 @@ def test_two_machines_are_compared_by_ratios_to_a_reference(
     (line,) = [line for line in said if line.startswith("step times are compared as ratios to")]
     assert line.endswith("daqp (native fresh), which takes B/A 3 on paper")
     assert "another machine: they differ in kernel" in said
+    assert main(["compare", str(a), str(b), "--any-machine"]) == 1
+    assert "no longer needed" in capsys.readouterr().err
     found = compare(a, b)
     assert verdicts(found.times)["osqp"] == "slower"
     assert "daqp" not in verdicts(found.times)

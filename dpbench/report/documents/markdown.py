@@ -70,4 +70,4 @@ def cut(text: str, most_bytes: int, elsewhere: str) -> str:
     if len(raw) <= most_bytes:
         return text
     kept = raw[: most_bytes - 60].decode(errors="ignore").rsplit("\n", 1)[0]
-    return f"{kept}\n\nMore: `{elsewhere}`.\n"
+    return f"{kept}\n\nMore rows: `{elsewhere}`.\n"
