@@ -342,9 +342,8 @@ def test_two_machines_are_compared_by_ratios_to_a_reference(
     a = make("a", seed=1)
     b = make("b", seed=2, machine_id="two", machine=3.0, slow={"osqp": 6.0})
     assert main(["compare", str(a), str(b)]) == 1
-    said = capsys.readouterr().out.splitlines()
-    (line,) = [line for line in said if line.startswith("step times are compared as ratios to")]
-    assert line.endswith("daqp (native fresh), which takes B/A 3 on paper")
+    said = " ".join(capsys.readouterr().out.split())
+    assert "step times are compared as ratios to daqp (native fresh), which takes B/A 3 on" in said
     assert "another machine: they differ in kernel" in said
     assert main(["compare", str(a), str(b), "--any-machine"]) == 1
     assert "no longer needed" in capsys.readouterr().err
