@@ -33,6 +33,16 @@ class Refresh(Flag):
     MATRICES = auto()
 
 
+def in_blocks(n: int, m: int, block: int) -> bool:
+    """Whether n variables and m rows fall into moves of `block` variables and equally many rows."""
+    return block == 0 or (n % block == 0 and m % (n // block) == 0)
+
+
+def rows_per_block(n: int, m: int, block: int) -> int:
+    """How many of m rows belong to each move of `block` of n variables; 0 where block is."""
+    return m * block // n
+
+
 def shaped(where: str, name: str, value: object, shape: tuple[int, ...]) -> NDArray[np.float64]:
     """`value` as a contiguous float64 array; ShapeError naming where and name unless of `shape`."""
     array = np.ascontiguousarray(value, dtype=np.float64)
@@ -52,8 +62,8 @@ class QuadraticProgram:
     A : (m, n) rows; m may be 0.
     l, u : (m,) row limits, ±inf allowed.
     lb, ub : (n,) bounds, ±inf allowed.
-    block : variables (and rows) per move, so that a workspace can shift a warm start by one move
-        without knowing ships; 0 keeps a start as it is.
+    block : variables per move, so that a workspace can shift a warm start by one move without
+        knowing ships; the rows belong to the n/block moves alike. 0 keeps a start as it is.
     moves : how many variables of a block, its first ones, are moves of an actuator; the rest are
         slacks, which no error of a move or of a plan counts. 0 = all.
 
@@ -83,10 +93,9 @@ class QuadraticProgram:
         for name, shape in shapes.items():
             array = shaped("QuadraticProgram", name, getattr(self, name), shape)
             object.__setattr__(self, name, array)
-        if self.block and (n % self.block or m % self.block):
-            raise ShapeError.of(
-                "QuadraticProgram", "block", (self.block,), f"a divisor of n={n} and m={m}, or 0"
-            )
+        if not in_blocks(n, m, self.block):
+            allowed = f"0, or a divisor of n={n} into moves that share m={m} rows alike"
+            raise ShapeError.of("QuadraticProgram", "block", (self.block,), allowed)
         most = self.block or n
         if not 0 <= self.moves <= most:
             raise ShapeError.of("QuadraticProgram", "moves", (self.moves,), f"0 to {most}")

@@ -11,7 +11,7 @@ from dpbench.errors import ShapeError
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, Refresh
 from dpbench.qp.stacked import stack
 
-K, N, M = 4, 6, 3
+K, N, M = 4, 6, 4
 
 
 def program(seed: int, **more: Any) -> QuadraticProgram:

@@ -14,7 +14,7 @@ from dpbench.qp.solution import Solution, Status
 INF = np.inf
 
 
-def _qp(n: int = 6, m: int = 4, seed: int = 0) -> QuadraticProgram:
+def _qp(n: int = 6, m: int = 3, seed: int = 0) -> QuadraticProgram:
     rng = np.random.default_rng(seed)
     B = rng.normal(size=(n, n))
     A = rng.normal(size=(m, n))

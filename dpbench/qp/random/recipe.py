@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from dpbench.errors import InputError
+from dpbench.qp.program import in_blocks
 
 MARGIN = 0.25
 """By how much the limits of an infeasible step contradict each other."""
@@ -97,8 +98,9 @@ class RandomRecipe:
             raise _refused("m", self.m, f"{least} to {most} for {self.family} with n = {self.n}")
         if self.seed < 0 or self.steps < 1:
             raise _refused("seed, steps", (self.seed, self.steps), "0 or more, 1 or more")
-        if self.block < 0 or (self.block and (self.n % self.block or self.m % self.block)):
-            raise _refused("block", self.block, f"0 or a divisor of n={self.n} and m={self.m}")
+        if self.block < 0 or not in_blocks(self.n, self.m, self.block):
+            allowed = f"0, or a divisor of n={self.n} into moves that share m={self.m} rows alike"
+            raise _refused("block", self.block, allowed)
         if self.cond != 0.0 and not 1.0 <= self.cond <= 1e8:
             raise _refused("cond", self.cond, "1 to 1e8, or 0 for that of the family")
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.qp.program import QPStep, QuadraticProgram, rows_per_block
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.contract import Options, Policy, Workspace, check_step, not_set_up, shift_into
 from dpbench.solvers.one_sided import OneSidedForm
@@ -271,30 +271,31 @@ class OneSidedWorkspace(NativeWorkspace):
 class Start:
     """The previous answer, one move later, as the start of the next solve.
 
-    The moves and the multipliers of their rows shift by a block of variables and rows; those of
-    the last move, of which the previous plan knows nothing, are zero. Block 0 keeps all.
+    The moves shift by a block of variables, the multipliers of rows by as many rows as a move has;
+    those of the last move, of which the previous plan knows nothing, are zero. Block 0 keeps all.
     """
 
     def __init__(self, n: int, m: int, block: int) -> None:
-        self._block = block
+        rows = rows_per_block(n, m, block)
         self.z = np.zeros(n)
         self.dual = np.zeros(m + n)
         self.y, self.y_box = self.dual[:m], self.dual[m:]
-        self._kept = [(array, array.copy()) for array in (self.z, self.y, self.y_box)]
+        shifted = (self.z, block), (self.y, rows), (self.y_box, block)
+        self._kept = [(array, array.copy(), by) for array, by in shifted]
         self.known = False
 
     def remember(self, solution: Solution) -> None:
         """Keep a copy of an answer."""
         answer = (solution.z, solution.y, solution.y_box)
-        for (_, kept), value in zip(self._kept, answer, strict=True):
+        for (_, kept, _), value in zip(self._kept, answer, strict=True):
             kept[:] = value
         self.known = True
 
     def advance(self) -> bool:
         """Fill `z`, `y`, `y_box` with the kept answer one move later; false if there is none."""
         if self.known:
-            for target, kept in self._kept:
-                shift_into(target, kept, self._block)
+            for target, kept, by in self._kept:
+                shift_into(target, kept, by)
         return self.known
 
 

@@ -21,6 +21,7 @@ import numpy as np
 import scipy.sparse
 
 from dpbench.arrays import Vector
+from dpbench.qp.program import rows_per_block
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.adapter import NativeAdapter, attributes
 from dpbench.solvers.contract import Options, Policy, shift_into
@@ -100,9 +101,9 @@ class ProxqpWorkspace(NativeWorkspace):
     def _shift(self) -> None:
         block, m, results = self._block, self._m, self._solver.results
         if block:
-            x, z = results.x, results.z
-            for part in (x, z[:m], z[m:]):
-                shift_into(part, part.copy(), block)
+            x, z, rows = results.x, results.z, rows_per_block(self._n, m, block)
+            for part, by in ((x, block), (z[:m], rows), (z[m:], block)):
+                shift_into(part, part.copy(), by)
 
     def _call(self) -> None:
         self._solver.solve()

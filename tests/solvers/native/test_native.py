@@ -56,13 +56,14 @@ def test_a_warm_start_makes_a_difference(solver, sequence):
 
 
 def test_a_start_is_the_previous_answer_one_move_later():
-    """Moves and multipliers shift by a block, the last is zero; block 0 keeps all."""
-    z, y, y_box = np.arange(1.0, 7.0), np.arange(10.0, 14.0), np.arange(20.0, 26.0)
+    """Moves and multipliers shift by a block, here of two variables and one row, the last is zero;
+    block 0 keeps all."""
+    z, y, y_box = np.arange(1.0, 7.0), np.arange(10.0, 13.0), np.arange(20.0, 26.0)
     for block, expected in (
-        (2, ([3, 4, 5, 6, 0, 0], [12, 13, 0, 0], [22, 23, 24, 25, 0, 0])),
+        (2, ([3, 4, 5, 6, 0, 0], [11, 12, 0], [22, 23, 24, 25, 0, 0])),
         (0, (z, y, y_box)),
     ):
-        start = Start(6, 4, block)
+        start = Start(6, 3, block)
         assert not start.advance()
         start.remember(Solution(Status.SOLVED, z, y, y_box))
         assert start.advance()
