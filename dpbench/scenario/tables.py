@@ -5,6 +5,7 @@ Files speak the units of the trade (kN, kN·m, degrees); what they make is SI.
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import numpy as np
@@ -28,6 +29,7 @@ from dpbench.scenario.key_types import (
     Percent,
     Positive,
     Seconds,
+    Share,
     Speed,
     ThreeByThree,
     ThreeLosses,
@@ -40,6 +42,7 @@ from dpbench.scenario.key_types import (
 from dpbench.scenario.problem_files import FileModel
 from dpbench.scenario.weather_tables import EnvironmentTable
 from dpbench.ship.froude import Froude
+from dpbench.ship.thrusters import Thruster, ThrusterSet, nominal_thrust_N
 from dpbench.ship.vessel import Vessel, bis_descaled, bis_descaled_damping
 from dpbench.ship.weather.waves import WATER_DENSITY, WaveReflection
 from dpbench.ship.weather.wind import Windage
@@ -90,6 +93,57 @@ class ReflectionTable(FileModel):
     """R₀² of the moment of short waves from the quarters."""
 
 
+class ThrusterTable(FileModel):
+    """One thruster: its place, and its thrust or what DNV-ST-0111 makes it of."""
+
+    name: str
+    """For tables, and for faults that name it."""
+    kind: Literal["azimuth", "tunnel", "main"]
+    """azimuth: turns; tunnel: pushes across the ship; main: along it, without a rudder."""
+    x_m: Number
+    """Place ahead of the origin of the matrices [m]."""
+    y_m: Number = 0.0
+    """Place to starboard of the centre line [m]."""
+    thrust_kN: Positive | None = None
+    """Largest thrust ahead [kN]. Either this, or power_kW, diameter_m and propeller."""
+    power_kW: Positive | None = None
+    """Power of its drive [kW]; the thrust is then that of DNV-ST-0111 level 1."""
+    diameter_m: Positive | None = None
+    """Diameter of the propeller [m]."""
+    propeller: Literal["open", "nozzle", "tunnel"] | None = None
+    """Kind of the propeller."""
+    rise_s: Positive
+    """Time from zero to full thrust [s]."""
+    astern: Share = 1.0
+    """Thrust astern of a main propeller as a share of that ahead."""
+    sector_deg: Two | None = None
+    """Directions in which an azimuth may push, from and to, clockwise from ahead [°]; at most half
+    a turn wide. All round by default."""
+    group: str = ""
+    """What fails together with it, as behind one switchboard; by default it fails alone."""
+
+    @model_validator(mode="after")
+    def _one_thrust(self) -> ThrusterTable:
+        made_of = [self.power_kW, self.diameter_m, self.propeller]
+        given = [value is not None for value in made_of]
+        if (self.thrust_kN is None) != all(given) or (any(given) and not all(given)):
+            raise ValueError("either thrust_kN, or power_kW, diameter_m and propeller")
+        return self
+
+    def thruster(self) -> Thruster:
+        """The thruster in SI units; raises InputError."""
+        if self.thrust_kN is not None:
+            thrust_N = 1e3 * self.thrust_kN
+        else:
+            assert self.power_kW and self.diameter_m and self.propeller, "the validator demands it"
+            thrust_N = nominal_thrust_N(self.power_kW, self.diameter_m, self.propeller)
+        sector = None
+        if self.sector_deg is not None:
+            sector = math.radians(self.sector_deg[0]), math.radians(self.sector_deg[1])
+        place = self.name, self.kind, self.x_m, self.y_m
+        return Thruster(*place, thrust_N, self.rise_s, self.astern, sector, self.group)
+
+
 class VesselFile(FileModel):
     """`problems/vessels/*.toml`: matrices in SI, or dimensionless in the Bis system.
 
@@ -102,8 +156,11 @@ class VesselFile(FileModel):
     """Where the numbers come from."""
     length_m: Positive
     """Length the numbers belong to [m]; Bis scaling and the moments of wind and drift use it."""
-    limits: LimitsTable
-    """Limits of the control force and of its rate."""
+    limits: LimitsTable | None = None
+    """Limits of the control force and of its rate. Without it, what the thrusters give in each
+    axis by itself."""
+    thrusters: list[ThrusterTable] = []
+    """Its thrusters, for controllers that steer them."""
     model_scale: Positive = 1.0
     """λ of a model ship of scale 1 : λ; scenarios are scaled to it by Froude's law. 1: full
     size."""
@@ -129,6 +186,8 @@ class VesselFile(FileModel):
         given = {key for key in systems[0] | systems[1] if getattr(self, key) is not None}
         if given not in systems:
             raise ValueError("either inertia and damping, or mass_kg, inertia_bis and damping_bis")
+        if self.limits is None and not self.thrusters:
+            raise ValueError("limits, or thrusters to derive them from")
         return self
 
     def vessel(self, name: str, where: str) -> Vessel:
@@ -139,15 +198,14 @@ class VesselFile(FileModel):
             assert self.mass_kg is not None, "the validator demands it beside inertia_bis"
             M = bis_descaled(np.array(self.inertia_bis), self.mass_kg, self.length_m)
             D = bis_descaled_damping(np.array(self.damping_bis), self.mass_kg, self.length_m)
-        ranges = np.array([self.limits.surge_N, self.limits.sway_N, self.limits.yaw_Nm])
-        low, high = np.ascontiguousarray(ranges.T)
-        rate = np.array(self.limits.rate_max_N_per_s)
+        thrusters = self._thrusters(where)
+        low, high, rate = self._force_limits(thrusters)
         air, water = self.windage, self.reflection
         windage = Windage(**air.model_dump()) if air else None
         reflection = WaveReflection(**water.model_dump()) if water else None
         ship = (name, self.title, self.source, self.length_m, M, D, low, high, rate, where)
         try:
-            vessel = Vessel(*ship, windage, reflection)
+            vessel = Vessel(*ship, windage, reflection, thrusters)
         except InputError as error:
             bis = "" if self.inertia is not None else "_bis"
             keys = {"M": f"inertia{bis}", "D": f"damping{bis}", "tau_min, tau_max": "limits"}
@@ -166,6 +224,23 @@ class VesselFile(FileModel):
             found = f"{self.length_m:g} with an inertia of {surge_kg:.3g} kg in surge"
             allowed = "m and kg: an inertia of 1e-4 to 1 times 1026 kg/m³ times the length cubed"
             raise InputError(where, "length_m", found, allowed)
+
+    def _thrusters(self, where: str) -> ThrusterSet | None:
+        if not self.thrusters:
+            return None
+        try:
+            return ThrusterSet(tuple(table.thruster() for table in self.thrusters), where)
+        except InputError as error:
+            raise InputError(where, f"thrusters.{error.key}", error.found, error.allowed) from error
+
+    def _force_limits(self, thrusters: ThrusterSet | None) -> tuple[Vector, Vector, Vector]:
+        """τ_min, τ_max, and the limit of the rate: (3,) each."""
+        if self.limits is None:
+            assert thrusters is not None, "the validator demands one of the two"
+            return *thrusters.limits(), thrusters.rate()
+        ranges = np.array([self.limits.surge_N, self.limits.sway_N, self.limits.yaw_Nm])
+        low, high = np.ascontiguousarray(ranges.T)
+        return low, high, np.array(self.limits.rate_max_N_per_s)
 
 
 class EstimatorTable(FileModel):

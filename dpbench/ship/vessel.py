@@ -11,6 +11,7 @@ import numpy as np
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
+from dpbench.ship.thrusters import ThrusterSet
 from dpbench.ship.weather.waves import WaveReflection
 from dpbench.ship.weather.wind import Windage
 
@@ -31,6 +32,7 @@ class Vessel:
     rate_max : (3,) limits of its rate [N/s, N/s, N·m/s].
     where : the file named in errors.
     windage, reflection : the hull as wind and wave drift see it; needed in such weather only.
+    thrusters : what makes the force, for controllers that steer thrusters.
 
     Raises
     ------
@@ -49,6 +51,7 @@ class Vessel:
     where: str = "Vessel"
     windage: Windage | None = None
     reflection: WaveReflection | None = None
+    thrusters: ThrusterSet | None = None
 
     def __post_init__(self) -> None:
         self._check_matrices()

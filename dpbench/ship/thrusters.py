@@ -1,0 +1,212 @@
+"""Thrusters: where they stand, what they can give, and the force they make together.
+
+    τ = T_e f,   f = [X_1, Y_1, …]: two components of an azimuth thruster, one of any other
+    column of X_i: (1, 0, −y_i)        of Y_i, and of a tunnel: (0, 1, x_i)
+
+T_e is the extended thruster configuration matrix (Fossen 2021, section 11.2): linear in what an
+optimiser chooses, because azimuths are replaced by force components.
+
+    limits   azimuth   |f_i| ≤ T_i, and within its sector       rate   |Δf_i,j| ≤ T_i Δt / rise_i
+             tunnel    |f_i| ≤ T_i                                      component by component
+             main      −a_i T_i ≤ f_i ≤ T_i                     a_i: share of the thrust astern
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from dpbench.arrays import Matrix, Vector
+from dpbench.errors import InputError
+from dpbench.ship.layout import AXES
+
+ThrusterKind = Literal["azimuth", "tunnel", "main"]
+Propeller = Literal["open", "nozzle", "tunnel"]
+ETA_1 = {"open": 800.0, "nozzle": 1200.0, "tunnel": 900.0}
+"""η_1 of DNV-ST-0111 (2021), section 3.8: N from kW and m."""
+MECHANICAL_EFFICIENCY = 0.93
+"""η_m of DNV-ST-0111 level 1."""
+
+
+def nominal_thrust_N(power_kW: float, diameter_m: float, propeller: Propeller) -> float:
+    """T = η_1 (η_m P D)^(2/3) [N], bollard pull ahead (DNV-ST-0111 level 1, η_2 = 1).
+
+    Parameters
+    ----------
+    power_kW : P, brake power [kW]; diameter_m : D of the propeller [m].
+    propeller : open, in a nozzle, or in a tunnel.
+    """
+    return float(ETA_1[propeller] * (MECHANICAL_EFFICIENCY * power_kW * diameter_m) ** (2.0 / 3.0))
+
+
+@dataclass(frozen=True)
+class Thruster:
+    """One thruster.
+
+    Parameters
+    ----------
+    name : for tables and faults; group : what fails together, as behind one switchboard.
+    kind : azimuth, tunnel (across the ship) or main (along it).
+    x_m, y_m : place ahead and to starboard of the origin of the ship's matrices [m].
+    thrust_N : T, the largest thrust ahead; of an azimuth, in any direction it may take [N].
+    rise_s : time from zero to full thrust [s].
+    astern : thrust astern as a share of T; of a main propeller only.
+    sector_rad : (from, to), clockwise from ahead, in which an azimuth may push the ship; at most
+        half a turn wide, so that the forces it can give are a convex set. None for all round.
+
+    Raises
+    ------
+    InputError : naming the key, what was found and what is allowed.
+    """
+
+    name: str
+    kind: ThrusterKind
+    x_m: float
+    y_m: float
+    thrust_N: float
+    rise_s: float
+    astern: float = 1.0
+    sector_rad: tuple[float, float] | None = None
+    group: str = ""
+
+    def __post_init__(self) -> None:
+        if self.sector_rad is not None:
+            width = self.sector_rad[1] - self.sector_rad[0]
+            if self.kind != "azimuth" or not 0.0 < width <= np.pi:
+                found = f"{np.degrees(width):g} degrees of a thruster of kind {self.kind}"
+                allowed = "for an azimuth, from a to b with b − a above 0 and up to 180"
+                raise InputError(f"thruster {self.name}", "sector_deg", found, allowed)
+
+    @property
+    def components(self) -> int:
+        """Entries of f it has: 2 for an azimuth, 1 else."""
+        return 2 if self.kind == "azimuth" else 1
+
+    @property
+    def columns(self) -> Matrix:
+        """Its columns of T_e: (3, components)."""
+        along, across = (1.0, 0.0, -self.y_m), (0.0, 1.0, self.x_m)
+        parts = {"azimuth": (along, across), "tunnel": (across,), "main": (along,)}
+        return np.array(parts[self.kind]).T
+
+
+@dataclass(frozen=True, eq=False)
+class ThrusterSet:
+    """All thrusters of a ship, in the order of its file."""
+
+    thrusters: tuple[Thruster, ...]
+    where: str = "thrusters"
+
+    def __post_init__(self) -> None:
+        names = [thruster.name for thruster in self.thrusters]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise InputError(self.where, "thrusters.name", f"{twice[0]!r} twice", "a name for each")
+        if np.linalg.matrix_rank(self.T_e / [[1.0], [1.0], [self._arm_m]]) < AXES:
+            found = f"{', '.join(names) or 'none'}, which leave an axis without force"
+            raise InputError(self.where, "thrusters", found, "forces in surge, sway and yaw")
+
+    @property
+    def _arm_m(self) -> float:
+        return max((abs(t.x_m) + abs(t.y_m) for t in self.thrusters), default=1.0) or 1.0
+
+    @cached_property
+    def T_e(self) -> Matrix:
+        """Extended configuration matrix (3, n_f): τ = T_e f."""
+        parts = [thruster.columns for thruster in self.thrusters]
+        return np.ascontiguousarray(np.hstack(parts)) if parts else np.zeros((AXES, 0))
+
+    @cached_property
+    def n_f(self) -> int:
+        """Entries of f."""
+        return sum(thruster.components for thruster in self.thrusters)
+
+    @cached_property
+    def places(self) -> tuple[slice, ...]:
+        """Where each thruster stands in f."""
+        ends = np.cumsum([thruster.components for thruster in self.thrusters]).tolist()
+        return tuple(slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True))
+
+    @cached_property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the entries of f: `bow`, or `stern port x` and `stern port y`."""
+        return tuple(
+            f"{t.name} {part}" if t.components == 2 else t.name
+            for t in self.thrusters
+            for part in ("x", "y")[: t.components]
+        )
+
+    def per_entry(self, values: Sequence[float] | Vector) -> Vector:
+        """A value a thruster (p,) as one an entry of f (n_f,)."""
+        return np.repeat(np.asarray(values), [thruster.components for thruster in self.thrusters])
+
+    @cached_property
+    def thrust_N(self) -> Vector:
+        """T_i (p,) [N]."""
+        return np.array([thruster.thrust_N for thruster in self.thrusters])
+
+    def step_max(self, sample_s: float) -> Vector:
+        """Δf_max (n_f,) [N]: the largest change of each entry in one sample."""
+        rise_s = np.array([thruster.rise_s for thruster in self.thrusters])
+        return self.per_entry(self.thrust_N * sample_s / rise_s)
+
+    def size(self, f: Matrix) -> Matrix:
+        """|f_i| (..., p) of forces f (..., n_f) [N]."""
+        sizes = [np.sqrt((f[..., place] ** 2).sum(axis=-1)) for place in self.places]
+        return np.stack(sizes, axis=-1)
+
+    def support(self, direction: Vector) -> float:
+        """The largest τ·d over all f within their limits, for d (3,): the support function.
+
+        An azimuth all round gives T |column·d|; in a sector, the best of its ends, its middle part
+        and nothing.
+        """
+        slopes = direction @ self.T_e
+        return float(
+            sum(_most(t, slopes[at]) for t, at in zip(self.thrusters, self.places, strict=True))
+        )
+
+    def limits(self) -> tuple[Vector, Vector]:
+        """τ_min, τ_max (3,): the most in each axis, with no regard to the others [N, N, N·m]."""
+        axes = np.eye(AXES)
+        least = np.array([-self.support(-axis) for axis in axes])
+        return least, np.array([self.support(axis) for axis in axes])
+
+    def rate(self) -> Vector:
+        """(3,) the fastest change of τ, each axis by itself [N/s, N/s, N·m/s]."""
+        largest: Vector = np.abs(self.T_e) @ self.step_max(1.0)
+        return largest
+
+    def index(self, name: str, where: str, key: str) -> int:
+        """The number of the thruster of that name; InputError naming where and key."""
+        names = [thruster.name for thruster in self.thrusters]
+        if name not in names:
+            raise InputError(where, key, repr(name), f"one of {', '.join(names)}")
+        return names.index(name)
+
+    @cached_property
+    def groups(self) -> dict[str, tuple[int, ...]]:
+        """Numbers of the thrusters of each failure group; one without a group is its own."""
+        found: dict[str, list[int]] = {}
+        for i, thruster in enumerate(self.thrusters):
+            found.setdefault(thruster.group or thruster.name, []).append(i)
+        return {name: tuple(numbers) for name, numbers in found.items()}
+
+
+def _most(thruster: Thruster, slope: Vector) -> float:
+    """The largest slope·f_i within the limits of one thruster; slope (components,)."""
+    if thruster.kind != "azimuth":
+        low, high = -thruster.astern * thruster.thrust_N, thruster.thrust_N
+        return float(max(slope[0] * low, slope[0] * high))
+    best = float(np.hypot(*slope))
+    if thruster.sector_rad is not None:
+        start, end = thruster.sector_rad
+        to = np.arctan2(slope[1], slope[0])
+        if (to - start) % (2.0 * np.pi) > end - start:
+            ends = (slope @ [np.cos(edge), np.sin(edge)] for edge in (start, end))
+            best = max(0.0, *map(float, ends))
+    return best * thruster.thrust_N
