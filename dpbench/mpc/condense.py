@@ -9,6 +9,13 @@
 With z = ΔU/Δu_max (`units="scaled"`) the rows are divided by Δu_max too, so that A = C2, lb = −1,
 ub = 1 and the cost keeps its value; `units="si"` leaves everything in N and N·m. In both,
 [q; l; u] is an affine map of θ = [x; y_ref; u_prev], so a step is one matrix-vector product.
+
+A controller that steers thrusters has their forces f for u, the model's B T_e for B, and
+
+    J ← J + ½ Σ f_iᵀ W f_i over the N_c moves,   f = C1 f(k−1) + C2 ΔF:
+    E ← E + C2ᵀ W̄ C2,   F_k ← F_k + C2ᵀ W̄ C1 f(k−1)
+    u_min ≤ G f_i ≤ u_max,   the sides of their polygons (`thruster_rows`)
+
 One recursion G_t = C A^t (never a matrix power) gives every block of F and of Φ.
 """
 
@@ -27,6 +34,7 @@ from dpbench.errors import InputError
 from dpbench.mpc.kernels import condense_blocks, map_blocks
 from dpbench.mpc.model import StateSpace, rotated
 from dpbench.mpc.terminal import TerminalCost, terminal_cost
+from dpbench.mpc.thruster_rows import ThrusterRows
 from dpbench.qp.program import shaped
 
 UnitSystem = Literal["scaled", "si"]
@@ -42,7 +50,10 @@ class ControlProblem:
     model : the incremental model (eq. 11).
     N_p, N_c : prediction and control horizon, 1 ≤ N_c ≤ N_p.
     Q : (n_y, n_y) output weight; R : (n_u, n_u) weight of the increments; the same at all steps.
-    u_min, u_max : (n_u,) amplitude limits; du_max : (n_u,) largest increment per sample.
+    u_min, u_max : (r,) amplitude limits of G u, r = n_u and G = I but for thrusters;
+        du_max : (n_u,) largest increment per sample.
+    thrusters : the rows G whose limits u_min, u_max are, where u are forces of thrusters.
+    W : (n_u, n_u) weight of u itself over the planned moves; None for none, as in the paper.
     terminal : "none", the paper's, or "riccati", the cost of the infinite horizon at its end.
     """
 
@@ -55,11 +66,16 @@ class ControlProblem:
     u_max: Vector
     du_max: Vector
     terminal: Terminal = "none"
+    thrusters: ThrusterRows | None = None
+    W: Matrix | None = None
 
     def __post_init__(self) -> None:
         n_u, n_y = self.model.n_u, self.model.n_y
         shapes: dict[str, tuple[int, ...]] = {"Q": (n_y, n_y), "R": (n_u, n_u)}
-        shapes |= {"u_min": (n_u,), "u_max": (n_u,), "du_max": (n_u,)}
+        r = n_u if self.thrusters is None else len(self.thrusters.low)
+        shapes |= {"u_min": (r,), "u_max": (r,), "du_max": (n_u,)}
+        if self.W is not None:
+            shapes |= {"W": (n_u, n_u)}
         for name, shape in shapes.items():
             array = shaped("ControlProblem", name, getattr(self, name), shape)
             object.__setattr__(self, name, array)
@@ -70,6 +86,17 @@ class ControlProblem:
             raise InputError(
                 "ControlProblem", "terminal", repr(self.terminal), '"none" or "riccati"'
             )
+
+    @cached_property
+    def G(self) -> Matrix:
+        """(r, n_u) the rows that the amplitude limits hold for."""
+        return np.eye(self.model.n_u) if self.thrusters is None else self.thrusters.G
+
+    @cached_property
+    def row_max(self) -> Vector:
+        """(r,) the change of G u by a full rate-limit step along each row: the unit of the row."""
+        largest: Vector = np.sqrt(((self.G * self.du_max) ** 2).sum(axis=1))
+        return largest
 
     def turned(self, turn_rad: float) -> ControlProblem:
         """The same problem with the ship's model linearised `turn_rad` further (eq. 5)."""
@@ -93,10 +120,23 @@ def toeplitz(h: NDArray[np.float64], N_c: int) -> Matrix:
 
 def summed_moves(N_c: int, n_u: int) -> Matrix:
     """C2 (eq. 19): U = C1 u(k−1) + C2 ΔU, block lower-triangular ones."""
-    C2, lower = np.zeros((N_c, n_u, N_c, n_u)), np.tri(N_c)
-    for axis in range(n_u):
-        C2[:, axis, :, axis] = lower
-    return C2.reshape(N_c * n_u, N_c * n_u)
+    return summed_rows(N_c, np.eye(n_u))
+
+
+def summed_rows(N_c: int, G: Matrix) -> Matrix:
+    """(I ⊗ G) C2 (N_c·r, N_c·n_u): the rows G (r, n_u) of each force that moves add up to."""
+    r, n_u = G.shape
+    rows, lower = np.zeros((N_c, r, N_c, n_u)), np.tri(N_c)
+    for i, axis in zip(*np.nonzero(G), strict=True):
+        rows[:, i, :, axis] = G[i, axis] * lower
+    return rows.reshape(N_c * r, N_c * n_u)
+
+
+def scaled_rows(problem: ControlProblem, units: UnitSystem) -> Matrix:
+    """G (r, n_u) between forces and rows in these units."""
+    if units == "si" or problem.thrusters is None:
+        return problem.G
+    return problem.G * problem.du_max / problem.row_max[:, np.newaxis]
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +145,8 @@ class CondensedMatrices:
 
     E (n, n), F_x (n, n_x), F_held (n, n_y) with F_k = F_x x + F_held y_d for a reference that is
     constant over the horizon; F (N_p·n_y, n_x) and the Markov parameters h (N_p, n_y, n_u) of
-    eq. 15; Q (n_y, n_y); the terminal cost that E, F_x and F_held hold too, if there is one.
+    eq. 15; Q (n_y, n_y); the terminal cost that E, F_x and F_held hold too, if there is one;
+    F_u (n, n_u), the part F_u u(k−1) of F_k that a weight of the force brings, n_u = 0 without.
     """
 
     E: Matrix
@@ -114,6 +155,7 @@ class CondensedMatrices:
     F: Matrix
     h: NDArray[np.float64]
     Q: Matrix
+    F_u: Matrix
     end: TerminalCost | None = None
 
     @cached_property
@@ -138,14 +180,30 @@ def condense_matrices(problem: ControlProblem) -> CondensedMatrices:
     model, Q = problem.model, problem.Q
     parts = condense_blocks(model.A, model.B, model.C, Q, problem.R, problem.N_p, problem.N_c)
     E, F_x, F_held, F, h = parts
+    F_u = np.zeros((len(E), 0))
+    if problem.W is not None:
+        thrust, F_u = _thrust_cost(problem.W, problem.N_c)
+        E = E + thrust
     if problem.terminal == "none":
-        return CondensedMatrices(E, F_x, F_held, F, h, Q)
+        return CondensedMatrices(E, F_x, F_held, F, h, Q, F_u)
     end = terminal_cost(model, Q, problem.R, problem.du_max, problem.N_p, problem.N_c)
-    return CondensedMatrices(E + end.E, F_x + end.F_x, F_held + end.F_y, F, h, Q, end)
+    return CondensedMatrices(E + end.E, F_x + end.F_x, F_held + end.F_y, F, h, Q, F_u, end)
+
+
+def _thrust_cost(W: Matrix, N_c: int) -> tuple[Matrix, Matrix]:
+    """C2ᵀ W̄ C2 (n, n) and C2ᵀ W̄ C1 (n, n_u): move j adds to the forces of j and all that follow."""
+    i = np.arange(float(N_c))
+    E: Matrix = np.kron(N_c - np.maximum.outer(i, i), W)
+    F_u: Matrix = np.kron((N_c - i)[:, np.newaxis], W)
+    return E, F_u
 
 
 def affine_map(problem: ControlProblem, matrices: CondensedMatrices, units: UnitSystem) -> Matrix:
     """Z (n + 2m, n_x + n_y + n_u + 1) with [q; l; u] = Z [x; y_ref; u_prev; 1] (eq. 20-24)."""
-    unit = problem.du_max if units == "scaled" else np.ones(problem.model.n_u)
-    Z: Matrix = map_blocks(matrices.F_x, matrices.F_held, problem.u_min, problem.u_max, unit)
+    unit, row_unit = problem.du_max, problem.row_max
+    if units == "si":
+        unit, row_unit = np.ones(len(unit)), np.ones(len(row_unit))
+    of_theta = matrices.F_x, matrices.F_held, matrices.F_u
+    limits = problem.G, problem.u_min, problem.u_max
+    Z: Matrix = map_blocks(*of_theta, *limits, unit, row_unit)
     return Z

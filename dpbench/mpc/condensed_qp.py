@@ -18,11 +18,13 @@ from dpbench.mpc.condense import (
     UnitSystem,
     affine_map,
     condense_matrices,
-    summed_moves,
+    scaled_rows,
+    summed_rows,
 )
 from dpbench.mpc.model import HORIZONTAL
 from dpbench.mpc.outputs import OutputBounds, instants, output_layers
 from dpbench.mpc.soft_limits import Penalty, amplitude_layer, lay
+from dpbench.mpc.thruster_rows import Retreat
 from dpbench.qp.program import QPStep, QuadraticProgram, Units
 
 Amplitude = Literal["reachable", "hard", "soft"]
@@ -44,8 +46,8 @@ class CondensedQP:
 
     Attributes
     ----------
-    P (n, n), A (m, n), lb, ub (n,) : constant; n = m = N_c·block.
-    block : variables, and rows, per move; n_u, the moves, come first, then slacks.
+    P (n, n), A (m, n), lb, ub (n,) : constant; n = N_c·block, m = N_c rows of a move.
+    block : variables per move; n_u, the moves, come first, then slacks.
     Z (n + 2m, n_θ + 1) : the affine map [q; l; u] = Z [x; y_ref; u_prev; 1].
     matrices : E, F, Φ of the paper in SI units.
     scale : how z and the rows relate to the scaled ones (`Units`).
@@ -81,15 +83,17 @@ class CondensedQP:
 
     def _build_plain(self) -> None:
         """The paper's problem: rate limits as bounds, amplitude limits as rows."""
-        problem, n_u, N_c = self.control, self.control.model.n_u, self.control.N_c
-        self.block = n_u
-        self.n = self.m = N_c * n_u
-        du_max, one = np.concatenate([problem.du_max] * N_c), np.ones(self.n)
+        problem, N_c = self.control, self.control.N_c
+        self.block = problem.model.n_u
+        self.n, self.m = N_c * self.block, N_c * len(problem.G)
+        du_max, one = np.tile(problem.du_max, N_c), np.ones(self.n)
+        row_max, row_one = np.tile(problem.row_max, N_c), np.ones(self.m)
         own, du = (one, du_max) if self.units == "scaled" else (du_max, one)
-        self.scale, self._du_plan = Units(own, own), du
+        self.scale = Units(own, row_one if self.units == "scaled" else row_max)
+        self._du_plan = du
         self.P: Matrix = du[:, np.newaxis] * du
         self.P *= self._matrices.E
-        self.A: Matrix = summed_moves(N_c, n_u)
+        self.A: Matrix = summed_rows(N_c, scaled_rows(problem, self.units))
         self.ub: Vector = own.copy()
         self.lb: Vector = -own
         self.Z: Matrix = affine_map(problem, self._matrices, self.units)
@@ -106,9 +110,9 @@ class CondensedQP:
             layers += output_layers(problem, matrices, self.outputs, penalty.outputs)
         built = lay(P, Z[: len(P)], problem.du_max, layers, penalty.curvature)
         self.block, self.penalty = built.block, penalty
-        self.n = self.m = len(built.P)
-        one = np.ones(self.n)
-        self.scale = Units(one, one) if self.units == "scaled" else built.si
+        self.m, self.n = built.A.shape
+        scaled = Units(np.ones(self.n), np.ones(self.m))
+        self.scale = scaled if self.units == "scaled" else built.si
         own = built if self.units == "scaled" else built.in_si()
         self.P, self.A, self.lb, self.ub, self.Z = own.P, own.A, own.lb, own.ub, own.Z
 
@@ -126,12 +130,17 @@ class CondensedQP:
             self.n,
             self.n + self.m,
         )
-        n_c, first = self.control.N_c, n_u if self.amplitude == "soft" else 0
-        self._i: Matrix = np.arange(1.0, n_c + 1)[:, np.newaxis]
-        self._shape = n_c, self.block
-        self._upper = slice(None), slice(0, n_u)
-        self._lower = slice(None), slice(first, first + n_u)
-        self._row_unit = self.scale.row[:n_u]
+        problem, N_c, r = self.control, self.control.N_c, len(self.control.G)
+        first = r if self.amplitude == "soft" else 0
+        self._i: Matrix = np.arange(1.0, N_c + 1)[:, np.newaxis]
+        self._shape, self._row_shape = (N_c, self.block), (N_c, self.m // N_c)
+        self._moves = slice(None), slice(0, n_u)
+        self._upper = slice(None), slice(0, r)
+        self._lower = slice(None), slice(first, first + r)
+        self._row_unit = self.scale.row[:r]
+        self._retreat: Retreat | None = None
+        if problem.thrusters is not None:
+            self._retreat = Retreat(problem.thrusters, problem.du_max, problem.row_max, N_c)
 
     def emit(
         self,
@@ -147,10 +156,11 @@ class CondensedQP:
         ----------
         x : (n_x,) augmented state [Δν, Δη, y], SI; heading unwrapped.
         y_ref : (n_y,) reference, or (N_p, n_y) for preview; heading within π of y's.
-        u_prev : (n_u,) force applied in the last sample [N, N, N·m].
-        limits : (u_min, u_max), each (n_u,), in force from now on instead of the vessel's. Under
+        u_prev : (n_u,) force applied in the last sample [N, N, N·m], or those of thrusters [N].
+        limits : (u_min, u_max), each (r,), in force from now on instead of the vessel's. Under
             the policy `reachable` plan row i gets max(u_max, u_prev − iΔu_max) and so on, because
             a limit that drops below u_prev by more than one rate step leaves no feasible point.
+            A thruster whose limits drop may retreat straight to nothing (`Retreat`).
         """
         x_part, y_part, u_part, theta, product, n, cut = self._parts
         x_part[...] = x
@@ -169,21 +179,18 @@ class CondensedQP:
         """Replace the reference held at y_ref[0] by the previewed one, (N_p, n_y)."""
         change = y_ref - y_ref[0]
         slope = self._du_plan * (self._reference_map() @ change.reshape(-1))
-        if self.block == len(self._du):
-            step.q += slope
-            return
-        moves = step.q.reshape(self._shape)[self._upper]
+        moves = step.q.reshape(self._shape)[self._moves]
         moves += slope.reshape(moves.shape)
         bounds = self.outputs
         if bounds is not None and bounds.radius_m is not None:
             # The circle moves with the reference as it does with the one that is held.
             first = self._lower[1].stop
             circle = slice(first, first + bounds.sides)
-            upper_map = self.Z[self.n + self.m :].reshape(*self._shape, -1)
+            upper_map = self.Z[self.n + self.m :].reshape(*self._row_shape, -1)
             of_position = upper_map[0, circle, self.control.model.theta.y_ref][:, HORIZONTAL]
             bounded = instants(self.control.N_p, self.control.N_c) - 1
             moved = change[bounded, HORIZONTAL] @ of_position.T
-            step.u.reshape(self._shape)[:, circle] += moved
+            step.u.reshape(self._row_shape)[:, circle] += moved
 
     def _reference_map(self) -> Matrix:
         """F_y (N_c·n_u, N_p·n_y) in SI units."""
@@ -191,14 +198,18 @@ class CondensedQP:
 
     def _limit(self, step: QPStep, u_prev: Vector, u_min: Vector, u_max: Vector) -> None:
         """Amplitude limits other than the vessel's, as the policy says."""
-        du = self.control.du_max
-        high, low = (u_max - u_prev) / du, (u_min - u_prev) / du
-        if self.amplitude == "reachable":
+        problem, retreat = self.control, self._retreat
+        before = u_prev if retreat is None else problem.G @ u_prev
+        high, low = (u_max - before) / problem.row_max, (u_min - before) / problem.row_max
+        if self.amplitude == "reachable" and retreat is None:
             # In rate-limit steps the reachable bounds −i and i are exact, so a row that is forced
             # to its bound meets it to the last bit and no rounding makes the step infeasible.
             high, low = np.maximum(high, -self._i), np.minimum(low, self._i)
-        np.multiply(low, self._row_unit, out=step.l.reshape(self._shape)[self._lower])
-        np.multiply(high, self._row_unit, out=step.u.reshape(self._shape)[self._upper])
+        elif self.amplitude == "reachable" and retreat is not None:
+            least, most = retreat.reach(u_prev)
+            high, low = np.maximum(high, most), np.minimum(low, least)
+        np.multiply(low, self._row_unit, out=step.l.reshape(self._row_shape)[self._lower])
+        np.multiply(high, self._row_unit, out=step.u.reshape(self._row_shape)[self._upper])
 
     def problem(self, step: QPStep) -> QuadraticProgram:
         """The whole problem of one step."""
@@ -211,18 +222,21 @@ class CondensedQP:
 
     def moves(self, z: Vector) -> Matrix:
         """ΔU as increments (N_c, n_u) in N, N, N·m."""
-        return z.reshape(self._shape)[self._upper] * self._du
+        return z.reshape(self._shape)[self._moves] * self._du
 
     def plan(self, delta_u: Matrix) -> Vector:
         """z of the increments (N_c, n_u) in N, N, N·m: the inverse of `moves`, with no slack."""
         z = np.zeros(self.n)
-        z.reshape(self._shape)[self._upper] = delta_u / self._du
+        z.reshape(self._shape)[self._moves] = delta_u / self._du
         return z
 
-    def constant_cost(self, x: Vector, y_ref: Vector) -> float:
-        """J0 (eq. 24): objective(z) + J0 is the predicted cost J of eq. 17."""
-        y_d = np.tile(y_ref, self.control.N_p) if y_ref.ndim == 1 else y_ref.reshape(-1)
-        error = (y_d - self.matrices.F @ x).reshape(self.control.N_p, -1)
-        cost = 0.5 * float(np.einsum("ki,ij,kj->", error, self.control.Q, error))
+    def constant_cost(self, x: Vector, y_ref: Vector, u_prev: Vector | None = None) -> float:
+        """J0 (eq. 24): objective(z) + J0 is the predicted cost J of eq. 17; u_prev matters to W."""
+        problem = self.control
+        y_d = np.tile(y_ref, problem.N_p) if y_ref.ndim == 1 else y_ref.reshape(-1)
+        error = (y_d - self.matrices.F @ x).reshape(problem.N_p, -1)
+        cost = 0.5 * float(np.einsum("ki,ij,kj->", error, problem.Q, error))
+        if problem.W is not None and u_prev is not None:
+            cost += 0.5 * problem.N_c * float(u_prev @ problem.W @ u_prev)
         end = self.matrices.end
-        return cost if end is None else cost + end.constant(x, y_d[-self.control.model.n_y :])
+        return cost if end is None else cost + end.constant(x, y_d[-problem.model.n_y :])

@@ -12,10 +12,10 @@ that in calls. All arrays are C-contiguous float64; blocks are counted from 0 he
                N_p−1         hN_p−1  hN_p−2  …                last row: sums over all instants;
                                                               E_ij: E_i+1,j+1 and one product
 
-    Z  (3n, n_x + n_y + n_u + 1)      x         y_ref        u_prev     1
-        n rows    q                   F_x       F_held       0          0
-        n rows    l                   0         0            −1         u_min
-        n rows    u                   0         0            −1         u_max     in units of `unit`
+    Z  (n + 2m, n_x + n_y + n_u + 1)  x         y_ref        u_prev     1
+        n rows    q                   F_x       F_held       F_u        0
+        m rows    l                   0         0            −G         u_min
+        m rows    u                   0         0            −G         u_max    in units of a step
 
 By hand, with one state, input and output, A = 2, B = C = Q = R = 1, N_p = 3, N_c = 2: h = 1, 2, 4
 and Φ has the columns (1, 2, 4) and (0, 1, 2), so that E = ΦᵀΦ + I = [22 10; 10 6]. The last row by
@@ -173,20 +173,29 @@ def condense_blocks(A, B, C, Q, R, N_p, N_c):
 
 
 @njit(cache=True)
-def map_blocks(F_x, F_held, u_min, u_max, unit):
-    """Z (3n, n_x + n_y + n_u + 1) with [q; l; u] = Z [x; y_ref; u_prev; 1] (eq. 20-24).
+def map_blocks(F_x, F_held, F_u, G, u_min, u_max, unit, row_unit):
+    """Z (n + 2m, n_x + n_y + n_u + 1) with [q; l; u] = Z [x; y_ref; u_prev; 1] (eq. 20-24).
 
-    `unit` (n_u,) is the force that one unit of z and of a row stands for.
+    `unit` (n_u,), `row_unit` (r,) are the forces that one unit of z and of a row stands for.
     """
-    n, n_x, n_y, n_u = F_x.shape[0], F_x.shape[1], F_held.shape[1], len(unit)
-    Z = np.zeros((3 * n, n_x + n_y + n_u + 1))
+    n, n_x, n_y = F_x.shape[0], F_x.shape[1], F_held.shape[1]
+    r, n_u = G.shape
+    N_c = n // n_u
+    first, one = n_x + n_y, n_x + n_y + n_u
+    Z = np.zeros((n + 2 * N_c * r, one + 1))
     for a in range(n):
-        i = a % n_u
+        scale = unit[a % n_u]
         for b in range(n_x):
-            Z[a, b] = unit[i] * F_x[a, b]
+            Z[a, b] = scale * F_x[a, b]
         for b in range(n_y):
-            Z[a, n_x + b] = unit[i] * F_held[a, b]
-        for top, limit in ((n, u_min), (2 * n, u_max)):
-            Z[top + a, n_x + n_y + i] = -1.0 / unit[i]
-            Z[top + a, n_x + n_y + n_u] = limit[i] / unit[i]
+            Z[a, n_x + b] = scale * F_held[a, b]
+        for b in range(F_u.shape[1]):
+            Z[a, first + b] = scale * F_u[a, b]
+    for a in range(N_c * r):
+        i = a % r
+        for top, limit in ((n, u_min), (n + N_c * r, u_max)):
+            for b in range(n_u):
+                if G[i, b] != 0.0:
+                    Z[top + a, first + b] = -G[i, b] / row_unit[i]
+            Z[top + a, one] = limit[i] / row_unit[i]
     return Z

@@ -4,8 +4,8 @@
     rows of a move        [rows of the layers in turn]
     low [θ; 1] ≤ A_moves z + A_slack s ≤ high [θ; 1],   s ≥ 0,   cost ρᵀs + ½ ε sᵀs
 
-Every layer brings the same rows and slacks to each move, and all together bring as many rows as
-there are moves and slacks, so one number of variables and rows per move shifts a warm start.
+Every layer brings the same rows and slacks to each move, so a number of variables and a number of
+rows per move shift a warm start.
 
 The penalty is exact (Fletcher 1987, section 14.3): where the problem with hard rows is feasible and
 ρ exceeds the sum of the multipliers on the rows of a slack, s = 0 is optimal and the plan is that
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.mpc.condense import ControlProblem, summed_moves
+from dpbench.mpc.condense import ControlProblem, scaled_rows, summed_rows
 from dpbench.qp.program import Units
 
 
@@ -30,7 +30,8 @@ class Penalty:
 
     Parameters
     ----------
-    amplitude : (n_u,) ρ of the amplitude slacks, per rate-limit step above the limit.
+    amplitude : (n_u,) ρ of the amplitude slacks, per rate-limit step above the limit; of thrusters
+        (p,), each of which has one slack for all its sides.
     outputs : ρ of the output slacks, per unit of their rows.
     curvature : ε.
     """
@@ -52,8 +53,11 @@ class Penalty:
         the smallest eigenvalue of P, so that cond(P) stays.
         """
         size, n_u = np.abs(P), problem.model.n_u
-        span = (problem.u_max - problem.u_min) / problem.du_max
-        amplitude = 0.25 * span * size.sum(axis=1).reshape(-1, n_u).max(axis=0)
+        span = (problem.u_max - problem.u_min) / problem.row_max
+        largest = size.sum(axis=1).reshape(-1, n_u).max(axis=0)
+        if problem.thrusters is not None:
+            span, largest = problem.thrusters.of_each(span, largest)
+        amplitude = 0.25 * span * largest
         outputs = 0.5 * float(span.max() * size.max())
         return cls(amplitude, outputs, float(np.linalg.eigvalsh(P)[0]))
 
@@ -87,26 +91,29 @@ def unlimited(like: NDArray[np.float64], sign: float) -> NDArray[np.float64]:
 
 
 def amplitude_layer(problem: ControlProblem, Z: Matrix, rho: Vector | None) -> Layer:
-    """Amplitude rows C2 z (eq. 20-21); with ρ (n_u,) softened by one slack per force.
+    """Amplitude rows G C2 z (eq. 20-21); with ρ softened by one slack per force or thruster.
 
-    Z is the scaled map of the plain problem. Hard, a move has n_u two-sided rows; soft, it has n_u
-    upper rows C2 z − s ≤ u, then n_u lower rows C2 z + s ≥ l.
+    Z is the scaled map of the plain problem. Hard, a move has r two-sided rows; soft, it has r
+    upper rows G C2 z − s ≤ u, then r lower rows G C2 z + s ≥ l.
     """
-    n_u, N_c = problem.model.n_u, problem.N_c
+    n_u, N_c, r, unit = problem.model.n_u, problem.N_c, len(problem.G), problem.row_max
     n = N_c * n_u
-    sums = summed_moves(N_c, n_u).reshape(N_c, n_u, n)
-    low, high = Z[n:].reshape(2, N_c, n_u, -1)
+    sums = summed_rows(N_c, scaled_rows(problem, "scaled")).reshape(N_c, r, n)
+    low, high = Z[n:].reshape(2, N_c, r, -1)
     if rho is None:
         nothing = np.zeros(0)
-        return Layer(sums, np.zeros((n_u, 0)), low, high, problem.du_max, nothing, nothing)
-    one = np.eye(n_u)
+        return Layer(sums, np.zeros((r, 0)), low, high, unit, nothing, nothing)
+    own, slack_unit = np.eye(r), unit
+    if problem.thrusters is not None:
+        own = np.eye(len(rho))[problem.thrusters.thruster]
+        slack_unit, _ = problem.thrusters.of_each(unit, problem.du_max)
     return Layer(
         np.concatenate((sums, sums), axis=1),
-        np.vstack((-one, one)),
+        np.vstack((-own, own)),
         np.concatenate((unlimited(high, -1.0), low), axis=1),
         np.concatenate((high, unlimited(low, 1.0)), axis=1),
-        np.concatenate((problem.du_max, problem.du_max)),
-        problem.du_max,
+        np.concatenate((unit, unit)),
+        slack_unit,
         rho,
     )
 
@@ -143,25 +150,25 @@ def lay(P: Matrix, Z_q: Matrix, du_max: Vector, layers: list[Layer], epsilon: fl
     n_u, N_c = len(du_max), len(P) // len(du_max)
     units = np.concatenate([du_max, *(layer.slack_unit for layer in layers)])
     rows = np.concatenate([layer.row_unit for layer in layers])
-    block = len(units)
-    assert block == len(rows), "layers bring as many rows as moves and slacks"
-    n, width = N_c * block, Z_q.shape[1]
-    whole_P, A, Z = np.diag(np.full(n, epsilon)), np.zeros((n, n)), np.zeros((3, n, width))
-    place = np.arange(n).reshape(N_c, block)
+    block, m, width = len(units), N_c * len(rows), Z_q.shape[1]
+    n = N_c * block
+    whole_P, A = np.diag(np.full(n, epsilon)), np.zeros((m, n))
+    of_q, of_low, of_high = np.zeros((n, width)), np.zeros((m, width)), np.zeros((m, width))
+    place, row_place = np.arange(n).reshape(N_c, block), np.arange(m).reshape(N_c, -1)
     moves = place[:, :n_u].reshape(-1)
     whole_P[np.ix_(moves, moves)] = P
-    Z[0, moves] = Z_q
+    of_q[moves] = Z_q
     row, column = 0, n_u
     for layer in layers:
         r, s = layer.A_slack.shape
-        own, slacks = place[:, row : row + r], place[:, column : column + s]
+        own, slacks = row_place[:, row : row + r], place[:, column : column + s]
         A[own[:, :, np.newaxis], moves] = layer.A_moves
         A[own[:, :, np.newaxis], slacks[:, np.newaxis]] = layer.A_slack
-        Z[0, slacks, -1] = layer.rho
-        Z[1, own], Z[2, own] = layer.low, layer.high
+        of_q[slacks, -1] = layer.rho
+        of_low[own], of_high[own] = layer.low, layer.high
         row, column = row + r, column + s
     lb, ub = np.zeros((N_c, block)), np.full((N_c, block), np.inf)
     lb[:, :n_u], ub[:, :n_u] = -1.0, 1.0
     si = Units(np.tile(units, N_c), np.tile(rows, N_c))
-    flat_Z = Z.reshape(3 * n, width)
-    return Layered(whole_P, A, lb.reshape(-1), ub.reshape(-1), flat_Z, si, block)
+    Z = np.concatenate((of_q, of_low, of_high))
+    return Layered(whole_P, A, lb.reshape(-1), ub.reshape(-1), Z, si, block)

@@ -3,10 +3,11 @@
     variables   [Δu_0, u_0, x_1 | … | Δu_{N_c−1}, u_{N_c−1}, x_{N_c} | x_{N_c+1} | … | x_{N_p}]
     rows        u_i − u_{i−1} − Δu_i = 0                                             (eq. 18)
                 x_{i+1} − A x_i − B Δu_i = 0                                         (eq. 11)
-                u_min ≤ u_i ≤ u_max                  of stage i < N_c, in this order (eq. 19)
+                u_min ≤ G u_i ≤ u_max                of stage i < N_c, in this order (eq. 19)
                 x_{i+1} − A x_i = 0                                       of the stages behind
     bounds      −Δu_max ≤ Δu_i ≤ Δu_max                                              (eq. 21)
     cost        ½ Σ (C x_i − y_d,i)ᵀ Q (C x_i − y_d,i) + ½ Σ Δu_iᵀ R Δu_i            (eq. 17)
+                + ½ Σ u_iᵀ W u_i                           where thrusters are weighed too
 
 less the part of the cost that is constant. θ = [x; y_ref; u_prev] enters by the right-hand sides of
 the first two blocks of rows and, y_ref, by q: a step changes vectors only, and few of their
@@ -14,12 +15,13 @@ entries. Forces and states cost nothing or little, so P is only semidefinite.
 
 Its optimum is that of the condensed problem, multipliers included. With λ_i of the first rows, μ_i
 of the second, y_i of the third and r_i of the bounds, stationarity along u_i reads
-λ_i − λ_{i+1} + y_i = 0, hence λ_i = −Σ_{j≥i} y_j; along x_i it is the costate recursion
-μ_{i−1} = Aᵀ μ_i − CᵀQ (C x_i − y_d,i), so that −Bᵀ μ_i is the slope of the tracking cost along
-Δu_i; along Δu_i what is left is R Δu_i − Bᵀ μ_i + Σ_{j≥i} y_j + r_i = 0: a row of E ΔU + F_k + C2ᵀ
-y + r = 0 (eq. 24, 28). A Farkas vector of the staged rows has μ = 0, by the same recursion without
-a cost, and leaves C2ᵀ y + r = 0 and the same negative sum over the limits: it proves the condensed
-problem infeasible too. What is kept here are therefore the Δu_i, the y_i and the r_i.
+λ_i − λ_{i+1} + W u_i + Gᵀ y_i = 0, hence λ_i = −Σ_{j≥i} (W u_j + Gᵀ y_j); along x_i it is the
+costate recursion μ_{i−1} = Aᵀ μ_i − CᵀQ (C x_i − y_d,i), so that −Bᵀ μ_i is the slope of the
+tracking cost along Δu_i; along Δu_i what is left is R Δu_i − Bᵀ μ_i − λ_i + r_i = 0: a row of
+E ΔU + F_k + C2ᵀ (I ⊗ Gᵀ) y + r = 0 (eq. 24, 28). A Farkas vector of the staged rows has μ = 0, by
+the same recursion without a cost, and leaves C2ᵀ (I ⊗ Gᵀ) y + r = 0 and the same negative sum over
+the limits: it proves the condensed problem infeasible too. What is kept here are therefore the
+Δu_i, the y_i and the r_i.
 """
 
 from __future__ import annotations
@@ -32,6 +34,7 @@ from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.mpc.condense import ControlProblem, UnitSystem
 from dpbench.mpc.terminal import riccati
+from dpbench.mpc.thruster_rows import Retreat
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution
 
@@ -50,7 +53,8 @@ class StagedQP:
 
     Attributes
     ----------
-    P (n, n), A (m, n), lb, ub (n,) : constant; n = m = N_c (2 n_u + n_x) + (N_p − N_c) n_x.
+    P (n, n), A (m, n), lb, ub (n,) : constant; n = N_c (2 n_u + n_x) + (N_p − N_c) n_x, and m the
+        same with r, the rows of G, for one of the n_u.
     block : 0. Stages with a move and stages without one differ in size, so no number of variables
         shifts a warm start by one move; it is kept as it is.
 
@@ -73,22 +77,34 @@ class StagedQP:
         self.control, self.units, self.amplitude = problem, units, amplitude
         n_x, n_u, N_c = problem.model.n_x, problem.model.n_u, problem.N_c
         self.block = 0
-        self._width, self._cut = 2 * n_u + n_x, N_c * (2 * n_u + n_x)
-        self.n = self.m = self._cut + (problem.N_p - N_c) * n_x
-        self._unit: Vector = problem.du_max if units == "scaled" else np.ones(n_u)
+        r, behind = len(problem.G), (problem.N_p - N_c) * n_x
+        self._width, self._row_width = 2 * n_u + n_x, n_u + n_x + r
+        self._cut, self._row_cut = N_c * self._width, N_c * self._row_width
+        self.n, self.m = self._cut + behind, self._row_cut + behind
+        scaled = units == "scaled"
+        self._unit: Vector = problem.du_max if scaled else np.ones(n_u)
+        self._row_unit: Vector = problem.row_max if scaled else np.ones(r)
         self._build_cost()
         self._build_rows()
         # A solver that is set up anew at every step knows by this that they are the same again,
         # without comparing megabytes.
         for array in (self.P, self.A, self.lb, self.ub):
             array.setflags(write=False)
-        # What moves are at most, summed over the moves up to each: (N_c, n_u).
-        self._reach: Matrix = np.outer(np.arange(1.0, N_c + 1), problem.du_max / self._unit)
+        # What moves are at most, summed over the moves up to each: (N_c, r).
+        self._reach: Matrix = np.outer(np.arange(1.0, N_c + 1), problem.row_max / self._row_unit)
+        self._retreat: Retreat | None = None
+        if problem.thrusters is not None:
+            self._retreat = Retreat(problem.thrusters, problem.du_max, problem.row_max, N_c)
 
     def _start(self, i: int) -> int:
-        """The first variable, and the first row, of stage i."""
+        """The first variable of stage i."""
         last = max(i - self.control.N_c, 0)
         return (i - last) * self._width + last * self.control.model.n_x
+
+    def _first_row(self, i: int) -> int:
+        """The first row of stage i."""
+        last = max(i - self.control.N_c, 0)
+        return (i - last) * self._row_width + last * self.control.model.n_x
 
     def _state(self, i: int) -> slice:
         """Where x_{i+1} stands among the variables."""
@@ -104,6 +120,9 @@ class StagedQP:
         for i in range(problem.N_c):
             at = slice(self._start(i), self._start(i) + model.n_u)
             self.P[at, at] = 0.5 * (move + move.T)
+            if problem.W is not None:
+                force = slice(at.stop, at.stop + model.n_u)
+                self.P[force, force] = problem.W * np.outer(unit, unit)
         for i in range(problem.N_p):
             self.P[self._state(i), self._state(i)] = 0.5 * (weight + weight.T)
         # q along each state, per unit of its reference, and what the last one has on top.
@@ -124,20 +143,22 @@ class StagedQP:
         problem, model, unit = self.control, self.control.model, self._unit
         n_u, n_x = model.n_u, model.n_x
         one, B = np.eye(n_u), model.B * unit
+        G = problem.G * unit / self._row_unit[:, np.newaxis]
         self.A: Matrix = np.zeros((self.m, self.n))
         low, high = np.zeros(self.m), np.zeros(self.m)
         for i in range(problem.N_p):
-            row = self._start(i)
+            row, first = self._first_row(i), self._start(i)
             if i < problem.N_c:
-                du, u = slice(row, row + n_u), slice(row + n_u, row + 2 * n_u)
+                du, u = slice(first, first + n_u), slice(first + n_u, first + 2 * n_u)
                 moved = slice(row, row + n_u)
-                limited = slice(row + n_u + n_x, row + self._width)
+                limited = slice(row + n_u + n_x, row + self._row_width)
                 self.A[moved, du], self.A[moved, u] = -one, one
                 if i > 0:
                     before = self._start(i - 1) + n_u
                     self.A[moved, before : before + n_u] = -one
-                self.A[limited, u] = one
-                low[limited], high[limited] = problem.u_min / unit, problem.u_max / unit
+                self.A[limited, u] = G
+                low[limited] = problem.u_min / self._row_unit
+                high[limited] = problem.u_max / self._row_unit
                 row += n_u
                 self.A[row : row + n_x, du] = -B
             self.A[row : row + n_x, self._state(i)] = np.eye(n_x)
@@ -154,9 +175,9 @@ class StagedQP:
         return stages[:, : self.control.model.n_u]
 
     def _amplitudes(self, along: Vector) -> Matrix:
-        """The entries of the amplitude rows in an array over the rows: a view (N_c, n_u)."""
-        stages = along[: self._cut].reshape(self.control.N_c, self._width)
-        return stages[:, -self.control.model.n_u :]
+        """The entries of the amplitude rows in an array over the rows: a view (N_c, r)."""
+        stages = along[: self._row_cut].reshape(self.control.N_c, self._row_width)
+        return stages[:, -len(self._row_unit) :]
 
     def emit(
         self,
@@ -179,12 +200,23 @@ class StagedQP:
         low[n_u:first] = high[n_u:first] = model.A.dot(x)
         q = self._held.dot(y_ref) if y_ref.ndim == 1 else self._preview(y_ref)
         if limits is not None:
-            u_min, u_max = limits[0] / self._unit, limits[1] / self._unit
+            u_min, u_max = limits[0] / self._row_unit, limits[1] / self._row_unit
             if self.amplitude == "reachable":
-                room = self._reach - 2.0 * np.spacing(np.abs(before) + self._reach)
-                u_min, u_max = np.minimum(u_min, before + room), np.maximum(u_max, before - room)
+                least, most = self._reachable(before)
+                u_min, u_max = np.minimum(u_min, least), np.maximum(u_max, most)
             self._amplitudes(low)[...], self._amplitudes(high)[...] = u_min, u_max
         return QPStep(q, low, high)
+
+    def _reachable(self, before: Vector) -> tuple[Matrix, Matrix]:
+        """What the rate lets the lower and the upper limits of a row be, from these forces on."""
+        if self._retreat is None:
+            room = self._reach - 2.0 * np.spacing(np.abs(before) + self._reach)
+            return before + room, before - room
+        force = before * self._unit
+        along = self.control.G @ force / self._row_unit
+        unit = self.control.row_max / self._row_unit
+        least, most = self._retreat.reach(force)
+        return along + least * unit, along + most * unit
 
     def _preview(self, y_ref: Matrix) -> Vector:
         """q of a reference that changes along the horizon (N_p, n_y)."""

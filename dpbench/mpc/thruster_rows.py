@@ -1,0 +1,115 @@
+"""Limits of thrusters as rows of a QP: circles become regular polygons inside them.
+
+    −T cos(π/s) ≤ (cos a_k, sin a_k)·f_i ≤ T cos(π/s),   a_k = (2k + 1) π/s,   k = 0 … s/2 − 1
+
+        a_1   ╱‾‾╲   a_0        s = 8: four rows in two-sided pairs, sides facing a_k and a_k + π;
+             │    │             corners ahead, abeam and between, so that full thrust T is to be
+        …     ╲__╱   …          had there, and T cos(π/s) at least anywhere else
+
+What satisfies the rows satisfies the circle; between corners the polygon gives away
+1 − cos(π/s) ≈ ½ (π/s)² of the thrust. Opposite sides share a row, because one-sided rows bring
+infinite limits that some solvers take badly. A sector adds two rows through the origin, whose
+other side is T, which no force exceeds. Every other thruster has one row of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpbench.arrays import Matrix, Vector
+from dpbench.ship.thrusters import Thruster, ThrusterSet
+
+
+@dataclass(frozen=True, eq=False)
+class ThrusterRows:
+    """low ≤ G f ≤ high, the limits of all thrusters; r rows, those of a thruster together.
+
+    Parameters
+    ----------
+    G : (r, n_f) rows, each of unit length on the entries of one thruster.
+    low, high : (r,) limits [N]; zero lies within.
+    thruster : (r,) the number of the thruster a row belongs to; entry : (n_f,) that of an entry.
+    """
+
+    G: Matrix
+    low: Vector
+    high: Vector
+    thruster: NDArray[np.intp]
+    entry: NDArray[np.intp]
+
+    def of_each(self, of_row: Vector, of_entry: Vector) -> tuple[Vector, Vector]:
+        """The largest value among the rows (r,), and among the entries (n_f,), of each thruster."""
+        numbers = range(int(self.entry[-1]) + 1)
+        rows = np.array([of_row[self.thruster == i].max() for i in numbers])
+        return rows, np.array([of_entry[self.entry == i].max() for i in numbers])
+
+    def without(self, lost: set[int]) -> tuple[Vector, Vector]:
+        """Limits (r,) each in which the thrusters of these numbers give nothing."""
+        gone = np.isin(self.thruster, sorted(lost))
+        return np.where(gone, 0.0, self.low), np.where(gone, 0.0, self.high)
+
+
+def thruster_rows(thrusters: ThrusterSet, sides: int) -> ThrusterRows:
+    """The rows of a ship's thrusters, azimuths with an even number of sides."""
+    blocks = [_rows_of(thruster, sides) for thruster in thrusters.thrusters]
+    counts = [len(low) for _, low, _ in blocks]
+    G = np.zeros((sum(counts), thrusters.n_f))
+    first = 0
+    for (normals, low, _), place in zip(blocks, thrusters.places, strict=True):
+        G[first : first + len(low), place] = normals
+        first += len(low)
+    low, high = (np.concatenate([block[side] for block in blocks]) for side in (1, 2))
+    numbers = np.arange(len(blocks))
+    components = [thruster.components for thruster in thrusters.thrusters]
+    return ThrusterRows(G, low, high, np.repeat(numbers, counts), np.repeat(numbers, components))
+
+
+def _rows_of(thruster: Thruster, sides: int) -> tuple[Matrix, Vector, Vector]:
+    """Normals (r_i, components), low and high (r_i,) of one thruster."""
+    if thruster.kind != "azimuth":
+        most = np.array([thruster.thrust_N])
+        return np.ones((1, 1)), -thruster.astern * most, most
+    angle = (2.0 * np.arange(sides // 2) + 1.0) * np.pi / sides
+    normals = np.column_stack((np.cos(angle), np.sin(angle)))
+    most = np.full(len(angle), thruster.thrust_N * np.cos(np.pi / sides))
+    if thruster.sector_rad is None:
+        return normals, -most, most
+    start, end = thruster.sector_rad
+    edges = [(-np.sin(start), np.cos(start)), (np.sin(end), -np.cos(end))]
+    beside = np.full(2, thruster.thrust_N)
+    low, high = np.concatenate((-most, 0.0 * beside)), np.concatenate((most, beside))
+    return np.vstack((normals, edges)), low, high
+
+
+class Retreat:
+    """The straight way of each thruster to nothing, by which a lost limit stays reachable.
+
+        f_i = λ_i f,   λ_i = max(0, 1 − i min_j Δf_max,j / |f_j|)   over the entries j of a thruster
+
+    A plan that follows it keeps to the rate, and meets all rows of the thruster at once, which the
+    rate limits of each row by itself would not promise: so row k of move i may be as large as
+    λ_i G_k f, whatever its limit has become. Zero lies within all limits.
+
+    Parameters
+    ----------
+    rows : of the thrusters; du_max : (n_f,) rate limits of a sample; row_max : (r,) unit of a row;
+    N_c : moves.
+    """
+
+    def __init__(self, rows: ThrusterRows, du_max: Vector, row_max: Vector, N_c: int) -> None:
+        self._rows, self._du_max, self._row_max = rows, du_max, row_max
+        self._moves = np.arange(1.0, N_c + 1)[:, np.newaxis]
+        self._thrusters = int(rows.entry[-1]) + 1
+
+    def reach(self, f: Vector) -> tuple[Matrix, Matrix]:
+        """(λ_i − 1) G f in units of the rows, less and plus rounding: (N_c, r) each."""
+        steps = np.zeros(self._thrusters)
+        np.maximum.at(steps, self._rows.entry, np.abs(f) / self._du_max)
+        gone = np.minimum(self._moves / np.maximum(steps, np.finfo(float).tiny), 1.0)
+        along = self._rows.G @ f / self._row_max
+        back = -gone[:, self._rows.thruster] * along
+        rounding = 8.0 * np.spacing(np.abs(along) + self._moves)
+        return back - rounding, back + rounding
