@@ -23,10 +23,14 @@ from dpbench.mpc.model import StateSpace
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """K_y (n_u, n_y), K_mpc (n_u, n_x) of eq. 33; K_mpc = [K_x K_y]."""
+    """K_y (n_u, n_y), K_mpc (n_u, n_x) of eq. 33; K_mpc = [K_x K_y].
+
+    K_u (n_u, n_u) takes − K_u u(k−1) into the law where the force itself is weighed; None else.
+    """
 
     K_y: Matrix
     K_mpc: Matrix
+    K_u: Matrix | None = None
 
 
 def unconstrained_plan(matrices: CondensedMatrices, x: Vector, Y_d: Vector) -> Vector:
@@ -37,11 +41,11 @@ def unconstrained_plan(matrices: CondensedMatrices, x: Vector, Y_d: Vector) -> V
 def gains(problem: ControlProblem, matrices: CondensedMatrices | None = None) -> Gains:
     """The state feedback of eq. 33."""
     matrices = condense_matrices(problem) if matrices is None else matrices
-    n_u, n_y = problem.model.n_u, problem.model.n_y
-    both = scipy.linalg.solve(
-        matrices.E, np.hstack([-matrices.F_held, matrices.F_x]), assume_a="pos"
-    )
-    return Gains(K_y=both[:n_u, :n_y], K_mpc=both[:n_u, n_y:])
+    n_u, n_y, n_x = problem.model.n_u, problem.model.n_y, problem.model.n_x
+    slopes = np.hstack([-matrices.F_held, matrices.F_x, matrices.F_u])
+    first = scipy.linalg.solve(matrices.E, slopes, assume_a="pos")[:n_u]
+    K_u = None if problem.W is None else first[:, n_y + n_x :]
+    return Gains(K_y=first[:, :n_y], K_mpc=first[:, n_y : n_y + n_x], K_u=K_u)
 
 
 def closed_loop(model: StateSpace, law: Gains) -> Matrix:

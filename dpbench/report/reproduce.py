@@ -137,7 +137,7 @@ def _forces(steps: pd.DataFrame, scenario: Scenario) -> Columns:
 
 
 def _increments(steps: pd.DataFrame, scenario: Scenario) -> Columns:
-    return _with_limits(steps, "dtau", -scenario.du_max, scenario.du_max)
+    return _with_limits(steps, "dtau", -scenario.force_step_max, scenario.force_step_max)
 
 
 def _with_limits(steps: pd.DataFrame, what: str, low: np.ndarray, high: np.ndarray) -> Columns:

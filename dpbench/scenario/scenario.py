@@ -15,22 +15,36 @@ from dpbench.display import fields_html, numbers_text
 from dpbench.errors import InputError, UnknownNameError
 from dpbench.mpc.condense import ControlProblem, Terminal, UnitSystem
 from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
-from dpbench.mpc.model import prediction_model
+from dpbench.mpc.model import StateSpace, prediction_model
 from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.reference import ReferenceFilter, reference_table
 from dpbench.mpc.relinearised import RelinearisedQP
 from dpbench.mpc.staged_qp import StagedQP
+from dpbench.mpc.thruster_rows import ThrusterRows, thruster_rows
 from dpbench.scenario.estimation import EstimatorChoice, estimator_choice
 from dpbench.scenario.problem_files import parse_model, problem_path, read_model
 from dpbench.scenario.tables import ControllerTable, ScenarioFile, VesselFile
-from dpbench.ship.actuators import Actuators
+from dpbench.ship.actuators import Actuators, SteeredThrusters
 from dpbench.ship.environment import Environment
 from dpbench.ship.estimation.estimator import Estimator
 from dpbench.ship.froude import Froude
+from dpbench.ship.thrusters import ThrusterSet
 from dpbench.ship.vessel import Vessel
 
 MAX_STEPS = 1_000_000
 """A run keeps every step in memory; a million of them is 83 hours of the paper's ship."""
+
+
+@dataclass(frozen=True, eq=False)
+class ThrusterControl:
+    """What a controller that steers thrusters makes of them.
+
+    thrusters : of the vessel; rows : their limits as the QP has them; W (n_f, n_f) : their weight.
+    """
+
+    thrusters: ThrusterSet
+    rows: ThrusterRows
+    W: Matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +61,14 @@ class Scenario:
     start, reference : (3,) poses [n, e, ψ] in m, m, rad.
     velocity : (3,) of the start, [u, v, r] over ground along the ship's axes in m/s, m/s, rad/s.
     smoothed, preview : reference filter, and whether the controller sees the reference coming.
-    N_p, N_c, Q, R, psi0_rad : horizons, weights (3, 3) in SI, heading of the model.
+    N_p, N_c, Q, R, psi0_rad : horizons, weights in SI, of outputs (3, 3) and of moves (n_u, n_u),
+        heading of the model.
+    steered : thrusters, whose forces are then u (n_u,); None where u is the force (3,).
     relinearised : whether the model is linearised anew at each step.
     amplitude, outputs, terminal : policy of the amplitude limits, bounds on position and speed,
         cost at the end of the horizon.
-    faults : (sample, τ_min, τ_max) from which on these limits hold, in order of time.
+    faults : (sample, least, most) from which on these limits of the rows of u (r,) hold, in order
+        of time.
     files : the documents it was made from, from which `scenario_of` makes it again.
     """
 
@@ -60,7 +77,7 @@ class Scenario:
     shows: str
     vessel: Vessel
     true_ship: Vessel
-    actuators: Actuators | None
+    actuators: Actuators | SteeredThrusters | None
     environment: Environment
     estimation: EstimatorChoice
     steps: int
@@ -75,6 +92,7 @@ class Scenario:
     Q: Matrix
     R: Matrix
     psi0_rad: float
+    steered: ThrusterControl | None
     relinearised: bool
     amplitude: Amplitude
     outputs: OutputBounds | None
@@ -98,7 +116,7 @@ class Scenario:
             "length": f"{self.steps} steps of {self.sample_s:.4g} s",
             "start": numbers_text(self.start, units),
             "reference": numbers_text(self.reference, units),
-            "most in one step": numbers_text(self.du_max, ("N", "N", "N·m")),
+            "most in one step": numbers_text(self.force_step_max, ("N", "N", "N·m")),
             "state": self.estimation.kind,
             "amplitude limits": self.amplitude,
         }
@@ -106,12 +124,27 @@ class Scenario:
 
     @property
     def _controller(self) -> str:
-        return f"tuning {self.tuning} {self.N_p}/{self.N_c}"
+        steers = "" if self.steered is None else ", thrusters"
+        return f"tuning {self.tuning} {self.N_p}/{self.N_c}{steers}"
+
+    @property
+    def force_step_max(self) -> Vector:
+        """The largest change of the force in one sample (3,) [N, N, N·m], axis by axis."""
+        return self.vessel.step_max(self.sample_s)
 
     @property
     def du_max(self) -> Vector:
-        """Δu_max (3,) [N, N, N·m]."""
-        return self.vessel.step_max(self.sample_s)
+        """Δu_max (n_u,) of what is steered: of the force, or of the entries of f [N]."""
+        if self.steered is None:
+            return self.force_step_max
+        return self.steered.thrusters.step_max(self.sample_s)
+
+    def forces(self, u: Matrix) -> Matrix:
+        """The forces on the ship τ (..., 3) of what is steered, u (..., n_u)."""
+        if self.steered is None:
+            return u
+        forces: Matrix = u @ self.steered.thrusters.T_e.T
+        return forces
 
     @property
     def first_state(self) -> Vector:
@@ -122,22 +155,27 @@ class Scenario:
         """What the controller is given: the model at ψ0, horizons, weights, limits."""
         ship = self.vessel
         model = prediction_model(ship.M, ship.D, self.psi0_rad, self.sample_s)
-        limits = ship.tau_min, ship.tau_max, self.du_max
-        return ControlProblem(
-            model, self.N_p, self.N_c, self.Q, self.R, *limits, terminal=self.terminal
-        )
+        horizons = self.N_p, self.N_c, self.Q, self.R
+        if self.steered is None:
+            limits = ship.tau_min, ship.tau_max, self.du_max
+            return ControlProblem(model, *horizons, *limits, terminal=self.terminal)
+        thrusters, rows, W = self.steered.thrusters, self.steered.rows, self.steered.W
+        steered = StateSpace(model.A, model.B @ thrusters.T_e, model.C)
+        limits = rows.low, rows.high, self.du_max
+        return ControlProblem(steered, *horizons, *limits, thrusters=rows, W=W)
 
     def reference_table(self, samples: int) -> Matrix:
         """The reference at each sample (samples, 3), heading unwrapped from the start's."""
         return reference_table(self.start, self.reference, samples, self.sample_s, self.smoothed)
 
     def limit_tables(self, samples: int) -> tuple[Matrix, Matrix]:
-        """τ_min and τ_max in force at each sample: (samples, 3) each [N, N, N·m]."""
-        low, high = (
-            np.tile(limit, (samples, 1)) for limit in (self.vessel.tau_min, self.vessel.tau_max)
-        )
-        for k, tau_min, tau_max in self.faults:
-            low[k:], high[k:] = tau_min, tau_max
+        """The limits in force at each sample, of τ (samples, 3) or of the thrusters' rows."""
+        own = self.vessel.tau_min, self.vessel.tau_max
+        if self.steered is not None:
+            own = self.steered.rows.low, self.steered.rows.high
+        low, high = (np.tile(limit, (samples, 1)) for limit in own)
+        for k, least, most in self.faults:
+            low[k:], high[k:] = least, most
         return low, high
 
     def estimator(self) -> Estimator:
@@ -204,6 +242,7 @@ def scenario_of(
         plant.mass_percent, plant.damping_percent
     )
     environment = spec.environment.environment(scale)
+    steered = _steered(controller, vessel, where)
     # Said here, before anything runs: wind and drift need to know the hull.
     environment.load_coefficients(vessel)
     return Scenario(
@@ -212,7 +251,7 @@ def scenario_of(
         shows=spec.shows,
         vessel=vessel,
         true_ship=true_ship,
-        actuators=_actuators(spec),
+        actuators=_actuators(spec, steered, sample_s, scale),
         environment=environment,
         estimation=estimator_choice(spec, scale, where),
         steps=steps,
@@ -225,13 +264,14 @@ def scenario_of(
         N_p=controller.prediction_horizon,
         N_c=controller.control_horizon,
         Q=np.diag(np.array(controller.output_weight) / scale.pose**2),
-        R=np.diag(_move_weight(controller, vessel.step_max(sample_s), scale)),
+        R=np.diag(_move_weight(controller, vessel, sample_s, scale)),
         psi0_rad=float(np.radians(controller.model_heading_deg)),
+        steered=steered,
         relinearised=controller.linearisation == "each_step",
         amplitude=controller.amplitude,
         outputs=_outputs(controller, scale, sample_s),
         terminal=controller.terminal,
-        faults=_faults(spec, vessel),
+        faults=_faults(spec, vessel, steered, where),
         tuning=controller.tuning,
         files=files,
     )
@@ -247,18 +287,46 @@ def _made(files: str) -> Scenario:
     return scenario_of(json.loads(files))
 
 
-def _move_weight(controller: ControllerTable, du_max: Vector, scale: Froude) -> Vector:
+def _steered(controller: ControllerTable, vessel: Vessel, where: str) -> ThrusterControl | None:
+    """The thrusters that the controller steers; InputError where the vessel has none."""
+    table = controller.thrusters
+    if table is None:
+        return None
+    if vessel.thrusters is None:
+        allowed = f'"forces", or thrusters in the file of vessel {vessel.id}'
+        raise InputError(where, "controller.kind", '"thrusters"', allowed)
+    thrusters = vessel.thrusters
+    W = table.thrust_weight_relative / thrusters.per_entry(thrusters.thrust_N) ** 2
+    rows = thruster_rows(thrusters, table.polygon_sides)
+    return ThrusterControl(thrusters, rows, np.diag(W))
+
+
+def _move_weight(
+    controller: ControllerTable, vessel: Vessel, sample_s: float, scale: Froude
+) -> Vector:
+    if controller.thrusters is not None:
+        assert vessel.thrusters is not None, "steered thrusters are known by now"
+        steps = vessel.thrusters.step_max(sample_s)
+        relative: Vector = controller.thrusters.move_weight_relative / steps**2
+        return relative
     if controller.move_weight_relative is not None:
-        return np.array(controller.move_weight_relative) / du_max**2
+        return np.array(controller.move_weight_relative) / vessel.step_max(sample_s) ** 2
     assert controller.move_weight is not None, "the table demands one of the two"
     return np.array(controller.move_weight) / scale.force**2
 
 
-def _actuators(spec: ScenarioFile) -> Actuators | None:
-    loss = np.array(spec.plant.thrust_loss_percent)
-    if not loss.any() and spec.plant.delay_samples == 0:
+def _actuators(
+    spec: ScenarioFile, steered: ThrusterControl | None, sample_s: float, scale: Froude
+) -> Actuators | SteeredThrusters | None:
+    plant = spec.plant
+    loss = np.array(plant.thrust_loss_percent)
+    behind = Actuators(1.0 - loss / 100.0, plant.delay_samples)
+    if steered is not None:
+        lag_s = plant.thruster_lag_s * scale.time
+        return SteeredThrusters(steered.thrusters, sample_s, lag_s, behind)
+    if not loss.any() and plant.delay_samples == 0:
         return None
-    return Actuators(1.0 - loss / 100.0, spec.plant.delay_samples)
+    return behind
 
 
 def _outputs(controller: ControllerTable, scale: Froude, sample_s: float) -> OutputBounds | None:
@@ -272,10 +340,25 @@ def _outputs(controller: ControllerTable, scale: Froude, sample_s: float) -> Out
     )
 
 
-def _faults(spec: ScenarioFile, vessel: Vessel) -> tuple[tuple[int, Vector, Vector], ...]:
-    events = sorted(spec.faults, key=lambda fault: fault.at_s)
-    shares = [(round(fault.at_s / spec.sample_s), np.array(fault.limit_share)) for fault in events]
-    return tuple((k, share * vessel.tau_min, share * vessel.tau_max) for k, share in shares)
+def _faults(
+    spec: ScenarioFile, vessel: Vessel, steered: ThrusterControl | None, where: str
+) -> tuple[tuple[int, Vector, Vector], ...]:
+    """(sample, least, most) of each fault; of thrusters, what was lost before stays lost."""
+    faults: list[tuple[int, Vector, Vector]] = []
+    gone: set[int] = set()
+    for i, fault in enumerate(sorted(spec.faults, key=lambda fault: fault.at_s)):
+        k = round(fault.at_s / spec.sample_s)
+        if (fault.lost is not None) != (steered is not None):
+            found = "lost" if fault.lost is not None else "limit_share"
+            allowed = 'lost where controller.kind is "thrusters", limit_share where it is not'
+            raise InputError(where, f"faults.{i}", found, allowed)
+        if steered is not None and fault.lost is not None:
+            gone |= steered.thrusters.numbers(fault.lost, where, f"faults.{i}.lost")
+            faults.append((k, *steered.rows.without(gone)))
+        else:
+            share = np.array(fault.limit_share)
+            faults.append((k, share * vessel.tau_min, share * vessel.tau_max))
+    return tuple(faults)
 
 
 def condense(scenario: Scenario, *, units: UnitSystem = "scaled") -> CondensedQP:

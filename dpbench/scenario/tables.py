@@ -27,6 +27,7 @@ from dpbench.scenario.key_types import (
     NotNegative,
     Number,
     Percent,
+    PolygonSides,
     Positive,
     Seconds,
     Share,
@@ -270,6 +271,8 @@ class PlantTable(FileModel):
     """Share of the commanded surge, sway, yaw that never arrives [%]."""
     delay_samples: Count = 0
     """Samples by which a command arrives late."""
+    thruster_lag_s: NotNegative = 0.0
+    """Time constant with which thrusters follow their commands [s]; where thrusters are steered."""
 
 
 class FaultTable(FileModel):
@@ -278,8 +281,16 @@ class FaultTable(FileModel):
 
     at_s: NotNegative
     """When [s]."""
-    limit_share: ThreeShares
+    limit_share: ThreeShares | None = None
     """Share of the vessel's limits in surge, sway, yaw from then on."""
+    lost: list[str] | None = None
+    """Thrusters, or failure groups, that give nothing from then on; where thrusters are steered."""
+
+    @model_validator(mode="after")
+    def _one_fault(self) -> FaultTable:
+        if (self.limit_share is None) == (self.lost is None):
+            raise ValueError("exactly one of limit_share and lost")
+        return self
 
 
 class OutputsTable(FileModel):
@@ -297,8 +308,25 @@ class OutputsTable(FileModel):
         return self
 
 
+class ThrusterControlTable(FileModel):
+    """A controller that steers thrusters: polygons for their limits, weights of their forces."""
+
+    polygon_sides: PolygonSides = 16
+    """Sides of the polygon inside the circle of an azimuth's thrust; even."""
+    thrust_weight_relative: NotNegative
+    """W in multiples of 1/T², T the largest thrust of each thruster."""
+    move_weight_relative: Positive
+    """R in multiples of 1/Δf_max², Δf_max the rate limit of a sample of each thruster."""
+
+
 class ControllerTable(FileModel):
     """Horizons and weights; R either in SI or in multiples of 1/Δu_max²."""
+
+    kind: Literal["forces", "thrusters"] = "forces"
+    """forces: the QP's variables are moves of the force in surge, sway and yaw, as in the paper;
+    thrusters: moves of the forces of the vessel's thrusters."""
+    thrusters: ThrusterControlTable | None = None
+    """Needed for, and only for, kind = "thrusters"."""
 
     tuning: str
     """A name for horizons and weights, for tables."""
@@ -327,8 +355,18 @@ class ControllerTable(FileModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> ControllerTable:
-        if (self.move_weight is None) == (self.move_weight_relative is None):
-            raise ValueError("exactly one of move_weight and move_weight_relative")
+        of_forces = (self.move_weight is not None) + (self.move_weight_relative is not None)
+        steers_thrusters = self.kind == "thrusters"
+        if steers_thrusters != (self.thrusters is not None):
+            raise ValueError('controller.thrusters for, and only for, kind = "thrusters"')
+        if of_forces != (not steers_thrusters):
+            raise ValueError(
+                "the move weight of thrusters in controller.thrusters, not here"
+                if steers_thrusters
+                else "exactly one of move_weight and move_weight_relative"
+            )
+        if steers_thrusters and self.terminal != "none":
+            raise ValueError('terminal = "none" where thrusters are steered')
         return self
 
     @field_validator("control_horizon")

@@ -9,8 +9,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dpbench.arrays import Vector
+from dpbench.arrays import Matrix, Vector
 from dpbench.ship.layout import AXES
+from dpbench.ship.thrusters import ThrusterSet
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,20 +27,91 @@ class Actuators:
     efficiency: Vector = field(default_factory=lambda: np.ones(AXES))
     delay_samples: int = 0
 
+    def start(self) -> Thrust:
+        """The actuators of one run, at rest."""
+        return Thrust(self)
+
+
+@dataclass(frozen=True, eq=False)
+class SteeredThrusters:
+    """Thrusters whose forces are the command.
+
+    Parameters
+    ----------
+    thrusters : those of the ship; sample_s : Δt [s]; lag_s : T [s], 0 for none.
+    behind : what is lost or late besides.
+    """
+
+    thrusters: ThrusterSet
+    sample_s: float
+    lag_s: float
+    behind: Actuators
+
+    def start(self) -> ThrusterForces:
+        """The thrusters of one run, at rest."""
+        return ThrusterForces(self)
+
+
+class Delayed:
+    """A ring of the commands still under way."""
+
+    def __init__(self, samples: int, entries: int) -> None:
+        self._ring, self._newest = np.zeros((samples + 1, entries)), 0
+
+    def oldest(self, command: Vector) -> Vector:
+        """The command that arrives in this sample, in which `command` is given; a view."""
+        self._ring[self._newest] = command
+        self._newest = (self._newest + 1) % len(self._ring)
+        # After the step the place to be written next holds the oldest command.
+        arrived: Vector = self._ring[self._newest]
+        return arrived
+
 
 class Thrust:
-    """The state of the actuators in one run: a ring of the commands still under way."""
+    """The state of the actuators in one run."""
 
     def __init__(self, actuators: Actuators) -> None:
         self._efficiency = actuators.efficiency
-        self._ring = np.zeros((actuators.delay_samples + 1, AXES))
-        self._newest = 0
+        self._late = Delayed(actuators.delay_samples, AXES)
         self._delivered = np.zeros(AXES)
 
     def deliver(self, tau: Vector) -> Vector:
         """The force on the hull in this sample for the command tau (3,); valid until the next."""
-        self._ring[self._newest] = tau
-        self._newest = (self._newest + 1) % len(self._ring)
-        # After the step the place to be written next holds the oldest command.
-        np.multiply(self._efficiency, self._ring[self._newest], out=self._delivered)
+        np.multiply(self._efficiency, self._late.oldest(tau), out=self._delivered)
         return self._delivered
+
+
+class ThrusterForces:
+    """The state of the thrusters in one run: what they give now, and the commands under way.
+
+    Attributes
+    ----------
+    f : (n_f,) their forces at the end of the last sample [N].
+    """
+
+    def __init__(self, steered: SteeredThrusters) -> None:
+        thrusters, behind = steered.thrusters, steered.behind
+        self.f = np.zeros(thrusters.n_f)
+        self._efficient: Matrix = behind.efficiency[:, np.newaxis] * thrusters.T_e
+        self._step_max = thrusters.step_max(steered.sample_s)
+        self._late = Delayed(behind.delay_samples, thrusters.n_f)
+        self._circles = [
+            (at, thruster.thrust_N)
+            for thruster, at in zip(thrusters.thrusters, thrusters.places, strict=True)
+            if thruster.kind == "azimuth"
+        ]
+        lag = steered.lag_s / steered.sample_s
+        self._left = np.exp(-1.0 / lag) if lag > 0.0 else 0.0
+        self._mean = lag * (1.0 - self._left)
+
+    def deliver(self, command: Vector) -> Vector:
+        """The force on the hull (3,) in this sample for the command f (n_f,)."""
+        goal, f = self._late.oldest(command), self.f
+        target = np.clip(goal, f - self._step_max, f + self._step_max)
+        for at, thrust_N in self._circles:
+            size = float(np.sqrt((target[at] ** 2).sum()))
+            if size > thrust_N:
+                target[at] *= thrust_N / size
+        behind = f - target
+        self.f = target + self._left * behind
+        return self._efficient @ (target + self._mean * behind)

@@ -27,7 +27,7 @@ import numpy as np
 from numba import njit
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.ship.actuators import Actuators, Thrust
+from dpbench.ship.actuators import Actuators, SteeredThrusters
 from dpbench.ship.layout import (
     AIR_EAST,
     AIR_NORTH,
@@ -167,7 +167,8 @@ class Plant:
     substeps : Runge-Kutta steps per sample.
     loads : (6,) from `Environment.load_coefficients`, which is None where the weather has neither
         wind nor current nor drift.
-    actuators : what is lost or late between the command and the hull; None for nothing.
+    actuators : what stands between the command and the hull: what is lost or late of a force, or
+        thrusters; None for nothing.
     """
 
     def __init__(
@@ -178,18 +179,20 @@ class Plant:
         substeps: int = SUBSTEPS,
         *,
         loads: Vector | None = None,
-        actuators: Actuators | None = None,
+        actuators: Actuators | SteeredThrusters | None = None,
     ) -> None:
         self.state: Vector = np.array(state, dtype=np.float64)
         self._Minv: Matrix = np.ascontiguousarray(np.linalg.inv(vessel.M))
         self._MinvD: Matrix = np.ascontiguousarray(np.linalg.solve(vessel.M, vessel.D))
         self._loads = None if loads is None else np.array(loads, dtype=np.float64)
-        self._thrust = None if actuators is None else Thrust(actuators)
+        self._thrust = None if actuators is None else actuators.start()
         self._h = sample_s / substeps
         self._work = np.empty((STAGES + 1, STATE))
 
     def advance(self, tau: Vector, stages: Matrix) -> None:
-        """One sample under the commanded force tau (3,) and weather (2·substeps + 1, 3 or 9).
+        """One sample under the command tau and weather (2·substeps + 1, 3 or 9).
+
+        The command is the force (3,), or the forces of the thrusters (n_f,) where it goes to them.
 
         Raises
         ------

@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.errors import InputError
+from dpbench.errors import InputError, one_of
 from dpbench.ship.layout import AXES
 
 ThrusterKind = Literal["azimuth", "tunnel", "main"]
@@ -181,13 +181,6 @@ class ThrusterSet:
         largest: Vector = np.abs(self.T_e) @ self.step_max(1.0)
         return largest
 
-    def index(self, name: str, where: str, key: str) -> int:
-        """The number of the thruster of that name; InputError naming where and key."""
-        names = [thruster.name for thruster in self.thrusters]
-        if name not in names:
-            raise InputError(where, key, repr(name), f"one of {', '.join(names)}")
-        return names.index(name)
-
     @cached_property
     def groups(self) -> dict[str, tuple[int, ...]]:
         """Numbers of the thrusters of each failure group; one without a group is its own."""
@@ -195,6 +188,19 @@ class ThrusterSet:
         for i, thruster in enumerate(self.thrusters):
             found.setdefault(thruster.group or thruster.name, []).append(i)
         return {name: tuple(numbers) for name, numbers in found.items()}
+
+    def numbers(self, names: Sequence[str], where: str, key: str) -> set[int]:
+        """The numbers of thrusters, or of whole failure groups, by name.
+
+        Raises
+        ------
+        InputError : naming where and key, for a name that neither has.
+        """
+        known = {thruster.name: (i,) for i, thruster in enumerate(self.thrusters)} | self.groups
+        for name in names:
+            if name not in known:
+                raise InputError(where, key, repr(name), one_of(name, list(known)))
+        return {i for name in names for i in known[name]}
 
 
 def _most(thruster: Thruster, slope: Vector) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.bench.judge.control_metrics import control_metrics
+from dpbench.bench.judge.thruster_metrics import shares_of_full, thruster_metrics
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.npz import keep, kept
 from dpbench.bench.record.raw_log import COUNTERS, TIMES, RawLog
@@ -172,13 +173,16 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
         "clipped": log.flags[:done, 2].astype(bool),
         "state": log.state[: done + 1].copy(),
         "tau": log.tau[:done].copy(),
-        "command": log.command[:done].copy(),
+        "command": scenario.forces(log.command[:done]).copy(),
     }
     if not done:
         return Evaluated(columns, {})
-    limits, steered = (scaled.tau_min, scaled.tau_max), (exact.state, exact.tau)
-    state, tau = columns["state"], columns["tau"]
-    metrics = control_metrics(scenario, state, tau, scaled.reference, limits, steered)
+    thrust = log.thrust[:done]
+    columns |= shares_of_full(scenario, thrust)
+    limits, state = (scaled.u_min, scaled.u_max), columns["state"]
+    run = columns["tau"] if scenario.steered is None else thrust
+    metrics = control_metrics(scenario, state, run, scaled.reference, limits, exact)
+    metrics |= thruster_metrics(scenario, thrust, limits)
     metrics["matrix_steps"] = float(matrix_steps)
     metrics |= dict(zip(COUNTERS, log.counters[0].tolist(), strict=True))
     return Evaluated(columns, metrics)

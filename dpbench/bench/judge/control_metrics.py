@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.bench.record.schema import AXES, FORCES
+from dpbench.bench.run.exact_loop import ExactLoop
 from dpbench.scenario.scenario import Scenario
 
 AT_LIMIT = 1e-6
@@ -16,28 +17,29 @@ AT_LIMIT = 1e-6
 def control_metrics(
     scenario: Scenario,
     state: Matrix,
-    tau: Matrix,
+    u: Matrix,
     reference: Matrix,
     limits: tuple[Matrix, Matrix],
-    exact: tuple[Matrix, Matrix],
+    exact: ExactLoop,
 ) -> dict[str, float]:
     """Metrics of a run of K steps.
 
     Parameters
     ----------
-    state : (K + 1, 6) [u, v, r, n, e, ψ] at the sample times; tau : (K, 3) force applied.
-    reference : at least (K + 1, 3) [n, e, ψ] at the sample times; limits : τ_min and τ_max in force
-        in each sample, at least (K, 3).
-    exact : state (K + 1, 6) and tau (K, 3) of the exactly solved loop, at least as long.
+    state : (K + 1, 6) [u, v, r, n, e, ψ] at the sample times; u : (K, n_u) what was applied, force
+        or forces of thrusters.
+    reference : at least (K + 1, 3) [n, e, ψ] at the sample times; limits : those of u in force in
+        each sample, at least (K, r).
+    exact : the exactly solved loop, at least as long.
     """
-    K = len(tau)
+    K, tau = len(u), scenario.forces(u)
     dt = scenario.sample_s
     error = state[:K, 3:] - reference[:K]
     radius = np.hypot(error[:, 0], error[:, 1])
     heading = np.degrees(np.abs(error[:, 2]))
     t = np.arange(K, dtype=np.float64) * dt
-    u_before = np.vstack([np.zeros(3), tau[:-1]])
-    change = tau - u_before
+    before = np.vstack([np.zeros(3), tau[:-1]])
+    change = tau - before
     metrics = {
         "r_rms_m": _rms(radius),
         "r_95_m": float(np.quantile(radius, 0.95)),
@@ -49,17 +51,22 @@ def control_metrics(
         "settle_0p1m_s": _settling(t, radius <= 0.1, dt, hold_s=None),
         "share_1m": float(np.mean(radius <= 1.0)),
         "pose_error": float(np.mean(radius + 0.75**radius * np.abs(error[:, 2]))),
-        "closed_loop_cost": _cost(scenario, state[1 : K + 1, 3:] - reference[1 : K + 1], change),
-        "exact_cost": _cost_of(scenario, exact, reference, K),
+        "closed_loop_cost": _cost(scenario, state[: K + 1], u, reference),
+        "exact_cost": _cost(scenario, exact.state[: K + 1], _steered(exact)[:K], reference),
     }
     return (
         metrics
         | _watch_shares(radius, heading)
         | _of_axes(t, error, dt)
         | _effort(scenario, state[:K, :3], tau, change)
-        | _limit_shares(scenario, tau, u_before, limits)
+        | ({} if scenario.steered else _limit_shares(scenario, tau, before, limits))
         | _deviation(state[:K], tau, exact)
     )
+
+
+def _steered(exact: ExactLoop) -> Matrix:
+    """What the exactly solved loop applied: forces of thrusters where it has any."""
+    return exact.thrust if exact.thrust.shape[1] else exact.tau
 
 
 def _watch_shares(radius: Vector, heading: Vector) -> dict[str, float]:
@@ -112,17 +119,15 @@ def _overshoot(error: Vector) -> float:
     return float(max(0.0, np.max(-np.sign(error[0]) * error)))
 
 
-def _cost(scenario: Scenario, error: Matrix, change: Matrix) -> float:
-    tracking = np.einsum("ki,ij,kj->", error, scenario.Q, error)
-    moving = np.einsum("ki,ij,kj->", change, scenario.R, change)
-    return 0.5 * float(tracking + moving)
-
-
-def _cost_of(scenario: Scenario, exact: tuple[Matrix, Matrix], reference: Matrix, K: int) -> float:
-    """Cost of the exactly solved loop over its first K steps."""
-    state, tau = exact[0][: K + 1], exact[1][:K]
-    change = np.diff(tau, axis=0, prepend=np.zeros((1, 3)))
-    return _cost(scenario, state[1:, 3:] - reference[1 : K + 1], change)
+def _cost(scenario: Scenario, state: Matrix, u: Matrix, reference: Matrix) -> float:
+    """½ Σ eᵀQe + ½ Σ ΔuᵀRΔu, and ½ Σ uᵀWu of thrusters, over the K steps of u."""
+    error = state[1:, 3:] - reference[1 : len(state)]
+    change = np.diff(u, axis=0, prepend=np.zeros((1, u.shape[1])))
+    cost = np.einsum("ki,ij,kj->", error, scenario.Q, error)
+    cost += np.einsum("ki,ij,kj->", change, scenario.R, change)
+    if scenario.steered is not None:
+        cost += np.einsum("ki,ij,kj->", u, scenario.steered.W, u)
+    return 0.5 * float(cost)
 
 
 def _effort(scenario: Scenario, nu: Matrix, tau: Matrix, change: Matrix) -> dict[str, float]:
@@ -156,12 +161,12 @@ def _limit_shares(
     return shares
 
 
-def _deviation(state: Matrix, tau: Matrix, exact: tuple[Matrix, Matrix]) -> dict[str, float]:
+def _deviation(state: Matrix, tau: Matrix, exact: ExactLoop) -> dict[str, float]:
     K = len(tau)
-    away = state - exact[0][:K]
+    away = state - exact.state[:K]
     position = np.hypot(away[:, 3], away[:, 4])
     heading = np.degrees(np.abs(away[:, 5]))
-    force = np.abs(tau[:, :2] - exact[1][:K, :2]).max(axis=1)
+    force = np.abs(tau[:, :2] - exact.tau[:K, :2]).max(axis=1)
     return {
         "dev_position_max_m": float(position.max()),
         "dev_position_rms_m": _rms(position),

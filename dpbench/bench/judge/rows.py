@@ -96,6 +96,7 @@ def _ship_columns(columns: Columns) -> pd.DataFrame:
         ship[f"tau_{axis}"] = tau[:, i]
         ship[f"dtau_{axis}"] = change[:, i]
         ship[f"cmd_{axis}"] = columns["command"][:, i]
+    ship |= {name: columns[name] for name in ("thrust_share", "power_share") if name in columns}
     return pd.DataFrame(ship)
 
 

@@ -44,13 +44,15 @@ FOOTPRINT = (
 """What `RawLog.footprint` holds of a worker (`footprint.py`); NaN where it was not measured."""
 
 
-def loop_layout(steps: int, n: int, m: int, n_theta: int) -> Layout:
-    """Arrays of a closed-loop log of `steps` steps."""
+def loop_layout(steps: int, n: int, m: int, n_theta: int, n_f: int = 0) -> Layout:
+    """Arrays of a closed-loop log of `steps` steps; n_f entries of thrusters, where they are
+    steered."""
     return _answers(1, steps, n, m) | {
         "theta": ("f8", (steps, n_theta)),
         "state": ("f8", (steps + 1, 6)),
         "tau": ("f8", (steps, 3)),
-        "command": ("f8", (steps, 3)),
+        "thrust": ("f8", (steps, n_f)),
+        "command": ("f8", (steps, n_f or 3)),
         "flags": ("u1", (steps, 3)),
         "latency_ns": ("i8", (steps,)),
         "counters": ("f8", (1, len(COUNTERS))),
@@ -93,7 +95,8 @@ class RawLog:
     whole. `flags` (steps, 3) holds fallback, unconverged, clipped; `attempts[r]` how often round r
     was begun; `first_ns` (steps,) the time of the first visit of each step, −1 where it had no
     record, and `first_reference_kernel_ns[r]` the larger reference time around the first attempt of
-    round r; `latency_ns` (steps,) what `slow_computer.py` writes, nothing in other loops.
+    round r; `tau` the force applied and `thrust` the forces of thrusters, where they are steered;
+    `latency_ns` (steps,) what `slow_computer.py` writes, nothing in other loops.
     """
 
     done: NDArray[np.int64]
@@ -110,6 +113,7 @@ class RawLog:
     theta: NDArray[np.float64]
     state: NDArray[np.float64]
     tau: NDArray[np.float64]
+    thrust: NDArray[np.float64]
     command: NDArray[np.float64]
     flags: NDArray[np.uint8]
     latency_ns: NDArray[np.int64]

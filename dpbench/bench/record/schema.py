@@ -86,6 +86,8 @@ STEP_COLUMNS: Columns = {
     "cmd_x_N": ("float64", "force commanded before clipping"),
     "cmd_y_N": ("float64", "force commanded before clipping"),
     "cmd_n_Nm": ("float64", "moment commanded before clipping"),
+    "thrust_share": ("float64", "thrust of all thrusters, of their full; NaN if not steered"),
+    "power_share": ("float64", "their power Σ|f|^1.5, of that at full thrust"),
 }
 
 IDENTITY_COLUMNS: Columns = {
@@ -276,6 +278,13 @@ CONTROL_COLUMNS: Columns = {
     "work_J": ("float64", "∫ |τᵀν| dt"),
     **{f"at_rate_{f}": ("float64", "share of steps at a rate limit") for f in FORCES},
     **{f"at_amplitude_{f}": ("float64", "share of steps at an amplitude limit") for f in FORCES},
+    "thrust_share": ("float64", "mean thrust of all thrusters, of their full; NaN if not steered"),
+    "power_share": ("float64", "mean power of all thrusters, |f|^1.5, of that at full thrust"),
+    "thrust_variation": ("float64", "Σ |Δf|/T over thrusters and steps: wear"),
+    "azimuth_travel_deg": ("float64", "how far azimuths turned while they pushed [°]"),
+    "thrust_reversals": ("float64", "how often tunnels and main propellers reversed"),
+    "at_rate_thrusters": ("float64", "share of steps with a thruster at its rate limit"),
+    "at_limit_thrusters": ("float64", "share of steps with a thruster at the limit of its thrust"),
     "closed_loop_cost": ("float64", "½ Σ (y−y_d)ᵀQ(y−y_d) + ½ Σ ΔuᵀRΔu over the run"),
     "exact_cost": ("float64", "the same of the exactly solved loop, over as many steps"),
     "dev_position_max_m": ("float64", "largest deviation from the exactly solved loop"),

@@ -2,9 +2,9 @@
 
 Order at t_k: measure or estimate x_m; Δx_m(k) = x_m(k) − x_m(k−1), zero at k = 0; emit the QP;
 solve; limit the first move by rate, then by amplitude; hold the force over [t_k, t_{k+1}). u(k−1)
-is the force that was *applied*. Only the solver's call stands between two clock reads of its
-phases. On a slow computer (`slow_computer.py`) another stands in for solver and fallback; the loop
-is the same.
+is the force that was *applied*; where thrusters are steered, u are their forces and T_e u is that
+on the ship. Only the solver's call stands between two clock reads of its phases. On a slow computer
+(`slow_computer.py`) another stands in for solver and fallback; the loop is the same.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ import numpy as np
 from dpbench.arrays import Vector
 from dpbench.bench.record.cell import Fallback
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.run.fallback import FallbackLaw, limit_move
+from dpbench.bench.run.fallback import FallbackLaw, limit_of
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.slow_computer import ComputationalDelay, SlowComputer, Usage, never_preempted
 from dpbench.bench.run.timed_solver import Clock, TimedSolver, record_answer
 from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Status
 from dpbench.scenario.scenario import Scenario
-from dpbench.ship.layout import POSE
+from dpbench.ship.layout import AXES, POSE
 from dpbench.ship.measurement import Sensors
 from dpbench.ship.plant import SUBSTEPS, Plant
 
@@ -63,7 +63,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     scenario, builder, log = setup.scenario, setup.builder, setup.log
     clock, limit_ns, steps = setup.clock, setup.limit_ns, scenario.steps
     plant = _plant(scenario)
-    weather, du_max = scenario.environment, scenario.du_max
+    weather = scenario.environment
     sea = weather.stage_table(steps, scenario.sample_s, SUBSTEPS)
     sensors, estimator = Sensors(weather, steps, scenario.sample_s), scenario.estimator()
     solver, law, emit = _steering(setup)
@@ -74,6 +74,10 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     # The augmented state [Δν, Δη, y]: what changed in the ship's state, and the pose itself.
     change, at_x, at_u = slice(0, pose.start), theta.x, theta.u_prev
     x, u = np.zeros(model.n_x), np.zeros(model.n_u)
+    limit, T_e = limit_of(builder.condensed.control), None
+    tau, applied = u, log.tau
+    if scenario.steered is not None:
+        tau, applied, T_e = np.zeros(AXES), log.thrust, scenario.steered.thrusters.T_e
     sense, estimate = sensors.sense, estimator.update
     log.counters[:] = np.nan
     log.setup_once_ns[0] = solver.prepare()
@@ -83,7 +87,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     log.started[0] = 1
     for k in range(steps):
         t0 = clock()
-        x[pose] = estimate(sense(state, k), u)[POSE]
+        x[pose] = estimate(sense(state, k), tau)[POSE]
         x[change] = estimator.change
         log.theta[k, at_x], log.theta[k, at_u] = x, u
         t1 = clock()
@@ -95,12 +99,14 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
         if usable:
             du = law.remember(moves(solution.z))
         else:
-            du = law.move(x, reference[k])
+            du = law.move(x, reference[k], u)
             solver.reset()
         np.add(u, du, out=log.command[k])
-        u_min, u_max = builder.tau_min[k], builder.tau_max[k]
-        clipped = limit_move(u, du, du_max, u_min, u_max, log.tau[k])
-        u[...] = log.tau[k]
+        clipped = limit(u, du, builder.u_min[k], builder.u_max[k], applied[k])
+        u[...] = applied[k]
+        if T_e is not None:
+            T_e.dot(u, out=tau)
+            log.tau[k] = tau
         log.flags[k] = (law.acted, usable and solution.status in _UNFINISHED, clipped)
         record_answer(log, 0, k, solution)
         plant.advance(u, sea[k])

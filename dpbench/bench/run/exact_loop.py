@@ -32,7 +32,7 @@ from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario
 from dpbench.solvers.contract import Workspace
 
-_OF_LOOP = ("theta", "state", "tau", "z")
+_OF_LOOP = ("theta", "state", "tau", "thrust", "z")
 _OF_OPTIMUM = ("z", "y", "y_box", "bound", "kind")
 
 
@@ -84,7 +84,8 @@ class ExactWorkspace(Workspace):
 class ExactLoop:
     """The exactly solved loop of a scenario.
 
-    theta (K, 16) : [x; y_ref; u_prev; 1] of each step; state (K + 1, 6); tau (K, 3); z (K, n).
+    theta (K, 16) : [x; y_ref; u_prev; 1] of each step; state (K + 1, 6); tau (K, 3); z (K, n);
+        thrust (K, n_f) : forces of thrusters, where they are steered.
     optima : the certified optimum of each step in scaled units, so that no replay has to certify
         the same QP again for every one of its configurations.
     """
@@ -92,6 +93,7 @@ class ExactLoop:
     theta: Matrix
     state: Matrix
     tau: Matrix
+    thrust: Matrix
     z: Matrix
     optima: list[Optimum]
 
@@ -146,7 +148,7 @@ def solve_exactly(scenario: Scenario) -> ExactLoop:
     if without.any():
         k = int(np.flatnonzero(without)[0])
         raise CertificateError(f"{scenario.name}: step {k} has no certified optimum")
-    return ExactLoop(log.theta, log.state, log.tau, log.z[0], workspace.optima)
+    return ExactLoop(log.theta, log.state, log.tau, log.thrust, log.z[0], workspace.optima)
 
 
 def base_problem(builder: CondensedQP) -> QuadraticProgram:

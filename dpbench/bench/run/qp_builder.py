@@ -23,7 +23,8 @@ class QPBuilder:
     ----------
     condensed : the builder of the condensed QPs; staged : that of the sparse ones, if they are
         meant.
-    reference (K + N_p, 3), tau_min, tau_max (K, 3) : what is wanted and allowed at each sample.
+    reference (K + N_p, 3), u_min, u_max (K, r) : what is wanted and allowed at each sample.
+    n_f : entries of the thrusters' forces, where they are steered; 0 else.
     """
 
     def __init__(
@@ -33,23 +34,24 @@ class QPBuilder:
         self.staged = keep_states(scenario, units=units) if sparse else None
         self._emit = self.condensed.emit if self.staged is None else self.staged.emit
         self.reference: Matrix = scenario.reference_table(scenario.steps + scenario.N_p)
-        self.tau_min, self.tau_max = scenario.limit_tables(scenario.steps)
+        self.n_f = 0 if scenario.steered is None else scenario.steered.thrusters.n_f
+        self.u_min, self.u_max = scenario.limit_tables(scenario.steps)
         self._horizon = scenario.N_p if scenario.preview else 0
         # The vessel's own limits are in the builder; limits of a fault are handed over.
         self._fault = min((k for k, _, _ in scenario.faults), default=scenario.steps)
 
     @property
-    def sizes(self) -> tuple[int, int, int]:
-        """n and m of the condensed QPs, and the length of [θ; 1]."""
-        return self.condensed.n, self.condensed.m, int(self.condensed.Z.shape[1])
+    def sizes(self) -> tuple[int, int, int, int]:
+        """n and m of the condensed QPs, the length of [θ; 1], and n_f."""
+        return self.condensed.n, self.condensed.m, int(self.condensed.Z.shape[1]), self.n_f
 
     def emit(self, k: int, x: Vector, u_prev: Vector) -> QPStep:
-        """The QP of step k: x (9,), u_prev (3,) as for `CondensedQP.emit`."""
+        """The QP of step k: x (9,), u_prev (n_u,) as for `CondensedQP.emit`."""
         table, ahead = self.reference, self._horizon
         y_ref = table[k + 1 : k + 1 + ahead] if ahead else table[k]
         if k < self._fault:
             return self._emit(x, y_ref, u_prev)
-        limits = self.tau_min[k], self.tau_max[k]
+        limits = self.u_min[k], self.u_max[k]
         return self._emit(x, y_ref, u_prev, limits=limits)
 
     def rebuild(self, k: int, theta: Vector) -> QPStep:

@@ -123,14 +123,14 @@ class SlowComputer:
         self._delay, self._solver, self._builder, self._law = delay, solver, builder, law
         self._usage, self._latency_ns = usage, latency_ns
         latency_ns[:] = -1
-        n, m, _ = builder.sizes
+        n, m, *_ = builder.sizes
         self._nothing = Solution.missing(n, m, Status.UNKNOWN)
         model = builder.condensed.control.model
         self._k, self._x, self._u = 0, np.zeros(model.n_x), np.zeros(model.n_u)
         # The step at which the processor is free, and the plan that arrives then.
         self._free = 0
         self._coming: Matrix | None = None
-        # Forces (N_c, 3) of a plan that arrived late, and the step it was computed in; None when
+        # Forces (N_c, n_u) of a plan that arrived late, and the step it was computed in; None when
         # a later one was in time, which the fallback follows as it always does.
         self._plan: Matrix | None = None
         self._since = self._started = 0
@@ -188,9 +188,9 @@ class SlowComputer:
         self._plan, self.acted = None, False
         return self._law.remember(moves)
 
-    def move(self, x: Vector, y_ref: Vector) -> Vector:
+    def move(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
         """Δu (n_u,) in a step that has no usable answer of its own."""
-        del x, y_ref  # those of the step are known from `emit`
+        del x, y_ref, u_prev  # those of the step are known from `emit`
         return self._go_on()
 
     def reset(self) -> None:
@@ -205,4 +205,4 @@ class SlowComputer:
             age = min(self._k - self._since, len(self._plan) - 1)
             to_plan: Vector = self._plan[age] - self._u
             return to_plan
-        return self._law.move(self._x, self._builder.reference[self._k])
+        return self._law.move(self._x, self._builder.reference[self._k], self._u)

@@ -106,12 +106,12 @@ def log_size(cell: Cell, path: Path) -> int:
     """
     with kept(path) as stored:
         if cell.source:
-            n, m, n_theta = stored["q"].shape[1], stored["A"].shape[0], 0
+            n, m, n_theta, n_f = stored["q"].shape[1], stored["A"].shape[0], 0, 0
         else:
             n, m = stored["z"].shape[1], stored["optimum_y"].shape[1]
-            n_theta = stored["theta"].shape[1]
+            n_theta, n_f = stored["theta"].shape[1], stored["thrust"].shape[1]
     if cell.mode == "closed_loop":
-        return log_bytes(loop_layout(cell.steps, n, m, n_theta))
+        return log_bytes(loop_layout(cell.steps, n, m, n_theta, n_f))
     return log_bytes(replay_layout(cell.rounds + 1, cell.steps, n, m))
 
 

@@ -133,7 +133,7 @@ def increments(laws: Sequence[Law], scenario: Scenario) -> Any:
             f"dtau_{key}_{unit}",
             scale,
             f"Δ{name} [{shown}]",
-            (-scenario.du_max[i], scenario.du_max[i]),
+            (-scenario.force_step_max[i], scenario.force_step_max[i]),
         )
         for i, (name, key, unit, scale, shown) in enumerate(AXES)
     ]

@@ -255,7 +255,7 @@ def test_limit_move_keeps_rate_and_reachable_amplitude(
 ) -> None:
     """The applied force obeys the rate limit always, and the amplitude as soon as it can."""
     applied = np.empty(1)
-    arrays = (np.array([v]) for v in (u, du, step, low, high))
+    arrays = (np.array([v]) for v in (step, u, du, low, high))
     limit_move(*arrays, applied)
     rounding = 4e-16
     assert abs(applied[0] - u) <= step + rounding
@@ -267,4 +267,4 @@ def test_limit_move_keeps_rate_and_reachable_amplitude(
 def test_fallback_without_a_plan_holds(scenario: Scenario) -> None:
     """Before there ever was a usable plan, the shifted plan is to hold."""
     law = FallbackLaw("shifted_plan", condense(scenario))
-    np.testing.assert_array_equal(law.move(np.zeros(9), np.zeros(3)), np.zeros(3))
+    np.testing.assert_array_equal(law.move(np.zeros(9), np.zeros(3), np.zeros(3)), np.zeros(3))

@@ -29,9 +29,8 @@ def exact(name: str) -> ExactLoop:
 def measured(scenario: Scenario, loop: ExactLoop) -> dict[str, float]:
     """The metrics of a loop."""
     builder = QPBuilder(scenario)
-    limits = builder.tau_min, builder.tau_max
-    away = loop.state, loop.tau
-    return control_metrics(scenario, loop.state, loop.tau, builder.reference, limits, away)
+    limits = builder.u_min, builder.u_max
+    return control_metrics(scenario, loop.state, loop.tau, builder.reference, limits, loop)
 
 
 def metrics(name: str) -> dict[str, float]:

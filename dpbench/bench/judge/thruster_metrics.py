@@ -1,0 +1,109 @@
+"""What a controller that steers thrusters asks of them: thrust, power, wear, limits.
+
+Power of a propeller grows as |f|^1.5 (constant pitch, at zero speed); the wear of its drive is told
+by how much its thrust varies and how far its azimuth travels.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dpbench.arrays import Matrix, Vector
+from dpbench.mpc.thruster_rows import Retreat
+from dpbench.scenario.scenario import Scenario, ThrusterControl
+
+PUSHING = 0.01
+"""Share of its full thrust from which the direction of a thruster counts."""
+AT_LIMIT = 1e-6
+"""In rate-limit steps: closer than this counts as being at a limit."""
+
+
+def shares_of_full(scenario: Scenario, f: Matrix) -> dict[str, Vector]:
+    """Σ|f_i|/ΣT_i and Σ|f_i|^1.5/ΣT_i^1.5 of each step of f (K, n_f): (K,) each.
+
+    Nothing where the force is steered.
+    """
+    if scenario.steered is None:
+        return {}
+    thrusters = scenario.steered.thrusters
+    size, most = thrusters.size(f), thrusters.thrust_N
+    power: Vector = (size**1.5).sum(axis=1) / (most**1.5).sum()
+    return {"thrust_share": size.sum(axis=1) / most.sum(), "power_share": power}
+
+
+def thruster_metrics(
+    scenario: Scenario, f: Matrix, limits: tuple[Matrix, Matrix]
+) -> dict[str, float]:
+    """Metrics of the forces f (K, n_f) [N] of a run; nothing where the force is steered.
+
+    Parameters
+    ----------
+    limits : least and most of the thrusters' rows in force in each sample, at least (K, r).
+    """
+    control = scenario.steered
+    if control is None:
+        return {}
+    before = np.vstack([np.zeros(f.shape[1]), f[:-1]])
+    change = f - before
+    shares = shares_of_full(scenario, f)
+    per_entry = control.thrusters.per_entry(control.thrusters.thrust_N)
+    turned_deg, reversals = _directions(control, f, before)
+    at_rate = np.abs(change) >= (1.0 - AT_LIMIT) * scenario.du_max
+    at_limit, violated = _at_limits(scenario, control, f, before, limits)
+    return {
+        "thrust_share": float(shares["thrust_share"].mean()),
+        "power_share": float(shares["power_share"].mean()),
+        "thrust_variation": float(np.abs(change / per_entry).sum()),
+        "azimuth_travel_deg": turned_deg,
+        "thrust_reversals": reversals,
+        "at_rate_thrusters": float(at_rate.any(axis=1).mean()),
+        "at_limit_thrusters": at_limit,
+        "limit_violations": violated,
+    }
+
+
+def _directions(control: ThrusterControl, f: Matrix, before: Matrix) -> tuple[float, float]:
+    """How far azimuths turned while pushing [°], and how often other thrusters reversed."""
+    turned, reversals = 0.0, 0
+    parts = zip(control.thrusters.thrusters, control.thrusters.places, strict=True)
+    for thruster, at in parts:
+        now, then = f[:, at], before[:, at]
+        least = PUSHING * thruster.thrust_N
+        pushing = (np.linalg.norm(now, axis=1) > least) & (np.linalg.norm(then, axis=1) > least)
+        if thruster.components == 2:
+            cross = then[:, 0] * now[:, 1] - then[:, 1] * now[:, 0]
+            turned += float(np.abs(np.arctan2(cross, (now * then).sum(axis=1)))[pushing].sum())
+        else:
+            sides = np.sign(f[np.abs(f[:, at.start]) > least, at.start])
+            reversals += int(np.count_nonzero(np.diff(sides)))
+    return float(np.degrees(turned)), float(reversals)
+
+
+def _at_limits(
+    scenario: Scenario,
+    control: ThrusterControl,
+    f: Matrix,
+    before: Matrix,
+    limits: tuple[Matrix, Matrix],
+) -> tuple[float, float]:
+    """Share of steps with a thruster at its limit, and steps in which one is beyond it.
+
+    What the rate leaves of a limit that has just dropped is not beyond it.
+    """
+    problem = scenario.control_problem()
+    unit, G = problem.row_max, control.rows.G
+    low, high = (limit[: len(f)] for limit in limits)
+    along = f @ G.T
+    near = AT_LIMIT * unit
+    at_limit = ((along >= high - near) | (along <= low + near)).any(axis=1)
+    beyond = (along > high + 1e-9 * unit) | (along < low - 1e-9 * unit)
+    too_fast = (np.abs(f - before) > scenario.du_max * (1.0 + 1e-12)).any(axis=1)
+    retreat = Retreat(control.rows, scenario.du_max, unit, 1)
+    violated = int(too_fast.sum())
+    for k in np.flatnonzero(beyond.any(axis=1) & ~too_fast).tolist():
+        least, most = (row[0] * unit for row in retreat.reach(before[k]))
+        back = G @ before[k]
+        above = along[k] > np.maximum(high[k], back + most) + 1e-9 * unit
+        below = along[k] < np.minimum(low[k], back + least) - 1e-9 * unit
+        violated += bool((above | below).any())
+    return float(at_limit.mean()), float(violated)
