@@ -47,9 +47,18 @@ class ThrusterRows:
         return rows, np.array([of_entry[self.entry == i].max() for i in numbers])
 
     def without(self, lost: set[int]) -> tuple[Vector, Vector]:
-        """Limits (r,) each in which the thrusters of these numbers give nothing."""
-        gone = np.isin(self.thruster, sorted(lost))
-        return np.where(gone, 0.0, self.low), np.where(gone, 0.0, self.high)
+        """Limits (r,) each in which the thrusters of these numbers give nothing.
+
+        As many rows of a thruster become zero as it has entries, of an azimuth two that lie across
+        each other: all of them would say the same many times over.
+        """
+        low, high = self.low.copy(), self.high.copy()
+        for i in lost:
+            rows = np.flatnonzero(self.thruster == i)
+            sides = np.count_nonzero(self.low[rows] < 0.0)
+            zero = rows[[0, sides // 2][: np.count_nonzero(self.entry == i)]]
+            low[zero] = high[zero] = 0.0
+        return low, high
 
 
 def thruster_rows(thrusters: ThrusterSet, sides: int) -> ThrusterRows:
@@ -84,10 +93,15 @@ def _rows_of(thruster: Thruster, sides: int) -> tuple[Matrix, Vector, Vector]:
     return np.vstack((normals, edges)), low, high
 
 
+RETREAT = 0.9
+"""Share of the rate at which a limit that was lost closes in, so that plans keep some freedom and no
+rounding decides whether there is one."""
+
+
 class Retreat:
     """The straight way of each thruster to nothing, by which a lost limit stays reachable.
 
-        f_i = λ_i f,   λ_i = max(0, 1 − i min_j Δf_max,j / |f_j|)   over the entries j of a thruster
+        f_i = λ_i f,   λ_i = max(0, 1 − 0.9 i min_j Δf_max,j / |f_j|)   over the entries j of one
 
     A plan that follows it keeps to the rate, and meets all rows of the thruster at once, which the
     rate limits of each row by itself would not promise: so row k of move i may be as large as
@@ -101,15 +115,15 @@ class Retreat:
 
     def __init__(self, rows: ThrusterRows, du_max: Vector, row_max: Vector, N_c: int) -> None:
         self._rows, self._du_max, self._row_max = rows, du_max, row_max
-        self._moves = np.arange(1.0, N_c + 1)[:, np.newaxis]
+        self._moves = RETREAT * np.arange(1.0, N_c + 1)[:, np.newaxis]
         self._thrusters = int(rows.entry[-1]) + 1
 
     def reach(self, f: Vector) -> tuple[Matrix, Matrix]:
         """(λ_i − 1) G f in units of the rows, less and plus rounding: (N_c, r) each."""
         steps = np.zeros(self._thrusters)
         np.maximum.at(steps, self._rows.entry, np.abs(f) / self._du_max)
-        gone = np.minimum(self._moves / np.maximum(steps, np.finfo(float).tiny), 1.0)
+        gone = self._moves / np.maximum(steps, self._moves)
         along = self._rows.G @ f / self._row_max
         back = -gone[:, self._rows.thruster] * along
-        rounding = 8.0 * np.spacing(np.abs(along) + self._moves)
+        rounding = 4.0 * np.spacing(np.abs(along))
         return back - rounding, back + rounding

@@ -13,6 +13,7 @@ from dpbench.bench.record.cell import Fallback
 from dpbench.mpc.condense import CondensedMatrices, ControlProblem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.law import Gains, gains
+from dpbench.mpc.thruster_rows import RETREAT
 
 CLIP_TOLERANCE = 1e-9
 """In rate-limit steps: below it a violation is rounding, above it `clipped` is recorded."""
@@ -66,8 +67,8 @@ def limit_thrusters(  # type: ignore[no-untyped-def] # numba
 
         applied = b + t (f + clip(Δf, ±Δf_max) − b),   largest t ≤ 1 within low ≤ G · ≤ high
 
-    b is the force before or, where that is beyond a limit by now, one rate-limit step of the
-    straight retreat to nothing; b and the clipped move keep to the rate, so all between them do.
+    b is the force before or, where that is beyond a limit by now, one step of the straight retreat
+    to nothing (`Retreat`); b and the clipped move keep to the rate, so all between them do.
     """
     r, n_f = G.shape
     clipped = False
@@ -76,7 +77,7 @@ def limit_thrusters(  # type: ignore[no-untyped-def] # numba
         base[j] = f[j]
         target[j] = f[j] + min(max(df[j], -df_max[j]), df_max[j])
     for i in range(entry_of[-1] + 1):
-        outside, steps = False, 0.0
+        outside, steps, rounding = False, 0.0, 0.0
         for k in range(r):
             if row_of[k] == i:
                 before = 0.0
@@ -86,10 +87,11 @@ def limit_thrusters(  # type: ignore[no-untyped-def] # numba
         for j in range(n_f):
             if entry_of[j] == i:
                 steps = max(steps, abs(f[j]) / df_max[j])
+                rounding = max(rounding, CLIP_TOLERANCE * df_max[j])
         if outside and steps > 0.0:
             for j in range(n_f):
                 if entry_of[j] == i:
-                    base[j] = f[j] * max(0.0, 1.0 - 1.0 / steps)
+                    base[j] = f[j] * max(0.0, 1.0 - RETREAT / steps)
         t = 1.0
         for k in range(r):
             if row_of[k] == i:
@@ -98,9 +100,9 @@ def limit_thrusters(  # type: ignore[no-untyped-def] # numba
                     at_base += G[k, j] * base[j]
                     at_target += G[k, j] * target[j]
                 most, least = max(high[k], at_base), min(low[k], at_base)
-                if at_target > most:
+                if at_target > most + rounding:
                     t = min(t, (most - at_base) / (at_target - at_base))
-                elif at_target < least:
+                elif at_target < least - rounding:
                     t = min(t, (least - at_base) / (at_target - at_base))
         for j in range(n_f):
             if entry_of[j] == i:

@@ -1,0 +1,113 @@
+"""Polygons of thrusters: corners on the circle, the same set as by cross products, a straight way
+back when a thruster is lost."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dpbench.mpc.thruster_rows import Retreat, ThrusterRows, thruster_rows
+from dpbench.ship.thrusters import Thruster, ThrusterSet
+
+T = 2e5
+
+
+def one_azimuth(**other: object) -> ThrusterSet:
+    """An azimuth of 200 kN, a tunnel, and a main propeller with less thrust astern."""
+    azimuth = Thruster("stern", "azimuth", -30.0, 0.0, T, 10.0, **other)  # type: ignore[arg-type] # keys of one test each
+    tunnel = Thruster("bow", "tunnel", 30.0, 0.0, 8e4, 8.0)
+    main = Thruster("main", "main", -40.0, 2.0, 3e5, 20.0, astern=0.4)
+    return ThrusterSet((azimuth, tunnel, main))
+
+
+def inside(rows: ThrusterRows, f: np.ndarray) -> np.ndarray:
+    """Whether each of the forces f (..., n_f) satisfies all rows."""
+    along = f @ rows.G.T
+    inside_all: np.ndarray = ((along <= rows.high + 1e-6) & (along >= rows.low - 1e-6)).all(-1)
+    return inside_all
+
+
+@pytest.mark.parametrize("sides", [4, 6, 8, 16, 30])
+def test_the_polygon_has_its_corners_on_the_circle_and_one_of_them_ahead(sides: int) -> None:
+    """By cross products: inside is what lies to the left of every side of the regular polygon."""
+    rows = thruster_rows(one_azimuth(), sides)
+    angle = 2 * math.pi * np.arange(sides) / sides
+    corner = T * np.column_stack((np.cos(angle), np.sin(angle)))
+    side = np.roll(corner, -1, axis=0) - corner
+    points = np.random.default_rng(sides).uniform(-1.1 * T, 1.1 * T, (4000, 2))
+    to_point = points[:, np.newaxis] - corner
+    left = side[:, 0] * to_point[..., 1] - side[:, 1] * to_point[..., 0]
+    clear = np.abs(left).min(axis=1) > 1e-3 * T**2 / sides**2
+    f = np.zeros((len(points), 4))
+    f[:, :2] = points
+    np.testing.assert_array_equal(inside(rows, f)[clear], (left >= 0).all(axis=1)[clear])
+    assert np.count_nonzero(clear) > 3000
+    f[:sides] = 0.0
+    f[:sides, :2] = corner
+    assert inside(rows, f[:sides]).all()
+    assert len(rows.low) == sides // 2 + 2
+
+
+def test_other_thrusters_have_one_row_each_and_all_limits_are_finite() -> None:
+    """A main propeller gives less astern; lost thrusters give nothing, the others what they did."""
+    rows = thruster_rows(one_azimuth(), 8)
+    np.testing.assert_allclose(rows.low[-2:], [-8e4, -1.2e5])
+    np.testing.assert_allclose(rows.high[-2:], [8e4, 3e5])
+    assert np.isfinite(rows.low).all() and np.isfinite(rows.high).all()
+    low, high = rows.without({0, 2})
+    assert high[4] == 8e4
+    f = np.random.default_rng(0).uniform(-1e5, 1e5, (1000, 4))
+    f[:200, [0, 1, 3]] = 0.0
+    gone = ((f @ rows.G.T <= high) & (f @ rows.G.T >= low)).all(axis=1)
+    np.testing.assert_array_equal(gone, ~f[:, [0, 1, 3]].any(axis=1) & (np.abs(f[:, 2]) <= 8e4))
+
+
+@pytest.mark.parametrize("width_deg", [60.0, 120.0, 180.0])
+def test_a_sector_keeps_the_directions_it_allows(width_deg: float) -> None:
+    """Forces in the sector, well inside the circle, are allowed; those beyond its edges are not."""
+    start = math.radians(-30.0)
+    end = start + math.radians(width_deg)
+    rows = thruster_rows(one_azimuth(sector_rad=(start, end)), 16)
+    angle = np.linspace(start - 1.0, end + 1.0, 101)
+    f = np.zeros((101, 4))
+    f[:, 0], f[:, 1] = 0.5 * T * np.cos(angle), 0.5 * T * np.sin(angle)
+    within = (angle >= start - 1e-9) & (angle <= end + 1e-9)
+    np.testing.assert_array_equal(inside(rows, f), within)
+
+
+@settings(derandomize=True, max_examples=100)
+@given(
+    st.floats(0.0, 1.0),
+    st.floats(-math.pi, math.pi),
+    st.floats(-1.0, 1.0),
+    st.sets(st.integers(0, 2)),
+    st.floats(0.1, 3.0),
+)
+def test_the_straight_way_back_keeps_to_the_rate_and_to_what_the_rows_become(
+    share: float, angle: float, tunnel: float, lost: set[int], sample_s: float
+) -> None:
+    """From any force within the limits, every move of the retreat satisfies rate and rows."""
+    thrusters = one_azimuth()
+    rows, du_max = thruster_rows(thrusters, 16), thrusters.step_max(sample_s)
+    row_max = np.sqrt(((rows.G * du_max) ** 2).sum(axis=1))
+    size = share * T * math.cos(math.pi / 16)
+    f = np.array([size * math.cos(angle), size * math.sin(angle), 8e4 * tunnel, -1.2e5 * share])
+    N_c = 6
+    least, most = Retreat(rows, du_max, row_max, N_c).reach(f)
+    low, high = rows.without(lost)
+    before = f
+    for i in range(N_c):
+        now = f.copy()
+        for number, at in enumerate(thrusters.places):
+            if number in lost:
+                steps = float((np.abs(f[at]) / du_max[at]).max())
+                now[at] = f[at] * max(0.0, 1.0 - 0.9 * (i + 1) / max(steps, 1e-9))
+        assert (np.abs(now - before) <= du_max * (1 + 1e-12)).all()
+        along, back = rows.G @ now, rows.G @ f
+        assert (along <= np.maximum(high, back + most[i] * row_max)).all()
+        assert (along >= np.minimum(low, back + least[i] * row_max)).all()
+        before = now
