@@ -56,7 +56,7 @@ class ThrusterRows:
         for i in lost:
             rows = np.flatnonzero(self.thruster == i)
             sides = np.count_nonzero(self.low[rows] < 0.0)
-            zero = rows[[0, sides // 2][: np.count_nonzero(self.entry == i)]]
+            zero = rows[np.array([0, sides // 2])[: np.count_nonzero(self.entry == i)]]
             low[zero] = high[zero] = 0.0
         return low, high
 
