@@ -94,8 +94,8 @@ def _rows_of(thruster: Thruster, sides: int) -> tuple[Matrix, Vector, Vector]:
 
 
 RETREAT = 0.9
-"""Share of the rate at which a limit that was lost closes in, so that plans keep some freedom and no
-rounding decides whether there is one."""
+"""Share of the rate at which a lost limit closes in, so that plans keep some freedom and no rounding
+decides whether there is one."""
 
 
 class Retreat:

@@ -98,6 +98,7 @@ def test_a_model_ship_sails_the_full_size_run_at_its_scale() -> None:
         rates = np.array(limits["rate_max_N_per_s"]) * [m, m, mx] * math.sqrt(ratio)
         limits["rate_max_N_per_s"] = rates.tolist()
         ship["model_scale"] = ratio
+        ship["length_m"] /= ratio
 
     model = changed("thruster_loss", lambda s: None, shrink)
     assert model.sample_s == pytest.approx(0.3 / math.sqrt(70.0))
