@@ -62,7 +62,7 @@ class RandomClaims:
         self.runs = _once([run for run in records.random if run.outcome != "refused"])
         ids = [run.run_id for run in self.runs]
         steps = pd.concat([records.table.iloc[:0], *map(records.steps, self.runs)])
-        counts = _evaluated(steps[steps["counts"]]).reindex(ids, fill_value=0)
+        counts = claims_by_run(steps[steps["counts"]]).reindex(ids, fill_value=0)
         self._counts = counts.assign(missed=[r.steps_planned - r.steps_done for r in self.runs])
 
     def by(self, *names: str) -> dict[tuple[str, ...], Tally]:
@@ -91,8 +91,8 @@ def _once(runs: Sequence[RunRecord]) -> list[RunRecord]:
     return kept
 
 
-def _evaluated(steps: pd.DataFrame) -> pd.DataFrame:
-    """How many of the steps of each run are what `Tally` says, by run_id."""
+def claims_by_run(steps: pd.DataFrame) -> pd.DataFrame:
+    """How many of the steps of each run are what `Tally` says, less `missed`, by run_id."""
     known, none_said = decided(steps), steps["status"].isin(NO_ANSWER_CLAIMS)
     claimed, true = steps["claimed"], steps["true"]
     flags = pd.DataFrame(

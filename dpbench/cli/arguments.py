@@ -41,6 +41,7 @@ def parser(
         _doctor,
         _completion,
         _init,
+        _capability,
     ):
         add(commands)
     for name, command in commands.choices.items():
@@ -252,3 +253,30 @@ def _init(commands: Commands) -> None:
     init.add_argument("--sea", metavar="N", help="DP number, 1 to 9 (what the ship can hold)")
     init.add_argument("--out", default=".", metavar="DIR", help="folder to write to (here)")
     init.add_argument("--force", action="store_true", help="write over files that are there")
+
+
+def _capability(commands: Commands) -> None:
+    capability = commands.add_parser(
+        "capability",
+        help="the largest wind a ship's thrusters hold (DNV-ST-0111 level 1)",
+        description="For 36 directions, intact and after the loss of each failure group; with "
+        "--solver, which solvers tell the loads at that edge apart.",
+    )
+    capability.add_argument("vessel", help="a vessel with thrusters by name, or a TOML file")
+    capability.add_argument(
+        "--sides", type=int, metavar="N", help="polygons with N sides in place of circles"
+    )
+    capability.add_argument(
+        "--solver",
+        action="append",
+        metavar="S",
+        help="judge the answers of this solver to the QPs at the edge; repeatable; all: of every "
+        "one that is installed",
+    )
+    capability.add_argument(
+        "--out", metavar="DIR", help="where these QPs go (results/capability-<vessel>)"
+    )
+    capability.add_argument(
+        "--figure", metavar="FILE", help="write the rose: .svg, .html, .png or .pdf"
+    )
+    capability.add_argument("--json", action="store_true", help="say it as JSON")

@@ -15,6 +15,7 @@ NAMES = {
     "sequence": "sequences",
     "what": "scenarios",
     "file": "scenarios",
+    "vessel": "vessels",
 }
 """Arguments whose values are names of stored files, with their kind."""
 

@@ -276,6 +276,13 @@ def _init(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _capability(arguments: argparse.Namespace) -> int:
+    from dpbench.cli.capability import tell_capability
+
+    print(tell_capability(arguments))
+    return 0
+
+
 def _doctor(arguments: argparse.Namespace) -> int:
     from dpbench.cli.doctor import doctor_lines
 
@@ -307,4 +314,5 @@ _CALLS = {
     "doctor": _doctor,
     "completion": _completion,
     "init": _init,
+    "capability": _capability,
 }

@@ -5,23 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from dpbench.scenario.weather_tables import CurrentTable, EnvironmentTable, WavesTable, WindTable
+from dpbench.ship.capability.conditions import DP_CONDITIONS
 from dpbench.ship.characteristics import mean_load
 from dpbench.ship.froude import Froude
 from dpbench.ship.vessel import Vessel
 
-DP_NUMBERS = {
-    1: (1.5, 0.1, 3.5, 0.25),
-    2: (3.4, 0.4, 4.5, 0.5),
-    3: (5.4, 0.8, 5.5, 0.75),
-    4: (7.9, 1.3, 6.5, 0.75),
-    5: (10.7, 2.1, 7.5, 0.75),
-    6: (13.8, 3.1, 8.5, 0.75),
-    7: (17.1, 4.2, 9.0, 0.75),
-    8: (20.7, 5.7, 10.0, 0.75),
-    9: (24.4, 7.4, 10.5, 0.75),
-}
-"""Wind [m/s], Hs [m], Tp [s], current [m/s] of each DP capability number (DNV-ST-0111,
-table 2-1)."""
+DP_NUMBERS = {number: DP_CONDITIONS[number] for number in range(1, 10)}
+"""Wind [m/s], Hs [m], Tp [s], current [m/s] of the DP capability numbers up to a strong gale, the
+most that a scenario of one's own ship is made for."""
 
 FROM_DEG = 30.0
 """Wind and waves come from the bow, not quite ahead: a heading a ship may choose."""

@@ -6,10 +6,11 @@ Files speak the units of the trade (kN, kN·m, degrees); what they make is SI.
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import (
+    Field,
     SerializerFunctionWrapHandler,
     ValidationInfo,
     field_validator,
@@ -42,8 +43,9 @@ from dpbench.scenario.key_types import (
 )
 from dpbench.scenario.problem_files import FileModel
 from dpbench.scenario.weather_tables import EnvironmentTable
+from dpbench.ship.capability.hull import CapabilityHull
 from dpbench.ship.froude import Froude
-from dpbench.ship.thrusters import Thruster, ThrusterSet, nominal_thrust_N
+from dpbench.ship.thrusters import Screw, Thruster, ThrusterSet, nominal_thrust_N
 from dpbench.ship.vessel import Vessel, bis_descaled, bis_descaled_damping
 from dpbench.ship.weather.waves import WATER_DENSITY, WaveReflection
 from dpbench.ship.weather.wind import Windage
@@ -113,6 +115,9 @@ class ThrusterTable(FileModel):
     """Diameter of the propeller [m]."""
     propeller: Literal["open", "nozzle", "tunnel"] | None = None
     """Kind of the propeller."""
+    height_m: Number | None = None
+    """Height of its shaft above the keel [m], for what waves take of its thrust in
+    `dpbench capability`; they take nothing by default."""
     rise_s: Positive
     """Time from zero to full thrust [s]."""
     astern: Share = 1.0
@@ -129,20 +134,78 @@ class ThrusterTable(FileModel):
         given = [value is not None for value in made_of]
         if (self.thrust_kN is None) != all(given) or (any(given) and not all(given)):
             raise ValueError("either thrust_kN, or power_kW, diameter_m and propeller")
+        if self.height_m is not None and self.thrust_kN is not None:
+            raise ValueError("height_m belongs to power_kW, diameter_m and propeller")
         return self
 
     def thruster(self) -> Thruster:
         """The thruster in SI units; raises InputError."""
+        screw = None
         if self.thrust_kN is not None:
             thrust_N = 1e3 * self.thrust_kN
         else:
             assert self.power_kW and self.diameter_m and self.propeller, "the validator demands it"
             thrust_N = nominal_thrust_N(self.power_kW, self.diameter_m, self.propeller)
+            screw = Screw(self.diameter_m, self.propeller, self.height_m)
         sector = None
         if self.sector_deg is not None:
             sector = math.radians(self.sector_deg[0]), math.radians(self.sector_deg[1])
         place = self.name, self.kind, self.x_m, self.y_m
-        return Thruster(*place, thrust_N, self.rise_s, self.astern, sector, self.group)
+        return Thruster(*place, thrust_N, self.rise_s, self.astern, sector, self.group, screw)
+
+
+class CapabilityTable(FileModel):
+    """The hull as `dpbench capability` asks for it (DNV-ST-0111, table A-2); the areas above the
+    water are those of `[windage]`. What is left out is assumed, and the result says so."""
+
+    breadth_m: Positive
+    """Breadth at the waterline [m]."""
+    draught_m: Positive
+    """Summer draught [m]."""
+    submerged_length_m: Positive | None = None
+    """Length from the foremost to the aftmost point under water, L_os [m]; assumed: length_m."""
+    submerged_x_m: Number | None = None
+    """Place of its middle ahead of that of L_pp [m]; assumed: 0."""
+    bow_angle_deg: Annotated[float, Field(gt=0, le=90)] | None = None
+    """Half the angle at which the waterline meets ahead [°]; assumed: 22."""
+    aft_fullness: Positive | None = None
+    """Area of the waterline behind the middle of L_pp over that of the rectangle around it;
+    assumed: 1."""
+    lateral_x_m: Number | None = None
+    """Centre of the area above the water from abeam, ahead of the middle of L_pp [m]; assumed:
+    0."""
+    submerged_m2: Positive | None = None
+    """Area under water from abeam [m²]; assumed: length_m · draught_m."""
+    current_x_m: Number | None = None
+    """Its centre, ahead of the middle of L_pp [m]; assumed: 0."""
+    skegs: list[Two] = []
+    """[x, y] of the aftmost point of each skeg, ahead of the middle of L_pp and to starboard
+    [m]."""
+
+    def hull(self, length_m: float, windage: Windage) -> CapabilityHull:
+        """The hull in SI units, L_pp being length_m."""
+        assumed = {
+            "submerged_length_m": length_m,
+            "submerged_x_m": 0.0,
+            "bow_angle_deg": 22.0,
+            "aft_fullness": 1.0,
+            "lateral_x_m": 0.0,
+            "submerged_m2": length_m * self.draught_m,
+            "current_x_m": 0.0,
+        }
+        said = {key: getattr(self, key) for key in assumed}
+        known = {key: assumed[key] if value is None else value for key, value in said.items()}
+        return CapabilityHull(
+            length_m=length_m,
+            breadth_m=self.breadth_m,
+            draught_m=self.draught_m,
+            bow_angle_rad=math.radians(known.pop("bow_angle_deg")),
+            frontal_m2=windage.frontal_m2,
+            lateral_m2=windage.lateral_m2,
+            skegs=tuple((x, y) for x, y in self.skegs),
+            assumed=tuple(key for key, value in said.items() if value is None),
+            **known,
+        )
 
 
 class VesselFile(FileModel):
@@ -169,6 +232,8 @@ class VesselFile(FileModel):
     """Needed where the weather has wind."""
     reflection: ReflectionTable | None = None
     """Needed where the weather has wave drift."""
+    capability: CapabilityTable | None = None
+    """Needed by `dpbench capability`, with windage and thrusters."""
     inertia: ThreeByThree | None = None
     """M (3, 3) with added mass [kg, kg·m, kg·m²], rows surge, sway, yaw; symmetric, positive
     definite."""
@@ -189,6 +254,8 @@ class VesselFile(FileModel):
             raise ValueError("either inertia and damping, or mass_kg, inertia_bis and damping_bis")
         if self.limits is None and not self.thrusters:
             raise ValueError("limits, or thrusters to derive them from")
+        if self.capability is not None and self.windage is None:
+            raise ValueError("windage beside capability, which takes its areas from there")
         return self
 
     def vessel(self, name: str, where: str) -> Vessel:
@@ -204,9 +271,10 @@ class VesselFile(FileModel):
         air, water = self.windage, self.reflection
         windage = Windage(**air.model_dump()) if air else None
         reflection = WaveReflection(**water.model_dump()) if water else None
+        hull = self.capability.hull(self.length_m, windage) if self.capability and windage else None
         ship = (name, self.title, self.source, self.length_m, M, D, low, high, rate, where)
         try:
-            vessel = Vessel(*ship, windage, reflection, thrusters)
+            vessel = Vessel(*ship, windage, reflection, thrusters, hull)
         except InputError as error:
             bis = "" if self.inertia is not None else "_bis"
             keys = {"M": f"inertia{bis}", "D": f"damping{bis}", "tau_min, tau_max": "limits"}

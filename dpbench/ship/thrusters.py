@@ -44,6 +44,20 @@ def nominal_thrust_N(power_kW: float, diameter_m: float, propeller: Propeller) -
 
 
 @dataclass(frozen=True)
+class Screw:
+    """The propeller of a thruster, for what DNV-ST-0111 makes it lose.
+
+    Parameters
+    ----------
+    diameter_m, propeller : of its thrust; height_m : of its shaft above the keel, None for unknown.
+    """
+
+    diameter_m: float
+    propeller: Propeller
+    height_m: float | None = None
+
+
+@dataclass(frozen=True)
 class Thruster:
     """One thruster.
 
@@ -57,6 +71,7 @@ class Thruster:
     astern : thrust astern as a share of T; of a main propeller only.
     sector_rad : (from, to), clockwise from ahead, in which an azimuth may push the ship; at most
         half a turn wide, so that the forces it can give are a convex set. None for all round.
+    screw : None where only its thrust is known.
 
     Raises
     ------
@@ -72,6 +87,7 @@ class Thruster:
     astern: float = 1.0
     sector_rad: tuple[float, float] | None = None
     group: str = ""
+    screw: Screw | None = None
 
     def __post_init__(self) -> None:
         if self.sector_rad is not None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
+from dpbench.ship.capability.hull import CapabilityHull
 from dpbench.ship.thrusters import ThrusterSet
 from dpbench.ship.weather.waves import WaveReflection
 from dpbench.ship.weather.wind import Windage
@@ -33,6 +34,7 @@ class Vessel:
     where : the file named in errors.
     windage, reflection : the hull as wind and wave drift see it; needed in such weather only.
     thrusters : what makes the force, for controllers that steer thrusters.
+    capability : the hull as DP capability level 1 asks for it; needed for that only.
 
     Raises
     ------
@@ -52,6 +54,7 @@ class Vessel:
     windage: Windage | None = None
     reflection: WaveReflection | None = None
     thrusters: ThrusterSet | None = None
+    capability: CapabilityHull | None = None
 
     def __post_init__(self) -> None:
         self._check_matrices()

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dpbench.errors import InputError
+from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.thrusters import Thruster, ThrusterSet, nominal_thrust_N
 
 place = st.floats(-50.0, 50.0)
@@ -27,6 +28,14 @@ def test_nominal_thrust_is_the_published_one_within_half_a_per_cent(
     """The three kinds of thrusters of the rescue ship Ratownik."""
     thrust_N = nominal_thrust_N(power_kW, diameter_m, propeller)  # type: ignore[arg-type] # of a table
     assert thrust_N / 1e3 == pytest.approx(published_kN, rel=0.005)
+
+
+def test_the_vessel_file_of_ratownik_has_the_published_thrusts() -> None:
+    """Two stern azimuths, one at the bow in a nozzle, two tunnels: within half a per cent [kN]."""
+    thrusters = load_vessel("ratownik").thrusters
+    assert thrusters is not None
+    published_kN = [195.3, 195.3, 146.6, 116.0, 116.0]
+    np.testing.assert_allclose(thrusters.thrust_N / 1e3, published_kN, rtol=0.005)
 
 
 def azimuth(x_m: float, y_m: float, thrust_N: float = 1e5, **other: object) -> Thruster:

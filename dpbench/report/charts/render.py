@@ -85,9 +85,12 @@ def _names() -> dict[str, Any]:
 
 
 def save(chart: Any, path: Path) -> Path:
-    """Write the figure in the format that the name of the file ends with."""
+    """Write the figure in the format that the name of the file ends with; .html for a page of its
+    own that fetches nothing."""
     kind = path.suffix.lstrip(".")
-    if kind == "svg":
+    if kind == "html":
+        chart.save(path, inline=True)
+    elif kind == "svg":
         path.write_text(svg(chart), encoding="utf-8")
     elif kind == "pdf":
         path.write_bytes(vlc.vega_to_pdf(_compiled(_Same(chart))))

@@ -94,8 +94,8 @@ class WaveReflection:
     def coefficients(self, length_m: float, sea: Sea) -> Vector:
         """½ρ g (B R_x², L R_y², L² R_n²): (3,) [N/m², N/m², N/m]."""
         tz_s = sea.tp_s / 1.4049
-        ahead = _period_factor(tz_s / (0.9 * length_m**0.33))
-        abeam = _period_factor(tz_s / (0.75 * self.breadth_m**0.5))
+        ahead = period_factor(tz_s / (0.9 * length_m**0.33))
+        abeam = period_factor(tz_s / (0.75 * self.breadth_m**0.5))
         widths = [
             self.breadth_m * self.head * ahead,
             length_m * self.beam * abeam,
@@ -104,7 +104,8 @@ class WaveReflection:
         return 0.5 * WATER_DENSITY * GRAVITY * np.array(widths)
 
 
-def _period_factor(t_prime: float) -> float:
+def period_factor(t_prime: float) -> float:
+    """f(T'), by which the drift of long waves falls: 1 up to T' = 1 (DNV-ST-0111, section 3.7)."""
     cubed = max(t_prime, 1.0) ** -3
     return float(cubed * np.exp(1.0 - cubed))
 

@@ -1,0 +1,118 @@
+"""The static allocations at the edge of what a ship holds, as a sequence of QPs.
+
+For each case and direction: the two winds of the standard's table between which the edge lies, and
+the edge itself, a thousandth of the wind before and beyond. Half of them have no feasible point.
+Where several pieces of an azimuth may be chosen, the QP has the choice that uses the least thrust.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dpbench.bench.capability.frontier import Case, Frontier, Held
+from dpbench.bench.capability.study import FROM_DEG, Capability
+from dpbench.bench.sequences.sequence_file import save_sequence
+from dpbench.mpc.static_allocation import StaticAllocation
+from dpbench.qp.program import QPSequence
+from dpbench.ship.capability.conditions import DP_CONDITIONS
+
+EDGE = 1e-3
+"""Share of the wind by which a QP lies before or beyond the edge."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """One QP: the case, where the weather comes from [rad], the wind, and whether it is held."""
+
+    case: Case
+    from_rad: float
+    wind_mps: float
+    held: bool
+
+
+def points_at_edge(case: Case, from_rad: float, edge: Held) -> list[Point]:
+    """The points of one direction: at most four."""
+    number, wind_mps = edge.number, edge.wind_mps
+    winds = [(DP_CONDITIONS[number][0], True)] if number else []
+    if number < max(DP_CONDITIONS):
+        winds += [((1.0 - EDGE) * wind_mps, True), ((1.0 + EDGE) * wind_mps, False)]
+        winds.append((DP_CONDITIONS[number + 1][0], False))
+    # By rising wind: the edge may lie within a thousandth of a row of the table.
+    return [Point(case, from_rad, *wind) for wind in sorted(winds)]
+
+
+def allocation_sequence(frontier: Frontier, points: Sequence[Point]) -> QPSequence:
+    """The QPs of the points, in their order; `frontier` has polygons.
+
+    P is constant; rows change with the pieces that are chosen.
+    """
+    assert frontier.sides is not None, "a QP has polygons"
+    allocation = _allocation(frontier, {point.case for point in points}, frontier.sides)
+    problems = []
+    for point in points:
+        weather = frontier.weather(point.from_rad, point.wind_mps)
+        _, chosen = frontier.best(point.case, point.from_rad, point.wind_mps)
+        lost = frontier.lost(point.case)
+        problems.append(allocation.qp(weather.load, weather.shares, chosen, lost))
+    q, low, high = (np.array([getattr(qp, name) for qp in problems]) for name in ("q", "l", "u"))
+    rows = np.array([qp.A for qp in problems])
+    changed = None if (rows == rows[0]).all() else rows
+    return QPSequence(f"{frontier.vessel.id} capability", problems[0], q, low, high, A=changed)
+
+
+def _allocation(frontier: Frontier, cases: set[Case], sides: int) -> StaticAllocation:
+    """The QPs with room for the pieces of every case."""
+    every = [frontier.pieces_of(case) for case in cases]
+    count = len(frontier.thrusters.thrusters)
+    pieces = [[piece for of_case in every for piece in of_case[i]] for i in range(count)]
+    sectors = [any(piece.sector is not None for piece in some) for some in pieces]
+    chords = [max((len(piece.chords) for piece in some), default=0) for some in pieces]
+    return StaticAllocation(frontier.thrusters, sides, sectors, chords)
+
+
+def write_batch(frontier: Frontier, capability: Capability, folder: Path) -> Path:
+    """Write the QPs at the edge of a capability, certified, and a suite that replays them.
+
+    Parameters
+    ----------
+    frontier : with polygons; capability : what it holds.
+
+    Returns
+    -------
+    The suite's file, beside `capability.npz`. It solves each QP once with every solver at its
+    default settings.
+
+    Raises
+    ------
+    CertificateError : a QP has neither a certified optimum nor proof that there is none.
+    """
+    points = [
+        point
+        for case in frontier.cases
+        for from_deg, edge in zip(FROM_DEG, capability.held[case.name], strict=True)
+        for point in points_at_edge(case, math.radians(from_deg), edge)
+    ]
+    folder.mkdir(parents=True, exist_ok=True)
+    save_sequence(folder / "capability.npz", allocation_sequence(frontier, points))
+    suite = folder / "capability.toml"
+    suite.write_text(SUITE.format(vessel=capability.vessel, sides=frontier.sides), encoding="utf-8")
+    return suite
+
+
+SUITE = """\
+title = "Static allocations at the edge of the capability of {vessel}, {sides} sides"
+baseline_law = false
+rounds = 1
+warmup_steps = 20
+cell_limit_s = 20.0
+
+[[recorded]]
+sequence = "capability.npz"
+settings = ["default"]
+"""
+"""Claims do not change from round to round, and a batch has no deadline: one round is enough."""

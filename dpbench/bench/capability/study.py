@@ -1,0 +1,90 @@
+"""The capability of a ship from all directions, intact and after each failure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from dpbench.bench.capability.frontier import DIRECTIONS, INTACT, Frontier, Held
+from dpbench.bench.progress import Progress, Silent
+from dpbench.ship.capability.conditions import DP_CONDITIONS
+
+BOW_DEG = 30.0
+"""The sector to either side of the bow that the notation names (2.5.1)."""
+FROM_DEG = tuple(360.0 * k / DIRECTIONS for k in range(DIRECTIONS))
+"""Where wind, waves and current come from, clockwise from ahead."""
+
+
+@dataclass(frozen=True)
+class Capability:
+    """What a ship holds from each of `FROM_DEG`.
+
+    Parameters
+    ----------
+    vessel : its name.
+    sides : of the polygons that stand for circles; None for circles.
+    held : by case: intact first, then after the loss of each failure group.
+    lost : names of the thrusters that each case lacks.
+    assumed : keys of the hull that its file leaves out.
+    """
+
+    vessel: str
+    sides: int | None
+    held: dict[str, tuple[Held, ...]]
+    lost: dict[str, tuple[str, ...]]
+    assumed: tuple[str, ...]
+
+    @property
+    def worst_failure(self) -> tuple[Held, ...]:
+        """The least that is held after any failure, by direction."""
+        failures = [held for case, held in self.held.items() if case != INTACT]
+        return tuple(
+            min(at_once, key=lambda held: held.wind_mps) for at_once in zip(*failures, strict=True)
+        )
+
+    @property
+    def numbers(self) -> tuple[int, int, int, int]:
+        """The least DP capability number: intact near the bow and all round, and the same after
+        the worst failure."""
+        return (*_least(self.held[INTACT]), *_least(self.worst_failure))
+
+    @property
+    def notation(self) -> str:
+        """`numbers` as the standard writes them (2.5.1)."""
+        return f"DP capability-L1({', '.join(map(str, self.numbers))})"
+
+
+def _least(held: tuple[Held, ...]) -> tuple[int, int]:
+    """The least number within `BOW_DEG` of the bow, and all round."""
+    near = [
+        at.number
+        for at, from_deg in zip(held, FROM_DEG, strict=True)
+        if abs(math.remainder(from_deg, 360.0)) <= BOW_DEG
+    ]
+    return min(near), min(at.number for at in held)
+
+
+def capability_of(frontier: Frontier, progress: Progress | None = None) -> Capability:
+    """The capability within a frontier.
+
+    Raises
+    ------
+    ArithmeticError : the cone solver fails.
+    """
+    progress, cases = progress or Silent(), frontier.cases
+    progress.start(len(cases) * DIRECTIONS)
+    held: dict[str, tuple[Held, ...]] = {}
+    for case in cases:
+        edges = []
+        for from_deg in FROM_DEG:
+            edges.append(frontier.held(case, math.radians(from_deg)))
+            progress.advance(1, f"{frontier.vessel.id}, {case.name}")
+        held[case.name] = tuple(edges)
+    names = [thruster.name for thruster in frontier.thrusters.thrusters]
+    lost = {case.name: tuple(names[i] for i in sorted(case.lost)) for case in cases}
+    return Capability(frontier.vessel.id, frontier.sides, held, lost, frontier.hull.assumed)
+
+
+def holds_most(held: Held) -> bool:
+    """Whether the standard has no weather beyond what is held."""
+    return held.number == max(DP_CONDITIONS)

@@ -1,0 +1,132 @@
+"""The least share of their thrust with which thrusters balance a load: a cone program.
+
+    min u   subject to   T_e f = −load,   |f_i| ≤ u T_i,   f_i within u times its piece
+
+u ≤ 1 says that the load is balanced. Circles are second-order cones, with nothing given away;
+with a number of sides they are the polygons of the QPs.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csc_matrix
+
+from dpbench.arrays import Matrix, Vector
+from dpbench.mpc.static_allocation import balance_matrix, balance_units, sector_normals
+from dpbench.ship.capability.shapes import Piece
+from dpbench.ship.layout import AXES
+from dpbench.ship.thrusters import Thruster, ThrusterSet
+
+clarabel: Any = import_module("clarabel")
+"""It ships no types."""
+_SOLVED = ("Solved", "AlmostSolved")
+_EMPTY = ("PrimalInfeasible", "AlmostPrimalInfeasible")
+
+
+class Utilisation:
+    """Cone programs of one ship.
+
+    Parameters
+    ----------
+    sides : of the polygons in place of circles, even; None for circles.
+    """
+
+    def __init__(self, thrusters: ThrusterSet, sides: int | None = None) -> None:
+        self._thrusters, self._sides = thrusters, sides
+        self._balance, self._units = balance_matrix(thrusters), balance_units(thrusters)
+        self._cones: dict[tuple[frozenset[int], tuple[int, ...]], _Cones] = {}
+        settings = clarabel.DefaultSettings()
+        settings.verbose = False
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-10
+        self._settings = settings
+
+    def least(
+        self, load: Vector, shares: Vector, chosen: tuple[Piece, ...], lost: frozenset[int]
+    ) -> float:
+        """u for a load (3,) [N, N, N·m]; inf where no amount of thrust balances it.
+
+        Parameters
+        ----------
+        shares : (p,) effective over nominal thrust; chosen : (p,) the piece of each thruster, which
+            are kept as long as this object lives.
+        """
+        key = lost, tuple(map(id, chosen))
+        if key not in self._cones:
+            self._cones[key] = _Cones(self._thrusters, self._sides, chosen, lost)
+        cones = self._cones[key]
+        if not cones.entries.size:
+            return np.inf if load.any() else 0.0
+        balance = (self._thrusters.per_entry(shares) * self._balance)[:, cones.entries]
+        A, b = cones.matrix(balance), cones.zeros.copy()
+        b[:AXES] = -load / self._units
+        problem = cones.quadratic, cones.cost, A, b, cones.kinds
+        solution = clarabel.DefaultSolver(*problem, self._settings).solve()
+        status = str(solution.status)
+        if status in _SOLVED:
+            return float(solution.x[-1])
+        if status in _EMPTY:
+            return np.inf
+        raise ArithmeticError(f"utilisation of thrusters: Clarabel ends with {status}")
+
+
+class _Cones:
+    """What the programs of one choice of pieces share: min x_u with b − A x in the cones.
+
+    x = (f_i/T_i of the thrusters that are not lost, u). A begins with the balance, which is all of
+    it that changes.
+    """
+
+    def __init__(
+        self,
+        thrusters: ThrusterSet,
+        sides: int | None,
+        chosen: tuple[Piece, ...],
+        lost: frozenset[int],
+    ) -> None:
+        self.chosen = chosen
+        alive = [i for i in range(len(chosen)) if i not in lost]
+        places = [np.arange(thrusters.n_f)[thrusters.places[i]] for i in alive]
+        self.entries = np.concatenate([*places, np.zeros(0, dtype=np.intp)]).astype(np.intp)
+        width = len(self.entries) + 1
+        blocks, kinds, first = [], [clarabel.ZeroConeT(AXES)], 0
+        for i, place in zip(alive, places, strict=True):
+            rows, cones = _cone_rows(thrusters.thrusters[i], chosen[i], sides)
+            wide = np.zeros((len(rows), width))
+            wide[:, first : first + len(place)], wide[:, -1] = rows[:, :-1], rows[:, -1]
+            blocks.append(wide)
+            kinds += cones
+            first += len(place)
+        balance = np.hstack([np.ones((AXES, width - 1)), np.zeros((AXES, 1))])
+        whole = np.vstack([balance, *(-block for block in blocks)])
+        self.kinds, self.zeros = kinds, np.zeros(len(whole))
+        self.quadratic, self.cost = csc_matrix((width, width)), np.eye(width)[-1]
+        self._matrix = csc_matrix(whole)
+        self._of_balance = self._matrix.indices < AXES
+
+    def matrix(self, balance: Matrix) -> csc_matrix:
+        """A with the balance (3, entries); the same object each time."""
+        self._matrix.data[self._of_balance] = balance.T.ravel()
+        return self._matrix
+
+
+def _cone_rows(thruster: Thruster, piece: Piece, sides: int | None) -> tuple[Matrix, list[Any]]:
+    """Rows (r, components + 1) over (f_i/T_i, u) and the cones they lie in."""
+    if thruster.kind != "azimuth":
+        return np.array([[-1.0, 1.0], [1.0, thruster.astern]]), [clarabel.NonnegativeConeT(2)]
+    if sides is None:
+        circle = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+        cones = [clarabel.SecondOrderConeT(3)]
+    else:
+        angle = (2.0 * np.arange(sides) + 1.0) * np.pi / sides
+        most = np.full(sides, np.cos(np.pi / sides))
+        circle = np.column_stack((-np.cos(angle), -np.sin(angle), most))
+        cones = [clarabel.NonnegativeConeT(sides)]
+    cuts = np.column_stack((-piece.chords[:, :2], piece.chords[:, 2:]))
+    if piece.sector is not None:
+        cuts = np.vstack([np.column_stack((sector_normals(*piece.sector), np.zeros(2))), cuts])
+    if len(cuts):
+        cones.append(clarabel.NonnegativeConeT(len(cuts)))
+    return np.vstack([circle, cuts]), cones

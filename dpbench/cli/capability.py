@@ -1,0 +1,195 @@
+"""`dpbench capability`: what a ship holds, in a table, as JSON or as a rose; and which solvers can
+tell."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from dpbench.analysis.capability import Answers, answers_of
+from dpbench.bench.campaign import run_campaign
+from dpbench.bench.capability.batch import write_batch
+from dpbench.bench.capability.frontier import INTACT, Frontier, Held
+from dpbench.bench.capability.study import FROM_DEG, Capability, capability_of, holds_most
+from dpbench.bench.record.result_folder import load_results
+from dpbench.cli.progress_bar import Bar
+from dpbench.errors import InputError
+from dpbench.report.formats import time_text
+from dpbench.scenario.scenario import load_vessel
+from dpbench.ship.vessel import Vessel
+
+COLUMNS = 80
+SIDES = 24
+"""Sides of the polygons in QPs, unless others are asked for: they give away 0.9 % of the thrust,
+within the 1 % that de Wit (2009) recommends."""
+FIGURES = (".svg", ".html", ".png", ".pdf")
+_WIDE = 5
+"""Cases that fit beside each other."""
+_CELL = 13
+
+
+def tell_capability(arguments: argparse.Namespace) -> str:
+    """What `dpbench capability` prints.
+
+    Raises
+    ------
+    InputError : a vessel without thrusters or hull, sides or a figure that cannot be, a solver that
+        is not there.
+    """
+    figure = _figure_file(arguments.figure)
+    vessel = load_vessel(arguments.vessel)
+    frontier = Frontier(vessel, arguments.sides)
+    quiet = arguments.json
+    with Bar(transient=True, quiet=quiet) as bar:
+        capability = capability_of(frontier, bar)
+    if figure is not None:
+        _draw(capability, vessel, figure)
+    answers: list[Answers] = []
+    out = Path(arguments.out or f"results/capability-{vessel.id}")
+    if arguments.solver:
+        answers = _asked(frontier, capability, out, arguments)
+    if arguments.json:
+        return json.dumps(as_document(capability, vessel, answers), ensure_ascii=False, indent=2)
+    lines = table_lines(capability, vessel)
+    if answers:
+        lines += ["", *answer_lines(answers), "", f"judged in {out / 'run'}"]
+    return "\n".join(lines)
+
+
+def _asked(
+    frontier: Frontier, capability: Capability, out: Path, arguments: argparse.Namespace
+) -> list[Answers]:
+    """The answers of the solvers asked for, to the QPs at the edge of polygons."""
+    solvers = None if "all" in arguments.solver else arguments.solver
+    quiet = arguments.json
+    if frontier.sides is None:
+        frontier = Frontier(frontier.vessel, SIDES)
+        with Bar(transient=True, quiet=quiet) as bar:
+            capability = capability_of(frontier, bar)
+    suite = write_batch(frontier, capability, out)
+    with Bar(transient=True, quiet=quiet) as bar:
+        folder = run_campaign(suite, out / "run", solvers=solvers, progress=bar)
+    return answers_of(load_results(folder))
+
+
+def _figure_file(name: str | None) -> Path | None:
+    if name is None:
+        return None
+    path = Path(name)
+    if path.suffix not in FIGURES:
+        raise InputError("--figure", "", name, f"a file that ends with {', '.join(FIGURES)}")
+    return path
+
+
+def _draw(capability: Capability, vessel: Vessel, path: Path) -> None:
+    from dpbench.report.charts.capability import COLUMNS as DRAWN
+    from dpbench.report.charts.capability import rose
+    from dpbench.report.charts.render import save
+
+    rows = [
+        (case, from_deg, at.wind_mps, at.number)
+        for case, held in capability.held.items()
+        for from_deg, at in zip(FROM_DEG, held, strict=True)
+    ]
+    title = f"{vessel.title}: largest wind held"
+    save(rose(pd.DataFrame(rows, columns=list(DRAWN)), title), path)
+
+
+def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
+    """The table for a terminal: a row for each direction, at most 80 columns."""
+    columns = dict(capability.held)
+    if len(columns) > _WIDE:
+        columns = {INTACT: columns[INTACT], "worst failure": capability.worst_failure}
+    room = _CELL - 2
+    names = [textwrap.shorten(case, room, placeholder="…") for case in columns]
+    head = "".join(f"  {name:<{room}}" for name in names)
+    rows = [
+        (f"{from_deg:4.0f}° " + "".join(_cell(held[k]) for held in columns.values())).rstrip()
+        for k, from_deg in enumerate(FROM_DEG)
+    ]
+    shape = "circles" if capability.sides is None else f"{capability.sides}-sided polygons"
+    about = [
+        f"{vessel.id}: DP capability level 1 of DNV-ST-0111, azimuths as {shape}.",
+        "Largest wind held [m/s] and DP capability number, by where wind, waves and current",
+        "come from (90° starboard); + : the standard knows no more weather.",
+        "",
+    ]
+    return [*about, f" from {head}".rstrip(), *rows, "", *_verdict(capability)]
+
+
+def _cell(held: Held) -> str:
+    more = "+" if holds_most(held) else " "
+    return f"  {held.wind_mps:5.1f}{more} {held.number:>2}  "
+
+
+def _verdict(capability: Capability) -> list[str]:
+    lines = [
+        f"{capability.notation}: least number intact within 30° of the bow and all round, and the "
+        "same after the worst failure."
+    ]
+    for case, names in capability.lost.items():
+        if names:
+            lines.append(f"{case}: without {', '.join(names)}.")
+    if capability.assumed:
+        lines.append(
+            f"Assumed, as the vessel's file leaves it out: {', '.join(capability.assumed)}."
+        )
+    return [part for line in lines for part in textwrap.wrap(line, COLUMNS)]
+
+
+def answer_lines(answers: Sequence[Answers]) -> list[str]:
+    """Which solvers said rightly what is balanced and what is not."""
+    first = answers[0]
+    about = (
+        f"{first.asked} static allocations at the edge, half of them infeasible. Right: optima "
+        "that are true, and infeasible ones called so; wrong: untrue claims."
+    )
+    widths = (20, 12, 13, 7, 10, 10)
+    heads = ("solver", "optimum", "infeasible", "wrong", "p50", "largest")
+    rows = [
+        (
+            a.solver,
+            f"{a.balanced}/{a.feasible}",
+            f"{a.refused}/{a.infeasible}",
+            str(a.wrong),
+            time_text(a.p50_ns),
+            time_text(a.max_ns),
+        )
+        for a in answers
+    ]
+    table = [
+        "".join(f"{cell:{'<' if i == 0 else '>'}{widths[i]}}" for i, cell in enumerate(row))
+        for row in (heads, *rows)
+    ]
+    return [*textwrap.wrap(about, COLUMNS), "", *table]
+
+
+def as_document(
+    capability: Capability, vessel: Vessel, answers: Sequence[Answers]
+) -> dict[str, Any]:
+    """All of it, for JSON."""
+    return {
+        "vessel": capability.vessel,
+        "title": vessel.title,
+        "standard": "DNV-ST-0111 (2021) level 1",
+        "sides": capability.sides,
+        "assumed": list(capability.assumed),
+        "notation": capability.notation,
+        "from_deg": list(FROM_DEG),
+        "cases": [
+            {
+                "name": case,
+                "lost": list(capability.lost[case]),
+                "wind_mps": [round(at.wind_mps, 3) for at in held],
+                "number": [at.number for at in held],
+            }
+            for case, held in capability.held.items()
+        ],
+        "solvers": [vars(answer) for answer in answers],
+    }

@@ -1,0 +1,118 @@
+"""Static thrust allocation: thrusters that balance a mean load with the least effort.
+
+    min ½ Σ |f_i/T_i|²   subject to   T_e f = −load,   f_i in its piece of what thruster i may give
+
+Scaled: z = f/T with the nominal thrusts T, the balance over ΣT and ΣT·arm. The rows are
+
+    balance (3)    T_e T z = −load                     as equalities
+    thrusters      of `thruster_rows`, ± β_i           circles as polygons with `sides` sides
+    sectors        0 ≤ n·z_i ≤ 2                       of an azimuth's piece, two each
+    chords         −2 ≤ n·z_i ≤ β_i h                  in which losses cut the circle
+
+Where a piece has no sector or fewer chords than another of the same batch, rows that never bind
+(−2 ≤ n·z ≤ 2) stand in, so that all QPs of a batch have one shape; |z_i| ≤ 1 keeps them away. A
+lost thruster has no part in the balance; that it gives nothing is then the cost's doing, and no
+limit of it is degenerate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dpbench.arrays import Matrix, Vector
+from dpbench.mpc.thruster_rows import thruster_rows
+from dpbench.qp.program import QuadraticProgram
+from dpbench.ship.capability.shapes import Piece
+from dpbench.ship.thrusters import ThrusterSet
+
+NEVER = 2.0
+"""A limit no thruster reaches: in units of its nominal thrust it gives 1 at most."""
+
+
+class StaticAllocation:
+    """The QPs of one ship, all of one shape.
+
+    Parameters
+    ----------
+    thrusters : p of them; their own sectors are ignored, as pieces carry them.
+    sides : of the polygon of an azimuth, even.
+    sectors : (p,) whether any piece of a thruster has a sector; chords : (p,) the most chords any
+        piece of it has.
+    """
+
+    def __init__(
+        self,
+        thrusters: ThrusterSet,
+        sides: int,
+        sectors: Sequence[bool],
+        chords: Sequence[int],
+    ) -> None:
+        round_ones = tuple(replace(t, sector_rad=None) for t in thrusters.thrusters)
+        self._thrusters = thrusters
+        self._rows = thruster_rows(ThrusterSet(round_ones, thrusters.where), sides)
+        self._extra = [2 * int(has) + count for has, count in zip(sectors, chords, strict=True)]
+        self._sectors = list(sectors)
+        self.units = balance_units(thrusters)
+        self._balance = balance_matrix(thrusters)
+
+    def qp(
+        self, load: Vector, shares: Vector, chosen: Sequence[Piece], lost: frozenset[int]
+    ) -> QuadraticProgram:
+        """The QP of one load.
+
+        Parameters
+        ----------
+        load : (3,) mean load times its factor [N, N, N·m].
+        shares : (p,) effective over nominal thrust.
+        chosen : (p,) the piece of each thruster; lost : numbers of those that give nothing.
+        """
+        T, rows = self._thrusters.thrust_N, self._rows
+        given = [i not in lost for i in range(len(T))]
+        over = shares[rows.thruster] / T[rows.thruster]
+        blocks = [self._extras(i, chosen[i], shares[i]) for i in range(len(T))]
+        balance = self._balance * self._thrusters.per_entry(np.array(given, dtype=np.float64))
+        A = np.vstack([balance, rows.G, *(block[0] for block in blocks)])
+        right = -load / self.units
+        low = np.concatenate([right, rows.low * over, *(block[1] for block in blocks)])
+        high = np.concatenate([right, rows.high * over, *(block[2] for block in blocks)])
+        n = self._thrusters.n_f
+        return QuadraticProgram(np.eye(n), np.zeros(n), A, low, high, -np.ones(n), np.ones(n))
+
+    def _extras(self, i: int, piece: Piece, share: float) -> tuple[Matrix, Vector, Vector]:
+        """Rows, lower and upper limits of the sector and chords of thruster i."""
+        count = self._extra[i]
+        normals = np.tile([1.0, 0.0], (count, 1))
+        low, high = np.full(count, -NEVER), np.full(count, NEVER)
+        first = 0
+        if self._sectors[i]:
+            first = 2
+            if piece.sector is not None:
+                normals[:2], low[:2] = sector_normals(*piece.sector), 0.0
+        cut = slice(first, first + len(piece.chords))
+        normals[cut], high[cut] = piece.chords[:, :2], share * piece.chords[:, 2]
+        A = np.zeros((count, self._thrusters.n_f))
+        if count:
+            A[:, self._thrusters.places[i]] = normals
+        return A, low, high
+
+
+def sector_normals(start: float, end: float) -> Matrix:
+    """Inward normals (2, 2) of the sector between two directions [rad]."""
+    return np.array([(-np.sin(start), np.cos(start)), (np.sin(end), -np.cos(end))])
+
+
+def balance_units(thrusters: ThrusterSet) -> Vector:
+    """(3,) ΣT [N] for both forces and ΣT times the longest arm [N·m] for the moment."""
+    total = float(thrusters.thrust_N.sum())
+    arm = max(float(np.hypot(t.x_m, t.y_m)) for t in thrusters.thrusters) or 1.0
+    return np.array([total, total, total * arm])
+
+
+def balance_matrix(thrusters: ThrusterSet) -> Matrix:
+    """T_e T over `balance_units`: (3, n_f)."""
+    thrust = thrusters.per_entry(thrusters.thrust_N)
+    matrix: Matrix = thrusters.T_e * thrust / balance_units(thrusters)[:, np.newaxis]
+    return matrix

@@ -1,0 +1,107 @@
+"""The rose of a ship's capability: the largest wind it holds, by where it comes from."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import altair as alt
+import numpy as np
+import pandas as pd
+
+from dpbench.report.charts.style import GRID, INK, PALETTE, SOFT, below, styled, tip
+from dpbench.ship.capability.conditions import DP_CONDITIONS
+
+COLUMNS = ("case", "from_deg", "wind_mps", "number")
+SIZE = 380
+_OUTER = max(wind for wind, *_ in DP_CONDITIONS.values())
+_RINGS = (3, 5, 6, 7, 8, 9, 10, 11)
+"""DP capability numbers whose winds are drawn as rings; below they lie too close."""
+_LABELS_DEG = 15.0
+"""Direction along which the rings are named, between two spokes."""
+
+
+def rose(table: pd.DataFrame, title: str) -> Any:
+    """A closed line for each case; ahead is up, starboard to the right, rings are DP numbers.
+
+    Parameters
+    ----------
+    table : columns `COLUMNS`, directions clockwise from ahead; cases in the order of the legend.
+    """
+    cases = list(dict.fromkeys(table["case"]))
+    closed = pd.concat([_closed(table[table["case"] == case]) for case in cases])
+    span = alt.Scale(domain=[-1.12 * _OUTER, 1.12 * _OUTER], nice=False)
+    x = alt.X("x:Q", scale=span, axis=None)
+    y = alt.Y("y:Q", scale=span, axis=None)
+    lines = (
+        alt.Chart(closed)
+        .mark_line(strokeWidth=2, point=alt.OverlayMarkDef(size=14), interpolate="linear")
+        .encode(
+            x=x,
+            y=y,
+            order="i:Q",
+            color=alt.Color(
+                "case:N",
+                title=None,
+                scale=alt.Scale(domain=cases, range=list(PALETTE[: len(cases)])),
+                legend=below(columns=3),
+            ),
+            tooltip=[
+                alt.Tooltip("case:N"),
+                tip("from_deg:Q", "from [°]"),
+                tip("wind_mps:Q", "wind held [m/s]", 3),
+                alt.Tooltip("number:Q", title="DP capability number"),
+            ],
+        )
+    )
+    web = [_rings(x, y), _spokes(x, y), _ring_names(x, y), _bearings(x, y)]
+    about = "Largest wind held from each direction, intact and after each failure."
+    return styled(alt.layer(*web, lines, width=SIZE, height=SIZE), title, about)
+
+
+def _at(radius: Any, from_deg: Any) -> dict[str, Any]:
+    """Coordinates of a wind (…) from a direction (…): ahead is up."""
+    angle = np.radians(from_deg)
+    return {"x": radius * np.sin(angle), "y": radius * np.cos(angle)}
+
+
+def _closed(case: pd.DataFrame) -> pd.DataFrame:
+    """The rows of a case with the first one again at the end."""
+    ring = pd.concat([case, case.iloc[:1]])
+    places = _at(ring["wind_mps"].to_numpy(), ring["from_deg"].to_numpy())
+    return ring.assign(**places, i=range(len(ring)))
+
+
+def _rings(x: alt.X, y: alt.Y) -> Any:
+    turn = np.linspace(0.0, 360.0, 91)
+    rings = [
+        pd.DataFrame({**_at(DP_CONDITIONS[n][0], turn), "i": range(len(turn)), "n": n})
+        for n in _RINGS
+    ]
+    chart = alt.Chart(pd.concat(rings)).mark_line(color=GRID, strokeWidth=1)
+    return chart.encode(x=x, y=y, detail="n:N", order="i:Q")
+
+
+def _spokes(x: alt.X, y: alt.Y) -> Any:
+    spokes = [
+        pd.DataFrame({**_at(np.array([0.0, _OUTER]), from_deg), "spoke": from_deg})
+        for from_deg in range(0, 360, 30)
+    ]
+    chart = alt.Chart(pd.concat(spokes)).mark_line(color=GRID, strokeWidth=1)
+    return chart.encode(x=x, y=y, detail="spoke:N")
+
+
+def _ring_names(x: alt.X, y: alt.Y) -> Any:
+    names = [
+        {**_at(DP_CONDITIONS[n][0], _LABELS_DEG), "name": f"{n}: {DP_CONDITIONS[n][0]:g} m/s"}
+        for n in _RINGS[::2]
+    ]
+    chart = alt.Chart(pd.DataFrame(names)).mark_text(color=SOFT, fontSize=9, dy=-5)
+    return chart.encode(x=x, y=y, text="name:N")
+
+
+def _bearings(x: alt.X, y: alt.Y) -> Any:
+    bearings = [
+        {**_at(1.07 * _OUTER, from_deg), "name": f"{from_deg}°"} for from_deg in range(0, 360, 30)
+    ]
+    chart = alt.Chart(pd.DataFrame(bearings)).mark_text(color=INK, fontSize=11)
+    return chart.encode(x=x, y=y, text="name:N")

@@ -1,0 +1,78 @@
+"""Mean wind, current and wave drift on a hull by level 1 of DNV-ST-0111 (2021), 3.5 to 3.7.
+
+    wind      X = −0.7 q A_F cos γ       q = ½ρ_a V²
+              Y = −0.9 q A_L sin γ       N = Y (x_A + 0.3 (1 − 2γ'/π) L_pp)
+    current   X = −0.07 q B T cos γ      q = ½ρ V_c²
+              Y = −0.6 q A_c sin γ       N = Y (x_c + [0.4 (1 − 2γ'/π)]_{−0.2…0.25} L_pp)
+    waves     X = 0.09 q B h1 h2 f(T')   q = ½ρ g Hs²,  T' = Tz/(0.9 L_pp^0.33)
+              Y = −0.09 q L_os sin γ f(T'),  T' = Tz/(0.75 √B)
+              N = Y (x_os + (0.05 − 0.14 γ'/π) L_os)
+              h1 = h1a + γ'/π (h1b − h1a),  h1a = 0.8 α^0.45,  h1b = 0.7 C²  (C in 0.85…1.15)
+              h2 = 0.05 + 0.95 arctan(1.45 (γ' − 1.75))
+
+γ is where all three come from, clockwise from ahead, and γ' the same in 0…π on either side; α is
+the bow angle. The standard's y points to port; here it points to starboard, and N turns the bow
+there.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dpbench.arrays import Matrix
+from dpbench.ship.capability.conditions import Condition
+from dpbench.ship.capability.hull import CapabilityHull
+from dpbench.ship.weather.waves import GRAVITY, WATER_DENSITY, period_factor
+from dpbench.ship.weather.wind import AIR_DENSITY
+
+DYNAMIC_FACTOR = 1.25
+"""By which thrust has to exceed the mean loads (3.2.2)."""
+LOADS = ("wind", "current", "waves")
+
+
+def folded(from_rad: float) -> float:
+    """γ' in 0…π: the same on both sides of the ship."""
+    return abs(math.remainder(from_rad, 2.0 * math.pi))
+
+
+def mean_loads(hull: CapabilityHull, condition: Condition, from_rad: float) -> Matrix:
+    """Surge, sway [N] and yaw [N·m] of wind, current and waves, without the factor: (3, 3).
+
+    Parameters
+    ----------
+    from_rad : where all come from, clockwise from ahead [rad].
+    """
+    along, across = math.cos(from_rad), math.sin(from_rad)
+    side = folded(from_rad) / math.pi
+    L = hull.length_m
+    air = 0.5 * AIR_DENSITY * condition.wind_mps**2
+    wind_arm = hull.lateral_x_m + 0.3 * (1.0 - 2.0 * side) * L
+    water = 0.5 * WATER_DENSITY * condition.current_mps**2
+    shift = min(max(0.4 * (1.0 - 2.0 * side), -0.2), 0.25)
+    wave_arm = hull.submerged_x_m + (0.05 - 0.14 * side) * hull.submerged_length_m
+    drift_x, drift_y = _drift(hull, condition, from_rad)
+    forces = [
+        (-0.7 * air * hull.frontal_m2 * along, -0.9 * air * hull.lateral_m2 * across, wind_arm),
+        (
+            -0.07 * water * hull.breadth_m * hull.draught_m * along,
+            -0.6 * water * hull.submerged_m2 * across,
+            hull.current_x_m + shift * L,
+        ),
+        (drift_x, drift_y, wave_arm),
+    ]
+    return np.array([(X, Y, Y * arm) for X, Y, arm in forces])
+
+
+def _drift(hull: CapabilityHull, condition: Condition, from_rad: float) -> tuple[float, float]:
+    """Wave drift in surge and sway [N]."""
+    pressure = 0.09 * 0.5 * WATER_DENSITY * GRAVITY * condition.hs_m**2
+    Tz, turned = condition.zero_crossing_s, folded(from_rad)
+    ahead = 0.8 * hull.bow_angle_rad**0.45
+    astern = 0.7 * min(max(hull.aft_fullness, 0.85), 1.15) ** 2
+    h1 = ahead + turned / math.pi * (astern - ahead)
+    h2 = 0.05 + 0.95 * math.atan(1.45 * (turned - 1.75))
+    surge = pressure * hull.breadth_m * h1 * h2 * period_factor(Tz / (0.9 * hull.length_m**0.33))
+    beam = period_factor(Tz / (0.75 * math.sqrt(hull.breadth_m)))
+    return surge, -pressure * hull.submerged_length_m * math.sin(from_rad) * beam

@@ -1,0 +1,158 @@
+"""What of a thruster's nominal thrust is left, by level 1 of DNV-ST-0111 (2021), 3.9 and 3.11.
+
+    T_effective = T_nominal · β_misc · β_vent · β_dead(α) · β_skeg(α)
+
+β_misc = 0.9. The screw draws air in waves (3.9.4):
+
+    β_vent = Φ(2 · 2ξ/D − 1.5 σ),   ξ depth of the shaft,  D diameter
+    σ = ¼ (A Hs min(T0, 1) + max(√(T_nominal/D³)/15.2 − 1, 0)),   T0 = 0.64 √L_pp / Tz
+    A = 0.85 · (1 + 0.38 min(γ', π − γ')/π) · (1 + 0.4 min(x, 0)/L_pp)
+
+An azimuth may not send its race onto a working thruster (3.11.3), and loses thrust where it hits a
+dead one (3.11.4) or a skeg (3.11.5); α is where it pushes to, clockwise from ahead.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+
+from dpbench.ship.capability.conditions import Condition
+from dpbench.ship.capability.hull import CapabilityHull
+from dpbench.ship.capability.loads import folded
+from dpbench.ship.thrusters import Thruster
+
+MISCELLANEOUS = 0.9
+"""β_misc."""
+FLUSHING_DIAMETERS = 15.0
+"""Nearer than so many diameters nobody may flush a working thruster."""
+TURN = 2.0 * math.pi
+
+
+def vented_share(
+    thruster: Thruster, hull: CapabilityHull, condition: Condition, from_rad: float
+) -> float:
+    """β_vent, the share that waves from there leave; 1 for a thruster without a known screw."""
+    screw = thruster.screw
+    if screw is None or screw.height_m is None:
+        return 1.0
+    turned = folded(from_rad)
+    abeam = 1.0 + 0.38 * min(turned, math.pi - turned) / math.pi
+    aft = 1.0 + 0.4 * min(thruster.x_m, 0.0) / hull.length_m
+    period = min(0.64 * math.sqrt(hull.length_m) / condition.zero_crossing_s, 1.0)
+    loading = math.sqrt(thruster.thrust_N / screw.diameter_m**3) / 15.2
+    motion = 0.85 * abeam * aft * condition.hs_m * period
+    sigma = 0.25 * (motion + max(loading - 1.0, 0.0))
+    depth = hull.draught_m - screw.height_m
+    return NormalDist().cdf(4.0 * depth / screw.diameter_m - 1.5 * sigma)
+
+
+@dataclass(frozen=True)
+class Loss:
+    """A share of thrust that depends on where it pushes.
+
+    Parameters
+    ----------
+    start, worst, end : where it begins, is largest and ends [rad], rising.
+    share : of the full thrust, at a direction between start and end [rad].
+    """
+
+    start: float
+    worst: float
+    end: float
+    share: Callable[[float], float]
+
+    def at(self, direction: float) -> float:
+        """The share at any direction; 1 where there is no loss."""
+        inside = self.start + (direction - self.start) % TURN
+        return self.share(inside) if inside < self.end else 1.0
+
+
+def forbidden_zones(thruster: Thruster, working: Sequence[Thruster]) -> list[tuple[float, float]]:
+    """(from, to) [rad] of the directions in which an azimuth would flush a working thruster."""
+    screw = thruster.screw
+    if thruster.kind != "azimuth" or screw is None:
+        return []
+    zones = []
+    for other in working:
+        distance = math.hypot(thruster.x_m - other.x_m, thruster.y_m - other.y_m)
+        if other is thruster or other.kind == "tunnel":
+            continue
+        if 0.0 < distance < FLUSHING_DIAMETERS * screw.diameter_m:
+            half = math.atan(0.1 + screw.diameter_m / distance)
+            centre = _away(thruster, other)
+            zones.append((centre - half, centre + half))
+    return zones
+
+
+def dead_losses(thruster: Thruster, dead: Sequence[Thruster]) -> list[Loss]:
+    """Losses of an azimuth whose race hits a thruster that gives nothing; no tunnel is hit.
+
+    From β at the centre to 1 at both edges the largest thrust lies on a straight line.
+    """
+    screw = thruster.screw
+    if thruster.kind != "azimuth" or screw is None:
+        return []
+    reach, spread = (4.0, 0.35) if screw.propeller == "nozzle" else (8.0, 0.6)
+    losses = []
+    for other in dead:
+        distance = math.hypot(thruster.x_m - other.x_m, thruster.y_m - other.y_m)
+        diameters = distance / screw.diameter_m
+        if other.kind == "tunnel" or not 0.0 < diameters < reach:
+            continue
+        half = math.atan(spread / diameters)
+        beta = 1.0 - 1.0 / (0.02 * diameters**2 + 0.25 * diameters + 1.2)
+        losses.append(_notch(_away(thruster, other), half, beta))
+    return losses
+
+
+def _away(thruster: Thruster, other: Thruster) -> float:
+    """Where a thruster pushes to while its race meets the other [rad]."""
+    return math.atan2(thruster.y_m - other.y_m, thruster.x_m - other.x_m)
+
+
+def _notch(centre: float, half: float, beta: float) -> Loss:
+    def share(direction: float) -> float:
+        off = abs(direction - centre)
+        return beta * math.sin(half) / (math.sin(half - off) + beta * math.sin(off))
+
+    return Loss(centre - half, centre, centre + half, share)
+
+
+def skeg_losses(thruster: Thruster, hull: CapabilityHull) -> list[Loss]:
+    """Losses of an azimuth whose race hits a skeg, linear in the direction between three points.
+
+    Tables 3-7 and 3-8 are mirror images, so they are one in the angle towards the thruster's side.
+    """
+    screw = thruster.screw
+    if thruster.kind != "azimuth" or screw is None:
+        return []
+    if screw.height_m is not None and screw.height_m <= 0.0:
+        return []
+    reach = 8.0 if screw.propeller == "nozzle" else 15.0
+    losses = []
+    for x_m, y_m in hull.skegs:
+        ahead, aside = x_m - thruster.x_m, abs(y_m - thruster.y_m)
+        distance = math.hypot(ahead, aside) if ahead > 0.0 else aside
+        if aside > 0.0 and distance < reach * screw.diameter_m:
+            jet = math.atan(0.6 * screw.diameter_m / distance)
+            losses.append(_skeg(ahead, aside, jet, thruster.y_m < y_m))
+    return losses
+
+
+def _skeg(ahead: float, aside: float, jet: float, to_port: bool) -> Loss:
+    flush = 0.5 * math.pi + math.atan(ahead / aside)
+    worst = min(max(flush + jet, 0.5 * math.pi), math.pi)
+    start, end = max(flush - jet, 0.0), min(worst + 4.0 * jet, math.pi)
+    least = 2.0 * worst / math.pi - 1.0
+
+    def outboard(angle: float) -> float:
+        if angle <= worst:
+            return 1.0 - (1.0 - least) * (angle - start) / (worst - start)
+        return least + (1.0 - least) * (angle - worst) / (end - worst)
+
+    if to_port:
+        return Loss(TURN - end, TURN - worst, TURN - start, lambda angle: outboard(TURN - angle))
+    return Loss(start, worst, end, outboard)

@@ -1,0 +1,155 @@
+"""The forces an effective azimuth may give, as a union of convex pieces.
+
+In directions without loss the edge is the circle of radius 1, times T. A forbidden zone takes a
+sector out, and a loss a notch, so what remains is not convex: it is cut, at the bottom of each
+notch and wherever a sector would be wider than half a turn, into pieces that are.
+
+        ╭───╮        a piece: start ≤ direction ≤ end, |f| ≤ T, and a row n·f ≤ h T for each chord
+       ╱  ╲╱ notch   of the notch; its corners lie on the true edge, so that chords give away no
+       ╲  ╱          more than the second order of the angle between them
+        ╰╯ zone
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from dpbench.arrays import Matrix
+from dpbench.ship.capability.losses import TURN, Loss
+
+_ROUNDING = 1e-9
+"""Angles [rad] that are the same."""
+
+
+def _no_chords() -> Matrix:
+    return np.zeros((0, 3))
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A convex part of what an azimuth may give, in units of its effective thrust.
+
+    Parameters
+    ----------
+    sector : (start, end) [rad], at most half a turn; None for all round.
+    chords : (c, 3) rows (n_x, n_y, h) of n·f ≤ h, in which a loss cuts the circle.
+    """
+
+    sector: tuple[float, float] | None = None
+    chords: Matrix = field(default_factory=_no_chords)
+
+
+def pieces(
+    sector: tuple[float, float] | None,
+    zones: Sequence[tuple[float, float]],
+    dead: Sequence[Loss],
+    skegs: Sequence[Loss],
+    step_rad: float,
+) -> list[Piece]:
+    """The convex pieces of an azimuth; none where every direction is forbidden.
+
+    Parameters
+    ----------
+    sector : where it may push at all; zones : where it may not, (from, to) [rad].
+    dead, skegs : losses; of several of one kind the largest counts, of both kinds the product.
+    step_rad : the angle between corners on the edge of a notch, at most.
+    """
+    edge = _Edge(dead, skegs)
+    if sector is None and not zones and not edge.kinks:
+        return [Piece()]
+    found: list[Piece] = []
+    for start, end in _allowed(sector, zones, edge):
+        found += edge.cut(start, end, step_rad)
+    return found
+
+
+class _Edge:
+    """The largest thrust by direction, over T."""
+
+    def __init__(self, dead: Sequence[Loss], skegs: Sequence[Loss]) -> None:
+        self._kinds = dead, skegs
+        losses = [*dead, *skegs]
+        self.kinks = [angle for loss in losses for angle in (loss.start, loss.worst, loss.end)]
+
+    def share(self, direction: float) -> float:
+        """β_dead β_skeg."""
+        dead, skegs = (
+            min((loss.at(direction) for loss in losses), default=1.0) for losses in self._kinds
+        )
+        return dead * skegs
+
+    def cut(self, start: float, end: float, step_rad: float) -> list[Piece]:
+        """The pieces between two directions."""
+        corners = self._corners(start, end, step_rad)
+        points = [self._point(corner) for corner in corners]
+        sides = zip(pairwise(corners), pairwise(points), strict=True)
+        ways = [self._way(a, b, p, q) for (a, b), (p, q) in sides]
+        cuts, first = [], 0
+        for i in range(1, len(ways)):
+            wide = corners[i + 1] - corners[first] > math.pi + _ROUNDING
+            if wide or _cross(ways[i - 1][1], ways[i][0]) < -_ROUNDING:
+                cuts.append((first, i))
+                first = i
+        cuts.append((first, len(ways)))
+        chords = [[chord for _, _, chord in ways[a:b] if chord] for a, b in cuts]
+        return [
+            Piece((corners[a], corners[b]), np.array(rows, dtype=np.float64).reshape(-1, 3))
+            for (a, b), rows in zip(cuts, chords, strict=True)
+        ]
+
+    def _corners(self, start: float, end: float, step_rad: float) -> list[float]:
+        """Both ends, the kinks between them, and as many more as notches and half turns need."""
+        between = {start + (kink - start) % TURN for kink in self.kinks}
+        main = [start, *sorted(a for a in between if start + _ROUNDING < a < end - _ROUNDING), end]
+        corners = [start]
+        for a, b in pairwise(main):
+            lossy = self.share(0.5 * (a + b)) < 1.0
+            count = math.ceil((b - a) / (step_rad if lossy else math.pi) - _ROUNDING)
+            corners += np.linspace(a, b, max(count, 1) + 1)[1:].tolist()
+        return corners
+
+    def _point(self, direction: float) -> tuple[float, float]:
+        # At a kink where a loss ends abruptly the lesser thrust counts.
+        share = min(self.share(direction - _ROUNDING), self.share(direction + _ROUNDING))
+        return share * math.cos(direction), share * math.sin(direction)
+
+    def _way(
+        self, a: float, b: float, p: tuple[float, float], q: tuple[float, float]
+    ) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float, float] | None]:
+        """Directions in which the edge leaves a corner and meets the next; its chord, if any."""
+        if self.share(0.5 * (a + b)) >= 1.0:
+            return (-math.sin(a), math.cos(a)), (-math.sin(b), math.cos(b)), None
+        length = math.hypot(q[0] - p[0], q[1] - p[1])
+        along = (q[0] - p[0]) / length, (q[1] - p[1]) / length
+        normal = along[1], -along[0]
+        return along, along, (*normal, normal[0] * p[0] + normal[1] * p[1])
+
+
+def _cross(a: tuple[float, float], b: tuple[float, float]) -> float:
+    return a[0] * b[1] - a[1] * b[0]
+
+
+def _allowed(
+    sector: tuple[float, float] | None, zones: Sequence[tuple[float, float]], edge: _Edge
+) -> list[tuple[float, float]]:
+    """The directions left: the sector, or a whole turn, without the zones."""
+    if sector is None:
+        # A turn begins at the bottom of a notch, where it is cut anyway, or behind a zone.
+        start = min(edge.kinks, key=edge.share) if not zones else zones[0][1]
+        sector = start, start + TURN
+    left = [sector]
+    for low, high in zones:
+        for turn in (-2, -1, 0, 1, 2):
+            at = low + turn * TURN, high + turn * TURN
+            left = [part for arc in left for part in _without(arc, at)]
+    return left
+
+
+def _without(arc: tuple[float, float], zone: tuple[float, float]) -> list[tuple[float, float]]:
+    parts = (arc[0], min(arc[1], zone[0])), (max(arc[0], zone[1]), arc[1])
+    return [part for part in parts if part[1] - part[0] > _ROUNDING]

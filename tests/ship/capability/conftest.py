@@ -1,0 +1,39 @@
+"""What was published of the rescue ship Ratownik, and the ship itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from dpbench.scenario.scenario import load_vessel
+from dpbench.ship.capability.hull import CapabilityHull
+from dpbench.ship.thrusters import ThrusterSet
+from dpbench.ship.vessel import Vessel
+
+
+@pytest.fixture(scope="session")
+def published() -> pd.DataFrame:
+    """Its results for 36 directions; see the head of the file."""
+    return pd.read_csv(Path(__file__).with_name("ratownik_published.csv"), comment="#")
+
+
+@pytest.fixture(scope="session")
+def ratownik() -> Vessel:
+    """The vessel of the library."""
+    return load_vessel("ratownik")
+
+
+@pytest.fixture(scope="session")
+def hull(ratownik: Vessel) -> CapabilityHull:
+    """Its hull."""
+    assert ratownik.capability is not None
+    return ratownik.capability
+
+
+@pytest.fixture(scope="session")
+def thrusters(ratownik: Vessel) -> ThrusterSet:
+    """Its thrusters."""
+    assert ratownik.thrusters is not None
+    return ratownik.thrusters

@@ -1,0 +1,119 @@
+"""Losses of thrust: the published factors of a ship, hand-worked cases of the standard's rules."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dpbench.ship.capability.conditions import DP_CONDITIONS, Condition, condition_of_wind
+from dpbench.ship.capability.hull import CapabilityHull
+from dpbench.ship.capability.losses import (
+    MISCELLANEOUS,
+    dead_losses,
+    forbidden_zones,
+    skeg_losses,
+    vented_share,
+)
+from dpbench.ship.thrusters import Screw, Thruster, ThrusterSet
+
+
+def azimuth(x_m: float, y_m: float, diameter_m: float = 2.0, propeller: str = "open") -> Thruster:
+    screw = Screw(diameter_m, propeller, 1.0)  # type: ignore[arg-type] # a word of a test
+    return Thruster(f"at {x_m} {y_m}", "azimuth", x_m, y_m, 1e5, 10.0, screw=screw)
+
+
+def test_factors_are_the_published_ones(
+    hull: CapabilityHull, thrusters: ThrusterSet, published: pd.DataFrame
+) -> None:
+    """β_misc β_vent β_skeg of five thrusters and 36 directions, to two digits and a degree.
+
+    In a notch the thrust falls by 2.3 % a degree, which is what a rounded angle costs.
+    """
+    for row in published.itertuples():
+        condition = Condition(*DP_CONDITIONS[row.number])
+        for i, thruster in enumerate(thrusters.thrusters):
+            vented = vented_share(thruster, hull, condition, math.radians(row.from_deg))
+            skeg, allowed = 1.0, 0.0051
+            if i < 2:
+                # Counter-clockwise there, clockwise here; so port is −y there and here the first.
+                pushed = -math.radians(float(getattr(row, f"angle_{i + 1}")))
+                skeg = min(loss.at(pushed) for loss in skeg_losses(thruster, hull))
+                allowed = 0.03 if skeg < 1.0 else allowed
+            found = MISCELLANEOUS * vented * skeg
+            assert found == pytest.approx(getattr(row, f"loss_{i + 1}"), abs=allowed), (row, i)
+
+
+def test_waves_take_more_the_higher_they_are_and_nothing_unknown(
+    hull: CapabilityHull, thrusters: ThrusterSet
+) -> None:
+    """β_vent falls with the wind; a thruster whose screw is not known loses nothing."""
+    for thruster in thrusters.thrusters:
+        shares = [vented_share(thruster, hull, condition_of_wind(w), 1.5) for w in (5, 15, 25, 32)]
+        assert (np.diff(shares) <= 0.0).all()
+    bare = Thruster("bare", "tunnel", 30.0, 0.0, 1e5, 8.0)
+    assert vented_share(bare, hull, condition_of_wind(32.0), 1.5) == 1.0
+
+
+def test_a_working_thruster_is_not_flushed() -> None:
+    """By hand: 11 m abeam, D = 3 m: 90° off its side, ± arctan(0.1 + 3/11) = 20.44°."""
+    port, starboard = azimuth(-40.0, -5.5, 3.0), azimuth(-40.0, 5.5, 3.0)
+    both = [port, starboard]
+    (to_port,), (to_starboard,) = (forbidden_zones(one, both) for one in both)
+    half = math.degrees(math.atan(0.1 + 3.0 / 11.0))
+    assert half == pytest.approx(20.44, abs=0.005)
+    # Pushing to port it sends its race to starboard, onto the other.
+    np.testing.assert_allclose(np.degrees(to_port), [-90.0 - half, -90.0 + half])
+    np.testing.assert_allclose(np.degrees(to_starboard), [90.0 - half, 90.0 + half])
+
+
+def test_only_near_ones_that_are_no_tunnels_forbid_a_direction() -> None:
+    """15 diameters of the flushing thruster; a tunnel may be flushed."""
+    near, far = azimuth(0.0, 0.0), azimuth(29.9, 0.0)
+    assert len(forbidden_zones(near, [near, far])) == 1
+    assert forbidden_zones(near, [near, azimuth(30.0, 0.0)]) == []
+    tunnel = Thruster("tunnel", "tunnel", 5.0, 0.0, 1e5, 8.0, screw=Screw(2.0, "tunnel"))
+    assert forbidden_zones(near, [near, tunnel]) == []
+    assert dead_losses(near, [tunnel]) == []
+
+
+def test_a_dead_thruster_takes_thrust_along_a_straight_line() -> None:
+    """By hand: 5 diameters astern, β = 1 − 1/2.95 = 0.661, φ = arctan 0.12 = 6.843°."""
+    (loss,) = dead_losses(azimuth(0.0, 0.0), [azimuth(-10.0, 0.0)])
+    assert math.degrees(loss.end) == pytest.approx(6.843, abs=5e-4)
+    assert loss.at(0.0) == pytest.approx(1.0 - 1.0 / 2.95)
+    angle = np.linspace(0.0, loss.end, 40)[:-1]
+    edge = np.array([loss.at(a) * np.array([math.cos(a), math.sin(a)]) for a in angle])
+    along = np.diff(edge, axis=0)
+    turned = along[1:, 0] * along[:-1, 1] - along[1:, 1] * along[:-1, 0]
+    np.testing.assert_allclose(turned, 0.0, atol=1e-12)
+    assert loss.at(loss.end) == loss.at(2.0) == 1.0
+    assert dead_losses(azimuth(0.0, 0.0), [azimuth(-16.0, 0.0)]) == []
+    assert dead_losses(azimuth(0.0, 0.0, 2.0, "nozzle"), [azimuth(-8.0, 0.0)]) == []
+
+
+def test_a_skeg_takes_thrust_of_both_sides_alike(
+    hull: CapabilityHull, thrusters: ThrusterSet
+) -> None:
+    """The tables for port and starboard are mirror images; the least is 2 α/π − 1."""
+    (port,), (starboard,) = (skeg_losses(t, hull) for t in thrusters.thrusters[:2])
+    for angle in np.linspace(0.0, 2.0 * np.pi, 721):
+        assert port.at(-angle) == pytest.approx(starboard.at(angle))
+    flush = math.pi / 2 + math.atan(3.276 / 4.69)
+    worst = flush + math.atan(0.6 * 3.1 / math.hypot(3.276, 4.69))
+    assert starboard.worst == pytest.approx(worst)
+    assert starboard.at(worst) == pytest.approx(2.0 * worst / math.pi - 1.0)
+    assert skeg_losses(thrusters.thrusters[2], hull) == []
+
+
+def test_a_skeg_right_beside_a_thruster_is_no_division_by_zero() -> None:
+    """Its loss then ends abruptly at half a turn, on both sides."""
+    beside = CapabilityHull(
+        80.0, 18.0, 5.0, 80.0, 0.0, 0.4, 1.0, 300.0, 900.0, 0.0, 400.0, 0.0, ((30.0, 0.0),)
+    )
+    for y_m in (-1.0, 1.0):
+        (loss,) = skeg_losses(azimuth(22.0, y_m, 4.0), beside)
+        shares = [loss.at(angle) for angle in np.linspace(-np.pi, np.pi, 361)]
+        assert 0.0 <= min(shares) <= max(shares) == 1.0
