@@ -94,36 +94,46 @@ def _rows_of(thruster: Thruster, sides: int) -> tuple[Matrix, Vector, Vector]:
 
 
 RETREAT = 0.9
-"""Share of the rate at which a lost limit closes in, so that plans keep some freedom and no rounding
-decides whether there is one."""
+"""Share of the rate at which limits of a lost thruster close in, so that plans keep some freedom
+and no rounding decides whether there is one."""
+GONE = 0.05
+"""In rate-limit steps: what is left of a force that counts as nothing, well within that freedom."""
 
 
 class Retreat:
-    """The straight way of each thruster to nothing, by which a lost limit stays reachable.
+    """How the limits of a lost thruster close in, so that they stay reachable at its rate.
 
-        f_i = λ_i f,   λ_i = max(0, 1 − 0.9 i min_j Δf_max,j / |f_j|)   over the entries j of one
+        g = gauge of f: the least share of its polygon that holds f
+        row k of move i:   λ_i g (its intact limit),   λ_i = 1 − 0.9 i min_j Δf_max,j / |f_j|
 
-    A plan that follows it keeps to the rate, and meets all rows of the thruster at once, which the
-    rate limits of each row by itself would not promise: so row k of move i may be as large as
-    λ_i G_k f, whatever its limit has become. Zero lies within all limits.
+    The polygon shrinks as a whole, with room inside until it is nothing: the straight way λ_i f
+    lies in it at every move and keeps to the rate of each entry j. Limits that are in force hold
+    where they allow more.
 
     Parameters
     ----------
-    rows : of the thrusters; du_max : (n_f,) rate limits of a sample; row_max : (r,) unit of a row;
-    N_c : moves.
+    rows : of the intact thrusters; du_max : (n_f,) rate limits of a sample; row_max : (r,) unit of
+        a row; N_c : moves.
     """
 
     def __init__(self, rows: ThrusterRows, du_max: Vector, row_max: Vector, N_c: int) -> None:
         self._rows, self._du_max, self._row_max = rows, du_max, row_max
         self._moves = RETREAT * np.arange(1.0, N_c + 1)[:, np.newaxis]
         self._thrusters = int(rows.entry[-1]) + 1
+        # A sector's edge has zero for a limit: no share of it tells where f is.
+        self._below = np.where(rows.low < 0.0, rows.low, -np.inf)
+
+    def shares(self, f: Vector) -> Matrix:
+        """λ_i g (N_c, p) of each thruster at each move."""
+        rows, steps, gauge = self._rows, np.zeros(self._thrusters), np.zeros(self._thrusters)
+        along = rows.G @ f
+        np.maximum.at(steps, rows.entry, np.abs(f) / self._du_max)
+        np.maximum.at(gauge, rows.thruster, np.maximum(along / rows.high, along / self._below))
+        left = steps - self._moves
+        return np.where(left > GONE, gauge * left / np.maximum(steps, GONE), 0.0)
 
     def reach(self, f: Vector) -> tuple[Matrix, Matrix]:
-        """(λ_i − 1) G f in units of the rows, less and plus rounding: (N_c, r) each."""
-        steps = np.zeros(self._thrusters)
-        np.maximum.at(steps, self._rows.entry, np.abs(f) / self._du_max)
-        gone = self._moves / np.maximum(steps, self._moves)
-        along = self._rows.G @ f / self._row_max
-        back = -gone[:, self._rows.thruster] * along
-        rounding = 4.0 * np.spacing(np.abs(along))
-        return back - rounding, back + rounding
+        """The limits that remain, less G f, in units of the rows: least and most, (N_c, r) each."""
+        share, along = self.shares(f)[:, self._rows.thruster], self._rows.G @ f
+        least = (share * self._rows.low - along) / self._row_max
+        return least, (share * self._rows.high - along) / self._row_max

@@ -95,7 +95,8 @@ def _at_limits(
     low, high = (limit[: len(f)] for limit in limits)
     along = f @ G.T
     near = AT_LIMIT * unit
-    at_limit = ((along >= high - near) | (along <= low + near)).any(axis=1)
+    # A thruster that was lost is at nothing, not at a limit.
+    at_limit = (((along >= high - near) | (along <= low + near)) & (low < high)).any(axis=1)
     beyond = (along > high + 1e-9 * unit) | (along < low - 1e-9 * unit)
     too_fast = (np.abs(f - before) > scenario.du_max * (1.0 + 1e-12)).any(axis=1)
     retreat = Retreat(control.rows, scenario.du_max, unit, 1)

@@ -13,7 +13,7 @@ from dpbench.bench.record.cell import Fallback
 from dpbench.mpc.condense import CondensedMatrices, ControlProblem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.law import Gains, gains
-from dpbench.mpc.thruster_rows import RETREAT
+from dpbench.mpc.thruster_rows import Retreat
 
 CLIP_TOLERANCE = 1e-9
 """In rate-limit steps: below it a violation is rounding, above it `clipped` is recorded."""
@@ -35,8 +35,7 @@ def limit_of(problem: ControlProblem) -> Limit:
     """How the moves of a controller are limited: forces axis by axis, thrusters each as a whole."""
     if problem.thrusters is None:
         return partial(limit_move, problem.du_max)
-    rows = problem.thrusters
-    return partial(limit_thrusters, problem.du_max, rows.G, rows.thruster, rows.entry)
+    return ThrusterLimit(problem)
 
 
 @njit(cache=True)
@@ -59,57 +58,50 @@ def limit_move(du_max, u, du, u_min, u_max, applied):  # type: ignore[no-untyped
     return clipped
 
 
-@njit(cache=True)
-def limit_thrusters(  # type: ignore[no-untyped-def] # numba
-    df_max, G, row_of, entry_of, f, df, low, high, applied
-):
-    """The same for thrusters, each with rows of its own (`thruster_rows`).
+class ThrusterLimit:
+    """The same for thrusters, each as a whole (`thruster_rows`).
 
         applied = b + t (f + clip(Δf, ±Δf_max) − b),   largest t ≤ 1 within low ≤ G · ≤ high
 
-    b is the force before or, where that is beyond a limit by now, one step of the straight retreat
-    to nothing (`Retreat`); b and the clipped move keep to the rate, so all between them do.
+    b is the force before or, where that is beyond a limit by now, the first step of its way back to
+    nothing (`Retreat`); b and the clipped move keep to the rate, so all between them do.
     """
-    r, n_f = G.shape
-    clipped = False
-    base, target = np.empty(n_f), np.empty(n_f)
-    for j in range(n_f):
-        base[j] = f[j]
-        target[j] = f[j] + min(max(df[j], -df_max[j]), df_max[j])
-    for i in range(entry_of[-1] + 1):
-        outside, steps, rounding = False, 0.0, 0.0
-        for k in range(r):
-            if row_of[k] == i:
-                before = 0.0
-                for j in range(n_f):
-                    before += G[k, j] * f[j]
-                outside |= before > high[k] or before < low[k]
-        for j in range(n_f):
-            if entry_of[j] == i:
-                steps = max(steps, abs(f[j]) / df_max[j])
-                rounding = max(rounding, CLIP_TOLERANCE * df_max[j])
-        if outside and steps > 0.0:
-            for j in range(n_f):
-                if entry_of[j] == i:
-                    base[j] = f[j] * max(0.0, 1.0 - RETREAT / steps)
-        t = 1.0
-        for k in range(r):
-            if row_of[k] == i:
-                at_base, at_target = 0.0, 0.0
-                for j in range(n_f):
-                    at_base += G[k, j] * base[j]
-                    at_target += G[k, j] * target[j]
-                most, least = max(high[k], at_base), min(low[k], at_base)
-                if at_target > most + rounding:
-                    t = min(t, (most - at_base) / (at_target - at_base))
-                elif at_target < least - rounding:
-                    t = min(t, (least - at_base) / (at_target - at_base))
-        for j in range(n_f):
-            if entry_of[j] == i:
-                applied[j] = base[j] + t * (target[j] - base[j]) if t < 1.0 else target[j]
-                if abs(applied[j] - f[j] - df[j]) > CLIP_TOLERANCE * df_max[j]:
-                    clipped = True
-    return clipped
+
+    def __init__(self, problem: ControlProblem) -> None:
+        assert problem.thrusters is not None, "thrusters are steered"
+        rows, self._du_max, self._row_max = problem.thrusters, problem.du_max, problem.row_max
+        self._rows = rows
+        self._retreat = Retreat(rows, problem.du_max, problem.row_max, 1)
+        self._rounding = CLIP_TOLERANCE * problem.row_max
+
+    def __call__(
+        self, u: Vector, du: Vector, u_min: Vector, u_max: Vector, applied: Vector
+    ) -> bool:
+        """Write the forces that are applied; true if that changed anything."""
+        rows, du_max = self._rows, self._du_max
+        before = rows.G @ u
+        out = (before > u_max + self._rounding) | (before < u_min - self._rounding)
+        base = u
+        if out.any():
+            least, most = (row[0] * self._row_max + before for row in self._retreat.reach(u))
+            u_min, u_max = np.minimum(u_min, least), np.maximum(u_max, most)
+            lost = np.isin(rows.entry, rows.thruster[out])
+            steps = np.zeros(len(u))
+            np.divide(np.abs(u), du_max, out=steps)
+            for i in np.unique(rows.entry[lost]):
+                steps[rows.entry == i] = steps[rows.entry == i].max()
+            back = np.maximum(0.0, 1.0 - 1.0 / np.maximum(steps, 1.0))
+            base = np.where(lost, back * u, u)
+        target = u + np.clip(du, -du_max, du_max)
+        at_base, change = rows.G @ base, rows.G @ (target - base)
+        room = np.where(change > 0.0, u_max - at_base, at_base - u_min)
+        share = np.full(len(room), 1.0)
+        over = np.abs(change) > np.maximum(room, 0.0) + self._rounding
+        share[over] = np.maximum(room[over], 0.0) / np.abs(change[over])
+        t = np.ones(int(rows.entry[-1]) + 1)
+        np.minimum.at(t, rows.thruster, share)
+        applied[...] = base + t[rows.entry] * (target - base)
+        return bool((np.abs(applied - u - du) > CLIP_TOLERANCE * du_max).any())
 
 
 class FallbackLaw:
