@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dpbench.scenario.own_ship import scale_matrices
 from dpbench.scenario.problem_files import problem_names
 from dpbench.scenario.scenario import condense, load_scenario, load_vessel, scenario_of
 
@@ -108,9 +109,24 @@ def test_the_model_ship_has_froude_scaled_limits() -> None:
     np.testing.assert_allclose(step, [0.09544, 0.03209, 0.019792], rtol=2e-4)
 
 
+SCALED = {"ratownik": ("supply_tmr", 6.5e6)}
+"""Vessels without published matrices: scaled from which one, to which mass [kg]."""
+
+
+@pytest.mark.parametrize("name", SCALED)
+def test_vessels_without_published_matrices_have_scaled_ones(name: str) -> None:
+    """To the five digits in their file; limits are what their thrusters give."""
+    ship, (like, mass_kg) = load_vessel(name), SCALED[name]
+    M, D = scale_matrices(like, ship.length_m, mass_kg)
+    np.testing.assert_allclose(ship.M, M, rtol=5e-5)
+    np.testing.assert_allclose(ship.D, D, rtol=5e-5)
+    assert ship.thrusters is not None
+    np.testing.assert_array_equal(ship.tau_max, ship.thrusters.limits()[1])
+
+
 def test_nothing_but_the_tabled_problems_is_shipped_untested() -> None:
-    """Every vessel on file stands in the table above."""
-    assert set(problem_names("vessels")) == set(VESSELS)
+    """Every vessel on file stands in a table above."""
+    assert set(problem_names("vessels")) == {*VESSELS, *SCALED}
     assert set(SCENARIOS) <= set(problem_names("scenarios"))
 
 
