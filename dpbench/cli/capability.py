@@ -23,15 +23,16 @@ from dpbench.errors import InputError
 from dpbench.report.formats import time_text
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.vessel import Vessel
+from dpbench.solvers.table import record
 
 COLUMNS = 80
 SIDES = 24
 """Sides of the polygons in QPs, unless others are asked for: they give away 0.9 % of the thrust,
 within the 1 % that de Wit (2009) recommends."""
 FIGURES = (".svg", ".html", ".png", ".pdf")
-_WIDE = 5
+_WIDE = 4
 """Cases that fit beside each other."""
-_CELL = 13
+_CELL = 15
 
 
 def tell_capability(arguments: argparse.Namespace) -> str:
@@ -43,6 +44,8 @@ def tell_capability(arguments: argparse.Namespace) -> str:
         is not there.
     """
     figure = _figure_file(arguments.figure)
+    for name in set(arguments.solver or ()) - {"all"}:
+        record(name)
     vessel = load_vessel(arguments.vessel)
     frontier = Frontier(vessel, arguments.sides)
     quiet = arguments.json
@@ -107,25 +110,25 @@ def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
     if len(columns) > _WIDE:
         columns = {INTACT: columns[INTACT], "worst failure": capability.worst_failure}
     room = _CELL - 2
-    names = [textwrap.shorten(case, room, placeholder="…") for case in columns]
+    names = [case if len(case) <= room else f"{case[: room - 1]}…" for case in columns]
     head = "".join(f"  {name:<{room}}" for name in names)
     rows = [
         (f"{from_deg:4.0f}° " + "".join(_cell(held[k]) for held in columns.values())).rstrip()
         for k, from_deg in enumerate(FROM_DEG)
     ]
     shape = "circles" if capability.sides is None else f"{capability.sides}-sided polygons"
-    about = [
-        f"{vessel.id}: DP capability level 1 of DNV-ST-0111, azimuths as {shape}.",
-        "Largest wind held [m/s] and DP capability number, by where wind, waves and current",
-        "come from (90° starboard); + : the standard knows no more weather.",
-        "",
-    ]
-    return [*about, f" from {head}".rstrip(), *rows, "", *_verdict(capability)]
+    about = (
+        f"{vessel.id}: DP capability level 1 of DNV-ST-0111, azimuths as {shape}. Largest wind "
+        "held [m/s] and DP capability number, by where wind, waves and current come from (90° is "
+        "starboard); + where the standard knows no more weather."
+    )
+    table = [f" from {head}".rstrip(), *rows]
+    return [*textwrap.wrap(about, COLUMNS), "", *table, "", *_verdict(capability)]
 
 
 def _cell(held: Held) -> str:
     more = "+" if holds_most(held) else " "
-    return f"  {held.wind_mps:5.1f}{more} {held.number:>2}  "
+    return f"  {held.wind_mps:5.1f}{more} {held.number:>2}".ljust(_CELL)
 
 
 def _verdict(capability: Capability) -> list[str]:
@@ -147,8 +150,8 @@ def answer_lines(answers: Sequence[Answers]) -> list[str]:
     """Which solvers said rightly what is balanced and what is not."""
     first = answers[0]
     about = (
-        f"{first.asked} static allocations at the edge, half of them infeasible. Right: optima "
-        "that are true, and infeasible ones called so; wrong: untrue claims."
+        f"{first.asked} static allocations at the edge of what is held. Right are optima that are "
+        "true, and infeasible ones called so; wrong are untrue claims; the rest is silence."
     )
     widths = (20, 12, 13, 7, 10, 10)
     heads = ("solver", "optimum", "infeasible", "wrong", "p50", "largest")

@@ -16,7 +16,7 @@ SIZE = 380
 _OUTER = max(wind for wind, *_ in DP_CONDITIONS.values())
 _RINGS = (3, 5, 6, 7, 8, 9, 10, 11)
 """DP capability numbers whose winds are drawn as rings; below they lie too close."""
-_LABELS_DEG = 15.0
+_LABELS_DEG = 75.0
 """Direction along which the rings are named, between two spokes."""
 
 
@@ -54,8 +54,16 @@ def rose(table: pd.DataFrame, title: str) -> Any:
         )
     )
     web = [_rings(x, y), _spokes(x, y), _ring_names(x, y), _bearings(x, y)]
-    about = "Largest wind held from each direction, intact and after each failure."
-    return styled(alt.layer(*web, lines, width=SIZE, height=SIZE), title, about)
+    about = (
+        "Largest wind held from each direction, intact and after each failure; rings: the winds of "
+        "DP capability numbers."
+    )
+    chart = styled(alt.layer(*web, lines, width=SIZE, height=SIZE), title, about)
+    chart.title.subtitle = (
+        "by where wind, waves and current come from; rings: DP capability numbers"
+    )
+    chart.title.subtitleColor = SOFT
+    return chart
 
 
 def _at(radius: Any, from_deg: Any) -> dict[str, Any]:
@@ -91,11 +99,8 @@ def _spokes(x: alt.X, y: alt.Y) -> Any:
 
 
 def _ring_names(x: alt.X, y: alt.Y) -> Any:
-    names = [
-        {**_at(DP_CONDITIONS[n][0], _LABELS_DEG), "name": f"{n}: {DP_CONDITIONS[n][0]:g} m/s"}
-        for n in _RINGS[::2]
-    ]
-    chart = alt.Chart(pd.DataFrame(names)).mark_text(color=SOFT, fontSize=9, dy=-5)
+    names = [{**_at(DP_CONDITIONS[n][0], _LABELS_DEG), "name": f"{n}"} for n in _RINGS]
+    chart = alt.Chart(pd.DataFrame(names)).mark_text(color=SOFT, fontSize=10)
     return chart.encode(x=x, y=y, text="name:N")
 
 

@@ -1,0 +1,147 @@
+"""`dpbench capability`: the table within 80 columns, JSON, solvers judged, and bad input."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from dpbench.bench.capability import study
+from dpbench.bench.capability.frontier import Held
+from dpbench.bench.capability.study import FROM_DEG, Capability
+from dpbench.bench.sequences.sequence_file import load_sequence
+from dpbench.cli.capability import table_lines
+from dpbench.cli.main import main
+from dpbench.scenario.problem_files import problem_path
+from dpbench.scenario.scenario import load_vessel
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(autouse=True)
+def _place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.chdir(tmp_path)
+    yield
+
+
+def test_the_table_fits_a_terminal_and_names_what_is_assumed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """36 rows, the notation, the groups, and the hull's keys that the file leaves out."""
+    assert main(["capability", "osv"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    rows = [line for line in lines if line[:4].strip().isdigit() and line[4] == "°"]
+    assert [int(row[:4]) for row in rows] == [int(from_deg) for from_deg in FROM_DEG]
+    text = "\n".join(lines)
+    for said in ("DP capability-L1(", "board A: without bow 1, stern port.", "bow_angle_deg"):
+        assert said in text
+    # Ahead this ship holds all the weather the standard knows.
+    assert "32.6+ 11" in rows[0]
+
+
+def test_json_and_a_figure_say_the_same_as_the_table(capsys: pytest.CaptureFixture[str]) -> None:
+    """Cases and numbers; the figure is written beside it."""
+    assert main(["capability", "osv", "--json", "--figure", "rose.svg"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert [case["name"] for case in document["cases"]] == ["intact", "board A", "board B"]
+    assert document["cases"][1]["lost"] == ["bow 1", "stern port"]
+    assert document["from_deg"] == list(FROM_DEG)
+    least = min(document["cases"][0]["number"])
+    assert document["notation"].startswith("DP capability-L1(")
+    assert document["notation"].split(", ")[1] == str(least)
+    assert Path("rose.svg").read_text(encoding="utf-8").startswith("<svg")
+
+
+def test_many_groups_are_told_by_the_worst() -> None:
+    """Six cases do not fit beside each other."""
+    held = {
+        case: tuple(Held(20.0 - i, 7) for _ in FROM_DEG)
+        for i, case in enumerate(["intact", *"abcde"])
+    }
+    capability = Capability("osv", None, held, dict.fromkeys(held, ()), ())
+    lines = table_lines(capability, load_vessel("osv"))
+    (head,) = (line for line in lines if line.startswith(" from"))
+    assert head.split() == ["from", "intact", "worst", "failure"]
+    assert "15.0" in next(line for line in lines if line.startswith("   0°"))
+
+
+def test_the_notation_is_that_of_the_standard() -> None:
+    """Least numbers: within 30° of the bow and all round, intact and after the worst failure."""
+    numbers = [5 if from_deg == 90.0 else 7 + (from_deg > 180.0) for from_deg in FROM_DEG]
+    intact = tuple(Held(10.0 + n, n) for n in numbers)
+    failures = {
+        "a": tuple(Held(held.wind_mps - 2.0, held.number - 1) for held in intact),
+        "b": tuple(Held(9.0, 4) if k == 3 else held for k, held in enumerate(intact)),
+    }
+    capability = Capability("some", None, {"intact": intact, **failures}, {}, ())
+    assert capability.numbers == (7, 5, 4, 4)
+    assert capability.notation == "DP capability-L1(7, 5, 4, 4)"
+
+
+def test_solvers_are_asked_at_the_edge_and_judged(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From four directions: quadprog is right on all QPs, and what was judged stays on disk."""
+    monkeypatch.setattr(study, "DIRECTIONS", 4)
+    for module in (study, "dpbench.bench.capability.batch", "dpbench.cli.capability"):
+        name = module if isinstance(module, str) else module.__name__
+        monkeypatch.setattr(f"{name}.FROM_DEG", (20.0, 110.0, 200.0, 290.0))
+    words = ["capability", "osv", "--sides", "12", "--solver", "quadprog", "--out", "edge"]
+    assert main(words) == 0
+    table = capsys.readouterr().out.split("static allocations")[1]
+    (row,) = (line.split() for line in table.splitlines() if line.startswith("quadprog"))
+    (balanced, feasible), (refused, infeasible) = (cell.split("/") for cell in row[1:3])
+    assert (balanced, refused, row[3]) == (feasible, infeasible, "0")
+    assert int(infeasible) > 12
+    assert int(feasible) + int(infeasible) == len(load_sequence("edge/capability.npz"))
+    assert Path("edge/run/runs.parquet").is_file()
+    assert max(map(len, table.splitlines())) <= 80
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["supply_mss"], "thrusters: found none; allowed: [[thrusters]] of the vessel"),
+        (["nowhere"], "vessel name: found 'nowhere'; allowed: one of "),
+        (["osv", "--sides", "5"], "sides: found 5; allowed: an even number from 4 on"),
+        (["osv", "--figure", "rose.jpg"], "--figure: found rose.jpg; allowed: a file that ends"),
+        (["osv", "--sides", "8", "--solver", "nobody"], "'nobody'"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_bad_input_is_one_line(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And exit 2, before anything is written."""
+    assert main(["capability", *words]) == 2
+    complaint = capsys.readouterr().err.strip()
+    assert said in complaint
+    assert len(complaint.splitlines()) == 1
+    assert list(Path().iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("breadth_m = 18.0\ndraught_m", "draught_m", "capability.breadth_m: found nothing"),
+        ("draught_m = 5.0", "draught_m = -5.0", "capability.draught_m: found -5.0"),
+        ("[capability]", "[capability]\nbow_angle_deg = 95.0", "capability.bow_angle_deg"),
+        ("[windage]\nfrontal_m2 = 344.0\nlateral_m2 = 830.0\n", "", "windage beside capability"),
+        ("thrust_kN = 420.0", "thrust_kN = 420.0\nheight_m = 1.0", "height_m belongs to power_kW"),
+    ],
+    ids=lambda text: text.splitlines()[0] if text else "nothing",
+)
+def test_a_bad_hull_is_named(
+    old: str, new: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """File, key, what was found and what is allowed."""
+    text = problem_path("vessels", "osv").read_text(encoding="utf-8")
+    assert old in text
+    Path("mine.toml").write_text(text.replace(old, new), encoding="utf-8")
+    assert main(["capability", "mine.toml"]) == 2
+    complaint = capsys.readouterr().err
+    assert complaint.startswith("dpbench: mine.toml")
+    assert said in complaint

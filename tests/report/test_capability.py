@@ -1,0 +1,51 @@
+"""The rose of a capability: where its points lie, and the files it can be written to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from dpbench.report.charts.capability import COLUMNS, rose
+from dpbench.report.charts.render import save
+
+
+@pytest.fixture(scope="module")
+def chart() -> Any:
+    """Two cases and four directions."""
+    rows = [
+        (case, from_deg, wind - less, 7)
+        for case, less in (("intact", 0.0), ("board A", 5.0))
+        for from_deg, wind in ((0.0, 30.0), (90.0, 15.0), (180.0, 25.0), (270.0, 15.0))
+    ]
+    return rose(pd.DataFrame(rows, columns=list(COLUMNS)), "Some ship")
+
+
+def test_ahead_is_up_and_starboard_to_the_right(chart: Any) -> None:
+    """And each line is closed: its first point stands again at the end."""
+    specification = chart.to_dict(validate=True)
+    tables = specification["datasets"].values()
+    points = next(table for table in tables if "case" in table[0] and "from_deg" in table[0])
+    assert [point["case"] for point in points] == 5 * ["intact"] + 5 * ["board A"]
+    places = {
+        point["from_deg"]: (round(point["x"], 9), round(point["y"], 9))
+        for point in points
+        if point["case"] == "intact"
+    }
+    assert places == {0.0: (0, 30), 90.0: (15, 0), 180.0: (0, -25), 270.0: (-15, 0)}
+    assert points[0]["x"] == points[4]["x"] and points[0]["y"] == points[4]["y"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("suffix", "begins"), [("svg", b"<svg"), ("pdf", b"%PDF"), ("png", b"\x89PNG"), ("html", b"<!")]
+)
+def test_it_is_written_in_four_formats(
+    chart: Any, tmp_path: Path, suffix: str, begins: bytes
+) -> None:
+    """The page fetches nothing: its libraries are inside."""
+    written = save(chart, tmp_path / f"rose.{suffix}").read_bytes()
+    assert written.lstrip().startswith(begins)
+    assert b"<script src=" not in written
