@@ -19,11 +19,11 @@ from dpbench.bench.capability.frontier import INTACT, Frontier, Held
 from dpbench.bench.capability.study import FROM_DEG, Capability, capability_of, holds_most
 from dpbench.bench.record.result_folder import load_results
 from dpbench.cli.progress_bar import Bar
-from dpbench.errors import InputError
+from dpbench.errors import InputError, SolverUnavailableError
 from dpbench.report.formats import time_text
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.vessel import Vessel
-from dpbench.solvers.table import record
+from dpbench.solvers.table import available, record
 
 COLUMNS = 80
 SIDES = 24
@@ -44,8 +44,8 @@ def tell_capability(arguments: argparse.Namespace) -> str:
         is not there.
     """
     figure = _figure_file(arguments.figure)
-    for name in set(arguments.solver or ()) - {"all"}:
-        record(name)
+    for name in arguments.solver or ():
+        _check_installed(name)
     vessel = load_vessel(arguments.vessel)
     frontier = Frontier(vessel, arguments.sides)
     quiet = arguments.json
@@ -63,6 +63,13 @@ def tell_capability(arguments: argparse.Namespace) -> str:
     if answers:
         lines += ["", *answer_lines(answers), "", f"judged in {out / 'run'}"]
     return "\n".join(lines)
+
+
+def _check_installed(solver: str) -> None:
+    if solver != "all":
+        row, here = record(solver), available(solver)
+        if not here.ok:
+            raise SolverUnavailableError("solver", solver, here.reason, f"after {row.remedy}")
 
 
 def _asked(
@@ -151,7 +158,8 @@ def answer_lines(answers: Sequence[Answers]) -> list[str]:
     first = answers[0]
     about = (
         f"{first.asked} static allocations at the edge of what is held. Right are optima that are "
-        "true, and infeasible ones called so; wrong are untrue claims; the rest is silence."
+        "true, and infeasible ones called so; wrong are untrue claims; of the rest nothing was "
+        "claimed."
     )
     widths = (20, 12, 13, 7, 10, 10)
     heads = ("solver", "optimum", "infeasible", "wrong", "p50", "largest")
@@ -194,5 +202,10 @@ def as_document(
             }
             for case, held in capability.held.items()
         ],
-        "solvers": [vars(answer) for answer in answers],
+        "solvers": [_without_nan(vars(answer)) for answer in answers],
     }
+
+
+def _without_nan(fields: dict[str, Any]) -> dict[str, Any]:
+    """JSON has no NaN."""
+    return {key: None if value != value else value for key, value in fields.items()}

@@ -150,7 +150,7 @@ def _unknown(asked: str) -> InputError:
 def _check_document(file: Path, progress: Progress | None) -> str:
     """A TOML file, recognised by its tables."""
     document = read_toml(file)
-    if "limits" in document:
+    if "limits" in document or "thrusters" in document:
         return vessel_text(file, load_vessel(file), progress)
     if "controller" in document or "environment" in document:
         return scenario_text(file, load_scenario(file), progress)
@@ -162,6 +162,6 @@ def _check_document(file: Path, progress: Progress | None) -> str:
         str(file),
         "",
         f"tables {', '.join(document) or '(none)'}",
-        "[limits] (a vessel), [controller] and [environment] (a scenario), "
+        "[limits] or [[thrusters]] (a vessel), [controller] and [environment] (a scenario), "
         "or [[closed_loop]], [[replay]], [[recorded]] and [[random]] (a suite)",
     )

@@ -12,10 +12,12 @@ from dpbench.bench.capability import study
 from dpbench.bench.capability.frontier import Held
 from dpbench.bench.capability.study import FROM_DEG, Capability
 from dpbench.bench.sequences.sequence_file import load_sequence
+from dpbench.cli import capability as capability_command
 from dpbench.cli.capability import table_lines
 from dpbench.cli.main import main
 from dpbench.scenario.problem_files import problem_path
 from dpbench.scenario.scenario import load_vessel
+from dpbench.solvers.table import Availability
 
 pytestmark = pytest.mark.slow
 
@@ -120,6 +122,17 @@ def test_bad_input_is_one_line(
     complaint = capsys.readouterr().err.strip()
     assert said in complaint
     assert len(complaint.splitlines()) == 1
+    assert list(Path().iterdir()) == []
+
+
+def test_a_solver_that_is_not_installed_is_named(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before anything is computed, with what mends it."""
+    missing = Availability(False, reason="not installed")
+    monkeypatch.setattr(capability_command, "available", lambda solver: missing)
+    assert main(["capability", "osv", "--solver", "quadprog"]) == 2
+    assert "solver: quadprog: found not installed; allowed: after " in capsys.readouterr().err
     assert list(Path().iterdir()) == []
 
 

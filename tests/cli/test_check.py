@@ -51,6 +51,7 @@ def _quick_trials(monkeypatch: pytest.MonkeyPatch) -> None:
         ("mine.toml@osv", "mine.toml@osv: a scenario of 2000 steps with vessel osv"),
         ("rough", "a scenario of 2000 steps with vessel "),
         ("osv", "osv.toml: a vessel, "),
+        ("ratownik", "ratownik.toml: a vessel, "),
         ("smoke", "smoke.toml: a suite of "),
         ("paper-30-5", "paper-30-5.npz: "),
     ],

@@ -21,6 +21,7 @@ from dpbench.ship.thrusters import ThrusterSet
 
 pytestmark = pytest.mark.slow
 INTACT = Case("intact", frozenset())
+MSV = Path(__file__).with_name("msv.toml")
 PUBLISHED = Path(__file__).parents[2] / "ship" / "capability" / "ratownik_published.csv"
 
 
@@ -29,6 +30,15 @@ def test_numbers_are_the_published_ones(held_intact: list[Held]) -> None:
     published = pd.read_csv(PUBLISHED, comment="#")
     assert published["from_deg"].tolist() == list(FROM_DEG)
     assert [held.number for held in held_intact] == published["number"].tolist()
+
+
+@pytest.mark.parametrize("sides", [None, 24])
+def test_numbers_of_a_second_ship_are_the_published_ones(sides: int | None) -> None:
+    """All 36 of MSV: two azimuths aft, two tunnels; 0° to 350°."""
+    frontier = Frontier(load_vessel(MSV), sides)
+    found = [frontier.held(INTACT, math.radians(from_deg)).number for from_deg in FROM_DEG]
+    to_starboard = [9, 9, 8, 7, 7, *(10 * [6]), 7, 8, 8, 9]
+    assert found == [*to_starboard, *to_starboard[-2:0:-1]]
 
 
 def test_winds_lie_in_the_rows_of_their_numbers(held_intact: list[Held]) -> None:
