@@ -66,4 +66,4 @@ def test_an_unrecognised_file_is_refused(
     path = tmp_path / "odd.toml"
     path.write_text("[spam]\neggs = 1\n", encoding="utf-8")
     assert main(["check", str(path)]) == 2
-    assert "[limits] (a vessel)" in capsys.readouterr().err
+    assert "[[thrusters]] (a vessel)" in capsys.readouterr().err
