@@ -96,7 +96,8 @@ def test_the_paper_is_reproduced_from_nothing(
     assert main(["paper", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr()
     lines = said.out.splitlines()
-    assert said.err == "" and 5 <= len(lines) <= 10
+    assert said.err == "" and 5 <= len(lines) <= 15
+    assert max(map(len, lines)) <= 80
     _check_figures(tmp_path)
     write_report(tmp_path / "runs")
     page = pd.read_csv(tmp_path / "runs" / "tables" / "paper.csv")
