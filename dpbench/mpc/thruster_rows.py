@@ -17,6 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix, Vector
@@ -117,23 +118,40 @@ class Retreat:
     """
 
     def __init__(self, rows: ThrusterRows, du_max: Vector, row_max: Vector, N_c: int) -> None:
-        self._rows, self._du_max, self._row_max = rows, du_max, row_max
-        self._moves = RETREAT * np.arange(1.0, N_c + 1)[:, np.newaxis]
-        self._thrusters = int(rows.entry[-1]) + 1
-        # A sector's edge has zero for a limit: no share of it tells where f is.
-        self._below = np.where(rows.low < 0.0, rows.low, -np.inf)
-
-    def shares(self, f: Vector) -> Matrix:
-        """λ_i g (N_c, p) of each thruster at each move."""
-        rows, steps, gauge = self._rows, np.zeros(self._thrusters), np.zeros(self._thrusters)
-        along = rows.G @ f
-        np.maximum.at(steps, rows.entry, np.abs(f) / self._du_max)
-        np.maximum.at(gauge, rows.thruster, np.maximum(along / rows.high, along / self._below))
-        left = steps - self._moves
-        return np.where(left > GONE, gauge * left / np.maximum(steps, GONE), 0.0)
+        self._constants = (
+            rows.G,
+            np.stack((rows.low, rows.high)),
+            rows.thruster,
+            rows.entry,
+            du_max,
+            row_max,
+        )
+        self._shape = 2, N_c, len(rows.low)
 
     def reach(self, f: Vector) -> tuple[Matrix, Matrix]:
         """The limits that remain, less G f, in units of the rows: least and most, (N_c, r) each."""
-        share, along = self.shares(f)[:, self._rows.thruster], self._rows.G @ f
-        least = (share * self._rows.low - along) / self._row_max
-        return least, (share * self._rows.high - along) / self._row_max
+        out = np.empty(self._shape)
+        _closing_in(*self._constants, f, out)
+        return out[0], out[1]
+
+
+@njit(cache=True)
+def _closing_in(G, limits, row_of, entry_of, du_max, row_max, f, out):  # type: ignore[no-untyped-def] # numba
+    """(λ_i g limits − G f) / row_max into out (2, N_c, r), limits (2, r) being low and high."""
+    r, n_f, p = G.shape[0], G.shape[1], entry_of[-1] + 1
+    along, gauge, steps = np.zeros(r), np.zeros(p), np.zeros(p)
+    for j in range(n_f):
+        steps[entry_of[j]] = max(steps[entry_of[j]], abs(f[j]) / du_max[j])
+    for k in range(r):
+        for j in range(n_f):
+            along[k] += G[k, j] * f[j]
+        # A sector's edge has zero for a limit: no share of it tells where f is.
+        limit = limits[1 if along[k] > 0.0 else 0, k]
+        if limit != 0.0:
+            gauge[row_of[k]] = max(gauge[row_of[k]], along[k] / limit)
+    for i in range(out.shape[1]):
+        for k in range(r):
+            left = steps[row_of[k]] - RETREAT * (i + 1)
+            share = gauge[row_of[k]] * left / steps[row_of[k]] if left > GONE else 0.0
+            for side in range(2):
+                out[side, i, k] = (share * limits[side, k] - along[k]) / row_max[k]
