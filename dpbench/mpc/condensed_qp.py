@@ -23,7 +23,7 @@ from dpbench.mpc.condense import (
 )
 from dpbench.mpc.model import HORIZONTAL
 from dpbench.mpc.outputs import OutputBounds, instants, output_layers
-from dpbench.mpc.soft_limits import Penalty, amplitude_layer, lay
+from dpbench.mpc.soft_limits import Layer, Penalty, amplitude_layer, lay
 from dpbench.mpc.thruster_rows import Retreat
 from dpbench.qp.program import QPStep, QuadraticProgram, Units
 
@@ -72,8 +72,9 @@ class CondensedQP:
         self._matrices: CondensedMatrices = condense_matrices(problem)
         self._du: Vector = problem.du_max if units == "scaled" else np.ones(problem.model.n_u)
         self._build_plain()
-        if amplitude == "soft" or outputs is not None:
-            self._add_layers()
+        extra = self._extra_layers()
+        if amplitude == "soft" or outputs is not None or extra:
+            self._add_layers(extra)
         self._prepare_emit()
 
     @property
@@ -98,7 +99,11 @@ class CondensedQP:
         self.lb: Vector = -own
         self.Z: Matrix = affine_map(problem, self._matrices, self.units)
 
-    def _add_layers(self) -> None:
+    def _extra_layers(self) -> list[Layer]:
+        """Rows that a more special problem has on top, behind all others of a move."""
+        return []
+
+    def _add_layers(self, extra: list[Layer]) -> None:
         """The same moves with soft amplitude limits, bounds on the outputs, or both."""
         problem, matrices = self.control, self._matrices
         du = np.tile(problem.du_max, problem.N_c)
@@ -108,6 +113,7 @@ class CondensedQP:
         layers = [amplitude_layer(problem, Z, penalty.amplitude if soft else None)]
         if self.outputs is not None:
             layers += output_layers(problem, matrices, self.outputs, penalty.outputs)
+        layers += extra
         built = lay(P, Z[: len(P)], problem.du_max, layers, penalty.curvature)
         self.block, self.penalty = built.block, penalty
         self.m, self.n = built.A.shape

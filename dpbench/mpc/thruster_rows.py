@@ -105,10 +105,10 @@ class Retreat:
     """How the limits of a lost thruster close in, so that they stay reachable at its rate.
 
         g = gauge of f: the least share of its polygon that holds f
-        row k of move i:   λ_i g (its intact limit),   λ_i = 1 − 0.9 i min_j Δf_max,j / |f_j|
+        row k of move i:   λ_i g (its intact limit),   λ_i = 1 − 0.9 i Δf_max / |f|
 
     The polygon shrinks as a whole, with room inside until it is nothing: the straight way λ_i f
-    lies in it at every move and keeps to the rate of each entry j. Limits that are in force hold
+    lies in it at every move and keeps to the rate of each entry. Limits that are in force hold
     where they allow more.
 
     Parameters
@@ -141,7 +141,8 @@ def _closing_in(G, limits, row_of, entry_of, du_max, row_max, f, out):  # type: 
     r, n_f, p = G.shape[0], G.shape[1], entry_of[-1] + 1
     along, gauge, steps = np.zeros(r), np.zeros(p), np.zeros(p)
     for j in range(n_f):
-        steps[entry_of[j]] = max(steps[entry_of[j]], abs(f[j]) / du_max[j])
+        steps[entry_of[j]] += (f[j] / du_max[j]) ** 2
+    steps = np.sqrt(steps)
     for k in range(r):
         for j in range(n_f):
             along[k] += G[k, j] * f[j]

@@ -13,6 +13,7 @@ import numpy as np
 from dpbench.arrays import Matrix, Vector
 from dpbench.display import fields_html, numbers_text
 from dpbench.errors import InputError, UnknownNameError
+from dpbench.mpc.azimuth_turning import AzimuthTurning, TurningQP
 from dpbench.mpc.condense import ControlProblem, Terminal, UnitSystem
 from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
 from dpbench.mpc.model import StateSpace, prediction_model
@@ -40,11 +41,13 @@ class ThrusterControl:
     """What a controller that steers thrusters makes of them.
 
     thrusters : of the vessel; rows : their limits as the QP has them; W (n_f, n_f) : their weight.
+    turning : azimuths whose turning rate the controller keeps to; None for none.
     """
 
     thrusters: ThrusterSet
     rows: ThrusterRows
     W: Matrix
+    turning: AzimuthTurning | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,7 +245,7 @@ def scenario_of(
         plant.mass_percent, plant.damping_percent
     )
     environment = spec.environment.environment(scale)
-    steered = _steered(controller, vessel, where)
+    steered = _steered(controller, vessel, sample_s, where)
     # Said here, before anything runs: wind and drift need to know the hull.
     environment.load_coefficients(vessel)
     return Scenario(
@@ -287,7 +290,9 @@ def _made(files: str) -> Scenario:
     return scenario_of(json.loads(files))
 
 
-def _steered(controller: ControllerTable, vessel: Vessel, where: str) -> ThrusterControl | None:
+def _steered(
+    controller: ControllerTable, vessel: Vessel, sample_s: float, where: str
+) -> ThrusterControl | None:
     """The thrusters that the controller steers; InputError where the vessel has none."""
     table = controller.thrusters
     if table is None:
@@ -298,7 +303,16 @@ def _steered(controller: ControllerTable, vessel: Vessel, where: str) -> Thruste
     thrusters = vessel.thrusters
     W = table.thrust_weight_relative / thrusters.per_entry(thrusters.thrust_N) ** 2
     rows = thruster_rows(thrusters, table.polygon_sides)
-    return ThrusterControl(thrusters, rows, np.diag(W))
+    if not table.azimuth_turning:
+        return ThrusterControl(thrusters, rows, np.diag(W))
+    if controller.linearisation == "each_step":
+        allowed = 'false where controller.linearisation is "each_step"'
+        raise InputError(where, "controller.thrusters.azimuth_turning", "true", allowed)
+    turning = AzimuthTurning.of(thrusters, sample_s)
+    if not len(turning.x):
+        allowed = f"false, or turning_degps of an azimuth in the file of vessel {vessel.id}"
+        raise InputError(where, "controller.thrusters.azimuth_turning", "true", allowed)
+    return ThrusterControl(thrusters, rows, np.diag(W), turning)
 
 
 def _move_weight(
@@ -372,6 +386,11 @@ def condense(scenario: Scenario, *, units: UnitSystem = "scaled") -> CondensedQP
             amplitude=scenario.amplitude,
             outputs=outputs,
         )
+    turning = None if scenario.steered is None else scenario.steered.turning
+    if turning is not None:
+        return TurningQP(
+            problem, turning, units=units, amplitude=scenario.amplitude, outputs=outputs
+        )
     return CondensedQP(problem, units=units, amplitude=scenario.amplitude, outputs=outputs)
 
 
@@ -379,6 +398,8 @@ def no_stages(scenario: Scenario) -> str:
     """Why the QPs of a scenario have no formulation with the states kept; "" where they have."""
     if scenario.relinearised:
         return "sparse: the model is linearised anew at each step, and its stages with it"
+    if scenario.steered is not None and scenario.steered.turning is not None:
+        return "sparse: the directions of azimuths are other ones at each step, and so are rows"
     if scenario.amplitude == "soft" or scenario.outputs is not None:
         return "sparse: soft limits and output bounds are layers on the condensed problem"
     return ""

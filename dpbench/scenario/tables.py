@@ -125,6 +125,8 @@ class ThrusterTable(FileModel):
     sector_deg: Two | None = None
     """Directions in which an azimuth may push, from and to, clockwise from ahead [°]; at most half
     a turn wide. All round by default."""
+    turning_degps: Positive | None = None
+    """Fastest turning of an azimuth [°/s]; needed where a controller limits it."""
     group: str = ""
     """What fails together with it, as behind one switchboard; by default it fails alone."""
 
@@ -151,7 +153,9 @@ class ThrusterTable(FileModel):
         if self.sector_deg is not None:
             sector = math.radians(self.sector_deg[0]), math.radians(self.sector_deg[1])
         place = self.name, self.kind, self.x_m, self.y_m
-        return Thruster(*place, thrust_N, self.rise_s, self.astern, sector, self.group, screw)
+        rest = self.astern, sector, self.group, screw
+        turning = None if self.turning_degps is None else math.radians(self.turning_degps)
+        return Thruster(*place, thrust_N, self.rise_s, *rest, turning)
 
 
 class CapabilityTable(FileModel):
@@ -383,6 +387,8 @@ class ThrusterControlTable(FileModel):
     """Sides of the polygon inside the circle of an azimuth's thrust; even."""
     thrust_weight_relative: NotNegative
     """W in multiples of 1/T², T the largest thrust of each thruster."""
+    azimuth_turning: bool = False
+    """Whether moves keep to the turning rate of azimuths too; A then changes at every step."""
     move_weight_relative: Positive
     """R in multiples of 1/Δf_max², Δf_max the rate limit of a sample of each thruster."""
 

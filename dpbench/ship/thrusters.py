@@ -71,6 +71,7 @@ class Thruster:
     astern : thrust astern as a share of T; of a main propeller only.
     sector_rad : (from, to), clockwise from ahead, in which an azimuth may push the ship; at most
         half a turn wide, so that the forces it can give are a convex set. None for all round.
+    turning_radps : fastest turning of an azimuth [rad/s]; None where it is not known.
     screw : None where only its thrust is known.
 
     Raises
@@ -88,8 +89,12 @@ class Thruster:
     sector_rad: tuple[float, float] | None = None
     group: str = ""
     screw: Screw | None = None
+    turning_radps: float | None = None
 
     def __post_init__(self) -> None:
+        if self.turning_radps is not None and self.kind != "azimuth":
+            found = f"a thruster of kind {self.kind}"
+            raise InputError(f"thruster {self.name}", "turning_degps", found, "of an azimuth only")
         if self.sector_rad is not None:
             width = self.sector_rad[1] - self.sector_rad[0]
             if self.kind != "azimuth" or not 0.0 < width <= np.pi:

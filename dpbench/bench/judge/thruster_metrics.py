@@ -7,6 +7,7 @@ by how much its thrust varies and how far its azimuth travels.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.mpc.thruster_rows import Retreat
@@ -98,7 +99,14 @@ def _at_limits(
     # A thruster that was lost is at nothing, not at a limit.
     at_limit = (((along >= high - near) | (along <= low + near)) & (low < high)).any(axis=1)
     beyond = (along > high + 1e-9 * unit) | (along < low - 1e-9 * unit)
-    too_fast = (np.abs(f - before) > scenario.du_max * (1.0 + 1e-12)).any(axis=1)
+    too_fast: NDArray[np.bool_] = np.any(
+        np.abs(f - before) > scenario.du_max * (1.0 + 1e-12), axis=1
+    )
+    if control.turning is not None:
+        for k in np.flatnonzero(~too_fast).tolist():
+            kept = control.turning.kept(before[k], f[k] - before[k], scenario.du_max)
+            away = np.abs(kept - (f[k] - before[k]))
+            too_fast[k] = bool((away > 1e-6 * scenario.du_max).any())
     retreat = Retreat(control.rows, scenario.du_max, unit, 1)
     violated = int(too_fast.sum())
     for k in np.flatnonzero(beyond.any(axis=1) & ~too_fast).tolist():

@@ -74,7 +74,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     # The augmented state [Δν, Δη, y]: what changed in the ship's state, and the pose itself.
     change, at_x, at_u = slice(0, pose.start), theta.x, theta.u_prev
     x, u = np.zeros(model.n_x), np.zeros(model.n_u)
-    limit, T_e = limit_of(builder.condensed.control), None
+    limit, T_e = limit_of(builder.condensed), None
     tau, applied = u, log.tau
     if scenario.steered is not None:
         tau, applied, T_e = np.zeros(AXES), log.thrust, scenario.steered.thrusters.T_e

@@ -10,6 +10,7 @@ from numba import njit
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.bench.record.cell import Fallback
+from dpbench.mpc.azimuth_turning import AzimuthTurning, TurningQP
 from dpbench.mpc.condense import CondensedMatrices, ControlProblem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.law import Gains, gains
@@ -31,11 +32,12 @@ class Limit(Protocol):
         """Write the force that is applied."""
 
 
-def limit_of(problem: ControlProblem) -> Limit:
+def limit_of(builder: CondensedQP) -> Limit:
     """How the moves of a controller are limited: forces axis by axis, thrusters each as a whole."""
+    problem = builder.control
     if problem.thrusters is None:
         return partial(limit_move, problem.du_max)
-    return ThrusterLimit(problem)
+    return ThrusterLimit(problem, builder.turning if isinstance(builder, TurningQP) else None)
 
 
 @njit(cache=True)
@@ -67,7 +69,8 @@ class ThrusterLimit:
     nothing (`Retreat`); b and the clipped move keep to the rate, so all between them do.
     """
 
-    def __init__(self, problem: ControlProblem) -> None:
+    def __init__(self, problem: ControlProblem, turning: AzimuthTurning | None) -> None:
+        self._turning = turning
         assert problem.thrusters is not None, "thrusters are steered"
         rows, self._du_max, self._row_max = problem.thrusters, problem.du_max, problem.row_max
         self._rows = rows
@@ -86,13 +89,13 @@ class ThrusterLimit:
             least, most = (row[0] * self._row_max + before for row in self._retreat.reach(u))
             u_min, u_max = np.minimum(u_min, least), np.maximum(u_max, most)
             lost = np.isin(rows.entry, rows.thruster[out])
-            steps = np.zeros(len(u))
-            np.divide(np.abs(u), du_max, out=steps)
-            for i in np.unique(rows.entry[lost]):
-                steps[rows.entry == i] = steps[rows.entry == i].max()
-            back = np.maximum(0.0, 1.0 - 1.0 / np.maximum(steps, 1.0))
+            squares = np.bincount(rows.entry, (u / du_max) ** 2)
+            back = 1.0 - 1.0 / np.sqrt(np.maximum(squares, 1.0))[rows.entry]
             base = np.where(lost, back * u, u)
-        target = u + np.clip(du, -du_max, du_max)
+        move = np.clip(du, -du_max, du_max)
+        if self._turning is not None:
+            move = self._turning.kept(u, move, du_max)
+        target = u + move
         at_base, change = rows.G @ base, rows.G @ (target - base)
         room = np.where(change > 0.0, u_max - at_base, at_base - u_min)
         share = np.full(len(room), 1.0)

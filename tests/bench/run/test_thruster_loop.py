@@ -21,6 +21,7 @@ from dpbench.bench.run.fallback import limit_of
 from dpbench.bench.run.formulation import in_loop
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver
+from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.thruster_rows import RETREAT, thruster_rows
 from dpbench.scenario.scenario import Scenario, load_scenario, scenario_of
 from dpbench.ship.actuators import Actuators, SteeredThrusters
@@ -204,7 +205,7 @@ SHIP = ThrusterSet(
 )
 ROWS = thruster_rows(SHIP, 8)
 STEP = SHIP.step_max(0.3)
-LIMIT = limit_of(scenario().control_problem())
+LIMIT = limit_of(CondensedQP(scenario().control_problem()))
 
 
 @settings(derandomize=True, max_examples=200)

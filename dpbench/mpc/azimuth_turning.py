@@ -1,0 +1,144 @@
+"""Azimuths that turn at a limited rate: rows on the moves of their forces, anew at every step.
+
+    n = f/|f|,  t across it:    |n·Δf_i| ≤ Δf_max,    |t·Δf_i| ≤ max(|f|, 0.05 T) ω ΔT
+
+for the force f of a thruster before the step, at every move i: the turning rate ω of a thruster
+bounds the part of a move across its direction by the arc it sweeps, its rate the part along it. The
+direction is that of the step, so A changes with it. A thruster that hardly pushes may be turned as
+if it pushed with a twentieth of its thrust; else it could never leave nothing but ahead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dpbench.arrays import Matrix, Vector
+from dpbench.mpc.condense import ControlProblem, UnitSystem
+from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
+from dpbench.mpc.outputs import OutputBounds
+from dpbench.mpc.soft_limits import Layer, Penalty
+from dpbench.qp.program import QPStep
+from dpbench.ship.thrusters import ThrusterSet
+
+LEAST = 0.05
+"""Share of its thrust that an azimuth which hardly pushes is turned as if it had."""
+
+
+@dataclass(frozen=True, eq=False)
+class AzimuthTurning:
+    """The azimuths of a ship whose turning rate is known.
+
+    Parameters
+    ----------
+    x : (a,) where X of each stands in f; Y is behind it.
+    arc : (a,) ω ΔT [rad], what each turns in a sample; least_N : (a,) 0.05 T [N].
+    """
+
+    x: np.ndarray
+    arc: Vector
+    least_N: Vector
+
+    @classmethod
+    def of(cls, thrusters: ThrusterSet, sample_s: float) -> AzimuthTurning:
+        """Those of a ship's thrusters that have a turning rate."""
+        pairs = zip(thrusters.thrusters, thrusters.places, strict=True)
+        turning = [(t, at) for t, at in pairs if t.turning_radps is not None]
+        rates = [t.turning_radps or 0.0 for t, _ in turning]
+        return cls(
+            np.array([at.start for _, at in turning], dtype=np.intp),
+            np.array(rates) * sample_s,
+            np.array([LEAST * t.thrust_N for t, _ in turning]),
+        )
+
+    def directions(self, f: Vector) -> tuple[Vector, Vector, Vector]:
+        """Parts of n (a,) along X and Y, and the most across in one sample (a,) [N]."""
+        along, across = f[self.x], f[self.x + 1]
+        size = np.sqrt(along * along + across * across)
+        # Below it a direction is rounding, and what is squared is lost.
+        pushing = size > 1e-9 * self.least_N
+        safe = np.where(pushing, size, 1.0)
+        most: Vector = np.maximum(size, self.least_N) * self.arc
+        return np.where(pushing, along / safe, 1.0), across / safe, most
+
+    def kept(self, f: Vector, move: Vector, du_max: Vector) -> Vector:
+        """The move (n_f,) cut to what rate and turning allow from f on."""
+        c, s, most = self.directions(f)
+        x, y, unit = move[self.x], move[self.x + 1], du_max[self.x]
+        radial = np.clip(c * x + s * y, -unit, unit)
+        tangential = np.clip(c * y - s * x, -most, most)
+        out = move.copy()
+        out[self.x], out[self.x + 1] = c * radial - s * tangential, s * radial + c * tangential
+        # Turned back, a part may exceed the rate of its entry: shorter as a whole it does not.
+        longest = np.maximum(np.abs(out[self.x]), np.abs(out[self.x + 1])) / unit
+        shorter = 1.0 / np.maximum(longest, 1.0)
+        out[self.x] *= shorter
+        out[self.x + 1] *= shorter
+        return out
+
+
+class TurningQP(CondensedQP):
+    """The problem of thrusters whose azimuths turn at a limited rate; each step brings A.
+
+    Parameters
+    ----------
+    problem, units, amplitude, outputs, penalty : as for `CondensedQP`, of thrusters.
+    turning : the azimuths; also an attribute.
+    """
+
+    def __init__(
+        self,
+        problem: ControlProblem,
+        turning: AzimuthTurning,
+        *,
+        units: UnitSystem = "scaled",
+        amplitude: Amplitude = "reachable",
+        outputs: OutputBounds | None = None,
+        penalty: Penalty | None = None,
+    ) -> None:
+        self.turning = turning
+        super().__init__(
+            problem, units=units, amplitude=amplitude, outputs=outputs, penalty=penalty
+        )
+        a, rows, N_c = len(turning.x), self.m // problem.N_c, problem.N_c
+        move = np.arange(N_c)[:, np.newaxis, np.newaxis]
+        row = rows - 2 * a + 2 * np.arange(a)[:, np.newaxis] + [0, 0, 1, 1]
+        column = turning.x[:, np.newaxis] + [0, 1, 0, 1]
+        self._entries = move * rows + row, move * self.block + column
+        self._own = slice(rows - 2 * a, rows)
+        self._unit = problem.du_max[turning.x] if units == "scaled" else np.ones(a)
+        self._radial = problem.du_max[turning.x] / self._unit
+
+    def _extra_layers(self) -> list[Layer]:
+        """Two rows an azimuth, with directions and limits of a thruster at nothing."""
+        problem, turning = self.control, self.turning
+        N_c, n_u, a = problem.N_c, problem.model.n_u, len(turning.x)
+        moves = np.zeros((N_c, 2 * a, N_c, n_u))
+        for i in range(N_c):
+            moves[i, np.arange(0, 2 * a, 2), i, turning.x] = 1.0
+            moves[i, np.arange(1, 2 * a, 2), i, turning.x + 1] = 1.0
+        unit = np.repeat(problem.du_max[turning.x], 2)
+        high = np.zeros((N_c, 2 * a, problem.model.theta.size))
+        high[:, 0::2, -1], high[:, 1::2, -1] = 1.0, turning.least_N * turning.arc / unit[::2]
+        rows, nothing = moves.reshape(N_c, 2 * a, -1), np.zeros(0)
+        return [Layer(rows, np.zeros((2 * a, 0)), -high, high, unit, nothing, nothing)]
+
+    def emit(
+        self,
+        x: Vector,
+        y_ref: Vector,
+        u_prev: Vector,
+        *,
+        limits: tuple[Vector, Vector] | None = None,
+    ) -> QPStep:
+        """The QP of one step as `CondensedQP.emit`, with the directions of u_prev in A."""
+        step = super().emit(x, y_ref, u_prev, limits=limits)
+        c, s, most = self.turning.directions(u_prev)
+        A: Matrix = self.A.copy()
+        A[self._entries] = np.stack((c, s, -s, c), axis=-1)
+        bounds = np.stack((self._radial, most / self._unit), axis=-1).reshape(-1)
+        step.l.reshape(self._row_shape)[:, self._own] = -bounds
+        step.u.reshape(self._row_shape)[:, self._own] = bounds
+        step.A = A
+        return step
