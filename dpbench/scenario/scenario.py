@@ -13,6 +13,7 @@ import numpy as np
 from dpbench.arrays import Matrix, Vector
 from dpbench.display import fields_html, numbers_text
 from dpbench.errors import InputError, UnknownNameError
+from dpbench.mpc.attainable_set import AttainableSet, attainable_set
 from dpbench.mpc.azimuth_turning import AzimuthTurning, TurningQP
 from dpbench.mpc.condense import ControlProblem, Terminal, UnitSystem
 from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
@@ -67,6 +68,7 @@ class Scenario:
     N_p, N_c, Q, R, psi0_rad : horizons, weights in SI, of outputs (3, 3) and of moves (n_u, n_u),
         heading of the model.
     steered : thrusters, whose forces are then u (n_u,); None where u is the force (3,).
+    attainable : the set that limits the force as a whole; None for a limit an axis.
     relinearised : whether the model is linearised anew at each step.
     amplitude, outputs, terminal : policy of the amplitude limits, bounds on position and speed,
         cost at the end of the horizon.
@@ -96,6 +98,7 @@ class Scenario:
     R: Matrix
     psi0_rad: float
     steered: ThrusterControl | None
+    attainable: AttainableSet | None
     relinearised: bool
     amplitude: Amplitude
     outputs: OutputBounds | None
@@ -159,6 +162,10 @@ class Scenario:
         ship = self.vessel
         model = prediction_model(ship.M, ship.D, self.psi0_rad, self.sample_s)
         horizons = self.N_p, self.N_c, self.Q, self.R
+        if self.attainable is not None:
+            rows = self.attainable.rows()
+            limits = rows.low, rows.high, self.du_max
+            return ControlProblem(model, *horizons, *limits, terminal=self.terminal, thrusters=rows)
         if self.steered is None:
             limits = ship.tau_min, ship.tau_max, self.du_max
             return ControlProblem(model, *horizons, *limits, terminal=self.terminal)
@@ -176,6 +183,8 @@ class Scenario:
         own = self.vessel.tau_min, self.vessel.tau_max
         if self.steered is not None:
             own = self.steered.rows.low, self.steered.rows.high
+        if self.attainable is not None:
+            own = self.attainable.limits(set())
         low, high = (np.tile(limit, (samples, 1)) for limit in own)
         for k, least, most in self.faults:
             low[k:], high[k:] = least, most
@@ -246,6 +255,7 @@ def scenario_of(
     )
     environment = spec.environment.environment(scale)
     steered = _steered(controller, vessel, sample_s, where)
+    attainable = _attainable(controller, vessel, where)
     # Said here, before anything runs: wind and drift need to know the hull.
     environment.load_coefficients(vessel)
     return Scenario(
@@ -270,11 +280,12 @@ def scenario_of(
         R=np.diag(_move_weight(controller, vessel, sample_s, scale)),
         psi0_rad=float(np.radians(controller.model_heading_deg)),
         steered=steered,
+        attainable=attainable,
         relinearised=controller.linearisation == "each_step",
         amplitude=controller.amplitude,
         outputs=_outputs(controller, scale, sample_s),
         terminal=controller.terminal,
-        faults=_faults(spec, vessel, steered, where),
+        faults=_faults(spec, vessel, steered or attainable, where),
         tuning=controller.tuning,
         files=files,
     )
@@ -354,25 +365,47 @@ def _outputs(controller: ControllerTable, scale: Froude, sample_s: float) -> Out
     )
 
 
+def _attainable(controller: ControllerTable, vessel: Vessel, where: str) -> AttainableSet | None:
+    """What limits the force as a whole; InputError where the vessel has no thrusters."""
+    if controller.limits == "box":
+        return None
+    if vessel.thrusters is None:
+        allowed = f'"box", or thrusters in the file of vessel {vessel.id}'
+        raise InputError(where, "controller.limits", '"attainable"', allowed)
+    return attainable_set(vessel.thrusters, controller.attainable_sides)
+
+
 def _faults(
-    spec: ScenarioFile, vessel: Vessel, steered: ThrusterControl | None, where: str
+    spec: ScenarioFile,
+    vessel: Vessel,
+    of_thrusters: ThrusterControl | AttainableSet | None,
+    where: str,
 ) -> tuple[tuple[int, Vector, Vector], ...]:
     """(sample, least, most) of each fault; of thrusters, what was lost before stays lost."""
     faults: list[tuple[int, Vector, Vector]] = []
     gone: set[int] = set()
     for i, fault in enumerate(sorted(spec.faults, key=lambda fault: fault.at_s)):
         k = round(fault.at_s / spec.sample_s)
-        if (fault.lost is not None) != (steered is not None):
+        if (fault.lost is not None) != (of_thrusters is not None):
             found = "lost" if fault.lost is not None else "limit_share"
-            allowed = 'lost where controller.kind is "thrusters", limit_share where it is not'
+            allowed = "lost where thrusters limit the force or are steered, limit_share elsewhere"
             raise InputError(where, f"faults.{i}", found, allowed)
-        if steered is not None and fault.lost is not None:
-            gone |= steered.thrusters.numbers(fault.lost, where, f"faults.{i}.lost")
-            faults.append((k, *steered.rows.without(gone)))
-        else:
+        if of_thrusters is None:
             share = np.array(fault.limit_share)
             faults.append((k, share * vessel.tau_min, share * vessel.tau_max))
+            continue
+        assert vessel.thrusters is not None and fault.lost is not None, "checked above"
+        gone |= vessel.thrusters.numbers(fault.lost, where, f"faults.{i}.lost")
+        faults.append((k, *_without(of_thrusters, gone)))
     return tuple(faults)
+
+
+def _without(
+    of_thrusters: ThrusterControl | AttainableSet, gone: set[int]
+) -> tuple[Vector, Vector]:
+    if isinstance(of_thrusters, AttainableSet):
+        return of_thrusters.limits(gone)
+    return of_thrusters.rows.without(gone)
 
 
 def condense(scenario: Scenario, *, units: UnitSystem = "scaled") -> CondensedQP:

@@ -415,6 +415,12 @@ class ControllerTable(FileModel):
     """Diagonal of R: surge, sway [1/N²], yaw [1/(N·m)²]. Either this or move_weight_relative."""
     move_weight_relative: ThreePositive | None = None
     """Diagonal of R in multiples of 1/Δu_max², Δu_max the rate limit of a sample."""
+    limits: Literal["box", "attainable"] = "box"
+    """Amplitude limits of the force. box: three of the vessel, one an axis; attainable: what its
+    thrusters give together."""
+    attainable_sides: PolygonSides = 8
+    """Sides of the polygons of azimuths that the attainable set is made of; its rows grow with
+    their square."""
     model_heading_deg: Degrees = 0.0
     """Heading the model is linearised at [°]."""
     linearisation: Literal["fixed", "each_step"] = "fixed"
@@ -439,6 +445,8 @@ class ControllerTable(FileModel):
                 if steers_thrusters
                 else "exactly one of move_weight and move_weight_relative"
             )
+        if steers_thrusters and self.limits != "box":
+            raise ValueError('limits = "box" where thrusters are steered: they have their own')
         if steers_thrusters and self.terminal != "none":
             raise ValueError('terminal = "none" where thrusters are steered')
         return self

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -100,11 +102,6 @@ def test_what_is_cut_keeps_to_everything_and_what_keeps_to_it_is_not_cut(
 def test_a_run_keeps_to_the_turning_rate_and_uses_it(case: Scenario) -> None:
     """Of the exactly solved loop: no azimuth turns faster, some as fast as they may."""
     thrust = solve_exactly(case).thrust
-    most = np.array(
-        [
-            arcs(case, before, now - before)[1]
-            for before, now in zip(thrust, thrust[1:], strict=False)
-        ]
-    )
+    most = np.array([arcs(case, before, now - before)[1] for before, now in pairwise(thrust)])
     assert most.max() <= 1 + 1e-6
     assert most.max() >= 1 - 1e-6

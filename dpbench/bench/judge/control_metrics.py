@@ -146,19 +146,46 @@ def _limit_shares(
     ship, du_max, change = scenario.vessel, scenario.du_max, tau - u_before
     low, high = (limit[: len(tau)] for limit in limits)
     near = AT_LIMIT * du_max
+    # Beyond one unit in the last place of the force itself a difference is no rounding.
+    rounding = 4 * np.spacing(np.maximum(ship.tau_max, -ship.tau_min))
+    too_fast = (np.abs(change) > du_max + rounding).any(axis=1)
     at_rate = np.abs(change) >= du_max - near
+    shares = {f"at_rate_{force}": float(at_rate[:, i].mean()) for i, force in enumerate(FORCES)}
+    if scenario.attainable is not None:
+        return shares | _set_shares(scenario, tau, u_before, (low, high), too_fast)
     at_amplitude = (tau >= high - near) | (tau <= low + near)
     # What the rate leaves of a limit that has just dropped is no violation.
     above = tau > np.maximum(high, u_before - du_max)
     below = tau < np.minimum(low, u_before + du_max)
-    # Beyond one unit in the last place of the force itself a difference is no rounding.
-    rounding = 4 * np.spacing(np.maximum(ship.tau_max, -ship.tau_min))
-    violated = (above | below | (np.abs(change) > du_max + rounding)).any(axis=1)
-    shares = {"limit_violations": float(violated.sum())}
+    shares["limit_violations"] = float(((above | below).any(axis=1) | too_fast).sum())
     for i, force in enumerate(FORCES):
-        shares[f"at_rate_{force}"] = float(at_rate[:, i].mean())
         shares[f"at_amplitude_{force}"] = float(at_amplitude[:, i].mean())
     return shares
+
+
+def _set_shares(
+    scenario: Scenario,
+    tau: Matrix,
+    u_before: Matrix,
+    limits: tuple[Matrix, Matrix],
+    too_fast: NDArray[np.bool_],
+) -> dict[str, float]:
+    """The same of a force that is limited as a whole, by what its thrusters give together."""
+    problem = scenario.control_problem()
+    near = AT_LIMIT * problem.row_max
+    (low, high), along, before = limits, tau @ problem.G.T, u_before @ problem.G.T
+    at_limit = ((along >= high - near) | (along <= low + near)).any(axis=1)
+    # Outside a set that has shrunk the force must come nearer: a smaller share of the whole set.
+    outside = ((along > high + near) | (along < low - near)).any(axis=1)
+    share, share_before = (
+        np.maximum(rows / problem.u_max, rows / problem.u_min).max(axis=1)
+        for rows in (along, before)
+    )
+    violated = (outside & (share > share_before + 1e-9)) | too_fast
+    return {
+        "limit_violations": float(violated.sum()),
+        "at_limit_thrusters": float(at_limit.mean()),
+    }
 
 
 def _deviation(state: Matrix, tau: Matrix, exact: ExactLoop) -> dict[str, float]:
