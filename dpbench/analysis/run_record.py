@@ -97,6 +97,10 @@ class RunRecord:
     overshoot_e: float
     share_1m: float
     total_variation: float
+    power_share: float
+    thrust_variation: float
+    azimuth_travel_deg: float
+    at_limit_thrusters: float
     at_rate_surge: float
     at_rate_sway: float
     at_rate_yaw: float

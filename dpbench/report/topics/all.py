@@ -19,6 +19,7 @@ from dpbench.report.topics.replays import (
     routes_topic,
 )
 from dpbench.report.topics.sweeps import horizon_topic, slowdown_topic
+from dpbench.report.topics.thrusters import thrusters_topic
 from dpbench.report.topics.trust import trust_topic
 from dpbench.report.topics.worst_case import worst_case_topic
 
@@ -37,6 +38,7 @@ def topics_of(records: Records, demand: Demand, designs: Designs | None) -> list
         race_topic(records) if replays else None,
         routes_topic(records) if replays else None,
         levels_topic(records, demand) if replays else None,
+        thrusters_topic(records, demand),
         paper_topic(records, designs),
         trust_topic(records),
     )
