@@ -88,8 +88,10 @@ print(json.dumps(told))
 def test_it_is_listed(copied: Path) -> None:
     """`dpbench list solvers` tells of it."""
     listed = _run(copied, "-m", "dpbench", "list", "solvers")
-    assert re.search(r"^newcomer +│.*that of the", listed, re.M)
-    assert re.search(r"^newcomer_wrapped +│", listed, re.M)
+    assert re.search(r"^newcomer\b", listed, re.M) and re.search(
+        r"^newcomer_wrapped\b", listed, re.M
+    )
+    assert "that of the" in listed[listed.index("newcomer") :]
 
 
 @pytest.mark.slow

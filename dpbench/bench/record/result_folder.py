@@ -14,6 +14,7 @@ import pandas as pd
 import pyarrow as pa
 
 from dpbench.bench.record.schema import (
+    ADDED,
     RENAMED,
     RENAMED_IN,
     RUN_COLUMNS,
@@ -155,7 +156,7 @@ def _read_table(folder: Path, name: str) -> pd.DataFrame:
     if old:
         renamed(str(path), f"column {', '.join(old)}", ", ".join(old.values()))
         frame = frame.rename(columns=old)
-    missing = sorted(set(TABLES[name]) - set(frame.columns))
+    missing = sorted(set(TABLES[name]) - set(frame.columns) - ADDED)
     if missing:
         named = ", ".join(missing[:3]) + (", …" if len(missing) > 3 else "")
         raise ResultsError(str(path), named, "no such columns", "the columns of schema.py")

@@ -300,6 +300,27 @@ RUN_COLUMNS = (
 )
 
 
+ADDED = frozenset(
+    {
+        "thrust_share",
+        "power_share",
+        "thrust_variation",
+        "azimuth_travel_deg",
+        "thrust_reversals",
+        "at_rate_thrusters",
+        "at_limit_thrusters",
+        "allocation_ns",
+        "allocation_error",
+        "undelivered_share",
+        "controller_p50_ns",
+        "controller_p99_ns",
+        "allocation_p50_ns",
+        "allocation_p99_ns",
+    }
+)
+"""Columns that the first files of this schema have not: read as missing there."""
+
+
 def _missing(dtype: DType, rows: int) -> Any:
     """A column of that type without a value in any row."""
     fillers: dict[str, object] = {"str": "", "bool": False, "int32": 0, "int64": 0, "Int64": pd.NA}

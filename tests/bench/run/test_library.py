@@ -10,6 +10,7 @@ import pytest
 
 from dpbench import load_scenario, open_workspace, run_closed_loop
 from dpbench.bench.judge.control_metrics import control_metrics
+from dpbench.bench.judge.thruster_metrics import thruster_metrics
 from dpbench.bench.run.exact_loop import ExactLoop, sequence_of, solve_exactly
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.scenario.problem_files import problem_names
@@ -30,7 +31,9 @@ def measured(scenario: Scenario, loop: ExactLoop) -> dict[str, float]:
     """The metrics of a loop."""
     builder = QPBuilder(scenario)
     limits = builder.u_min, builder.u_max
-    return control_metrics(scenario, loop.state, loop.tau, builder.reference, limits, loop)
+    u = loop.tau if scenario.steered is None else loop.thrust
+    found = control_metrics(scenario, loop.state, u, builder.reference, limits, loop)
+    return found | thruster_metrics(scenario, loop.thrust, limits)
 
 
 def metrics(name: str) -> dict[str, float]:
