@@ -12,7 +12,13 @@ import tomllib
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+)
 
 from dpbench.errors import InputError, UnknownNameError, one_of, renamed
 
@@ -30,6 +36,19 @@ class FileModel(BaseModel):
 
     old_keys: ClassVar[dict[str, str]] = {}
     """Old names of keys that are still read, with what they are called now."""
+
+    later_keys: ClassVar[frozenset[str]] = frozenset()
+    """Keys that came later: at their default they are not written, so that documents of before stay
+    equal, byte for byte."""
+
+    @model_serializer(mode="wrap")
+    def _later_unsaid(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        table: dict[str, Any] = write(self)
+        fields = type(self).model_fields
+        for key in self.later_keys:
+            if getattr(self, key) == fields[key].default:
+                del table[key]
+        return table
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 

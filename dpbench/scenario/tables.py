@@ -6,15 +6,13 @@ Files speak the units of the trade (kN, kN·m, degrees); what they make is SI.
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import (
     Field,
-    SerializerFunctionWrapHandler,
     ValidationInfo,
     field_validator,
-    model_serializer,
     model_validator,
 )
 
@@ -49,9 +47,6 @@ from dpbench.ship.thrusters import Screw, Thruster, ThrusterSet, nominal_thrust_
 from dpbench.ship.vessel import Vessel, bis_descaled, bis_descaled_damping
 from dpbench.ship.weather.waves import WATER_DENSITY, WaveReflection
 from dpbench.ship.weather.wind import Windage
-
-SPEEDS = ("surge_mps", "sway_mps", "yaw_degps")
-"""The keys of `[start]` that a ship at rest leaves out."""
 
 
 class LimitsTable(FileModel):
@@ -218,6 +213,8 @@ class VesselFile(FileModel):
     `model_scale` λ makes it a model ship of scale 1 : λ, for which scenarios are scaled.
     """
 
+    later_keys: ClassVar[frozenset[str]] = frozenset({"thrusters", "capability"})
+
     title: str
     """The ship in words."""
     source: str
@@ -335,6 +332,8 @@ class EstimatorTable(FileModel):
 class PlantTable(FileModel):
     """How the true ship differs from the controller's model of it."""
 
+    later_keys: ClassVar[frozenset[str]] = frozenset({"thruster_lag_s"})
+
     mass_percent: Percent = 0.0
     """How much larger M of the true ship is [%]."""
     damping_percent: Percent = 0.0
@@ -348,8 +347,10 @@ class PlantTable(FileModel):
 
 
 class FaultTable(FileModel):
-    """From `at_s` on the limits of the force are this share of the vessel's, which is known to the
-    controller at that sample."""
+    """From `at_s` on the limits of the force are this share of the vessel's, or thrusters are lost,
+    which is known to the controller at that sample."""
+
+    later_keys: ClassVar[frozenset[str]] = frozenset({"lost"})
 
     at_s: NotNegative
     """When [s]."""
@@ -395,6 +396,10 @@ class ThrusterControlTable(FileModel):
 
 class ControllerTable(FileModel):
     """Horizons and weights; R either in SI or in multiples of 1/Δu_max²."""
+
+    later_keys: ClassVar[frozenset[str]] = frozenset(
+        {"kind", "thrusters", "limits", "attainable_sides"}
+    )
 
     kind: Literal["forces", "thrusters"] = "forces"
     """forces: the QP's variables are moves of the force in surge, sway and yaw, as in the paper;
@@ -478,6 +483,8 @@ class PoseTable(FileModel):
 class StartTable(PoseTable):
     """Where the ship is at the first sample, and how it moves: over ground, along its own axes."""
 
+    later_keys: ClassVar[frozenset[str]] = frozenset({"surge_mps", "sway_mps", "yaw_degps"})
+
     surge_mps: Speed = 0.0
     """Speed ahead over ground [m/s]."""
     sway_mps: Speed = 0.0
@@ -488,12 +495,6 @@ class StartTable(PoseTable):
     def velocity(self) -> Vector:
         """[u, v, r] in m/s, m/s, rad/s."""
         return np.array([self.surge_mps, self.sway_mps, np.radians(self.yaw_degps)])
-
-    @model_serializer(mode="wrap")
-    def _zero_unsaid(self, write: SerializerFunctionWrapHandler) -> dict[str, float]:
-        """Rest is not written: documents of before there was a speed stay equal, byte for byte."""
-        table: dict[str, float] = write(self)
-        return {key: value for key, value in table.items() if value or key not in SPEEDS}
 
 
 class FilterTable(FileModel):
