@@ -6,7 +6,7 @@ Files speak the units of the trade (kN, kN·m, degrees); what they make is SI.
 from __future__ import annotations
 
 import math
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import (
