@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 from dpbench.arrays import Matrix, Vector
 from dpbench.display import fields_html, numbers_text
 from dpbench.errors import InputError, UnknownNameError
+from dpbench.mpc.allocation_qp import AllocationProblem
 from dpbench.mpc.attainable_set import AttainableSet, attainable_set
 from dpbench.mpc.azimuth_turning import AzimuthTurning, TurningQP
 from dpbench.mpc.condense import ControlProblem, Terminal, UnitSystem
@@ -25,7 +27,7 @@ from dpbench.mpc.staged_qp import StagedQP
 from dpbench.mpc.thruster_rows import ThrusterRows, thruster_rows
 from dpbench.scenario.estimation import EstimatorChoice, estimator_choice
 from dpbench.scenario.problem_files import parse_model, problem_path, read_model
-from dpbench.scenario.tables import ControllerTable, ScenarioFile, VesselFile
+from dpbench.scenario.tables import ControllerTable, FaultTable, ScenarioFile, VesselFile
 from dpbench.ship.actuators import Actuators, SteeredThrusters
 from dpbench.ship.environment import Environment
 from dpbench.ship.estimation.estimator import Estimator
@@ -52,6 +54,40 @@ class ThrusterControl:
 
 
 @dataclass(frozen=True, eq=False)
+class Allocation:
+    """How a cascade makes its force by thrusters.
+
+    control : thrusters, their rows and weight; problem : what the QP weighs and may do.
+    by_qp : whether a QP allocates, or the pseudo-inverse.
+    faults : (sample, least, most, lost) from which on these limits of the rows (r,) hold and the
+        thrusters of these numbers give nothing, in order of time.
+    """
+
+    control: ThrusterControl
+    problem: AllocationProblem
+    by_qp: bool
+    faults: tuple[tuple[int, Vector, Vector, frozenset[int]], ...]
+
+    def limit_tables(self, samples: int) -> tuple[Matrix, Matrix]:
+        """The limits of the rows in force at each sample (samples, r)."""
+        return _limit_tables(
+            (self.control.rows.low, self.control.rows.high),
+            [(k, least, most) for k, least, most, _ in self.faults],
+            samples,
+        )
+
+
+def _limit_tables(
+    own: tuple[Vector, Vector], faults: Iterable[tuple[int, Vector, Vector]], samples: int
+) -> tuple[Matrix, Matrix]:
+    """Limits (samples, r) that are `own` until a fault, and its from then on."""
+    low, high = (np.tile(limit, (samples, 1)) for limit in own)
+    for k, least, most in faults:
+        low[k:], high[k:] = least, most
+    return low, high
+
+
+@dataclass(frozen=True, eq=False)
 class Scenario:
     """A run in SI units.
 
@@ -69,6 +105,7 @@ class Scenario:
         heading of the model.
     steered : thrusters, whose forces are then u (n_u,); None where u is the force (3,).
     attainable : the set that limits the force as a whole; None for a limit an axis.
+    allocation : of a cascade, how thrusters make the force u; None else.
     relinearised : whether the model is linearised anew at each step.
     amplitude, outputs, terminal : policy of the amplitude limits, bounds on position and speed,
         cost at the end of the horizon.
@@ -99,6 +136,7 @@ class Scenario:
     psi0_rad: float
     steered: ThrusterControl | None
     attainable: AttainableSet | None
+    allocation: Allocation | None
     relinearised: bool
     amplitude: Amplitude
     outputs: OutputBounds | None
@@ -131,7 +169,13 @@ class Scenario:
     @property
     def _controller(self) -> str:
         steers = "" if self.steered is None else ", thrusters"
-        return f"tuning {self.tuning} {self.N_p}/{self.N_c}{steers}"
+        allocates = "" if self.allocation is None else ", cascade"
+        return f"tuning {self.tuning} {self.N_p}/{self.N_c}{steers}{allocates}"
+
+    @property
+    def commanded(self) -> ThrusterControl | None:
+        """The thrusters that are told what to give, planned or allocated; None where none are."""
+        return self.steered if self.allocation is None else self.allocation.control
 
     @property
     def force_step_max(self) -> Vector:
@@ -185,10 +229,7 @@ class Scenario:
             own = self.steered.rows.low, self.steered.rows.high
         if self.attainable is not None:
             own = self.attainable.limits(set())
-        low, high = (np.tile(limit, (samples, 1)) for limit in own)
-        for k, least, most in self.faults:
-            low[k:], high[k:] = least, most
-        return low, high
+        return _limit_tables(own, self.faults, samples)
 
     def estimator(self) -> Estimator:
         """A new estimator, which starts in the state the run starts in."""
@@ -254,7 +295,9 @@ def scenario_of(
         plant.mass_percent, plant.damping_percent
     )
     environment = spec.environment.environment(scale)
-    steered = _steered(controller, vessel, sample_s, where)
+    control = _thruster_control(controller, vessel, sample_s, where)
+    steered = control if controller.kind == "thrusters" else None
+    allocation = _allocation(spec, control, vessel, sample_s, where)
     attainable = _attainable(controller, vessel, where)
     # Said here, before anything runs: wind and drift need to know the hull.
     environment.load_coefficients(vessel)
@@ -264,7 +307,7 @@ def scenario_of(
         shows=spec.shows,
         vessel=vessel,
         true_ship=true_ship,
-        actuators=_actuators(spec, steered, sample_s, scale),
+        actuators=_actuators(spec, control, sample_s, scale),
         environment=environment,
         estimation=estimator_choice(spec, scale, where),
         steps=steps,
@@ -281,6 +324,7 @@ def scenario_of(
         psi0_rad=float(np.radians(controller.model_heading_deg)),
         steered=steered,
         attainable=attainable,
+        allocation=allocation,
         relinearised=controller.linearisation == "each_step",
         amplitude=controller.amplitude,
         outputs=_outputs(controller, scale, sample_s),
@@ -301,16 +345,16 @@ def _made(files: str) -> Scenario:
     return scenario_of(json.loads(files))
 
 
-def _steered(
+def _thruster_control(
     controller: ControllerTable, vessel: Vessel, sample_s: float, where: str
 ) -> ThrusterControl | None:
-    """The thrusters that the controller steers; InputError where the vessel has none."""
+    """The thrusters that the controller commands; InputError where the vessel has none."""
     table = controller.thrusters
     if table is None:
         return None
     if vessel.thrusters is None:
         allowed = f'"forces", or thrusters in the file of vessel {vessel.id}'
-        raise InputError(where, "controller.kind", '"thrusters"', allowed)
+        raise InputError(where, "controller.kind", f'"{controller.kind}"', allowed)
     thrusters = vessel.thrusters
     W = table.thrust_weight_relative / thrusters.per_entry(thrusters.thrust_N) ** 2
     rows = thruster_rows(thrusters, table.polygon_sides)
@@ -326,10 +370,35 @@ def _steered(
     return ThrusterControl(thrusters, rows, np.diag(W), turning)
 
 
+def _allocation(
+    spec: ScenarioFile,
+    control: ThrusterControl | None,
+    vessel: Vessel,
+    sample_s: float,
+    where: str,
+) -> Allocation | None:
+    """How the force of a cascade is allocated; None where the controller is none."""
+    table = spec.controller.thrusters
+    if spec.controller.kind != "cascade" or control is None or table is None:
+        return None
+    assert table.slack_weight_relative is not None, "the table demands it"
+    df_max, step_max = control.thrusters.step_max(sample_s), vessel.step_max(sample_s)
+    R = np.diag(table.move_weight_relative / df_max**2)
+    slack = np.diag(table.slack_weight_relative / step_max**2)
+    problem = AllocationProblem(
+        control.thrusters.T_e, control.rows, control.W, R, slack, df_max, step_max
+    )
+    faults = tuple(
+        (k, *control.rows.without(lost), frozenset(lost))
+        for k, lost in _losses(spec, vessel, where)
+    )
+    return Allocation(control, problem, table.allocation != "pseudo_inverse", faults)
+
+
 def _move_weight(
     controller: ControllerTable, vessel: Vessel, sample_s: float, scale: Froude
 ) -> Vector:
-    if controller.thrusters is not None:
+    if controller.kind == "thrusters" and controller.thrusters is not None:
         assert vessel.thrusters is not None, "steered thrusters are known by now"
         steps = vessel.thrusters.step_max(sample_s)
         relative: Vector = controller.thrusters.move_weight_relative / steps**2
@@ -341,14 +410,14 @@ def _move_weight(
 
 
 def _actuators(
-    spec: ScenarioFile, steered: ThrusterControl | None, sample_s: float, scale: Froude
+    spec: ScenarioFile, control: ThrusterControl | None, sample_s: float, scale: Froude
 ) -> Actuators | SteeredThrusters | None:
     plant = spec.plant
     loss = np.array(plant.thrust_loss_percent)
     behind = Actuators(1.0 - loss / 100.0, plant.delay_samples)
-    if steered is not None:
+    if control is not None:
         lag_s = plant.thruster_lag_s * scale.time
-        return SteeredThrusters(steered.thrusters, sample_s, lag_s, behind)
+        return SteeredThrusters(control.thrusters, sample_s, lag_s, behind)
     if not loss.any() and plant.delay_samples == 0:
         return None
     return behind
@@ -381,23 +450,41 @@ def _faults(
     of_thrusters: ThrusterControl | AttainableSet | None,
     where: str,
 ) -> tuple[tuple[int, Vector, Vector], ...]:
-    """(sample, least, most) of each fault; of thrusters, what was lost before stays lost."""
-    faults: list[tuple[int, Vector, Vector]] = []
-    gone: set[int] = set()
-    for i, fault in enumerate(sorted(spec.faults, key=lambda fault: fault.at_s)):
-        k = round(fault.at_s / spec.sample_s)
-        if (fault.lost is not None) != (of_thrusters is not None):
+    """(sample, least, most) of the limits of u after each fault that changes them."""
+    commanded = of_thrusters is not None or spec.controller.kind == "cascade"
+    for i, fault in enumerate(_in_time(spec)):
+        if not (commanded if fault.lost is not None else of_thrusters is None):
             found = "lost" if fault.lost is not None else "limit_share"
-            allowed = "lost where thrusters limit the force or are steered, limit_share elsewhere"
+            allowed = (
+                "lost where thrusters limit the force or are commanded, limit_share where each "
+                "axis of the force has a limit of its own"
+            )
             raise InputError(where, f"faults.{i}", found, allowed)
-        if of_thrusters is None:
-            share = np.array(fault.limit_share)
-            faults.append((k, share * vessel.tau_min, share * vessel.tau_max))
-            continue
-        assert vessel.thrusters is not None and fault.lost is not None, "checked above"
-        gone |= vessel.thrusters.numbers(fault.lost, where, f"faults.{i}.lost")
-        faults.append((k, *_without(of_thrusters, gone)))
-    return tuple(faults)
+    if of_thrusters is not None:
+        losses = _losses(spec, vessel, where)
+        return tuple((k, *_without(of_thrusters, lost)) for k, lost in losses)
+    shares = (
+        (round(fault.at_s / spec.sample_s), np.array(fault.limit_share))
+        for fault in _in_time(spec)
+        if fault.limit_share is not None
+    )
+    return tuple((k, share * vessel.tau_min, share * vessel.tau_max) for k, share in shares)
+
+
+def _in_time(spec: ScenarioFile) -> list[FaultTable]:
+    return sorted(spec.faults, key=lambda fault: fault.at_s)
+
+
+def _losses(spec: ScenarioFile, vessel: Vessel, where: str) -> list[tuple[int, set[int]]]:
+    """(sample, numbers of lost thrusters) of each fault; what was lost before stays lost."""
+    losses: list[tuple[int, set[int]]] = []
+    gone: set[int] = set()
+    for i, fault in enumerate(_in_time(spec)):
+        if fault.lost is not None:
+            assert vessel.thrusters is not None, "known by now"
+            gone = gone | vessel.thrusters.numbers(fault.lost, where, f"faults.{i}.lost")
+            losses.append((round(fault.at_s / spec.sample_s), gone))
+    return losses
 
 
 def _without(
@@ -436,6 +523,11 @@ def no_stages(scenario: Scenario) -> str:
     if scenario.amplitude == "soft" or scenario.outputs is not None:
         return "sparse: soft limits and output bounds are layers on the condensed problem"
     return ""
+
+
+def no_delay(scenario: Scenario) -> str:
+    """Why late answers on a slow computer are not simulated in a scenario; "" where they are."""
+    return "" if scenario.allocation is None else "slowdown: not of a cascade, whose QPs are two"
 
 
 def keep_states(scenario: Scenario, *, units: UnitSystem = "scaled") -> StagedQP:

@@ -9,12 +9,13 @@ from dpbench.bench.record.cell import Cell, Formulation
 from dpbench.bench.record.raw_log import Layout, RawLog, loop_layout, replay_layout
 from dpbench.bench.run.closed_loop import ClosedLoopSetup
 from dpbench.bench.run.exact_loop import base_problem
-from dpbench.bench.run.formulation import in_loop, in_replay
+from dpbench.bench.run.formulation import in_loop, in_replay, of_condensed
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.slow_computer import delay_of, usage_of_process
 from dpbench.bench.run.timed_solver import TimedSolver
+from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence
-from dpbench.scenario.scenario import Scenario
+from dpbench.scenario.scenario import Scenario, no_delay
 from dpbench.solvers.contract import Workspace
 
 NO_LIMIT_NS = 2**62
@@ -29,24 +30,26 @@ def closed_loop_setup(
 
     Raises
     ------
-    InputError : "sparse" for a scenario that has no stages, or a slow-down or deadline that cannot
-        be.
+    InputError : "sparse" for a scenario that has no stages, a slow-down or deadline that cannot
+        be, or a cascade whose second workspace cannot be opened.
     """
     delay = delay_of(cell, scenario.sample_s)
+    why = no_delay(scenario)
+    if delay.simulated and why:
+        raise InputError("closed loop", "slowdown", cell.slowdown, f"0 ({why})")
     builder = QPBuilder(scenario, cell.units, sparse=cell.formulation == "sparse")
     log = new_log(loop_layout(scenario.steps, *builder.sizes))
     formulated = in_loop(cell.formulation, builder, base_problem(builder.condensed))
-    return ClosedLoopSetup(
-        scenario,
-        builder,
-        TimedSolver(workspace, formulated, clock),
-        log,
-        cell.fallback,
-        limit_ns,
-        clock,
-        delay,
-        usage_of_process,
+    solver = TimedSolver(workspace, formulated, clock)
+    setup = ClosedLoopSetup(
+        scenario, builder, solver, log, cell.fallback, limit_ns, clock, delay, usage_of_process
     )
+    if builder.allocation is not None:
+        second = of_condensed(cell.formulation, builder.allocation.base())
+        setup.allocating = TimedSolver(workspace.another(), second, clock)
+        # What a library says of a failure counts whichever of the two QPs it failed on.
+        setup.allocating.details = solver.details
+    return setup
 
 
 def replay_parts(
