@@ -9,7 +9,7 @@ from dpbench.bench.record.cell import Cell, Formulation
 from dpbench.bench.record.raw_log import Layout, RawLog, loop_layout, replay_layout
 from dpbench.bench.run.closed_loop import ClosedLoopSetup
 from dpbench.bench.run.exact_loop import base_problem
-from dpbench.bench.run.formulation import in_loop, in_replay, of_condensed
+from dpbench.bench.run.formulation import Box, in_loop, in_replay
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.slow_computer import delay_of, usage_of_process
 from dpbench.bench.run.timed_solver import TimedSolver
@@ -45,7 +45,9 @@ def closed_loop_setup(
         scenario, builder, solver, log, cell.fallback, limit_ns, clock, delay, usage_of_process
     )
     if builder.allocation is not None:
-        second = of_condensed(cell.formulation, builder.allocation.base())
+        # As it is in every formulation: it has no states, and equalities no well-posed one-sided
+        # form.
+        second = Box(builder.allocation.base())
         setup.allocating = TimedSolver(workspace.another(), second, clock)
         # What a library says of a failure counts whichever of the two QPs it failed on.
         setup.allocating.details = solver.details

@@ -102,7 +102,7 @@ def in_loop(formulation: Formulation, builder: QPBuilder, base: QuadraticProgram
     The steps of "sparse" are those of a builder that was told so.
     """
     if builder.staged is None:
-        return of_condensed(formulation, base)
+        return _of_condensed(formulation, base)
     model = builder.staged.control.model
     at_rest = np.zeros(model.n_x), np.zeros(model.n_y), np.zeros(model.n_u)
     staged = builder.staged
@@ -117,7 +117,7 @@ def in_replay(formulation: Formulation, sequence: QPSequence) -> tuple[QPSequenc
     InputError : for "sparse", where nobody knows the model behind the QPs.
     """
     if formulation != "sparse":
-        return sequence, of_condensed(formulation, sequence.base)
+        return sequence, _of_condensed(formulation, sequence.base)
     if sequence.sparse_equivalent is None:
         raise InputError(f"sequence {sequence.name}", "formulation", "'sparse'", NO_MODEL)
     sparse_equivalent = sequence.sparse_equivalent()
@@ -126,6 +126,5 @@ def in_replay(formulation: Formulation, sequence: QPSequence) -> tuple[QPSequenc
     )
 
 
-def of_condensed(formulation: Formulation, base: QuadraticProgram) -> Formulated:
-    """The formulation of QPs that have no states to keep."""
+def _of_condensed(formulation: Formulation, base: QuadraticProgram) -> Formulated:
     return Stacked(base) if formulation == "condensed_stacked" else Box(base)
