@@ -477,6 +477,8 @@ class ControllerTable(FileModel):
                 raise ValueError('slack_weight_relative and allocation for kind = "cascade" only')
         elif table.slack_weight_relative is None or table.thrust_weight_relative == 0.0:
             raise ValueError("slack_weight_relative, and a thrust_weight_relative above 0")
+        elif table.azimuth_turning:
+            raise ValueError('azimuth_turning for kind = "thrusters" only')
 
     @field_validator("control_horizon")
     @classmethod

@@ -99,9 +99,7 @@ def _at_limits(
     # A thruster that was lost is at nothing, not at a limit.
     at_limit = (((along >= high - near) | (along <= low + near)) & (low < high)).any(axis=1)
     beyond = (along > high + 1e-9 * unit) | (along < low - 1e-9 * unit)
-    too_fast: NDArray[np.bool_] = np.any(
-        np.abs(f - before) > step_max * (1.0 + 1e-12), axis=1
-    )
+    too_fast: NDArray[np.bool_] = np.any(np.abs(f - before) > step_max * (1.0 + 1e-12), axis=1)
     if control.turning is not None:
         for k in np.flatnonzero(~too_fast).tolist():
             kept = control.turning.kept(before[k], f[k] - before[k], step_max)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.run.fallback import limit_thrusters
+from dpbench.bench.run.fallback import ThrusterLimit
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.timed_solver import UNFINISHED, Clock, TimedSolver, record_answer
 from dpbench.scenario.scenario import Allocation
@@ -38,10 +37,10 @@ class Allocator:
         solver: TimedSolver | None,
         clock: Clock,
     ) -> None:
-        problem, rows = allocation.problem, allocation.problem.rows
+        problem = allocation.problem
         self.f = np.zeros(len(problem.df_max))
         self._builder, self._log, self._solver, self._clock = builder, log, solver, clock
-        self._limit = partial(limit_thrusters, problem.df_max, rows.G, rows.thruster, rows.entry)
+        self._limit = ThrusterLimit(problem.rows, problem.df_max)
         losses = ((k, problem.pseudo_inverse(lost)) for k, _, _, lost in allocation.faults)
         self._inverses: list[tuple[int, Matrix]] = [(0, problem.pseudo_inverse()), *losses]
 
