@@ -19,6 +19,7 @@ from dpbench.bench.judge.thruster_metrics import shares_of_full, thruster_metric
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.npz import keep, kept
 from dpbench.bench.record.raw_log import COUNTERS, TIMES, AnswerLog, RawLog
+from dpbench.bench.run.assemble import as_run
 from dpbench.bench.run.exact_loop import ExactLoop, base_problem
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Units
@@ -159,7 +160,7 @@ def recorded_answer(log: AnswerLog, r: int, k: int) -> Solution:
 
 def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
     """The judged columns and metrics of a closed loop."""
-    scenario = scenario_once(cell.scenario).first(cell.steps)
+    scenario = as_run(cell, scenario_once(cell.scenario).first(cell.steps))
     scaled = QPBuilder(scenario)
     own = scaled if cell.units == "scaled" else QPBuilder(scenario, cell.units)
     done = int(log.done[0])

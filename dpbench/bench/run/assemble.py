@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 from dpbench.bench.record.cell import Cell, Formulation
 from dpbench.bench.record.raw_log import Layout, RawLog, loop_layout, replay_layout
@@ -33,6 +34,7 @@ def closed_loop_setup(
     InputError : "sparse" for a scenario that has no stages, a slow-down or deadline that cannot
         be, or a cascade whose second workspace cannot be opened.
     """
+    scenario = as_run(cell, scenario)
     delay = delay_of(cell, scenario.sample_s)
     why = no_delay(scenario)
     if delay.simulated and why:
@@ -52,6 +54,14 @@ def closed_loop_setup(
         # What a library says of a failure counts whichever of the two QPs it failed on.
         setup.allocating.details = solver.details
     return setup
+
+
+def as_run(cell: Cell, scenario: Scenario) -> Scenario:
+    """The scenario as a cell runs it: the baseline law of a cascade is one in both of its halves,
+    as what ignores all constraints ignores the demand too."""
+    if cell.formulation != "none" or scenario.allocation is None:
+        return scenario
+    return replace(scenario, allocation=replace(scenario.allocation, by_qp=False))
 
 
 def replay_parts(

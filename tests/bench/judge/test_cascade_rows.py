@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench import load_scenario, open_workspace
+from dpbench import load_scenario, open_workspace, run_closed_loop
 from dpbench.bench.judge.closed_loop import evaluate_log
 from dpbench.bench.judge.memory_of_answers import with_loop_ratio
 from dpbench.bench.judge.rows import run_row, step_rows
@@ -97,6 +97,17 @@ def test_an_allocation_without_an_answer_fails_its_step() -> None:
     steps, run = judged(spoil=spoil)
     assert steps["status"][BAD] == "NUMERICAL_ERROR"
     assert (run["failed_steps"], run["fallbacks"], run["true_not_claimed"]) == (1, 1, 1)
+
+
+def test_the_baseline_law_allocates_by_the_pseudo_inverse() -> None:
+    """It holds the ship for a while, and has one QP a step to be judged by."""
+    case = load_scenario("thrusters_cascade").first(STEPS)
+    steps = run_closed_loop(case, open_workspace("unconstrained_clipped"), formulation="none").steps
+    assert steps["allocation_ns"].isna().all()
+    assert steps["allocation_error"].isna().all()
+    # Until the first limit acts, what is delivered is what is demanded.
+    assert steps["undelivered_share"][0] < 1e-12
+    assert np.hypot(steps["n_m"], steps["e_m"]).max() < 0.5
 
 
 def answers(**changes: list[Any]) -> pd.DataFrame:
