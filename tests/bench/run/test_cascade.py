@@ -179,6 +179,38 @@ def test_a_lost_board_gives_nothing_as_soon_as_its_rate_allows() -> None:
     assert np.abs(log.thrust[gone:, [1, 4, 5]]).max() > 1e4
 
 
+def test_with_the_attainable_set_both_halves_know_what_is_lost() -> None:
+    """The force is limited by what the other board gives: far less of it is not delivered."""
+    missing = {}
+    for limits in ("box", "attainable"):
+        files = copy.deepcopy(load_scenario("thrusters_cascade").files)
+        files["scenario"] |= {"duration_s": 36.0, "faults": [{"at_s": 15.0, "lost": ["board B"]}]}
+        files["scenario"]["controller"] |= {"limits": limits, "control_horizon": 3}
+        case = scenario_of(files)
+        log = steered_by(case, open_workspace("daqp", route="native", settings="high")).log
+        assert not log.flags[:, :2].any()
+        builder = QPBuilder(case)
+        metrics = thruster_metrics(case, log.thrust, (builder.f_min, builder.f_max))
+        assert metrics["limit_violations"] == 0.0
+        away = np.abs(log.demand - log.tau) / case.vessel.tau_max
+        missing[limits] = float(away[100:].max(axis=1).mean())
+    assert missing["box"] > 0.01
+    assert missing["attainable"] < 0.2 * missing["box"]
+
+
+def test_both_kinds_of_faults_hold_in_a_cascade() -> None:
+    """A share of the limits for its forces, lost thrusters for its allocation, each in its time."""
+    faults = [{"at_s": 3.0, "lost": ["bow 1"]}, {"at_s": 1.5, "limit_share": [0.5, 0.5, 0.5]}]
+    case = scenario(20, tables={"faults": faults})
+    builder = QPBuilder(case)
+    vessel, thrusters = case.vessel, case.vessel.thrusters
+    assert thrusters is not None
+    np.testing.assert_array_equal(builder.u_max[4], vessel.tau_max)
+    np.testing.assert_array_equal(builder.u_max[5], 0.5 * vessel.tau_max)
+    np.testing.assert_array_equal(builder.u_max[10], 0.5 * vessel.tau_max)
+    assert (builder.f_max[9, 0], builder.f_max[10, 0]) == (thrusters.thrust_N[0], 0.0)
+
+
 def only_the_controller(qp: QuadraticProgram, **_: object) -> Solution:
     """Solves what has three variables a move, and fails at the rest."""
     if qp.n == 9 and qp.m == 9:
