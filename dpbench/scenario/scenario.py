@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -14,9 +13,8 @@ import numpy as np
 from dpbench.arrays import Matrix, Vector
 from dpbench.display import fields_html, numbers_text
 from dpbench.errors import InputError, UnknownNameError
-from dpbench.mpc.allocation_qp import AllocationProblem
-from dpbench.mpc.attainable_set import AttainableSet, attainable_set
-from dpbench.mpc.azimuth_turning import AzimuthTurning, TurningQP
+from dpbench.mpc.attainable_set import AttainableSet
+from dpbench.mpc.azimuth_turning import TurningQP
 from dpbench.mpc.condense import ControlProblem, Terminal, UnitSystem
 from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
 from dpbench.mpc.model import StateSpace, prediction_model
@@ -24,67 +22,27 @@ from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.reference import ReferenceFilter, reference_table
 from dpbench.mpc.relinearised import RelinearisedQP
 from dpbench.mpc.staged_qp import StagedQP
-from dpbench.mpc.thruster_rows import ThrusterRows, thruster_rows
+from dpbench.scenario.commanded_thrusters import (
+    Allocation,
+    ThrusterControl,
+    actuators_of,
+    allocation_of,
+    attainable_of,
+    faults_of,
+    limit_tables_of,
+    thruster_control,
+)
 from dpbench.scenario.estimation import EstimatorChoice, estimator_choice
 from dpbench.scenario.problem_files import parse_model, problem_path, read_model
-from dpbench.scenario.tables import ControllerTable, FaultTable, ScenarioFile, VesselFile
+from dpbench.scenario.tables import ControllerTable, ScenarioFile, VesselFile
 from dpbench.ship.actuators import Actuators, SteeredThrusters
 from dpbench.ship.environment import Environment
 from dpbench.ship.estimation.estimator import Estimator
 from dpbench.ship.froude import Froude
-from dpbench.ship.thrusters import ThrusterSet
 from dpbench.ship.vessel import Vessel
 
 MAX_STEPS = 1_000_000
 """A run keeps every step in memory; a million of them is 83 hours of the paper's ship."""
-
-
-@dataclass(frozen=True, eq=False)
-class ThrusterControl:
-    """What a controller that steers thrusters makes of them.
-
-    thrusters : of the vessel; rows : their limits as the QP has them; W (n_f, n_f) : their weight.
-    turning : azimuths whose turning rate the controller keeps to; None for none.
-    """
-
-    thrusters: ThrusterSet
-    rows: ThrusterRows
-    W: Matrix
-    turning: AzimuthTurning | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Allocation:
-    """How a cascade makes its force by thrusters.
-
-    control : thrusters, their rows and weight; problem : what the QP weighs and may do.
-    by_qp : whether a QP allocates, or the pseudo-inverse.
-    faults : (sample, least, most, lost) from which on these limits of the rows (r,) hold and the
-        thrusters of these numbers give nothing, in order of time.
-    """
-
-    control: ThrusterControl
-    problem: AllocationProblem
-    by_qp: bool
-    faults: tuple[tuple[int, Vector, Vector, frozenset[int]], ...]
-
-    def limit_tables(self, samples: int) -> tuple[Matrix, Matrix]:
-        """The limits of the rows in force at each sample (samples, r)."""
-        return _limit_tables(
-            (self.control.rows.low, self.control.rows.high),
-            [(k, least, most) for k, least, most, _ in self.faults],
-            samples,
-        )
-
-
-def _limit_tables(
-    own: tuple[Vector, Vector], faults: Iterable[tuple[int, Vector, Vector]], samples: int
-) -> tuple[Matrix, Matrix]:
-    """Limits (samples, r) that are `own` until a fault, and its from then on."""
-    low, high = (np.tile(limit, (samples, 1)) for limit in own)
-    for k, least, most in faults:
-        low[k:], high[k:] = least, most
-    return low, high
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,7 +187,7 @@ class Scenario:
             own = self.steered.rows.low, self.steered.rows.high
         if self.attainable is not None:
             own = self.attainable.limits(set())
-        return _limit_tables(own, self.faults, samples)
+        return limit_tables_of(own, self.faults, samples)
 
     def estimator(self) -> Estimator:
         """A new estimator, which starts in the state the run starts in."""
@@ -295,10 +253,10 @@ def scenario_of(
         plant.mass_percent, plant.damping_percent
     )
     environment = spec.environment.environment(scale)
-    control = _thruster_control(controller, vessel, sample_s, where)
+    control = thruster_control(controller, vessel, sample_s, where)
     steered = control if controller.kind == "thrusters" else None
-    allocation = _allocation(spec, control, vessel, sample_s, where)
-    attainable = _attainable(controller, vessel, where)
+    allocation = allocation_of(spec, control, vessel, sample_s, where)
+    attainable = attainable_of(controller, vessel, where)
     # Said here, before anything runs: wind and drift need to know the hull.
     environment.load_coefficients(vessel)
     return Scenario(
@@ -307,7 +265,7 @@ def scenario_of(
         shows=spec.shows,
         vessel=vessel,
         true_ship=true_ship,
-        actuators=_actuators(spec, control, sample_s, scale),
+        actuators=actuators_of(spec, control, sample_s, scale),
         environment=environment,
         estimation=estimator_choice(spec, scale, where),
         steps=steps,
@@ -329,7 +287,7 @@ def scenario_of(
         amplitude=controller.amplitude,
         outputs=_outputs(controller, scale, sample_s),
         terminal=controller.terminal,
-        faults=_faults(spec, vessel, steered or attainable, where),
+        faults=faults_of(spec, vessel, steered or attainable, where),
         tuning=controller.tuning,
         files=files,
     )
@@ -343,56 +301,6 @@ def scenario_once(files: dict[str, Any]) -> Scenario:
 @lru_cache(maxsize=64)
 def _made(files: str) -> Scenario:
     return scenario_of(json.loads(files))
-
-
-def _thruster_control(
-    controller: ControllerTable, vessel: Vessel, sample_s: float, where: str
-) -> ThrusterControl | None:
-    """The thrusters that the controller commands; InputError where the vessel has none."""
-    table = controller.thrusters
-    if table is None:
-        return None
-    if vessel.thrusters is None:
-        allowed = f'"forces", or thrusters in the file of vessel {vessel.id}'
-        raise InputError(where, "controller.kind", f'"{controller.kind}"', allowed)
-    thrusters = vessel.thrusters
-    W = table.thrust_weight_relative / thrusters.per_entry(thrusters.thrust_N) ** 2
-    rows = thruster_rows(thrusters, table.polygon_sides)
-    if not table.azimuth_turning:
-        return ThrusterControl(thrusters, rows, np.diag(W))
-    if controller.linearisation == "each_step":
-        allowed = 'false where controller.linearisation is "each_step"'
-        raise InputError(where, "controller.thrusters.azimuth_turning", "true", allowed)
-    turning = AzimuthTurning.of(thrusters, sample_s)
-    if not len(turning.x):
-        allowed = f"false, or turning_degps of an azimuth in the file of vessel {vessel.id}"
-        raise InputError(where, "controller.thrusters.azimuth_turning", "true", allowed)
-    return ThrusterControl(thrusters, rows, np.diag(W), turning)
-
-
-def _allocation(
-    spec: ScenarioFile,
-    control: ThrusterControl | None,
-    vessel: Vessel,
-    sample_s: float,
-    where: str,
-) -> Allocation | None:
-    """How the force of a cascade is allocated; None where the controller is none."""
-    table = spec.controller.thrusters
-    if spec.controller.kind != "cascade" or control is None or table is None:
-        return None
-    assert table.slack_weight_relative is not None, "the table demands it"
-    df_max, step_max = control.thrusters.step_max(sample_s), vessel.step_max(sample_s)
-    R = np.diag(table.move_weight_relative / df_max**2)
-    slack = np.diag(table.slack_weight_relative / step_max**2)
-    problem = AllocationProblem(
-        control.thrusters.T_e, control.rows, control.W, R, slack, df_max, step_max
-    )
-    faults = tuple(
-        (k, *control.rows.without(lost), frozenset(lost))
-        for k, lost in _losses(spec, vessel, where)
-    )
-    return Allocation(control, problem, table.allocation != "pseudo_inverse", faults)
 
 
 def _move_weight(
@@ -409,20 +317,6 @@ def _move_weight(
     return np.array(controller.move_weight) / scale.force**2
 
 
-def _actuators(
-    spec: ScenarioFile, control: ThrusterControl | None, sample_s: float, scale: Froude
-) -> Actuators | SteeredThrusters | None:
-    plant = spec.plant
-    loss = np.array(plant.thrust_loss_percent)
-    behind = Actuators(1.0 - loss / 100.0, plant.delay_samples)
-    if control is not None:
-        lag_s = plant.thruster_lag_s * scale.time
-        return SteeredThrusters(control.thrusters, sample_s, lag_s, behind)
-    if not loss.any() and plant.delay_samples == 0:
-        return None
-    return behind
-
-
 def _outputs(controller: ControllerTable, scale: Froude, sample_s: float) -> OutputBounds | None:
     table = controller.outputs
     if table is None:
@@ -432,67 +326,6 @@ def _outputs(controller: ControllerTable, scale: Froude, sample_s: float) -> Out
         None if table.radius_m is None else table.radius_m * scale.length,
         None if table.speed_mps is None else table.speed_mps * scale.time,
     )
-
-
-def _attainable(controller: ControllerTable, vessel: Vessel, where: str) -> AttainableSet | None:
-    """What limits the force as a whole; InputError where the vessel has no thrusters."""
-    if controller.limits == "box":
-        return None
-    if vessel.thrusters is None:
-        allowed = f'"box", or thrusters in the file of vessel {vessel.id}'
-        raise InputError(where, "controller.limits", '"attainable"', allowed)
-    return attainable_set(vessel.thrusters, controller.attainable_sides)
-
-
-def _faults(
-    spec: ScenarioFile,
-    vessel: Vessel,
-    of_thrusters: ThrusterControl | AttainableSet | None,
-    where: str,
-) -> tuple[tuple[int, Vector, Vector], ...]:
-    """(sample, least, most) of the limits of u after each fault that changes them."""
-    commanded = of_thrusters is not None or spec.controller.kind == "cascade"
-    for i, fault in enumerate(_in_time(spec)):
-        if not (commanded if fault.lost is not None else of_thrusters is None):
-            found = "lost" if fault.lost is not None else "limit_share"
-            allowed = (
-                "lost where thrusters limit the force or are commanded, limit_share where each "
-                "axis of the force has a limit of its own"
-            )
-            raise InputError(where, f"faults.{i}", found, allowed)
-    if of_thrusters is not None:
-        losses = _losses(spec, vessel, where)
-        return tuple((k, *_without(of_thrusters, lost)) for k, lost in losses)
-    shares = (
-        (round(fault.at_s / spec.sample_s), np.array(fault.limit_share))
-        for fault in _in_time(spec)
-        if fault.limit_share is not None
-    )
-    return tuple((k, share * vessel.tau_min, share * vessel.tau_max) for k, share in shares)
-
-
-def _in_time(spec: ScenarioFile) -> list[FaultTable]:
-    return sorted(spec.faults, key=lambda fault: fault.at_s)
-
-
-def _losses(spec: ScenarioFile, vessel: Vessel, where: str) -> list[tuple[int, set[int]]]:
-    """(sample, numbers of lost thrusters) of each fault; what was lost before stays lost."""
-    losses: list[tuple[int, set[int]]] = []
-    gone: set[int] = set()
-    for i, fault in enumerate(_in_time(spec)):
-        if fault.lost is not None:
-            assert vessel.thrusters is not None, "known by now"
-            gone = gone | vessel.thrusters.numbers(fault.lost, where, f"faults.{i}.lost")
-            losses.append((round(fault.at_s / spec.sample_s), gone))
-    return losses
-
-
-def _without(
-    of_thrusters: ThrusterControl | AttainableSet, gone: set[int]
-) -> tuple[Vector, Vector]:
-    if isinstance(of_thrusters, AttainableSet):
-        return of_thrusters.limits(gone)
-    return of_thrusters.rows.without(gone)
 
 
 def condense(scenario: Scenario, *, units: UnitSystem = "scaled") -> CondensedQP:

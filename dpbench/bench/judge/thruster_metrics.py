@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.mpc.thruster_rows import Retreat
-from dpbench.scenario.scenario import Scenario, ThrusterControl
+from dpbench.scenario.commanded_thrusters import ThrusterControl
+from dpbench.scenario.scenario import Scenario
 
 PUSHING = 0.01
 """Share of its full thrust from which the direction of a thruster counts."""

@@ -11,7 +11,7 @@ from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.fallback import ThrusterLimit
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.timed_solver import UNFINISHED, Clock, TimedSolver, record_answer
-from dpbench.scenario.scenario import Allocation
+from dpbench.scenario.commanded_thrusters import Allocation
 
 
 class Allocator:

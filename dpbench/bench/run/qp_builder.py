@@ -12,7 +12,8 @@ from dpbench.arrays import Matrix, Vector
 from dpbench.mpc.allocation_qp import AllocationQP
 from dpbench.mpc.condense import UnitSystem
 from dpbench.qp.program import QPStep
-from dpbench.scenario.scenario import Allocation, Scenario, condense, keep_states
+from dpbench.scenario.commanded_thrusters import Allocation
+from dpbench.scenario.scenario import Scenario, condense, keep_states
 
 
 class QPBuilder:
