@@ -384,7 +384,9 @@ class OutputsTable(FileModel):
 
 
 class ThrusterControlTable(FileModel):
-    """A controller that steers thrusters: polygons for their limits, weights of their forces."""
+    """A controller that commands thrusters: polygons for their limits, weights of their forces."""
+
+    later_keys: ClassVar[frozenset[str]] = frozenset({"slack_weight_relative", "allocation"})
 
     polygon_sides: PolygonSides = 16
     """Sides of the polygon inside the circle of an azimuth's thrust; even."""
