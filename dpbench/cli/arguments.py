@@ -154,6 +154,9 @@ def _export(commands: Commands) -> None:
     export.add_argument("--steps", type=int, metavar="N", help="only the first N steps")
     export.add_argument("--every", type=int, default=1, metavar="K", help="each K-th of them")
     export.add_argument("--at", type=int, metavar="K", help="instead: step K alone")
+    export.add_argument(
+        "--part", default="controller", help="controller (default), or allocation of a cascade"
+    )
 
 
 def _worst_case(commands: Commands) -> None:

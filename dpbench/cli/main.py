@@ -218,6 +218,7 @@ def _export(arguments: argparse.Namespace) -> int:
             steps=arguments.steps,
             every=arguments.every,
             at=arguments.at,
+            part=arguments.part,
         )
     say(said.splitlines())
     return 0

@@ -95,8 +95,7 @@ class ControlProblem:
     @cached_property
     def row_max(self) -> Vector:
         """(r,) the change of G u by a full rate-limit step along each row: the unit of the row."""
-        largest: Vector = np.sqrt(((self.G * self.du_max) ** 2).sum(axis=1))
-        return largest
+        return self.du_max if self.thrusters is None else self.thrusters.units(self.du_max)
 
     def turned(self, turn_rad: float) -> ControlProblem:
         """The same problem with the ship's model linearised `turn_rad` further (eq. 5)."""

@@ -41,6 +41,11 @@ class ThrusterRows:
     thruster: NDArray[np.intp]
     entry: NDArray[np.intp]
 
+    def units(self, df_max: Vector) -> Vector:
+        """(r,) the change of G f by a full step df_max (n_f,) along each row: its unit."""
+        largest: Vector = np.sqrt(((self.G * df_max) ** 2).sum(axis=1))
+        return largest
+
     def of_each(self, of_row: Vector, of_entry: Vector) -> tuple[Vector, Vector]:
         """The largest value among the rows (r,), and among the entries (n_f,), of each thruster."""
         numbers = range(int(self.entry[-1]) + 1)

@@ -13,8 +13,8 @@ import numpy as np
 from dpbench.arrays import Matrix, Vector
 from dpbench.display import fields_html, numbers_text
 from dpbench.errors import InputError, UnknownNameError
-from dpbench.mpc.attainable_set import AttainableSet, attainable_set
-from dpbench.mpc.azimuth_turning import AzimuthTurning, TurningQP
+from dpbench.mpc.attainable_set import AttainableSet
+from dpbench.mpc.azimuth_turning import TurningQP
 from dpbench.mpc.condense import ControlProblem, Terminal, UnitSystem
 from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
 from dpbench.mpc.model import StateSpace, prediction_model
@@ -22,7 +22,16 @@ from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.reference import ReferenceFilter, reference_table
 from dpbench.mpc.relinearised import RelinearisedQP
 from dpbench.mpc.staged_qp import StagedQP
-from dpbench.mpc.thruster_rows import ThrusterRows, thruster_rows
+from dpbench.scenario.commanded_thrusters import (
+    Allocation,
+    ThrusterControl,
+    actuators_of,
+    allocation_of,
+    attainable_of,
+    faults_of,
+    limit_tables_of,
+    thruster_control,
+)
 from dpbench.scenario.estimation import EstimatorChoice, estimator_choice
 from dpbench.scenario.problem_files import parse_model, problem_path, read_model
 from dpbench.scenario.tables import ControllerTable, ScenarioFile, VesselFile
@@ -30,25 +39,10 @@ from dpbench.ship.actuators import Actuators, SteeredThrusters
 from dpbench.ship.environment import Environment
 from dpbench.ship.estimation.estimator import Estimator
 from dpbench.ship.froude import Froude
-from dpbench.ship.thrusters import ThrusterSet
 from dpbench.ship.vessel import Vessel
 
 MAX_STEPS = 1_000_000
 """A run keeps every step in memory; a million of them is 83 hours of the paper's ship."""
-
-
-@dataclass(frozen=True, eq=False)
-class ThrusterControl:
-    """What a controller that steers thrusters makes of them.
-
-    thrusters : of the vessel; rows : their limits as the QP has them; W (n_f, n_f) : their weight.
-    turning : azimuths whose turning rate the controller keeps to; None for none.
-    """
-
-    thrusters: ThrusterSet
-    rows: ThrusterRows
-    W: Matrix
-    turning: AzimuthTurning | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +63,7 @@ class Scenario:
         heading of the model.
     steered : thrusters, whose forces are then u (n_u,); None where u is the force (3,).
     attainable : the set that limits the force as a whole; None for a limit an axis.
+    allocation : of a cascade, how thrusters make the force u; None else.
     relinearised : whether the model is linearised anew at each step.
     amplitude, outputs, terminal : policy of the amplitude limits, bounds on position and speed,
         cost at the end of the horizon.
@@ -99,6 +94,7 @@ class Scenario:
     psi0_rad: float
     steered: ThrusterControl | None
     attainable: AttainableSet | None
+    allocation: Allocation | None
     relinearised: bool
     amplitude: Amplitude
     outputs: OutputBounds | None
@@ -131,7 +127,13 @@ class Scenario:
     @property
     def _controller(self) -> str:
         steers = "" if self.steered is None else ", thrusters"
-        return f"tuning {self.tuning} {self.N_p}/{self.N_c}{steers}"
+        allocates = "" if self.allocation is None else ", cascade"
+        return f"tuning {self.tuning} {self.N_p}/{self.N_c}{steers}{allocates}"
+
+    @property
+    def commanded(self) -> ThrusterControl | None:
+        """The thrusters that are told what to give, planned or allocated; None where none are."""
+        return self.steered if self.allocation is None else self.allocation.control
 
     @property
     def force_step_max(self) -> Vector:
@@ -185,10 +187,7 @@ class Scenario:
             own = self.steered.rows.low, self.steered.rows.high
         if self.attainable is not None:
             own = self.attainable.limits(set())
-        low, high = (np.tile(limit, (samples, 1)) for limit in own)
-        for k, least, most in self.faults:
-            low[k:], high[k:] = least, most
-        return low, high
+        return limit_tables_of(own, self.faults, samples)
 
     def estimator(self) -> Estimator:
         """A new estimator, which starts in the state the run starts in."""
@@ -254,8 +253,10 @@ def scenario_of(
         plant.mass_percent, plant.damping_percent
     )
     environment = spec.environment.environment(scale)
-    steered = _steered(controller, vessel, sample_s, where)
-    attainable = _attainable(controller, vessel, where)
+    control = thruster_control(controller, vessel, sample_s, where)
+    steered = control if controller.kind == "thrusters" else None
+    allocation = allocation_of(spec, control, vessel, sample_s, where)
+    attainable = attainable_of(controller, vessel, where)
     # Said here, before anything runs: wind and drift need to know the hull.
     environment.load_coefficients(vessel)
     return Scenario(
@@ -264,7 +265,7 @@ def scenario_of(
         shows=spec.shows,
         vessel=vessel,
         true_ship=true_ship,
-        actuators=_actuators(spec, steered, sample_s, scale),
+        actuators=actuators_of(spec, control, sample_s, scale),
         environment=environment,
         estimation=estimator_choice(spec, scale, where),
         steps=steps,
@@ -281,11 +282,12 @@ def scenario_of(
         psi0_rad=float(np.radians(controller.model_heading_deg)),
         steered=steered,
         attainable=attainable,
+        allocation=allocation,
         relinearised=controller.linearisation == "each_step",
         amplitude=controller.amplitude,
         outputs=_outputs(controller, scale, sample_s),
         terminal=controller.terminal,
-        faults=_faults(spec, vessel, steered or attainable, where),
+        faults=faults_of(spec, vessel, steered or attainable, where),
         tuning=controller.tuning,
         files=files,
     )
@@ -301,35 +303,10 @@ def _made(files: str) -> Scenario:
     return scenario_of(json.loads(files))
 
 
-def _steered(
-    controller: ControllerTable, vessel: Vessel, sample_s: float, where: str
-) -> ThrusterControl | None:
-    """The thrusters that the controller steers; InputError where the vessel has none."""
-    table = controller.thrusters
-    if table is None:
-        return None
-    if vessel.thrusters is None:
-        allowed = f'"forces", or thrusters in the file of vessel {vessel.id}'
-        raise InputError(where, "controller.kind", '"thrusters"', allowed)
-    thrusters = vessel.thrusters
-    W = table.thrust_weight_relative / thrusters.per_entry(thrusters.thrust_N) ** 2
-    rows = thruster_rows(thrusters, table.polygon_sides)
-    if not table.azimuth_turning:
-        return ThrusterControl(thrusters, rows, np.diag(W))
-    if controller.linearisation == "each_step":
-        allowed = 'false where controller.linearisation is "each_step"'
-        raise InputError(where, "controller.thrusters.azimuth_turning", "true", allowed)
-    turning = AzimuthTurning.of(thrusters, sample_s)
-    if not len(turning.x):
-        allowed = f"false, or turning_degps of an azimuth in the file of vessel {vessel.id}"
-        raise InputError(where, "controller.thrusters.azimuth_turning", "true", allowed)
-    return ThrusterControl(thrusters, rows, np.diag(W), turning)
-
-
 def _move_weight(
     controller: ControllerTable, vessel: Vessel, sample_s: float, scale: Froude
 ) -> Vector:
-    if controller.thrusters is not None:
+    if controller.kind == "thrusters" and controller.thrusters is not None:
         assert vessel.thrusters is not None, "steered thrusters are known by now"
         steps = vessel.thrusters.step_max(sample_s)
         relative: Vector = controller.thrusters.move_weight_relative / steps**2
@@ -338,20 +315,6 @@ def _move_weight(
         return np.array(controller.move_weight_relative) / vessel.step_max(sample_s) ** 2
     assert controller.move_weight is not None, "the table demands one of the two"
     return np.array(controller.move_weight) / scale.force**2
-
-
-def _actuators(
-    spec: ScenarioFile, steered: ThrusterControl | None, sample_s: float, scale: Froude
-) -> Actuators | SteeredThrusters | None:
-    plant = spec.plant
-    loss = np.array(plant.thrust_loss_percent)
-    behind = Actuators(1.0 - loss / 100.0, plant.delay_samples)
-    if steered is not None:
-        lag_s = plant.thruster_lag_s * scale.time
-        return SteeredThrusters(steered.thrusters, sample_s, lag_s, behind)
-    if not loss.any() and plant.delay_samples == 0:
-        return None
-    return behind
 
 
 def _outputs(controller: ControllerTable, scale: Froude, sample_s: float) -> OutputBounds | None:
@@ -363,49 +326,6 @@ def _outputs(controller: ControllerTable, scale: Froude, sample_s: float) -> Out
         None if table.radius_m is None else table.radius_m * scale.length,
         None if table.speed_mps is None else table.speed_mps * scale.time,
     )
-
-
-def _attainable(controller: ControllerTable, vessel: Vessel, where: str) -> AttainableSet | None:
-    """What limits the force as a whole; InputError where the vessel has no thrusters."""
-    if controller.limits == "box":
-        return None
-    if vessel.thrusters is None:
-        allowed = f'"box", or thrusters in the file of vessel {vessel.id}'
-        raise InputError(where, "controller.limits", '"attainable"', allowed)
-    return attainable_set(vessel.thrusters, controller.attainable_sides)
-
-
-def _faults(
-    spec: ScenarioFile,
-    vessel: Vessel,
-    of_thrusters: ThrusterControl | AttainableSet | None,
-    where: str,
-) -> tuple[tuple[int, Vector, Vector], ...]:
-    """(sample, least, most) of each fault; of thrusters, what was lost before stays lost."""
-    faults: list[tuple[int, Vector, Vector]] = []
-    gone: set[int] = set()
-    for i, fault in enumerate(sorted(spec.faults, key=lambda fault: fault.at_s)):
-        k = round(fault.at_s / spec.sample_s)
-        if (fault.lost is not None) != (of_thrusters is not None):
-            found = "lost" if fault.lost is not None else "limit_share"
-            allowed = "lost where thrusters limit the force or are steered, limit_share elsewhere"
-            raise InputError(where, f"faults.{i}", found, allowed)
-        if of_thrusters is None:
-            share = np.array(fault.limit_share)
-            faults.append((k, share * vessel.tau_min, share * vessel.tau_max))
-            continue
-        assert vessel.thrusters is not None and fault.lost is not None, "checked above"
-        gone |= vessel.thrusters.numbers(fault.lost, where, f"faults.{i}.lost")
-        faults.append((k, *_without(of_thrusters, gone)))
-    return tuple(faults)
-
-
-def _without(
-    of_thrusters: ThrusterControl | AttainableSet, gone: set[int]
-) -> tuple[Vector, Vector]:
-    if isinstance(of_thrusters, AttainableSet):
-        return of_thrusters.limits(gone)
-    return of_thrusters.rows.without(gone)
 
 
 def condense(scenario: Scenario, *, units: UnitSystem = "scaled") -> CondensedQP:
@@ -436,6 +356,11 @@ def no_stages(scenario: Scenario) -> str:
     if scenario.amplitude == "soft" or scenario.outputs is not None:
         return "sparse: soft limits and output bounds are layers on the condensed problem"
     return ""
+
+
+def no_delay(scenario: Scenario) -> str:
+    """Why late answers on a slow computer are not simulated in a scenario; "" where they are."""
+    return "" if scenario.allocation is None else "slowdown: not of a cascade, whose QPs are two"
 
 
 def keep_states(scenario: Scenario, *, units: UnitSystem = "scaled") -> StagedQP:

@@ -343,7 +343,8 @@ class PlantTable(FileModel):
     delay_samples: Count = 0
     """Samples by which a command arrives late."""
     thruster_lag_s: NotNegative = 0.0
-    """Time constant with which thrusters follow their commands [s]; where thrusters are steered."""
+    """Time constant with which thrusters follow their commands [s]; where a controller commands
+    thrusters."""
 
 
 class FaultTable(FileModel):
@@ -355,9 +356,10 @@ class FaultTable(FileModel):
     at_s: NotNegative
     """When [s]."""
     limit_share: ThreeShares | None = None
-    """Share of the vessel's limits in surge, sway, yaw from then on."""
+    """Share of the vessel's limits in surge, sway, yaw from then on; where forces are planned."""
     lost: list[str] | None = None
-    """Thrusters, or failure groups, that give nothing from then on; where thrusters are steered."""
+    """Thrusters, or failure groups, that give nothing from then on; where a controller commands
+    thrusters. A cascade's plan of forces does not know of it, its allocation does."""
 
     @model_validator(mode="after")
     def _one_fault(self) -> FaultTable:
@@ -382,7 +384,9 @@ class OutputsTable(FileModel):
 
 
 class ThrusterControlTable(FileModel):
-    """A controller that steers thrusters: polygons for their limits, weights of their forces."""
+    """A controller that commands thrusters: polygons for their limits, weights of their forces."""
+
+    later_keys: ClassVar[frozenset[str]] = frozenset({"slack_weight_relative", "allocation"})
 
     polygon_sides: PolygonSides = 16
     """Sides of the polygon inside the circle of an azimuth's thrust; even."""
@@ -392,6 +396,14 @@ class ThrusterControlTable(FileModel):
     """Whether moves keep to the turning rate of azimuths too; A then changes at every step."""
     move_weight_relative: Positive
     """R in multiples of 1/Δf_max², Δf_max the rate limit of a sample of each thruster."""
+    slack_weight_relative: Positive | None = None
+    """Of a cascade: Ω, the weight of force demanded and not delivered, in multiples of 1/Δτ_max²,
+    Δτ_max the rate limit of the force in a sample. Large against the other weights, so that
+    thrusters deliver whatever they can."""
+    allocation: Literal["qp", "pseudo_inverse"] | None = None
+    """Of a cascade: how forces are allocated. qp: a second QP at each sample, by the same solver;
+    pseudo_inverse: W⁻¹T_eᵀ(T_e W⁻¹T_eᵀ)⁻¹ with the result clipped, what acts besides wherever the
+    second QP has no answer. By default qp."""
 
 
 class ControllerTable(FileModel):
@@ -401,11 +413,12 @@ class ControllerTable(FileModel):
         {"kind", "thrusters", "limits", "attainable_sides"}
     )
 
-    kind: Literal["forces", "thrusters"] = "forces"
+    kind: Literal["forces", "thrusters", "cascade"] = "forces"
     """forces: the QP's variables are moves of the force in surge, sway and yaw, as in the paper;
-    thrusters: moves of the forces of the vessel's thrusters."""
+    thrusters: moves of the forces of the vessel's thrusters; cascade: the QP of forces, then a
+    second one at each sample that allocates the force to the thrusters."""
     thrusters: ThrusterControlTable | None = None
-    """Needed for, and only for, kind = "thrusters"."""
+    """Needed for, and only for, kind = "thrusters" and "cascade"."""
 
     tuning: str
     """A name for horizons and weights, for tables."""
@@ -441,20 +454,33 @@ class ControllerTable(FileModel):
     @model_validator(mode="after")
     def _consistent(self) -> ControllerTable:
         of_forces = (self.move_weight is not None) + (self.move_weight_relative is not None)
-        steers_thrusters = self.kind == "thrusters"
-        if steers_thrusters != (self.thrusters is not None):
-            raise ValueError('controller.thrusters for, and only for, kind = "thrusters"')
-        if of_forces != (not steers_thrusters):
+        plans_thrusters = self.kind == "thrusters"
+        if (self.kind != "forces") != (self.thrusters is not None):
+            allowed = 'controller.thrusters for, and only for, kind = "thrusters" or "cascade"'
+            raise ValueError(allowed)
+        if of_forces != (not plans_thrusters):
             raise ValueError(
                 "the move weight of thrusters in controller.thrusters, not here"
-                if steers_thrusters
+                if plans_thrusters
                 else "exactly one of move_weight and move_weight_relative"
             )
-        if steers_thrusters and self.limits != "box":
+        if plans_thrusters and self.limits != "box":
             raise ValueError('limits = "box" where thrusters are steered: they have their own')
-        if steers_thrusters and self.terminal != "none":
+        if plans_thrusters and self.terminal != "none":
             raise ValueError('terminal = "none" where thrusters are steered')
+        if self.thrusters is not None:
+            self._check_allocation(self.thrusters)
         return self
+
+    def _check_allocation(self, table: ThrusterControlTable) -> None:
+        """What belongs to a cascade and to nothing else."""
+        if self.kind == "thrusters":
+            if table.slack_weight_relative is not None or table.allocation is not None:
+                raise ValueError('slack_weight_relative and allocation for kind = "cascade" only')
+        elif table.slack_weight_relative is None or table.thrust_weight_relative == 0.0:
+            raise ValueError("slack_weight_relative, and a thrust_weight_relative above 0")
+        elif table.azimuth_turning:
+            raise ValueError('azimuth_turning for kind = "thrusters" only')
 
     @field_validator("control_horizon")
     @classmethod

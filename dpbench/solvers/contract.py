@@ -16,11 +16,11 @@ the same memory each time, made whole again before.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Literal
 
 from dpbench.arrays import Vector
-from dpbench.errors import DpbenchError, ShapeError
+from dpbench.errors import DpbenchError, InputError, ShapeError
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution
 
@@ -41,11 +41,14 @@ class Workspace(ABC):
     setup_every_step : the harness calls `setup` with the whole problem at every step instead of
         `update` (policy fresh on route native).
     matrix_updates : updates so far that brought new P, A, lb or ub.
+    opened_again : makes another workspace of the same solver, route, policy and settings; None
+        where whoever made this one did not say how.
     """
 
     setup_every_step: bool = False
     matrix_updates: int = 0
     form: Form = "dense"
+    opened_again: Callable[[], Workspace] | None = None
 
     def __init__(self, solver: str, route: Route, policy: Policy) -> None:
         self.solver, self.route, self.policy = solver, route, policy
@@ -65,6 +68,15 @@ class Workspace(ABC):
     @abstractmethod
     def read(self) -> Solution:
         """The answer, in memory of its own."""
+
+    def another(self) -> Workspace:
+        """A workspace of the same kind for other QPs, not yet set up; InputError if none is known.
+
+        A cascade solves two QPs at each sample, each in a workspace of its own.
+        """
+        if self.opened_again is None:
+            raise InputError(f"solver {self.solver}", "workspace", "one", "two by open_workspace")
+        return self.opened_again()
 
     def reset(self) -> None:  # noqa: B027 - a workspace without memory has nothing to forget
         """Forget every earlier answer; called after a step that was not solved."""

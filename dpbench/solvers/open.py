@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from functools import partial
 
 from dpbench.errors import PolicyError, SolverUnavailableError
 from dpbench.solvers.contract import Policy, Route, Settings, Workspace
@@ -37,6 +38,14 @@ def open_workspace(
     row = record(solver)
     route = row.default_route if route is None else route
     _check_policy(row, route, policy)
+    workspace = _opened(row, route, policy, settings)
+    workspace.opened_again = partial(_opened, row, route, policy, settings)
+    return workspace
+
+
+def _opened(row: SolverRecord, route: Route, policy: Policy, settings: Settings) -> Workspace:
+    """A workspace of a route and policy that the solver has."""
+    solver = row.name
     here = available(solver)
     if not here.ok:
         raise SolverUnavailableError("solver", solver, here.reason, f"after {row.remedy}")

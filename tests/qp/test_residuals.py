@@ -222,8 +222,9 @@ def test_error_of_move_and_plan() -> None:
 
 
 def test_slacks_are_no_error_of_a_move_or_a_plan() -> None:
-    """With `moves`, only the first variables of every block count, in the first block and in all;
-    a slack that is not finite still makes the answer useless."""
+    """With `moves`, only the first variables of every block count, in the first block and in all,
+    which are one block where `block` is 0; a slack that is not finite still makes the answer
+    useless."""
     qp = _qp()
     optimum = certify(qp)
     z = optimum.z.copy()
@@ -231,6 +232,7 @@ def test_slacks_are_no_error_of_a_move_or_a_plan() -> None:
     rounding = pytest.approx(0.25, rel=1e-14), pytest.approx(0.5, rel=1e-14)
     assert error_of(z, optimum, 2, moves=1) == rounding
     assert error_of(z, optimum, 2, moves=2) == error_of(z, optimum, 2)
-    assert error_of(z, optimum, 0, moves=1) == error_of(z, optimum, 0)
+    assert error_of(z, optimum, 0, moves=1) == (rounding[0], rounding[0])
+    assert error_of(z, optimum, 0, moves=3) == error_of(z, optimum, 3)[:1] * 2
     z[1] = np.nan
     assert error_of(z, optimum, 2, moves=1) == (INF, INF)

@@ -120,6 +120,13 @@ def test_a_scenario_takes_another_vessel_by_name() -> None:
         load_scenario("rough@osw")
 
 
+CASCADE = "thrusters_cascade"
+
+
+def of_thrusters(document: dict[str, Any], **keys: Any) -> None:
+    document["controller"]["thrusters"].update(keys)
+
+
 def delete(table: str, key: str) -> Change:
     return lambda document: document[table].pop(key)
 
@@ -141,6 +148,15 @@ def delete(table: str, key: str) -> Change:
         ("watch_circle", lambda s: s["controller"].update(outputs={}), None, "radius_m"),
         ("turn", lambda s: s["controller"].update(amplitude="weak"), None, "reachable"),
         ("turn", lambda s: s["controller"].update(terminal="lqr"), None, "riccati"),
+        (CASCADE, lambda s: of_thrusters(s, slack_weight_relative=None), None, "slack_weight"),
+        (CASCADE, lambda s: of_thrusters(s, thrust_weight_relative=0.0), None, "above 0"),
+        (CASCADE, lambda s: of_thrusters(s, allocation="lp"), None, "pseudo_inverse"),
+        (CASCADE, lambda s: of_thrusters(s, azimuth_turning=True), None, "azimuth_turning"),
+        (CASCADE, lambda s: s["controller"].pop("thrusters"), None, "only for, kind"),
+        (CASCADE, lambda s: s["controller"].pop("move_weight_relative"), None, "exactly one"),
+        (CASCADE, lambda s: s["controller"].update(kind="forces"), None, "only for, kind"),
+        (CASCADE, lambda s: None, lambda v: v.update(thrusters=[]), "cascade"),
+        ("thrusters", lambda s: of_thrusters(s, allocation="qp"), None, '"cascade" only'),
     ],
 )
 def test_bad_weather_ships_and_faults_are_refused_in_one_line(

@@ -6,6 +6,7 @@ the recorded θ; the residuals are given in the solver's own units too.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,17 +18,22 @@ from dpbench.bench.judge.control_metrics import control_metrics
 from dpbench.bench.judge.thruster_metrics import shares_of_full, thruster_metrics
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.npz import keep, kept
-from dpbench.bench.record.raw_log import COUNTERS, TIMES, RawLog
+from dpbench.bench.record.raw_log import COUNTERS, TIMES, AnswerLog, RawLog
+from dpbench.bench.run.assemble import as_run
 from dpbench.bench.run.exact_loop import ExactLoop, base_problem
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Units
 from dpbench.qp.referee.referee import ACTIVE_MULTIPLIER, Optimum, Referee, claim_is_true, error_of
 from dpbench.qp.residuals import TRUE_TOL, best_multipliers, is_true, residuals
 from dpbench.qp.solution import Solution, Status
-from dpbench.scenario.scenario import scenario_once
+from dpbench.scenario.scenario import Scenario, scenario_once
 
 Columns = dict[str, NDArray[Any]]
 """Arrays of several types over the recorded rows of a cell."""
+OF_SECOND = "allocation_"
+"""Before the names of columns that belong to the second QPs of a cascade."""
+Rebuilt = Callable[[int], tuple[QPStep, QPStep]]
+"""The QP of a step in scaled units and in those the solver was given."""
 EVALUATION = (
     "primal",
     "dual",
@@ -147,26 +153,20 @@ def _facts(optimum: Optimum) -> tuple[float, float]:
     return optimum.bound, float(active)
 
 
-def recorded_answer(log: RawLog, r: int, k: int) -> Solution:
+def recorded_answer(log: AnswerLog, r: int, k: int) -> Solution:
     """The answer in row (r, k) of a log, in the solver's own units."""
     return Solution(Status(int(log.status[r, k])), log.z[r, k], log.y[r, k], log.y_box[r, k])
 
 
 def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
     """The judged columns and metrics of a closed loop."""
-    scenario = scenario_once(cell.scenario).first(cell.steps)
+    scenario = as_run(cell, scenario_once(cell.scenario).first(cell.steps))
     scaled = QPBuilder(scenario)
     own = scaled if cell.units == "scaled" else QPBuilder(scenario, cell.units)
     done = int(log.done[0])
-    evaluations = np.full((done, len(EVALUATION)), np.nan)
-    certificates = np.full(done, CERTIFICATES.index("none"), dtype=np.int8)
-    # On a slow computer a step may pass without a computation: it has no answer to evaluate.
-    asked = log.times[0, :done, _SOLVE] >= 0
-    matrix_steps = _evaluate_steps(log, scaled, own, asked, evaluations, certificates)
-    columns = common_columns(log, [0], [done], evaluations, certificates)
+    columns, matrix_steps = _controller(scaled, own, log)
     columns |= {
         "t_s": np.arange(done) * scenario.sample_s,
-        "asked": asked,
         "latency_ns": log.latency_ns[:done].copy(),
         "fallback": log.flags[:done, 0].astype(bool),
         "unconverged": log.flags[:done, 1].astype(bool),
@@ -178,47 +178,84 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
     if not done:
         return Evaluated(columns, {})
     thrust = log.thrust[:done]
-    columns |= shares_of_full(scenario, thrust)
+    columns |= shares_of_full(scenario, thrust) | _allocation(scenario, scaled, own, log)
     limits, state = (scaled.u_min, scaled.u_max), columns["state"]
     run = columns["tau"] if scenario.steered is None else thrust
     metrics = control_metrics(scenario, state, run, scaled.reference, limits, exact)
+    if scenario.allocation is not None:
+        limits = scaled.f_min, scaled.f_max
+        metrics["undelivered_share"] = float(columns["undelivered_share"].max())
     metrics |= thruster_metrics(scenario, thrust, limits)
     metrics["matrix_steps"] = float(matrix_steps)
     metrics |= dict(zip(COUNTERS, log.counters[0].tolist(), strict=True))
     return Evaluated(columns, metrics)
 
 
-def _evaluate_steps(
-    log: RawLog,
-    scaled: QPBuilder,
-    own: QPBuilder,
-    asked: NDArray[np.bool_],
-    evaluations: NDArray[np.float64],
-    certificates: NDArray[np.int8],
-) -> int:
-    """Judge the answers of the steps `asked` into rows of `evaluations` and `certificates`.
-
-    Returns
-    -------
-    How many steps brought matrices of their own.
-    """
+def _controller(scaled: QPBuilder, own: QPBuilder, log: RawLog) -> tuple[Columns, int]:
+    """The columns of a controller's QPs, and how many steps brought matrices of their own."""
     base = base_problem(scaled.condensed)
     own_base = base if own is scaled else base_problem(own.condensed)
     evaluator = StepEvaluator(base, own_base, own.condensed.scale)
+
+    def rebuilt(k: int) -> tuple[QPStep, QPStep]:
+        step = scaled.rebuild(k, log.theta[k])
+        return step, step if own is scaled else own.rebuild(k, log.theta[k])
+
+    # On a slow computer a step may pass without a computation: it has no answer to evaluate.
+    asked = log.times[0, : int(log.done[0]), _SOLVE] >= 0
+    columns, matrix_steps = _evaluate_steps(log, evaluator, rebuilt, asked)
+    return columns | {"asked": asked}, matrix_steps
+
+
+def _allocation(scenario: Scenario, scaled: QPBuilder, own: QPBuilder, log: RawLog) -> Columns:
+    """The columns of a cascade: how much of the demand is not delivered, and those of its second
+    QPs, `OF_SECOND` before their names."""
+    if scenario.allocation is None:
+        return {}
+    done, ship = int(log.done[0]), scenario.vessel
+    missing = np.abs(log.demand[:done] - log.tau[:done])
+    largest = np.maximum(ship.tau_max, -ship.tau_min)
+    columns: Columns = {"undelivered_share": (missing / largest).max(axis=1)}
+    answers, second, second_own = log.allocation, scaled.allocation, own.allocation
+    if answers is None or second is None or second_own is None:
+        return columns
+    base = second.base()
+    own_base = base if own is scaled else second_own.base()
+
+    def rebuilt(k: int) -> tuple[QPStep, QPStep]:
+        recorded = k, log.demand, log.thrust
+        step = scaled.allocate_again(*recorded)
+        return step, step if own is scaled else own.allocate_again(*recorded)
+
+    evaluator = StepEvaluator(base, own_base, second_own.scale)
+    evaluated, _ = _evaluate_steps(answers, evaluator, rebuilt, np.ones(done, dtype=np.bool_))
+    return columns | {f"{OF_SECOND}{name}": column for name, column in evaluated.items()}
+
+
+def _evaluate_steps(
+    answers: AnswerLog, evaluator: StepEvaluator, rebuilt: Rebuilt, asked: NDArray[np.bool_]
+) -> tuple[Columns, int]:
+    """The columns of the steps of a loop, those `asked` (K,) with their answers judged.
+
+    Returns
+    -------
+    The columns, and how many steps brought matrices of their own.
+    """
+    evaluations = np.full((len(asked), len(EVALUATION)), np.nan)
+    certificates = np.full(len(asked), CERTIFICATES.index("none"), dtype=np.int8)
     matrix_steps = 0
     for k in np.flatnonzero(asked).tolist():
-        step = scaled.rebuild(k, log.theta[k])
-        step_own = step if own is scaled else own.rebuild(k, log.theta[k])
+        step, step_own = rebuilt(k)
         evaluator.follow(step, step_own)
         optimum = evaluator.certify(step)
-        evaluations[k] = evaluator.evaluate(step, step_own, recorded_answer(log, 0, k), optimum)
+        evaluations[k] = evaluator.evaluate(step, step_own, recorded_answer(answers, 0, k), optimum)
         certificates[k] = CERTIFICATES.index(optimum.kind)
         matrix_steps += Refresh.MATRICES in step.refresh
-    return matrix_steps
+    return common_columns(answers, [0], [len(asked)], evaluations, certificates), matrix_steps
 
 
 def common_columns(
-    log: RawLog,
+    log: AnswerLog,
     rounds: list[int],
     counts: list[int],
     evaluations: NDArray[np.float64],

@@ -52,21 +52,23 @@ def control_metrics(
         "share_1m": float(np.mean(radius <= 1.0)),
         "pose_error": float(np.mean(radius + 0.75**radius * np.abs(error[:, 2]))),
         "closed_loop_cost": _cost(scenario, state[: K + 1], u, reference),
-        "exact_cost": _cost(scenario, exact.state[: K + 1], _steered(exact)[:K], reference),
+        "exact_cost": _cost(
+            scenario, exact.state[: K + 1], _applied(scenario, exact)[:K], reference
+        ),
     }
     return (
         metrics
         | _watch_shares(radius, heading)
         | _of_axes(t, error, dt)
         | _effort(scenario, state[:K, :3], tau, change)
-        | ({} if scenario.steered else _limit_shares(scenario, tau, before, limits))
+        | ({} if scenario.commanded else _limit_shares(scenario, tau, before, limits))
         | _deviation(state[:K], tau, exact)
     )
 
 
-def _steered(exact: ExactLoop) -> Matrix:
-    """What the exactly solved loop applied: forces of thrusters where it has any."""
-    return exact.thrust if exact.thrust.shape[1] else exact.tau
+def _applied(scenario: Scenario, exact: ExactLoop) -> Matrix:
+    """What the exactly solved loop applied: forces of thrusters where they are steered."""
+    return exact.tau if scenario.steered is None else exact.thrust
 
 
 def _watch_shares(radius: Vector, heading: Vector) -> dict[str, float]:

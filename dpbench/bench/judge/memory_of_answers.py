@@ -104,6 +104,10 @@ def with_loop_ratio(runs: pd.DataFrame) -> pd.DataFrame:
     # The longest loop: the median of a part of it is one of other QPs.
     longest = loops.sort_values("steps_done", kind="stable").groupby(_CONFIGURATION).tail(1)
     median = longest.set_index(_CONFIGURATION)["raw_p50_ns"].astype(np.float64)
+    if "controller_p50_ns" in longest:
+        # Of a cascade, the QPs of the replay are the first ones.
+        alone = longest.set_index(_CONFIGURATION)["controller_p50_ns"].astype(np.float64)
+        median = alone.fillna(median)
     keys = pd.MultiIndex.from_frame(runs[_CONFIGURATION])
     ratio = median.reindex(keys).to_numpy() / runs["raw_p50_ns"].to_numpy(dtype=np.float64)
     return runs.assign(loop_ratio=np.where(runs["mode"] == "replay", ratio, np.nan))

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Columns, Evaluated
+from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, OF_SECOND, Columns, Evaluated
 from dpbench.bench.judge.deadlines import (
     deadline_metrics,
     late_columns,
@@ -22,7 +22,9 @@ from dpbench.bench.judge.rules import (
     claimed_not_true,
     counting_rows,
     decided,
+    errors,
     failed_steps,
+    joined,
     true_not_claimed,
     unusable,
 )
@@ -42,19 +44,43 @@ _STATUS_NAMES = np.array([status.name for status in Status])
 def step_rows(run_id: str, cell: Cell, evaluated: Evaluated) -> pd.DataFrame:
     """The rows of `steps.parquet` of one cell."""
     columns = evaluated.columns
+    asked = columns["asked"] if cell.slowdown > 0.0 else None
+    frame = _of_qps(columns, asked)
+    second = {
+        name.removeprefix(OF_SECOND): column
+        for name, column in columns.items()
+        if name.startswith(OF_SECOND)
+    }
+    if second:
+        frame = joined(frame, _of_qps(second, None))
+    frame.insert(0, "run_id", run_id)
+    frame["t_s"] = columns["t_s"]
+    if cell.mode == "replay":
+        disturbed = np.isin(columns["repeat"], disturbed_rounds_of(columns))
+        frame["warmup"], frame["disturbed"] = frame["repeat"] == WARM_UP, disturbed
+        frame["counts"] = counting_rows(columns["repeat"], disturbed)
+        frame["unconverged"] = frame["status"].isin(["INACCURATE", "MAX_ITERATIONS"])
+        frame["fallback"] = unusable(frame)
+        return as_steps(frame)
+    frame["counts"] = True
+    delay = delay_of(cell, scenario_once(cell.scenario).sample_s)
+    frame = frame.assign(**late_columns(delay, columns["latency_ns"], frame["total_ns"]))
+    return as_steps(pd.concat([frame, _ship_columns(columns)], axis=1))
+
+
+def _of_qps(columns: Columns, asked: NDArray[np.bool_] | None) -> pd.DataFrame:
+    """What is said of each answer to a QP; `asked` (K,) in which steps there is one, None for
+    all."""
     rows: dict[str, Any] = {
-        "run_id": run_id,
         "repeat": columns["repeat"],
         "k": columns["k"],
-        "t_s": columns["t_s"],
         "status": _STATUS_NAMES[columns["status"].astype(int)],
         "claimed": columns["status"] == Status.SOLVED,
         "certificate": np.array(CERTIFICATES)[columns["certificate"].astype(int)],
     }
     frame = pd.DataFrame(rows)
     times = columns["times"]
-    if cell.slowdown > 0.0:
-        asked = columns["asked"]
+    if asked is not None:
         frame.loc[~asked, "status"] = ""
         times = np.where(asked[:, None] | (np.array(TIMES) == "overhead"), times, -1)
     for i, phase in enumerate(TIMES):
@@ -68,17 +94,7 @@ def step_rows(run_id: str, cell: Cell, evaluated: Evaluated) -> pd.DataFrame:
         values = columns["evaluations"][:, i]
         frame[figure] = values == 1.0 if figure.startswith("true") else values
     frame["n_active"] = np.nan_to_num(frame["n_active"]).astype(np.int32)
-    if cell.mode == "replay":
-        disturbed = np.isin(columns["repeat"], disturbed_rounds_of(columns))
-        frame["warmup"], frame["disturbed"] = frame["repeat"] == WARM_UP, disturbed
-        frame["counts"] = counting_rows(columns["repeat"], disturbed)
-        frame["unconverged"] = frame["status"].isin(["INACCURATE", "MAX_ITERATIONS"])
-        frame["fallback"] = unusable(frame)
-        return as_steps(frame)
-    frame["counts"] = True
-    delay = delay_of(cell, scenario_once(cell.scenario).sample_s)
-    frame = frame.assign(**late_columns(delay, columns["latency_ns"], frame["total_ns"]))
-    return as_steps(pd.concat([frame, _ship_columns(columns)], axis=1))
+    return frame
 
 
 def _nullable(values: NDArray[Any]) -> pd.arrays.IntegerArray:
@@ -96,7 +112,8 @@ def _ship_columns(columns: Columns) -> pd.DataFrame:
         ship[f"tau_{axis}"] = tau[:, i]
         ship[f"dtau_{axis}"] = change[:, i]
         ship[f"cmd_{axis}"] = columns["command"][:, i]
-    ship |= {name: columns[name] for name in ("thrust_share", "power_share") if name in columns}
+    of_thrusters = ("thrust_share", "power_share", "undelivered_share")
+    ship |= {name: columns[name] for name in of_thrusters if name in columns}
     return pd.DataFrame(ship)
 
 
@@ -183,7 +200,7 @@ def _evaluated(cell: Cell, steps: pd.DataFrame) -> pd.DataFrame:
 def _accuracy(steps: pd.DataFrame) -> dict[str, Any]:
     known, undecided = steps[decided(steps)], steps["certificate"] == UNDECIDED
     charged = steps[~undecided]
-    moves = charged["error_move"].dropna()
+    moves = errors(charged).dropna()
     iterations = steps["iterations"].dropna().astype(float)
     certified = np.isfinite(steps["optimum_bound"])
     return {

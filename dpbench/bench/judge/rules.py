@@ -120,3 +120,34 @@ def unusable(steps: pd.DataFrame) -> pd.Series[bool]:
     infinite = np.isinf(steps["error_plan"]) | np.isinf(steps["primal"])
     useless: pd.Series[bool] = steps["status"].isin(_NO_USE) | infinite
     return useless
+
+
+def joined(first: pd.DataFrame, second: pd.DataFrame) -> pd.DataFrame:
+    """Steps of a cascade, from the judged columns of its two QPs (K rows each).
+
+    A step is claimed, and true, only if both answers are; its time is that of both. Status and
+    certificate are those of the first QP, or of the second where the first is solved, or has no
+    feasible point, and the second is not solved; where the right answer to either is not known,
+    that to the step is not. All else is of the first; of the second, `allocation_ns` is the time
+    and `allocation_error` that of its first move.
+    """
+    both = first.copy()
+    for name in ("claimed", "true", "true_1e4", "true_1e6"):
+        both[name] = first[name] & second[name]
+    of_second = ~second["claimed"] & (first["claimed"] | (first["certificate"] == INFEASIBLE))
+    for name in ("status", "certificate"):
+        both[name] = first[name].where(~of_second, second[name])
+    for unknown in (UNDECIDED, UNCERTIFIED):
+        either = (first["certificate"] == unknown) | (second["certificate"] == unknown)
+        both.loc[either, "certificate"] = unknown
+    both["total_ns"] = first["total_ns"] + second["total_ns"]
+    both["allocation_ns"] = second["total_ns"]
+    both["allocation_error"] = second["error_move"]
+    return both
+
+
+def errors(steps: pd.DataFrame) -> pd.Series[float]:
+    """The error of the first move of each step, in rate-limit steps; of a cascade the larger of
+    that of its force and that of its thrusters."""
+    larger: pd.Series[float] = steps[["error_move", "allocation_error"]].max(axis=1)
+    return larger

@@ -1,4 +1,4 @@
-"""What a controller that steers thrusters asks of them: thrust, power, wear, limits.
+"""What a controller that commands thrusters asks of them: thrust, power, wear, limits.
 
 Power of a propeller grows as |f|^1.5 (constant pitch, at zero speed); the wear of its drive is told
 by how much its thrust varies and how far its azimuth travels.
@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.mpc.thruster_rows import Retreat
-from dpbench.scenario.scenario import Scenario, ThrusterControl
+from dpbench.scenario.commanded_thrusters import ThrusterControl
+from dpbench.scenario.scenario import Scenario
 
 PUSHING = 0.01
 """Share of its full thrust from which the direction of a thruster counts."""
@@ -22,11 +23,11 @@ AT_LIMIT = 1e-6
 def shares_of_full(scenario: Scenario, f: Matrix) -> dict[str, Vector]:
     """Σ|f_i|/ΣT_i and Σ|f_i|^1.5/ΣT_i^1.5 of each step of f (K, n_f): (K,) each.
 
-    Nothing where the force is steered.
+    Nothing where no thrusters are commanded.
     """
-    if scenario.steered is None:
+    if scenario.commanded is None:
         return {}
-    thrusters = scenario.steered.thrusters
+    thrusters = scenario.commanded.thrusters
     size, most = thrusters.size(f), thrusters.thrust_N
     power: Vector = (size**1.5).sum(axis=1) / (most**1.5).sum()
     return {"thrust_share": size.sum(axis=1) / most.sum(), "power_share": power}
@@ -35,22 +36,23 @@ def shares_of_full(scenario: Scenario, f: Matrix) -> dict[str, Vector]:
 def thruster_metrics(
     scenario: Scenario, f: Matrix, limits: tuple[Matrix, Matrix]
 ) -> dict[str, float]:
-    """Metrics of the forces f (K, n_f) [N] of a run; nothing where the force is steered.
+    """Metrics of the forces f (K, n_f) [N] of a run; nothing where no thrusters are commanded.
 
     Parameters
     ----------
     limits : least and most of the thrusters' rows in force in each sample, at least (K, r).
     """
-    control = scenario.steered
+    control = scenario.commanded
     if control is None:
         return {}
+    step_max = control.thrusters.step_max(scenario.sample_s)
     before = np.vstack([np.zeros(f.shape[1]), f[:-1]])
     change = f - before
     shares = shares_of_full(scenario, f)
     per_entry = control.thrusters.per_entry(control.thrusters.thrust_N)
     turned_deg, reversals = _directions(control, f, before)
-    at_rate = np.abs(change) >= (1.0 - AT_LIMIT) * scenario.du_max
-    at_limit, violated = _at_limits(scenario, control, f, before, limits)
+    at_rate = np.abs(change) >= (1.0 - AT_LIMIT) * step_max
+    at_limit, violated = _at_limits(control, step_max, f, before, limits)
     return {
         "thrust_share": float(shares["thrust_share"].mean()),
         "power_share": float(shares["power_share"].mean()),
@@ -81,8 +83,8 @@ def _directions(control: ThrusterControl, f: Matrix, before: Matrix) -> tuple[fl
 
 
 def _at_limits(
-    scenario: Scenario,
     control: ThrusterControl,
+    step_max: Vector,
     f: Matrix,
     before: Matrix,
     limits: tuple[Matrix, Matrix],
@@ -91,23 +93,20 @@ def _at_limits(
 
     What the rate leaves of a limit that has just dropped is not beyond it.
     """
-    problem = scenario.control_problem()
-    unit, G = problem.row_max, control.rows.G
+    unit, G = control.rows.units(step_max), control.rows.G
     low, high = (limit[: len(f)] for limit in limits)
     along = f @ G.T
     near = AT_LIMIT * unit
     # A thruster that was lost is at nothing, not at a limit.
     at_limit = (((along >= high - near) | (along <= low + near)) & (low < high)).any(axis=1)
     beyond = (along > high + 1e-9 * unit) | (along < low - 1e-9 * unit)
-    too_fast: NDArray[np.bool_] = np.any(
-        np.abs(f - before) > scenario.du_max * (1.0 + 1e-12), axis=1
-    )
+    too_fast: NDArray[np.bool_] = np.any(np.abs(f - before) > step_max * (1.0 + 1e-12), axis=1)
     if control.turning is not None:
         for k in np.flatnonzero(~too_fast).tolist():
-            kept = control.turning.kept(before[k], f[k] - before[k], scenario.du_max)
+            kept = control.turning.kept(before[k], f[k] - before[k], step_max)
             away = np.abs(kept - (f[k] - before[k]))
-            too_fast[k] = bool((away > 1e-6 * scenario.du_max).any())
-    retreat = Retreat(control.rows, scenario.du_max, unit, 1)
+            too_fast[k] = bool((away > 1e-6 * step_max).any())
+    retreat = Retreat(control.rows, step_max, unit, 1)
     violated = int(too_fast.sum())
     for k in np.flatnonzero(beyond.any(axis=1) & ~too_fast).tolist():
         least, most = (row[0] * unit for row in retreat.reach(before[k]))

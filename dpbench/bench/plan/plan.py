@@ -18,7 +18,7 @@ from dpbench.bench.plan.suite import ClosedLoopTable, ReplayTable, SuiteFile
 from dpbench.bench.sequences.recording import with_horizons
 from dpbench.errors import InputError
 from dpbench.scenario.horizons import Horizons
-from dpbench.scenario.scenario import Scenario, load_scenario, no_stages
+from dpbench.scenario.scenario import Scenario, load_scenario, no_delay, no_stages
 
 
 def plan(
@@ -110,7 +110,7 @@ def _closed_loop_cells(
     # The baseline law does not look at units or settings: it runs where the default configurations
     # do.
     plain = ("scaled", "default", "fresh")
-    return [
+    cells = [
         cell_of(
             configuration,
             suite,
@@ -127,6 +127,11 @@ def _closed_loop_cells(
         for configuration in configurations_of(solvers, table)
         if configuration.solver != BASELINE_LAW
         or (configuration.units, configuration.settings, configuration.policy) == plain
+    ]
+    why = no_delay(scenario)
+    return [
+        replace(planned, refused=planned.refused or why) if planned.cell.slowdown else planned
+        for planned in cells
     ]
 
 

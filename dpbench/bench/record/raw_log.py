@@ -22,6 +22,9 @@ _ALIGN = 64
 TIMES = ("emit", "setup", "update", "solve", "read", "overhead")
 """Order of the phases in `RawLog.times`; −1 where a phase did not take place."""
 
+ALLOCATION = "allocation."
+"""Prefix of the arrays that hold the answers to the second QP of a cascade."""
+
 LOAD_PASSES = 4
 """Timings of the load kernel before a round, and as many after it (`replay.py`)."""
 COUNTERS = (
@@ -44,19 +47,38 @@ FOOTPRINT = (
 """What `RawLog.footprint` holds of a worker (`footprint.py`); NaN where it was not measured."""
 
 
-def loop_layout(steps: int, n: int, m: int, n_theta: int, n_f: int = 0) -> Layout:
-    """Arrays of a closed-loop log of `steps` steps; n_f entries of thrusters, where they are
-    steered."""
-    return _answers(1, steps, n, m) | {
+def loop_layout(
+    steps: int,
+    n: int,
+    m: int,
+    n_theta: int,
+    n_f: int = 0,
+    allocation: tuple[int, int] | None = None,
+) -> Layout:
+    """Arrays of a closed-loop log of `steps` steps.
+
+    Parameters
+    ----------
+    n, m : of the QPs; n_theta : length of [θ; 1].
+    n_f : entries of the thrusters' forces, where they are commanded.
+    allocation : n and m of the second QP of a cascade, (0, 0) where it has none; None where the
+        controller is no cascade.
+    """
+    layout = _answers(1, steps, n, m) | {
         "theta": ("f8", (steps, n_theta)),
         "state": ("f8", (steps + 1, 6)),
         "tau": ("f8", (steps, 3)),
         "thrust": ("f8", (steps, n_f)),
-        "command": ("f8", (steps, n_f or 3)),
+        "command": ("f8", (steps, n_f if n_f and allocation is None else 3)),
         "flags": ("u1", (steps, 3)),
         "latency_ns": ("i8", (steps,)),
         "counters": ("f8", (1, len(COUNTERS))),
     }
+    if allocation is None:
+        return layout
+    second = _answers(1, steps, *allocation) if any(allocation) else {}
+    of_second = {f"{ALLOCATION}{name}": array for name, array in second.items()}
+    return layout | {"demand": ("f8", (steps, 3))} | of_second
 
 
 def replay_layout(rounds: int, steps: int, n: int, m: int) -> Layout:
@@ -88,16 +110,8 @@ def _answers(rounds: int, steps: int, n: int, m: int) -> Layout:
     }
 
 
-class RawLog:
-    """Named arrays over one buffer; attribute access by name, e.g. `log.times[r, k]`.
-
-    `done[r]` counts the completed steps of round r and is written last, so whatever it covers is
-    whole. `flags` (steps, 3) holds fallback, unconverged, clipped; `attempts[r]` how often round r
-    was begun; `first_ns` (steps,) the time of the first visit of each step, −1 where it had no
-    record, and `first_reference_kernel_ns[r]` the larger reference time around the first attempt of
-    round r; `tau` the force applied and `thrust` the forces of thrusters, where they are steered;
-    `latency_ns` (steps,) what `slow_computer.py` writes, nothing in other loops.
-    """
+class AnswerLog:
+    """Answers to the QPs of a run: arrays over (rounds, steps), with the times they took."""
 
     done: NDArray[np.int64]
     started: NDArray[np.int64]
@@ -110,10 +124,26 @@ class RawLog:
     z: NDArray[np.float64]
     y: NDArray[np.float64]
     y_box: NDArray[np.float64]
+
+
+class RawLog(AnswerLog):
+    """Named arrays over one buffer; attribute access by name, e.g. `log.times[r, k]`.
+
+    `done[r]` counts the completed steps of round r and is written last, so whatever it covers is
+    whole. `flags` (steps, 3) holds fallback, unconverged, clipped; `attempts[r]` how often round r
+    was begun; `first_ns` (steps,) the time of the first visit of each step, −1 where it had no
+    record, and `first_reference_kernel_ns[r]` the larger reference time around the first attempt of
+    round r; `tau` the force applied and `thrust` the forces of thrusters, where they are commanded;
+    `latency_ns` (steps,) what `slow_computer.py` writes, nothing in other loops. Of a cascade,
+    `demand` (steps, 3) is the force asked of the thrusters, and `allocation` the answers to its
+    second QP, None where there is none.
+    """
+
     theta: NDArray[np.float64]
     state: NDArray[np.float64]
     tau: NDArray[np.float64]
     thrust: NDArray[np.float64]
+    demand: NDArray[np.float64]
     command: NDArray[np.float64]
     flags: NDArray[np.uint8]
     latency_ns: NDArray[np.int64]
@@ -128,9 +158,12 @@ class RawLog:
     def __init__(self, layout: Layout, buffer: Any) -> None:
         offset = 0
         self._buffer = buffer
+        self.allocation = AnswerLog() if f"{ALLOCATION}z" in layout else None
         for name, (dtype, shape) in layout.items():
             count = int(np.prod(shape))
-            setattr(self, name, np.frombuffer(buffer, dtype, count, offset).reshape(shape))
+            owner = self.allocation if name.startswith(ALLOCATION) else self
+            array = np.frombuffer(buffer, dtype, count, offset).reshape(shape)
+            setattr(owner, name.removeprefix(ALLOCATION), array)
             offset += -(-count * np.dtype(dtype).itemsize // _ALIGN) * _ALIGN
 
     @classmethod

@@ -43,7 +43,11 @@ STEP_COLUMNS: Columns = {
     "update_ns": ("Int64", "null where every step is set up from nothing"),
     "solve_ns": ("Int64", "the solver's call"),
     "read_ns": ("Int64", "copy out, signs, status"),
-    "total_ns": ("Int64", "setup + update + solve + read"),
+    "total_ns": ("Int64", "setup + update + solve + read; of a cascade, those of both QPs"),
+    "allocation_ns": (
+        "Int64",
+        "the same of a cascade's second QP alone; all other columns of times are the first's",
+    ),
     "overhead_ns": ("Int64", "whole closed-loop step less total_ns; null in replay"),
     "reported_ns": ("Int64", "the solver's own figure"),
     "latency_ns": (
@@ -64,6 +68,10 @@ STEP_COLUMNS: Columns = {
     "dual_own": ("float64", "stationarity residual in the units the solver was given"),
     "error_move": ("float64", "distance of the first move to the optimum, in rate-limit steps"),
     "error_plan": ("float64", "the same over all moves"),
+    "allocation_error": (
+        "float64",
+        "of a cascade's second QP: distance of its thrusters' moves to the optimum, in their steps",
+    ),
     "optimum_bound": ("float64", "certified error bound of the optimum itself"),
     "certificate": ("str", "kind of certificate"),
     "n_active": ("int32", "active limits at the optimum"),
@@ -86,8 +94,13 @@ STEP_COLUMNS: Columns = {
     "cmd_x_N": ("float64", "force commanded before clipping"),
     "cmd_y_N": ("float64", "force commanded before clipping"),
     "cmd_n_Nm": ("float64", "moment commanded before clipping"),
-    "thrust_share": ("float64", "thrust of all thrusters, of their full; NaN if not steered"),
+    "thrust_share": ("float64", "thrust of all thrusters, of their full; NaN without"),
     "power_share": ("float64", "their power Σ|f|^1.5, of that at full thrust"),
+    "undelivered_share": (
+        "float64",
+        "of a cascade: force demanded that its thrusters do not make, of the limit of its axis, "
+        "the largest of the three",
+    ),
 }
 
 IDENTITY_COLUMNS: Columns = {
@@ -135,7 +148,10 @@ ACCURACY_COLUMNS: Columns = {
     ),
     "true_not_claimed": ("Int64", "steps with a true optimum that is not claimed"),
     "error_move_p50": ("float64", "median error of the first move"),
-    "error_move_max": ("float64", "largest error of the first move, inf without an answer"),
+    "error_move_max": (
+        "float64",
+        "largest error of the first move, of a cascade's thrusters too; inf without an answer",
+    ),
     "error_plan_max": ("float64", "largest error of the plan"),
     "primal_max": ("float64", "largest violation"),
     "dual_max": ("float64", "largest stationarity residual"),
@@ -188,6 +204,10 @@ TIMING_COLUMNS: Columns = {
     "raw_p999_ns": ("float64", "the same, 99.9 %; NaN below 10 000 samples"),
     "raw_max_ns": ("float64", "the same, largest"),
     "raw_samples": ("Int64", "how many samples are pooled"),
+    "controller_p50_ns": ("float64", "of a cascade, raw_p50_ns of its first QP alone"),
+    "controller_p99_ns": ("float64", "the same, 99 %; NaN below 1000 samples"),
+    "allocation_p50_ns": ("float64", "of a cascade, raw_p50_ns of its second QP alone"),
+    "allocation_p99_ns": ("float64", "the same, 99 %; NaN below 1000 samples"),
     "first_visit_ratio": (
         "float64",
         "a step's first visit over its shortest later one, median: of remembered answers it is "
@@ -278,13 +298,17 @@ CONTROL_COLUMNS: Columns = {
     "work_J": ("float64", "∫ |τᵀν| dt"),
     **{f"at_rate_{f}": ("float64", "share of steps at a rate limit") for f in FORCES},
     **{f"at_amplitude_{f}": ("float64", "share of steps at an amplitude limit") for f in FORCES},
-    "thrust_share": ("float64", "mean thrust of all thrusters, of their full; NaN if not steered"),
+    "thrust_share": ("float64", "mean thrust of all thrusters, of their full; NaN without"),
     "power_share": ("float64", "mean power of all thrusters, |f|^1.5, of that at full thrust"),
     "thrust_variation": ("float64", "Σ |Δf|/T over thrusters and steps: wear"),
     "azimuth_travel_deg": ("float64", "how far azimuths turned while they pushed [°]"),
     "thrust_reversals": ("float64", "how often tunnels and main propellers reversed"),
     "at_rate_thrusters": ("float64", "share of steps with a thruster at its rate limit"),
     "at_limit_thrusters": ("float64", "share of steps with a thruster at the limit of its thrust"),
+    "undelivered_share": (
+        "float64",
+        "of a cascade: largest share of the limit of an axis that thrusters did not deliver",
+    ),
     "closed_loop_cost": ("float64", "½ Σ (y−y_d)ᵀQ(y−y_d) + ½ Σ ΔuᵀRΔu over the run"),
     "exact_cost": ("float64", "the same of the exactly solved loop, over as many steps"),
     "dev_position_max_m": ("float64", "largest deviation from the exactly solved loop"),

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 from dpbench.bench.record.cell import Cell, Formulation
 from dpbench.bench.record.raw_log import Layout, RawLog, loop_layout, replay_layout
 from dpbench.bench.run.closed_loop import ClosedLoopSetup
 from dpbench.bench.run.exact_loop import base_problem
-from dpbench.bench.run.formulation import in_loop, in_replay
+from dpbench.bench.run.formulation import Box, in_loop, in_replay
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.slow_computer import delay_of, usage_of_process
 from dpbench.bench.run.timed_solver import TimedSolver
+from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence
-from dpbench.scenario.scenario import Scenario
+from dpbench.scenario.scenario import Scenario, no_delay
 from dpbench.solvers.contract import Workspace
 
 NO_LIMIT_NS = 2**62
@@ -29,24 +31,37 @@ def closed_loop_setup(
 
     Raises
     ------
-    InputError : "sparse" for a scenario that has no stages, or a slow-down or deadline that cannot
-        be.
+    InputError : "sparse" for a scenario that has no stages, a slow-down or deadline that cannot
+        be, or a cascade whose second workspace cannot be opened.
     """
+    scenario = as_run(cell, scenario)
     delay = delay_of(cell, scenario.sample_s)
+    why = no_delay(scenario)
+    if delay.simulated and why:
+        raise InputError("closed loop", "slowdown", cell.slowdown, f"0 ({why})")
     builder = QPBuilder(scenario, cell.units, sparse=cell.formulation == "sparse")
     log = new_log(loop_layout(scenario.steps, *builder.sizes))
     formulated = in_loop(cell.formulation, builder, base_problem(builder.condensed))
-    return ClosedLoopSetup(
-        scenario,
-        builder,
-        TimedSolver(workspace, formulated, clock),
-        log,
-        cell.fallback,
-        limit_ns,
-        clock,
-        delay,
-        usage_of_process,
+    solver = TimedSolver(workspace, formulated, clock)
+    setup = ClosedLoopSetup(
+        scenario, builder, solver, log, cell.fallback, limit_ns, clock, delay, usage_of_process
     )
+    if builder.allocation is not None:
+        # As it is in every formulation: it has no states, and equalities no well-posed one-sided
+        # form.
+        second = Box(builder.allocation.base())
+        setup.allocating = TimedSolver(workspace.another(), second, clock)
+        # What a library says of a failure counts whichever of the two QPs it failed on.
+        setup.allocating.details = solver.details
+    return setup
+
+
+def as_run(cell: Cell, scenario: Scenario) -> Scenario:
+    """The scenario as a cell runs it: the baseline law of a cascade is one in both of its halves,
+    as what ignores all constraints ignores the demand too."""
+    if cell.formulation != "none" or scenario.allocation is None:
+        return scenario
+    return replace(scenario, allocation=replace(scenario.allocation, by_qp=False))
 
 
 def replay_parts(

@@ -3,7 +3,8 @@
 Order at t_k: measure or estimate x_m; Δx_m(k) = x_m(k) − x_m(k−1), zero at k = 0; emit the QP;
 solve; limit the first move by rate, then by amplitude; hold the force over [t_k, t_{k+1}). u(k−1)
 is the force that was *applied*; where thrusters are steered, u are their forces and T_e u is that
-on the ship. Only the solver's call stands between two clock reads of its phases. On a slow computer
+on the ship. A cascade allocates the limited force to its thrusters (`allocator.py`); what they make
+of it is u. Only the solver's call stands between two clock reads of its phases. On a slow computer
 (`slow_computer.py`) another stands in for solver and fallback; the loop is the same.
 """
 
@@ -18,19 +19,18 @@ import numpy as np
 from dpbench.arrays import Vector
 from dpbench.bench.record.cell import Fallback
 from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.run.allocator import Allocator
 from dpbench.bench.run.fallback import FallbackLaw, limit_of
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.slow_computer import ComputationalDelay, SlowComputer, Usage, never_preempted
-from dpbench.bench.run.timed_solver import Clock, TimedSolver, record_answer
+from dpbench.bench.run.timed_solver import UNFINISHED, Clock, TimedSolver, record_answer
 from dpbench.qp.program import QPStep
-from dpbench.qp.solution import Status
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.layout import AXES, POSE
 from dpbench.ship.measurement import Sensors
 from dpbench.ship.plant import SUBSTEPS, Plant
 
 Emit = Callable[[int, Vector, Vector], QPStep]
-_UNFINISHED = frozenset({Status.INACCURATE, Status.MAX_ITERATIONS})
 
 
 @dataclass(slots=True, eq=False)
@@ -39,7 +39,8 @@ class ClosedLoopSetup:
 
     `fallback` acts without a usable answer; `limit_ns` of own run time end the run; `clock`
     tells nanoseconds. `delay` is that of a slow computer, whose answers come late; None where the
-    ship waits for them; `usage` is what the kernel says of this process there.
+    ship waits for them; `usage` is what the kernel says of this process there. `allocating` is the
+    solver of a cascade's second QP.
     """
 
     scenario: Scenario
@@ -51,6 +52,7 @@ class ClosedLoopSetup:
     clock: Clock
     delay: ComputationalDelay | None = None
     usage: Usage = never_preempted
+    allocating: TimedSolver | None = None
 
 
 def closed_loop(setup: ClosedLoopSetup) -> bool:
@@ -75,9 +77,14 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     change, at_x, at_u = slice(0, pose.start), theta.x, theta.u_prev
     x, u = np.zeros(model.n_x), np.zeros(model.n_u)
     limit, T_e = limit_of(builder.condensed), None
-    tau, applied = u, log.tau
-    if scenario.steered is not None:
-        tau, applied, T_e = np.zeros(AXES), log.thrust, scenario.steered.thrusters.T_e
+    tau, told, applied, allocator = u, u, log.tau, _allocator(setup)
+    if scenario.commanded is not None:
+        T_e, applied = scenario.commanded.thrusters.T_e, log.thrust
+        if allocator is None:
+            tau = np.zeros(AXES)
+        else:
+            told, applied = allocator.f, log.demand
+            allocator.prepare()
     sense, estimate = sensors.sense, estimator.update
     log.counters[:] = np.nan
     log.setup_once_ns[0] = solver.prepare()
@@ -104,12 +111,15 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
         np.add(u, du, out=log.command[k])
         clipped = limit(u, du, builder.u_min[k], builder.u_max[k], applied[k])
         u[...] = applied[k]
-        if T_e is not None:
-            T_e.dot(u, out=tau)
-            log.tau[k] = tau
-        log.flags[k] = (law.acted, usable and solution.status in _UNFINISHED, clipped)
+        log.flags[k] = (law.acted, usable and solution.status in UNFINISHED, clipped)
         record_answer(log, 0, k, solution)
-        plant.advance(u, sea[k])
+        if T_e is not None:
+            if allocator is not None:
+                # As the overhead is what neither solver takes.
+                t3 += allocator.allocate(k, u)
+            T_e.dot(told, out=tau)
+            log.tau[k] = tau
+        plant.advance(told, sea[k])
         log.state[k + 1] = state
         t4 = clock()
         log.times[0, k] = (t2 - t1, *solver.phases_ns, t4 - t0 - (t3 - t2))
@@ -130,6 +140,14 @@ def _steering(
     latency_ns = setup.log.latency_ns
     computer = SlowComputer(setup.delay, setup.solver, setup.builder, law, latency_ns, setup.usage)
     return computer, computer, computer.emit
+
+
+def _allocator(setup: ClosedLoopSetup) -> Allocator | None:
+    """What allocates in a cascade."""
+    allocation = setup.scenario.allocation
+    if allocation is None:
+        return None
+    return Allocator(allocation, setup.builder, setup.log, setup.allocating, setup.clock)
 
 
 def _plant(scenario: Scenario) -> Plant:

@@ -7,10 +7,11 @@ it are the sequences for replay.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +23,10 @@ from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.formulation import Box
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver
-from dpbench.errors import CertificateError, ResultsError
+from dpbench.errors import CertificateError, InputError, ResultsError
 from dpbench.mpc.condense import UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, SparseEquivalent
+from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, SparseEquivalent, Units
 from dpbench.qp.referee.joint import Kind
 from dpbench.qp.referee.referee import Optimum, Referee
 from dpbench.qp.solution import Solution, Status
@@ -34,6 +35,10 @@ from dpbench.solvers.contract import Workspace
 
 _OF_LOOP = ("theta", "state", "tau", "thrust", "z")
 _OF_OPTIMUM = ("z", "y", "y_box", "bound", "kind")
+ALLOCATED = "allocated"
+"""What the names of the arrays begin with in which a stored loop keeps optima of allocations."""
+Part = Literal["controller", "allocation"]
+"""Which QPs of a loop: those of its controller, or the second ones of a cascade."""
 
 
 class ExactWorkspace(Workspace):
@@ -85,9 +90,11 @@ class ExactLoop:
     """The exactly solved loop of a scenario.
 
     theta (K, 16) : [x; y_ref; u_prev; 1] of each step; state (K + 1, 6); tau (K, 3); z (K, n);
-        thrust (K, n_f) : forces of thrusters, where they are steered.
+        thrust (K, n_f) : forces of thrusters, where they are commanded.
     optima : the certified optimum of each step in scaled units, so that no replay has to certify
         the same QP again for every one of its configurations.
+    demand (K, 3) : of a cascade, the force asked of its thrusters; None else.
+    allocated : of a cascade, the certified optima of its second QPs; none where it has no such.
     """
 
     theta: Matrix
@@ -96,15 +103,18 @@ class ExactLoop:
     thrust: Matrix
     z: Matrix
     optima: list[Optimum]
+    demand: Matrix | None = None
+    allocated: list[Optimum] = field(default_factory=list)
 
     def save(self, path: Path) -> None:
         """Write to `path` (.npz)."""
-        certified: dict[str, NDArray[Any]] = {
-            name: np.array([getattr(optimum, name) for optimum in self.optima])
-            for name in _OF_OPTIMUM
-        }
-        own = {name: getattr(self, name) for name in _OF_LOOP}
-        keep(path, own | {f"optimum_{name}": array for name, array in certified.items()})
+        arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _OF_LOOP}
+        arrays |= _arrays_of(self.optima, "optimum")
+        if self.demand is not None:
+            arrays["demand"] = self.demand
+        if self.allocated:
+            arrays |= _arrays_of(self.allocated, ALLOCATED)
+        keep(path, arrays)
 
     @classmethod
     def load(cls, path: Path) -> ExactLoop:
@@ -115,13 +125,37 @@ class ExactLoop:
         ResultsError : it is damaged, or gone.
         """
         with kept(path) as stored:
-            z, y, y_box, bound, kind = (stored[f"optimum_{name}"] for name in _OF_OPTIMUM)
             arrays = {name: stored[name] for name in _OF_LOOP}
-            optima = [
-                Optimum(z[k], y[k], y_box[k], float(bound[k]), cast(Kind, str(kind[k])))
-                for k in range(len(arrays["z"]))
-            ]
-        return cls(**arrays, optima=optima)
+            demand = stored.get("demand")
+            second = _optima_of(stored, ALLOCATED) if f"{ALLOCATED}_z" in stored else []
+            optima = _optima_of(stored, "optimum")
+        return cls(**arrays, optima=optima, demand=demand, allocated=second)
+
+
+def allocation_sizes(stored: Mapping[str, NDArray[Any]]) -> tuple[int, int] | None:
+    """Of a stored loop, n and m of a cascade's second QPs as in `QPBuilder.sizes`."""
+    if "demand" not in stored:
+        return None
+    if f"{ALLOCATED}_z" not in stored:
+        return 0, 0
+    return stored[f"{ALLOCATED}_z"].shape[1], stored[f"{ALLOCATED}_y"].shape[1]
+
+
+def _arrays_of(optima: list[Optimum], name: str) -> dict[str, NDArray[Any]]:
+    """The fields of optima as arrays, `name` before theirs."""
+    return {
+        f"{name}_{part}": np.array([getattr(optimum, part) for optimum in optima])
+        for part in _OF_OPTIMUM
+    }
+
+
+def _optima_of(stored: Mapping[str, NDArray[Any]], name: str) -> list[Optimum]:
+    """The optima that `_arrays_of` made arrays of."""
+    z, y, y_box, bound, kind = (stored[f"{name}_{part}"] for part in _OF_OPTIMUM)
+    return [
+        Optimum(z[k], y[k], y_box[k], float(bound[k]), cast(Kind, str(kind[k])))
+        for k in range(len(z))
+    ]
 
 
 def solve_exactly(scenario: Scenario) -> ExactLoop:
@@ -137,18 +171,20 @@ def solve_exactly(scenario: Scenario) -> ExactLoop:
     builder = QPBuilder(scenario)
     log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes))
     base = base_problem(builder.condensed)
-    workspace = ExactWorkspace()
-    timed_solver = TimedSolver(workspace, Box(base), time.perf_counter_ns)
-    closed_loop(
-        ClosedLoopSetup(
-            scenario, builder, timed_solver, log, "shifted_plan", 2**62, time.perf_counter_ns
-        )
-    )
+    workspace, second = ExactWorkspace(), ExactWorkspace()
+    clock = time.perf_counter_ns
+    timed_solver = TimedSolver(workspace, Box(base), clock)
+    setup = ClosedLoopSetup(scenario, builder, timed_solver, log, "shifted_plan", 2**62, clock)
+    if builder.allocation is not None:
+        setup.allocating = TimedSolver(second, Box(builder.allocation.base()), clock)
+    closed_loop(setup)
     without = log.flags[:, 0].astype(bool) & (log.status[0] != Status.PRIMAL_INFEASIBLE)
     if without.any():
         k = int(np.flatnonzero(without)[0])
         raise CertificateError(f"{scenario.name}: step {k} has no certified optimum")
-    return ExactLoop(log.theta, log.state, log.tau, log.thrust, log.z[0], workspace.optima)
+    loop = log.theta, log.state, log.tau, log.thrust, log.z[0], workspace.optima
+    demand = None if scenario.allocation is None else log.demand
+    return ExactLoop(*loop, demand, second.optima)
 
 
 def base_problem(builder: CondensedQP) -> QuadraticProgram:
@@ -166,8 +202,15 @@ def sequence_of(
     units: UnitSystem = "scaled",
     first: int = 0,
     count: int | None = None,
+    part: Part = "controller",
 ) -> QPSequence:
-    """The QPs of `count` steps from `first` on along the exactly solved loop."""
+    """The QPs of `count` steps from `first` on along the exactly solved loop.
+
+    Raises
+    ------
+    ResultsError : for steps that the loop has not.
+    InputError : for "allocation" where no second QP allocates.
+    """
     last = len(exact.theta) if count is None else first + count
     if not 0 <= first < last <= len(exact.theta):
         raise ResultsError(
@@ -176,29 +219,45 @@ def sequence_of(
             f"{first}:{last}",
             f"steps within 0:{len(exact.theta)}",
         )
-    builder = QPBuilder(scenario, units)
-    condensed = builder.condensed
-    head = builder.rebuild(first, exact.theta[first])
-    base = condensed.problem(head)
-    steps = [head, *(builder.rebuild(k, exact.theta[k]) for k in range(first + 1, last))]
-    name = scenario.name if first == 0 else f"{scenario.name}[{first}:{last}]"
+    builder, steps = QPBuilder(scenario, units), range(first, last)
+    if part == "allocation":
+        emitted, base, scale = _allocations(scenario, exact, builder, steps)
+    else:
+        emitted = [builder.rebuild(k, exact.theta[k]) for k in steps]
+        base, scale = builder.condensed.problem(emitted[0]), builder.condensed.scale
+    whole = scenario.name if part == "controller" else f"{scenario.name}-{part}"
+    name = whole if first == 0 else f"{whole}[{first}:{last}]"
+    scaled, sparse = None, None
+    if units != "scaled":
+        scaled = sequence_of(scenario, exact, first=first, count=last - first, part=part)
+    if part == "controller":
+        theta = exact.theta[first:last]
+        sparse = partial(_sparse_equivalent, scenario, theta, units, first, name)
     return QPSequence(
         name=name,
         base=base,
-        P=_stack([step.P for step in steps]),
-        A=_stack([step.A for step in steps]),
-        q=np.array([step.q for step in steps]),
-        l=np.array([step.l for step in steps]),
-        u=np.array([step.u for step in steps]),
-        units=None if units == "scaled" else condensed.scale,
-        scaled=None
-        if units == "scaled"
-        else sequence_of(scenario, exact, first=first, count=last - first),
+        P=_stack([step.P for step in emitted]),
+        A=_stack([step.A for step in emitted]),
+        q=np.array([step.q for step in emitted]),
+        l=np.array([step.l for step in emitted]),
+        u=np.array([step.u for step in emitted]),
+        units=None if scaled is None else scale,
+        scaled=scaled,
         meta={"scenario": scenario.name, "sample_s": scenario.sample_s, "first": first},
-        sparse_equivalent=partial(
-            _sparse_equivalent, scenario, exact.theta[first:last], units, first, name
-        ),
+        sparse_equivalent=sparse,
     )
+
+
+def _allocations(
+    scenario: Scenario, exact: ExactLoop, builder: QPBuilder, steps: range
+) -> tuple[list[QPStep], QuadraticProgram, Units]:
+    """The second QPs of a cascade, the problem of the first of them, and its units."""
+    allocation, demand = builder.allocation, exact.demand
+    if allocation is None or demand is None:
+        allowed = 'a cascade with allocation = "qp"'
+        raise InputError(f"sequence of {scenario.name}", "part", '"allocation"', allowed)
+    emitted = [builder.allocate_again(k, demand, exact.thrust) for k in steps]
+    return emitted, allocation.problem(emitted[0]), allocation.scale
 
 
 def _sparse_equivalent(
@@ -225,6 +284,13 @@ def _stack(matrices: list[Matrix | None]) -> NDArray[np.float64] | None:
     return np.array(brought) if brought else None
 
 
-def record_sequence(scenario: Scenario, *, units: UnitSystem = "scaled") -> QPSequence:
-    """The QPs along the exactly solved loop of a scenario, in memory."""
-    return sequence_of(scenario, solve_exactly(scenario), units=units)
+def record_sequence(
+    scenario: Scenario, *, units: UnitSystem = "scaled", part: Part = "controller"
+) -> QPSequence:
+    """The QPs along the exactly solved loop of a scenario, in memory.
+
+    Parameters
+    ----------
+    part : "controller", or "allocation" for the second QPs of a cascade.
+    """
+    return sequence_of(scenario, solve_exactly(scenario), units=units, part=part)

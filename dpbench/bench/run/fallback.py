@@ -11,10 +11,10 @@ from numba import njit
 from dpbench.arrays import Matrix, Vector
 from dpbench.bench.record.cell import Fallback
 from dpbench.mpc.azimuth_turning import AzimuthTurning, TurningQP
-from dpbench.mpc.condense import CondensedMatrices, ControlProblem
+from dpbench.mpc.condense import CondensedMatrices
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.law import Gains, gains
-from dpbench.mpc.thruster_rows import Retreat
+from dpbench.mpc.thruster_rows import Retreat, ThrusterRows
 
 CLIP_TOLERANCE = 1e-9
 """In rate-limit steps: below it a violation is rounding, above it `clipped` is recorded."""
@@ -37,7 +37,8 @@ def limit_of(builder: CondensedQP) -> Limit:
     problem = builder.control
     if problem.thrusters is None:
         return partial(limit_move, problem.du_max)
-    return ThrusterLimit(problem, builder.turning if isinstance(builder, TurningQP) else None)
+    turning = builder.turning if isinstance(builder, TurningQP) else None
+    return ThrusterLimit(problem.thrusters, problem.du_max, turning)
 
 
 @njit(cache=True)
@@ -69,13 +70,13 @@ class ThrusterLimit:
     nothing (`Retreat`); b and the clipped move keep to the rate, so all between them do.
     """
 
-    def __init__(self, problem: ControlProblem, turning: AzimuthTurning | None) -> None:
-        self._turning = turning
-        assert problem.thrusters is not None, "thrusters are steered"
-        rows, self._du_max, self._row_max = problem.thrusters, problem.du_max, problem.row_max
-        self._rows = rows
-        self._retreat = Retreat(rows, problem.du_max, problem.row_max, 1)
-        self._rounding = CLIP_TOLERANCE * problem.row_max
+    def __init__(
+        self, rows: ThrusterRows, du_max: Vector, turning: AzimuthTurning | None = None
+    ) -> None:
+        self._rows, self._du_max, self._turning = rows, du_max, turning
+        self._row_max = rows.units(du_max)
+        self._retreat = Retreat(rows, du_max, self._row_max, 1)
+        self._rounding = CLIP_TOLERANCE * self._row_max
 
     def __call__(
         self, u: Vector, du: Vector, u_min: Vector, u_max: Vector, applied: Vector

@@ -6,13 +6,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.record.raw_log import AnswerLog
 from dpbench.bench.run.formulation import Formulated
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status, is_plain, received
 from dpbench.solvers.contract import Workspace
 
 Clock = Callable[[], int]
+UNFINISHED = frozenset({Status.INACCURATE, Status.MAX_ITERATIONS})
+"""Of the usable answers those that are applied and marked."""
 
 
 class TimedSolver:
@@ -112,7 +114,7 @@ class TimedSolver:
             self.details[detail] = self.details.get(detail, 0) + 1
 
 
-def record_answer(log: RawLog, r: int, k: int, solution: Solution) -> None:
+def record_answer(log: AnswerLog, r: int, k: int, solution: Solution) -> None:
     """Copy an answer into row (r, k) of the log."""
     log.status[r, k] = solution.status
     log.iterations[r, k] = solution.iterations

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+from dpbench.bench.run.exact_loop import Part
 from dpbench.bench.sequences.qpbenchmark_files import save_qpbenchmark, with_optimum
 from dpbench.bench.sequences.recording import (
     described,
@@ -34,6 +35,7 @@ def export(
     steps: int | None = None,
     every: int = 1,
     at: int | None = None,
+    part: Part = "controller",
 ) -> str:
     """Write the QPs of a scenario or a sequence to `out`, every one certified.
 
@@ -45,6 +47,7 @@ def export(
     horizons : "N_p/N_c" instead of those of the tuning; of a scenario only.
     steps, every : the first so many steps, and of these each `every`-th.
     at : this step alone instead.
+    part : "allocation" for the second QPs of a cascade; of a scenario only.
 
     Returns
     -------
@@ -61,7 +64,9 @@ def export(
         raise InputError("--out", "", repr(target.name), "a file name that ends in .npz")
     if at is not None and (steps is not None or every != 1):
         raise InputError("--at", "", f"{at} beside --steps or --every", "one step, or several")
-    recorded = _recorded(what, _horizons(horizons), steps, every, at)
+    if part not in get_args(Part):
+        raise InputError("--part", "", repr(part), " | ".join(get_args(Part)))
+    recorded = _recorded(what, _horizons(horizons), steps, every, at, part)
     target.parent.mkdir(parents=True, exist_ok=True)
     if format == "npz":
         save_sequence(
@@ -93,6 +98,7 @@ def check_asked(options: dict[str, Any]) -> None:
         "every": 1,
         "format": "npz",
         "at": None,
+        "part": "controller",
     }
     for key, default in defaults.items():
         if options[key] != default:
@@ -106,16 +112,20 @@ def _recorded(
     steps: int | None,
     every: int,
     at: int | None,
+    part: Part,
 ) -> Recorded:
     path = Path(what)
     is_file = path.suffix == ".npz" or path.is_dir() or is_stored(what)
     if str(what) in problem_names("scenarios") or not is_file:
         scenario = load_scenario(what)
         if at is None:
-            return record(scenario, horizons=horizons, steps=steps, every=every)
+            return record(scenario, horizons=horizons, steps=steps, every=every, part=part)
         # The loop up to there is what leads to the step; what follows is not needed.
         upto = at + 1 if 0 <= at < scenario.steps else None
-        return _only(record(scenario, horizons=horizons, steps=upto), at)
+        return _only(record(scenario, horizons=horizons, steps=upto, part=part), at)
+    if part != "controller":
+        allowed = "a scenario: a sequence holds the QPs it holds"
+        raise InputError("--part", "", f"{part} for a recorded sequence", allowed)
     if horizons is not None:
         found = f"{horizons[0]}/{horizons[1]} for a recorded sequence"
         raise InputError("--horizons", "", found, "a scenario: a sequence has the horizons it has")

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.bench.run.exact_loop import sequence_of, solve_exactly
+from dpbench.bench.run.exact_loop import Part, sequence_of, solve_exactly
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.sequences.qpsolvers_files import is_problem, natural_order, read_folder
 from dpbench.bench.sequences.sequence_file import Recorded, load_recorded
@@ -30,6 +30,7 @@ def record(
     horizons: tuple[int, int] | None = None,
     steps: int | None = None,
     every: int = 1,
+    part: Part = "controller",
 ) -> Recorded:
     """The QPs along the exactly solved loop of a scenario, in scaled units, all certified.
 
@@ -37,10 +38,11 @@ def record(
     ----------
     horizons : (N_p, N_c) instead of those of the tuning; they change the loop too.
     steps : length of the loop; every : which of its steps are kept, the first and each `every`-th.
+    part : "allocation" for the second QPs of a cascade.
 
     Raises
     ------
-    InputError : for horizons, steps or a thinning that cannot be.
+    InputError : for horizons, steps, a thinning or a part that cannot be.
     CertificateError : when a step has neither a certified optimum nor proof that there is none.
     """
     if horizons is not None:
@@ -49,10 +51,13 @@ def record(
         if not 1 <= steps <= scenario.steps:
             raise InputError("--steps", "", steps, f"1 to {scenario.steps} of {scenario.name}")
         scenario = scenario.first(steps)
-    sequence = sequence_of(scenario, solve_exactly(scenario))
+    sequence = sequence_of(scenario, solve_exactly(scenario), part=part)
     meta = sequence.meta | {"N_p": scenario.N_p, "N_c": scenario.N_c}
     sequence = thinned(replace(sequence, meta=meta), None, every)
-    units = QPBuilder(scenario, "si").condensed.scale
+    builder = QPBuilder(scenario, "si")
+    units = builder.condensed.scale
+    if part == "allocation" and builder.allocation is not None:
+        units = builder.allocation.scale
     return Recorded(sequence, certified(sequence), units, scenario.files)
 
 

@@ -13,6 +13,7 @@ from typing import Annotated
 from pydantic import Field
 
 from dpbench.bench.progress import Progress, Silent
+from dpbench.bench.run.exact_loop import Part
 from dpbench.bench.sequences.recording import record
 from dpbench.bench.sequences.sequence_file import Recorded, save_sequence
 from dpbench.errors import InputError
@@ -31,6 +32,14 @@ class HorizonsTable(FileModel):
     every: Positive
 
 
+class AllocationTable(FileModel):
+    """A cascade whose second QPs are recorded too, under its own horizons."""
+
+    scenario: str
+    steps: Positive
+    every: Positive
+
+
 class LeftOutTable(FileModel):
     """Sequences that the rule would have and the package does not, and why."""
 
@@ -41,36 +50,42 @@ class LeftOutTable(FileModel):
 class ManifestFile(FileModel):
     """`problems/sequences/manifest.toml`: scenarios × horizons, less what is left out.
 
-    `steps` : how many samples of the loop of each scenario are run through.
+    `steps` : how many samples of the loop of each scenario are run through; `allocations` : the
+    cascades whose second QPs are recorded as well.
     """
 
     title: str
     horizons: Annotated[list[HorizonsTable], Field(min_length=1)]
     steps: dict[str, Positive]
+    allocations: list[AllocationTable] = []
     left_out: list[LeftOutTable] = []
 
 
 @dataclass(frozen=True)
 class Rule:
     """How one sequence is recorded: of the first `steps` samples of the exactly solved loop under
-    the horizons N_p/N_c, each `every`-th."""
+    the horizons N_p/N_c, each `every`-th; `part` as in `record`."""
 
     scenario: str
     N_p: int
     N_c: int
     steps: int
     every: int
+    part: Part = "controller"
 
     @property
     def name(self) -> str:
         """The name of the sequence, and of its file without `.npz`."""
-        return f"{self.scenario}-{self.N_p}-{self.N_c}"
+        horizons = f"{self.N_p}-{self.N_c}" if self.part == "controller" else self.part
+        return f"{self.scenario}-{horizons}"
 
     def record(self, steps: int | None = None) -> Recorded:
         """The sequence, or its beginning from the first `steps` samples."""
         scenario = load_scenario(self.scenario)
-        horizons = self.N_p, self.N_c
-        return record(scenario, horizons=horizons, steps=steps or self.steps, every=self.every)
+        # Second QPs are of one size: nobody asks for them under other horizons than the own ones.
+        horizons = (self.N_p, self.N_c) if self.part == "controller" else None
+        steps = steps or self.steps
+        return record(scenario, horizons=horizons, steps=steps, every=self.every, part=self.part)
 
 
 def manifest_path() -> Path:
@@ -104,6 +119,10 @@ def _all_rules(manifest: ManifestFile) -> Iterator[Rule]:
     for scenario, steps in manifest.steps.items():
         for table in manifest.horizons:
             yield Rule(scenario, table.prediction, table.control, steps, table.every)
+    for cascade in manifest.allocations:
+        own = load_scenario(cascade.scenario)
+        of_loop = own.N_p, own.N_c, cascade.steps, cascade.every
+        yield Rule(cascade.scenario, *of_loop, "allocation")
 
 
 def regenerate(

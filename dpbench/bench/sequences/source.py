@@ -17,7 +17,7 @@ from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.npz import kept
 from dpbench.bench.record.raw_log import log_bytes, loop_layout, replay_layout
 from dpbench.bench.record.schema import SCHEMA_VERSION
-from dpbench.bench.run.exact_loop import ExactLoop, sequence_of, solve_exactly
+from dpbench.bench.run.exact_loop import ExactLoop, allocation_sizes, sequence_of, solve_exactly
 from dpbench.bench.sequences.recording import digest, read_sequence
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.errors import InputError
@@ -106,12 +106,13 @@ def log_size(cell: Cell, path: Path) -> int:
     """
     with kept(path) as stored:
         if cell.source:
-            n, m, n_theta, n_f = stored["q"].shape[1], stored["A"].shape[0], 0, 0
+            n, m, n_theta, n_f, second = stored["q"].shape[1], stored["A"].shape[0], 0, 0, None
         else:
             n, m = stored["z"].shape[1], stored["optimum_y"].shape[1]
             n_theta, n_f = stored["theta"].shape[1], stored["thrust"].shape[1]
+            second = allocation_sizes(stored)
     if cell.mode == "closed_loop":
-        return log_bytes(loop_layout(cell.steps, n, m, n_theta, n_f))
+        return log_bytes(loop_layout(cell.steps, n, m, n_theta, n_f, second))
     return log_bytes(replay_layout(cell.rounds + 1, cell.steps, n, m))
 
 

@@ -350,7 +350,7 @@ def error_of(z: Vector, optimum: Optimum, block: int, moves: int = 0) -> tuple[f
     """error_move, error_plan: max_i |z_i − z*_i| over the first block of variables, and over all.
 
     With `moves` only the first `moves` variables of each block count, the others being slacks.
-    Both over all variables if block is 0; inf where z is not finite; NaN where there is no
+    All variables are one block if block is 0; inf where z is not finite; NaN where there is no
     certified optimum to compare with. The bound of the optimum is not added.
     """
     if not np.isfinite(optimum.bound):
@@ -358,8 +358,8 @@ def error_of(z: Vector, optimum: Optimum, block: int, moves: int = 0) -> tuple[f
     if not np.isfinite(z).all():
         return np.inf, np.inf
     error = np.abs(z - optimum.z)
-    if block and moves:
-        error = error.reshape(-1, block)[:, :moves]
+    if moves:
+        error = error.reshape(-1, block or len(error))[:, :moves]
         return float(error[0].max()), float(error.max())
     plan = float(error.max())
     return (float(error[:block].max()) if block else plan), plan

@@ -1,0 +1,178 @@
+"""Thrust allocation at each sample: the second QP of a cascade, behind a controller of forces.
+
+    min ½ fᵀW f + ½ ΔfᵀR Δf + ½ sᵀΩ s,   f = f_prev + Δf
+    s.t. T_e f + s = τ_c                      what is missing of the demanded force is the slack s
+         low ≤ G f ≤ high                     polygons of the thrusters (`thruster_rows`)
+         −Δf_max ≤ Δf ≤ Δf_max
+
+Scaled: z = [Δf/Δf_max; s/Δτ_max], the first rows over Δτ_max, the others over the change of G f by
+a full step. The slack leaves a feasible point whatever is demanded; with Ω large against W and R it
+is next to nothing wherever the demand can be met, and falls as 1/Ω (Fossen 2021, section 11.2).
+[q; l; u] is an affine map of [τ_c; f_prev; 1]: a step is one matrix-vector product, as in
+`CondensedQP`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from dpbench.arrays import Matrix, Vector
+from dpbench.mpc.condense import UnitSystem
+from dpbench.mpc.thruster_rows import Retreat, ThrusterRows
+from dpbench.qp.program import QPStep, QuadraticProgram, Units, shaped
+from dpbench.ship.layout import AXES
+
+
+@dataclass(frozen=True, eq=False)
+class AllocationProblem:
+    """What an allocation weighs and may do, in SI units.
+
+    Parameters
+    ----------
+    T_e : (3, n_f) configuration matrix; rows : r limits of the thrusters.
+    W, R : (n_f, n_f) weights of f and of Δf; slack : (3, 3) Ω, that of the force not delivered.
+    df_max : (n_f,) largest Δf of a sample; step_max : (3,) unit of the slack, the rate limit of
+        the demanded force in a sample.
+    """
+
+    T_e: Matrix
+    rows: ThrusterRows
+    W: Matrix
+    R: Matrix
+    slack: Matrix
+    df_max: Vector
+    step_max: Vector
+
+    def __post_init__(self) -> None:
+        n_f = len(self.rows.entry)
+        shapes: dict[str, tuple[int, ...]] = {"T_e": (AXES, n_f), "W": (n_f, n_f), "R": (n_f, n_f)}
+        shapes |= {"slack": (AXES, AXES), "df_max": (n_f,), "step_max": (AXES,)}
+        for name, shape in shapes.items():
+            array = shaped("AllocationProblem", name, getattr(self, name), shape)
+            object.__setattr__(self, name, array)
+
+    @cached_property
+    def row_max(self) -> Vector:
+        """(r,) the change of G f by a full step along each row: the unit of the row."""
+        return self.rows.units(self.df_max)
+
+    def pseudo_inverse(self, lost: frozenset[int] = frozenset()) -> Matrix:
+        """W⁻¹T_eᵀ(T_e W⁻¹T_eᵀ)⁻¹ (n_f, 3): the allocation with no limit, no rate and no slack.
+
+        Thrusters of the numbers in `lost` get nothing; where the others cannot make every force,
+        it is that of least squares in units of `step_max`.
+        """
+        works = np.isin(self.rows.entry, list(lost), invert=True)
+        root = np.linalg.cholesky(np.linalg.inv(self.W))
+        root[~works] = 0.0
+        scaled = self.T_e @ root / self.step_max[:, np.newaxis]
+        inverse: Matrix = root @ np.linalg.pinv(scaled) / self.step_max
+        return inverse
+
+
+class AllocationQP:
+    """The QPs of an allocation, all of one shape.
+
+    Parameters
+    ----------
+    problem : in SI units.
+    units : "scaled" or "si" (z = [Δf; s] in N, N, N·m).
+
+    Attributes
+    ----------
+    P (n, n), A (m, n), lb, ub (n,) : constant; n = n_f + 3, the slacks last, and m = 3 + r.
+    Z (n + 2m, 3 + n_f + 1) : the affine map [q; l; u] = Z [τ_c; f_prev; 1].
+    scale : how z and the rows relate to the scaled ones (`Units`).
+    """
+
+    def __init__(self, problem: AllocationProblem, *, units: UnitSystem = "scaled") -> None:
+        self.allocation, self.units = problem, units
+        n_f, r = len(problem.df_max), len(problem.row_max)
+        self.n_f, self.n, self.m = n_f, n_f + AXES, AXES + r
+        unit = np.concatenate([problem.df_max, problem.step_max])
+        row_unit = np.concatenate([problem.step_max, problem.row_max])
+        scaled = units == "scaled"
+        one, row_one = np.ones(self.n), np.ones(self.m)
+        self.scale = Units(one if scaled else unit, row_one if scaled else row_unit)
+        # What one unit of a variable and of a row stands for [N, N·m].
+        self._unit: Vector = unit if scaled else one
+        self._row_unit: Vector = row_unit if scaled else row_one
+        self._build()
+        self._theta = np.ones(AXES + n_f + 1)
+        self._retreat = Retreat(problem.rows, problem.df_max, problem.row_max, 1)
+
+    def _build(self) -> None:
+        """P, A, bounds and Z: in SI units first, then in those of the variables and rows."""
+        problem, n_f, n, m = self.allocation, self.n_f, self.n, self.m
+        unit, row_unit = self._unit, self._row_unit[:, np.newaxis]
+        P, A = np.zeros((n, n)), np.zeros((m, n))
+        P[:n_f, :n_f], P[n_f:, n_f:] = problem.W + problem.R, problem.slack
+        A[:AXES, :n_f], A[:AXES, n_f:] = problem.T_e, np.eye(AXES)
+        A[AXES:, :n_f] = problem.rows.G
+        self.P: Matrix = P * np.outer(unit, unit)
+        self.A: Matrix = A * unit / row_unit
+        bound = np.concatenate([problem.df_max / unit[:n_f], np.full(AXES, np.inf)])
+        self.lb: Vector = -bound
+        self.ub: Vector = bound
+        q, limits = np.zeros((n, AXES + n_f + 1)), np.zeros((2, m, AXES + n_f + 1))
+        f = slice(AXES, AXES + n_f)
+        q[:n_f, f] = problem.W
+        limits[:, :AXES, :AXES], limits[:, :, f] = np.eye(AXES), -A[:, :n_f]
+        limits[0, AXES:, -1], limits[1, AXES:, -1] = problem.rows.low, problem.rows.high
+        self.Z: Matrix = np.vstack([q * unit[:, np.newaxis], *(limits / row_unit)])
+
+    def emit(
+        self, tau: Vector, f_prev: Vector, *, limits: tuple[Vector, Vector] | None = None
+    ) -> QPStep:
+        """The QP of one step, in memory of its own.
+
+        Parameters
+        ----------
+        tau : (3,) τ_c, the force demanded [N, N, N·m].
+        f_prev : (n_f,) forces of the thrusters in the last sample [N].
+        limits : (low, high), each (r,) [N], in force from now on instead of those of the problem;
+            a thruster beyond them by now may retreat straight to nothing (`Retreat`).
+        """
+        theta, n, cut = self._theta, self.n, self.n + self.m
+        theta[:AXES], theta[AXES:-1] = tau, f_prev
+        out = self.Z.dot(theta)
+        step = QPStep(out[:n], out[n:cut], out[cut:])
+        # The two sides of an equality are equal to the last bit, in whatever order a product adds.
+        step.u[:AXES] = step.l[:AXES]
+        if limits is not None:
+            self._limit(step, f_prev, *limits)
+        return step
+
+    def _limit(self, step: QPStep, f_prev: Vector, low: Vector, high: Vector) -> None:
+        """Limits other than the problem's, as far as the rate can follow them.
+
+        The whole polygon of a lost thruster closes in, not only the rows that end at zero: one step
+        ahead those alone would let its force go round their corners for ever.
+        """
+        problem = self.allocation
+        before, of_thruster = problem.rows.G @ f_prev, problem.rows.thruster
+        least, most = (side[0] for side in self._retreat.reach(f_prev))
+        lost = np.isin(of_thruster, of_thruster[low == high])
+        closing = lost & (least < most)
+        low, high = (low - before) / problem.row_max, (high - before) / problem.row_max
+        low = np.where(closing, least, np.minimum(low, least))
+        high = np.where(closing, most, np.maximum(high, most))
+        unit = problem.row_max / self._row_unit[AXES:]
+        step.l[AXES:], step.u[AXES:] = low * unit, high * unit
+
+    def base(self) -> QuadraticProgram:
+        """The problem at rest, with no force demanded: what a workspace sets up with."""
+        return self.problem(self.emit(np.zeros(AXES), np.zeros(self.n_f)))
+
+    def problem(self, step: QPStep) -> QuadraticProgram:
+        """The whole problem of one step; a warm start stays as it is, and slacks are no moves."""
+        vectors = step.q, self.A, step.l, step.u, self.lb, self.ub
+        return QuadraticProgram(self.P, *vectors, moves=self.n_f)
+
+    def moves(self, z: Vector) -> Vector:
+        """Δf (n_f,) [N] of an answer."""
+        delta_f: Vector = z[: self.n_f] * self._unit[: self.n_f]
+        return delta_f

@@ -1,0 +1,326 @@
+"""Closed loops of a cascade: against a loop written out here, solvers of several kinds, lost
+thrusters, what acts without an answer, the log, and its allocations as a sequence."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import quadprog
+
+from dpbench import open_workspace, run_closed_loop
+from dpbench.bench.judge.replay import evaluate_sequence
+from dpbench.bench.judge.thruster_metrics import thruster_metrics
+from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.raw_log import RawLog, log_bytes, loop_layout
+from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup, replay_parts
+from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
+from dpbench.bench.run.exact_loop import ExactLoop, ExactWorkspace, sequence_of, solve_exactly
+from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.replay import ReplayRun
+from dpbench.bench.sequences.source import log_size
+from dpbench.errors import InputError
+from dpbench.mpc.thruster_rows import RETREAT
+from dpbench.qp.program import QuadraticProgram
+from dpbench.qp.solution import Solution, Status
+from dpbench.scenario.scenario import Scenario, load_scenario, scenario_of
+from dpbench.ship.plant import SUBSTEPS, Plant
+from dpbench.solvers.contract import Workspace
+from dpbench.solvers.function import FunctionWorkspace
+
+
+def scenario(steps: int = 60, **changes: Any) -> Scenario:
+    """The cascade of the library thrown 2 m and 5° off, with other horizons; tables changed."""
+    files = copy.deepcopy(load_scenario("thrusters_cascade").files)
+    own = files["scenario"]
+    own |= {"duration_s": 0.3 * steps} | changes.pop("tables", {})
+    own["start"] = {"north_m": 2.0, "east_m": -1.0, "heading_deg": 5.0}
+    own["controller"] |= {"prediction_horizon": 30, "control_horizon": 3}
+    own["controller"]["thrusters"] |= changes
+    return scenario_of(files)
+
+
+def cell(case: Scenario, solver: str = "daqp", **fields: Any) -> Cell:
+    return Cell("closed_loop", case.files, solver, "native", "fresh", "high", case.steps, **fields)
+
+
+def steered_by(case: Scenario, workspace: Workspace, **fields: Any) -> ClosedLoopSetup:
+    """What a closed loop is made of, after it has run."""
+    described = cell(case, workspace.solver, **fields)
+    setup = closed_loop_setup(described, case, workspace, RawLog.in_memory, NO_LIMIT_NS)
+    assert closed_loop(setup)
+    return setup
+
+
+@pytest.fixture(scope="module")
+def case() -> Scenario:
+    return scenario()
+
+
+@pytest.fixture(scope="module")
+def exact(case: Scenario) -> ExactLoop:
+    return solve_exactly(case)
+
+
+def planned_force(case: Scenario, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """The first move of the force, by quadprog on matrices made here; u may be beyond a limit."""
+    control, N_c = case.control_problem(), 3
+    model, du = control.model, control.du_max
+    H, g = np.zeros((3 * N_c, 3 * N_c)), np.zeros(3 * N_c)
+    for i in range(1, control.N_p + 1):
+        zero, power = np.zeros((3, 3)), np.linalg.matrix_power
+        moved = [
+            model.C @ power(model.A, i - 1 - j) @ model.B * du if j < i else zero
+            for j in range(N_c)
+        ]
+        effect = np.hstack(moved)
+        free = model.C @ power(model.A, i) @ x - case.reference
+        H += effect.T @ case.Q @ effect
+        g += effect.T @ case.Q @ free
+    H += np.diag(np.tile(np.diag(case.R) * du**2, N_c))
+    sums, one = np.kron(np.tri(N_c), np.eye(3)), np.eye(3 * N_c)
+    steps = np.repeat(np.arange(1.0, N_c + 1), 3)
+    high = np.maximum(np.tile((control.u_max - u) / du, N_c), -steps)
+    low = np.minimum(np.tile((control.u_min - u) / du, N_c), steps)
+    C = np.vstack([-sums, sums, -one, one])
+    b = np.concatenate([-high, low, -np.ones(6 * N_c)])
+    z: np.ndarray = quadprog.solve_qp(H, -g, C.T.copy(), b)[0]
+    return z[:3] * du
+
+
+def allocated_forces(case: Scenario, demand: np.ndarray, f: np.ndarray) -> np.ndarray:
+    """The forces of the thrusters, by quadprog on moves and slacks of a problem made here."""
+    assert case.allocation is not None
+    table = case.files["scenario"]["controller"]["thrusters"]
+    thrusters, rows = case.allocation.control.thrusters, case.allocation.control.rows
+    n_f = thrusters.n_f
+    T, step = thrusters.per_entry(thrusters.thrust_N), thrusters.step_max(case.sample_s)
+    unit = np.concatenate([step, case.force_step_max])
+    H, g = np.zeros((n_f + 3, n_f + 3)), np.zeros(n_f + 3)
+    weight = table["thrust_weight_relative"] * (step / T) ** 2
+    H[:n_f, :n_f] = np.diag(weight + table["move_weight_relative"])
+    H[n_f:, n_f:] = table["slack_weight_relative"] * np.eye(3)
+    g[:n_f] = weight * f / step
+    balance = np.hstack([thrusters.T_e, np.eye(3)]) * unit / case.force_step_max[:, np.newaxis]
+    short = (demand - thrusters.T_e @ f) / case.force_step_max
+    G = np.hstack([rows.G * step, np.zeros((len(rows.G), 3))]) / 1e4
+    d = np.eye(n_f + 3)[:n_f]
+    C = np.vstack([balance, -G, G, -d, d])
+    before = rows.G @ f
+    limits = (before - rows.high) / 1e4, (rows.low - before) / 1e4
+    z = quadprog.solve_qp(H, -g, C.T.copy(), np.concatenate([short, *limits, -np.ones(2 * n_f)]), 3)
+    forces: np.ndarray = f + z[0][:n_f] * step
+    return forces
+
+
+def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) -> None:
+    """Plan of the force, its allocation and the ship's motion, one after the other."""
+    assert case.allocation is not None
+    T_e = case.allocation.control.thrusters.T_e
+    plant = Plant(case.true_ship, case.first_state, case.sample_s)
+    sea = case.environment.stage_table(case.steps, case.sample_s, SUBSTEPS)
+    f, previous = np.zeros(6), case.first_state
+    for k in range(12):
+        x = np.concatenate([plant.state - previous, plant.state[3:]])
+        previous = plant.state.copy()
+        demand = T_e @ f + planned_force(case, x, T_e @ f)
+        f = allocated_forces(case, demand, f)
+        assert exact.demand is not None
+        np.testing.assert_allclose(exact.demand[k], demand, rtol=1e-8, atol=1e-2)
+        np.testing.assert_allclose(exact.thrust[k], f, rtol=1e-8, atol=1e-2)
+        np.testing.assert_allclose(exact.tau[k], T_e @ f, rtol=1e-8, atol=0.1)
+        plant.advance(T_e @ f, sea[k])
+        np.testing.assert_allclose(exact.state[k + 1], plant.state, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("solver", "fields"),
+    [
+        ("daqp", {}),
+        ("daqp", {"units": "si"}),
+        ("paper_active_set", {}),
+        ("quadprog", {"formulation": "condensed_stacked"}),
+        ("piqp", {"formulation": "sparse"}),
+    ],
+)
+def test_every_form_steers_as_the_exact_loop_does(
+    case: Scenario, exact: ExactLoop, solver: str, fields: dict[str, Any]
+) -> None:
+    """Condensed, one-sided and sparse, scaled and in SI, by solvers of several kinds."""
+    workspace = open_workspace(solver, route="native", settings="high")
+    log = steered_by(case, workspace, **fields).log
+    away = np.abs(log.state - exact.state).max(axis=0)
+    # In SI an answer of the same settings is less exact.
+    most = np.array([1e-6, 1e-6, 1e-8, 1e-5, 1e-5, 1e-7]) * (100.0 if "units" in fields else 1.0)
+    assert (away <= most).all(), away
+    builder = QPBuilder(case)
+    metrics = thruster_metrics(case, log.thrust, (builder.f_min, builder.f_max))
+    assert metrics["limit_violations"] == 0.0
+    assert not log.flags.any()
+
+
+def test_a_lost_board_gives_nothing_as_soon_as_its_rate_allows() -> None:
+    """Lost at 6 s: every step has an answer, no limit is broken, the others go on."""
+    lost = scenario(80, tables={"faults": [{"at_s": 6.0, "lost": ["board A"]}]})
+    log = steered_by(lost, open_workspace("daqp", route="native", settings="high")).log
+    assert not log.flags.any()
+    builder = QPBuilder(lost)
+    metrics = thruster_metrics(lost, log.thrust, (builder.f_min, builder.f_max))
+    assert metrics["limit_violations"] == 0.0
+    gone = 20 + math.ceil(12.0 / 0.3 / RETREAT) + 1
+    assert np.abs(log.thrust[gone:, [0, 2, 3]]).max() < 1e-5
+    assert np.abs(log.thrust[19, [0, 2, 3]]).max() > 1e4
+    assert np.abs(log.thrust[gone:, [1, 4, 5]]).max() > 1e4
+
+
+def test_with_the_attainable_set_both_halves_know_what_is_lost() -> None:
+    """The force is limited by what the other board gives: far less of it is not delivered."""
+    missing = {}
+    for limits in ("box", "attainable"):
+        files = copy.deepcopy(load_scenario("thrusters_cascade").files)
+        files["scenario"] |= {"duration_s": 36.0, "faults": [{"at_s": 15.0, "lost": ["board B"]}]}
+        files["scenario"]["controller"] |= {"limits": limits, "control_horizon": 3}
+        case = scenario_of(files)
+        log = steered_by(case, open_workspace("daqp", route="native", settings="high")).log
+        assert not log.flags[:, :2].any()
+        builder = QPBuilder(case)
+        metrics = thruster_metrics(case, log.thrust, (builder.f_min, builder.f_max))
+        assert metrics["limit_violations"] == 0.0
+        away = np.abs(log.demand - log.tau) / case.vessel.tau_max
+        missing[limits] = float(away[100:].max(axis=1).mean())
+    assert missing["box"] > 0.01
+    assert missing["attainable"] < 0.2 * missing["box"]
+
+
+def test_both_kinds_of_faults_hold_in_a_cascade() -> None:
+    """A share of the limits for its forces, lost thrusters for its allocation, each in its time."""
+    faults = [{"at_s": 3.0, "lost": ["bow 1"]}, {"at_s": 1.5, "limit_share": [0.5, 0.5, 0.5]}]
+    case = scenario(20, tables={"faults": faults})
+    builder = QPBuilder(case)
+    vessel, thrusters = case.vessel, case.vessel.thrusters
+    assert thrusters is not None
+    np.testing.assert_array_equal(builder.u_max[4], vessel.tau_max)
+    np.testing.assert_array_equal(builder.u_max[5], 0.5 * vessel.tau_max)
+    np.testing.assert_array_equal(builder.u_max[10], 0.5 * vessel.tau_max)
+    assert (builder.f_max[9, 0], builder.f_max[10, 0]) == (thrusters.thrust_N[0], 0.0)
+
+
+def only_the_controller(qp: QuadraticProgram, **_: object) -> Solution:
+    """Solves what has three variables a move, and fails at the rest."""
+    if qp.n == 9 and qp.m == 9:
+        C = np.vstack([-qp.A, qp.A, -np.eye(9), np.eye(9)]).T.copy()
+        b = np.concatenate([-qp.u, qp.l, -qp.ub, qp.lb])
+        return Solution(Status.SOLVED, quadprog.solve_qp(qp.P, -qp.q, C, b)[0], 0 * qp.l, 0 * qp.q)
+    raise ArithmeticError("no allocation")
+
+
+def function_workspace() -> FunctionWorkspace:
+    workspace = FunctionWorkspace("function", "fresh", only_the_controller, {})
+    workspace.opened_again = function_workspace
+    return workspace
+
+
+def test_without_an_allocation_the_pseudo_inverse_acts_within_all_limits(case: Scenario) -> None:
+    """Every step is one without a usable answer, and its cause is told."""
+    setup = steered_by(case, function_workspace())
+    log, builder = setup.log, QPBuilder(case)
+    assert log.flags[:, 0].all()
+    assert (log.status[0] == Status.SOLVED).all()
+    assert log.allocation is not None
+    assert (log.allocation.status[0] == Status.ERROR).all()
+    assert setup.solver.details == {"ArithmeticError: no allocation": case.steps}
+    metrics = thruster_metrics(case, log.thrust, (builder.f_min, builder.f_max))
+    assert metrics["limit_violations"] == 0.0
+    plain = scenario(allocation="pseudo_inverse")
+    other = steered_by(plain, function_workspace()).log
+    np.testing.assert_array_equal(other.thrust, log.thrust)
+    assert other.allocation is None
+    assert not other.flags[:, 0].any()
+    assert other.flags[:, 2].any()
+
+
+def test_the_pseudo_inverse_is_exact_until_a_limit_acts() -> None:
+    """In calm water it makes the whole force that is demanded."""
+    still = scenario(20, allocation="pseudo_inverse", tables={"environment": {}, "start": {}})
+    moved = scenario_of(copy.deepcopy(still.files))
+    log = steered_by(moved, open_workspace("daqp", route="native", settings="high")).log
+    free = log.flags[:, 2] == 0
+    assert free.any()
+    np.testing.assert_allclose(log.tau[free], log.demand[free], rtol=1e-9, atol=1e-3)
+
+
+def test_the_time_of_both_solvers_is_no_overhead(case: Scenario) -> None:
+    """By a clock that counts its readings: what a second QP takes goes to its own phases."""
+    counts = []
+    for allocation in ("qp", "pseudo_inverse"):
+        steered = scenario(5, allocation=allocation)
+        workspace = open_workspace("daqp", route="native", settings="high")
+        described = cell(steered)
+        setup = closed_loop_setup(described, steered, workspace, RawLog.in_memory, NO_LIMIT_NS)
+        setup.clock = itertools.count().__next__
+        for solver in (setup.solver, setup.allocating):
+            if solver is not None:
+                solver._clock = setup.clock
+        assert closed_loop(setup)
+        counts.append(setup.log.times[0, :, 5].tolist())
+        if setup.log.allocation is not None:
+            assert (setup.log.allocation.times[0, :, 3] == 1).all()
+    # Two readings before the second solver's answer: of emitting.
+    assert counts[0] == [count + 2 for count in counts[1]]
+
+
+def test_a_stored_loop_knows_its_allocations_and_the_size_of_a_log(
+    case: Scenario, exact: ExactLoop, tmp_path: Path
+) -> None:
+    """What is read is what was written, and a log has room for both QPs."""
+    path = tmp_path / "loop.npz"
+    for loop in (exact, solve_exactly(scenario(3, allocation="pseudo_inverse"))):
+        loop.save(path)
+        read = ExactLoop.load(path)
+        assert read.demand is not None and loop.demand is not None
+        np.testing.assert_array_equal(read.demand, loop.demand)
+        assert [optimum.z.tolist() for optimum in read.allocated] == [
+            optimum.z.tolist() for optimum in loop.allocated
+        ]
+    exact.save(path)
+    layout = loop_layout(case.steps, *QPBuilder(case).sizes)
+    assert log_size(cell(case), path) == log_bytes(layout)
+
+
+@pytest.mark.parametrize("units", ["scaled", "si"])
+def test_the_allocations_are_a_sequence(case: Scenario, exact: ExactLoop, units: str) -> None:
+    """Every solver can replay them; the loop's certified optima are theirs."""
+    sequence = sequence_of(case, exact, part="allocation", units=units, first=7, count=20)  # type: ignore[arg-type] # one of the two
+    assert (sequence.name, len(sequence)) == ("thrusters_cascade-allocation[7:27]", 20)
+    assert sequence.sparse_equivalent is None
+    workspace = open_workspace("daqp", route="native", policy="warm", settings="high")
+    steps, solver, log = replay_parts(sequence, workspace, "condensed_box", 1, RawLog.in_memory)
+    run = ReplayRun(
+        steps, solver, log, warmup_steps=5, limit_ns=NO_LIMIT_NS, clock=time.perf_counter_ns
+    )
+    assert run.round(0) and run.round(1)
+    evaluated = evaluate_sequence(log, sequence, case.sample_s, exact.allocated[7:27])
+    errors = evaluated.columns["evaluations"]
+    assert errors[:, 10].all()
+    assert errors[:, 6].max() < 1e-8
+
+
+def test_other_scenarios_have_no_allocations(case: Scenario) -> None:
+    """Neither those of forces alone, nor a cascade by pseudo-inverse."""
+    for other in (load_scenario("calm").first(2), scenario(2, allocation="pseudo_inverse")):
+        with pytest.raises(InputError, match="a cascade with allocation"):
+            sequence_of(other, solve_exactly(other), part="allocation")
+
+
+def test_a_cascade_waits_for_its_answers_and_opens_its_solver_twice(case: Scenario) -> None:
+    """No slow computer is simulated; a workspace of unknown making cannot be doubled."""
+    with pytest.raises(InputError, match="not of a cascade"):
+        run_closed_loop(case, open_workspace("daqp"), slowdown=10.0)
+    with pytest.raises(InputError, match="two by open_workspace"):
+        run_closed_loop(case, ExactWorkspace())

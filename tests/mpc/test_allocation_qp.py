@@ -1,0 +1,224 @@
+"""The allocation QP of a cascade, against other constructions: forces themselves as variables, a
+linear program for what is attainable, the pseudo-inverse, the mirrored ship."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import quadprog
+from scipy.optimize import linprog
+
+from dpbench.mpc.allocation_qp import AllocationProblem, AllocationQP
+from dpbench.mpc.thruster_rows import RETREAT, thruster_rows
+from dpbench.qp.referee.referee import certify, error_of
+from dpbench.ship.thrusters import Thruster, ThrusterSet
+
+SHIP = ThrusterSet(
+    (
+        Thruster("port", "azimuth", -32.0, -5.0, 1.9e5, 8.0),
+        Thruster("starboard", "azimuth", -32.0, 5.0, 1.9e5, 8.0),
+        Thruster("bow", "azimuth", 26.0, 0.0, 1.4e5, 6.0, sector_rad=(-1.2, 1.5)),
+        Thruster("tunnel", "tunnel", 30.0, 0.0, 1.1e5, 5.0),
+        Thruster("main", "main", -35.0, 0.0, 2.0e5, 10.0, 0.6),
+    )
+)
+SAMPLE_S = 0.5
+STEP_MAX = np.array([4e4, 2e4, 6e5])
+
+
+def problem(
+    ship: ThrusterSet = SHIP, *, thrust: float = 1.0, move: float = 0.01, slack: float = 100.0
+) -> AllocationProblem:
+    """Weights in multiples of 1/T², 1/Δf_max² and 1/Δτ_max²."""
+    step = ship.step_max(SAMPLE_S)
+    return AllocationProblem(
+        ship.T_e,
+        thruster_rows(ship, 12),
+        np.diag(thrust / ship.per_entry(ship.thrust_N) ** 2),
+        np.diag(move / step**2),
+        np.diag(slack / STEP_MAX**2),
+        step,
+        STEP_MAX,
+    )
+
+
+def situation(seed: int, reach: float = 1.5) -> tuple[np.ndarray, np.ndarray]:
+    """A demand some way off what the thrusters give now, and what they give: within all limits."""
+    rng, rows = np.random.default_rng(seed), thruster_rows(SHIP, 12)
+    f = rng.uniform(-1.0, 1.0, SHIP.n_f) * SHIP.per_entry(SHIP.thrust_N)
+    f[4:6] = np.abs(f[4]) * np.array([1.0, 0.8])
+    along, unlike = rows.G @ f, np.where(rows.low < 0.0, rows.low, -np.inf)
+    over = np.maximum(along / rows.high, along / unlike)
+    f /= max(1.0, float(over.max()) * 1.0001)
+    assert (rows.G @ f >= rows.low).all()
+    return SHIP.T_e @ f + reach * rng.uniform(-1.0, 1.0, 3) * STEP_MAX, f
+
+
+def by_forces(case: AllocationProblem, tau: np.ndarray, f_prev: np.ndarray) -> np.ndarray:
+    """f of the same problem, with f itself as the variables and τ_c − T_e f for the slack."""
+    rows, n_f, unit = case.rows, len(f_prev), SHIP.per_entry(SHIP.thrust_N)
+    H = case.W + case.R + case.T_e.T @ case.slack @ case.T_e
+    g = -case.R @ f_prev - case.T_e.T @ case.slack @ tau
+    sides = [(row, high) for row, high in zip(rows.G, rows.high, strict=True)]
+    sides += [(-row, -low) for row, low in zip(rows.G, rows.low, strict=True)]
+    for j in range(n_f):
+        one = np.eye(n_f)[j]
+        sides += [(one, f_prev[j] + case.df_max[j]), (-one, case.df_max[j] - f_prev[j])]
+    C = np.array([row * unit for row, _ in sides]) / 1e5
+    b = np.array([side for _, side in sides]) / 1e5
+    scaled = H * np.outer(unit, unit)
+    share = quadprog.solve_qp(scaled, -g * unit, -C.T, -b)[0]
+    f: np.ndarray = share * unit
+    return f
+
+
+@pytest.mark.parametrize("units", ["scaled", "si"])
+@pytest.mark.parametrize("seed", range(12))
+def test_the_optimum_is_that_of_the_forces_themselves(units: str, seed: int) -> None:
+    """Another set of variables, no slack, other units and another solver give the same forces."""
+    case = problem()
+    builder = AllocationQP(case, units=units)  # type: ignore[arg-type] # one of the two
+    tau, f_prev = situation(seed)
+    qp = AllocationQP(case).problem(AllocationQP(case).emit(tau, f_prev))
+    optimum = certify(qp)
+    assert optimum.bound < 1e-9
+    z = optimum.z * (1.0 if units == "scaled" else builder.scale.z)
+    step = builder.emit(tau, f_prev)
+    own = builder.problem(step)
+    assert own.objective(z) == pytest.approx(qp.objective(optimum.z), rel=1e-9)
+    rows = (own.A @ z - step.u) / builder.scale.row, (step.l - own.A @ z) / builder.scale.row
+    assert max(rows[0].max(), rows[1].max()) < 1e-9
+    f = f_prev + builder.moves(z)
+    np.testing.assert_allclose(f, by_forces(case, tau, f_prev), atol=2.0)
+    slack = (z * (builder.scale.z if units == "si" else 1.0))[builder.n_f :]
+    unit = 1.0 if units == "si" else STEP_MAX
+    if units == "scaled":
+        np.testing.assert_allclose(slack * unit, tau - SHIP.T_e @ f, atol=1e-4)
+
+
+def least_slack(case: AllocationProblem, tau: np.ndarray, f_prev: np.ndarray) -> float:
+    """The least max |s_i|/Δτ_max,i over all forces within the limits: a linear program."""
+    rows, n_f = case.rows, len(f_prev)
+    scaled = case.T_e * case.df_max / STEP_MAX[:, np.newaxis]
+    short = (tau - case.T_e @ f_prev) / STEP_MAX
+    G = rows.G * case.df_max / 1e4
+    before = rows.G @ f_prev / 1e4
+    one = np.ones((3, 1))
+    A = np.vstack(
+        [np.hstack([-scaled, -one]), np.hstack([scaled, -one])]
+        + [np.hstack([sign * G, np.zeros((len(G), 1))]) for sign in (1.0, -1.0)]
+    )
+    b = np.concatenate([-short, short, rows.high / 1e4 - before, before - rows.low / 1e4])
+    cost = np.append(np.zeros(n_f), 1.0)
+    answer = linprog(cost, A, b, bounds=[(-1.0, 1.0)] * n_f + [(0.0, None)])
+    assert answer.status == 0
+    return float(answer.fun)
+
+
+def slack_of(case: AllocationProblem, tau: np.ndarray, f_prev: np.ndarray) -> float:
+    """The largest |s_i|/Δτ_max,i of the optimum."""
+    builder = AllocationQP(case)
+    z = certify(builder.problem(builder.emit(tau, f_prev))).z
+    return float(np.abs(z[builder.n_f :]).max())
+
+
+def test_the_slack_is_next_to_nothing_where_the_demand_is_attainable_and_only_there() -> None:
+    """What is attainable is told by a linear program; there the slack falls as 1/Ω."""
+    attained = 0
+    for seed in range(40):
+        tau, f_prev = situation(seed, reach=1.6)
+        least = least_slack(problem(), tau, f_prev)
+        slack = slack_of(problem(), tau, f_prev)
+        assert slack >= least - 1e-9
+        if least > 1e-6:
+            assert slack > 1e-6
+            continue
+        attained += 1
+        assert slack < 1e-2
+        assert slack_of(problem(slack=1e4), tau, f_prev) == pytest.approx(0.01 * slack, rel=0.05)
+    assert 10 <= attained <= 30
+
+
+def test_without_limits_it_becomes_the_pseudo_inverse() -> None:
+    """β = 0, no limit in reach: the distance to the pseudo-inverse falls as 1/Ω."""
+    tau = np.array([3e3, -2e3, 5e4])
+    ship = replace(SHIP, thrusters=(*SHIP.thrusters[:2], SHIP.thrusters[3]))
+    wanted = problem(ship).pseudo_inverse() @ tau
+    np.testing.assert_allclose(ship.T_e @ wanted, tau, rtol=1e-9)
+    away = []
+    for slack in (1e2, 1e4, 1e6):
+        builder = AllocationQP(problem(ship, move=0.0, slack=slack))
+        z = certify(builder.problem(builder.emit(tau, np.zeros(5)))).z
+        assert np.abs(z[: builder.n_f]).max() < 0.9
+        away.append(float(np.abs(builder.moves(z) - wanted).max()))
+    assert away[0] < 0.01 * np.abs(wanted).max()
+    assert away[1] == pytest.approx(0.01 * away[0], rel=0.05)
+    assert away[2] == pytest.approx(0.0001 * away[0], rel=0.05)
+
+
+def test_the_pseudo_inverse_without_lost_thrusters() -> None:
+    """What is lost gets nothing, the rest makes the force; where it cannot, what comes closest."""
+    case, tau = problem(), np.array([5e4, -3e4, 8e5])
+    f = case.pseudo_inverse(frozenset({1, 4})) @ tau
+    assert (f[[2, 3, 7]] == 0.0).all()
+    np.testing.assert_allclose(SHIP.T_e @ f, tau, rtol=1e-9)
+    tunnel_alone = case.pseudo_inverse(frozenset({0, 1, 2, 4})) @ tau
+    scaled = SHIP.T_e[:, 6] / STEP_MAX
+    assert tunnel_alone[6] == pytest.approx(scaled @ (tau / STEP_MAX) / (scaled @ scaled))
+
+
+def test_the_mirrored_ship_does_the_mirrored_thing() -> None:
+    """Port and starboard exchanged, sway and yaw reversed."""
+    ship = ThrusterSet((*SHIP.thrusters[:2], SHIP.thrusters[3]))
+    builder = AllocationQP(problem(ship))
+    rng = np.random.default_rng(5)
+    mirror = np.zeros((5, 5))
+    mirror[[0, 1, 2, 3, 4], [2, 3, 0, 1, 4]] = [1.0, -1.0, 1.0, -1.0, -1.0]
+    for _ in range(10):
+        f = 0.6 * rng.uniform(-1.0, 1.0, 5) * ship.per_entry(ship.thrust_N)
+        tau = ship.T_e @ f + 2.0 * rng.uniform(-1.0, 1.0, 3) * STEP_MAX
+        there = builder.moves(certify(builder.problem(builder.emit(tau, f))).z)
+        tau_mirrored, f_mirrored = tau * [1.0, -1.0, -1.0], mirror @ f
+        qp = builder.problem(builder.emit(tau_mirrored, f_mirrored))
+        np.testing.assert_allclose(builder.moves(certify(qp).z), mirror @ there, atol=1e-3)
+
+
+@pytest.mark.parametrize("units", ["scaled", "si"])
+def test_equalities_have_two_equal_sides(units: str) -> None:
+    """To the last bit, whatever is demanded: no rounding makes a step infeasible."""
+    builder = AllocationQP(problem(), units=units)  # type: ignore[arg-type] # one of the two
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        step = builder.emit(1e6 * rng.normal(size=3), 1e5 * rng.normal(size=SHIP.n_f))
+        np.testing.assert_array_equal(step.l[:3], step.u[:3])
+        assert (step.l[3:] < step.u[3:]).all()
+
+
+def test_a_lost_thruster_is_soon_at_nothing_and_every_step_has_an_answer() -> None:
+    """From wherever it was, whatever is demanded: 0.9 of its rate less of the polygon at each
+    step; then it stays there."""
+    case, lost = problem(), {0, 3}
+    builder, limits = AllocationQP(case), case.rows.without(lost)
+    for seed in range(4):
+        tau, f = situation(seed)
+        for _ in range(int(np.ceil(8.0 / SAMPLE_S / RETREAT)) + 1):
+            optimum = certify(builder.problem(builder.emit(tau, f, limits=limits)))
+            assert np.isfinite(optimum.bound)
+            f = f + builder.moves(optimum.z)
+        assert np.abs(f[[0, 1, 6]]).max() < 1e-6
+        assert np.abs(f[[2, 3, 4, 5, 7]]).max() > 1e4
+
+
+def test_slacks_are_no_moves() -> None:
+    """The error of an answer is that of its moves; a wrong slack is seen by the residuals."""
+    builder = AllocationQP(problem())
+    qp = builder.problem(builder.emit(*situation(0)))
+    assert (qp.n, qp.m, qp.block, qp.moves) == (11, 3 + 6 + 6 + 8 + 1 + 1, 0, 8)
+    optimum = certify(qp)
+    away = optimum.z.copy()
+    away[8:] += 7.0
+    assert error_of(away, optimum, qp.block, qp.moves) == (0.0, 0.0)
+    away[3] += 0.5
+    assert error_of(away, optimum, qp.block, qp.moves) == (pytest.approx(0.5), pytest.approx(0.5))
