@@ -147,19 +147,9 @@ class AllocationQP:
         return step
 
     def _limit(self, step: QPStep, f_prev: Vector, low: Vector, high: Vector) -> None:
-        """Limits other than the problem's, as far as the rate can follow them.
-
-        The whole polygon of a lost thruster closes in, not only the rows that end at zero: one step
-        ahead those alone would let its force go round their corners for ever.
-        """
+        """Limits other than the problem's, as far as the rate can follow them."""
         problem = self.allocation
-        before, of_thruster = problem.rows.G @ f_prev, problem.rows.thruster
-        least, most = (side[0] for side in self._retreat.reach(f_prev))
-        lost = np.isin(of_thruster, of_thruster[low == high])
-        closing = lost & (least < most)
-        low, high = (low - before) / problem.row_max, (high - before) / problem.row_max
-        low = np.where(closing, least, np.minimum(low, least))
-        high = np.where(closing, most, np.maximum(high, most))
+        low, high = (side[0] for side in self._retreat.limits(f_prev, low, high))
         unit = problem.row_max / self._row_unit[AXES:]
         step.l[AXES:], step.u[AXES:] = low * unit, high * unit
 

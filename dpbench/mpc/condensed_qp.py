@@ -205,15 +205,16 @@ class CondensedQP:
     def _limit(self, step: QPStep, u_prev: Vector, u_min: Vector, u_max: Vector) -> None:
         """Amplitude limits other than the vessel's, as the policy says."""
         problem, retreat = self.control, self._retreat
-        before = u_prev if retreat is None else problem.G @ u_prev
-        high, low = (u_max - before) / problem.row_max, (u_min - before) / problem.row_max
-        if self.amplitude == "reachable" and retreat is None:
-            # In rate-limit steps the reachable bounds −i and i are exact, so a row that is forced
-            # to its bound meets it to the last bit and no rounding makes the step infeasible.
-            high, low = np.maximum(high, -self._i), np.minimum(low, self._i)
-        elif self.amplitude == "reachable" and retreat is not None:
-            least, most = retreat.reach(u_prev)
-            high, low = np.maximum(high, most), np.minimum(low, least)
+        if retreat is not None and self.amplitude == "reachable":
+            low, high = retreat.limits(u_prev, u_min, u_max)
+        else:
+            before = u_prev if retreat is None else problem.G @ u_prev
+            high, low = (u_max - before) / problem.row_max, (u_min - before) / problem.row_max
+            if self.amplitude == "reachable":
+                # In rate-limit steps the reachable bounds −i and i are exact, so a row that is
+                # forced to its bound meets it to the last bit and no rounding makes the step
+                # infeasible.
+                high, low = np.maximum(high, -self._i), np.minimum(low, self._i)
         np.multiply(low, self._row_unit, out=step.l.reshape(self._row_shape)[self._lower])
         np.multiply(high, self._row_unit, out=step.u.reshape(self._row_shape)[self._upper])
 

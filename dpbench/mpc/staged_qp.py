@@ -200,23 +200,23 @@ class StagedQP:
         low[n_u:first] = high[n_u:first] = model.A.dot(x)
         q = self._held.dot(y_ref) if y_ref.ndim == 1 else self._preview(y_ref)
         if limits is not None:
-            u_min, u_max = limits[0] / self._row_unit, limits[1] / self._row_unit
-            if self.amplitude == "reachable":
-                least, most = self._reachable(before)
-                u_min, u_max = np.minimum(u_min, least), np.maximum(u_max, most)
+            u_min, u_max = self._in_force(before, *limits)
             self._amplitudes(low)[...], self._amplitudes(high)[...] = u_min, u_max
         return QPStep(q, low, high)
 
-    def _reachable(self, before: Vector) -> tuple[Matrix, Matrix]:
-        """What the rate lets the lower and the upper limits of a row be, from these forces on."""
+    def _in_force(self, before: Vector, u_min: Vector, u_max: Vector) -> tuple[Matrix, Matrix]:
+        """The limits of the rows from these forces on, in own units, as the policy says."""
+        low, high = u_min / self._row_unit, u_max / self._row_unit
+        if self.amplitude != "reachable":
+            return low, high
         if self._retreat is None:
             room = self._reach - 2.0 * np.spacing(np.abs(before) + self._reach)
-            return before + room, before - room
+            return np.minimum(low, before + room), np.maximum(high, before - room)
         force = before * self._unit
         along = self.control.G @ force / self._row_unit
         unit = self.control.row_max / self._row_unit
-        least, most = self._retreat.reach(force)
-        return along + least * unit, along + most * unit
+        low, high = self._retreat.limits(force, u_min, u_max)
+        return along + low * unit, along + high * unit
 
     def _preview(self, y_ref: Matrix) -> Vector:
         """q of a reference that changes along the horizon (N_p, n_y)."""

@@ -107,14 +107,16 @@ GONE = 0.05
 
 
 class Retreat:
-    """How the limits of a lost thruster close in, so that they stay reachable at its rate.
+    """How limits that dropped below a force close in, so that they stay reachable at its rate.
 
-        g = gauge of f: the least share of its polygon that holds f
-        row k of move i:   λ_i g (its intact limit),   λ_i = 1 − 0.9 i Δf_max / |f|
+        λ_i = 1 − 0.9 i Δf_max / |f| at move i, zero where hardly anything is left
+        lost thruster:  all its rows at λ_i g of their intact limits, g the share that holds f now
+        other limits:   row k no further than λ_i G_k f
 
-    The polygon shrinks as a whole, with room inside until it is nothing: the straight way λ_i f
-    lies in it at every move and keeps to the rate of each entry. Limits that are in force hold
-    where they allow more.
+    The straight way λ_i f lies within them at every move and keeps to the rate of each entry. The
+    polygon of a lost thruster shrinks as a whole, with room inside until it is nothing: rows that
+    end at zero alone would let its force go round their corners for ever. A thruster is lost where
+    its limits in force leave it nothing, which its rows that are zero on both sides say.
 
     Parameters
     ----------
@@ -133,18 +135,18 @@ class Retreat:
         )
         self._shape = 2, N_c, len(rows.low)
 
-    def reach(self, f: Vector) -> tuple[Matrix, Matrix]:
-        """The limits that remain, less G f, in units of the rows: least and most, (N_c, r) each."""
+    def limits(self, f: Vector, low: Vector, high: Vector) -> tuple[Matrix, Matrix]:
+        """What low and high (r,) are at each move, less G f, in units of rows: (N_c, r) each."""
         out = np.empty(self._shape)
-        _closing_in(*self._constants, f, out)
+        _closing_in(*self._constants, f, low, high, out)
         return out[0], out[1]
 
 
 @njit(cache=True)
-def _closing_in(G, limits, row_of, entry_of, du_max, row_max, f, out):  # type: ignore[no-untyped-def] # numba
-    """(λ_i g limits − G f) / row_max into out (2, N_c, r), limits (2, r) being low and high."""
+def _closing_in(G, intact, row_of, entry_of, du_max, row_max, f, low, high, out):  # type: ignore[no-untyped-def] # numba
+    """Limits of each move less G f over row_max into out (2, N_c, r); intact (2, r)."""
     r, n_f, p = G.shape[0], G.shape[1], entry_of[-1] + 1
-    along, gauge, steps = np.zeros(r), np.zeros(p), np.zeros(p)
+    along, gauge, steps, lost = np.zeros(r), np.zeros(p), np.zeros(p), np.zeros(p)
     for j in range(n_f):
         steps[entry_of[j]] += (f[j] / du_max[j]) ** 2
     steps = np.sqrt(steps)
@@ -152,12 +154,20 @@ def _closing_in(G, limits, row_of, entry_of, du_max, row_max, f, out):  # type: 
         for j in range(n_f):
             along[k] += G[k, j] * f[j]
         # A sector's edge has zero for a limit: no share of it tells where f is.
-        limit = limits[1 if along[k] > 0.0 else 0, k]
+        limit = intact[1 if along[k] > 0.0 else 0, k]
         if limit != 0.0:
             gauge[row_of[k]] = max(gauge[row_of[k]], along[k] / limit)
+        if low[k] == high[k]:
+            lost[row_of[k]] = 1.0
     for i in range(out.shape[1]):
         for k in range(r):
-            left = steps[row_of[k]] - RETREAT * (i + 1)
-            share = gauge[row_of[k]] * left / steps[row_of[k]] if left > GONE else 0.0
-            for side in range(2):
-                out[side, i, k] = (share * limits[side, k] - along[k]) / row_max[k]
+            t = row_of[k]
+            left = steps[t] - RETREAT * (i + 1)
+            share = left / steps[t] if left > GONE else 0.0
+            least, most = low[k], high[k]
+            if lost[t] == 0.0:
+                least, most = min(least, share * along[k]), max(most, share * along[k])
+            elif share > 0.0:
+                least, most = share * gauge[t] * intact[0, k], share * gauge[t] * intact[1, k]
+            out[0, i, k] = (least - along[k]) / row_max[k]
+            out[1, i, k] = (most - along[k]) / row_max[k]

@@ -109,9 +109,8 @@ def _at_limits(
     retreat = Retreat(control.rows, step_max, unit, 1)
     violated = int(too_fast.sum())
     for k in np.flatnonzero(beyond.any(axis=1) & ~too_fast).tolist():
-        least, most = (row[0] * unit for row in retreat.reach(before[k]))
-        back = G @ before[k]
-        above = along[k] > np.maximum(high[k], back + most) + 1e-9 * unit
-        below = along[k] < np.minimum(low[k], back + least) - 1e-9 * unit
-        violated += bool((above | below).any())
+        change = along[k] - G @ before[k]
+        least, most = (side[0] * unit for side in retreat.limits(before[k], low[k], high[k]))
+        outside = (change > most + 1e-9 * unit) | (change < least - 1e-9 * unit)
+        violated += bool(outside.any())
     return float(at_limit.mean()), float(violated)

@@ -87,8 +87,8 @@ class ThrusterLimit:
         out = (before > u_max + self._rounding) | (before < u_min - self._rounding)
         base = u
         if out.any():
-            least, most = (row[0] * self._row_max + before for row in self._retreat.reach(u))
-            u_min, u_max = np.minimum(u_min, least), np.maximum(u_max, most)
+            closing = self._retreat.limits(u, u_min, u_max)
+            u_min, u_max = (side[0] * self._row_max + before for side in closing)
             lost = np.isin(rows.entry, rows.thruster[out])
             squares = np.bincount(rows.entry, (u / du_max) ** 2)
             back = 1.0 - 1.0 / np.sqrt(np.maximum(squares, 1.0))[rows.entry]
