@@ -59,6 +59,7 @@ from dpbench.solvers.own.active_set.kernel import begin
 from dpbench.solvers.own.active_set.layout import (
     BEFORE,
     BLOCK,
+    BLOCK_ROWS,
     HEAD,
     HIGH,
     INFEASIBLE,
@@ -89,15 +90,15 @@ from dpbench.solvers.own.safeguards.proof import contradicts
 def carry_over(S: Matrix, width: int) -> None:
     """The multipliers move on by one move, those of the last move stay; or all become zero."""
     n, n_pad, m = int(S[HEAD, N]) & MASK, int(S[HEAD, N_PAD]) & MASK, int(S[HEAD, M]) & MASK
-    block = int(S[HEAD, BLOCK]) & MASK
+    block, block_rows = int(S[HEAD, BLOCK]) & MASK, int(S[HEAD, BLOCK_ROWS]) & MASK
     if S[HEAD, STALE] > 0.0 or S[HEAD, KEEP] == 0.0:
         for i in range(width):
             S[LAM, i] = 0.0
         return
     for i in range(n - block):
         S[LAM, i] = S[LAM, i + block]
-    for i in range(n_pad, n_pad + m - block):
-        S[LAM, i] = S[LAM, i + block]
+    for i in range(n_pad, n_pad + m - block_rows):
+        S[LAM, i] = S[LAM, i + block_rows]
 
 
 @compiled

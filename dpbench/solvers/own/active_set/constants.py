@@ -23,9 +23,6 @@ LANES = 16
 LINE_BYTES = 64
 # A guard against rounding only: the method ends by itself, usually within n + m iterations.
 ITERATIONS_PER_ROW = 20
-# What a plan's length in the norm of P may be, times that of a row in P⁻¹ or of P itself, for what
-# is allowed of it (2e-12) to be no more than 1e-9 in a row or in the gradient.
-SIZE = 500.0
 # What a multiplier may be for its rounding to be no more than 1e-10 in the gradient.
 MOST = 1e5
 # A row shorter than this in the norm of P⁻¹ is zero: its square underflows.
@@ -86,9 +83,11 @@ def fill(S: Matrix, qp: QuadraticProgram, *, keep: bool) -> str:
     S[layout.LOW, :n], S[layout.HIGH, :n] = qp.lb, qp.ub
     S[layout.LOW, rows], S[layout.HIGH, rows], S[layout.Q, :n] = qp.l, qp.u, qp.q
     head = S[layout.HEAD]
-    head[layout.KEEP], head[layout.BLOCK], head[layout.STALE] = keep, qp.block, 1
+    head[layout.KEEP], head[layout.STALE] = keep, 1
+    head[layout.BLOCK], head[layout.BLOCK_ROWS] = qp.block, m * qp.block // n
     check = S[layout.CHECK]
-    check[layout.SIZE] = SIZE / np.sqrt(max(H.diagonal().max(), np.trace(P)))
+    check[layout.LONGEST] = np.sqrt(H.diagonal().max())
+    check[layout.STEEPEST] = np.sqrt(np.trace(P))
     check[layout.MOST] = MOST / max(np.abs(qp.A).max(initial=0.0), 1.0)
     return ""
 

@@ -52,6 +52,10 @@ from dpbench.solvers.own.active_set.layout import (
 VIOLATED = 1e-13
 """A row counts as violated beyond this many roundings of the quantities it is computed from."""
 
+CLOSE = 1e-6
+"""Below this share of its squared length a row's distance from the active ones is computed anew
+from the rows themselves, because the factor has lost six digits of it."""
+
 
 @compiled
 def product(S: Matrix, out: int, first: int, by: int, n: int, start: int, stop: int) -> None:
@@ -79,6 +83,50 @@ def backward(S: Matrix, L: int, w: int, b: int) -> None:
         S[b, i] = x
         for k in range(i):
             S[b, k] -= S[L + i, k] * x
+
+
+@compiled
+def distance(S: Matrix, L: int, J: int, j: int, n: int, w: int) -> float:
+    """Squared distance of row j from the active ones, r and the factor's row corrected with it."""
+    for again in range(2):
+        for i in range(n):
+            S[X, i] = S[J + j, i]
+        for k in range(w):
+            a, r = S[R, k], J + (int(S[ACTIVE, k]) & MASK)
+            for i in range(n):
+                S[X, i] -= a * S[r, i]
+        if again == 0:
+            for k in range(w):
+                r, s = J + (int(S[ACTIVE, k]) & MASK), 0.0
+                for i in range(n):
+                    s += S[X, i] * S[r, i]
+                S[E, k] = s
+            forward(S, L, w, E)
+            for k in range(w):
+                S[STEP, k] += S[E, k]
+            backward(S, L, w, E)
+            for k in range(w):
+                S[R, k] += S[E, k]
+    d = 0.0
+    for i in range(n):
+        d += S[X, i] * S[X, i]
+    return d
+
+
+@compiled
+def direction(S: Matrix, L: int, H: int, J: int, j: int, n: int, w: int) -> float:
+    """r = H_WW⁻¹ H_Wj in R, the factor's new row in STEP; the squared distance of row j from W."""
+    for k in range(w):
+        S[STEP, k] = S[H + j, int(S[ACTIVE, k]) & MASK]
+    forward(S, L, w, STEP)
+    d = S[H + j, j]
+    for k in range(w):
+        S[R, k] = S[STEP, k]
+        d -= S[STEP, k] * S[STEP, k]
+    backward(S, L, w, R)
+    if w > 0 and d < CLOSE * S[H + j, j]:
+        return distance(S, L, J, j, n, w)
+    return float(d)
 
 
 @compiled
@@ -124,33 +172,58 @@ def drop(S: Matrix, L: int, k: int, w: int) -> None:
 
 
 @compiled
-def multipliers(S: Matrix, L: int) -> int:
-    """λ_W of the active set (eq. 31); how many are wrong, or −1 if a limit is infinite."""
-    w = int(S[HEAD, COUNT]) & MASK
+def solve_active(S: Matrix, L: int, w: int) -> bool:
+    """R = λ_W of the active set (eq. 31); False if a limit is infinite."""
     for k in range(w):
         i = int(S[ACTIVE, k]) & MASK
         g = limit_of(S, i)
         if abs(g) == inf:
-            return -1
+            return False
         S[R, k] = S[V0, i] - g
     forward(S, L, w, R)
     backward(S, L, w, R)
-    wrong = 0
+    return True
+
+
+@compiled
+def multipliers(S: Matrix, L: int) -> int:
+    """λ_W of the active set if none is wrong; how many are, or −1 if a limit is infinite."""
+    w, wrong = int(S[HEAD, COUNT]) & MASK, 0
+    if not solve_active(S, L, w):
+        return -1
     for k in range(w):
         i = int(S[ACTIVE, k]) & MASK
-        S[LAM, i] = S[R, k]
-        wrong += is_wrong(S, i)
+        wrong += (S[R, k] * S[SIDE, i] < 0.0) & (S[LOW, i] < S[HIGH, i])
+    if wrong == 0:
+        for k in range(w):
+            S[LAM, int(S[ACTIVE, k]) & MASK] = S[R, k]
     return wrong
 
 
 @compiled
 def repair(S: Matrix, L: int) -> None:
-    """Drop wrong multipliers until the set is dual feasible."""
-    while multipliers(S, L) > 0:
-        for k in range((int(S[HEAD, COUNT]) & MASK) - 1, -1, -1):
-            if is_wrong(S, int(S[ACTIVE, k]) & MASK):
-                drop(S, L, k, int(S[HEAD, COUNT]) & MASK)
-                S[HEAD, ITERATIONS] += 1
+    """Move λ to eq. 31, and drop the row whose multiplier is zero first, until there is none."""
+    while True:
+        w = int(S[HEAD, COUNT]) & MASK
+        if not solve_active(S, L, w):
+            return
+        first, t = -1, 1.0
+        for k in range(w):
+            i, a = int(S[ACTIVE, k]) & MASK, S[R, k]
+            if a * S[SIDE, i] < 0.0 and S[LOW, i] < S[HIGH, i]:
+                lam = abs(S[LAM, i])
+                share = lam / (lam + abs(a))
+                if first < 0 or share < t:
+                    first, t = k, share
+        if first < 0:
+            for k in range(w):
+                S[LAM, int(S[ACTIVE, k]) & MASK] = S[R, k]
+            return
+        for k in range(w):
+            i = int(S[ACTIVE, k]) & MASK
+            S[LAM, i] += t * (S[R, k] - S[LAM, i])
+        drop(S, L, first, w)
+        S[HEAD, ITERATIONS] += 1
 
 
 @compiled

@@ -1,16 +1,18 @@
 """The paper's active-set method (eq. 30-32) compiled: one call per step.
 
-The set of the step before is tried as it is. If it is not optimal it is moved on by one move, its
-wrong multipliers are dropped until the rest is dual feasible, and the rule of Goldfarb and Idnani
-goes on from there: the most violated row is brought in, and rows whose multiplier reaches zero on
-the way are dropped (`qp/dual_active_set.py` says why that ends for any such start). What rounding
-does not let it tell is answered `UNDECIDED`. The answer is then refined in the problem's own data,
+The set of the step before is tried as it is. If it is not optimal it is moved on by one move with
+its multipliers, and these are moved to what eq. 31 asks for; a row whose multiplier reaches zero on
+the way is dropped. From that dual feasible set the rule of Goldfarb and Idnani goes on: the most
+violated row is brought in, and rows whose multiplier reaches zero on the way are dropped
+(`qp/dual_active_set.py` says why that ends for any such start). What rounding does not let it tell
+is answered `UNDECIDED`. The answer is then refined in the problem's own data,
 
     P δz + C_Wᵀ δλ = −(P z + q + Cᵀλ),   C_W δz = g − C_W z,
 
-until the correction is rounding, and is checked against every row again if it is not at once; in
-full (`check`) where rounding of large multipliers or of a long plan may show. `layout` shows the
-array S that all of it works on, and what its indices mean.
+until a correction is rounding, or the next one would be. It is checked against every row again if
+it is not at once; in full (`check`) where rounding of large multipliers or of a long plan may show;
+and where more rows meet than are active, whether rounding moves the point (`crowded`). `layout`
+shows the array S that all of it works on, and what its indices mean.
 
 An example to follow by hand: the point nearest (3, 3) under z₁ ≤ 1, z₂ ≤ 1 and z₁ + z₂ ≤ 2.5, that
 is P = I and q = (−3, −3). Bounds are rows 0 and 1 of C, the row of A is row 16 as n is padded to
@@ -67,19 +69,21 @@ from typing import Any
 from numba import njit
 
 from dpbench.arrays import Matrix
-from dpbench.solvers.own.active_set.check import excess, is_crowded, is_near
+from dpbench.solvers.own.active_set.check import excess, is_near, largest
+from dpbench.solvers.own.active_set.crowded import is_crowded
 from dpbench.solvers.own.active_set.factor import (
+    CLOSE,
     VIOLATED,
     append,
-    backward,
+    direction,
     drop,
     evaluate,
-    forward,
     most_violated,
     multipliers,
     product,
     refine,
     repair,
+    row_values,
     settle_signs,
     values,
 )
@@ -88,6 +92,7 @@ from dpbench.solvers.own.active_set.layout import (
     ASIDE,
     BEFORE,
     BLOCK,
+    BLOCK_ROWS,
     CHECK,
     COUNT,
     CROSSED,
@@ -102,39 +107,33 @@ from dpbench.solvers.own.active_set.layout import (
     LARGEST,
     LENGTH,
     LIMIT,
+    LONGEST,
     LOW,
     MASK,
     MOST,
     N_PAD,
     NOT_FINITE,
-    PINNED,
     PUT_ASIDE,
     REORDER,
     SIDE,
-    SIZE,
     STALE,
     STAMP,
+    STEEPEST,
     STEP,
     UNDECIDED,
     UNIT,
     V0,
-    VECTORS,
     WORST,
-    E,
     M,
     N,
     Q,
     R,
     V,
-    X,
     compiled,
     stamp,
     starts,
 )
 
-CLOSE = 1e-6
-"""Below this share of its squared length a row's distance from the active ones is computed anew
-from the rows themselves, because the factor has lost six digits of it."""
 DEPENDENT, UNCLEAR = 1e-11, 1e-7
 """Below the first share of its length a row is a combination of the active ones; between the two
 it cannot be told here."""
@@ -143,50 +142,6 @@ NO_PART = 1e-11
 multiplier's way to zero ends a step, and on a share that is rounding that way has no end."""
 CONTRADICTION = 1e-9
 """A violated dependent row is taken for a contradiction if violated by more than this share."""
-
-
-@compiled
-def distance(S: Matrix, L: int, J: int, j: int, n: int, w: int) -> float:
-    """Squared distance of row j from the active ones, r and the factor's row corrected with it."""
-    for again in range(2):
-        for i in range(n):
-            S[X, i] = S[J + j, i]
-        for k in range(w):
-            a, r = S[R, k], J + (int(S[ACTIVE, k]) & MASK)
-            for i in range(n):
-                S[X, i] -= a * S[r, i]
-        if again == 0:
-            for k in range(w):
-                r, s = J + (int(S[ACTIVE, k]) & MASK), 0.0
-                for i in range(n):
-                    s += S[X, i] * S[r, i]
-                S[E, k] = s
-            forward(S, L, w, E)
-            for k in range(w):
-                S[STEP, k] += S[E, k]
-            backward(S, L, w, E)
-            for k in range(w):
-                S[R, k] += S[E, k]
-    d = 0.0
-    for i in range(n):
-        d += S[X, i] * S[X, i]
-    return d
-
-
-@compiled
-def direction(S: Matrix, L: int, H: int, J: int, j: int, n: int, w: int) -> float:
-    """r = H_WW⁻¹ H_Wj in R, the factor's new row in STEP; the squared distance of row j from W."""
-    for k in range(w):
-        S[STEP, k] = S[H + j, int(S[ACTIVE, k]) & MASK]
-    forward(S, L, w, STEP)
-    d = S[H + j, j]
-    for k in range(w):
-        S[R, k] = S[STEP, k]
-        d -= S[STEP, k] * S[STEP, k]
-    backward(S, L, w, R)
-    if w > 0 and d < CLOSE * S[H + j, j]:
-        return distance(S, L, J, j, n, w)
-    return float(d)
 
 
 @compiled
@@ -284,7 +239,7 @@ def take_up(S: Matrix, H: int, size: float) -> int:
 
 
 @compiled
-def take_in(S: Matrix, L: int, H: int, i: int, side: float) -> None:
+def take_in(S: Matrix, L: int, H: int, i: int, side: float, lam: float) -> None:
     """Row i into the set to start from, unless it is in, has no limit, or leans on the others."""
     w = int(S[HEAD, COUNT]) & MASK
     g = S[HIGH, i] if side > 0.0 else S[LOW, i]
@@ -300,26 +255,28 @@ def take_in(S: Matrix, L: int, H: int, i: int, side: float) -> None:
         d -= s * s
     if d > CLOSE * S[H + i, i]:
         append(S, L, w, i, side, d)
+        S[LAM, i] = lam
 
 
 @compiled
 def shift(S: Matrix, L: int, H: int) -> None:
     """The set moves on by one move; the last move keeps what it had as well."""
     n, n_pad, m = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, int(S[HEAD, M])
-    block, w = int(S[HEAD, BLOCK]) & MASK, int(S[HEAD, COUNT]) & MASK
+    block, block_rows = int(S[HEAD, BLOCK]) & MASK, int(S[HEAD, BLOCK_ROWS]) & MASK
+    w = int(S[HEAD, COUNT]) & MASK
     for k in range(w):
         i = int(S[ACTIVE, k]) & MASK
-        S[BEFORE, k] = (i + 1) * S[SIDE, i]
+        S[BEFORE, k], S[R, k] = (i + 1) * S[SIDE, i], S[LAM, i]
         S[SIDE, i] = S[LAM, i] = 0.0
     S[HEAD, COUNT] = 0
     for k in range(w):
         side = 1.0 if S[BEFORE, k] > 0.0 else -1.0
         i = (int(abs(S[BEFORE, k])) - 1) & MASK
-        first, end = (0, n) if i < n_pad else (n_pad, n_pad + m)
-        if i - first >= block:
-            take_in(S, L, H, (i - block) & MASK, side)
-        if i >= end - block:
-            take_in(S, L, H, i, side)
+        first, end, by = (0, n, block) if i < n_pad else (n_pad, n_pad + m, block_rows)
+        if i - first >= by:
+            take_in(S, L, H, (i - by) & MASK, side, S[R, k])
+        if i >= end - by:
+            take_in(S, L, H, i, side, S[R, k])
 
 
 @compiled
@@ -334,6 +291,8 @@ PASSES = 20
 SETTLED = 1e-12
 """A correction of no more than this share leaves nothing to correct: each is a small part of the
 one before."""
+NO_ERROR, ROUNDING = 1e-9, 1e-14
+"""Allowed in a row, and in the gradient of 1 + ‖q‖; what rounding leaves of a plan's length."""
 NEAR = 10.0
 """How much longer v₀ may be than v before v, their difference, is computed anew."""
 
@@ -358,13 +317,12 @@ def begin(S: Matrix, K: int, width: int) -> float:
     for i in range(width):
         S[V0, i] = 0.0
     product(S, V0, K, Q, n, 0, width)
-    size, bad, pinned = length(S, V0, width), 0, 0
+    size, bad = length(S, V0, width), 0
     for i in range(width):
         bad += not ((S[LOW, i] <= S[HIGH, i]) & (S[LOW, i] < inf) & (S[HIGH, i] > -inf))
-        pinned += S[LOW, i] == S[HIGH, i]
     if not size < inf:
         return NOT_FINITE
-    S[CHECK, LENGTH], S[CHECK, PINNED] = size, pinned
+    S[CHECK, LENGTH] = size
     return CROSSED if bad else size
 
 
@@ -406,17 +364,20 @@ def look_again(S: Matrix, P: int, L: int, H: int, noise: float, size: float, dro
 
 
 @compiled
-def is_clear(S: Matrix, size: float) -> bool:
-    """Whether a correction of no more than `SETTLED` is all that an answer can be in error by."""
-    small = size <= S[CHECK, SIZE] and S[CHECK, LARGEST] <= S[CHECK, MOST]
-    return bool(small and S[HEAD, ASIDE] == 0.0)
+def is_clear(S: Matrix, size: float, correction: float) -> bool:
+    """Whether what is left after a settled correction is no error of any row or of the gradient."""
+    cost = max(1.0, largest(S, Q, int(S[HEAD, N_PAD]) & MASK))
+    error = max(correction, ROUNDING * size)
+    small = error * S[CHECK, LONGEST] <= NO_ERROR and error * S[CHECK, STEEPEST] <= NO_ERROR * cost
+    return bool(small and S[CHECK, LARGEST] <= S[CHECK, MOST] and S[HEAD, ASIDE] == 0.0)
 
 
 @compiled
 def solved(S: Matrix, P: int, H: int, size: float, clear: bool) -> int:
     """The number of iterations; `DOUBTFUL` where rounding may decide where the optimum is."""
-    n, width = P - VECTORS, S.shape[1] & MASK
-    if S[CHECK, PINNED] > 0.0 or is_crowded(S, width, size):
+    n, width = int(S[HEAD, N_PAD]) & MASK, S.shape[1] & MASK
+    _, _, _, J, _, L = starts(n, width)
+    if is_crowded(S, L, H, J, size):
         return DOUBTFUL
     if not clear and (S[HEAD, ASIDE] > 0.0 or not is_near(S, P, H, n, width)):
         return DOUBTFUL
@@ -430,7 +391,7 @@ def solve(S: Matrix) -> int:
     size = begin(S, K, width)
     if size < 0.0:
         return int(size)
-    coarse, before = VIOLATED * size, inf
+    coarse, first, before = VIOLATED * size, size * size, size * size
     j = start(S, L, H, width, coarse)
     # Whether rows contradict each other is decided on refined values only.
     size = inf
@@ -443,9 +404,14 @@ def solve(S: Matrix) -> int:
         dropped = settle_signs(S, L, max(coarse, rounding))
         size = length(S, V, width)
         fine = VIOLATED * size
-        settled = dropped == 0 and correction <= SETTLED * SETTLED * size * size
-        clear = settled and is_clear(S, size)
-        if clear and coarse <= NEAR * fine:
+        # What the next correction would be: as much smaller as this one is.
+        following = correction * min(1.0, correction / before)
+        settled = dropped == 0 and following <= SETTLED * SETTLED * size * size
+        clear = settled and is_clear(S, size, rounding)
+        if clear and coarse > NEAR * fine:
+            row_values(S, V, P, n, width)
+            clear = most_violated(S, width, fine) < 0
+        if clear:
             return solved(S, P, H, size, clear)
         j = look_again(S, P, L, H, max(fine, rounding), size, dropped)
         # No longer falling: the correction is the rounding of this problem.
@@ -457,7 +423,7 @@ def solve(S: Matrix) -> int:
             j = -1 if falling else int(S[CHECK, WORST])
             if j < 0 and not falling:
                 return UNDECIDED
-        before = correction if j < 0 else inf
+        before = correction if j < 0 else first
     return UNDECIDED
 
 

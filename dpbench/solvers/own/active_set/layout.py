@@ -43,8 +43,8 @@ HEAD, CHECK, Q, LOW, HIGH, UNIT, SUM, V0, V = range(9)
 LAM, SIDE, ACTIVE, INVERSE, R, STEP, X, E, Z, BEFORE = range(9, 19)
 VECTORS = 19
 # Slots of row HEAD, and of row CHECK; there is room for sixteen in a row.
-N, N_PAD, M, COUNT, ASIDE, ITERATIONS, LIMIT, KEEP, STALE, BLOCK, STAMP = range(11)
-SIZE, MOST, LARGEST, LENGTH, WORST, PINNED = range(6)
+N, N_PAD, M, COUNT, ASIDE, ITERATIONS, LIMIT, KEEP, STALE, BLOCK, BLOCK_ROWS, STAMP = range(12)
+LONGEST, STEEPEST, MOST, LARGEST, LENGTH, WORST = range(6)
 PUT_ASIDE = 2.0
 """SIDE of a row that is the active ones written twice: not active, its multiplier part of v₀."""
 MASK = 0xFFFFFF
