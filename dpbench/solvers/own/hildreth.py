@@ -81,6 +81,7 @@ from dpbench.solvers.own.active_set.layout import (
     compiled,
     stamp,
     starts,
+    width_of,
 )
 from dpbench.solvers.own.compiled_workspace import CompiledWorkspace
 from dpbench.solvers.own.safeguards.proof import contradicts
@@ -150,7 +151,7 @@ def impossible(S: Matrix, H: int, width: int) -> bool:
 
 @compiled
 def ascend(S: Matrix, max_iter: int, eps_change: float, eps_row: float) -> int:
-    n, width = int(S[HEAD, N_PAD]) & MASK, S.shape[1] & MASK
+    n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
     K, _, H, _, _, _ = starts(n, width)
     carry_over(S, width)
     size = begin(S, K, width)

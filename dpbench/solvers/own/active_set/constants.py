@@ -18,6 +18,7 @@ import scipy.linalg
 from dpbench.arrays import Matrix, Vector
 from dpbench.qp.program import QuadraticProgram
 from dpbench.solvers.own.active_set import layout as layout
+from dpbench.solvers.own.active_set.kernel import mark_spans
 
 LANES = 16
 LINE_BYTES = 64
@@ -44,7 +45,7 @@ def empty(n: int, m: int) -> Matrix:
     n_pad, m_pad = _padded(n), _padded(m)
     width = n_pad + m_pad
     L = layout.block_starts(n_pad, width)[-1]
-    S = _aligned(L + n_pad, width)
+    S = _aligned(L + n_pad, width + layout.TAIL)
     head = S[layout.HEAD]
     head[layout.N], head[layout.N_PAD], head[layout.M] = n, n_pad, m
     head[layout.LIMIT] = ITERATIONS_PER_ROW * (n + m)
@@ -60,7 +61,7 @@ def fill(S: Matrix, qp: QuadraticProgram, *, keep: bool) -> str:
     keep : whether a solve starts from the active set of the one before, moved on by `qp.block`.
     """
     n, m = qp.n, qp.m
-    n_pad, width = _padded(n), S.shape[1]
+    n_pad, width = _padded(n), S.shape[1] - layout.TAIL
     rows = slice(n_pad, n_pad + m)
     if not (np.isfinite(qp.P).all() and np.isfinite(qp.A).all()):
         return "P or A is not finite"
@@ -75,10 +76,11 @@ def fill(S: Matrix, qp: QuadraticProgram, *, keep: bool) -> str:
     K, PA, H, Jt, A = _blocks(S, n_pad)
     K[:n] = -scipy.linalg.solve_triangular(L, J, lower=True, trans="T", check_finite=False)
     PA[:n, :n], PA[:n, rows] = P, qp.A.T
-    S[layout.SUM] = np.abs(PA).sum(axis=0)
     H[:] = J.T @ J
+    mark_spans(S)
+    S[layout.SUM, :width] = np.abs(PA).sum(axis=0)
     Jt[:, :n], A[:m, :n] = J.T, qp.A
-    S[layout.UNIT] = _unit(H, n, rows)
+    S[layout.UNIT, :width] = _unit(H, n, rows)
     S[layout.LOW], S[layout.HIGH] = -np.inf, np.inf
     S[layout.LOW, :n], S[layout.HIGH, :n] = qp.lb, qp.ub
     S[layout.LOW, rows], S[layout.HIGH, rows], S[layout.Q, :n] = qp.l, qp.u, qp.q
@@ -94,8 +96,9 @@ def fill(S: Matrix, qp: QuadraticProgram, *, keep: bool) -> str:
 
 def _blocks(S: Matrix, n_pad: int) -> tuple[Matrix, ...]:
     """K, [P Aᵀ], H, Jᵀ, A as views of S."""
-    firsts = layout.block_starts(n_pad, S.shape[1])
-    return tuple(S[first:end] for first, end in itertools.pairwise(firsts))
+    width = S.shape[1] - layout.TAIL
+    firsts = layout.block_starts(n_pad, width)
+    return tuple(S[first:end, :width] for first, end in itertools.pairwise(firsts))
 
 
 def _unit(H: Matrix, n: int, rows: slice) -> Vector:

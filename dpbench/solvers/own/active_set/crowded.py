@@ -39,6 +39,7 @@ from dpbench.solvers.own.active_set.layout import (
     R,
     V,
     compiled,
+    width_of,
 )
 
 NEAR, STEEP = 1e-8, 1e-4
@@ -53,7 +54,7 @@ MOST_EXTRA = 16
 @compiled
 def is_crowded(S: Matrix, L: int, H: int, J: int, size: float) -> bool:
     """Whether rounding may decide where the answer lies; `size` is its length in the norm of P."""
-    near, w, width = 0, int(S[HEAD, COUNT]) & MASK, S.shape[1] & MASK
+    near, w, width = 0, int(S[HEAD, COUNT]) & MASK, width_of(S)
     for i in range(width):
         u, v = S[UNIT, i], S[V, i]
         little = NEAR * (abs(v) * u + size)
@@ -86,7 +87,7 @@ def corners_hold(S: Matrix, L: int, H: int, J: int, size: float) -> bool:
 
     Those that are independent join the active ones first, for the others to be combinations.
     """
-    n, width = int(S[HEAD, N_PAD]) & MASK, S.shape[1] & MASK
+    n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
     for k in range(int(S[HEAD, COUNT]) & MASK):
         i = int(S[ACTIVE, k]) & MASK
         if S[LOW, i] < S[HIGH, i] and side_near(S, i, size) == 2.0:

@@ -47,7 +47,9 @@ from dpbench.solvers.own.active_set.layout import (
     X,
     Z,
     compiled,
+    width_of,
 )
+from dpbench.solvers.own.active_set.spans import ALL, BOUNDS, ROWS, add_row, product
 
 VIOLATED = 1e-13
 """A row counts as violated beyond this many roundings of the quantities it is computed from."""
@@ -55,16 +57,6 @@ VIOLATED = 1e-13
 CLOSE = 1e-6
 """Below this share of its squared length a row's distance from the active ones is computed anew
 from the rows themselves, because the factor has lost six digits of it."""
-
-
-@compiled
-def product(S: Matrix, out: int, first: int, by: int, n: int, start: int, stop: int) -> None:
-    """S[out] += Σ_j S[by, j] · S[first + j], columns start to stop."""
-    for j in range(0, n, 4):
-        a, b, c, d = S[by, j], S[by, j + 1], S[by, j + 2], S[by, j + 3]
-        r = first + j
-        for i in range(start, stop):
-            S[out, i] += a * S[r, i] + b * S[r + 1, i] + c * S[r + 2, i] + d * S[r + 3, i]
 
 
 @compiled
@@ -233,17 +225,15 @@ def row_values(S: Matrix, out: int, P: int, n: int, width: int) -> None:
         S[out, i] = S[Z, i]
     for i in range(n, width):
         S[out, i] = 0.0
-    product(S, out, P, Z, n, n, width)
+    product(S, out, P, Z, n, ROWS)
 
 
 @compiled
-def add_active(S: Matrix, out: int, sign: float, H: int, width: int) -> None:
+def add_active(S: Matrix, out: int, sign: float, H: int) -> None:
     """S[out] += sign · H_:W λ_W."""
     for k in range(int(S[HEAD, COUNT]) & MASK):
-        r = int(S[ACTIVE, k]) & MASK
-        a = sign * S[LAM, r]
-        for i in range(width):
-            S[out, i] += a * S[H + r, i]
+        i = int(S[ACTIVE, k]) & MASK
+        add_row(S, out, sign * S[LAM, i], H + i, ALL)
 
 
 @compiled
@@ -252,7 +242,7 @@ def values(S: Matrix, H: int, width: int) -> None:
     w = int(S[HEAD, COUNT]) & MASK
     for i in range(width):
         S[V, i] = S[V0, i]
-    add_active(S, V, -1.0, H, width)
+    add_active(S, V, -1.0, H)
     for k in range(w):
         i = int(S[ACTIVE, k]) & MASK
         S[V, i] = limit_of(S, i)
@@ -307,15 +297,15 @@ def refine(S: Matrix, K: int, P: int, H: int, A: int, L: int) -> float:
     n, w = int(S[HEAD, N_PAD]) & MASK, int(S[HEAD, COUNT]) & MASK
     for i in range(n):
         S[Z, i], S[X, i], S[E, i] = S[V, i], S[Q, i], 0.0
-    product(S, X, P, Z, n, 0, n)
+    product(S, X, P, Z, n, BOUNDS)
     for k in range(w):
         i = int(S[ACTIVE, k]) & MASK
         _add_row(S, A, i, n, S[LAM, i])
     if S[HEAD, ASIDE] > 0.0:
-        for i in range(S.shape[1]):
+        for i in range(width_of(S)):
             if S[SIDE, i] == PUT_ASIDE:
                 _add_row(S, A, i, n, S[LAM, i])
-    product(S, E, K, X, n, 0, n)
+    product(S, E, K, X, n, BOUNDS)
     correction = 0.0
     for i in range(n):
         correction -= S[E, i] * S[X, i]
@@ -331,8 +321,7 @@ def refine(S: Matrix, K: int, P: int, H: int, A: int, L: int) -> float:
         correction += a * S[STEP, k]
         lam = S[LAM, i] + a
         S[LAM, i], largest = lam, max(largest, abs(lam))
-        for c in range(n):
-            S[Z, c] -= a * S[H + i, c]
+        add_row(S, Z, -a, H + i, BOUNDS)
     S[CHECK, LARGEST] = largest
     return 2.0 * correction
 
@@ -343,7 +332,7 @@ def evaluate(S: Matrix, P: int, H: int, width: int) -> None:
     row_values(S, V, P, int(S[HEAD, N_PAD]) & MASK, width)
     for i in range(width):
         S[V0, i] = S[V, i]
-    add_active(S, V0, 1.0, H, width)
+    add_active(S, V0, 1.0, H)
 
 
 @compiled

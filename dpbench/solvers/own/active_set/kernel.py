@@ -80,7 +80,6 @@ from dpbench.solvers.own.active_set.factor import (
     evaluate,
     most_violated,
     multipliers,
-    product,
     refine,
     repair,
     row_values,
@@ -132,7 +131,9 @@ from dpbench.solvers.own.active_set.layout import (
     compiled,
     stamp,
     starts,
+    width_of,
 )
+from dpbench.solvers.own.active_set.spans import ALL, GROUP, mark, product
 
 DEPENDENT, UNCLEAR = 1e-11, 1e-7
 """Below the first share of its length a row is a combination of the active ones; between the two
@@ -147,7 +148,7 @@ CONTRADICTION = 1e-9
 @compiled
 def ray(S: Matrix, j: int, side: float, w: int) -> int:
     """The multipliers become the proof that row j contradicts the active ones."""
-    for i in range(S.shape[1]):
+    for i in range(width_of(S)):
         S[LAM, i] = 0.0
     for k in range(w):
         S[LAM, int(S[ACTIVE, k]) & MASK] = -side * S[R, k]
@@ -160,7 +161,7 @@ def put_aside(S: Matrix, H: int, j: int, lam: float) -> int:
     """Row j is the active ones written twice: what multiplier it has gathered stays in v₀."""
     S[SIDE, j], S[LAM, j] = PUT_ASIDE, lam
     S[HEAD, ASIDE] += 1
-    for i in range(S.shape[1]):
+    for i in range(width_of(S)):
         S[V0, i] -= lam * S[H + j, i]
     return 0
 
@@ -223,7 +224,7 @@ def bring_in(S: Matrix, L: int, H: int, J: int, j: int, size: float) -> int:
 def take_up(S: Matrix, H: int, size: float) -> int:
     """The row put aside that is violated most, if by more than rounding, as any other row again."""
     most, row = 1.0, -1
-    for i in range(S.shape[1]):
+    for i in range(width_of(S)):
         if S[SIDE, i] == PUT_ASIDE:
             over, under = S[V, i] - S[HIGH, i], S[LOW, i] - S[V, i]
             e, g = (over, S[HIGH, i]) if over >= under else (under, S[LOW, i])
@@ -233,7 +234,7 @@ def take_up(S: Matrix, H: int, size: float) -> int:
     if row >= 0:
         S[SIDE, row] = 0.0
         S[HEAD, ASIDE] -= 1
-        for i in range(S.shape[1]):
+        for i in range(width_of(S)):
             S[V0, i] += S[LAM, row] * S[H + row, i]
     return row
 
@@ -281,7 +282,7 @@ def shift(S: Matrix, L: int, H: int) -> None:
 
 @compiled
 def forget(S: Matrix) -> None:
-    for i in range(S.shape[1]):
+    for i in range(width_of(S)):
         S[SIDE, i] = S[LAM, i] = 0.0
     S[HEAD, COUNT] = S[HEAD, ASIDE] = S[HEAD, STALE] = 0.0
 
@@ -316,7 +317,7 @@ def begin(S: Matrix, K: int, width: int) -> float:
     S[HEAD, ITERATIONS] = 0.0
     for i in range(width):
         S[V0, i] = 0.0
-    product(S, V0, K, Q, n, 0, width)
+    product(S, V0, K, Q, n, ALL)
     size, bad = length(S, V0, width), 0
     for i in range(width):
         bad += not ((S[LOW, i] <= S[HIGH, i]) & (S[LOW, i] < inf) & (S[HIGH, i] > -inf))
@@ -341,7 +342,7 @@ def start(S: Matrix, L: int, H: int, width: int, noise: float) -> int:
 @compiled
 def bring_all_in(S: Matrix, L: int, H: int, J: int, j: int, coarse: float, size: float) -> int:
     """Bring in row j and then the most violated one until there is none; 0, or an ending."""
-    width = S.shape[1] & MASK
+    width = width_of(S)
     while j >= 0:
         ending = bring_in(S, L, H, J, j, size)
         if ending != 0:
@@ -354,7 +355,7 @@ def bring_all_in(S: Matrix, L: int, H: int, J: int, j: int, coarse: float, size:
 @compiled
 def look_again(S: Matrix, P: int, L: int, H: int, noise: float, size: float, dropped: int) -> int:
     """A row that the refined point violates, or one put aside that it violates; −1 for none."""
-    width = S.shape[1] & MASK
+    width = width_of(S)
     evaluate(S, P, H, width)
     if dropped > 0:
         repair(S, L)
@@ -375,7 +376,7 @@ def is_clear(S: Matrix, size: float, correction: float) -> bool:
 @compiled
 def solved(S: Matrix, P: int, H: int, size: float, clear: bool) -> int:
     """The number of iterations; `DOUBTFUL` where rounding may decide where the optimum is."""
-    n, width = int(S[HEAD, N_PAD]) & MASK, S.shape[1] & MASK
+    n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
     _, _, _, J, _, L = starts(n, width)
     if is_crowded(S, L, H, J, size):
         return DOUBTFUL
@@ -386,7 +387,7 @@ def solved(S: Matrix, P: int, H: int, size: float, clear: bool) -> int:
 
 @compiled
 def solve(S: Matrix) -> int:
-    n, width = int(S[HEAD, N_PAD]) & MASK, S.shape[1] & MASK
+    n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
     K, P, H, J, A, L = starts(n, width)
     size = begin(S, K, width)
     if size < 0.0:
@@ -452,15 +453,25 @@ def _entry_points(version: int) -> tuple[Callable[..., Any], ...]:
     @njit("f8(f8[:, ::1])", cache=True, fastmath=REORDER, error_model="numpy")
     def excess_of(S):  # type: ignore[no-untyped-def] # compiled by numba
         S[HEAD, STAMP] = version
-        n, width = int(S[HEAD, N_PAD]) & MASK, S.shape[1] & MASK
+        n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
         return excess(S, starts(n, width)[1], n, width)
 
+    @njit("void(f8[:, ::1])", cache=True, error_model="numpy")
+    def mark_spans(S):  # type: ignore[no-untyped-def] # compiled by numba
+        S[HEAD, STAMP] = version
+        n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
+        K, P, H, J, _, _ = starts(n, width)
+        mark(S, K, P, GROUP, n)
+        mark(S, P, H, GROUP, n)
+        mark(S, H, J, 1, n)
+
     # Without Numba's dispatcher, which takes 0.1 µs a call to find the type of S again.
-    return solve_step.get_overload(solve_step.signatures[0]), take_over, excess_of
+    return solve_step.get_overload(solve_step.signatures[0]), take_over, excess_of, mark_spans
 
 
-solve_step, take_over, excess_of = _entry_points(stamp())
+solve_step, take_over, excess_of, mark_spans = _entry_points(stamp())
 """solve_step(S): solve the QP in S; the number of iterations, or a negative ending.
 take_over(S, q, l, u): copy the vectors into S, or False where a length does not fit; TypeError for
 anything but contiguous float64 vectors that may be written to.
+mark_spans(S): write where the rows of K, [P Aᵀ] and H are not zero; after every change of them.
 excess_of(S): how many times what is allowed z and λ in S miss the optimality conditions by."""

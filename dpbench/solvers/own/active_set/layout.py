@@ -38,6 +38,8 @@ from typing import TypeVar, cast
 
 from numba import njit
 
+from dpbench.arrays import Matrix
+
 # Rows of vectors. X, E, R and STEP are scratch.
 HEAD, CHECK, Q, LOW, HIGH, UNIT, SUM, V0, V = range(9)
 LAM, SIDE, ACTIVE, INVERSE, R, STEP, X, E, Z, BEFORE = range(9, 19)
@@ -47,6 +49,9 @@ N, N_PAD, M, COUNT, ASIDE, ITERATIONS, LIMIT, KEEP, STALE, BLOCK, BLOCK_ROWS, ST
 LONGEST, STEEPEST, MOST, LARGEST, LENGTH, WORST = range(6)
 PUT_ASIDE = 2.0
 """SIDE of a row that is the active ones written twice: not active, its multiplier part of v₀."""
+TAIL = 16
+"""Columns behind the `width` first ones, where rows of K, [P Aᵀ] and H say which of their entries
+are not zero: how many spans of them there are before column n_pad and in all, then the spans."""
 MASK = 0xFFFFFF
 """An integer is taken with it so that the compiler knows that an index is not negative."""
 
@@ -79,6 +84,12 @@ def block_starts(n_pad: int, width: int) -> tuple[int, int, int, int, int, int]:
 
 starts = compiled(block_starts)
 """`block_starts` for compiled functions."""
+
+
+@compiled
+def width_of(S: Matrix) -> int:
+    """Places for rows of C."""
+    return (S.shape[1] - TAIL) & MASK
 
 
 def stamp() -> int:
