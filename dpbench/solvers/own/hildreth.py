@@ -55,7 +55,6 @@ from dpbench.errors import SettingsError
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.contract import Policy, Route
 from dpbench.solvers.own.active_set import layout as layout
-from dpbench.solvers.own.active_set.kernel import begin
 from dpbench.solvers.own.active_set.layout import (
     BEFORE,
     BLOCK,
@@ -83,6 +82,7 @@ from dpbench.solvers.own.active_set.layout import (
     starts,
     width_of,
 )
+from dpbench.solvers.own.active_set.start import begin
 from dpbench.solvers.own.compiled_workspace import CompiledWorkspace
 from dpbench.solvers.own.safeguards.proof import contradicts
 
@@ -154,7 +154,7 @@ def ascend(S: Matrix, max_iter: int, eps_change: float, eps_row: float) -> int:
     n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
     K, _, H, _, _, _ = starts(n, width)
     carry_over(S, width)
-    size = begin(S, K, width)
+    size = begin(S, K)
     if size < 0.0:
         return int(size)
     if impossible(S, H, width):

@@ -13,7 +13,6 @@ from __future__ import annotations
 from math import inf
 
 from dpbench.arrays import Matrix
-from dpbench.solvers.own.active_set.factor import row_values
 from dpbench.solvers.own.active_set.layout import (
     CHECK,
     HIGH,
@@ -29,6 +28,7 @@ from dpbench.solvers.own.active_set.layout import (
     Z,
     compiled,
 )
+from dpbench.solvers.own.active_set.pricing import row_values
 
 PRIMAL, DUAL = 1e-13, 1e-9
 """Shares allowed of the terms of a row value, and of q and P z."""
@@ -63,7 +63,7 @@ def excess_of_rows(S: Matrix, P: int, n: int, width: int) -> float:
     """
     size, most = largest(S, Z, n), 0.0
     S[CHECK, WORST] = -1.0
-    row_values(S, E, P, n, width)
+    row_values(S, E, P, n)
     for i in range(width):
         v, a = S[E, i], S[LAM, i]
         terms = size if i < n else size * S[SUM, i]

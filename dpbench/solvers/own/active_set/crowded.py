@@ -14,7 +14,21 @@ is decided by the rounding of their limits, but where they meet is not, if
 By hand: z₁ ≤ 1, z₂ ≤ 1 and z₁ + z₂ ≤ 2 meet in (1, 1). With the first two for B, a = (1, 1): any
 two of the three rows meet at that point, and d = (−1, −1) leads inwards from all of them. With
 z₁ + z₂ ≥ 2 in place of the third side_j Σ a_k side_k b_k < 0, whatever b: (1, 1) is all that is
-feasible, and nothing at all if 2 is rounded up.
+feasible, and nothing at all if 2 is rounded up. With z₁ + 1e-6 z₂ ≤ 1 + 1e-6 in its place, a =
+(1, 1e-6): it meets the first in a point that rounding moves 1e6 times as far as a limit.
+
+>>> import numpy as np
+>>> from dpbench.qp.program import QuadraticProgram
+>>> from dpbench.solvers.own.active_set.constants import empty, fill
+>>> from dpbench.solvers.own.active_set.kernel import solve_step
+>>> from dpbench.solvers.own.active_set.layout import DOUBTFUL
+>>> def is_doubtful(row, low, high):
+...     S, one = empty(n=2, m=1), np.ones(2)
+...     meeting = np.eye(2), [-3, -3.5], [row], [low], [high], -9 * one, one
+...     fill(S, QuadraticProgram(*meeting), keep=False)
+...     return solve_step(S) == DOUBTFUL
+>>> is_doubtful([1, 1], -9, 2), is_doubtful([1, 1], 2, 9), is_doubtful([1, 1e-6], -9, 1 + 1e-6)
+(False, True, True)
 """
 
 from __future__ import annotations

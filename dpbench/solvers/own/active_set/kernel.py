@@ -69,55 +69,38 @@ from typing import Any
 from numba import njit
 
 from dpbench.arrays import Matrix
-from dpbench.solvers.own.active_set.check import excess, is_near, largest
-from dpbench.solvers.own.active_set.crowded import is_crowded
+from dpbench.solvers.own.active_set.check import (
+    excess,
+    is_near,
+)
+from dpbench.solvers.own.active_set.crowded import (
+    is_crowded,
+)
 from dpbench.solvers.own.active_set.factor import (
-    CLOSE,
-    VIOLATED,
     append,
     direction,
     drop,
-    evaluate,
-    most_violated,
-    multipliers,
-    refine,
-    repair,
-    row_values,
-    settle_signs,
-    values,
 )
 from dpbench.solvers.own.active_set.layout import (
     ACTIVE,
     ASIDE,
-    BEFORE,
-    BLOCK,
-    BLOCK_ROWS,
     CHECK,
     COUNT,
-    CROSSED,
     DOUBTFUL,
     HEAD,
     HIGH,
     INFEASIBLE,
-    INVERSE,
     ITERATIONS,
-    KEEP,
     LAM,
-    LARGEST,
-    LENGTH,
     LIMIT,
-    LONGEST,
     LOW,
     MASK,
-    MOST,
     N_PAD,
-    NOT_FINITE,
     PUT_ASIDE,
     REORDER,
     SIDE,
     STALE,
     STAMP,
-    STEEPEST,
     STEP,
     UNDECIDED,
     UNIT,
@@ -133,7 +116,30 @@ from dpbench.solvers.own.active_set.layout import (
     starts,
     width_of,
 )
-from dpbench.solvers.own.active_set.spans import ALL, GROUP, mark, product
+from dpbench.solvers.own.active_set.pricing import (
+    VIOLATED,
+    evaluate,
+    list_candidates,
+    most_violated,
+    next_row,
+    values,
+)
+from dpbench.solvers.own.active_set.refine import (
+    is_clear,
+    is_settled,
+    refine,
+    settle_signs,
+)
+from dpbench.solvers.own.active_set.spans import (
+    GROUP,
+    mark,
+)
+from dpbench.solvers.own.active_set.start import (
+    begin,
+    length,
+    repair,
+    start,
+)
 
 DEPENDENT, UNCLEAR = 1e-11, 1e-7
 """Below the first share of its length a row is a combination of the active ones; between the two
@@ -143,6 +149,10 @@ NO_PART = 1e-11
 multiplier's way to zero ends a step, and on a share that is rounding that way has no end."""
 CONTRADICTION = 1e-9
 """A violated dependent row is taken for a contradiction if violated by more than this share."""
+PASSES = 20
+"""Rounds of refinement after which it has not settled."""
+TINY = 1e-300
+"""In place of a squared length of zero."""
 
 
 @compiled
@@ -240,160 +250,48 @@ def take_up(S: Matrix, H: int, size: float) -> int:
 
 
 @compiled
-def take_in(S: Matrix, L: int, H: int, i: int, side: float, lam: float) -> None:
-    """Row i into the set to start from, unless it is in, has no limit, or leans on the others."""
-    w = int(S[HEAD, COUNT]) & MASK
-    g = S[HIGH, i] if side > 0.0 else S[LOW, i]
-    if S[SIDE, i] != 0.0 or abs(g) == inf or w == int(S[HEAD, N]):
-        return
-    d = S[H + i, i]
-    for a in range(w):
-        s = S[H + i, int(S[ACTIVE, a]) & MASK]
-        for k in range(a):
-            s -= S[L + a, k] * S[L + w, k]
-        s *= S[INVERSE, a]
-        S[L + w, a] = s
-        d -= s * s
-    if d > CLOSE * S[H + i, i]:
-        append(S, L, w, i, side, d)
-        S[LAM, i] = lam
-
-
-@compiled
-def shift(S: Matrix, L: int, H: int) -> None:
-    """The set moves on by one move; the last move keeps what it had as well."""
-    n, n_pad, m = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, int(S[HEAD, M])
-    block, block_rows = int(S[HEAD, BLOCK]) & MASK, int(S[HEAD, BLOCK_ROWS]) & MASK
-    w = int(S[HEAD, COUNT]) & MASK
-    for k in range(w):
-        i = int(S[ACTIVE, k]) & MASK
-        S[BEFORE, k], S[R, k] = (i + 1) * S[SIDE, i], S[LAM, i]
-        S[SIDE, i] = S[LAM, i] = 0.0
-    S[HEAD, COUNT] = 0
-    for k in range(w):
-        side = 1.0 if S[BEFORE, k] > 0.0 else -1.0
-        i = (int(abs(S[BEFORE, k])) - 1) & MASK
-        first, end, by = (0, n, block) if i < n_pad else (n_pad, n_pad + m, block_rows)
-        if i - first >= by:
-            take_in(S, L, H, (i - by) & MASK, side, S[R, k])
-        if i >= end - by:
-            take_in(S, L, H, i, side, S[R, k])
-
-
-@compiled
-def forget(S: Matrix) -> None:
-    for i in range(width_of(S)):
-        S[SIDE, i] = S[LAM, i] = 0.0
-    S[HEAD, COUNT] = S[HEAD, ASIDE] = S[HEAD, STALE] = 0.0
-
-
-PASSES = 20
-"""Rounds of refinement after which it has not settled."""
-SETTLED = 1e-12
-"""A correction of no more than this share leaves nothing to correct: each is a small part of the
-one before."""
-NO_ERROR, ROUNDING = 1e-9, 1e-14
-"""Allowed in a row, and in the gradient of 1 + ‖q‖; what rounding leaves of a plan's length."""
-NEAR = 10.0
-"""How much longer v₀ may be than v before v, their difference, is computed anew."""
-
-
-@compiled
-def length(S: Matrix, row: int, width: int) -> float:
-    """Length of a vector of row values in the norm of P⁻¹."""
-    square = 0.0
-    for i in range(width):
-        v = S[row, i] * S[UNIT, i]
-        square += v * v
-    return sqrt(square)
-
-
-@compiled
-def begin(S: Matrix, K: int, width: int) -> float:
-    """v₀, and its length in the norm of P; a negative ending for data that have no answer."""
-    n = int(S[HEAD, N_PAD]) & MASK
-    if S[HEAD, STALE] > 0.0 or S[HEAD, KEEP] == 0.0 or S[HEAD, ASIDE] > 0.0:
-        forget(S)
-    S[HEAD, ITERATIONS] = 0.0
-    for i in range(width):
-        S[V0, i] = 0.0
-    product(S, V0, K, Q, n, ALL)
-    size, bad = length(S, V0, width), 0
-    for i in range(width):
-        bad += not ((S[LOW, i] <= S[HIGH, i]) & (S[LOW, i] < inf) & (S[HIGH, i] > -inf))
-    if not size < inf:
-        return NOT_FINITE
-    S[CHECK, LENGTH] = size
-    return CROSSED if bad else size
-
-
-@compiled
-def start(S: Matrix, L: int, H: int, width: int, noise: float) -> int:
-    """The set to start from and its v: the same as before if that will do; a row it violates."""
-    if S[HEAD, COUNT] > 0.0:
-        wrong = multipliers(S, L)
-        if wrong != 0:
-            shift(S, L, H)
-            repair(S, L)
-    values(S, H, width)
-    return most_violated(S, width, noise)
-
-
-@compiled
 def bring_all_in(S: Matrix, L: int, H: int, J: int, j: int, coarse: float, size: float) -> int:
-    """Bring in row j and then the most violated one until there is none; 0, or an ending."""
-    width = width_of(S)
+    """Bring in row j and then one violated row after the other; 0 if none is left, or an ending."""
+    if j >= 0:
+        list_candidates(S, j, coarse)
     while j >= 0:
         ending = bring_in(S, L, H, J, j, size)
         if ending != 0:
             return ending
-        values(S, H, width)
-        j = most_violated(S, width, coarse)
+        j = next_row(S, H, coarse)
     return 0
 
 
 @compiled
 def look_again(S: Matrix, P: int, L: int, H: int, noise: float, size: float, dropped: int) -> int:
     """A row that the refined point violates, or one put aside that it violates; −1 for none."""
-    width = width_of(S)
-    evaluate(S, P, H, width)
+    evaluate(S, P, H)
     if dropped > 0:
         repair(S, L)
-        values(S, H, width)
-    j = most_violated(S, width, noise)
+        values(S, H)
+    j = most_violated(S, noise)
     return take_up(S, H, size) if j < 0 and S[HEAD, ASIDE] > 0.0 else j
 
 
 @compiled
-def is_clear(S: Matrix, size: float, correction: float) -> bool:
-    """Whether what is left after a settled correction is no error of any row or of the gradient."""
-    cost = max(1.0, largest(S, Q, int(S[HEAD, N_PAD]) & MASK))
-    error = max(correction, ROUNDING * size)
-    small = error * S[CHECK, LONGEST] <= NO_ERROR and error * S[CHECK, STEEPEST] <= NO_ERROR * cost
-    return bool(small and S[CHECK, LARGEST] <= S[CHECK, MOST] and S[HEAD, ASIDE] == 0.0)
-
-
-@compiled
-def solved(S: Matrix, P: int, H: int, size: float, clear: bool) -> int:
+def solved(S: Matrix, P: int, H: int, J: int, L: int, size: float, clear: bool) -> int:
     """The number of iterations; `DOUBTFUL` where rounding may decide where the optimum is."""
-    n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
-    _, _, _, J, _, L = starts(n, width)
     if is_crowded(S, L, H, J, size):
         return DOUBTFUL
-    if not clear and (S[HEAD, ASIDE] > 0.0 or not is_near(S, P, H, n, width)):
-        return DOUBTFUL
-    return int(S[HEAD, ITERATIONS])
+    n, alone = int(S[HEAD, N_PAD]) & MASK, S[HEAD, ASIDE] == 0.0
+    near = clear or (alone and is_near(S, P, H, n, width_of(S)))
+    return int(S[HEAD, ITERATIONS]) if near else DOUBTFUL
 
 
 @compiled
 def solve(S: Matrix) -> int:
     n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
     K, P, H, J, A, L = starts(n, width)
-    size = begin(S, K, width)
+    size = begin(S, K)
     if size < 0.0:
         return int(size)
-    coarse, first, before = VIOLATED * size, size * size, size * size
-    j = start(S, L, H, width, coarse)
+    coarse, first = VIOLATED * size, max(size * size, TINY)
+    j, before = start(S, L, H, coarse), first
     # Whether rows contradict each other is decided on refined values only.
     size = inf
     for _ in range(PASSES):
@@ -401,25 +299,17 @@ def solve(S: Matrix) -> int:
         if ending != 0:
             return ending
         correction = refine(S, K, P, H, A, L)
-        rounding = sqrt(max(correction, 0.0))
-        dropped = settle_signs(S, L, max(coarse, rounding))
-        size = length(S, V, width)
-        fine = VIOLATED * size
-        # What the next correction would be: as much smaller as this one is.
-        following = correction * min(1.0, correction / before)
-        settled = dropped == 0 and following <= SETTLED * SETTLED * size * size
-        clear = settled and is_clear(S, size, rounding)
-        if clear and coarse > NEAR * fine:
-            row_values(S, V, P, n, width)
-            clear = most_violated(S, width, fine) < 0
-        if clear:
-            return solved(S, P, H, size, clear)
-        j = look_again(S, P, L, H, max(fine, rounding), size, dropped)
+        dropped = settle_signs(S, L, max(coarse, sqrt(correction)))
+        size = length(S, V)
+        settled = dropped == 0 and is_settled(correction, before, size)
+        if settled and is_clear(S, P, coarse, size, correction):
+            return solved(S, P, H, J, L, size, True)
+        j = look_again(S, P, L, H, max(VIOLATED * size, sqrt(correction)), size, dropped)
         # No longer falling: the correction is the rounding of this problem.
         falling = correction <= 0.25 * before
         if j < 0 and (settled or (dropped == 0 and not falling)):
-            if clear or excess(S, P, n, width) <= 1.0:
-                return solved(S, P, H, size, clear)
+            if excess(S, P, n, width) <= 1.0:
+                return solved(S, P, H, J, L, size, False)
             # What is left to do if it does not fall: a row that `VIOLATED` has let pass.
             j = -1 if falling else int(S[CHECK, WORST])
             if j < 0 and not falling:

@@ -46,7 +46,7 @@ LAM, SIDE, ACTIVE, INVERSE, R, STEP, X, E, Z, BEFORE = range(9, 19)
 VECTORS = 19
 # Slots of row HEAD, and of row CHECK; there is room for sixteen in a row.
 N, N_PAD, M, COUNT, ASIDE, ITERATIONS, LIMIT, KEEP, STALE, BLOCK, BLOCK_ROWS, STAMP = range(12)
-LONGEST, STEEPEST, MOST, LARGEST, LENGTH, WORST = range(6)
+LONGEST, STEEPEST, MOST, LARGEST, LENGTH, WORST, CANDIDATES = range(7)
 PUT_ASIDE = 2.0
 """SIDE of a row that is the active ones written twice: not active, its multiplier part of v₀."""
 TAIL = 16
@@ -89,7 +89,8 @@ starts = compiled(block_starts)
 @compiled
 def width_of(S: Matrix) -> int:
     """Places for rows of C."""
-    return (S.shape[1] - TAIL) & MASK
+    width: int = (S.shape[1] - TAIL) & MASK
+    return width
 
 
 def stamp() -> int:
