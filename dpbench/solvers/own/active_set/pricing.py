@@ -44,6 +44,8 @@ VIOLATED = 1e-13
 """A row counts as violated beyond this many roundings of the quantities it is computed from."""
 SHARE, MOST_CANDIDATES = 0.3, 24
 """A candidate is violated by this share of the most violated row; at most as many candidates."""
+FEW = 64
+"""Of no more rows than these a look at all takes no longer than a list."""
 
 
 @compiled
@@ -116,7 +118,7 @@ def most_violated(S: Matrix, noise: float) -> int:
 def list_candidates(S: Matrix, j: int, noise: float) -> None:
     """The inactive rows violated by no less than `SHARE` of what row j, the most violated, is."""
     least, count, width = SHARE * violation(S, j, noise), 0, width_of(S)
-    for i in range(width):
+    for i in range(width if width > FEW else 0):
         if count < MOST_CANDIDATES and i != j and S[SIDE, i] == 0.0:
             e = violation(S, i, noise)
             if e > 0.0 and e >= least:
