@@ -4,10 +4,10 @@ At the corner of a polygon more rows meet than there are dimensions. Which of th
 is decided by the rounding of their limits, but where they meet is not, if
 
 - the rows of a basis B of those near their limits are at angles of more than `STEEP`;
-- every other row near its limit is c_j = Σ a_k c_k over B, with shares a_k of more than `STEEP` or
-  none at all, and of any two such rows that have shares in one row the 2 by 2 minors are so too:
-  then any set of independent ones among all these rows is at such angles, as no three of them
-  hang together;
+- every other row near its limit is c_j = Σ a_k c_k over B, but for rounding, with shares a_k of
+  more than `STEEP` or none at all, and of any two such rows with shares in one row the 2 by 2
+  minors are so too: then any set of independent ones among all these rows is at such angles, as no
+  three of them hang together;
 - moved inwards from all limits by the same direction the point satisfies them, so that a feasible
   point is near however they were rounded: C_B d = −side leads inwards from c_j as well, if
   side_j Σ a_k side_k b_k > 0 for lengths b > 0, which asks for one share of the right sign.
@@ -44,7 +44,7 @@ from __future__ import annotations
 from math import floor, inf
 
 from dpbench.arrays import Matrix
-from dpbench.solvers.own.active_set.factor import append, direction
+from dpbench.solvers.own.active_set.factor import DEPENDENT, append, direction
 from dpbench.solvers.own.active_set.layout import (
     ACTIVE,
     BEFORE,
@@ -136,6 +136,8 @@ def corners_hold(S: Matrix, L: int, H: int, J: int, size: float) -> bool:
                 for k in range(w):
                     S[L + w, k] = S[STEP, k]
                 append(S, L, w, i, side, d)
+            elif d > DEPENDENT * DEPENDENT * S[H + i, i]:
+                return False
             else:
                 S[BEFORE, rest] = i
                 rest += 1

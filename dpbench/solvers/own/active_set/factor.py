@@ -30,6 +30,8 @@ from dpbench.solvers.own.active_set.layout import (
     compiled,
 )
 
+DEPENDENT = 1e-11
+"""A row no more than this share of its length away from the active ones combines from them."""
 CLOSE = 1e-6
 """Below this share of its squared length a row's distance from the active ones is computed anew
 from the rows themselves, because the factor has lost six digits of it."""

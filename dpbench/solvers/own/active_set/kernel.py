@@ -77,6 +77,7 @@ from dpbench.solvers.own.active_set.crowded import (
     is_crowded,
 )
 from dpbench.solvers.own.active_set.factor import (
+    DEPENDENT,
     append,
     direction,
     drop,
@@ -141,9 +142,9 @@ from dpbench.solvers.own.active_set.start import (
     start,
 )
 
-DEPENDENT, UNCLEAR = 1e-11, 1e-7
-"""Below the first share of its length a row is a combination of the active ones; between the two
-it cannot be told here."""
+UNCLEAR = 1e-7
+"""Between `DEPENDENT` and this share of its length it cannot be told here whether a row is a
+combination of the active ones."""
 NO_PART = 1e-11
 """A row whose share in a combination is less has none: without a row to bring in, nothing but a
 multiplier's way to zero ends a step, and on a share that is rounding that way has no end."""
