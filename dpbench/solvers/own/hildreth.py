@@ -55,10 +55,10 @@ from dpbench.errors import SettingsError
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.contract import Policy, Route
 from dpbench.solvers.own.active_set import layout as layout
-from dpbench.solvers.own.active_set.kernel import begin
 from dpbench.solvers.own.active_set.layout import (
     BEFORE,
     BLOCK,
+    BLOCK_ROWS,
     HEAD,
     HIGH,
     INFEASIBLE,
@@ -80,7 +80,9 @@ from dpbench.solvers.own.active_set.layout import (
     compiled,
     stamp,
     starts,
+    width_of,
 )
+from dpbench.solvers.own.active_set.start import begin
 from dpbench.solvers.own.compiled_workspace import CompiledWorkspace
 from dpbench.solvers.own.safeguards.proof import contradicts
 
@@ -89,15 +91,15 @@ from dpbench.solvers.own.safeguards.proof import contradicts
 def carry_over(S: Matrix, width: int) -> None:
     """The multipliers move on by one move, those of the last move stay; or all become zero."""
     n, n_pad, m = int(S[HEAD, N]) & MASK, int(S[HEAD, N_PAD]) & MASK, int(S[HEAD, M]) & MASK
-    block = int(S[HEAD, BLOCK]) & MASK
+    block, block_rows = int(S[HEAD, BLOCK]) & MASK, int(S[HEAD, BLOCK_ROWS]) & MASK
     if S[HEAD, STALE] > 0.0 or S[HEAD, KEEP] == 0.0:
         for i in range(width):
             S[LAM, i] = 0.0
         return
     for i in range(n - block):
         S[LAM, i] = S[LAM, i + block]
-    for i in range(n_pad, n_pad + m - block):
-        S[LAM, i] = S[LAM, i + block]
+    for i in range(n_pad, n_pad + m - block_rows):
+        S[LAM, i] = S[LAM, i + block_rows]
 
 
 @compiled
@@ -149,10 +151,10 @@ def impossible(S: Matrix, H: int, width: int) -> bool:
 
 @compiled
 def ascend(S: Matrix, max_iter: int, eps_change: float, eps_row: float) -> int:
-    n, width = int(S[HEAD, N_PAD]) & MASK, S.shape[1] & MASK
+    n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
     K, _, H, _, _, _ = starts(n, width)
     carry_over(S, width)
-    size = begin(S, K, width)
+    size = begin(S, K)
     if size < 0.0:
         return int(size)
     if impossible(S, H, width):

@@ -11,7 +11,7 @@ from dpbench.bench.run.exact_loop import sequence_of, solve_exactly
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Status
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.own.active_set import kernel as active_set_kernel
+from dpbench.solvers.own.active_set import factor as active_set_factor
 from dpbench.solvers.own.active_set import layout as active_set_layout
 
 INF = np.inf
@@ -186,5 +186,5 @@ def test_compiled_code_on_disk_is_not_used_after_a_change(monkeypatch):
     """The mark of the compiled code changes with a constant that some function of it names."""
     before = active_set_layout.stamp()
     assert active_set_layout.stamp() == before
-    monkeypatch.setattr(active_set_kernel, "CLOSE", 1e-7)
+    monkeypatch.setattr(active_set_factor, "CLOSE", 1e-7)
     assert active_set_layout.stamp() != before

@@ -13,28 +13,22 @@ from __future__ import annotations
 from math import inf
 
 from dpbench.arrays import Matrix
-from dpbench.solvers.own.active_set.factor import row_values
 from dpbench.solvers.own.active_set.layout import (
-    ACTIVE,
     CHECK,
-    COUNT,
-    HEAD,
     HIGH,
-    INVERSE,
     LAM,
     LENGTH,
     LOW,
-    MASK,
     SIDE,
     SUM,
     UNIT,
     WORST,
     E,
     Q,
-    V,
     Z,
     compiled,
 )
+from dpbench.solvers.own.active_set.pricing import row_values
 
 PRIMAL, DUAL = 1e-13, 1e-9
 """Shares allowed of the terms of a row value, and of q and P z."""
@@ -48,9 +42,6 @@ PRIMAL_AT_MOST, DUAL_AT_MOST = 2e-7, 9e-7
 tightest tolerance that answers are held to, 1e-6."""
 WRONG = 5e-7
 """Half of the tightest tolerance that answers are held to, of a variable's room (`unit_of`)."""
-NEAR, STEEP = 1e-8, 1e-4
-"""A row this share of its terms from its limit may be active; an active one that is no more than
-this share of its length away from the others leans on them."""
 PRODUCT, ROUNDING = 1e-7, 1e-13
 """A multiplier may have a slack up to this product, or of this share of the row's terms: a
 large multiplier times rounding is no error."""
@@ -72,7 +63,7 @@ def excess_of_rows(S: Matrix, P: int, n: int, width: int) -> float:
     """
     size, most = largest(S, Z, n), 0.0
     S[CHECK, WORST] = -1.0
-    row_values(S, E, P, n, width)
+    row_values(S, E, P, n)
     for i in range(width):
         v, a = S[E, i], S[LAM, i]
         terms = size if i < n else size * S[SUM, i]
@@ -147,16 +138,3 @@ def excess(S: Matrix, P: int, n: int, width: int) -> float:
     """The most by which (Z, λ) exceeds what is allowed: up to 1 it is an optimum."""
     gradient = excess_of_gradient(S, P, n, width)
     return max(gradient, excess_of_rows(S, P, n, width)) if gradient < inf else inf
-
-
-@compiled
-def is_crowded(S: Matrix, width: int, size: float) -> bool:
-    """Whether an inactive row may be active but for rounding, or an active one lean on others."""
-    near, w = 0, int(S[HEAD, COUNT]) & MASK
-    for i in range(width):
-        u, v = S[UNIT, i], S[V, i]
-        little = NEAR * (abs(v) * u + size)
-        near += ((S[HIGH, i] - v) * u <= little) | ((v - S[LOW, i]) * u <= little)
-    for k in range(w):
-        near += S[INVERSE, k] * STEEP > S[UNIT, int(S[ACTIVE, k]) & MASK]
-    return near != w

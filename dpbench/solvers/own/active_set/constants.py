@@ -18,14 +18,12 @@ import scipy.linalg
 from dpbench.arrays import Matrix, Vector
 from dpbench.qp.program import QuadraticProgram
 from dpbench.solvers.own.active_set import layout as layout
+from dpbench.solvers.own.active_set.kernel import mark_spans
 
 LANES = 16
 LINE_BYTES = 64
 # A guard against rounding only: the method ends by itself, usually within n + m iterations.
 ITERATIONS_PER_ROW = 20
-# What a plan's length in the norm of P may be, times that of a row in P⁻¹ or of P itself, for what
-# is allowed of it (2e-12) to be no more than 1e-9 in a row or in the gradient.
-SIZE = 500.0
 # What a multiplier may be for its rounding to be no more than 1e-10 in the gradient.
 MOST = 1e5
 # A row shorter than this in the norm of P⁻¹ is zero: its square underflows.
@@ -47,7 +45,7 @@ def empty(n: int, m: int) -> Matrix:
     n_pad, m_pad = _padded(n), _padded(m)
     width = n_pad + m_pad
     L = layout.block_starts(n_pad, width)[-1]
-    S = _aligned(L + n_pad, width)
+    S = _aligned(L + n_pad, width + layout.TAIL)
     head = S[layout.HEAD]
     head[layout.N], head[layout.N_PAD], head[layout.M] = n, n_pad, m
     head[layout.LIMIT] = ITERATIONS_PER_ROW * (n + m)
@@ -63,7 +61,7 @@ def fill(S: Matrix, qp: QuadraticProgram, *, keep: bool) -> str:
     keep : whether a solve starts from the active set of the one before, moved on by `qp.block`.
     """
     n, m = qp.n, qp.m
-    n_pad, width = _padded(n), S.shape[1]
+    n_pad, width = _padded(n), S.shape[1] - layout.TAIL
     rows = slice(n_pad, n_pad + m)
     if not (np.isfinite(qp.P).all() and np.isfinite(qp.A).all()):
         return "P or A is not finite"
@@ -78,25 +76,29 @@ def fill(S: Matrix, qp: QuadraticProgram, *, keep: bool) -> str:
     K, PA, H, Jt, A = _blocks(S, n_pad)
     K[:n] = -scipy.linalg.solve_triangular(L, J, lower=True, trans="T", check_finite=False)
     PA[:n, :n], PA[:n, rows] = P, qp.A.T
-    S[layout.SUM] = np.abs(PA).sum(axis=0)
     H[:] = J.T @ J
+    mark_spans(S)
+    S[layout.SUM, :width] = np.abs(PA).sum(axis=0)
     Jt[:, :n], A[:m, :n] = J.T, qp.A
-    S[layout.UNIT] = _unit(H, n, rows)
+    S[layout.UNIT, :width] = _unit(H, n, rows)
     S[layout.LOW], S[layout.HIGH] = -np.inf, np.inf
     S[layout.LOW, :n], S[layout.HIGH, :n] = qp.lb, qp.ub
     S[layout.LOW, rows], S[layout.HIGH, rows], S[layout.Q, :n] = qp.l, qp.u, qp.q
     head = S[layout.HEAD]
-    head[layout.KEEP], head[layout.BLOCK], head[layout.STALE] = keep, qp.block, 1
+    head[layout.KEEP], head[layout.STALE] = keep, 1
+    head[layout.BLOCK], head[layout.BLOCK_ROWS] = qp.block, m * qp.block // n
     check = S[layout.CHECK]
-    check[layout.SIZE] = SIZE / np.sqrt(max(H.diagonal().max(), np.trace(P)))
+    check[layout.LONGEST] = np.sqrt(H.diagonal().max())
+    check[layout.STEEPEST] = np.sqrt(np.trace(P))
     check[layout.MOST] = MOST / max(np.abs(qp.A).max(initial=0.0), 1.0)
     return ""
 
 
 def _blocks(S: Matrix, n_pad: int) -> tuple[Matrix, ...]:
     """K, [P Aᵀ], H, Jᵀ, A as views of S."""
-    firsts = layout.block_starts(n_pad, S.shape[1])
-    return tuple(S[first:end] for first, end in itertools.pairwise(firsts))
+    width = S.shape[1] - layout.TAIL
+    firsts = layout.block_starts(n_pad, width)
+    return tuple(S[first:end, :width] for first, end in itertools.pairwise(firsts))
 
 
 def _unit(H: Matrix, n: int, rows: slice) -> Vector:

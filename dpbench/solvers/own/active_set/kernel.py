@@ -1,16 +1,18 @@
 """The paper's active-set method (eq. 30-32) compiled: one call per step.
 
-The set of the step before is tried as it is. If it is not optimal it is moved on by one move, its
-wrong multipliers are dropped until the rest is dual feasible, and the rule of Goldfarb and Idnani
-goes on from there: the most violated row is brought in, and rows whose multiplier reaches zero on
-the way are dropped (`qp/dual_active_set.py` says why that ends for any such start). What rounding
-does not let it tell is answered `UNDECIDED`. The answer is then refined in the problem's own data,
+The set of the step before is tried as it is. If it is not optimal it is moved on by one move with
+its multipliers, and these are moved to what eq. 31 asks for; a row whose multiplier reaches zero on
+the way is dropped. From that dual feasible set the rule of Goldfarb and Idnani goes on: the most
+violated row is brought in, and rows whose multiplier reaches zero on the way are dropped
+(`qp/dual_active_set.py` says why that ends for any such start). What rounding does not let it tell
+is answered `UNDECIDED`. The answer is then refined in the problem's own data,
 
     P δz + C_Wᵀ δλ = −(P z + q + Cᵀλ),   C_W δz = g − C_W z,
 
-until the correction is rounding, and is checked against every row again if it is not at once; in
-full (`check`) where rounding of large multipliers or of a long plan may show. `layout` shows the
-array S that all of it works on, and what its indices mean.
+until a correction is rounding, or the next one would be. It is checked against every row again if
+it is not at once; in full (`check`) where rounding of large multipliers or of a long plan may show;
+and where more rows meet than are active, whether rounding moves the point (`crowded`). `layout`
+shows the array S that all of it works on, and what its indices mean.
 
 An example to follow by hand: the point nearest (3, 3) under z₁ ≤ 1, z₂ ≤ 1 and z₁ + z₂ ≤ 2.5, that
 is P = I and q = (−3, −3). Bounds are rows 0 and 1 of C, the row of A is row 16 as n is padded to
@@ -67,132 +69,97 @@ from typing import Any
 from numba import njit
 
 from dpbench.arrays import Matrix
-from dpbench.solvers.own.active_set.check import excess, is_crowded, is_near
+from dpbench.solvers.own.active_set.check import (
+    excess,
+    is_near,
+)
+from dpbench.solvers.own.active_set.crowded import (
+    is_crowded,
+)
 from dpbench.solvers.own.active_set.factor import (
-    VIOLATED,
+    DEPENDENT,
     append,
-    backward,
+    direction,
     drop,
-    evaluate,
-    forward,
-    most_violated,
-    multipliers,
-    product,
-    refine,
-    repair,
-    settle_signs,
-    values,
 )
 from dpbench.solvers.own.active_set.layout import (
     ACTIVE,
     ASIDE,
-    BEFORE,
-    BLOCK,
     CHECK,
     COUNT,
-    CROSSED,
     DOUBTFUL,
     HEAD,
     HIGH,
     INFEASIBLE,
-    INVERSE,
     ITERATIONS,
-    KEEP,
     LAM,
-    LARGEST,
-    LENGTH,
     LIMIT,
     LOW,
     MASK,
-    MOST,
     N_PAD,
-    NOT_FINITE,
-    PINNED,
     PUT_ASIDE,
     REORDER,
     SIDE,
-    SIZE,
     STALE,
     STAMP,
     STEP,
     UNDECIDED,
     UNIT,
     V0,
-    VECTORS,
     WORST,
-    E,
     M,
     N,
     Q,
     R,
     V,
-    X,
     compiled,
     stamp,
     starts,
+    width_of,
+)
+from dpbench.solvers.own.active_set.pricing import (
+    VIOLATED,
+    evaluate,
+    list_candidates,
+    most_violated,
+    next_row,
+    values,
+)
+from dpbench.solvers.own.active_set.refine import (
+    is_clear,
+    is_settled,
+    refine,
+    settle_signs,
+)
+from dpbench.solvers.own.active_set.spans import (
+    GROUP,
+    mark,
+)
+from dpbench.solvers.own.active_set.start import (
+    begin,
+    length,
+    repair,
+    start,
 )
 
-CLOSE = 1e-6
-"""Below this share of its squared length a row's distance from the active ones is computed anew
-from the rows themselves, because the factor has lost six digits of it."""
-DEPENDENT, UNCLEAR = 1e-11, 1e-7
-"""Below the first share of its length a row is a combination of the active ones; between the two
-it cannot be told here."""
+UNCLEAR = 1e-7
+"""Between `DEPENDENT` and this share of its length it cannot be told here whether a row is a
+combination of the active ones."""
 NO_PART = 1e-11
 """A row whose share in a combination is less has none: without a row to bring in, nothing but a
 multiplier's way to zero ends a step, and on a share that is rounding that way has no end."""
 CONTRADICTION = 1e-9
 """A violated dependent row is taken for a contradiction if violated by more than this share."""
-
-
-@compiled
-def distance(S: Matrix, L: int, J: int, j: int, n: int, w: int) -> float:
-    """Squared distance of row j from the active ones, r and the factor's row corrected with it."""
-    for again in range(2):
-        for i in range(n):
-            S[X, i] = S[J + j, i]
-        for k in range(w):
-            a, r = S[R, k], J + (int(S[ACTIVE, k]) & MASK)
-            for i in range(n):
-                S[X, i] -= a * S[r, i]
-        if again == 0:
-            for k in range(w):
-                r, s = J + (int(S[ACTIVE, k]) & MASK), 0.0
-                for i in range(n):
-                    s += S[X, i] * S[r, i]
-                S[E, k] = s
-            forward(S, L, w, E)
-            for k in range(w):
-                S[STEP, k] += S[E, k]
-            backward(S, L, w, E)
-            for k in range(w):
-                S[R, k] += S[E, k]
-    d = 0.0
-    for i in range(n):
-        d += S[X, i] * S[X, i]
-    return d
-
-
-@compiled
-def direction(S: Matrix, L: int, H: int, J: int, j: int, n: int, w: int) -> float:
-    """r = H_WW⁻¹ H_Wj in R, the factor's new row in STEP; the squared distance of row j from W."""
-    for k in range(w):
-        S[STEP, k] = S[H + j, int(S[ACTIVE, k]) & MASK]
-    forward(S, L, w, STEP)
-    d = S[H + j, j]
-    for k in range(w):
-        S[R, k] = S[STEP, k]
-        d -= S[STEP, k] * S[STEP, k]
-    backward(S, L, w, R)
-    if w > 0 and d < CLOSE * S[H + j, j]:
-        return distance(S, L, J, j, n, w)
-    return float(d)
+PASSES = 20
+"""Rounds of refinement after which it has not settled."""
+TINY = 1e-300
+"""In place of a squared length of zero."""
 
 
 @compiled
 def ray(S: Matrix, j: int, side: float, w: int) -> int:
     """The multipliers become the proof that row j contradicts the active ones."""
-    for i in range(S.shape[1]):
+    for i in range(width_of(S)):
         S[LAM, i] = 0.0
     for k in range(w):
         S[LAM, int(S[ACTIVE, k]) & MASK] = -side * S[R, k]
@@ -205,7 +172,7 @@ def put_aside(S: Matrix, H: int, j: int, lam: float) -> int:
     """Row j is the active ones written twice: what multiplier it has gathered stays in v₀."""
     S[SIDE, j], S[LAM, j] = PUT_ASIDE, lam
     S[HEAD, ASIDE] += 1
-    for i in range(S.shape[1]):
+    for i in range(width_of(S)):
         S[V0, i] -= lam * S[H + j, i]
     return 0
 
@@ -268,7 +235,7 @@ def bring_in(S: Matrix, L: int, H: int, J: int, j: int, size: float) -> int:
 def take_up(S: Matrix, H: int, size: float) -> int:
     """The row put aside that is violated most, if by more than rounding, as any other row again."""
     most, row = 1.0, -1
-    for i in range(S.shape[1]):
+    for i in range(width_of(S)):
         if S[SIDE, i] == PUT_ASIDE:
             over, under = S[V, i] - S[HIGH, i], S[LOW, i] - S[V, i]
             e, g = (over, S[HIGH, i]) if over >= under else (under, S[LOW, i])
@@ -278,160 +245,54 @@ def take_up(S: Matrix, H: int, size: float) -> int:
     if row >= 0:
         S[SIDE, row] = 0.0
         S[HEAD, ASIDE] -= 1
-        for i in range(S.shape[1]):
+        for i in range(width_of(S)):
             S[V0, i] += S[LAM, row] * S[H + row, i]
     return row
 
 
 @compiled
-def take_in(S: Matrix, L: int, H: int, i: int, side: float) -> None:
-    """Row i into the set to start from, unless it is in, has no limit, or leans on the others."""
-    w = int(S[HEAD, COUNT]) & MASK
-    g = S[HIGH, i] if side > 0.0 else S[LOW, i]
-    if S[SIDE, i] != 0.0 or abs(g) == inf or w == int(S[HEAD, N]):
-        return
-    d = S[H + i, i]
-    for a in range(w):
-        s = S[H + i, int(S[ACTIVE, a]) & MASK]
-        for k in range(a):
-            s -= S[L + a, k] * S[L + w, k]
-        s *= S[INVERSE, a]
-        S[L + w, a] = s
-        d -= s * s
-    if d > CLOSE * S[H + i, i]:
-        append(S, L, w, i, side, d)
-
-
-@compiled
-def shift(S: Matrix, L: int, H: int) -> None:
-    """The set moves on by one move; the last move keeps what it had as well."""
-    n, n_pad, m = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, int(S[HEAD, M])
-    block, w = int(S[HEAD, BLOCK]) & MASK, int(S[HEAD, COUNT]) & MASK
-    for k in range(w):
-        i = int(S[ACTIVE, k]) & MASK
-        S[BEFORE, k] = (i + 1) * S[SIDE, i]
-        S[SIDE, i] = S[LAM, i] = 0.0
-    S[HEAD, COUNT] = 0
-    for k in range(w):
-        side = 1.0 if S[BEFORE, k] > 0.0 else -1.0
-        i = (int(abs(S[BEFORE, k])) - 1) & MASK
-        first, end = (0, n) if i < n_pad else (n_pad, n_pad + m)
-        if i - first >= block:
-            take_in(S, L, H, (i - block) & MASK, side)
-        if i >= end - block:
-            take_in(S, L, H, i, side)
-
-
-@compiled
-def forget(S: Matrix) -> None:
-    for i in range(S.shape[1]):
-        S[SIDE, i] = S[LAM, i] = 0.0
-    S[HEAD, COUNT] = S[HEAD, ASIDE] = S[HEAD, STALE] = 0.0
-
-
-PASSES = 20
-"""Rounds of refinement after which it has not settled."""
-SETTLED = 1e-12
-"""A correction of no more than this share leaves nothing to correct: each is a small part of the
-one before."""
-NEAR = 10.0
-"""How much longer v₀ may be than v before v, their difference, is computed anew."""
-
-
-@compiled
-def length(S: Matrix, row: int, width: int) -> float:
-    """Length of a vector of row values in the norm of P⁻¹."""
-    square = 0.0
-    for i in range(width):
-        v = S[row, i] * S[UNIT, i]
-        square += v * v
-    return sqrt(square)
-
-
-@compiled
-def begin(S: Matrix, K: int, width: int) -> float:
-    """v₀, and its length in the norm of P; a negative ending for data that have no answer."""
-    n = int(S[HEAD, N_PAD]) & MASK
-    if S[HEAD, STALE] > 0.0 or S[HEAD, KEEP] == 0.0 or S[HEAD, ASIDE] > 0.0:
-        forget(S)
-    S[HEAD, ITERATIONS] = 0.0
-    for i in range(width):
-        S[V0, i] = 0.0
-    product(S, V0, K, Q, n, 0, width)
-    size, bad, pinned = length(S, V0, width), 0, 0
-    for i in range(width):
-        bad += not ((S[LOW, i] <= S[HIGH, i]) & (S[LOW, i] < inf) & (S[HIGH, i] > -inf))
-        pinned += S[LOW, i] == S[HIGH, i]
-    if not size < inf:
-        return NOT_FINITE
-    S[CHECK, LENGTH], S[CHECK, PINNED] = size, pinned
-    return CROSSED if bad else size
-
-
-@compiled
-def start(S: Matrix, L: int, H: int, width: int, noise: float) -> int:
-    """The set to start from and its v: the same as before if that will do; a row it violates."""
-    if S[HEAD, COUNT] > 0.0:
-        wrong = multipliers(S, L)
-        if wrong != 0:
-            shift(S, L, H)
-            repair(S, L)
-    values(S, H, width)
-    return most_violated(S, width, noise)
-
-
-@compiled
 def bring_all_in(S: Matrix, L: int, H: int, J: int, j: int, coarse: float, size: float) -> int:
-    """Bring in row j and then the most violated one until there is none; 0, or an ending."""
-    width = S.shape[1] & MASK
+    """Bring in row j and then one violated row after the other; 0 if none is left, or an ending."""
+    if j >= 0:
+        list_candidates(S, j, coarse)
     while j >= 0:
         ending = bring_in(S, L, H, J, j, size)
         if ending != 0:
             return ending
-        values(S, H, width)
-        j = most_violated(S, width, coarse)
+        j = next_row(S, H, coarse)
     return 0
 
 
 @compiled
 def look_again(S: Matrix, P: int, L: int, H: int, noise: float, size: float, dropped: int) -> int:
     """A row that the refined point violates, or one put aside that it violates; −1 for none."""
-    width = S.shape[1] & MASK
-    evaluate(S, P, H, width)
+    evaluate(S, P, H)
     if dropped > 0:
         repair(S, L)
-        values(S, H, width)
-    j = most_violated(S, width, noise)
+        values(S, H)
+    j = most_violated(S, noise)
     return take_up(S, H, size) if j < 0 and S[HEAD, ASIDE] > 0.0 else j
 
 
 @compiled
-def is_clear(S: Matrix, size: float) -> bool:
-    """Whether a correction of no more than `SETTLED` is all that an answer can be in error by."""
-    small = size <= S[CHECK, SIZE] and S[CHECK, LARGEST] <= S[CHECK, MOST]
-    return bool(small and S[HEAD, ASIDE] == 0.0)
-
-
-@compiled
-def solved(S: Matrix, P: int, H: int, size: float, clear: bool) -> int:
+def solved(S: Matrix, P: int, H: int, J: int, L: int, size: float, clear: bool) -> int:
     """The number of iterations; `DOUBTFUL` where rounding may decide where the optimum is."""
-    n, width = P - VECTORS, S.shape[1] & MASK
-    if S[CHECK, PINNED] > 0.0 or is_crowded(S, width, size):
+    if is_crowded(S, L, H, J, size):
         return DOUBTFUL
-    if not clear and (S[HEAD, ASIDE] > 0.0 or not is_near(S, P, H, n, width)):
-        return DOUBTFUL
-    return int(S[HEAD, ITERATIONS])
+    n, alone = int(S[HEAD, N_PAD]) & MASK, S[HEAD, ASIDE] == 0.0
+    near = clear or (alone and is_near(S, P, H, n, width_of(S)))
+    return int(S[HEAD, ITERATIONS]) if near else DOUBTFUL
 
 
 @compiled
 def solve(S: Matrix) -> int:
-    n, width = int(S[HEAD, N_PAD]) & MASK, S.shape[1] & MASK
+    n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
     K, P, H, J, A, L = starts(n, width)
-    size = begin(S, K, width)
+    size = begin(S, K)
     if size < 0.0:
         return int(size)
-    coarse, before = VIOLATED * size, inf
-    j = start(S, L, H, width, coarse)
+    coarse, first = VIOLATED * size, max(size * size, TINY)
+    j, before = start(S, L, H, coarse), first
     # Whether rows contradict each other is decided on refined values only.
     size = inf
     for _ in range(PASSES):
@@ -439,25 +300,22 @@ def solve(S: Matrix) -> int:
         if ending != 0:
             return ending
         correction = refine(S, K, P, H, A, L)
-        rounding = sqrt(max(correction, 0.0))
-        dropped = settle_signs(S, L, max(coarse, rounding))
-        size = length(S, V, width)
-        fine = VIOLATED * size
-        settled = dropped == 0 and correction <= SETTLED * SETTLED * size * size
-        clear = settled and is_clear(S, size)
-        if clear and coarse <= NEAR * fine:
-            return solved(S, P, H, size, clear)
-        j = look_again(S, P, L, H, max(fine, rounding), size, dropped)
+        dropped = settle_signs(S, L, max(coarse, sqrt(correction)))
+        size = length(S, V)
+        settled = dropped == 0 and is_settled(correction, before, size)
+        if settled and is_clear(S, P, coarse, size, correction):
+            return solved(S, P, H, J, L, size, True)
+        j = look_again(S, P, L, H, max(VIOLATED * size, sqrt(correction)), size, dropped)
         # No longer falling: the correction is the rounding of this problem.
         falling = correction <= 0.25 * before
         if j < 0 and (settled or (dropped == 0 and not falling)):
-            if clear or excess(S, P, n, width) <= 1.0:
-                return solved(S, P, H, size, clear)
+            if excess(S, P, n, width) <= 1.0:
+                return solved(S, P, H, J, L, size, False)
             # What is left to do if it does not fall: a row that `VIOLATED` has let pass.
             j = -1 if falling else int(S[CHECK, WORST])
             if j < 0 and not falling:
                 return UNDECIDED
-        before = correction if j < 0 else inf
+        before = correction if j < 0 else first
     return UNDECIDED
 
 
@@ -486,15 +344,25 @@ def _entry_points(version: int) -> tuple[Callable[..., Any], ...]:
     @njit("f8(f8[:, ::1])", cache=True, fastmath=REORDER, error_model="numpy")
     def excess_of(S):  # type: ignore[no-untyped-def] # compiled by numba
         S[HEAD, STAMP] = version
-        n, width = int(S[HEAD, N_PAD]) & MASK, S.shape[1] & MASK
+        n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
         return excess(S, starts(n, width)[1], n, width)
 
+    @njit("void(f8[:, ::1])", cache=True, error_model="numpy")
+    def mark_spans(S):  # type: ignore[no-untyped-def] # compiled by numba
+        S[HEAD, STAMP] = version
+        n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
+        K, P, H, J, _, _ = starts(n, width)
+        mark(S, K, P, GROUP, n)
+        mark(S, P, H, GROUP, n)
+        mark(S, H, J, 1, n)
+
     # Without Numba's dispatcher, which takes 0.1 µs a call to find the type of S again.
-    return solve_step.get_overload(solve_step.signatures[0]), take_over, excess_of
+    return solve_step.get_overload(solve_step.signatures[0]), take_over, excess_of, mark_spans
 
 
-solve_step, take_over, excess_of = _entry_points(stamp())
+solve_step, take_over, excess_of, mark_spans = _entry_points(stamp())
 """solve_step(S): solve the QP in S; the number of iterations, or a negative ending.
 take_over(S, q, l, u): copy the vectors into S, or False where a length does not fit; TypeError for
 anything but contiguous float64 vectors that may be written to.
+mark_spans(S): write where the rows of K, [P Aᵀ] and H are not zero; after every change of them.
 excess_of(S): how many times what is allowed z and λ in S miss the optimality conditions by."""

@@ -16,7 +16,8 @@ With n variables and m rows, both padded to multiples of 16, C = [I; A] has `wid
     11  ACTIVE  12  INVERSE       i of the k-th active row, 1/L_kk            k
     13  R       14  STEP          scratch                                     k
     15  X       16  E             scratch                                     k or variable or i
-    18  BEFORE                    what λ or SIDE was                          i or k
+    18  BEFORE                    what λ or SIDE was, or a list of rows       i or k
+    19 … 42  SHARES               of rows in the active ones (`crowded`)      k
     ── blocks ─────────────────────────────────────────────────────────────────────
     K   n_pad rows                −P⁻¹Cᵀ                                      i
     P   n_pad rows                [P Aᵀ]                                      i
@@ -38,15 +39,20 @@ from typing import TypeVar, cast
 
 from numba import njit
 
+from dpbench.arrays import Matrix
+
 # Rows of vectors. X, E, R and STEP are scratch.
 HEAD, CHECK, Q, LOW, HIGH, UNIT, SUM, V0, V = range(9)
 LAM, SIDE, ACTIVE, INVERSE, R, STEP, X, E, Z, BEFORE = range(9, 19)
-VECTORS = 19
+SHARES, VECTORS = 19, 43
 # Slots of row HEAD, and of row CHECK; there is room for sixteen in a row.
-N, N_PAD, M, COUNT, ASIDE, ITERATIONS, LIMIT, KEEP, STALE, BLOCK, STAMP = range(11)
-SIZE, MOST, LARGEST, LENGTH, WORST, PINNED = range(6)
+N, N_PAD, M, COUNT, ASIDE, ITERATIONS, LIMIT, KEEP, STALE, BLOCK, BLOCK_ROWS, STAMP = range(12)
+LONGEST, STEEPEST, MOST, LARGEST, LENGTH, WORST, CANDIDATES = range(7)
 PUT_ASIDE = 2.0
 """SIDE of a row that is the active ones written twice: not active, its multiplier part of v₀."""
+TAIL = 16
+"""Columns behind the `width` first ones, where rows of K, [P Aᵀ] and H say which of their entries
+are not zero: how many spans of them there are before column n_pad and in all, then the spans."""
 MASK = 0xFFFFFF
 """An integer is taken with it so that the compiler knows that an index is not negative."""
 
@@ -79,6 +85,13 @@ def block_starts(n_pad: int, width: int) -> tuple[int, int, int, int, int, int]:
 
 starts = compiled(block_starts)
 """`block_starts` for compiled functions."""
+
+
+@compiled
+def width_of(S: Matrix) -> int:
+    """Places for rows of C."""
+    width: int = (S.shape[1] - TAIL) & MASK
+    return width
 
 
 def stamp() -> int:

@@ -51,7 +51,8 @@ from dpbench.arrays import Matrix, Vector
 from dpbench.qp.referee.dyadic import Dyadic, Whole, solve_integer
 from dpbench.qp.referee.gap import independent, met
 from dpbench.qp.referee.joint import JointQP
-from dpbench.solvers.own.active_set.check import EPSILON, STEEP
+from dpbench.solvers.own.active_set.check import EPSILON
+from dpbench.solvers.own.active_set.crowded import STEEP
 from dpbench.solvers.own.safeguards.pinned import apart
 
 LARGEST = 40

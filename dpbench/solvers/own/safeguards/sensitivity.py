@@ -19,8 +19,8 @@ from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.joint import JointQP
 from dpbench.solvers.own.active_set import layout as layout
 from dpbench.solvers.own.active_set.check import EPSILON, WRONG
-from dpbench.solvers.own.active_set.factor import VIOLATED
 from dpbench.solvers.own.active_set.kernel import solve_step
+from dpbench.solvers.own.active_set.pricing import VIOLATED
 from dpbench.solvers.own.safeguards.careful import solve_carefully
 from dpbench.solvers.own.safeguards.pinned import INDEPENDENT, apart
 
