@@ -16,7 +16,7 @@ import numpy as np
 import scipy.linalg
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.qp.program import QuadraticProgram
+from dpbench.qp.program import QuadraticProgram, rows_per_block
 from dpbench.solvers.own.active_set import layout as layout
 from dpbench.solvers.own.active_set.kernel import mark_spans
 
@@ -86,7 +86,7 @@ def fill(S: Matrix, qp: QuadraticProgram, *, keep: bool) -> str:
     S[layout.LOW, rows], S[layout.HIGH, rows], S[layout.Q, :n] = qp.l, qp.u, qp.q
     head = S[layout.HEAD]
     head[layout.KEEP], head[layout.STALE] = keep, 1
-    head[layout.BLOCK], head[layout.BLOCK_ROWS] = qp.block, m * qp.block // n
+    head[layout.BLOCK], head[layout.BLOCK_ROWS] = qp.block, rows_per_block(n, m, qp.block)
     check = S[layout.CHECK]
     check[layout.LONGEST] = np.sqrt(H.diagonal().max())
     check[layout.STEEPEST] = np.sqrt(np.trace(P))
