@@ -1,0 +1,60 @@
+"""What is proven of several things over time, a bar each."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import altair as alt
+import pandas as pd
+
+from dpbench.analysis.consequence import HELD, LOST, UNKNOWN
+from dpbench.report.charts.style import MEETS, MISSES, OPEN, PAPER, below, styled, tip
+
+_STATES = {HELD: MEETS, LOST: MISSES, UNKNOWN: OPEN}
+_NAMED = 0.2
+"""A span of at least this share of the whole says its state in words."""
+
+
+def spans(table: pd.DataFrame, title: str) -> Any:
+    """A bar over time for each group, coloured and named by state.
+
+    Parameters
+    ----------
+    table : columns `analysis.consequence.SPAN`, groups in the order of the bars.
+    """
+    first, last = table["from_s"].min(), table["to_s"].max()
+    named = table["to_s"] - table["from_s"] >= _NAMED * (last - first)
+    table = table.assign(
+        middle_s=0.5 * (table["from_s"] + table["to_s"]), text=table["state"].where(named, "")
+    )
+    present = [state for state in _STATES if state in set(table["state"])]
+    base = alt.Chart(table).encode(
+        y=alt.Y(
+            "group:N",
+            title=None,
+            sort=list(dict.fromkeys(table["group"])),
+            axis=alt.Axis(ticks=False, domain=False),
+        ),
+        tooltip=[
+            alt.Tooltip("group:N", title="lost"),
+            alt.Tooltip("state:N"),
+            tip("from_s:Q", "from [s]"),
+            tip("to_s:Q", "to [s]"),
+        ],
+    )
+    time = alt.Scale(domain=[float(first), float(last)], nice=False)
+    colour = alt.Color(
+        "state:N",
+        title=None,
+        scale=alt.Scale(domain=present, range=[_STATES[state] for state in present]),
+        legend=below(symbolType="square"),
+    )
+    bars = base.mark_bar().encode(
+        x=alt.X("from_s:Q", title="time [s]", scale=time), x2="to_s:Q", color=colour
+    )
+    words = base.mark_text(color=PAPER, fontSize=12, fontWeight=600).encode(
+        x=alt.X("middle_s:Q", scale=time), text="text:N"
+    )
+    chart = alt.layer(bars, words, width=520, height=alt.Step(30))
+    about = "For each failure group, when the thrusters that remain could hold the ship."
+    return styled(chart, title, about)
