@@ -3,7 +3,7 @@
 The QPs of all failure groups at one sample are a batch, solved one after another. Each QP counts
 once, by the round in which a solver was worst:
 
-    QPs = held rightly + refused rightly + missed alarms + false alarms + otherwise untrue + nothing
+    QPs = held rightly + refused rightly + missed alarms + other untrue claims + nothing
 """
 
 from __future__ import annotations
@@ -32,15 +32,16 @@ class BatchAnswers:
 
     Parameters
     ----------
-    name : of the configuration.
+    solver, name : the solver, and the configuration.
     feasible, infeasible : QPs it was given of each kind; asked : all it should have answered.
     held : feasible, with a true optimum; refused : infeasible, and rightly called so.
-    missed : infeasible, and claimed solved; false_alarms : feasible, and called infeasible.
-    untrue : all claims that are not true, those two among them; the rest it said nothing of.
+    missed : infeasible, and claimed solved; untrue : all claims that are not true, those among
+        them; the rest it said nothing of.
     p99, largest : share of the sample that a batch takes, over the samples; NaN for too few, or
         where a group was not run to its end.
     """
 
+    solver: str
     name: str
     asked: int
     feasible: int
@@ -48,7 +49,6 @@ class BatchAnswers:
     held: int
     refused: int
     missed: int
-    false_alarms: int
     untrue: int
     p99: float
     largest: float
@@ -132,6 +132,7 @@ def _answers(
     batch_ns = _batch_ns(records, runs) if len(runs) == groups else np.zeros(0)
     shares = batch_ns / (1e9 * sample_s)
     return BatchAnswers(
+        solver=runs[0].solver,
         name=runs[0].name,
         asked=sum(run.steps_planned for run in runs),
         p99=percentile(shares, 99),
@@ -141,7 +142,7 @@ def _answers(
 
 
 def _counts(steps: pd.DataFrame) -> pd.Series[int]:
-    """Feasible, infeasible, held, refused, missed, false alarms and untrue claims of one run."""
+    """Feasible, infeasible, held, refused, missed and untrue of one run."""
     claims = claims_of(steps)
     infeasible = steps["certificate"] == INFEASIBLE
     always = pd.DataFrame(
@@ -155,12 +156,13 @@ def _counts(steps: pd.DataFrame) -> pd.Series[int]:
     ever = pd.DataFrame(
         {
             "missed": claims["lies"] & infeasible,
-            "false_alarms": claims["empty_wrong"] & ~infeasible,
             "untrue": claims["lies"] | claims["empty_wrong"],
         }
     )
-    by_step = [always.groupby(steps["k"]).all().sum(), ever.groupby(steps["k"]).any().sum()]
-    return pd.concat(by_step)
+    counts: pd.Series[int] = pd.concat(
+        [always.groupby(steps["k"]).all().sum(), ever.groupby(steps["k"]).any().sum()]
+    )
+    return counts
 
 
 def _batch_ns(records: Records, runs: Sequence[RunRecord]) -> Floats:

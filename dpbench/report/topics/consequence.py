@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from math import isnan
 
 import pandas as pd
 
 from dpbench.analysis.consequence import HELD, LOST, Analysis, BatchAnswers, consequence_analyses
 from dpbench.analysis.records import Records
-from dpbench.report.charts.spans import spans
+from dpbench.report.charts.consequence import shares, spans
 from dpbench.report.formats import and_list, plural, significant
 from dpbench.report.page.topic import Figure, SmallTable, Topic
 
 HEAD = (
     "configuration",
-    "share of the sample, p99",
-    "largest",
-    "held, rightly",
-    "cannot be held, rightly",
+    "p99 share",
+    "largest share",
+    "held",
+    "not held",
     "missed alarms",
-    "false alarms",
-    "untrue claims",
+    "other untrue claims",
     "no answer",
 )
 
@@ -33,13 +32,13 @@ def consequence_topic(records: Records) -> Topic | None:
         return None
     return Topic(
         id="consequence",
-        title="Consequence analysis: could the ship hold after a failure?",
+        title="Consequence analysis",
         lines=(
             *(f"{_when(analysis)} {_who(analysis)}" for analysis in analyses),
-            "Where a loss cannot be held, work that may not lose position has to be ended safely; "
-            "no solver that misses an alarm, or has no answer then, should be asked.",
+            "Where a loss cannot be held, work during which the ship must not leave its place has "
+            "to be ended safely. Ask no solver that misses such an alarm, or has no answer then.",
         ),
-        figures=tuple(_figure(analysis) for analysis in analyses),
+        figures=tuple(figure for analysis in analyses for figure in _figures(analysis)),
         tables=tuple(
             SmallTable(HEAD, tuple(map(_row, analysis.answers)), analysis.name)
             for analysis in analyses
@@ -47,10 +46,32 @@ def consequence_topic(records: Records) -> Topic | None:
     )
 
 
-def _figure(analysis: Analysis) -> Figure:
-    title = f"Which loss the other thrusters hold, {analysis.name}"
-    caption = "Proven for the mean force of each sample: an optimum, or that there is none."
-    return Figure(f"consequence-{analysis.name}", spans(analysis.spans, title), caption)
+def _figures(analysis: Analysis) -> Iterator[Figure]:
+    """When which loss can be held, and what the best configuration of each solver takes."""
+    yield Figure(
+        f"consequence-{_file_name(analysis)}",
+        spans(analysis.spans, f"Which loss the other thrusters hold, {analysis.name}"),
+        "Proven for the mean force of each sample: an optimum, or that there is none.",
+    )
+    best: dict[str, BatchAnswers] = {}
+    for answers in analysis.answers:
+        if not isnan(answers.largest):
+            best.setdefault(answers.solver, answers)
+    if best:
+        marks = [
+            {"name": a.name, "percent": 100.0 * a.largest, "right": a.all_right}
+            for a in sorted(best.values(), key=lambda a: a.largest)
+        ]
+        yield Figure(
+            f"consequence-time-{_file_name(analysis)}",
+            shares(pd.DataFrame(marks), f"What the analysis takes, {analysis.name}"),
+            "The best configuration of each solver; the QPs of all groups at one sample.",
+        )
+
+
+def _file_name(analysis: Analysis) -> str:
+    """`thrusters-350-550` of `thrusters[350:550]`."""
+    return analysis.name.rstrip("]").replace("[", "-").replace(":", "-")
 
 
 def _when(analysis: Analysis) -> str:
@@ -58,7 +79,7 @@ def _when(analysis: Analysis) -> str:
     said: dict[str, list[str]] = {}
     for group, of_group in analysis.spans.groupby("group", sort=False):
         said.setdefault(_time(of_group), []).append(str(group))
-    parts = [f"the loss of {and_list(groups)} can be held {when}" for when, groups in said.items()]
+    parts = [f"the loss of {' or of '.join(of)} can be held {when}" for when, of in said.items()]
     return f"In {analysis.name} {'; '.join(parts)}."
 
 
@@ -109,8 +130,7 @@ def _row(answers: BatchAnswers) -> tuple[str, ...]:
         f"{answers.held} of {answers.feasible}",
         f"{answers.refused} of {answers.infeasible}",
         str(answers.missed),
-        str(answers.false_alarms),
-        str(answers.untrue),
+        str(answers.untrue - answers.missed),
         str(silent),
     )
 

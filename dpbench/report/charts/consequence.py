@@ -1,4 +1,4 @@
-"""What is proven of several things over time, a bar each."""
+"""Consequence analysis: which loss can be held over time, and what solvers take to say so."""
 
 from __future__ import annotations
 
@@ -8,7 +8,16 @@ import altair as alt
 import pandas as pd
 
 from dpbench.analysis.consequence import HELD, LOST, UNKNOWN
-from dpbench.report.charts.style import MEETS, MISSES, OPEN, PAPER, below, styled, tip
+from dpbench.report.charts.style import (
+    MEETS,
+    MISSES,
+    OPEN,
+    PAPER,
+    below,
+    log_scale,
+    styled,
+    tip,
+)
 
 _STATES = {HELD: MEETS, LOST: MISSES, UNKNOWN: OPEN}
 _NAMED = 0.2
@@ -57,4 +66,48 @@ def spans(table: pd.DataFrame, title: str) -> Any:
     )
     chart = alt.layer(bars, words, width=520, height=alt.Step(30))
     about = "For each failure group, when the thrusters that remain could hold the ship."
+    return styled(chart, title, about)
+
+
+_RIGHT, _NOT_RIGHT = "all answers right", "wrong or no answer"
+
+
+def shares(table: pd.DataFrame, title: str) -> Any:
+    """Share of the sample that the QPs of one sample take at most, a mark each.
+
+    Parameters
+    ----------
+    table : columns name, percent and right, in the order of the marks.
+    """
+    table = table.assign(answers=table["right"].map({True: _RIGHT, False: _NOT_RIGHT}))
+    kinds = [kind for kind in (_RIGHT, _NOT_RIGHT) if kind in set(table["answers"])]
+    looks = {_RIGHT: (MEETS, "circle"), _NOT_RIGHT: (MISSES, "cross")}
+    colours, shapes = ([looks[kind][i] for kind in kinds] for i in (0, 1))
+    chart = (
+        alt.Chart(table)
+        .mark_point(filled=True, size=70, opacity=1)
+        .encode(
+            x=alt.X(
+                "percent:Q",
+                title="largest share of the sample [%]",
+                scale=log_scale(padding=12),
+                axis=alt.Axis(format="~g", tickCount=5),
+            ),
+            y=alt.Y("name:N", title=None, sort=table["name"].tolist(), axis=alt.Axis(grid=True)),
+            color=alt.Color(
+                "answers:N",
+                title=None,
+                scale=alt.Scale(domain=kinds, range=colours),
+                legend=below(),
+            ),
+            shape=alt.Shape("answers:N", scale=alt.Scale(domain=kinds, range=shapes)),
+            tooltip=[
+                alt.Tooltip("name:N", title="configuration"),
+                tip("percent:Q", "share [%]", 2),
+                alt.Tooltip("answers:N"),
+            ],
+        )
+        .properties(width=380, height=alt.Step(18))
+    )
+    about = "For each solver the largest share of a sample that the QPs of all groups take."
     return styled(chart, title, about)
