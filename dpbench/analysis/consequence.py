@@ -36,7 +36,7 @@ class BatchAnswers:
     feasible, infeasible : QPs it was given of each kind; asked : all it should have answered.
     held : feasible, with a true optimum; refused : infeasible, and rightly called so.
     missed : infeasible, and claimed solved; untrue : all claims that are not true, those among
-        them; the rest it said nothing of.
+        them.
     p99, largest : share of the sample that a batch takes, over the samples; NaN for too few, or
         where a group was not run to its end.
     """
@@ -52,6 +52,11 @@ class BatchAnswers:
     untrue: int
     p99: float
     largest: float
+
+    @property
+    def silent(self) -> int:
+        """QPs without a claim or a true answer, and those it never reached."""
+        return self.asked - self.held - self.refused - self.untrue
 
     @property
     def all_right(self) -> bool:
@@ -74,6 +79,14 @@ class Analysis:
     groups: tuple[str, ...]
     spans: pd.DataFrame
     answers: tuple[BatchAnswers, ...]
+
+    @property
+    def best(self) -> dict[str, BatchAnswers]:
+        """The best configuration of each solver, by its name."""
+        best: dict[str, BatchAnswers] = {}
+        for answers in self.answers:
+            best.setdefault(answers.solver, answers)
+        return best
 
 
 def consequence_analyses(records: Records) -> list[Analysis]:

@@ -22,6 +22,7 @@ HEAD = (
     "missed alarms",
     "other untrue claims",
     "no answer",
+    "ways all right",
 )
 
 
@@ -40,8 +41,7 @@ def consequence_topic(records: Records) -> Topic | None:
         ),
         figures=tuple(figure for analysis in analyses for figure in _figures(analysis)),
         tables=tuple(
-            SmallTable(HEAD, tuple(map(_row, analysis.answers)), analysis.name)
-            for analysis in analyses
+            SmallTable(HEAD, tuple(_rows(analysis)), analysis.name) for analysis in analyses
         ),
     )
 
@@ -53,15 +53,12 @@ def _figures(analysis: Analysis) -> Iterator[Figure]:
         spans(analysis.spans, f"Which loss the other thrusters hold, {analysis.name}"),
         "Proven for the mean force of each sample: an optimum, or that there is none.",
     )
-    best: dict[str, BatchAnswers] = {}
-    for answers in analysis.answers:
-        if not isnan(answers.largest):
-            best.setdefault(answers.solver, answers)
-    if best:
-        marks = [
-            {"name": a.name, "percent": 100.0 * a.largest, "right": a.all_right}
-            for a in sorted(best.values(), key=lambda a: a.largest)
-        ]
+    timed = [answers for answers in analysis.best.values() if not isnan(answers.largest)]
+    marks = [
+        {"name": a.name, "percent": 100.0 * a.largest, "right": a.all_right}
+        for a in sorted(timed, key=lambda a: a.largest)
+    ]
+    if marks:
         yield Figure(
             f"consequence-time-{_file_name(analysis)}",
             shares(pd.DataFrame(marks), f"What the analysis takes, {analysis.name}"),
@@ -110,29 +107,34 @@ def _who(analysis: Analysis) -> str:
         batch = plural(len(analysis.groups), "QP")
         head += f", the fastest {best.name} with at most {_share(best.largest)} of the sample for "
         head += f"its {batch}"
-    return f"{head}; {_liars(answers)}."
+    silent = sum(1 for a in answers if a.silent)
+    unanswered = f"; {silent} leave some without an answer" if silent else ""
+    return f"{head}; {_liars(answers)}{unanswered}."
 
 
 def _liars(answers: Sequence[BatchAnswers]) -> str:
     """Whose alarms are missing, the most first."""
     missed = sorted((a for a in answers if a.missed), key=lambda a: -a.missed)
     if not missed:
-        return "nobody calls a loss held that is not"
+        return "none calls a loss held that is not"
     return "alarms are missed by " + and_list([f"{a.name} ({a.missed})" for a in missed])
 
 
-def _row(answers: BatchAnswers) -> tuple[str, ...]:
-    silent = answers.asked - answers.held - answers.refused - answers.untrue
-    return (
-        answers.name,
-        _share(answers.p99),
-        _share(answers.largest),
-        f"{answers.held} of {answers.feasible}",
-        f"{answers.refused} of {answers.infeasible}",
-        str(answers.missed),
-        str(answers.untrue - answers.missed),
-        str(silent),
-    )
+def _rows(analysis: Analysis) -> Iterator[tuple[str, ...]]:
+    """The best configuration of each solver, and how many of its ways to run are all right."""
+    for solver, best in analysis.best.items():
+        ways = [answers.all_right for answers in analysis.answers if answers.solver == solver]
+        yield (
+            best.name,
+            _share(best.p99),
+            _share(best.largest),
+            f"{best.held} of {best.feasible}",
+            f"{best.refused} of {best.infeasible}",
+            str(best.missed),
+            str(best.untrue - best.missed),
+            str(best.silent),
+            f"{sum(ways)} of {len(ways)}",
+        )
 
 
 def _share(share: float) -> str:
