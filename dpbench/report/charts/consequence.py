@@ -20,7 +20,7 @@ from dpbench.report.charts.style import (
 )
 
 _STATES = {HELD: MEETS, LOST: MISSES, UNKNOWN: OPEN}
-_NAMED = 0.2
+_NAMED = 0.45
 """A span of at least this share of the whole says its state in words."""
 
 
@@ -59,12 +59,14 @@ def spans(table: pd.DataFrame, title: str) -> Any:
         legend=below(symbolType="square"),
     )
     bars = base.mark_bar().encode(
-        x=alt.X("from_s:Q", title="time [s]", scale=time), x2="to_s:Q", color=colour
+        x=alt.X("from_s:Q", title="time [s]", scale=time, axis=alt.Axis(tickCount=5)),
+        x2="to_s:Q",
+        color=colour,
     )
     words = base.mark_text(color=PAPER, fontSize=12, fontWeight=600).encode(
         x=alt.X("middle_s:Q", scale=time), text="text:N"
     )
-    chart = alt.layer(bars, words, width=520, height=alt.Step(30))
+    chart = alt.layer(bars, words, width=230, height=alt.Step(26))
     about = "For each failure group, when the thrusters that remain could hold the ship."
     return styled(chart, title, about)
 
@@ -89,9 +91,9 @@ def shares(table: pd.DataFrame, title: str) -> Any:
         .encode(
             x=alt.X(
                 "percent:Q",
-                title="largest share of the sample [%]",
+                title="largest share of a sample [%]",
                 scale=log_scale(padding=12),
-                axis=alt.Axis(format="~g", tickCount=5),
+                axis=alt.Axis(format="~g", tickCount=3, grid=False),
             ),
             y=alt.Y("name:N", title=None, sort=table["name"].tolist(), axis=alt.Axis(grid=True)),
             color=alt.Color(
@@ -107,7 +109,7 @@ def shares(table: pd.DataFrame, title: str) -> Any:
                 alt.Tooltip("answers:N"),
             ],
         )
-        .properties(width=380, height=alt.Step(18))
+        .properties(width=160, height=alt.Step(18))
     )
     about = "For each solver the largest share of a sample that the QPs of all groups take."
     return styled(chart, title, about)
