@@ -66,7 +66,7 @@ def spans(table: pd.DataFrame, title: str) -> Any:
     words = base.mark_text(color=PAPER, fontSize=12, fontWeight=600).encode(
         x=alt.X("middle_s:Q", scale=time), text="text:N"
     )
-    chart = alt.layer(bars, words, width=230, height=alt.Step(26))
+    chart = alt.layer(bars, words, width=250, height=alt.Step(26))
     about = "For each failure group, when the thrusters that remain could hold the ship."
     return styled(chart, title, about)
 
@@ -109,7 +109,7 @@ def shares(table: pd.DataFrame, title: str) -> Any:
                 alt.Tooltip("answers:N"),
             ],
         )
-        .properties(width=160, height=alt.Step(18))
+        .properties(width=190, height=alt.Step(18))
     )
     about = "For each solver the largest share of a sample that the QPs of all groups take."
     return styled(chart, title, about)

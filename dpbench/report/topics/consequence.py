@@ -50,7 +50,7 @@ def _figures(analysis: Analysis) -> Iterator[Figure]:
     """When which loss can be held, and what the best configuration of each solver takes."""
     yield Figure(
         f"consequence-{_file_name(analysis)}",
-        spans(analysis.spans, f"Which loss the other thrusters hold, {analysis.name}"),
+        spans(analysis.spans, f"Losses held, {analysis.name}"),
         "Proven for the mean force of each sample: an optimum, or that there is none.",
     )
     timed = [answers for answers in analysis.best.values() if not isnan(answers.largest)]
@@ -61,7 +61,7 @@ def _figures(analysis: Analysis) -> Iterator[Figure]:
     if marks:
         yield Figure(
             f"consequence-time-{_file_name(analysis)}",
-            shares(pd.DataFrame(marks), f"What the analysis takes, {analysis.name}"),
+            shares(pd.DataFrame(marks), f"What it takes, {analysis.name}"),
             "The best configuration of each solver; the QPs of all groups at one sample.",
         )
 
