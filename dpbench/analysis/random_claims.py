@@ -93,9 +93,14 @@ def _once(runs: Sequence[RunRecord]) -> list[RunRecord]:
 
 def claims_by_run(steps: pd.DataFrame) -> pd.DataFrame:
     """How many of the steps of each run are what `Tally` says, less `missed`, by run_id."""
+    return claims_of(steps).groupby(steps["run_id"]).sum()
+
+
+def claims_of(steps: pd.DataFrame) -> pd.DataFrame:
+    """Whether each step is what `Tally` says, less `missed`."""
     known, none_said = decided(steps), steps["status"].isin(NO_ANSWER_CLAIMS)
     claimed, true = steps["claimed"], steps["true"]
-    flags = pd.DataFrame(
+    return pd.DataFrame(
         {
             "steps": known,
             "told": known & claimed & true,
@@ -106,4 +111,3 @@ def claims_by_run(steps: pd.DataFrame) -> pd.DataFrame:
             "nothing": known & ~claimed & ~none_said & ~true,
         }
     )
-    return flags.groupby(steps["run_id"]).sum()

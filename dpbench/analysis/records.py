@@ -22,10 +22,11 @@ class Records:
     """The records of one result folder, asked by question.
 
     `all_runs`: each row is one of `runs`, which are about the ship, of `slowed`, closed loops on a
-    slow computer, of `random`, which have no ship, or of another formulation than the common one of
-    its problem; what is selected below is selected from `runs`, so that nothing mixes formulations,
-    nor a solver's mistakes with a computer's. The harness's own configurations are no solvers: they
-    are in `calibration` and nowhere else.
+    slow computer, of `random`, which have no ship, of `consequence`, which ask whether a loss could
+    be held, or of another formulation than the common one of its problem; what is selected below is
+    selected from `runs`, so that nothing mixes formulations, nor a solver's mistakes with a
+    computer's. The harness's own configurations are no solvers: they are in `calibration` and
+    nowhere else.
     """
 
     def __init__(self, results: Results) -> None:
@@ -34,15 +35,16 @@ class Records:
         self.calibration = [run for run in runs if run.solver in CALIBRATION]
         runs = [run for run in runs if run.solver not in CALIBRATION]
         # What a solver is judged on is not for the random problems to say.
-        routes = _default_routes(runs) | _default_routes([run for run in runs if not run.family])
+        routes = _default_routes(runs) | _default_routes([run for run in runs if not run.has_topic])
         self.all_runs = [
             replace(run, default_route=True) if run.route == routes[run.solver] else run
             for run in runs
         ]
         self.delayed = [run for run in self.all_runs if run.slowdown > 0.0]
         self.random = [run for run in self.all_runs if run.family]
+        self.consequence = [run for run in self.all_runs if run.lost_group]
         undelayed = [run for run in self.all_runs if not run.slowdown > 0.0]
-        self.runs = _commonly_formulated([run for run in undelayed if not run.family])
+        self.runs = _commonly_formulated([run for run in undelayed if not run.has_topic])
         self._steps = results.steps
         self._times: dict[str, StepTimes | None] = {}
         self._scenarios: dict[str, Scenario | None] = {}

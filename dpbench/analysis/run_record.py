@@ -32,6 +32,7 @@ class RunRecord:
     ----------
     description : what `cell` says, read.
     family : of a random sequence; "" of every other run.
+    lost_group : the failure group whose loss its QPs are about; "" of every other run.
     default_route : whether it runs on its solver's own route, which `Records` finds out.
     own_switches_a_step : involuntary switches a step that the configuration makes itself, which
         `machine.py` finds out; they are not among `involuntary_switches` then. NaN for none.
@@ -110,6 +111,7 @@ class RunRecord:
 
     description: dict[str, Any] = field(repr=False)
     family: str = ""
+    lost_group: str = ""
     default_route: bool = False
     own_switches_a_step: float = np.nan
 
@@ -125,7 +127,8 @@ class RunRecord:
         description = json.loads(cell) if cell.startswith("{") else {}
         source = description.get("source", {})
         family = str(source["recipe"]["family"]) if source.get("kind") == "random" else ""
-        return cls(**columns, description=description, family=family)
+        group = str(source["group"]) if source.get("kind") == "consequence" else ""
+        return cls(**columns, description=description, family=family, lost_group=group)
 
     @property
     def configuration(self) -> Configuration:
@@ -133,6 +136,11 @@ class RunRecord:
         return Configuration(
             self.solver, self.route, self.policy, self.settings, self.units, self.formulation
         )
+
+    @property
+    def has_topic(self) -> bool:
+        """Whether a topic of its own is about it, and no verdict: its QPs steer no ship."""
+        return bool(self.family or self.lost_group)
 
     @property
     def problem(self) -> str:

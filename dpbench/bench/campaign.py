@@ -132,7 +132,7 @@ class Campaign:
 
     def _without_source(self, jobs: list[CellJob], outcome: Outcome) -> None:
         """Cells whose QPs could not be made: by their nature, or by an accident of the harness."""
-        what = "sequence" if jobs[0].cell.source else "exactly solved loop"
+        what = "exactly solved loop" if jobs[0].cell.scenario else "sequence"
         became = "lost" if outcome.outcome == "lost" else "invalid"
         for job in jobs:
             job.outcome = Outcome(became, f"the {what} failed: {outcome.detail}")

@@ -23,7 +23,7 @@ from dataclasses import replace
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.mpc.thruster_rows import thruster_rows
+from dpbench.mpc.thruster_rows import ThrusterRows, thruster_rows
 from dpbench.qp.program import QuadraticProgram
 from dpbench.ship.capability.shapes import Piece
 from dpbench.ship.thrusters import ThrusterSet
@@ -97,6 +97,37 @@ class StaticAllocation:
         if count:
             A[:, self._thrusters.places[i]] = normals
         return A, low, high
+
+
+class LossAllocation:
+    """The QPs by which thrusters make a force after a loss: one P, q and A, whatever is lost.
+
+        min ½ Σ |f_i/T_i|²   subject to   T_e f = τ,   low ≤ G f ≤ high,   lost ones f_i = 0
+
+    Scaled as above. A loss is a limit, so that a workspace goes on from one load or loss to the
+    next; it has no slack, so that a force that is not to be had leaves no feasible point.
+
+    Parameters
+    ----------
+    rows : the limits of the thrusters, r of them.
+    """
+
+    def __init__(self, thrusters: ThrusterSet, rows: ThrusterRows) -> None:
+        self._units, self._thrust = balance_units(thrusters), thrusters.thrust_N[rows.thruster]
+        self._A = np.vstack([balance_matrix(thrusters), rows.G])
+
+    def limits(self, force: Matrix, low: Matrix, high: Matrix) -> tuple[Matrix, Matrix]:
+        """l and u (K, 3 + r) of forces (K, 3) [N, N, N·m] under limits (K, r) of the rows [N]."""
+        balance = force / self._units
+        return (
+            np.hstack([balance, low / self._thrust]),
+            np.hstack([balance, high / self._thrust]),
+        )
+
+    def problem(self, l: Vector, u: Vector) -> QuadraticProgram:  # noqa: E741 - as in the program
+        """The QP of limits (3 + r,)."""
+        n = self._A.shape[1]
+        return QuadraticProgram(np.eye(n), np.zeros(n), self._A, l, u, -np.ones(n), np.ones(n))
 
 
 def sector_normals(start: float, end: float) -> Matrix:

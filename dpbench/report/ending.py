@@ -13,7 +13,7 @@ from dpbench.report.verdict_text import counted
 
 TERMINAL_NOTES = ("slower", "faster", "next")
 """The notes of the answer that are worth a line there."""
-BESIDE = ("slowdown", "random")
+BESIDE = ("slowdown", "random", "consequence")
 """Topics that have a line of their own where they are not the answer."""
 
 

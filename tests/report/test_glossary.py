@@ -26,6 +26,7 @@ from dpbench.report.compare.tables import answers_table, solvers_table, times_ta
 from dpbench.report.ending import BESIDE, TERMINAL_NOTES
 from dpbench.report.glossary import as_markdown, meanings, topics
 from dpbench.report.table import Table
+from dpbench.report.topics.consequence import HEAD
 from dpbench.scenario.scenario import load_vessel
 from dpbench.solvers.record import POLICIES
 from dpbench.solvers.settings import LEVELS
@@ -125,6 +126,11 @@ def test_every_head_of_a_table_of_the_page_is_explained(written: Any) -> None:
     heads = {re.sub(r" \[.*\]$", "", head).lower() for table in tables for head in table.head}
     assert {"claim", "configuration"} & heads
     assert heads <= {term.lower() for term in _spoken()}
+
+
+def test_every_head_of_a_consequence_analysis_is_explained() -> None:
+    """Which the page above has not."""
+    assert set(HEAD) <= _spoken()
 
 
 def test_a_word_that_is_not_explained_would_be_found() -> None:

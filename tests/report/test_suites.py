@@ -24,6 +24,7 @@ TITLES = {
     "horizon": "Longer horizons",
     "slowdown": "Slower computers",
     "random": "Random QPs",
+    "consequence": "Consequence analysis",
     "formulations": "Formulations",
     "routes": "Routes",
     "paper": "The paper",
@@ -56,6 +57,15 @@ def _random(records: Any) -> None:
     source = {"kind": "random", "name": recipe.name, "recipe": recipe.to_dict()}
     own = {"scenario": "", "cell": json.dumps({"source": source})}
     records.replay("daqp", steps=6, **own)
+
+
+def _consequence(records: Any) -> None:
+    files = records.scenario("thrusters").files
+    for group in ("board A", "board B"):
+        name = f"thrusters[0:30], {group} lost"
+        source = {"kind": "consequence", "name": name, "group": group}
+        own = {"cell": json.dumps({"scenario": files, "source": source})}
+        records.replay("daqp", name, steps=30, **own)
 
 
 def _slow(records: Any) -> None:
@@ -116,6 +126,7 @@ KINDS: dict[str, tuple[Callable[[Any], None], str, set[str]]] = {
     "paper": (_paper, "paper", set()),
     "timed": (_timed, "", {"trust"}),
     "random": (_random, "random", set()),
+    "consequence": (_consequence, "consequence", set()),
     "slow computers": (_slow, "slowdown", set()),
     "horizons": (_horizon, "horizon", set()),
     "calibration": (_calibration, "trust", set()),
@@ -169,7 +180,7 @@ def test_a_suite_shows_what_it_has_and_mentions_nothing_else(
     assert {topic.id for topic in report.topics if topic.tables} <= tables
 
 
-@pytest.mark.parametrize("kind", ["random", "slow computers", "calibration"])
+@pytest.mark.parametrize("kind", ["random", "consequence", "slow computers", "calibration"])
 def test_without_a_solver_on_a_ship_no_demand_is_spoken_of(records: Any, kind: str) -> None:
     """Its answer is that of its own question, and has no chip and nothing to paste."""
     KINDS[kind][0](records)
@@ -177,6 +188,7 @@ def test_without_a_solver_on_a_ship_no_demand_is_spoken_of(records: Any, kind: s
     answer, lead = report.answer, report.topics[0]
     starts = {
         "random": "0 false claims on ",
+        "consequence": "In thrusters[0:30] the loss of board A or of board B can be held through",
         "slow computers": "Slower computers, paper: daqp (qpsolvers fresh) × 100",
         "calibration": "Waits of known length were measured within ",
     }

@@ -178,8 +178,9 @@ def _deadline_s(cell: Cell) -> float:
 
 
 def _sizes(cell: Cell, outcome: Outcome) -> dict[str, Any]:
-    """Horizons and size of the QP; null where there is no ship, or the solver never got a QP."""
-    controller = cell.scenario.get("scenario", {}).get("controller", {})
+    """Horizons and size of the QP; null where it has none, or the solver never got a QP."""
+    scenario = {} if cell.source else cell.scenario.get("scenario", {})
+    controller = scenario.get("controller", {})
     sizes = {
         "N_p": controller.get("prediction_horizon"),
         "N_c": controller.get("control_horizon"),

@@ -15,10 +15,13 @@ from dpbench.bench.plan.cells import (
 )
 from dpbench.bench.plan.configurations import BASELINE_LAW, choose_solvers, configurations_of
 from dpbench.bench.plan.suite import ClosedLoopTable, ReplayTable, SuiteFile
+from dpbench.bench.sequences.consequence import steered_rows
 from dpbench.bench.sequences.recording import with_horizons
+from dpbench.bench.sequences.source import consequence_source
 from dpbench.errors import InputError
 from dpbench.scenario.horizons import Horizons
 from dpbench.scenario.scenario import Scenario, load_scenario, no_delay, no_stages
+from dpbench.solvers.calibration import CALIBRATION
 
 
 def plan(
@@ -143,6 +146,8 @@ def _replay_cells(
             f"suite: replay of {scenario.name}", "first", table.first, f"below {scenario.steps}"
         )
     steps = min(table.steps or scenario.steps, scenario.steps - table.first)
+    if table.consequence:
+        return _consequence_cells(suite, table, scenario, solvers, steps)
     return replay_cells(
         suite,
         table,
@@ -152,3 +157,32 @@ def _replay_cells(
         scenario=scenario.files,
         first=table.first,
     )
+
+
+def _consequence_cells(
+    suite: SuiteFile,
+    table: ReplayTable,
+    scenario: Scenario,
+    solvers: Sequence[str],
+    steps: int,
+) -> list[PlannedCell]:
+    """The cells of each failure group; the harness's own configurations have no part in them."""
+    thrusters, _ = steered_rows(scenario)
+    if table.units != ["scaled"]:
+        where = f"suite: consequence analysis of {scenario.name}"
+        raise InputError(where, "units", ", ".join(table.units), "scaled, its only units")
+    window = "" if table.first == 0 else f"[{table.first}:{table.first + steps}]"
+    own = [name for name in solvers if name not in CALIBRATION]
+    return [
+        cell
+        for group in thrusters.groups
+        for cell in replay_cells(
+            suite,
+            table,
+            own,
+            steps,
+            scenario=scenario.files,
+            first=table.first,
+            source=consequence_source(f"{scenario.name}{window}", group),
+        )
+    ]

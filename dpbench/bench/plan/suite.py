@@ -104,11 +104,15 @@ class ReplayTable(_RunsTable):
     """Identical QPs, recorded along the exactly solved loop, through every solver.
 
     With `horizons` ("30/5") the scenario is run under each of them instead of those of its tuning.
-    With `solvers` only those of the suite take part that are named here.
+    With `solvers` only those of the suite take part that are named here. With `consequence` the QPs
+    are not the controller's: a sequence for each failure group of the ship says whether the other
+    thrusters could take over at each sample.
     """
 
     scenario: str
     """The scenario whose exactly solved loop is recorded."""
+    consequence: bool = False
+    """Consequence analysis along the loop, in place of the controller's own QPs."""
     solvers: list[str] = []
     """Only these of the suite's solvers; all where it is empty."""
     horizons: Annotated[list[str], AfterValidator(different_horizons)] = []

@@ -28,7 +28,7 @@ class Cell:
     Parameters
     ----------
     mode : "closed_loop" or "replay".
-    scenario : the documents of the scenario (`Scenario.files`); empty where `source` stands.
+    scenario : the documents of the scenario (`Scenario.files`); empty where the QPs have none.
     steps : steps to run from `first` on; the whole run in closed loop starts at 0.
     first : first step of a replayed sequence.
     rounds, warmup_steps : replay only: counting rounds, and steps of the round before them.
@@ -42,8 +42,8 @@ class Cell:
         and for the whole sample (`slow_computer.py`).
     seed : of the order of configurations within a round.
     solver_module : file of the plug-in that brings the solver; "" for none.
-    source : replay only: what its QPs are made from where that is no scenario; its `kind`, the
-        `name` of the sequence, and whatever else `source.py` needs.
+    source : replay only: what its QPs are made from where they are not those of the scenario's
+        controller; its `kind`, the `name` of the sequence, and whatever else `source.py` needs.
     """
 
     mode: Literal["closed_loop", "replay"]
@@ -89,7 +89,8 @@ class Cell:
     @property
     def problem_key(self) -> str:
         """Cells with the same problem key see the same QPs (replay) or the same ship."""
-        problem = (self.mode, self.source or self.scenario, self.units, self.first, self.steps)
+        made_of = self.source, self.scenario
+        problem = (self.mode, made_of, self.units, self.first, self.steps)
         return _digest(problem)
 
     def _description(self) -> dict[str, Any]:

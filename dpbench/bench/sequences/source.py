@@ -1,5 +1,5 @@
-"""Where the QPs of a replay come from: the exactly solved loop of a scenario, a random recipe, or
-what others recorded.
+"""Where the QPs of a replay come from: the exactly solved loop of a scenario, the consequence
+analysis along it, a random recipe, or what others recorded.
 
 What takes long is done once per source, in a process of its own, and kept in a file that workers
 and evaluators read: the loop, or the sequence with its certified optima.
@@ -9,15 +9,19 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
+
+from numpy.typing import NDArray
 
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.npz import kept
 from dpbench.bench.record.raw_log import log_bytes, loop_layout, replay_layout
 from dpbench.bench.record.schema import SCHEMA_VERSION
 from dpbench.bench.run.exact_loop import ExactLoop, allocation_sizes, sequence_of, solve_exactly
+from dpbench.bench.sequences.consequence import consequence_sequence, steered_rows
 from dpbench.bench.sequences.recording import digest, read_sequence
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.errors import InputError
@@ -26,12 +30,15 @@ from dpbench.qp.random.recipe import RandomRecipe
 from dpbench.qp.random.sequence import random_sequence
 from dpbench.qp.referee.referee import Optimum, certified
 from dpbench.scenario.problem_files import is_stored, sequence_path
-from dpbench.scenario.scenario import scenario_of
+from dpbench.scenario.scenario import scenario_of, scenario_once
+from dpbench.ship.layout import AXES
 
 RANDOM = "random"
 """The kind of a source that is a recipe."""
 RECORDED = "recorded"
 """The kind of a source that is a file, or a folder of them."""
+CONSEQUENCE = "consequence"
+"""The kind of a source that is the loss of a failure group along the loop of the scenario."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,35 +62,45 @@ class Source(Protocol):
     def check(self, path: Path) -> None:
         """Read all of what `make` left; ResultsError or InputError where it is damaged or gone."""
 
+    def size(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
+        """n and m of the QPs, by the arrays that `make` left."""
+
 
 def source_of(cell: Cell) -> Source:
     """The source of a cell's QPs; InputError for a kind that is not known."""
     if not cell.source:
         return _Loop(cell.scenario)
     kind = cell.source.get("kind")
+    if kind == CONSEQUENCE:
+        return _Consequence(cell.scenario, cell.source["group"])
     if kind == RANDOM:
         return _Random(RandomRecipe.from_dict(cell.source["recipe"]))
     if kind == RECORDED:
         return _Recorded(cell.source)
-    raise InputError("cell", "source.kind", repr(kind), f"{RANDOM!r} or {RECORDED!r}")
+    raise InputError(
+        "cell", "source.kind", repr(kind), f"{RANDOM!r}, {RECORDED!r}, {CONSEQUENCE!r}"
+    )
 
 
 _latest: dict[tuple[str, Path], Replayed] = {}
 
 
 def replayed(cell: Cell, path: Path) -> Replayed:
-    """What a replay needs, read once a process for all cells in a row that see the same QPs."""
+    """What a replay needs, with its optima: read, and if need be certified, once a process for all
+    cells in a row that see the same QPs."""
     key = cell.problem_key, path
     if key not in _latest:
         _latest.clear()
-        _latest[key] = source_of(cell).load(cell, path)
+        known = source_of(cell).load(cell, path)
+        _latest[key] = replace(known, optima=known.optima or certified(known.sequence))
     return _latest[key]
 
 
 def source_key(cell: Cell, harness_version: str) -> str:
     """Cells with the same key share one file."""
+    # A loop is solved once, whatever is made of it.
     text = json.dumps(
-        [cell.source or cell.scenario, harness_version, SCHEMA_VERSION], sort_keys=True
+        [cell.scenario or cell.source, harness_version, SCHEMA_VERSION], sort_keys=True
     )
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
@@ -105,14 +122,11 @@ def log_size(cell: Cell, path: Path) -> int:
     ResultsError : the file is damaged or gone.
     """
     with kept(path) as stored:
-        if cell.source:
-            n, m, n_theta, n_f, second = stored["q"].shape[1], stored["A"].shape[0], 0, 0, None
-        else:
-            n, m = stored["z"].shape[1], stored["optimum_y"].shape[1]
+        n, m = source_of(cell).size(stored)
+        if cell.mode == "closed_loop":
             n_theta, n_f = stored["theta"].shape[1], stored["thrust"].shape[1]
             second = allocation_sizes(stored)
-    if cell.mode == "closed_loop":
-        return log_bytes(loop_layout(cell.steps, n, m, n_theta, n_f, second))
+            return log_bytes(loop_layout(cell.steps, n, m, n_theta, n_f, second))
     return log_bytes(replay_layout(cell.rounds + 1, cell.steps, n, m))
 
 
@@ -124,6 +138,11 @@ def is_random(cell: Cell) -> bool:
 def random_source(recipe: RandomRecipe) -> dict[str, Any]:
     """`Cell.source` of a recipe."""
     return {"kind": RANDOM, "name": recipe.name, "recipe": recipe.to_dict()}
+
+
+def consequence_source(sequence: str, group: str) -> dict[str, Any]:
+    """`Cell.source` of the loss of a failure group, beside the replay called `sequence`."""
+    return {"kind": CONSEQUENCE, "name": f"{sequence}, {group} lost", "group": group}
 
 
 def recorded_source(what: str, path: Path, name: str) -> dict[str, Any]:
@@ -156,6 +175,33 @@ class _Loop:
     def check(self, path: Path) -> None:
         ExactLoop.load(path)
 
+    def size(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
+        return stored["z"].shape[1], stored["optimum_y"].shape[1]
+
+
+@dataclass(frozen=True, eq=False)
+class _Consequence(_Loop):
+    """What remains after the loss of a failure group, at each sample of the same loop."""
+
+    group: str
+
+    def load(self, cell: Cell, path: Path) -> Replayed:
+        scenario = scenario_once(self.documents)
+        whole = consequence_sequence(scenario, ExactLoop.load(path).tau, self.group)
+        last = cell.first + cell.steps
+        sequence = replace(
+            whole,
+            name=cell.sequence,
+            base=whole.problem(cell.first),
+            meta=whole.meta | {"first": cell.first},
+            **{name: getattr(whole, name)[cell.first : last] for name in ("q", "l", "u")},
+        )
+        return Replayed(sequence, scenario.sample_s, None)
+
+    def size(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
+        thrusters, rows = steered_rows(scenario_once(self.documents))
+        return thrusters.n_f, AXES + len(rows.low)
+
 
 class _Stored:
     """A sequence with its optima in a file of our own, whatever it was made from."""
@@ -168,6 +214,9 @@ class _Stored:
 
     def check(self, path: Path) -> None:
         load_recorded(path)
+
+    def size(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
+        return stored["q"].shape[1], stored["A"].shape[0]
 
 
 @dataclass(frozen=True, eq=False)

@@ -118,7 +118,8 @@ def _nothing(facts: Facts, found: Recommendation) -> str:
     records = facts.records
     if any(not run.is_baseline_law for run in records.runs):
         return _plain(why_nothing(records, facts.verdicts, found))
-    return "" if records.random or records.delayed or records.calibration else NOBODY
+    other = records.random or records.consequence or records.delayed or records.calibration
+    return "" if other else NOBODY
 
 
 def _plain(text: str) -> str:

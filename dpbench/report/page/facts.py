@@ -79,7 +79,7 @@ class Facts:
         runs: dict[tuple[Configuration, Place], RunRecord] = {}
         common = {run.run_id for run in records.runs}
         for run in records.all_runs:
-            if run.is_baseline_law or run.family:
+            if run.is_baseline_law or run.has_topic:
                 continue
             usual = run.slowdown > 0.0 or run.run_id in common
             key = _numbered(run), Place.of(run, "" if usual else run.formulation)

@@ -71,7 +71,9 @@ MOST_ROWS = 3000
 def runs_table(facts: Facts, runs: pd.DataFrame) -> dict[str, Any]:
     """The runs as columns of text and numbers; those without any value are left out."""
     runs = runs.iloc[:MOST_ROWS]
-    places = runs["scenario"].where(runs["scenario"] != "", runs["sequence"])
+    # Without a controller the sequence says more: none has a scenario, or one for several of them.
+    own = runs["N_p"].isna() & (runs["sequence"] != "")
+    places = runs["sequence"].where(own, runs["scenario"])
     made = {
         "solver": runs["solver"],
         "way": runs["route"] + " " + runs["policy"],

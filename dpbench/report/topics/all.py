@@ -9,6 +9,7 @@ from dpbench.analysis.demand import Demand
 from dpbench.analysis.records import Records
 from dpbench.bench.design import Designs
 from dpbench.report.page.topic import Topic
+from dpbench.report.topics.consequence import consequence_topic
 from dpbench.report.topics.loops import loops_topic
 from dpbench.report.topics.paper import paper_topic
 from dpbench.report.topics.random import random_topic
@@ -33,6 +34,7 @@ def topics_of(records: Records, demand: Demand, designs: Designs | None) -> list
         horizon_topic(records, demand),
         slowdown_topic(records),
         random_topic(records),
+        consequence_topic(records),
         formulations_topic(records, demand),
         loops_topic(records, demand) if loops else None,
         race_topic(records) if replays else None,
@@ -57,7 +59,7 @@ page answers that one alone."""
 
 def _mostly_forms(records: Records) -> bool:
     """Whether more than a third of the runs are of another form than the common one."""
-    ships = [run for run in records.all_runs if not run.family and not run.slowdown > 0.0]
+    ships = [run for run in records.all_runs if not run.has_topic and not run.slowdown > 0.0]
     return 3 * (len(ships) - len(records.runs)) > len(ships)
 
 
@@ -66,7 +68,9 @@ def _question(records: Records, topics: Sequence[str]) -> str:
     if "worst-case" in topics:
         return "worst-case"
     if not records.runs:
-        return next((id for id in ("slowdown", "random", "trust") if id in topics), "")
+        return next(
+            (id for id in ("slowdown", "random", "consequence", "trust") if id in topics), ""
+        )
     if records.delayed or records.random:
         return ""
     if _only(records, "replay"):

@@ -74,7 +74,7 @@ def formulations_topic(records: Records, demand: Demand) -> Topic | None:
     tables = _tables(
         records,
         demand,
-        [run for run in records.all_runs if not run.family],
+        [run for run in records.all_runs if not run.has_topic],
         varied=lambda run: run.formulation,
         kept=lambda run: run.configuration.in_common_formulation.label,
     )
@@ -206,7 +206,7 @@ def _fastest_forms(records: Records, demand: Demand) -> str:
     """How often each form is the fastest right one."""
     by_case: dict[tuple[str, str, str], dict[str, float]] = {}
     for run in records.all_runs:
-        times = records.times(run) if run.mode == "replay" and not run.family else None
+        times = records.times(run) if run.mode == "replay" and not run.has_topic else None
         if times is not None and is_right(run, demand):
             case = run.sequence, run.units, run.configuration.in_common_formulation.label
             by_case.setdefault(case, {})[run.formulation] = _median(times.algo_ns)

@@ -1,0 +1,189 @@
+"""Consequence analysis: when a loss can be held, which solvers say so rightly, and what it takes.
+
+The QPs of all failure groups at one sample are a batch, solved one after another. Each QP counts
+once, by the round in which a solver was worst:
+
+    QPs = held rightly + refused rightly + missed alarms + other untrue claims + nothing
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from dpbench.analysis.random_claims import claims_of
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
+from dpbench.analysis.statistics import Floats
+from dpbench.bench.judge.rules import INFEASIBLE, UNCERTIFIED, UNDECIDED, percentile
+from dpbench.scenario.scenario import scenario_once
+
+HELD, LOST, UNKNOWN = "can be held", "cannot be held", "not known"
+"""What is proven of the loss of a group at a sample."""
+SPAN = ("group", "from_s", "to_s", "state")
+
+
+@dataclass(frozen=True)
+class BatchAnswers:
+    """What one configuration said of all QPs of a consequence analysis.
+
+    Parameters
+    ----------
+    solver, name : the solver, and the configuration.
+    feasible, infeasible : QPs it was given of each kind; asked : all it should have answered.
+    held : feasible, with a true optimum; refused : infeasible, and rightly called so.
+    missed : infeasible, and claimed solved; untrue : all claims that are not true, those among
+        them.
+    p99, largest : share of the sample that a batch takes, over the samples; NaN for too few, or
+        where a group was not run to its end.
+    """
+
+    solver: str
+    name: str
+    asked: int
+    feasible: int
+    infeasible: int
+    held: int
+    refused: int
+    missed: int
+    untrue: int
+    p99: float
+    largest: float
+
+    @property
+    def silent(self) -> int:
+        """QPs without a claim or a true answer, and those it never reached."""
+        return self.asked - self.held - self.refused - self.untrue
+
+    @property
+    def all_right(self) -> bool:
+        """Whether every answer is right."""
+        return self.held + self.refused == self.asked
+
+
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """One consequence analysis.
+
+    Parameters
+    ----------
+    name : of the run; groups : its failure groups.
+    spans : columns `SPAN`, in which time what is proven of which loss.
+    answers : of every configuration, right ones first, then the fastest.
+    """
+
+    name: str
+    groups: tuple[str, ...]
+    spans: pd.DataFrame
+    answers: tuple[BatchAnswers, ...]
+
+    @property
+    def best(self) -> dict[str, BatchAnswers]:
+        """The best configuration of each solver, by its name."""
+        best: dict[str, BatchAnswers] = {}
+        for answers in self.answers:
+            best.setdefault(answers.solver, answers)
+        return best
+
+
+def consequence_analyses(records: Records) -> list[Analysis]:
+    """Those of the records that have a step, in the order of the suite."""
+    batches: dict[str, list[RunRecord]] = {}
+    for run in records.consequence:
+        if run.outcome != "refused":
+            name = run.sequence.removesuffix(f", {run.lost_group} lost")
+            batches.setdefault(name, []).append(run)
+    return [
+        _analysis(records, name, runs)
+        for name, runs in batches.items()
+        if any(run.has_steps for run in runs)
+    ]
+
+
+def _analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> Analysis:
+    groups = tuple(dict.fromkeys(run.lost_group for run in runs))
+    longest = [
+        max((run for run in runs if run.lost_group == group), key=lambda run: run.steps_done)
+        for group in groups
+    ]
+    files = runs[0].scenario_files
+    sample_s = float("nan") if files is None else scenario_once(files).sample_s
+    by_configuration: dict[str, list[RunRecord]] = {}
+    for run in runs:
+        by_configuration.setdefault(run.name, []).append(run)
+    answers = [_answers(records, own, len(groups), sample_s) for own in by_configuration.values()]
+    answers.sort(key=lambda a: (a.untrue > 0, -(a.held + a.refused), a.untrue, a.largest))
+    spans = pd.concat([_spans(records, run, sample_s) for run in longest if run.has_steps])
+    return Analysis(name, groups, spans, tuple(answers))
+
+
+def _counting(records: Records, run: RunRecord) -> pd.DataFrame:
+    steps = records.steps(run)
+    return steps[steps["counts"]]
+
+
+def _spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
+    """Columns `SPAN` of one group, neighbours of one state joined."""
+    steps = _counting(records, run).drop_duplicates("k").sort_values("k")
+    certificate, t_s = steps["certificate"], steps["t_s"].to_numpy()
+    known = np.where(certificate == INFEASIBLE, LOST, HELD)
+    state = np.where(certificate.isin((UNCERTIFIED, UNDECIDED)), UNKNOWN, known)
+    starts = np.flatnonzero(np.append(True, state[1:] != state[:-1])[: len(state)])
+    ends = np.append(t_s[starts[1:]], t_s[-1:] + sample_s)
+    spans = zip(t_s[starts], ends, state[starts], strict=True)
+    return pd.DataFrame([(run.lost_group, *span) for span in spans], columns=list(SPAN))
+
+
+def _answers(
+    records: Records, runs: Sequence[RunRecord], groups: int, sample_s: float
+) -> BatchAnswers:
+    """The answers of one configuration, a run for each group."""
+    counts = pd.concat([_counts(_counting(records, run)) for run in runs], axis=1).sum(axis=1)
+    batch_ns = _batch_ns(records, runs) if len(runs) == groups else np.zeros(0)
+    shares = batch_ns / (1e9 * sample_s)
+    return BatchAnswers(
+        solver=runs[0].solver,
+        name=runs[0].name,
+        asked=sum(run.steps_planned for run in runs),
+        p99=percentile(shares, 99),
+        largest=float(shares.max()) if len(shares) else float("nan"),
+        **{str(name): int(count) for name, count in counts.items()},
+    )
+
+
+def _counts(steps: pd.DataFrame) -> pd.Series[int]:
+    """Feasible, infeasible, held, refused, missed and untrue of one run."""
+    claims = claims_of(steps)
+    infeasible = steps["certificate"] == INFEASIBLE
+    always = pd.DataFrame(
+        {
+            "feasible": claims["steps"] & ~infeasible,
+            "infeasible": infeasible,
+            "held": claims["told"],
+            "refused": claims["empty_right"] & infeasible,
+        }
+    )
+    ever = pd.DataFrame(
+        {
+            "missed": claims["lies"] & infeasible,
+            "untrue": claims["lies"] | claims["empty_wrong"],
+        }
+    )
+    counts: pd.Series[int] = pd.concat(
+        [always.groupby(steps["k"]).all().sum(), ever.groupby(steps["k"]).any().sum()]
+    )
+    return counts
+
+
+def _batch_ns(records: Records, runs: Sequence[RunRecord]) -> Floats:
+    """Time of the batch at each sample (K,), the sum over the groups; empty where one has a gap."""
+    times = [records.times(run) for run in runs]
+    timed = [known.algo_ns for known in times if known is not None]
+    steps = {len(of_group) for of_group in timed} | {run.steps_planned for run in runs}
+    if len(timed) < len(runs) or len(steps) > 1:
+        return np.zeros(0)
+    total: Floats = np.sum(timed, axis=0)
+    return total

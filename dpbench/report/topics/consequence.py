@@ -1,0 +1,141 @@
+"""Consequence analysis: which loss can be held, and which solvers say so in time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from math import isnan
+
+import pandas as pd
+
+from dpbench.analysis.consequence import HELD, LOST, Analysis, BatchAnswers, consequence_analyses
+from dpbench.analysis.records import Records
+from dpbench.report.charts.consequence import shares, spans
+from dpbench.report.formats import and_list, plural, significant
+from dpbench.report.page.topic import Figure, SmallTable, Topic
+
+HEAD = (
+    "configuration",
+    "p99 share",
+    "largest share",
+    "held",
+    "not held",
+    "missed alarms",
+    "other untrue claims",
+    "no answer",
+    "ways all right",
+)
+
+
+def consequence_topic(records: Records) -> Topic | None:
+    """The topic; None of records without such an analysis."""
+    analyses = consequence_analyses(records)
+    if not analyses:
+        return None
+    return Topic(
+        id="consequence",
+        title="Consequence analysis",
+        lines=(
+            *(f"{_when(analysis)} {_who(analysis)}" for analysis in analyses),
+            "Where a loss cannot be held, work during which the ship must not leave its place has "
+            "to be ended safely. Ask no solver that misses such an alarm, or has no answer then.",
+        ),
+        figures=tuple(figure for analysis in analyses for figure in _figures(analysis)),
+        tables=tuple(
+            SmallTable(HEAD, tuple(_rows(analysis)), analysis.name) for analysis in analyses
+        ),
+    )
+
+
+def _figures(analysis: Analysis) -> Iterator[Figure]:
+    """When which loss can be held, and what the best configuration of each solver takes."""
+    yield Figure(
+        f"consequence-{_file_name(analysis)}",
+        spans(analysis.spans, f"Losses held, {analysis.name}"),
+        "Proven for the mean force of each sample: an optimum, or that there is none.",
+    )
+    timed = [answers for answers in analysis.best.values() if not isnan(answers.largest)]
+    marks = [
+        {"name": a.name, "percent": 100.0 * a.largest, "right": a.all_right}
+        for a in sorted(timed, key=lambda a: a.largest)
+    ]
+    if marks:
+        yield Figure(
+            f"consequence-time-{_file_name(analysis)}",
+            shares(pd.DataFrame(marks), f"What it takes, {analysis.name}"),
+            "The best configuration of each solver; the QPs of all groups at one sample.",
+        )
+
+
+def _file_name(analysis: Analysis) -> str:
+    """`thrusters-350-550` of `thrusters[350:550]`."""
+    return analysis.name.rstrip("]").replace("[", "-").replace(":", "-")
+
+
+def _when(analysis: Analysis) -> str:
+    """Which losses can be held when, those of the same answer together."""
+    said: dict[str, list[str]] = {}
+    for group, of_group in analysis.spans.groupby("group", sort=False):
+        said.setdefault(_time(of_group), []).append(str(group))
+    parts = [f"the loss of {' or of '.join(of)} can be held {when}" for when, of in said.items()]
+    return f"In {analysis.name} {'; '.join(parts)}."
+
+
+def _time(of_group: pd.DataFrame) -> str:
+    """When the loss of one group can be held."""
+    states, change_s = of_group["state"].tolist(), of_group["from_s"].iloc[-1]
+    if states == [HELD]:
+        return "throughout"
+    if HELD not in states:
+        return "at no time"
+    if states == [HELD, LOST]:
+        return f"until {change_s:.0f} s and not after"
+    if states == [LOST, HELD]:
+        return f"from {change_s:.0f} s on"
+    long_s = of_group["to_s"] - of_group["from_s"]
+    share = long_s[of_group["state"] == HELD].sum() / long_s.sum()
+    return f"in {100.0 * share:.0f} % of the time"
+
+
+def _who(analysis: Analysis) -> str:
+    """Who answers all of it rightly, who is the fastest of them, and who misses alarms."""
+    answers = analysis.answers
+    right = [a for a in answers if a.all_right]
+    head = f"{len(right)} of {plural(len(answers), 'configuration')} answer all QPs rightly"
+    timed = [a for a in right if not isnan(a.largest)]
+    if timed:
+        best = min(timed, key=lambda a: a.largest)
+        batch = plural(len(analysis.groups), "QP")
+        head += f", the fastest {best.name} with at most {_share(best.largest)} of the sample for "
+        head += f"its {batch}"
+    silent = sum(1 for a in answers if a.silent)
+    unanswered = f"; {silent} leave some without an answer" if silent else ""
+    return f"{head}; {_liars(answers)}{unanswered}."
+
+
+def _liars(answers: Sequence[BatchAnswers]) -> str:
+    """Whose alarms are missing, the most first."""
+    missed = sorted((a for a in answers if a.missed), key=lambda a: -a.missed)
+    if not missed:
+        return "none calls a loss held that is not"
+    return "alarms are missed by " + and_list([f"{a.name} ({a.missed})" for a in missed])
+
+
+def _rows(analysis: Analysis) -> Iterator[tuple[str, ...]]:
+    """The best configuration of each solver, and how many of its ways to run are all right."""
+    for solver, best in analysis.best.items():
+        ways = [answers.all_right for answers in analysis.answers if answers.solver == solver]
+        yield (
+            best.name,
+            _share(best.p99),
+            _share(best.largest),
+            f"{best.held} of {best.feasible}",
+            f"{best.refused} of {best.infeasible}",
+            str(best.missed),
+            str(best.untrue - best.missed),
+            str(best.silent),
+            f"{sum(ways)} of {len(ways)}",
+        )
+
+
+def _share(share: float) -> str:
+    return "–" if isnan(share) else f"{significant(100.0 * share, 2)} %"

@@ -1,0 +1,164 @@
+"""Consequence analysis: answers counted by hand, times of a batch, and what the topic says."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from dpbench.analysis.consequence import HELD, LOST, UNKNOWN, consequence_analyses
+from dpbench.analysis.records import Records
+from dpbench.bench.record.result_folder import Results
+from dpbench.bench.record.schema import as_steps
+from dpbench.report.topics.consequence import consequence_topic
+
+TRUE = {"true": True, "true_1e4": True, "true_1e6": True}
+REFUSED = TRUE | {"status": "PRIMAL_INFEASIBLE", "claimed": False}
+SILENT = {"status": "MAX_ITERATIONS", "claimed": False}
+DENIED = {"status": "PRIMAL_INFEASIBLE", "claimed": False}
+CERTIFICATES = {"board A": ["linear"] * 4, "board B": ["gap", "gap", "infeasible", "infeasible"]}
+"""Of four samples the loss of board B can be held at two."""
+
+
+def view(records: Any, said: dict[str, dict[str, list[list[dict[str, Any]]]]]) -> Records:
+    """Replays of four samples by solver and group: of each round the answers, 1 µs times k + 1."""
+    rows = []
+    for solver, by_group in said.items():
+        for group, rounds in by_group.items():
+            source = {
+                "kind": "consequence",
+                "name": f"thrusters_loss[2:6], {group} lost",
+                "group": group,
+            }
+            files = records.scenario("thrusters_loss").files
+            records.replay(
+                solver,
+                source["name"],
+                steps=4,
+                scenario="thrusters_loss",
+                cell=json.dumps({"scenario": files, "source": source}),
+                steps_done=max(map(len, rounds)),
+            )
+            run_id = records.results().runs["run_id"].iloc[-1]
+            rows += [
+                {
+                    "run_id": run_id,
+                    "repeat": r,
+                    "counts": r > 0,
+                    "k": k,
+                    "t_s": 0.3 * k,
+                    "total_ns": 1000 * (k + 1) * r,
+                    "status": "SOLVED",
+                    "claimed": True,
+                    "true": False,
+                    "certificate": CERTIFICATES[group][k],
+                    **answer,
+                }
+                for r, answers in enumerate(rounds, 1)
+                for k, answer in enumerate(answers)
+            ]
+    return Records(Results(records.results().runs, as_steps(pd.DataFrame(rows)), {}, {}))
+
+
+@pytest.fixture
+def storm(records: Any) -> Records:
+    """A solver that is right, one that misses alarms, and one that stops within board B."""
+    good, held = [TRUE, TRUE, REFUSED, REFUSED], [TRUE] * 4
+    # In its second round it misses an alarm, has one for nothing, is inexact and silent.
+    bad = [DENIED, {}, {}, SILENT]
+    return view(
+        records,
+        {
+            "quadprog": {"board A": [held, held], "board B": [good, good]},
+            "osqp": {"board A": [held, held], "board B": [good, bad]},
+            "daqp": {"board A": [held, held], "board B": [good[:3]]},
+        },
+    )
+
+
+def test_each_qp_counts_once_by_its_worst_round(storm: Records) -> None:
+    """Eight QPs, six with a feasible point; what was never reached is no answer."""
+    (analysis,) = consequence_analyses(storm)
+    assert (analysis.name, analysis.groups) == ("thrusters_loss[2:6]", ("board A", "board B"))
+    found = {a.solver: a for a in analysis.answers}
+    assert list(found) == ["quadprog", "daqp", "osqp"]
+    counts = {
+        solver: (a.asked, a.feasible, a.infeasible, a.held, a.refused, a.missed, a.untrue)
+        for solver, a in found.items()
+    }
+    assert counts == {
+        "quadprog": (8, 6, 2, 6, 2, 0, 0),
+        "daqp": (8, 6, 1, 6, 1, 0, 0),
+        "osqp": (8, 6, 2, 4, 0, 1, 3),
+    }
+    assert [a.all_right for a in analysis.answers] == [True, False, False]
+
+
+def test_a_batch_takes_what_its_groups_take_together(storm: Records) -> None:
+    """At the fourth sample 4 µs a group, of 0.3 s; four samples have no p99, a gap no time."""
+    (analysis,) = consequence_analyses(storm)
+    found = {a.solver: a for a in analysis.answers}
+    assert found["quadprog"].largest == pytest.approx(8e-6 / 0.3)
+    assert pd.isna(found["quadprog"].p99) and pd.isna(found["daqp"].largest)
+
+
+def test_spans_join_what_is_proven_alike(storm: Records) -> None:
+    """Board A throughout, board B until 0.6 s."""
+    (analysis,) = consequence_analyses(storm)
+    spans = [tuple(row) for row in analysis.spans.round(9).itertuples(index=False)]
+    wanted = [("board A", 0.0, 1.2, HELD), ("board B", 0.0, 0.6, HELD), ("board B", 0.6, 1.2, LOST)]
+    assert spans == wanted
+
+
+@pytest.mark.parametrize(
+    ("certificates", "said"),
+    [
+        (["linear"] * 4, "throughout"),
+        (["infeasible"] * 4, "at no time"),
+        (["linear", "linear", "infeasible", "infeasible"], "until 1 s and not after"),
+        (["infeasible", "gap", "linear", "gap"], "from 0 s on"),
+        (["linear", "infeasible", "linear", "infeasible"], "in 50 % of the time"),
+        (["linear", "undecided", "linear", "linear"], "in 75 % of the time"),
+    ],
+)
+def test_the_topic_says_when_a_loss_can_be_held(
+    records: Any, monkeypatch: pytest.MonkeyPatch, certificates: list[str], said: str
+) -> None:
+    """One sentence a run, whatever the order of the proofs."""
+    monkeypatch.setitem(CERTIFICATES, "board A", certificates)
+    answers = [REFUSED if kind == "infeasible" else TRUE for kind in certificates]
+    topic = consequence_topic(view(records, {"quadprog": {"board A": [answers]}}))
+    assert topic is not None
+    assert f"the loss of board A can be held {said}." in topic.lines[0]
+
+
+def test_the_topic_names_who_misses_alarms(storm: Records) -> None:
+    """The fastest that is right, the count of missed alarms, a figure before the table."""
+    topic = consequence_topic(storm)
+    assert topic is not None
+    assert "1 of 3 configurations answer all QPs rightly, the fastest quadprog" in topic.lines[0]
+    said = "alarms are missed by osqp (1); 2 leave some without an answer."
+    assert topic.lines[0].endswith(said)
+    assert [figure.name for figure in topic.figures] == [
+        "consequence-thrusters_loss-2-6",
+        "consequence-time-thrusters_loss-2-6",
+    ]
+    (table,) = topic.tables
+    assert table.rows[-1] == ("osqp", "–", "0.0027 %", "4 of 6", "0 of 2", "1", "2", "1", "0 of 1")
+
+
+def test_it_says_nothing_of_what_steers_the_ship(records: Any, storm: Records) -> None:
+    """Runs and routes are those without it; without an analysis there is no topic."""
+    assert not storm.runs and len(storm.consequence) == 6
+    records.replay("daqp")
+    assert [run.sequence for run in records.view().runs] == ["paper"]
+    assert {run.lost_group for run in records.view().runs} == {""}
+    assert UNKNOWN not in set(consequence_analyses(storm)[0].spans["state"])
+
+
+def test_no_analysis_no_topic(records: Any) -> None:
+    """A campaign of replays alone."""
+    records.replay("daqp")
+    assert consequence_topic(records.view()) is None

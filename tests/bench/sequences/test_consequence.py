@@ -1,0 +1,255 @@
+"""Consequence analysis: its QPs against linear programs on corners of polygons, and as cells."""
+
+from __future__ import annotations
+
+import copy
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import block_diag
+from scipy.optimize import linprog
+
+from dpbench import load_results, load_scenario, run_campaign
+from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.suite import ReplayTable, SuiteFile
+from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.raw_log import log_bytes, replay_layout
+from dpbench.bench.run.exact_loop import solve_exactly
+from dpbench.bench.sequences.consequence import (
+    AVERAGE_S,
+    consequence_sequence,
+    required_force,
+)
+from dpbench.bench.sequences.source import log_size, replayed, source_key
+from dpbench.errors import InputError
+from dpbench.mpc.static_allocation import LossAllocation
+from dpbench.mpc.thruster_rows import thruster_rows
+from dpbench.qp.program import QuadraticProgram
+from dpbench.qp.referee.referee import certify
+from dpbench.scenario.scenario import Scenario, load_vessel, scenario_of
+from dpbench.ship.thrusters import Thruster, ThrusterSet
+
+SIDES = 16
+GROUPS = ("board A", "board B", "bow azimuth")
+RATOWNIK = load_vessel("ratownik").thrusters
+assert RATOWNIK is not None
+
+
+def qp_of(thrusters: ThrusterSet, force: np.ndarray, group: str) -> QuadraticProgram:
+    """The QP of one force after the loss of a group."""
+    rows = thruster_rows(thrusters, SIDES)
+    low, high = rows.without(set(thrusters.groups[group]))
+    allocation = LossAllocation(thrusters, rows)
+    l, u = allocation.limits(force[None], low[None], high[None])  # noqa: E741 - as in the program
+    return allocation.problem(l[0], u[0])
+
+
+def corners(thruster: Thruster) -> np.ndarray:
+    """Corners of what a thruster may give (components, c) [N]."""
+    if thruster.kind != "azimuth":
+        return thruster.thrust_N * np.array([[-1.0, 1.0]])
+    angle = 2.0 * math.pi * np.arange(SIDES) / SIDES
+    return thruster.thrust_N * np.array([np.cos(angle), np.sin(angle)])
+
+
+def largest_share(thrusters: ThrusterSet, force: np.ndarray, group: str) -> float:
+    """How many times a force can be had from the rest: a linear program in shares of corners."""
+    lost = thrusters.groups[group]
+    kept = [t for i, t in enumerate(thrusters.thrusters) if i not in lost]
+    forces = np.hstack([t.columns @ corners(t) for t in kept])
+    sums = block_diag(*(np.ones(corners(t).shape[1]) for t in kept))
+    balance = np.column_stack((forces, -force)) / np.array([[1e5], [1e5], [1e7]])
+    shares = np.column_stack((sums, np.zeros(len(kept))))
+    cost = np.zeros(forces.shape[1] + 1)
+    cost[-1] = -1.0
+    found = linprog(
+        cost,
+        A_eq=np.vstack((balance, shares)),
+        b_eq=np.concatenate((np.zeros(3), np.ones(len(kept)))),
+    )
+    assert found.status == 0
+    return float(found.x[-1])
+
+
+@pytest.mark.parametrize("group", GROUPS)
+@settings(max_examples=15)
+@given(
+    st.tuples(*(st.floats(-1.0, 1.0) for _ in range(3))).filter(lambda f: max(map(abs, f)) > 0.1)
+)
+def test_a_loss_is_held_as_far_as_the_corners_reach(
+    group: str, direction: tuple[float, float, float]
+) -> None:
+    """A millionth before the edge there is an optimum that makes the force; a millionth beyond,
+    the proof that there is none."""
+    assert RATOWNIK is not None
+    force = np.array(direction) * [3e5, 3e5, 6e6]
+    edge = largest_share(RATOWNIK, force, group)
+    inside = certify(qp_of(RATOWNIK, (1.0 - 1e-6) * edge * force, group))
+    f = inside.z * RATOWNIK.per_entry(RATOWNIK.thrust_N)
+    np.testing.assert_allclose(RATOWNIK.T_e @ f, (1.0 - 1e-6) * edge * force, atol=1e-2)
+    lost = RATOWNIK.per_entry([i in RATOWNIK.groups[group] for i in range(5)]) > 0.0
+    np.testing.assert_allclose(f[lost], 0.0, atol=1e-6)
+    assert certify(qp_of(RATOWNIK, (1.0 + 1e-6) * edge * force, group)).kind == "infeasible"
+
+
+def test_port_and_starboard_are_alike() -> None:
+    """The loss of the port azimuth under a force is that of the other under its mirror image."""
+    port = Thruster("port", "azimuth", -30.0, -5.0, 1e5, 10.0)
+    starboard = Thruster("starboard", "azimuth", -30.0, 5.0, 1e5, 10.0)
+    ship = ThrusterSet((port, starboard, Thruster("bow", "tunnel", 30.0, 0.0, 8e4, 8.0)))
+    mirror = np.array([1.0, -1.0, -1.0])
+    for share in (0.9, 1.1):
+        force = np.array([3e4, 5e4, 1e6])
+        force = share * largest_share(ship, force, "port") * force
+        left = certify(qp_of(ship, force, "port"))
+        right = certify(qp_of(ship, mirror * force, "starboard"))
+        assert (left.kind == "infeasible") == (right.kind == "infeasible") == (share > 1.0)
+        if share < 1.0:
+            swapped = right.z[[2, 3, 0, 1, 4]] * [1.0, -1.0, 1.0, -1.0, -1.0]
+            np.testing.assert_allclose(left.z, swapped, atol=1e-12)
+
+
+def regrouped(groups: dict[str, str]) -> Scenario:
+    """`thrusters` with other failure groups."""
+    files = copy.deepcopy(load_scenario("thrusters").files)
+    for table in files["vessel"]["thrusters"]:
+        table["group"] = groups.get(table["name"], "")
+    return scenario_of(files)
+
+
+def test_a_group_without_which_no_sway_is_left_is_never_held() -> None:
+    """Along a run of growing sway force every QP of the one group is proven empty, and that of the
+    other, a tunnel, has an optimum until the force is too large."""
+    most = ("stern port", "stern starboard", "bow azimuth", "bow 1")
+    case = regrouped(dict.fromkeys(most, "all"))
+    tau = np.outer(np.arange(1, 13), [0.0, 3e5, 0.0])
+    kinds = {}
+    for group in ("all", "bow 2"):
+        sequence = consequence_sequence(case, tau, group)
+        assert (sequence.P, sequence.A, sequence.base.n, sequence.base.m) == (None, None, 8, 29)
+        kinds[group] = [certify(sequence.problem(k)).kind for k in range(12)]
+    assert set(kinds["all"]) == {"infeasible"}
+    assert kinds["bow 2"][0] != "infeasible"
+
+
+def test_what_is_required_is_the_mean_of_the_last_minute() -> None:
+    """A steady force is approached by 1 − exp(−t/60 s); wave forces hardly remain."""
+    sample_s, steps = 0.3, 800
+    t = sample_s * np.arange(1, steps + 1)
+    steady = required_force(np.tile([1e5, -2e5, 3e6], (steps, 1)), sample_s)
+    approach = 1.0 - np.exp(-t / AVERAGE_S)
+    np.testing.assert_allclose(steady, approach[:, None] * [1e5, -2e5, 3e6], rtol=1e-12)
+    waves = required_force(np.outer(np.sin(2.0 * np.pi * t / 9.5), np.ones(3)), sample_s)
+    assert np.abs(waves[400:]).max() < 0.05
+
+
+def test_what_the_run_has_lost_stays_lost() -> None:
+    """From the fault on, no thruster of board A pushes in any QP; before, those of the group."""
+    case = load_scenario("thrusters_loss")
+    (fault,) = (k for k, _, _ in case.faults)
+    assert case.steered is not None
+    thrusters = case.steered.thrusters
+    entries = {
+        group: thrusters.per_entry([i in thrusters.groups[group] for i in range(5)]) > 0.0
+        for group in GROUPS
+    }
+    tau = np.tile([1e3, 0.0, 0.0], (case.steps, 1))
+    for group in GROUPS:
+        sequence = consequence_sequence(case, tau, group)
+        for k in (fault - 1, fault):
+            qp = sequence.problem(k)
+            lost = entries[group] | (entries["board A"] if k == fault else False)
+            pinned = block_diag(np.zeros((3, 0)), qp.A[3:][qp.l[3:] == qp.u[3:]])[3:]
+            assert np.linalg.matrix_rank(pinned) == lost.sum()
+            assert not pinned[:, ~lost].any()
+
+
+def suite_of(scenario: str = "thrusters_loss", **keys: Any) -> SuiteFile:
+    table = ReplayTable(scenario=scenario, consequence=True, **keys)
+    return SuiteFile(title="x", solvers=["daqp"], baseline_law=False, replay=[table])
+
+
+def test_each_group_is_a_cell_of_its_own_beside_one_loop() -> None:
+    """Three sequences, one file; the harness's own configurations take no part."""
+    suite = suite_of(first=100, steps=50)
+    suite = suite.model_copy(update={"calibration": True})
+    cells = [planned.cell for planned in plan(suite)]
+    names = [f"thrusters_loss[100:150], {group} lost" for group in GROUPS]
+    assert [cell.sequence for cell in cells] == names
+    assert {cell.solver for cell in cells} == {"daqp"}
+    assert len({cell.problem_key for cell in cells}) == 3
+    (loop,) = plan(
+        suite_of().model_copy(update={"replay": [ReplayTable(scenario="thrusters_loss")]})
+    )
+    keys = {source_key(cell, "1") for cell in (*cells, loop.cell)}
+    assert len(keys) == 1 and loop.cell.sequence == "thrusters_loss"
+    assert all(Cell.from_json(cell.to_json()) == cell for cell in cells)
+
+
+def test_what_has_no_consequence_analysis_is_refused_in_one_line() -> None:
+    """A controller of forces, and QPs in N: both name the key."""
+    with pytest.raises(InputError, match=r"consequence analysis of paper: controller\.kind"):
+        plan(suite_of("paper"))
+    with pytest.raises(InputError, match="units"):
+        plan(suite_of(units=["si"]))
+
+
+SUITE = """
+title = "Before and after the loss of a switchboard"
+baseline_law = false
+rounds = 1
+warmup_steps = 2
+cell_limit_s = 60.0
+
+[[replay]]
+scenario = "thrusters_loss"
+consequence = true
+first = 296
+steps = 8
+routes = ["native"]
+policies = ["reuse"]
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.alone
+def test_a_suite_runs_and_resumes_it(tmp_path: Path) -> None:
+    """Each group's optimum or proof stands in its rows; nothing runs twice."""
+    path = tmp_path / "loss.toml"
+    path.write_text(SUITE, encoding="utf-8")
+    out = run_campaign(path, tmp_path / "out", solvers=["quadprog", "piqp"])
+    runs = load_results(out).runs
+    assert (runs["outcome"] == "finished").all() and len(runs) == 6
+    assert runs["N_p"].isna().all() and (runs["n"] == 8).all()
+    assert set(runs["scenario"]) == {"thrusters_loss"}
+    empty = runs.groupby("sequence")["infeasible_steps"].unique().map(set)
+    wanted = {"board A": {0}, "board B": {4}, "bow azimuth": {4}}
+    assert {key: empty[f"thrusters_loss[296:304], {key} lost"] for key in wanted} == wanted
+    assert (runs["true_share"] == 1.0).all()
+    steps = load_results(out).steps
+    np.testing.assert_allclose(sorted(set(steps["t_s"])), 0.3 * np.arange(296, 304))
+    written = sorted(path.stat().st_mtime_ns for path in (out / "cells").glob("*.npz"))
+    run_campaign(path, out, solvers=["quadprog", "piqp"])
+    assert written == sorted(path.stat().st_mtime_ns for path in (out / "cells").glob("*.npz"))
+
+
+def test_the_window_of_a_cell_is_that_of_the_run(tmp_path: Path) -> None:
+    """A replay from step 3 on sees the QPs that the whole run has there, its mean included."""
+    case = load_scenario("thrusters").first(9)
+    exact = solve_exactly(case)
+    exact.save(tmp_path / "loop.npz")
+    cells = [planned.cell for planned in plan(suite_of("thrusters", first=3, steps=5))]
+    for cell, group in zip(cells, GROUPS, strict=True):
+        found = replayed(cell, tmp_path / "loop.npz")
+        whole = consequence_sequence(case, exact.tau, group)
+        np.testing.assert_array_equal(found.sequence.l, whole.l[3:8])
+        np.testing.assert_array_equal(found.sequence.base.u, whole.u[3])
+        assert (found.sequence.name, found.sample_s) == (cell.sequence, 0.3)
+        assert found.optima is not None and len(found.optima) == 5
+        size = log_bytes(replay_layout(cell.rounds + 1, 5, whole.base.n, whole.base.m))
+        assert log_size(cell, tmp_path / "loop.npz") == size
