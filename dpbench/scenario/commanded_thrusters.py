@@ -9,10 +9,10 @@ import numpy as np
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
-from dpbench.mpc.allocation_qp import AllocationProblem
-from dpbench.mpc.attainable_set import AttainableSet, attainable_set
-from dpbench.mpc.azimuth_turning import AzimuthTurning
 from dpbench.mpc.thruster_rows import ThrusterRows, thruster_rows
+from dpbench.mpc.thrusters.allocation_qp import AllocationProblem
+from dpbench.mpc.thrusters.attainable_set import AttainableSet, attainable_set
+from dpbench.mpc.thrusters.azimuth_turning import AzimuthTurning
 from dpbench.scenario.tables import ControllerTable, FaultTable, ScenarioFile
 from dpbench.ship.actuators import Actuators, SteeredThrusters
 from dpbench.ship.froude import Froude

@@ -13,8 +13,6 @@ import numpy as np
 from dpbench.arrays import Matrix, Vector
 from dpbench.display import fields_html, numbers_text
 from dpbench.errors import InputError, UnknownNameError
-from dpbench.mpc.attainable_set import AttainableSet
-from dpbench.mpc.azimuth_turning import TurningQP
 from dpbench.mpc.condense import ControlProblem, Terminal, UnitSystem
 from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
 from dpbench.mpc.model import StateSpace, prediction_model
@@ -22,6 +20,8 @@ from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.reference import ReferenceFilter, reference_table
 from dpbench.mpc.relinearised import RelinearisedQP
 from dpbench.mpc.staged_qp import StagedQP
+from dpbench.mpc.thrusters.attainable_set import AttainableSet
+from dpbench.mpc.thrusters.azimuth_turning import TurningQP
 from dpbench.scenario.commanded_thrusters import (
     Allocation,
     ThrusterControl,

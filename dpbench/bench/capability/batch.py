@@ -17,7 +17,7 @@ import numpy as np
 from dpbench.bench.capability.frontier import Case, Frontier, Held
 from dpbench.bench.capability.study import FROM_DEG, Capability
 from dpbench.bench.sequences.sequence_file import save_sequence
-from dpbench.mpc.static_allocation import StaticAllocation
+from dpbench.mpc.thrusters.static_allocation import StaticAllocation
 from dpbench.qp.program import QPSequence
 from dpbench.ship.capability.conditions import DP_CONDITIONS
 

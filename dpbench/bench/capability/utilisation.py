@@ -15,7 +15,7 @@ import numpy as np
 from scipy.sparse import csc_matrix
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.mpc.static_allocation import balance_matrix, balance_units, sector_normals
+from dpbench.mpc.thrusters.static_allocation import balance_matrix, balance_units, sector_normals
 from dpbench.ship.capability.shapes import Piece
 from dpbench.ship.layout import AXES
 from dpbench.ship.thrusters import Thruster, ThrusterSet

@@ -10,11 +10,11 @@ from numba import njit
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.bench.record.cell import Fallback
-from dpbench.mpc.azimuth_turning import AzimuthTurning, TurningQP
 from dpbench.mpc.condense import CondensedMatrices
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.law import Gains, gains
 from dpbench.mpc.thruster_rows import Retreat, ThrusterRows
+from dpbench.mpc.thrusters.azimuth_turning import AzimuthTurning, TurningQP
 
 CLIP_TOLERANCE = 1e-9
 """In rate-limit steps: below it a violation is rounding, above it `clipped` is recorded."""

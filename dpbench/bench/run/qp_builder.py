@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.mpc.allocation_qp import AllocationQP
 from dpbench.mpc.condense import UnitSystem
+from dpbench.mpc.thrusters.allocation_qp import AllocationQP
 from dpbench.qp.program import QPStep
 from dpbench.scenario.commanded_thrusters import Allocation
 from dpbench.scenario.scenario import Scenario, condense, keep_states

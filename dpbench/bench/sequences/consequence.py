@@ -22,8 +22,8 @@ from scipy.signal import lfilter
 
 from dpbench.arrays import Matrix
 from dpbench.errors import InputError
-from dpbench.mpc.static_allocation import LossAllocation
 from dpbench.mpc.thruster_rows import ThrusterRows
+from dpbench.mpc.thrusters.static_allocation import LossAllocation
 from dpbench.qp.program import QPSequence
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.thrusters import ThrusterSet

@@ -27,8 +27,8 @@ from dpbench.bench.sequences.consequence import (
 )
 from dpbench.bench.sequences.source import log_size, replayed, source_key
 from dpbench.errors import InputError
-from dpbench.mpc.static_allocation import LossAllocation
 from dpbench.mpc.thruster_rows import thruster_rows
+from dpbench.mpc.thrusters.static_allocation import LossAllocation
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.scenario.scenario import Scenario, load_vessel, scenario_of

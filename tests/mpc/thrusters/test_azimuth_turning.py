@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.mpc.azimuth_turning import AzimuthTurning, TurningQP
 from dpbench.mpc.condensed_qp import CondensedQP
+from dpbench.mpc.thrusters.azimuth_turning import AzimuthTurning, TurningQP
 from dpbench.qp.referee.referee import certify
 from dpbench.scenario.scenario import Scenario, condense, load_scenario
 

@@ -12,8 +12,8 @@ from dpbench.bench.judge.control_metrics import control_metrics
 from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.errors import InputError
-from dpbench.mpc.attainable_set import attainable_set
 from dpbench.mpc.thruster_rows import thruster_rows
+from dpbench.mpc.thrusters.attainable_set import attainable_set
 from dpbench.scenario.scenario import Scenario, load_scenario, load_vessel, scenario_of
 from dpbench.ship.thrusters import ThrusterSet
 

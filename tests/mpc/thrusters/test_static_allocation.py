@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from dpbench.mpc.static_allocation import StaticAllocation
+from dpbench.mpc.thrusters.static_allocation import StaticAllocation
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.ship.capability.shapes import Piece

@@ -10,8 +10,8 @@ import pytest
 import quadprog
 from scipy.optimize import linprog
 
-from dpbench.mpc.allocation_qp import AllocationProblem, AllocationQP
 from dpbench.mpc.thruster_rows import RETREAT, thruster_rows
+from dpbench.mpc.thrusters.allocation_qp import AllocationProblem, AllocationQP
 from dpbench.qp.referee.referee import certify, error_of
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 

@@ -1,0 +1,1 @@
+"""Controllers of thrusters: allocation, what thrusters attain together, azimuths that turn."""
