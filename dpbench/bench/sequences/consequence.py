@@ -33,11 +33,12 @@ AVERAGE_S = 60.0
 
 
 def steered_rows(scenario: Scenario) -> tuple[ThrusterSet, ThrusterRows]:
-    """The thrusters of a scenario and their limits; InputError where none are steered."""
-    if scenario.steered is None:
-        where, allowed = f"consequence analysis of {scenario.name}", 'kind = "thrusters"'
+    """The thrusters of a scenario and their limits; InputError where none are commanded."""
+    commanded = scenario.commanded
+    if commanded is None:
+        where, allowed = f"consequence analysis of {scenario.name}", '"thrusters" or "cascade"'
         raise InputError(where, "controller.kind", '"forces"', allowed)
-    return scenario.steered.thrusters, scenario.steered.rows
+    return commanded.thrusters, commanded.rows
 
 
 def required_force(tau: Matrix, sample_s: float) -> Matrix:
@@ -52,12 +53,12 @@ def consequence_sequence(scenario: Scenario, tau: Matrix, group: str) -> QPSeque
 
     Parameters
     ----------
-    scenario : steers thrusters; tau : (K, 3) the force of its run [N, N, N·m].
+    scenario : commands thrusters; tau : (K, 3) the force of its run [N, N, N·m].
     group : a failure group of its ship.
     """
     thrusters, rows = steered_rows(scenario)
     # What a fault of the run takes shrinks the limits just as the loss does.
-    low, high = scenario.limit_tables(len(tau))
+    low, high = (scenario.allocation or scenario).limit_tables(len(tau))
     least, most = rows.without(set(thrusters.groups[group]))
     low, high = np.maximum(low, least), np.minimum(high, most)
     allocation = LossAllocation(thrusters, rows)

@@ -108,7 +108,8 @@ def _who(analysis: Analysis) -> str:
         head += f", the fastest {best.name} with at most {_share(best.largest)} of the sample for "
         head += f"its {batch}"
     silent = sum(1 for a in answers if a.silent)
-    unanswered = f"; {silent} leave some without an answer" if silent else ""
+    leave = "leaves" if silent == 1 else "leave"
+    unanswered = f"; {silent} {leave} some without an answer" if silent else ""
     return f"{head}; {_liars(answers)}{unanswered}."
 
 

@@ -169,6 +169,20 @@ def test_what_the_run_has_lost_stays_lost() -> None:
             assert not pinned[:, ~lost].any()
 
 
+def test_a_cascade_has_an_analysis_too() -> None:
+    """Of the thrusters that its second QP commands: without one of them the calm is held, and a
+    force that takes them all is not."""
+    case = load_scenario("thrusters_cascade")
+    assert case.commanded is not None
+    thrusters = case.commanded.thrusters
+    tau = np.array([np.zeros(3), [1e9, 0.0, 0.0]])
+    for group in thrusters.groups:
+        sequence = consequence_sequence(case, tau, group)
+        assert sequence.base.n == thrusters.n_f
+        kinds = [certify(sequence.problem(k)).kind == "infeasible" for k in range(2)]
+        assert kinds == [False, True]
+
+
 def suite_of(scenario: str = "thrusters_loss", **keys: Any) -> SuiteFile:
     table = ReplayTable(scenario=scenario, consequence=True, **keys)
     return SuiteFile(title="x", solvers=["daqp"], baseline_law=False, replay=[table])
