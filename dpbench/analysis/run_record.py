@@ -98,13 +98,13 @@ class RunRecord:
     overshoot_e: float
     share_1m: float
     total_variation: float
+    at_rate_surge: float
+    at_rate_sway: float
+    at_rate_yaw: float
     power_share: float
     thrust_variation: float
     azimuth_travel_deg: float
     at_limit_thrusters: float
-    at_rate_surge: float
-    at_rate_sway: float
-    at_rate_yaw: float
     closed_loop_cost: float
     exact_cost: float
     dev_position_max_m: float
