@@ -317,7 +317,7 @@ async function drawOne() {
     + `demand on ${over(run)}, at most ${figure(run.error)}; claimed solved and not true on `
     + `${figure(run.untrue)}; failed on ${figure(run.failed)}.`,
     run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the exactly solved loop`
-      + `${run.settle_s === null || run.settle_s === "inf" ? "." : ` and settled at ${figure(run.settle_s)} s.`}`,
+      + `${run.settle_s === null || run.settle_s === "inf" ? "." : ` and settled within 1 m and 1° at ${figure(run.settle_s)} s.`}`,
     run.why ? `${run.outcome}: ${run.why}.` : "",
     `Over the whole run: ${C().outcome[state.c]}${C().why[state.c] ? ` (${C().why[state.c]})` : ""}`
     + (p99 === null ? "." : `; p99 ${time(p99)} on ${C().timed_on[state.c]}.`),
@@ -346,7 +346,10 @@ async function drawOne() {
 }
 
 function drawHard(run) {
-  const names = ["slowest", "most iterations", "largest error"];
+  const replayed = facts.places[state.p].mode === "replay";
+  const names = [
+    replayed ? "slowest" : "slowest, one sample each", "most iterations", "largest error",
+  ];
   const boxes = (run.hard ?? []).map((list, m) => {
     const row = document.createElement("p"), head = document.createElement("span");
     head.textContent = names[m]; head.className = "soft";
@@ -605,7 +608,10 @@ function kept() {
   const within = rows.filter((row) => row.max_ms * state.slow <= deadline);
   const named = within.length && within.length <= 8 && within.length < rows.length
     ? `: ${within.map((row) => row.solver).join(", ")}` : "";
-  return `${within.length} of ${rows.length} keep the deadline by their largest step${named}`;
+  const meet = within.filter((row) => row.outcome === "meets").length;
+  const samples = state.slow > 1 ? "; single samples are not shown here" : "";
+  return `${within.length} of ${rows.length} keep the deadline by their largest step${named}; `
+    + `${meet} of them meet the demand${samples}`;
 }
 
 // What follows from a change of some parts of the selection; without them, from all of it.

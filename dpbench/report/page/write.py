@@ -168,7 +168,7 @@ def charts_of(facts: Facts, calling_ns: float) -> dict[str, Any]:
     replayed = [c for (c, p) in facts.runs if facts.places[p].mode == "replay"]
     if len(set(replayed)) > 1:
         charts["pairs"] = pairs(
-            pd.DataFrame(columns=list(PAIR_COLUMNS)), "the one above", "the other"
+            pd.DataFrame(columns=list(PAIR_COLUMNS)), "the chosen one", "the one beside it"
         )
     points = _points(facts)
     if len(points):
