@@ -42,8 +42,8 @@ class FileModel(BaseModel):
     equal, byte for byte."""
 
     @model_serializer(mode="wrap")
-    def _later_unsaid(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        table: dict[str, Any] = write(self)
+    def _later_unsaid(self, write: SerializerFunctionWrapHandler) -> dict[str, object]:
+        table: dict[str, object] = write(self)
         fields = type(self).model_fields
         for key in self.later_keys:
             if getattr(self, key) == fields[key].default:
