@@ -143,7 +143,7 @@ class Retreat:
 
 
 @njit(cache=True)
-def _closing_in(G, intact, row_of, entry_of, du_max, row_max, f, low, high, out):  # type: ignore[no-untyped-def] # numba
+def _closing_in(G, intact, row_of, entry_of, du_max, row_max, f, low, high, out):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Limits of each move less G f over row_max into out (2, N_c, r); intact (2, r)."""
     r, n_f, p = G.shape[0], G.shape[1], entry_of[-1] + 1
     along, gauge, steps, lost = np.zeros(r), np.zeros(p), np.zeros(p), np.zeros(p)

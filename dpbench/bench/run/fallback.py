@@ -42,7 +42,7 @@ def limit_of(builder: CondensedQP) -> Limit:
 
 
 @njit(cache=True)
-def limit_move(du_max, u, du, u_min, u_max, applied):  # type: ignore[no-untyped-def] # numba
+def limit_move(du_max, u, du, u_min, u_max, applied):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """applied = clip(u + clip(Δu, ±Δu_max), reachable limits); true if that changed anything.
 
     The reachable limits of the first move are max(u_max, u − Δu_max) and min(u_min, u + Δu_max):

@@ -80,7 +80,7 @@ def steered_by(
     log = RawLog.in_memory(loop_layout(case.steps, *builder.sizes))
     policy = "warm" if solver in ("daqp", "paper_active_set") else "reuse"
     workspace = open_workspace(solver, route="native", policy=policy, settings="high")
-    formulated = in_loop(formulation, builder, base_problem(builder.condensed))  # type: ignore[arg-type] # a formulation
+    formulated = in_loop(formulation, builder, base_problem(builder.condensed))  # type: ignore[arg-type] # one of three literals, given as str
     timed = TimedSolver(workspace, formulated, time.perf_counter_ns)
     fallback = other.get("fallback", "shifted_plan")
     setup = ClosedLoopSetup(case, builder, timed, log, fallback, 2**62, time.perf_counter_ns)
@@ -189,7 +189,7 @@ def test_without_answers_the_fallback_keeps_to_all_limits(fallback: str) -> None
     formulated = in_loop("condensed_box", builder, base_problem(builder.condensed))
     timed = TimedSolver(workspace, formulated, time.perf_counter_ns)
     parts = case, builder, timed, log, fallback, 2**62, time.perf_counter_ns
-    assert closed_loop(ClosedLoopSetup(*parts))  # type: ignore[arg-type] # a fallback
+    assert closed_loop(ClosedLoopSetup(*parts))  # type: ignore[arg-type] # a tuple of mixed types; the fallback is a str
     assert log.flags[:, 0].any() or log.flags[:, 1].any()
     metrics = thruster_metrics(case, log.thrust, (builder.u_min, builder.u_max))
     assert metrics["limit_violations"] == 0.0
@@ -259,7 +259,7 @@ def test_thrust_power_and_wear_of_a_known_run(case: Scenario) -> None:
     f[:, 6] = [55e3, 55e3, -55e3, -55e3]
     f[:, 0:2] = [[190e3, 0], [190e3, 0], [0, 190e3], [0, 190e3]]
     limits = tuple(np.tile(side, (4, 1)) for side in (ROWS.low, ROWS.high))
-    metrics = thruster_metrics(case, f, limits)  # type: ignore[arg-type] # a pair
+    metrics = thruster_metrics(case, f, limits)  # type: ignore[arg-type] # a generator made a tuple of unknown length
     assert metrics["thrust_share"] == pytest.approx((190 + 55) / 630)
     most = 2 * 190**1.5 + 140**1.5 + 110**1.5
     assert metrics["power_share"] == pytest.approx((190**1.5 + 55**1.5) / most)
