@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from qpsolvers import solve_qp
 
 from dpbench.bench.judge.thruster_metrics import shares_of_full, thruster_metrics
+from dpbench.bench.record.cell import Fallback, Formulation
 from dpbench.bench.record.raw_log import RawLog, loop_layout
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.exact_loop import ExactLoop, base_problem, solve_exactly
@@ -72,19 +73,16 @@ def scenario(steps: int = 60, **changes: Any) -> Scenario:
     return scenario_of(plain | {"scenario": own | changes, "vessel": vessel, "name": "thrusters"})
 
 
-def steered_by(
-    solver: str, case: Scenario, formulation: str = "condensed_box", **other: Any
-) -> RawLog:
-    """The log of a closed loop with a solver, fallback `shifted_plan` unless said."""
+def steered_by(solver: str, case: Scenario, formulation: Formulation = "condensed_box") -> RawLog:
+    """The log of a closed loop with a solver, without an answer the plan before."""
     builder = QPBuilder(case, sparse=formulation == "sparse")
     log = RawLog.in_memory(loop_layout(case.steps, *builder.sizes))
     policy = "warm" if solver in ("daqp", "paper_active_set") else "reuse"
     workspace = open_workspace(solver, route="native", policy=policy, settings="high")
-    formulated = in_loop(formulation, builder, base_problem(builder.condensed))  # type: ignore[arg-type] # one of three literals, given as str
+    formulated = in_loop(formulation, builder, base_problem(builder.condensed))
     timed = TimedSolver(workspace, formulated, time.perf_counter_ns)
-    fallback = other.get("fallback", "shifted_plan")
-    setup = ClosedLoopSetup(case, builder, timed, log, fallback, 2**62, time.perf_counter_ns)
-    assert closed_loop(setup)
+    clock = time.perf_counter_ns
+    assert closed_loop(ClosedLoopSetup(case, builder, timed, log, "shifted_plan", 2**62, clock))
     return log
 
 
@@ -150,7 +148,7 @@ def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) 
     ],
 )
 def test_every_form_steers_as_the_exact_loop_does(
-    case: Scenario, exact: ExactLoop, solver: str, formulation: str
+    case: Scenario, exact: ExactLoop, solver: str, formulation: Formulation
 ) -> None:
     """Condensed, one-sided and sparse, by solvers of several kinds."""
     log = steered_by(solver, case, formulation)
@@ -178,7 +176,7 @@ def test_a_lost_group_gives_nothing_as_soon_as_its_rate_allows(case: Scenario) -
 
 
 @pytest.mark.parametrize("fallback", ["shifted_plan", "hold", "clip"])
-def test_without_answers_the_fallback_keeps_to_all_limits(fallback: str) -> None:
+def test_without_answers_the_fallback_keeps_to_all_limits(fallback: Fallback) -> None:
     """A solver stopped after one iteration answers nothing usable; what is applied is allowed."""
     case = scenario(30)
     builder = QPBuilder(case)
@@ -188,8 +186,8 @@ def test_without_answers_the_fallback_keeps_to_all_limits(fallback: str) -> None
     )
     formulated = in_loop("condensed_box", builder, base_problem(builder.condensed))
     timed = TimedSolver(workspace, formulated, time.perf_counter_ns)
-    parts = case, builder, timed, log, fallback, 2**62, time.perf_counter_ns
-    assert closed_loop(ClosedLoopSetup(*parts))  # type: ignore[arg-type] # a tuple of mixed types; the fallback is a str
+    clock = time.perf_counter_ns
+    assert closed_loop(ClosedLoopSetup(case, builder, timed, log, fallback, 2**62, clock))
     assert log.flags[:, 0].any() or log.flags[:, 1].any()
     metrics = thruster_metrics(case, log.thrust, (builder.u_min, builder.u_max))
     assert metrics["limit_violations"] == 0.0
@@ -258,8 +256,8 @@ def test_thrust_power_and_wear_of_a_known_run(case: Scenario) -> None:
     f = np.zeros((4, 7))
     f[:, 6] = [55e3, 55e3, -55e3, -55e3]
     f[:, 0:2] = [[190e3, 0], [190e3, 0], [0, 190e3], [0, 190e3]]
-    limits = tuple(np.tile(side, (4, 1)) for side in (ROWS.low, ROWS.high))
-    metrics = thruster_metrics(case, f, limits)  # type: ignore[arg-type] # a generator made a tuple of unknown length
+    limits = np.tile(ROWS.low, (4, 1)), np.tile(ROWS.high, (4, 1))
+    metrics = thruster_metrics(case, f, limits)
     assert metrics["thrust_share"] == pytest.approx((190 + 55) / 630)
     most = 2 * 190**1.5 + 140**1.5 + 110**1.5
     assert metrics["power_share"] == pytest.approx((190**1.5 + 55**1.5) / most)
