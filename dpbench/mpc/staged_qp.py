@@ -98,13 +98,16 @@ class StagedQP:
 
     def _start(self, i: int) -> int:
         """The first variable of stage i."""
-        last = max(i - self.control.N_c, 0)
-        return (i - last) * self._width + last * self.control.model.n_x
+        return self._first(i, self._width)
 
     def _first_row(self, i: int) -> int:
         """The first row of stage i."""
-        last = max(i - self.control.N_c, 0)
-        return (i - last) * self._row_width + last * self.control.model.n_x
+        return self._first(i, self._row_width)
+
+    def _first(self, i: int, width: int) -> int:
+        """Where stage i begins if one with a move is so wide; those behind have a state alone."""
+        behind = max(i - self.control.N_c, 0)
+        return (i - behind) * width + behind * self.control.model.n_x
 
     def _state(self, i: int) -> slice:
         """Where x_{i+1} stands among the variables."""
