@@ -1,16 +1,16 @@
-"""Which solvers tell a load that thrusters balance from one that they do not, and how fast."""
+"""Capability plots, and which solvers tell what thrusters balance from what they do not."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import pandas as pd
 
-from dpbench.analysis.random_claims import claims_by_run
+from dpbench.analysis.random_claims import claims_by_run, claims_of
 from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
 from dpbench.bench.judge.rules import INFEASIBLE
-from dpbench.bench.record.result_folder import Results
 
 
 @dataclass(frozen=True)
@@ -38,22 +38,102 @@ class Answers:
     max_ns: float
 
     @property
+    def silent(self) -> int:
+        """QPs without a claim or a true answer, and those it never reached."""
+        return self.asked - self.right - self.wrong
+
+    @property
+    def all_right(self) -> bool:
+        """Whether every answer is right."""
+        return self.right == self.asked
+
+    @property
     def right(self) -> int:
         """Right answers of either kind."""
         return self.balanced + self.refused
 
 
-def answers_of(results: Results) -> list[Answers]:
-    """The answers of each solver on its default route, most right ones first, then the fastest."""
-    records = Records(results)
-    runs = [run for run in records.runs if run.default_route and run.outcome != "refused"]
-    found = [_answers(records, run) for run in runs]
+def answers_of(records: Records, runs: Sequence[RunRecord]) -> list[Answers]:
+    """The answers of each run, most right ones first, then the fastest."""
+    found = [_answers(records, run) for run in runs if run.outcome != "refused"]
     return sorted(found, key=lambda a: (a.wrong > 0, -a.right, a.wrong, a.p50_ns))
 
 
-def _answers(records: Records, run: RunRecord) -> Answers:
+@dataclass(frozen=True, eq=False)
+class Plot:
+    """A capability plot, and who answers rightly at its edge.
+
+    Parameters
+    ----------
+    vessel, sides : the ship, and the polygons of its QPs.
+    edges : columns `EDGES`, a row for each case and direction; empty where the folder has no plot.
+    answers : the best configuration of each solver; empty where nobody was asked.
+    """
+
+    vessel: str
+    sides: int
+    edges: pd.DataFrame
+    answers: tuple[Answers, ...]
+
+    @property
+    def qps(self) -> int:
+        """QPs at the edge that were asked of each solver."""
+        return max((answers.asked for answers in self.answers), default=0)
+
+
+EDGES = ("case", "lost", "from_deg", "wind_mps", "number", "untrue")
+"""Of a direction: what has failed, the thrusters lost, where the weather comes from, the largest
+wind held, the DP capability number, and how many solvers made an untrue claim of a QP there."""
+
+
+def capability_plots(records: Records, table: pd.DataFrame | None) -> list[Plot]:
+    """The plots of a result folder, in the order of its suite.
+
+    Parameters
+    ----------
+    table : of `load_capability`; None where the folder has none.
+    """
+    names = dict.fromkeys(run.sequence for run in records.at_edge)
+    known = {} if table is None else dict(iter(table.groupby("sequence", sort=False)))
+    plots = []
+    for name in {**names, **dict.fromkeys(map(str, known))}:
+        runs = [run for run in records.at_edge if run.sequence == name and run.has_steps]
+        answers: dict[str, Answers] = {}
+        for of_solver in answers_of(records, runs):
+            answers.setdefault(of_solver.solver, of_solver)
+        source = runs[0].description["source"] if runs else {}
+        own = known.get(name)
+        vessel = str(source["vessel_name"] if own is None else own["vessel"].iloc[0])
+        sides = int(source["sides"] if own is None else own["sides"].iloc[0])
+        edges = pd.DataFrame(columns=list(EDGES)) if own is None else _edges(records, own, runs)
+        plots.append(Plot(vessel, sides, edges, tuple(answers.values())))
+    return plots
+
+
+def _edges(records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]) -> pd.DataFrame:
+    """Columns `EDGES`, of the rows of one plot in `capability.parquet`."""
+    liars: dict[int, set[str]] = {}
+    for run in runs:
+        steps = _counting(records, run)
+        claims = claims_of(steps)
+        for k in steps["k"][claims["lies"] | claims["empty_wrong"]]:
+            liars.setdefault(int(k), set()).add(run.solver)
+    rows = []
+    for (case, from_deg), of_direction in points.groupby(["case", "from_deg"], sort=False):
+        first = of_direction.iloc[0]
+        said = set().union(*(liars.get(int(k), set()) for k in of_direction["k"]))
+        wind_mps, number = first["edge_mps"], first["number"]
+        rows.append((case, first["lost"], from_deg, wind_mps, number, len(said)))
+    return pd.DataFrame(rows, columns=list(EDGES))
+
+
+def _counting(records: Records, run: RunRecord) -> pd.DataFrame:
     steps = records.steps(run)
-    steps = steps[steps["counts"]]
+    return steps[steps["counts"]]
+
+
+def _answers(records: Records, run: RunRecord) -> Answers:
+    steps = _counting(records, run)
     counts = claims_by_run(steps).reindex([run.run_id], fill_value=0).iloc[0]
     infeasible = int((steps["certificate"] == INFEASIBLE).sum())
     times: pd.Series[float] = steps["total_ns"].astype("float64")

@@ -33,6 +33,7 @@ class RunRecord:
     description : what `cell` says, read.
     family : of a random sequence; "" of every other run.
     lost_group : the failure group whose loss its QPs are about; "" of every other run.
+    at_edge_of : the vessel at whose capability's edge its QPs are; "" of every other run.
     default_route : whether it runs on its solver's own route, which `Records` finds out.
     own_switches_a_step : involuntary switches a step that the configuration makes itself, which
         `machine.py` finds out; they are not among `involuntary_switches` then. NaN for none.
@@ -112,6 +113,7 @@ class RunRecord:
     description: dict[str, Any] = field(repr=False)
     family: str = ""
     lost_group: str = ""
+    at_edge_of: str = ""
     default_route: bool = False
     own_switches_a_step: float = np.nan
 
@@ -128,7 +130,14 @@ class RunRecord:
         source = description.get("source", {})
         family = str(source["recipe"]["family"]) if source.get("kind") == "random" else ""
         group = str(source["group"]) if source.get("kind") == "consequence" else ""
-        return cls(**columns, description=description, family=family, lost_group=group)
+        vessel = str(source["vessel_name"]) if source.get("kind") == "capability" else ""
+        return cls(
+            **columns,
+            description=description,
+            family=family,
+            lost_group=group,
+            at_edge_of=vessel,
+        )
 
     @property
     def configuration(self) -> Configuration:
@@ -140,7 +149,7 @@ class RunRecord:
     @property
     def has_topic(self) -> bool:
         """Whether a topic of its own is about it, and no verdict: its QPs steer no ship."""
-        return bool(self.family or self.lost_group)
+        return bool(self.family or self.lost_group or self.at_edge_of)
 
     @property
     def problem(self) -> str:
@@ -164,6 +173,14 @@ class RunRecord:
         """The documents of its scenario; None where the row carries none."""
         files = self.description.get("scenario") or {}
         return files if "scenario" in files else None
+
+    @property
+    def steers_thrusters(self) -> bool:
+        """Whether its controller commands thrusters; False where the row carries no scenario."""
+        files = self.scenario_files
+        return (
+            files is not None and files["scenario"]["controller"].get("kind", "forces") != "forces"
+        )
 
     @property
     def is_baseline_law(self) -> bool:

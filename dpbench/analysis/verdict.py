@@ -158,10 +158,17 @@ class Verdicts:
         return Verdict(wanted, "not run", refusal="the suite does not run it so")
 
 
-def verdicts_of(records: Records, demand: Demand) -> Verdicts:
-    """The verdicts on all configurations of all solvers, in the order of the suite."""
+def verdicts_of(
+    records: Records, demand: Demand, among: Sequence[RunRecord] | None = None
+) -> Verdicts:
+    """The verdicts on all configurations of all solvers, in the order of the suite.
+
+    Parameters
+    ----------
+    among : the runs that are judged, of `records.runs`; by default all of them.
+    """
     by_solver: dict[str, dict[Configuration, list[RunRecord]]] = {}
-    for run in records.runs:
+    for run in records.runs if among is None else among:
         if run.units == "scaled" and not run.is_baseline_law:
             of_solver = by_solver.setdefault(run.solver, {})
             of_solver.setdefault(run.configuration.in_common_formulation, []).append(run)

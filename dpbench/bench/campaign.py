@@ -15,6 +15,7 @@ from typing import Any
 
 import pandas as pd
 
+from dpbench.bench.capability.table import CAPABILITY_FILE, write_capability
 from dpbench.bench.design import Design, DesignStudy, plan_designs
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.choices import remarks_on, with_choices
@@ -25,8 +26,9 @@ from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.record.result_folder import Results, claimed, read_json, write_results
 from dpbench.bench.record.revision import Revision, revision, revisions
+from dpbench.bench.sequences.at_edge import capability_in
 from dpbench.bench.sequences.recording import read_sequence
-from dpbench.bench.sequences.source import is_random, is_sound, source_key
+from dpbench.bench.sequences.source import is_at_edge, is_sound, is_untimed, source_key
 from dpbench.bench.tabulate import tabulate
 from dpbench.bench.workers.child import is_compiled, template_context
 from dpbench.bench.workers.executor import Bench, CellJob, CellStore, work_of
@@ -96,10 +98,10 @@ class Campaign:
         loops = [job for job in runnable if job.cell.mode == "closed_loop"]
         bench.batches(loops, sources, "closed loops")
         replays = [job for job in runnable if job.cell.mode == "replay"]
-        for group in _groups([job for job in replays if not is_random(job.cell)]):
+        for group in _groups([job for job in replays if not is_untimed(job.cell)]):
             bench.replays(group, sources)
-        drawn = [job for job in replays if is_random(job.cell)]
-        bench.batches(drawn, sources, "random problems")
+        untimed = [job for job in replays if is_untimed(job.cell)]
+        bench.batches(untimed, sources, "problems without a deadline")
 
     def _again_with_sound_sources(self, bench: Bench, pending: list[CellJob]) -> None:
         """Run what was lost by a source that was damaged since it was looked at, once again."""
@@ -159,6 +161,17 @@ class Campaign:
             **_accidents(runs, remarks),
         }
         write_results(self._out, Results(runs, steps, self.machine, suite))
+        self._write_capability()
+
+    def _write_capability(self) -> None:
+        """The capability plots, out of the files that the QPs at their edge come from."""
+        keys = dict.fromkeys(_key(job) for job in self.work if is_at_edge(job.cell))
+        tables = [capability_in(self._source_path(key)) for key in keys]
+        made = [table for table in tables if table is not None]
+        if made:
+            write_capability(self._out, made)
+        elif not keys:
+            (self._out / CAPABILITY_FILE).unlink(missing_ok=True)
 
 
 def _accidents(runs: pd.DataFrame, remarks: Sequence[str]) -> dict[str, Any]:

@@ -13,11 +13,12 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.capability import Answers, answers_of
+from dpbench.analysis.records import Records
 from dpbench.bench.campaign import run_campaign
-from dpbench.bench.capability.batch import write_batch
 from dpbench.bench.capability.frontier import INTACT, Frontier, Held
 from dpbench.bench.capability.study import FROM_DEG, Capability, capability_of, holds_most
 from dpbench.bench.record.result_folder import load_results
+from dpbench.bench.sequences.at_edge import write_batch
 from dpbench.cli.progress_bar import Bar
 from dpbench.errors import InputError, SolverUnavailableError
 from dpbench.report.formats import time_text
@@ -85,7 +86,8 @@ def _asked(
     suite = write_batch(frontier, capability, out)
     with Bar(transient=True, quiet=quiet) as bar:
         folder = run_campaign(suite, out / "run", solvers=solvers, progress=bar)
-    return answers_of(load_results(folder))
+    records = Records(load_results(folder))
+    return answers_of(records, [run for run in records.runs if run.default_route])
 
 
 def _figure_file(name: str | None) -> Path | None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from dpbench.bench.capability.table import load_capability
 from dpbench.bench.design import load_designs
 from dpbench.bench.record import result_folder
 from dpbench.display import table_html
@@ -85,7 +86,8 @@ class Results(result_folder.Results):
         # The report draws, and Altair takes its time.
         from dpbench.report.write import Report
 
-        return Report.of(self, load_designs(self.folder))
+        capability = load_capability(self.folder)
+        return Report.of(self, load_designs(self.folder), capability=capability)
 
 
 def load_results(out: str | Path) -> Results:

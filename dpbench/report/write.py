@@ -13,6 +13,7 @@ import pandas as pd
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.records import Records
 from dpbench.analysis.verdict import verdicts_of
+from dpbench.bench.capability.table import load_capability
 from dpbench.bench.design import Designs, load_designs
 from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.errors import InputError
@@ -42,16 +43,27 @@ class Report:
 
     @classmethod
     def of(
-        cls, results: Results, designs: Designs | None = None, baseline: str | None = None
+        cls,
+        results: Results,
+        designs: Designs | None = None,
+        baseline: str | None = None,
+        capability: pd.DataFrame | None = None,
     ) -> Report:
-        """The report on some results, nothing written; `baseline` as in `write_report`."""
+        """The report on some results, nothing written.
+
+        Parameters
+        ----------
+        designs, capability : what lies beside them, see `topics_of`; baseline : as in
+            `write_report`.
+        """
         records, demand = Records(results), Demand.of(results.suite)
         facts = Facts.of(records, demand, verdicts_of(records, demand))
         named = results.suite.get("report", {}).get("baseline")
         if named not in {v.configuration.solver for v in facts.verdicts.all if v.steps}:
             named = None  # a part of the suite was run, without it
         answer = answer_of(facts, results.machine, baseline or named)
-        return cls(results, facts, answer, topics_of(records, demand, designs))
+        topics = topics_of(records, facts.verdicts, designs, capability)
+        return cls(results, facts, answer, topics)
 
     @cached_property
     def charts(self) -> Mapping[str, Any]:
@@ -118,7 +130,8 @@ def report_and_ending(
         if kind not in FORMATS:
             raise InputError("--figures", "", repr(kind), " | ".join(FORMATS))
     folder = Path(out)
-    report = Report.of(load_results(folder), load_designs(folder), baseline)
+    beside_it = load_designs(folder), baseline, load_capability(folder)
+    report = Report.of(load_results(folder), *beside_it)
     comment, worst = ("", []) if solver is None else beside(report, solver, against)
     if statement is not None:
         write_statement(Path(statement), folder, report.results, report.facts)

@@ -222,9 +222,8 @@ def load_scenario(name_or_path: str | Path, *, beside: Path | None = None) -> Sc
         raise UnknownNameError(str(path), "vessel", repr(vessel), error.allowed) from error
     files = {
         "name": f"{path.stem}@{vessel_path.stem}" if other else path.stem,
-        "vessel_name": vessel_path.stem,
         "scenario": scenario.model_dump(),
-        "vessel": read_model(vessel_path, VesselFile).model_dump(),
+        **vessel_files(vessel_path),
     }
     return scenario_of(files, where=str(path), vessel_where=str(vessel_path))
 
@@ -233,6 +232,17 @@ def load_vessel(name_or_path: str | Path) -> Vessel:
     """A vessel by name (a file under `problems/vessels/`) or TOML path."""
     path = problem_path("vessels", name_or_path)
     return read_model(path, VesselFile).vessel(path.stem, str(path))
+
+
+def vessel_files(name_or_path: str | Path, *, beside: Path | None = None) -> dict[str, Any]:
+    """What of `Scenario.files` is the vessel's; a relative path as in `load_scenario`."""
+    path = problem_path("vessels", name_or_path, beside)
+    return {"vessel_name": path.stem, "vessel": read_model(path, VesselFile).model_dump()}
+
+
+def vessel_of(files: dict[str, Any], where: str = "vessel") -> Vessel:
+    """The vessel of such documents."""
+    return parse_model(files["vessel"], VesselFile, where).vessel(files["vessel_name"], where)
 
 
 def scenario_of(

@@ -6,7 +6,8 @@ from typing import Any
 
 import pandas as pd
 
-from dpbench.analysis.capability import answers_of
+from dpbench.analysis.capability import Answers, answers_of
+from dpbench.analysis.records import Records
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import as_steps
 
@@ -32,6 +33,12 @@ def results_of(records: Any, said: dict[str, list[dict[str, Any]]]) -> Results:
     return Results(records.results().runs, as_steps(pd.DataFrame(rows)), {}, {})
 
 
+def asked(results: Results) -> list[Answers]:
+    """The answers of all runs."""
+    records = Records(results)
+    return answers_of(records, records.runs)
+
+
 def test_claims_are_held_against_certificates(records: Any) -> None:
     """Two QPs are feasible and two are not; a wrong claim of either kind counts as wrong."""
     held, refused = TRUE, TRUE | REFUSED | EMPTY
@@ -43,7 +50,7 @@ def test_claims_are_held_against_certificates(records: Any) -> None:
             "quadprog": [held, held, refused, refused],
         },
     )
-    answers = answers_of(results)
+    answers = asked(results)
     assert [a.solver for a in answers] == ["quadprog", "daqp", "osqp"]
     counts = {a.solver: (a.balanced, a.refused, a.wrong, a.right) for a in answers}
     assert counts == {"quadprog": (2, 2, 0, 4), "daqp": (2, 0, 0, 2), "osqp": (1, 1, 2, 2)}
@@ -53,5 +60,5 @@ def test_claims_are_held_against_certificates(records: Any) -> None:
 
 def test_who_was_stopped_is_judged_on_what_it_was_given(records: Any) -> None:
     """Of four QPs it saw one."""
-    (answer,) = answers_of(results_of(records, {"osqp": [TRUE]}))
+    (answer,) = asked(results_of(records, {"osqp": [TRUE]}))
     assert (answer.asked, answer.feasible, answer.infeasible, answer.balanced) == (4, 1, 0, 1)

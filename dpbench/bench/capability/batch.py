@@ -1,7 +1,9 @@
 """The static allocations at the edge of what a ship holds, as a sequence of QPs.
 
-For each case and direction: the two winds of the standard's table between which the edge lies, and
-the edge itself, a thousandth of the wind before and beyond. Half of them have no feasible point.
+For each case and direction there are four: the two winds of the standard's table between which the
+edge lies, and the edge itself, a thousandth of the wind before and beyond. Half of them have no
+feasible point. Before the first row half of the edge stands in; beyond the last nothing is known,
+and the last four rows are taken.
 Where several pieces of an azimuth may be chosen, the QP has the choice that uses the least thrust.
 """
 
@@ -10,19 +12,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from dpbench.bench.capability.frontier import Case, Frontier, Held
 from dpbench.bench.capability.study import FROM_DEG, Capability
-from dpbench.bench.sequences.sequence_file import save_sequence
 from dpbench.mpc.thrusters.static_allocation import StaticAllocation
 from dpbench.qp.program import QPSequence
 from dpbench.ship.capability.conditions import DP_CONDITIONS
 
 EDGE = 1e-3
 """Share of the wind by which a QP lies before or beyond the edge."""
+POINTS = 4
+"""QPs of one direction."""
 
 
 @dataclass(frozen=True)
@@ -35,13 +37,28 @@ class Point:
     held: bool
 
 
+def all_points(frontier: Frontier, capability: Capability) -> list[Point]:
+    """The points of all cases and directions, those of one direction in a row."""
+    return [
+        point
+        for case in frontier.cases
+        for from_deg, edge in zip(FROM_DEG, capability.held[case.name], strict=True)
+        for point in points_at_edge(case, math.radians(from_deg), edge)
+    ]
+
+
 def points_at_edge(case: Case, from_rad: float, edge: Held) -> list[Point]:
-    """The points of one direction: at most four."""
+    """The points of one direction, `POINTS` of them."""
     number, wind_mps = edge.number, edge.wind_mps
-    winds = [(DP_CONDITIONS[number][0], True)] if number else []
-    if number < max(DP_CONDITIONS):
-        winds += [((1.0 - EDGE) * wind_mps, True), ((1.0 + EDGE) * wind_mps, False)]
-        winds.append((DP_CONDITIONS[number + 1][0], False))
+    if number == max(DP_CONDITIONS):
+        rows = range(number + 1 - POINTS, number + 1)
+        return [Point(case, from_rad, DP_CONDITIONS[row][0], True) for row in rows]
+    winds = [
+        (DP_CONDITIONS[number][0] if number else 0.5 * wind_mps, True),
+        ((1.0 - EDGE) * wind_mps, True),
+        ((1.0 + EDGE) * wind_mps, False),
+        (DP_CONDITIONS[number + 1][0], False),
+    ]
     # By rising wind: the edge may lie within a thousandth of a row of the table.
     return [Point(case, from_rad, *wind) for wind in sorted(winds)]
 
@@ -73,46 +90,3 @@ def _allocation(frontier: Frontier, cases: set[Case], sides: int) -> StaticAlloc
     sectors = [any(piece.sector is not None for piece in some) for some in pieces]
     chords = [max((len(piece.chords) for piece in some), default=0) for some in pieces]
     return StaticAllocation(frontier.thrusters, sides, sectors, chords)
-
-
-def write_batch(frontier: Frontier, capability: Capability, folder: Path) -> Path:
-    """Write the QPs at the edge of a capability, certified, and a suite that replays them.
-
-    Parameters
-    ----------
-    frontier : with polygons; capability : what it holds.
-
-    Returns
-    -------
-    The suite's file, beside `capability.npz`. It solves each QP once with every solver at its
-    default settings.
-
-    Raises
-    ------
-    CertificateError : a QP has neither a certified optimum nor proof that there is none.
-    """
-    points = [
-        point
-        for case in frontier.cases
-        for from_deg, edge in zip(FROM_DEG, capability.held[case.name], strict=True)
-        for point in points_at_edge(case, math.radians(from_deg), edge)
-    ]
-    folder.mkdir(parents=True, exist_ok=True)
-    save_sequence(folder / "capability.npz", allocation_sequence(frontier, points))
-    suite = folder / "capability.toml"
-    suite.write_text(SUITE.format(vessel=capability.vessel, sides=frontier.sides), encoding="utf-8")
-    return suite
-
-
-SUITE = """\
-title = "Static allocations at the edge of the capability of {vessel}, {sides} sides"
-baseline_law = false
-rounds = 1
-warmup_steps = 20
-cell_limit_s = 20.0
-
-[[recorded]]
-sequence = "capability.npz"
-settings = ["default"]
-"""
-"""Claims do not change from round to round, and a batch has no deadline: one round is enough."""

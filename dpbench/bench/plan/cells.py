@@ -1,4 +1,4 @@
-"""Planned cells, and those of sequences that need no ship: recorded ones and random ones."""
+"""Planned cells, and those of QPs that no controller made: recorded, random, of a capability."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from dpbench.bench.capability.batch import POINTS
+from dpbench.bench.capability.frontier import DIRECTIONS, Frontier
 from dpbench.bench.plan.configurations import (
     BASELINE_LAW,
     Table,
@@ -15,6 +17,7 @@ from dpbench.bench.plan.configurations import (
     refusal_of,
 )
 from dpbench.bench.plan.suite import (
+    CapabilityTable,
     ClosedLoopTable,
     RandomTable,
     RecordedTable,
@@ -24,12 +27,17 @@ from dpbench.bench.plan.suite import (
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.sequences.recording import read_sequence
-from dpbench.bench.sequences.source import random_source, recorded_source
+from dpbench.bench.sequences.source import (
+    capability_source,
+    random_source,
+    recorded_source,
+)
 from dpbench.errors import InputError
 from dpbench.qp.random.recipe import FAMILIES, RandomRecipe
 from dpbench.qp.referee.kkt import positive_definite
 from dpbench.scenario.problem_files import sequence_path
-from dpbench.solvers.calibration import WAITS_NS
+from dpbench.scenario.scenario import vessel_files, vessel_of
+from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
 from dpbench.solvers.table import record
 
 NOT_STRICT = "P is only semidefinite, and the solver needs P > 0"
@@ -84,7 +92,7 @@ def cell_of(
 
 def replay_cells(
     suite: SuiteFile,
-    table: ReplayTable | RecordedTable | RandomTable,
+    table: ReplayTable | RecordedTable | RandomTable | CapabilityTable,
     solvers: Sequence[str],
     steps: int,
     *,
@@ -93,9 +101,9 @@ def replay_cells(
 ) -> list[PlannedCell]:
     """The cells of a replay of so many steps; `fields` say of what, the rest is as in `cell_of`.
 
-    Random sequences are not timed alone, so they have no budget of their own.
+    Untimed ones, random or at the edge of a capability, have no budget of their own.
     """
-    if not isinstance(table, RandomTable):
+    if not isinstance(table, RandomTable | CapabilityTable):
         fields |= {"budget_s": suite.replay_budget_s, "repeat_budget_s": suite.repeat_budget_s}
     return [
         cell_of(
@@ -154,6 +162,25 @@ def recorded_cells(
         strict = all(positive_definite(P) for P in matrices)
         cells += planned if strict else map(_if_semidefinite, planned)
     return cells
+
+
+def capability_cells(
+    suite: SuiteFile, table: CapabilityTable, solvers: Sequence[str], beside: Path | None
+) -> list[PlannedCell]:
+    """The cells of a capability plot.
+
+    Raises
+    ------
+    InputError : for a vessel without thrusters or the hull that the plot needs.
+    """
+    files = vessel_files(table.vessel, beside=beside)
+    cases = Frontier(vessel_of(files, table.vessel), table.sides).cases
+    own = [name for name in solvers if name not in CALIBRATION]
+    source = capability_source(files, table.sides)
+    steps = POINTS * DIRECTIONS * len(cases)
+    cells = replay_cells(suite, table, own, steps, scenario={}, source=source)
+    # What a solver claims of a QP does not change from round to round.
+    return [replace(planned, cell=replace(planned.cell, rounds=1)) for planned in cells]
 
 
 def _if_semidefinite(planned: PlannedCell) -> PlannedCell:

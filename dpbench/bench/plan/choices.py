@@ -10,16 +10,17 @@ from pydantic import BaseModel
 from dpbench.bench.judge.rules import supports
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.suite import (
+    CapabilityTable,
     ClosedLoopTable,
     RandomTable,
     RecordedTable,
     ReplayTable,
     SuiteFile,
 )
-from dpbench.bench.sequences.source import is_random
+from dpbench.bench.sequences.source import is_untimed
 from dpbench.errors import InputError
 
-Table = TypeVar("Table", ClosedLoopTable, ReplayTable, RecordedTable, RandomTable)
+Table = TypeVar("Table", ClosedLoopTable, ReplayTable, RecordedTable, RandomTable, CapabilityTable)
 
 
 def with_choices(
@@ -57,7 +58,8 @@ def with_choices(
         replays = _once([_changed(t, settings=list(settings)) for t in replays])
         recorded = _once([_changed(t, settings=list(settings)) for t in suite.recorded])
         random = _once([_changed(t, settings=list(settings)) for t in suite.random])
-        suite = _changed(suite, recorded=recorded, random=random)
+        edges = _once([_changed(t, settings=list(settings)) for t in suite.capability])
+        suite = _changed(suite, recorded=recorded, random=random, capability=edges)
     if steps is not None:
         loops = [_changed(t, steps=min(steps, t.steps or steps)) for t in loops]
         replays = [_changed(t, steps=min(steps, t.steps or steps)) for t in replays]
@@ -82,7 +84,7 @@ def _once(tables: Sequence[Table]) -> list[Table]:
 
 def remarks_on(planned: Sequence[PlannedCell]) -> list[str]:
     """What the plan cannot answer, said before it runs."""
-    cells = [p.cell for p in planned if p.cell.mode == "replay" and not is_random(p.cell)]
+    cells = [p.cell for p in planned if p.cell.mode == "replay" and not is_untimed(p.cell)]
     lengths = [cell.steps for cell in cells]
     if lengths and not supports(max(lengths), 99):
         return [

@@ -8,6 +8,7 @@ from itertools import product
 from pathlib import Path
 
 from dpbench.bench.plan.suite import (
+    CapabilityTable,
     ClosedLoopTable,
     RandomTable,
     RecordedTable,
@@ -24,7 +25,7 @@ from dpbench.solvers.settings import setting_names, settings_matter
 from dpbench.solvers.table import TABLE, available, record, solver_names
 
 BASELINE_LAW = UNCONSTRAINED_CLIPPED.name
-Table = ClosedLoopTable | ReplayTable | RandomTable | RecordedTable
+Table = ClosedLoopTable | ReplayTable | RandomTable | RecordedTable | CapabilityTable
 
 
 def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from dpbench.bench.plan.cells import (
     PlannedCell,
+    capability_cells,
     cell_of,
     random_cells,
     recorded_cells,
@@ -31,10 +32,11 @@ def plan(
     scenarios: Sequence[str] | None = None,
     beside: Path | None = None,
 ) -> list[PlannedCell]:
-    """All cells of a suite in the order they run: closed loops, replays, recorded, random ones.
+    """All cells of a suite in the order they run: closed loops, replays, recorded and random
+    ones, capability plots.
 
     Paths of scenarios and sequences are relative to the folder `beside`, that of the suite. A
-    choice of `scenarios` leaves recorded and random sequences out.
+    choice of `scenarios` leaves all that have no scenario out.
 
     Raises
     ------
@@ -64,8 +66,10 @@ def plan(
         cells += recorded_cells(suite, chosen, beside, taken=stems)
     for table in suite.random if not scenarios else ():
         cells += random_cells(suite, table, chosen)
+    for plot in suite.capability if not scenarios else ():
+        cells += capability_cells(suite, plot, chosen, beside)
     if not cells:
-        allowed = "[[closed_loop]], [[replay]], [[recorded]] or [[random]], with a solver to run"
+        allowed = "[[closed_loop]] or another table of runs, with a solver to run"
         raise InputError("suite", "", "nothing to run", allowed)
     return _merged(cells)
 

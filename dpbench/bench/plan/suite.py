@@ -176,6 +176,21 @@ class RecordedTable(_RunsTable):
     """Forms of the QP a solver is given."""
 
 
+class CapabilityTable(_RunsTable):
+    """The capability plot of a ship: the largest wind its thrusters hold from 36 directions, intact
+    and after each failure (DNV-ST-0111, level 1), and the QPs at that edge through every solver.
+
+    Such QPs have no units but their own, and no deadline: each is solved in one round.
+    """
+
+    units: ClassVar[list[Units]] = ["scaled"]
+    formulations: ClassVar[list[FormulationName]] = ["condensed_box"]
+    vessel: str
+    """A vessel with `[[thrusters]]` and `[capability]`, by name or a TOML file beside the suite."""
+    sides: Annotated[int, Field(ge=4, multiple_of=2)] = 16
+    """Sides of the polygons in place of circles."""
+
+
 class DesignTable(FileModel):
     """Stability and region of attraction of controllers, those of some scenarios, in vessels; no
     solver's part."""
@@ -245,6 +260,8 @@ class SuiteFile(FileModel):
     """Recorded QPs through every solver."""
     random: list[RandomTable] = []
     """Random QPs with a planted optimum through every solver."""
+    capability: list[CapabilityTable] = []
+    """Capability plots, and the QPs at their edge through every solver."""
 
     @property
     def scenario_names(self) -> list[str]:

@@ -54,7 +54,8 @@ class Recorded:
     Parameters
     ----------
     units : what 1 is in SI; None where the QPs have no units but their own.
-    documents : what the scenario was made from (`Scenario.files`); empty for another source.
+    documents : what the scenario was made from (`Scenario.files`), or the capability plot that the
+        QPs are around; empty for another source.
     """
 
     sequence: QPSequence

@@ -1,5 +1,5 @@
 """Where the QPs of a replay come from: the exactly solved loop of a scenario, the consequence
-analysis along it, a random recipe, or what others recorded.
+analysis along it, the edge of what thrusters hold, a random recipe, or what others recorded.
 
 What takes long is done once per source, in a process of its own, and kept in a file that workers
 and evaluators read: the loop, or the sequence with its certified optima.
@@ -21,6 +21,7 @@ from dpbench.bench.record.npz import kept
 from dpbench.bench.record.raw_log import log_bytes, loop_layout, replay_layout
 from dpbench.bench.record.schema import SCHEMA_VERSION
 from dpbench.bench.run.exact_loop import ExactLoop, allocation_sizes, sequence_of, solve_exactly
+from dpbench.bench.sequences.at_edge import make_at_edge
 from dpbench.bench.sequences.consequence import consequence_sequence, steered_rows
 from dpbench.bench.sequences.recording import digest, read_sequence
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
@@ -30,7 +31,7 @@ from dpbench.qp.random.recipe import RandomRecipe
 from dpbench.qp.random.sequence import random_sequence
 from dpbench.qp.referee.referee import Optimum, certified
 from dpbench.scenario.problem_files import is_stored, sequence_path
-from dpbench.scenario.scenario import scenario_of, scenario_once
+from dpbench.scenario.scenario import scenario_of, scenario_once, vessel_of
 from dpbench.ship.layout import AXES
 
 RANDOM = "random"
@@ -39,6 +40,8 @@ RECORDED = "recorded"
 """The kind of a source that is a file, or a folder of them."""
 CONSEQUENCE = "consequence"
 """The kind of a source that is the loss of a failure group along the loop of the scenario."""
+CAPABILITY = "capability"
+"""The kind of a source that is the edge of what a ship's thrusters hold."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,13 +76,14 @@ def source_of(cell: Cell) -> Source:
     kind = cell.source.get("kind")
     if kind == CONSEQUENCE:
         return _Consequence(cell.scenario, cell.source["group"])
+    if kind == CAPABILITY:
+        return _AtEdge(cell.source)
     if kind == RANDOM:
         return _Random(RandomRecipe.from_dict(cell.source["recipe"]))
     if kind == RECORDED:
         return _Recorded(cell.source)
-    raise InputError(
-        "cell", "source.kind", repr(kind), f"{RANDOM!r}, {RECORDED!r}, {CONSEQUENCE!r}"
-    )
+    kinds = ", ".join(map(repr, (RANDOM, RECORDED, CONSEQUENCE, CAPABILITY)))
+    raise InputError("cell", "source.kind", repr(kind), kinds)
 
 
 _latest: dict[tuple[str, Path], Replayed] = {}
@@ -130,9 +134,14 @@ def log_size(cell: Cell, path: Path) -> int:
     return log_bytes(replay_layout(cell.rounds + 1, cell.steps, n, m))
 
 
-def is_random(cell: Cell) -> bool:
-    """Whether the cell replays a random sequence, whose times nobody compares."""
-    return cell.source.get("kind") == RANDOM
+def is_untimed(cell: Cell) -> bool:
+    """Whether the cell replays QPs that have no deadline, whose times nobody compares."""
+    return cell.source.get("kind") in (RANDOM, CAPABILITY)
+
+
+def is_at_edge(cell: Cell) -> bool:
+    """Whether its QPs are those at the edge of what thrusters hold."""
+    return cell.source.get("kind") == CAPABILITY
 
 
 def random_source(recipe: RandomRecipe) -> dict[str, Any]:
@@ -143,6 +152,12 @@ def random_source(recipe: RandomRecipe) -> dict[str, Any]:
 def consequence_source(sequence: str, group: str) -> dict[str, Any]:
     """`Cell.source` of the loss of a failure group, beside the replay called `sequence`."""
     return {"kind": CONSEQUENCE, "name": f"{sequence}, {group} lost", "group": group}
+
+
+def capability_source(files: dict[str, Any], sides: int) -> dict[str, Any]:
+    """`Cell.source` of the edge of a ship, given by `vessel_files`, with polygons of some sides."""
+    name = f"{files['vessel_name']} capability, {sides} sides"
+    return {"kind": CAPABILITY, "name": name, "sides": sides, **files}
 
 
 def recorded_source(what: str, path: Path, name: str) -> dict[str, Any]:
@@ -228,6 +243,17 @@ class _Random(_Stored):
     def make(self, path: Path) -> None:
         sequence = random_sequence(self.recipe)
         save_sequence(path, sequence, certified(sequence))
+
+
+@dataclass(frozen=True, eq=False)
+class _AtEdge(_Stored):
+    """The QPs at the edge of what thrusters hold; in the same file the plot they are around."""
+
+    described: dict[str, Any]
+
+    def make(self, path: Path) -> None:
+        described = self.described
+        make_at_edge(path, vessel_of(described), described["sides"], described["name"])
 
 
 @dataclass(frozen=True, eq=False)

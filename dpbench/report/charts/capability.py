@@ -1,4 +1,5 @@
-"""The rose of a ship's capability: the largest wind it holds, by where it comes from."""
+"""The rose of a ship's capability: the largest wind it holds, by where it comes from; and what
+solvers answer at that edge."""
 
 from __future__ import annotations
 
@@ -8,7 +9,19 @@ import altair as alt
 import numpy as np
 import pandas as pd
 
-from dpbench.report.charts.style import GRID, INK, PALETTE, SOFT, below, styled, tip
+from dpbench.report.charts.style import (
+    GRID,
+    INK,
+    LINE,
+    MEETS,
+    MISSES,
+    PALETTE,
+    PAPER,
+    SOFT,
+    below,
+    styled,
+    tip,
+)
 from dpbench.ship.capability.conditions import DP_CONDITIONS
 
 COLUMNS = ("case", "from_deg", "wind_mps", "number")
@@ -26,6 +39,8 @@ def rose(table: pd.DataFrame, title: str) -> Any:
     Parameters
     ----------
     table : columns `COLUMNS`, directions clockwise from ahead; cases in the order of the legend.
+        With a column `untrue`, how many solvers made an untrue claim there, points with any are
+        hollow.
     """
     cases = list(dict.fromkeys(table["case"]))
     closed = pd.concat([_closed(table[table["case"] == case]) for case in cases])
@@ -34,7 +49,7 @@ def rose(table: pd.DataFrame, title: str) -> Any:
     y = alt.Y("y:Q", scale=span, axis=None)
     lines = (
         alt.Chart(closed)
-        .mark_line(strokeWidth=2, point=alt.OverlayMarkDef(size=14), interpolate="linear")
+        .mark_line(strokeWidth=2, interpolate="linear")
         .encode(
             x=x,
             y=y,
@@ -45,25 +60,42 @@ def rose(table: pd.DataFrame, title: str) -> Any:
                 scale=alt.Scale(domain=cases, range=list(PALETTE[: len(cases)])),
                 legend=below(columns=3),
             ),
-            tooltip=[
-                alt.Tooltip("case:N"),
-                tip("from_deg:Q", "from [°]"),
-                tip("wind_mps:Q", "wind held [m/s]", 3),
-                alt.Tooltip("number:Q", title="DP capability number"),
-            ],
         )
     )
+    points = _points(closed, x, y)
     web = [_rings(x, y), _spokes(x, y), _ring_names(x, y), _bearings(x, y)]
     about = (
         "Largest wind held from each direction, intact and after each failure; rings: the winds of "
         "DP capability numbers."
     )
-    chart = styled(alt.layer(*web, lines, width=SIZE, height=SIZE), title, about)
+    layers = alt.layer(*web, lines, *points, width=SIZE, height=SIZE)
+    chart = styled(layers, title, about)
     chart.title.subtitle = (
         "by where wind, waves and current come from; rings: DP capability numbers"
     )
     chart.title.subtitleColor = SOFT
     return chart
+
+
+def _points(closed: pd.DataFrame, x: alt.X, y: alt.Y) -> list[Any]:
+    """A mark for each direction, hollow where a solver made an untrue claim."""
+    tooltips = [
+        alt.Tooltip("case:N"),
+        tip("from_deg:Q", "from [°]"),
+        tip("wind_mps:Q", "wind held [m/s]", 3),
+        alt.Tooltip("number:Q", title="DP capability number"),
+    ]
+    untrue = closed["untrue"] if "untrue" in closed else pd.Series(0, closed.index)
+    if (untrue > 0).any():
+        tooltips.append(alt.Tooltip("untrue:Q", title="solvers with an untrue claim"))
+    kinds = ((closed[untrue == 0], 14, True), (closed[untrue > 0], 30, False))
+    return [
+        alt.Chart(of_kind)
+        .mark_point(size=size, filled=filled, opacity=1, fill=alt.Undefined if filled else PAPER)
+        .encode(x=x, y=y, color="case:N", tooltip=tooltips)
+        for of_kind, size, filled in kinds
+        if len(of_kind)
+    ]
 
 
 def _at(radius: Any, from_deg: Any) -> dict[str, Any]:
@@ -110,3 +142,49 @@ def _bearings(x: alt.X, y: alt.Y) -> Any:
     ]
     chart = alt.Chart(pd.DataFrame(bearings)).mark_text(color=INK, fontSize=11)
     return chart.encode(x=x, y=y, text="name:N")
+
+
+ANSWERS = ("solver", "answer", "share", "qps")
+RIGHT_HELD, RIGHT_NOT, NOTHING, WRONG = (
+    "held, right",
+    "not held, right",
+    "no answer",
+    "untrue claim",
+)
+_LOOKS = {RIGHT_HELD: PALETTE[0], RIGHT_NOT: MEETS, NOTHING: LINE, WRONG: MISSES}
+
+
+def answers(table: pd.DataFrame, title: str) -> Any:
+    """A bar for each solver: which share of the QPs at the edge it answers how.
+
+    Parameters
+    ----------
+    table : columns `ANSWERS`, a row for each solver and kind of answer; solvers from the top.
+    """
+    kinds = [kind for kind in _LOOKS if (table.loc[table["answer"] == kind, "qps"] > 0).any()]
+    place = {kind: i for i, kind in enumerate(_LOOKS)}
+    table = table.assign(place=table["answer"].map(place))
+    chart = (
+        alt.Chart(table[table["qps"] > 0])
+        .mark_bar()
+        .encode(
+            x=alt.X(
+                "share:Q",
+                title="share of the QPs [%]",
+                scale=alt.Scale(domain=[0, 100]),
+                axis=alt.Axis(values=[0, 25, 50, 75, 100], grid=False),
+            ),
+            y=alt.Y("solver:N", title=None, sort=list(dict.fromkeys(table["solver"]))),
+            order="place:Q",
+            color=alt.Color(
+                "answer:N",
+                title=None,
+                scale=alt.Scale(domain=kinds, range=[_LOOKS[kind] for kind in kinds]),
+                legend=below(symbolType="square", columns=2),
+            ),
+            tooltip=[alt.Tooltip("solver:N"), alt.Tooltip("answer:N"), alt.Tooltip("qps:Q")],
+        )
+        .properties(width=250, height=alt.Step(17))
+    )
+    about = "For each solver, how many of the QPs at the edge it answers rightly, wrongly or not."
+    return styled(chart, title, about)

@@ -58,6 +58,7 @@ _HUES = [hue for hue in FAMILY_COLOURS.values() if hue not in OUTCOME_COLOURS]
 FILES = {
     "runs.parquet": "one row a run",
     "steps.parquet": "one row a step",
+    "capability.parquet": "one row a QP at the edge of what thrusters hold",
     "machine.json": "the machine and the versions",
     "suite.json": "what was asked",
     "tables/runs.csv": "the runs as CSV; beside it more tables of this page",

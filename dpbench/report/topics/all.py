@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from dpbench.analysis.demand import Demand
+import pandas as pd
+
 from dpbench.analysis.records import Records
+from dpbench.analysis.verdict import Verdicts
 from dpbench.bench.design import Designs
 from dpbench.report.page.topic import Topic
+from dpbench.report.topics.capability import capability_topic
+from dpbench.report.topics.conclusion import conclusion_topic
 from dpbench.report.topics.consequence import consequence_topic
 from dpbench.report.topics.loops import loops_topic
 from dpbench.report.topics.paper import paper_topic
@@ -25,16 +29,29 @@ from dpbench.report.topics.trust import trust_topic
 from dpbench.report.topics.worst_case import worst_case_topic
 
 
-def topics_of(records: Records, demand: Demand, designs: Designs | None) -> list[Topic]:
+def topics_of(
+    records: Records,
+    verdicts: Verdicts,
+    designs: Designs | None = None,
+    capability: pd.DataFrame | None = None,
+) -> list[Topic]:
     """Those that have something to say, the suite's own question first; what nobody asked for is
-    not mentioned."""
+    not mentioned.
+
+    Parameters
+    ----------
+    designs, capability : what lies beside the runs: of `load_designs` and `load_capability`.
+    """
+    demand = verdicts.demand
     replays, loops = (_only(records, mode) for mode in ("replay", "closed_loop"))
     found = (
+        conclusion_topic(records, verdicts),
         worst_case_topic(records),
         horizon_topic(records, demand),
         slowdown_topic(records),
         random_topic(records),
         consequence_topic(records),
+        capability_topic(records, capability),
         formulations_topic(records, demand),
         loops_topic(records, demand) if loops else None,
         race_topic(records) if replays else None,
@@ -67,9 +84,16 @@ def _question(records: Records, topics: Sequence[str]) -> str:
     """The id of the topic that is what the suite asks; empty where that is which solver to use."""
     if "worst-case" in topics:
         return "worst-case"
+    if "conclusion" in topics:
+        return "conclusion"
     if not records.runs:
         return next(
-            (id for id in ("slowdown", "random", "consequence", "trust") if id in topics), ""
+            (
+                id
+                for id in ("slowdown", "random", "consequence", "capability", "trust")
+                if id in topics
+            ),
+            "",
         )
     if records.delayed or records.random:
         return ""

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dpbench.analysis.demand import Demand, is_right
 from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
+from dpbench.analysis.steering import is_about_thrusters
 from dpbench.report.formats import MISSING, and_list, plural, significant
 from dpbench.report.page.topic import SmallTable, Topic
 
@@ -37,8 +38,7 @@ def thrusters_topic(records: Records, demand: Demand) -> Topic | None:
             name = run.configuration.in_common_formulation.label
             configurations.setdefault(name, []).append(run)
     lead = _lead(best, configurations, demand)
-    loops = {run.scenario for run in records.select(mode="closed_loop")}
-    if loops - {run.scenario for run in runs}:
+    if not is_about_thrusters(records):
         # Where thrusters are one scenario among others, what they cost is not what is asked.
         return Topic("thrusters", "Thrusters", (lead,))
     rows = sorted(

@@ -1,0 +1,108 @@
+"""Solvers of controllers that steer thrusters, beside those of three forces in the same suite."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from dpbench.analysis.demand import Demand
+from dpbench.analysis.records import Records
+from dpbench.analysis.run_record import RunRecord
+from dpbench.analysis.verdict import OUTCOMES, Outcome, Verdict, Verdicts, verdicts_of
+
+Fault = Literal["too late", "wrong", "too late or wrong"]
+_LATE = {"p99 late", "p95 late", "hung"}
+
+
+@dataclass(frozen=True)
+class Steering:
+    """Who meets the demand with thrusters, and with three forces where the suite has both.
+
+    Parameters
+    ----------
+    forces : scenarios whose controller commands three forces.
+    with_forces, with_thrusters : the best outcome of any configuration of each solver; the first
+        is empty where the suite has no such scenario.
+    faults : of the solvers that miss the demand with thrusters, what contradicts it.
+    """
+
+    forces: tuple[str, ...]
+    with_forces: dict[str, Outcome]
+    with_thrusters: dict[str, Outcome]
+    faults: dict[str, Fault]
+
+    @property
+    def fine(self) -> list[str]:
+        """Solvers that meet the demand with thrusters."""
+        return [name for name, outcome in self.with_thrusters.items() if outcome == "meets"]
+
+    @property
+    def undecided(self) -> list[str]:
+        """Solvers of which it is open whether they meet the demand with thrusters."""
+        return [name for name, outcome in self.with_thrusters.items() if outcome == "open"]
+
+    @property
+    def fine_with_forces(self) -> list[str]:
+        """Those that meet it with three forces and were judged with thrusters."""
+        known = self.with_thrusters
+        return [s for s, said in self.with_forces.items() if said == "meets" and s in known]
+
+    @property
+    def only_with_forces(self) -> list[str]:
+        """Those of them that miss it with thrusters."""
+        return [s for s in self.fine_with_forces if self.with_thrusters[s] == "misses"]
+
+    @property
+    def missing(self) -> list[str]:
+        """Solvers that miss the demand with thrusters."""
+        return [name for name, outcome in self.with_thrusters.items() if outcome == "misses"]
+
+
+def is_about_thrusters(records: Records) -> bool:
+    """Whether thrusters are steered in more than half of the scenarios run in closed loop."""
+    loops = {run.scenario: run.steers_thrusters for run in records.select(mode="closed_loop")}
+    return 2 * sum(loops.values()) > len(loops)
+
+
+def steering_of(records: Records, demand: Demand) -> Steering:
+    """Who meets the demand with what is commanded."""
+    of_thrusters = [run for run in records.runs if run.steers_thrusters]
+    of_forces = [run for run in records.runs if run.scenario_files and not run.steers_thrusters]
+    verdicts = verdicts_of(records, demand, of_thrusters)
+    return Steering(
+        tuple(dict.fromkeys(run.scenario for run in of_forces)),
+        _outcomes(verdicts_of(records, demand, of_forces)),
+        _outcomes(verdicts),
+        {s: _fault(own) for s, own in verdicts.of.items() if _outcome(own) == "misses"},
+    )
+
+
+def lost_late(run: RunRecord) -> list[str]:
+    """Thrusters and groups that a closed loop loses, all in the second half of what was run."""
+    scenario = (run.scenario_files or {}).get("scenario", {})
+    faults = [fault for fault in scenario.get("faults") or () if fault.get("lost")]
+    if not faults:
+        return []
+    whole_s = scenario["sample_s"] * run.steps_done
+    early = min(fault["at_s"] for fault in faults) < 0.5 * whole_s
+    late = max(fault["at_s"] for fault in faults) >= whole_s
+    return [] if early or late else [str(name) for fault in faults for name in fault["lost"]]
+
+
+def _outcomes(verdicts: Verdicts) -> dict[str, Outcome]:
+    outcomes = {solver: _outcome(own) for solver, own in verdicts.of.items()}
+    return {solver: outcome for solver, outcome in outcomes.items() if outcome != "not run"}
+
+
+def _outcome(own: Sequence[Verdict]) -> Outcome:
+    """The best outcome of some configurations."""
+    return min((verdict.outcome for verdict in own), key=OUTCOMES.index)
+
+
+def _fault(own: Sequence[Verdict]) -> Fault:
+    """What contradicts the demand in every configuration that was run."""
+    causes = [{finding.kind for finding in v.causes} for v in own if v.outcome != "not run"]
+    if all(kinds & _LATE for kinds in causes):
+        return "too late"
+    return "wrong" if all(kinds - _LATE for kinds in causes) else "too late or wrong"

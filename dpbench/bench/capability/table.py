@@ -1,0 +1,86 @@
+"""The capability plots of a suite as a table of its result folder, `capability.parquet`.
+
+A row is a QP at the edge, in the order of the sequence that solvers replay; four rows or fewer are
+a direction.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+
+from dpbench.bench.capability.batch import Point
+from dpbench.bench.capability.study import FROM_DEG, Capability
+from dpbench.errors import ResultsError
+
+CAPABILITY_FILE = "capability.parquet"
+COLUMNS = {
+    "sequence": "str",
+    "k": "int64",
+    "vessel": "str",
+    "sides": "int64",
+    "case": "str",
+    "lost": "str",
+    "from_deg": "float64",
+    "wind_mps": "float64",
+    "held": "bool",
+    "edge_mps": "float64",
+    "number": "int64",
+}
+"""Name of the sequence and step in it; ship, and sides of its polygons; what has failed, and the
+thrusters lost with it; where wind, waves and current come from, the wind of the QP and whether it
+is held; the largest wind held from there, and the DP capability number."""
+
+
+def table_of(
+    sequence: str, capability: Capability, points: Sequence[Point]
+) -> dict[str, list[Any]]:
+    """The columns of `COLUMNS`, as JSON has them, of one plot.
+
+    Parameters
+    ----------
+    capability : with polygons; points : `all_points` of it.
+    """
+    direction = {round(from_deg, 6): k for k, from_deg in enumerate(FROM_DEG)}
+    rows = []
+    for k, point in enumerate(points):
+        case, from_deg = point.case.name, round(math.degrees(point.from_rad), 6)
+        edge = capability.held[case][direction[from_deg]]
+        about = (sequence, k, capability.vessel, capability.sides, case)
+        lost = ", ".join(capability.lost[case])
+        rows.append(
+            (*about, lost, from_deg, point.wind_mps, point.held, edge.wind_mps, edge.number)
+        )
+    return {
+        name: list(column) for name, column in zip(COLUMNS, zip(*rows, strict=True), strict=True)
+    }
+
+
+def write_capability(out: Path, tables: Sequence[dict[str, list[Any]]]) -> None:
+    """Write the plots into a result folder."""
+    frame = pd.concat([pd.DataFrame(table) for table in tables], ignore_index=True)
+    part = out / f"{CAPABILITY_FILE}.part"
+    frame.astype(COLUMNS).to_parquet(part, index=False, compression="zstd")
+    part.replace(out / CAPABILITY_FILE)
+
+
+def load_capability(folder: Path) -> pd.DataFrame | None:
+    """The plots of a result folder, columns `COLUMNS`; None where there are none.
+
+    Raises
+    ------
+    ResultsError : naming the file, when it is damaged.
+    """
+    path = folder / CAPABILITY_FILE
+    if not path.exists():
+        return None
+    try:
+        return pd.read_parquet(path)[list(COLUMNS)].astype(COLUMNS)
+    except (OSError, ValueError, TypeError, KeyError, pa.ArrowException) as error:
+        found = f"a damaged file ({str(error)[:80]})"
+        raise ResultsError(str(path), "", found, "a parquet table; run again") from error
