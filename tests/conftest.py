@@ -223,7 +223,8 @@ class MadeRecords:
         t = k * scenario.sample_s
         swing = np.exp(-t / 15) * np.cos(t / 6)
         force = 3e5 * np.exp(-t / 15)[:, None] * np.sin(t / 6)[:, None] * [0.5, 1.0, 20.0]
-        change = np.clip(np.diff(force, axis=0, prepend=0.0), -scenario.du_max, scenario.du_max)
+        most = scenario.force_step_max
+        change = np.clip(np.diff(force, axis=0, prepend=0.0), -most, most)
         moves = np.minimum(error, 1.0) * self._rng.uniform(0.05, 0.5, done)
         moves[-1] = error
         frame = pd.DataFrame(

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from typing import Any
 
 import pandas as pd
 
-from dpbench.analysis.capability import Answers, answers_of
+from dpbench.analysis.capability import Answers, answers_of, capability_plots
 from dpbench.analysis.records import Records
 from dpbench.bench.record.result_folder import Results
-from dpbench.bench.record.schema import as_steps
+from dpbench.bench.record.schema import as_runs, as_steps
+from dpbench.report.topics.capability import capability_topic
 
 TRUE = {"true": True, "true_1e4": True, "true_1e6": True}
 REFUSED = {"status": "PRIMAL_INFEASIBLE", "claimed": False}
 EMPTY = {"certificate": "infeasible"}
 SILENT = {"status": "UNKNOWN", "claimed": False}
+NOBODY = as_runs(pd.DataFrame({"run_id": pd.Series([], dtype="str")}))
 
 
 def results_of(records: Any, said: dict[str, list[dict[str, Any]]]) -> Results:
@@ -62,3 +66,72 @@ def test_who_was_stopped_is_judged_on_what_it_was_given(records: Any) -> None:
     """Of four QPs it saw one."""
     (answer,) = asked(results_of(records, {"osqp": [TRUE]}))
     assert (answer.asked, answer.feasible, answer.infeasible, answer.balanced) == (4, 1, 0, 1)
+
+
+def edge_runs(records: Any) -> Records:
+    """Two solvers at the edge of one ship; one claims of the third QP what is not true."""
+    source = {"kind": "capability", "name": "osv capability, 8 sides"}
+    source |= {"vessel_name": "osv", "sides": 8}
+    cell = {"sequence": source["name"], "cell": json.dumps({"scenario": {}, "source": source})}
+    results = results_of(
+        records,
+        {
+            "quadprog": [TRUE, TRUE, TRUE | REFUSED | EMPTY, TRUE | REFUSED | EMPTY],
+            "osqp": [TRUE, TRUE, EMPTY, SILENT | EMPTY],
+        },
+    )
+    return Records(replace(results, runs=results.runs.assign(**cell)))
+
+
+def plot_table() -> pd.DataFrame:
+    """Two directions of two QPs."""
+    return pd.DataFrame(
+        {
+            "sequence": "osv capability, 8 sides",
+            "k": range(4),
+            "vessel": "osv",
+            "sides": 8,
+            "case": "intact",
+            "lost": "",
+            "from_deg": [0.0, 0.0, 90.0, 90.0],
+            "edge_mps": [20.0, 20.0, 12.0, 12.0],
+            "number": [8, 8, 6, 6],
+        }
+    )
+
+
+def test_an_untrue_claim_is_found_on_the_plot(records: Any) -> None:
+    """From 90°, by one solver; the other is right everywhere."""
+    (plot,) = capability_plots(edge_runs(records), plot_table())
+    assert plot.edges["untrue"].tolist() == [0, 1]
+    assert plot.edges["wind_mps"].tolist() == [20.0, 12.0]
+    assert {a.solver: (a.right, a.wrong, a.silent) for a in plot.answers} == {
+        "quadprog": (4, 0, 0),
+        "osqp": (2, 1, 1),
+    }
+
+
+def test_the_topic_says_what_is_held_and_who_knows(records: Any) -> None:
+    """With two figures; a part that is missing is not spoken of."""
+    runs = edge_runs(records)
+    topic = capability_topic(runs, plot_table())
+    assert topic is not None
+    assert topic.lines == (
+        "Intact, osv holds at least 12.0 m/s, from 90° (DNV-ST-0111, level 1; azimuths as polygons "
+        "of 8 sides). 1 of 2 solvers answer all 4 QPs at that edge rightly: quadprog. Untrue "
+        "claims: osqp (1). 1 leaves some without an answer, or did not get so far in time.",
+    )
+    assert len(topic.figures) == 2
+    without_plot = capability_topic(runs, None)
+    assert without_plot is not None
+    assert without_plot.lines[0].startswith("1 of 2 solvers") and len(without_plot.figures) == 1
+    without_runs = capability_topic(Records(replace(records.results(), runs=NOBODY)), plot_table())
+    assert without_runs is not None
+    assert without_runs.lines[0].endswith("sides).") and len(without_runs.figures) == 1
+
+
+def test_runs_at_an_edge_are_no_part_of_a_verdict(records: Any) -> None:
+    """They steer no ship; a folder without any has no topic."""
+    runs = edge_runs(records)
+    assert runs.runs == [] and len(runs.at_edge) == 2
+    assert capability_topic(Records(replace(records.results(), runs=NOBODY)), None) is None

@@ -38,6 +38,16 @@ def test_ahead_is_up_and_starboard_to_the_right(chart: Any) -> None:
     assert points[0]["x"] == points[4]["x"] and points[0]["y"] == points[4]["y"]
 
 
+def test_points_with_untrue_claims_are_hollow() -> None:
+    """One direction of two; without any all points are filled alike."""
+    rows = [("intact", 0.0, 20.0, 7, 0), ("intact", 90.0, 15.0, 6, 2)]
+    table = pd.DataFrame(rows, columns=[*COLUMNS, "untrue"])
+    marks = [layer["mark"] for layer in rose(table, "Some ship").to_dict()["layer"]]
+    assert [mark["filled"] for mark in marks if mark["type"] == "point"] == [True, False]
+    plain = rose(table.assign(untrue=0), "Some ship").to_dict()["layer"]
+    assert [m["mark"]["filled"] for m in plain if m["mark"]["type"] == "point"] == [True]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("suffix", "begins"), [("svg", b"<svg"), ("pdf", b"%PDF"), ("png", b"\x89PNG"), ("html", b"<!")]

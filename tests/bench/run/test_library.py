@@ -212,6 +212,17 @@ def test_a_ship_that_is_not_the_model_is_still_held() -> None:
     assert away[:, 3:5].max() > 1e-3
 
 
+def test_three_forces_hold_what_thrusters_hold_with_hardly_a_limit_active() -> None:
+    """The ship and weather of `thrusters`, and its horizons; in one step of twenty a limit acts."""
+    forces, thrusters = (load_scenario(name).files for name in ("three_forces", "thrusters"))
+    assert forces["vessel"] == thrusters["vessel"]
+    assert forces["scenario"]["environment"] == thrusters["scenario"]["environment"]
+    assert load_scenario("three_forces").N_c == load_scenario("thrusters").N_c == 10
+    assert metrics("three_forces")["r_max_m"] < 0.25
+    at_limit = [np.abs(np.r_[o.y, o.y_box]).max() > 1e-9 for o in exact("three_forces").optima]
+    assert 0.0 < np.mean(at_limit) < 0.2
+
+
 def test_watch_circle_limits_the_speed_of_a_transfer() -> None:
     """Speed over ground stays near 0.15 m/s where it would be twice that without the bound."""
     scenario, loop = load_scenario("watch_circle"), exact("watch_circle")
