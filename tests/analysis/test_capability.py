@@ -70,9 +70,9 @@ def test_who_was_stopped_is_judged_on_what_it_was_given(records: Any) -> None:
 
 def edge_runs(records: Any) -> Records:
     """Two solvers at the edge of one ship; one claims of the third QP what is not true."""
-    source = {"kind": "capability", "name": "osv capability, 8 sides"}
-    source |= {"vessel_name": "osv", "sides": 8}
-    cell = {"sequence": source["name"], "cell": json.dumps({"scenario": {}, "source": source})}
+    name = "osv capability, 8 sides"
+    source = {"kind": "capability", "name": name, "vessel_name": "osv", "sides": 8}
+    cell = {"sequence": name, "cell": json.dumps({"scenario": {}, "source": source})}
     results = results_of(
         records,
         {

@@ -17,11 +17,12 @@ class Figure:
 
 @dataclass(frozen=True)
 class SmallTable:
-    """A table of a topic, of text alone."""
+    """A table of a topic, of text alone; one that is `file_only` is no part of the page."""
 
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     title: str = ""
+    file_only: bool = False
 
     @property
     def plain(self) -> SmallTable:

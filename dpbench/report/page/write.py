@@ -328,7 +328,7 @@ def _markup(topic: Topic) -> dict[str, Any]:
         "title": topic.title,
         "lines": topic.lines,
         "figures": figures,
-        "tables": [t.plain for t in topic.tables],
+        "tables": [t.plain for t in topic.tables if not t.file_only],
         "paste": topic.paste,
     }
 

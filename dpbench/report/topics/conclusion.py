@@ -172,10 +172,8 @@ def _end(analysis: Analysis) -> str:
     held = int((last["state"] == HELD).sum())
     count = {0: "none", len(last): "all"}.get(held, str(held))
     where, losses = analysis.name.split("[")[0], "losses" if len(last) > 1 else "loss"
-    return (
-        f"at {last['to_s'].max():.0f} s of {where} {count} of {len(last)} further {losses} could "
-        "be held"
-    )
+    at_s = f"{last['to_s'].max():.0f} s"
+    return f"at {at_s} of {where} {count} of {len(last)} {losses} could be held"
 
 
 def _share(share: float) -> str:

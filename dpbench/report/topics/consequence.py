@@ -25,24 +25,28 @@ HEAD = (
     "ways all right",
 )
 
+MOST_ROWS = 8
+"""A longer table is a file alone: the figures show who is right."""
+
 
 def consequence_topic(records: Records) -> Topic | None:
     """The topic; None of records without such an analysis."""
     analyses = consequence_analyses(records)
     if not analyses:
         return None
+    tables = [(tuple(_rows(analysis)), analysis.name) for analysis in analyses]
+    long = max(len(rows) for rows, _ in tables) > MOST_ROWS
     return Topic(
         id="consequence",
         title="Consequence analysis",
         lines=(
             *(f"{_when(analysis)} {_who(analysis)}" for analysis in analyses),
             "Where a loss cannot be held, work during which the ship must not leave its place has "
-            "to be ended safely. Ask no solver that misses such an alarm, or has no answer then.",
+            "to be ended safely. Ask no solver that misses such an alarm, or has no answer then."
+            + (" The counts of every solver: tables/consequence*.csv." if long else ""),
         ),
         figures=tuple(figure for analysis in analyses for figure in _figures(analysis)),
-        tables=tuple(
-            SmallTable(HEAD, tuple(_rows(analysis)), analysis.name) for analysis in analyses
-        ),
+        tables=tuple(SmallTable(HEAD, rows, name, file_only=long) for rows, name in tables),
     )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from dpbench.analysis.demand import Demand, is_right
 from dpbench.analysis.records import Records
@@ -17,6 +18,8 @@ from dpbench.report.formats import MISSING, and_list, plural, significant
 from dpbench.report.page.topic import SmallTable, Topic
 
 HEAD = ("configuration", "right in", "power", "wear", "azimuth travel", "farthest off")
+MOST_ROWS = 8
+"""Rows on the page, the rightest first; all of them are a file."""
 LIKE = 0.01
 """Shares of power and wear that differ by less are alike."""
 
@@ -51,7 +54,13 @@ def thrusters_topic(records: Records, demand: Demand) -> Topic | None:
         "is nearest to the exactly solved one; the largest of the scenarios that ran to their end. "
         "One configuration a solver, the one that is right most often."
     )
-    return Topic("thrusters", "Thrusters", (lead, note), (), (SmallTable(HEAD, tuple(kept)),))
+    whole = SmallTable(HEAD, tuple(kept))
+    tables: tuple[SmallTable, ...] = (whole,)
+    if len(kept) > MOST_ROWS:
+        note += " All of them: tables/thrusters.csv."
+        shown = replace(whole, rows=tuple(kept[:MOST_ROWS]))
+        tables = replace(whole, file_only=True), shown
+    return Topic("thrusters", "Thrusters", (lead, note), (), tables)
 
 
 def _nearest(right: Sequence[RunRecord], scenario: str) -> RunRecord:
