@@ -66,7 +66,8 @@ def _who(plot: Plot) -> Iterator[str]:
     right = sorted(a.solver for a in plot.answers if a.all_right)
     asked = f"all {plural(plot.qps, 'QP')} at that edge"
     names = f": {and_list(right)}" if right else ""
-    yield f"{len(right)} of {plural(len(plot.answers), 'solver')} answer {asked} rightly{names}."
+    verb = "answers" if len(right) == 1 else "answer"
+    yield f"{len(right)} of {plural(len(plot.answers), 'solver')} {verb} {asked} rightly{names}."
     wrong = [a for a in plot.answers if a.wrong]
     if wrong:
         yield f"Untrue claims: {_counted([(a.solver, a.wrong) for a in wrong])}."

@@ -75,5 +75,5 @@ def test_a_run_leaves_the_plot_and_answers_that_the_referee_judged(tmp_path: Pat
     run_campaign(tmp_path / "edge.toml", out, solvers=["quadprog"])
     assert load_capability(out) is not None
     page = write_report(out).read_text(encoding="utf-8")
-    assert 'id="answer"' in page and "solvers answer all 432 QPs" in page
+    assert 'id="answer"' in page and "1 of 1 solver answers all 432 QPs" in page
     assert (out / "figures" / "capability-osv.svg").is_file()

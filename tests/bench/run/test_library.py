@@ -212,15 +212,19 @@ def test_a_ship_that_is_not_the_model_is_still_held() -> None:
     assert away[:, 3:5].max() > 1e-3
 
 
-def test_three_forces_hold_what_thrusters_hold_with_hardly_a_limit_active() -> None:
-    """The ship and weather of `thrusters`, and its horizons; in one step of twenty a limit acts."""
-    forces, thrusters = (load_scenario(name).files for name in ("three_forces", "thrusters"))
-    assert forces["vessel"] == thrusters["vessel"]
-    assert forces["scenario"]["environment"] == thrusters["scenario"]["environment"]
-    assert load_scenario("three_forces").N_c == load_scenario("thrusters").N_c == 10
-    assert metrics("three_forces")["r_max_m"] < 0.25
-    at_limit = [np.abs(np.r_[o.y, o.y_box]).max() > 1e-9 for o in exact("three_forces").optima]
-    assert 0.0 < np.mean(at_limit) < 0.2
+def test_three_forces_are_the_easier_problem_in_the_same_weather() -> None:
+    """Ship, weather and horizons of `thrusters`; at most 10 active limits where that has 70."""
+    forces, thrusters = (load_scenario(name) for name in ("three_forces", "thrusters"))
+    assert forces.files["vessel"] == thrusters.files["vessel"]
+    environments = [s.files["scenario"]["environment"] for s in (forces, thrusters)]
+    assert environments[0] == environments[1]
+    assert (forces.N_p, forces.N_c) == (thrusters.N_p, thrusters.N_c)
+    most = [
+        max(int((np.abs(np.r_[o.y, o.y_box]) > 1e-9).sum()) for o in exact(s.name).optima)
+        for s in (forces, thrusters)
+    ]
+    assert most[0] <= 12 and most[1] >= 60
+    assert 1.0 < metrics("three_forces")["r_max_m"] < 1.5
 
 
 def test_watch_circle_limits_the_speed_of_a_transfer() -> None:
