@@ -128,7 +128,9 @@ def _consequence(records: Records, chosen: Verdict | None) -> Iterator[str]:
     said = ["nobody answers all of that rightly"]
     if timed:
         best = min(timed, key=lambda name: timed[name])
-        said = [f"to know so at every sample takes {best} at most {_share(timed[best])} of it"]
+        said = [
+            f"to know so at every sample takes {best} at most {_share(timed[best])} of a sample"
+        ]
     label = "" if chosen is None else _of_batches(chosen, own)
     if label and label not in right:
         wrong = sum(a.asked - a.held - a.refused for a in own[label])
