@@ -57,7 +57,7 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
         block="" if times is None else _block(order, charts, times),
         scripts=[
             *(Markup(script(entry)) for entry in vendored()),
-            *(Markup(own(name)) for name in ("common.js", "compare.js")),
+            *(Markup(own(f"scripts/{name}.js")) for name in ("common", "compare")),
         ],
     )
     path.write_text(text, encoding="utf-8")

@@ -137,11 +137,13 @@ def page_html(
         block=block,
         scripts=[
             *(Markup(script(entry)) for entry in vendored()),
-            *(Markup(own(name)) for name in ("common.js", "page.js")),
+            *(Markup(own(f"scripts/{name}.js")) for name in SCRIPTS),
         ],
     )
 
 
+SCRIPTS = ("common", "selection", "figures", "one", "two", "table", "page")
+"""Of the page, in the order they are loaded; the last one starts."""
 _CHART_OF = {"two": "pairs"}
 LIVE = ("one", "two")
 """Sections that scripts alone can fill."""

@@ -6,7 +6,6 @@ import hashlib
 import re
 import shutil
 from html.parser import HTMLParser
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +13,13 @@ import pytest
 from markupsafe import escape
 
 from dpbench.report.page import cite
+from dpbench.report.page.write import SCRIPTS, own
 from dpbench.report.write import write_report
 from tests.report.page.test_pack import unpacked
 
 CITATION = Path(__file__).parents[3] / "CITATION.cff"
 VOID = {"meta", "img", "br", "link", "input", "hr"}
-JS = files("dpbench.report.page").joinpath("page.js").read_text(encoding="utf-8")
+JS = "".join(own(f"scripts/{name}.js") for name in SCRIPTS)
 
 
 class Checker(HTMLParser):

@@ -1,0 +1,167 @@
+// The figures that follow the selection: drawn for the width there is, marked, clicked, steered.
+"use strict";
+
+const NARROW = 640;  // A figure of less than this many pixels is drawn for a phone.
+const views = {};
+const HARD_ONLY = 64;  // Bit of a step that a thinned run keeps only since it is a hard one.
+const CANVAS = ["strips", "pairs"];
+
+async function figureOf(name) {
+  const host = $(`figure-${name}`);
+  if (!host || !facts.charts[name]) return null;
+  views[name] ??= made(name, host);
+  return views[name];
+}
+
+// A view drawn aside first: the figure that stands there is replaced only by a finished one.
+async function made(name, host) {
+  const spec = sized(name, Math.floor(host.parentElement.clientWidth)), aside = document.createElement("div");
+  const view = new vega.View(vega.parse(CANVAS.includes(name) ? inked(spec) : spec), {
+    renderer: CANVAS.includes(name) ? "canvas" : "svg", hover: true, tooltip: vegaTooltip(),
+    loader: { load: () => null },
+  });
+  await view.initialize(aside).runAsync();
+  host.replaceChildren(aside);
+  // What paper has to make up for.
+  host.classList.toggle("narrow", host.parentElement.clientWidth < NARROW);
+  host.classList.toggle("dark", matchMedia("(prefers-color-scheme: dark)").matches);
+  view.addEventListener("click", (_, item) => picked(name, item?.datum));
+  return view;
+}
+
+// The specification for the width there is.
+function sized(name, width) {
+  const narrow = width < NARROW;
+  const set = (spec, values) => ({ ...spec, signals: (spec.signals ?? []).map((signal) =>
+    signal.name in values ? { ...signal, value: values[signal.name] } : signal) });
+  const spec = facts.charts[name];
+  if (name === "matrix") {
+    const at = narrow ? facts.charts.matrix_narrow : spec, table = spec.data.find((d) => d.values);
+    const of = (key) => unique(table.values.map((row) => row[key]));
+    const tiles = of("place").length > facts.most_across ? ["solver", "place"] : ["place", "solver"];
+    const labels = 14 + 7 * Math.max(...of(tiles[1]).map((text) => text.length));
+    const levels = narrow ? 1 : of("settings").length, slant = narrow ? 0 : 90;
+    const step = (width - labels - slant - 16 * levels) / (levels * of(tiles[0]).length);
+    return set(at, { x_step: Math.max(14, Math.min(46, step)) });
+  }
+  if (name === "strips") return { ...spec, width: width - 78, autosize: { type: "pad", resize: true } };
+  const fit = { type: name === "pairs" ? "fit" : "fit-x", contains: "padding", resize: true };
+  const square = Math.min(width, 460);
+  return name === "pairs" ? { ...spec, width: square, height: square, autosize: fit }
+    : set({ ...spec, width, autosize: fit, marks: apart(spec.marks) }, { narrow });
+}
+
+// Names keep off the points too.
+function apart(marks) {
+  const points = marks.filter((mark) => mark.type === "symbol").map((mark) => mark.name);
+  return marks.map((mark) => mark.transform?.[0].type !== "label" ? mark :
+    { ...mark, transform: [{ ...mark.transform[0], avoidMarks: points, avoidBaseMark: true }] });
+}
+
+// Joined figures have no width as a whole: that of the panels is what the axes leave.
+async function fill(view, host) {
+  const room = Math.floor(host.parentElement.clientWidth);
+  const taken = host.querySelector("canvas").clientWidth;
+  if (taken !== room) await view.width(view.width() + room - taken).runAsync();
+}
+
+// All figures once more: the colours or the width there is have changed.
+async function redraw() {
+  const had = Object.keys(views);
+  for (const name of had) { (await views[name])?.finalize(); delete views[name]; }
+  for (const name of had) await figureOf(name);
+  if ($("percentile")) await signal("accuracy", { percentile: $("percentile").value });
+  if ($("matrix-way")?.value) await drawMatrix();
+  await draw();
+}
+
+function picked(name, datum) {
+  if (!datum) return;
+  if ((name === "strips") && datum.k !== undefined) select({ k: datum.k });
+  else if (datum.id !== undefined) {
+    const change = { c: Number(datum.id) };
+    if (change.c < 0) return;
+    if (datum.place_id !== undefined) change.p = Number(datum.place_id);
+    if (C().solver[change.c] !== undefined) select({ ...change, k: null });
+  }
+}
+
+// The rows that a figure was written with.
+function rowsDrawn(name) {
+  return facts.charts[name].data.find((data) => data.values?.[0]?.id !== undefined);
+}
+
+// The tiles of the matrix: as it was written, or all of one way of running the solvers.
+function tiles() {
+  // Copies by name: the figure has numbered its rows by a symbol, and takes a number once.
+  const own = rowsDrawn("matrix").values.map((row) => Object.fromEntries(Object.entries(row)));
+  const wanted = $("matrix-way").value;
+  return !wanted ? own : own.map((row) => {
+    const c = all().find((i) => C().solver[i] === row.solver && way(i) === wanted
+      && C().settings[i] === row.settings) ?? -1;
+    const run = cell(c, Number(row.place_id));
+    return { ...row, way: wanted.replace("-", " "), id: String(c), state: run?.state ?? "not run", error: run?.error ?? null,
+      failed: run?.failed ?? null, detail: run?.why ?? "" };
+  });
+}
+
+async function drawMatrix() {
+  const view = await figureOf("matrix");
+  if (view) await view.data(rowsDrawn("matrix").name, tiles()).runAsync();
+}
+
+// The rows and tiles that can be chosen in a figure, each at its place in the grid that is seen.
+function grid(name) {
+  const own = name === "matrix" ? tiles() : rowsDrawn(name).values;
+  if (name === "ladder") return own.map((row, y) => ({ c: Number(row.id), x: 0, y }));
+  const of = (key) => unique(own.map((row) => row[key]));
+  const levels = of("settings"), solvers = of("solver"), places = of("place");
+  const long = places.length > facts.most_across;
+  const [across, down] = long ? [solvers, places] : [places, solvers];
+  const below = $("figure-matrix").classList.contains("narrow");
+  return own.map((row) => {
+    const level = levels.indexOf(row.settings);
+    const [x, y] = [row.place, row.solver].map((value, i) => [places, solvers][i].indexOf(value));
+    return { c: Number(row.id), p: Number(row.place_id),
+      x: (long ? y : x) + (below ? 0 : level * across.length),
+      y: (long ? x : y) + (below ? level * down.length : 0) };
+  }).filter((tile) => tile.c >= 0);
+}
+
+// A figure that the arrow keys choose in, as a click does; Enter opens what is chosen.
+function steerable(name) {
+  const host = $(`figure-${name}`);
+  if (!host) return;
+  host.tabIndex = 0;
+  host.setAttribute("role", "application");
+  host.setAttribute("aria-label", `${facts.charts[name].description} Arrow keys choose, Enter opens.`);
+  host.addEventListener("keydown", (event) => {
+    const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+    if (event.key === "Enter") go("one");
+    if (!step) return;
+    event.preventDefault();
+    const known = grid(name), [dx, dy] = step;
+    const at = known.find((t) => t.c === state.c && (t.p ?? state.p) === state.p)
+      ?? known.find((t) => C().solver[t.c] === C().solver[state.c]) ?? known[0];
+    const ahead = (t) => (t.x - at.x) * dx + (t.y - at.y) * dy;
+    const next = known.filter((t) => ahead(t) > 0 && (dx ? t.y === at.y : t.x === at.x))
+      .sort((a, b) => ahead(a) - ahead(b))[0];
+    if (next) select({ c: next.c, p: next.p ?? state.p, k: null });
+  });
+}
+
+async function signal(name, values) {
+  const view = await figureOf(name);
+  if (!view) return;
+  for (const [key, value] of Object.entries(values)) view.signal(key, value);
+  await view.runAsync();
+}
+
+// What is chosen is marked in the figure, however it was chosen.
+async function mark(name, values) {
+  const view = await figureOf(name);
+  if (!view) return;
+  const fields = Object.keys(values).map((field) => ({ type: "E", field }));
+  view.data("pick_store", [{ unit: "", fields, values: Object.values(values) }]);
+  await view.runAsync();
+}

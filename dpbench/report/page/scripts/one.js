@@ -1,0 +1,220 @@
+// One solver in one place: its strips, its hardest steps, the chosen step, and the ship there.
+"use strict";
+
+function options(id, values, chosen) {
+  const box = $(id);
+  box.replaceChildren(...values.map(([value, text]) => new Option(text, value, false,
+    String(value) === String(chosen))));
+}
+
+function drawChoice() {
+  const c = state.c, solver = C().solver[c];
+  const own = all().filter((i) => C().solver[i] === solver);
+  options("choose-solver", unique(C().solver).map((s) => [s, s]), solver);
+  options("choose-way", unique(own.map(way)).map((w) => [w, w.replace("-", " ")]), way(c));
+  options("choose-settings", unique(own.filter((i) => way(i) === way(c)).map((i) => C().settings[i]))
+    .map((s) => [s, s]), C().settings[c]);
+  options("choose-place", facts.places.map((place, p) => [p, place.label])
+    .filter(([p]) => cell(c, p) || p === state.p), state.p);
+}
+
+function rowsOf(run) {
+  const t = array(run.t), r = array(run.r), e = array(run.e), i = array(run.i), a = array(run.a),
+    f = array(run.f);
+  return t.map((ns, j) => ({
+    k: run.first + j, time_us: ns === null ? null : ns / 1e3,
+    raw_us: r[j] === undefined || r[j] === null ? null : r[j] / 1e3,
+    error: e[j] === Infinity ? 1e9 : e[j], iterations: i[j], active: a[j], failed: Boolean(f[j] & 4),
+  })).filter((row) => row.time_us !== null);
+}
+
+function trackOf(run) {
+  if (!run || !run.x) return null;
+  const own = run.x.map(array), force = run.u.map(array);
+  if (run.reference) return { every: run.every, x: own, u: force };
+  const other = referenceOf(run.p);
+  if (!other) return null;
+  const sum = (mine, theirs) => mine.map((values, i) =>
+    values.map((v, j) => (v === null || theirs[i][j] == null ? null : v + theirs[i][j])));
+  return { every: run.every, x: sum(own, other.x), u: sum(force, other.u) };
+}
+
+function referenceOf(p) {
+  const i = facts.cells.p.findIndex((place, j) => place === p && facts.cells.reference[j]);
+  return i < 0 ? null : trackOf(cell(facts.cells.c[i], p));
+}
+
+// On how many steps the first move is farther off than the demand allows.
+function over(run) {
+  return run.t == null ? "–" : array(run.e).filter((e) => e > facts.demand).length;
+}
+
+async function drawOne() {
+  const run = cell(state.c, state.p), text = $("one-said");
+  const solver = facts.solvers[C().solver[state.c]] ?? {};
+  drawChoice();
+  $("one-title").textContent = label(state.c);
+  if (!run) {
+    text.textContent = `Not run in ${facts.places[state.p].label}.`;
+    for (const id of ["hard", "figure-strips", "strips-said", "step", "ship"]) $(id).hidden = true;
+    return;
+  }
+  $("hard").hidden = false;
+  const p99 = C().p99[state.c];
+  text.textContent = [
+    `${run.state === "meets" ? "Holds" : run.state === "misses" ? "Misses the demand" : "Open"} in `
+    + `${facts.places[state.p].label}: ran ${run.steps} of ${run.planned} steps; first move beyond the `
+    + `demand on ${over(run)}, at most ${figure(run.error)}; claimed solved and not true on `
+    + `${figure(run.untrue)}; failed on ${figure(run.failed)}.`,
+    run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the exactly solved loop`
+      + `${run.settle_s === null || run.settle_s === "inf" ? "." : ` and settled within 1 m and 1° at ${figure(run.settle_s)} s.`}`,
+    run.why ? `${run.outcome}: ${run.why}.` : "",
+    `Over the whole run: ${C().outcome[state.c]}${C().why[state.c] ? ` (${C().why[state.c]})` : ""}`
+    + (p99 === null ? "." : `; p99 ${time(p99)} on ${C().timed_on[state.c]}.`),
+    solver.method ? `Method: ${solver.method}.` : "",
+  ].filter(Boolean).join(" ").replaceAll("`", "");
+  drawHard(run);
+  const stepped = run.t !== undefined && run.t !== null;
+  $("figure-strips").hidden = $("strips-said").hidden = !stepped;
+  $("strips-time").textContent = facts.places[state.p].mode === "replay"
+    ? "Dot: the fastest counted round, grey up to the largest sample."
+    : "Dot: one sample a step, not timed alone; only replays compare times.";
+  if (!stepped) { drawShip(null); return; }
+  const view = await figureOf("strips");
+  if (view) {
+    const track = trackOf(run), forces = [];
+    if (track) track.u.forEach((values, i) => values.forEach((share, j) => {
+      if (share !== null) forces.push({
+        k: run.first + j * track.every, force: ["surge", "sway", "yaw"][i], share });
+    }));
+    view.data("steps", rowsOf(run)).data("forces", forces);
+    view.signal("at", state.k ?? -1);
+    await view.runAsync();
+    await fill(view, $("figure-strips"));
+  }
+  drawShip(run);
+}
+
+function drawHard(run) {
+  const replayed = facts.places[state.p].mode === "replay";
+  const names = [
+    replayed ? "slowest" : "slowest, one sample each", "most iterations", "largest error",
+  ];
+  const boxes = (run.hard ?? []).map((list, m) => {
+    const row = document.createElement("p"), head = document.createElement("span");
+    head.textContent = names[m]; head.className = "soft";
+    row.append(head);
+    for (const [k, value] of list) {
+      const button = document.createElement("button");
+      button.textContent = `k ${k}: ${m === 0 ? time(value) : figure(value)}`;
+      button.setAttribute("aria-pressed", String(k === state.k));
+      button.addEventListener("click", () => select({ k }));
+      row.append(button);
+    }
+    return row;
+  });
+  $("hard").replaceChildren(...boxes);
+  drawStep(run);
+}
+
+function drawStep(run) {
+  const box = $("step"), k = state.k, j = k === null ? -1 : k - run.first;
+  const t = array(run.t);
+  if (k === null || t[j] === undefined || t[j] === null) { box.hidden = true; return; }
+  const f = array(run.f)[j] ?? 0, said = (bit) => Boolean(f & (1 << bit));
+  const known = (run.hard ?? []).flat().find((hard) => hard[0] === k);
+  const flags = facts.flags.filter((_, bit) => bit > 1 && said(bit));
+  $("step-said").textContent = `Step ${k}: ${time(t[j])}, ${figure(array(run.i)[j])} iterations, `
+    + `${figure(array(run.a)[j])} active limits, error of the first move ${figure(array(run.e)[j])}; `
+    + `claimed ${said(0) ? "solved" : `not solved${known ? ` (${known[2].toLowerCase()})` : ""}`}, `
+    + `${said(1) ? "true" : "not true"}${flags.length ? `, ${flags.join(", ")}` : ""}.`;
+  const place = facts.places[run.p];
+  $("step-export").textContent =
+    `dpbench export ${place.source} --at ${k + (place.first ?? 0)} --out step-${k}.npz`;
+  $("step-query").textContent =
+    `pandas.read_parquet("steps.parquet", filters=[("run_id", "==", "${run.id}"), ("k", "==", ${k})])`;
+  box.hidden = false;
+}
+
+const SVG = "http://www.w3.org/2000/svg";
+function shape(kind, attributes, parent) {
+  const node = document.createElementNS(SVG, kind);
+  for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
+  parent?.append(node);
+  return node;
+}
+
+// The outline of a hull of length 1 from above, bow to the north.
+const HULL = [[0.5, 0], [0.32, 0.11], [-0.5, 0.11], [-0.5, -0.11], [0.32, -0.11]];
+
+function drawShip(run) {
+  const host = $("figure-ship"), track = trackOf(run), place = facts.places[state.p];
+  $("ship").hidden = !track;
+  if (!track) return;
+  const exact = referenceOf(state.p), [N, E, psi] = track.x;
+  const last = N.length - 1;
+  let at = state.k === null ? last : Math.round((state.k - run.first) / track.every);
+  at = Math.max(0, Math.min(last, at));
+  const goal = place.reference, size = place.length_m;
+  const all = [...N.map((n, i) => [n, E[i]]), ...(exact ? exact.x[0].map((n, i) => [n, exact.x[1][i]]) : [])]
+    .filter(([n, e]) => n !== null && e !== null);
+  if (goal) all.push([goal[0], goal[1]]);
+  const low = [0, 1].map((i) => Math.min(...all.map((p) => p[i])));
+  const high = [0, 1].map((i) => Math.max(...all.map((p) => p[i])));
+  const span = Math.max(high[0] - low[0], high[1] - low[1], 1e-3), half = 0.62 * Math.max(span, 0.4);
+  const mid = [0, 1].map((i) => 0.5 * (low[i] + high[i])), width = 360;
+  const X = (e) => width / 2 + ((e - mid[1]) / half) * (width / 2);
+  const Y = (n) => width / 2 - ((n - mid[0]) / half) * (width / 2);
+  const root = shape("svg", { viewBox: `0 0 ${width} ${width}`, role: "img",
+    "aria-label": `Path of the ship in ${place.label} and its hull at the chosen step` });
+  const clip = shape("g", {}, root);
+  const path = (n, e) => n.map((v, i) => (v === null ? "" : `${i ? "L" : "M"}${X(e[i]).toFixed(1)} ${Y(v).toFixed(1)}`)).join("");
+  const hull = (n, e, angle, look) => {
+    // A hull true to scale would hide a path of a few metres: it is drawn at a third of the frame.
+    const scale = Math.min(size, 0.7 * half);
+    const points = HULL.map(([x, y]) => {
+      const dn = scale * (x * Math.cos(angle) - y * Math.sin(angle));
+      const de = scale * (x * Math.sin(angle) + y * Math.cos(angle));
+      return `${X(e + de).toFixed(1)},${Y(n + dn).toFixed(1)}`;
+    });
+    shape("polygon", { points: points.join(" "), ...look }, clip);
+  };
+  if (goal) {
+    shape("circle", { cx: X(goal[1]), cy: Y(goal[0]), r: (1 / half) * (width / 2), class: "circle" }, clip);
+    shape("path", { d: `M${X(goal[1]) - 6} ${Y(goal[0])}h12M${X(goal[1])} ${Y(goal[0]) - 6}v12`, class: "goal" }, clip);
+  }
+  if (exact) {
+    shape("path", { d: path(exact.x[0], exact.x[1]), class: "exact" }, clip);
+    const j = Math.min(at, exact.x[0].length - 1);
+    hull(exact.x[0][j], exact.x[1][j], exact.x[2][j], { class: "hull-exact" });
+  }
+  shape("path", { d: path(N, E), class: "path" }, clip);
+  if (N[at] !== null) hull(N[at], E[at], psi[at], { class: "hull" });
+  $("ship-hull").hidden = size <= 0.7 * half;
+  const metre = 10 ** Math.floor(Math.log10(half)), bar = (metre / half) * (width / 2);
+  shape("path", { d: `M12 ${width - 14}h${bar}`, class: "bar" }, root);
+  const text = shape("text", { x: 12, y: width - 20, class: "small" }, root);
+  text.textContent = `${figure(metre)} m, north up`;
+  host.replaceChildren(root);
+  const slider = $("ship-k");
+  slider.max = String(last); slider.value = String(at);
+  const kept = run.first + at * track.every;
+  $("ship-said").textContent = `k ${kept}${state.k === null || state.k === kept ? "" : " (the nearest kept)"}: `
+    + `${figure(N[at])} m north, ${figure(E[at])} m east, heading ${figure((psi[at] * 180) / Math.PI)}°`;
+}
+
+let playing = null;
+function play() {
+  const run = cell(state.c, state.p), track = trackOf(run);
+  const stop = () => {
+    clearInterval(playing); playing = null; $("ship-play").textContent = "Play";
+    select({ k: state.k });
+  };
+  if (playing || !track) { stop(); return; }
+  let at = 0;
+  $("ship-play").textContent = "Stop";
+  playing = setInterval(() => {
+    if (at >= track.x[0].length) { stop(); return; }
+    state.k = run.first + at * track.every; at += 2; drawShip(run);
+  }, 33);
+}

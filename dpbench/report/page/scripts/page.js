@@ -1,0 +1,137 @@
+// What follows from a change of the selection, what listens to the reader, and the start.
+"use strict";
+
+// How many of the ladder still make the deadline on the slower computer, by their largest step.
+function kept() {
+  const sets = facts.charts.ladder.data.filter((data) => data.values?.length).map((data) => data.values);
+  const rows = sets.find((values) => "max_ms" in values[0]);
+  const { deadline } = sets.find((values) => "deadline" in values[0])[0];
+  const within = rows.filter((row) => row.max_ms * state.slow <= deadline);
+  const named = within.length && within.length <= 8 && within.length < rows.length
+    ? `: ${within.map((row) => row.solver).join(", ")}` : "";
+  const meet = within.filter((row) => row.outcome === "meets").length;
+  const samples = state.slow > 1 ? "; single samples are not shown here" : "";
+  return `${within.length} of ${rows.length} keep the deadline by their largest step${named}; `
+    + `${meet} of them meet the demand${samples}`;
+}
+
+// What follows from a change of some parts of the selection; without them, from all of it.
+async function draw(changed = ["slow", "c", "p", "b", "k"]) {
+  if (!count()) { drawTable(); return; }
+  const touched = (...parts) => parts.some((part) => changed.includes(part));
+  const place = facts.places[state.p].label;
+  const p99 = C().p99[state.c];
+  $("chosen").textContent = `${label(state.c)}: ${C().outcome[state.c]}`
+    + `${p99 === null ? "" : `, p99 ${time(p99)}`}; in ${place}${state.k === null ? "" : `, k ${state.k}`}`;
+  if (touched("slow") && $("slow")) {
+    $("slow-said").textContent = `× ${figure(state.slow)}`;
+    $("slow").value = String(Math.log10(state.slow));
+    $("slow-kept").textContent = kept();
+    await signal("ladder", { slow: state.slow });
+  }
+  if (touched("c", "p")) {
+    await mark("ladder", { id: String(state.c) });
+    await mark("matrix", { id: String(state.c), place_id: String(state.p) });
+    await mark("accuracy", { id: String(state.c) });
+    drawTable();
+  }
+  if (touched("c", "p", "k")) await drawOne();
+  if (touched("c", "b") && $("two")) await drawTwo();
+}
+
+// A text to the clipboard; where the browser has none to give, it is marked for copying by hand.
+async function copy(button, text) {
+  try {
+    await navigator.clipboard.writeText(text.textContent);
+    button.textContent = "Copied";
+  } catch {
+    text.hidden = false;
+    getSelection().selectAllChildren(text);
+    button.textContent = "Marked: copy by hand";
+  }
+}
+
+// To a section; the address keeps the selection.
+function go(id) {
+  const section = $(id);
+  if (section.tagName === "DETAILS") section.open = true;
+  section.tabIndex = -1;
+  section.focus({ preventScroll: true });
+  section.scrollIntoView();
+}
+
+// The address has changed: a selection, or the bare name of a section.
+function arrived() {
+  const name = location.hash.slice(1);
+  if (name && !name.includes("=") && $(name)) { go(name); return; }
+  read();
+  draw();
+}
+
+function listen() {
+  listenOne();
+  for (const name of ["ladder", "matrix"]) steerable(name);
+  $("matrix-way")?.append(...unique(all().map(way)).map((w) => new Option(w.replace("-", " "), w)));
+  $("matrix-way")?.addEventListener("change", drawMatrix);
+  $("choose-other")?.addEventListener("change", (e) => select({ b: Number(e.target.value) }));
+  $("slow")?.addEventListener("input", (e) => select({ slow: 10 ** Number(e.target.value) }));
+  $("percentile")?.addEventListener("change", (e) => signal("accuracy", { percentile: e.target.value }));
+  for (const button of document.querySelectorAll("[data-copy]")) {
+    button.addEventListener("click", () => copy(button, $(button.dataset.copy)));
+  }
+  $("table-filter").addEventListener("input", drawTable);
+  $("table-group").addEventListener("change", drawTable);
+  $("table-csv").addEventListener("click", () => download("runs.csv", csv()));
+  $("table-of").addEventListener("change", drawTable);
+  listenPage();
+}
+
+// One solver: what is chosen, the step, the ship.
+function listenOne() {
+  if (!$("one")) return;
+  const choose = (change) => {
+    const solver = change.solver ?? C().solver[state.c];
+    const c = nearest(solver, change.way ?? way(state.c), change.settings ?? C().settings[state.c]);
+    select({ c, p: cell(c, state.p) ? state.p : Math.max(0, facts.places.findIndex((_, p) => cell(c, p))), k: null });
+  };
+  $("choose-solver").addEventListener("change", (e) => choose({ solver: e.target.value }));
+  $("choose-way").addEventListener("change", (e) => choose({ way: e.target.value }));
+  $("choose-settings").addEventListener("change", (e) => choose({ settings: e.target.value }));
+  $("choose-place").addEventListener("change", (e) => select({ p: Number(e.target.value), k: null }));
+  $("ship-k").addEventListener("input", (e) => {
+    const run = cell(state.c, state.p), track = trackOf(run);
+    select({ k: run.first + Number(e.target.value) * track.every });
+  });
+  $("ship-play").addEventListener("click", play);
+}
+
+// The address, the width, links to sections.
+function listenPage() {
+  addEventListener("popstate", arrived);
+  for (const link of document.querySelectorAll("[data-section]")) {
+    link.addEventListener("click", (event) => {
+      event.preventDefault();
+      go(link.getAttribute("href").slice(1));
+    });
+  }
+  onNewLook(redraw);
+  for (const button of document.querySelectorAll("[data-go]")) {
+    button.addEventListener("click", () => {
+      const [solver, w, settings] = button.dataset.go.split("~");
+      select({ c: configuration(solver, w, settings), k: null });
+    });
+  }
+}
+
+async function start() {
+  await unpack();
+  facts.index = new Map((facts.cells.c ?? []).map((c, i) => [`${c}/${facts.cells.p[i]}`, i]));
+  for (const node of document.querySelectorAll("[data-live]")) node.hidden = false;
+  read();
+  listen();
+  const name = location.hash.slice(1);
+  await draw();
+  if (name && !name.includes("=") && $(name)) go(name);
+  document.documentElement.dataset.ready = "yes";
+}
+start();

@@ -1,0 +1,79 @@
+// The page's one selection, kept in the address.
+//
+//   #s=osqp&w=native-warm&set=high&sc=turn&k=74&slow=100&b=daqp~native-warm~default
+//
+// What the page says of configurations and cells is looked up here; `draw` (page.js) follows it.
+"use strict";
+
+const state = {};
+
+function time(ns) {
+  if (ns === null || ns === undefined) return "–";
+  if (ns < 1e3) return `${figure(ns)} ns`;
+  if (ns < 1e6) return `${figure(ns / 1e3)} µs`;
+  return ns < 1e9 ? `${figure(ns / 1e6)} ms` : `${figure(ns / 1e9)} s`;
+}
+
+const C = () => facts.configurations;
+const way = (c) => `${C().route[c]}-${C().policy[c]}`;
+const label = (c) => `${C().solver[c]} (${C().route[c]} ${C().policy[c]}, ${C().settings[c]})`;
+const key = (c) => `${C().solver[c]}~${way(c)}~${C().settings[c]}`;
+const count = () => C().solver?.length ?? 0;
+const all = () => Array.from({ length: count() }, (_, c) => c);
+const unique = (list) => [...new Set(list)];
+
+function configuration(solver, w, settings) {
+  const own = all().filter((c) => C().solver[c] === solver);
+  return own.find((c) => way(c) === w && C().settings[c] === settings)
+    ?? own.find((c) => way(c) === w) ?? own.find((c) => C().settings[c] === settings) ?? own[0];
+}
+
+// Of a solver the configuration most like the wanted one that was run in the chosen place.
+function nearest(solver, w, settings) {
+  const ran = (c) => cell(c, state.p)?.t != null, wanted = configuration(solver, w, settings);
+  const like = (c) => 4 * ran(c) + 2 * (way(c) === w) + (C().settings[c] === settings);
+  const own = all().filter((c) => C().solver[c] === solver);
+  return own.reduce((best, c) => (like(c) > like(best) ? c : best), wanted);
+}
+
+function cell(c, p) {
+  const i = facts.index.get(`${c}/${p}`);
+  return i === undefined ? null : Object.fromEntries(
+    Object.entries(facts.cells).map(([name, column]) => [name, column[i]]));
+}
+
+function read() {
+  if (!count()) { Object.assign(state, { c: null, p: 0, k: null, slow: 1, b: null }); return; }
+  const asked = new URLSearchParams(location.hash.slice(1));
+  const first = facts.answer.first;
+  const solver = asked.get("s") ?? C().solver[first];
+  const c = configuration(solver, asked.get("w") ?? (asked.has("s") ? null : way(first)),
+    asked.get("set") ?? (asked.has("s") ? null : C().settings[first])) ?? first;
+  let p = facts.places.findIndex((place) => place.label === asked.get("sc"));
+  if (p < 0) {
+    p = facts.places.findIndex((_, i) => cell(c, i)?.t != null);
+  }
+  const [bs, bw, bset] = (asked.get("b") ?? "").split("~");
+  const b = configuration(bs, bw, bset) ?? null;
+  const slow = Math.min(1e4, Math.max(1, Number(asked.get("slow")) || 1));
+  const k = asked.get("k") ? Number(asked.get("k")) : asked.has("s") ? null : facts.answer.k;
+  Object.assign(state, { c, p: Math.max(0, p), k: Number.isInteger(k) ? k : null, slow, b });
+}
+
+function select(change) {
+  Object.assign(state, change);
+  const hash = new URLSearchParams({
+    s: C().solver[state.c], w: way(state.c), set: C().settings[state.c],
+    sc: facts.places[state.p].label,
+  });
+  if (state.k !== null) hash.set("k", state.k);
+  if (state.slow !== 1) hash.set("slow", figure(state.slow));
+  if (state.b !== null) hash.set("b", key(state.b));
+  const text = `#${hash}`;
+  if (text !== location.hash) {
+    // Sliding and playing leave no trail in the history; choosing does.
+    const write = "c" in change || "p" in change || "b" in change ? "pushState" : "replaceState";
+    history[write](null, "", text);
+  }
+  draw(Object.keys(change));
+}

@@ -1,0 +1,84 @@
+// The table of all runs: found, sorted, chosen from, saved.
+"use strict";
+
+const ROWS = 20;
+const sorting = { column: 0, down: false };
+function drawTable() {
+  const table = facts.table, filter = $("table-filter").value.toLowerCase();
+  const group = $("table-group").value;
+  const shown = table.columns.map((column, i) => [column, i])
+    .filter(([column]) => column.group === "" || column.group === group);
+  const rows = Array.from({ length: table.rows }, (_, i) => i)
+    .filter((i) => $("table-of").value === "all" || table.c[i] === state.c)
+    .filter((i) => filter.split(/\s+/).every((word) => table.columns.some((column, j) => column.text
+      && String(table.values[j][i]).toLowerCase().includes(word))));
+  const values = table.values[sorting.column] ?? table.values[0];
+  const rank = (x) => (x === null ? Infinity : x === "inf" ? 1e300 : x);
+  rows.sort((a, b) => {
+    const x = rank(values[a]), y = rank(values[b]);
+    return (x < y ? -1 : x > y ? 1 : a - b) * (sorting.down ? -1 : 1);
+  });
+  const head = document.createElement("tr");
+  for (const [column, j] of shown) {
+    const th = document.createElement("th"), button = document.createElement("button");
+    th.scope = "col"; button.textContent = column.label; button.title = column.meaning;
+    if (sorting.column === j) th.setAttribute("aria-sort", sorting.down ? "descending" : "ascending");
+    button.addEventListener("click", () => {
+      sorting.down = sorting.column === j ? !sorting.down : false;
+      sorting.column = j; drawTable();
+    });
+    th.append(button); head.append(th);
+  }
+  const open = (i) => {
+    if (table.c[i] === null) return;
+    select({ c: table.c[i], p: table.p[i], k: null });
+    go("one");
+  };
+  const body = rows.slice(0, ROWS).map((i) => {
+    const tr = document.createElement("tr");
+    for (const [column, j] of shown) {
+      const td = document.createElement("td"), value = table.values[j][i];
+      td.dataset.name = column.group ? column.label : "";
+      if (j === 0 && table.c[i] !== null) {
+        const button = document.createElement("button");
+        button.textContent = value;
+        td.append(button);
+      } else td.textContent = column.text ? value : figure(value, 4);
+      if (!column.text) td.className = "n";
+      if (value === null || value === "") td.classList.add("empty");
+      tr.append(td);
+    }
+    tr.addEventListener("click", () => open(i));
+    return tr;
+  });
+  $("table-head").replaceChildren(head);
+  $("table-body").replaceChildren(...body);
+  $("table-said").textContent = `${Math.min(ROWS, rows.length)} of ${rows.length} rows${
+    $("table-of").value === "all" ? "" : `, of ${table.rows} in all`}`;
+  const run = cell(state.c, state.p);
+  $("data-query").textContent = run
+    ? `steps = pandas.read_parquet("steps.parquet", filters=[("run_id", "==", "${run.id}")])`
+      + `  # ${label(state.c)} in ${facts.places[state.p].label}`
+      + (facts.places[state.p].mode === "replay"
+        ? `\nsteps[steps.counts].groupby("k").total_ns.min().quantile([0.5, 0.99])  # p50 and p99`
+        : "") : "";
+  $("data-query").hidden = !run;
+  state.rows = rows; state.shown = shown;
+}
+
+function csv() {
+  const quote = (x) => (x === null ? "" : /[",\n]/.test(String(x)) ? `"${String(x).replaceAll('"', '""')}"` : String(x));
+  // The run's name comes along with any columns: it leads to its row of the files.
+  const id = facts.table.columns.findIndex((column) => column.name === "run_id");
+  const shown = [...state.shown.filter(([, j]) => j !== id), [facts.table.columns[id], id]];
+  const lines = [shown.map(([column]) => quote(column.name)).join(",")];
+  for (const i of state.rows) lines.push(shown.map(([, j]) => quote(facts.table.values[j][i])).join(","));
+  return `${lines.join("\n")}\n`;
+}
+
+function download(name, text) {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(new Blob([text], { type: "text/plain" }));
+  link.download = name; link.click();
+  URL.revokeObjectURL(link.href);
+}
