@@ -6,6 +6,7 @@ blocks of consecutive steps (circular block bootstrap: Politis & Romano 1992), n
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -91,10 +92,7 @@ def pooled_mean(logs: Sequence[Floats]) -> Interval:
     middle = float(means.mean())
     if not all(enough(len(of_sequence)) for of_sequence in logs):
         return Interval(float(np.exp(middle)), 0.0, np.inf)
-    errors = [
-        float(resampled_means(of_sequence, BLOCK_STEPS, 4 * RESAMPLES, SEED).std())
-        for of_sequence in logs
-    ]
+    errors = [resampled_error(of_sequence, BLOCK_STEPS) for of_sequence in logs]
     spread = float(np.linalg.norm(errors)) / len(logs)
     reach = -float(ndtri(TAILS[0])) * spread
     low, high = np.exp([middle - reach, middle + reach]).tolist()
@@ -126,3 +124,17 @@ def resampled_means(values: Floats, block: int, resamples: int, seed: int) -> Fl
     running = np.concatenate(([0.0], np.cumsum(np.concatenate((values, values[:block])))))
     means: Floats = (running[starts + lengths] - running[starts]).sum(axis=1) / count
     return means
+
+
+def resampled_error(values: Floats, block: int) -> float:
+    """Standard deviation of `resampled_means` over all draws there could be: blocks are drawn
+    independently, so the variances of their sums add up."""
+    count = len(values)
+    block = max(1, min(block, count))
+    blocks = -(-count // block)
+    running = np.concatenate(([0.0], np.cumsum(np.concatenate((values, values[:block])))))
+    whole, last = (
+        float((running[length : length + count] - running[:count]).var())
+        for length in (block, count - block * (blocks - 1))
+    )
+    return math.sqrt((blocks - 1) * whole + last) / count

@@ -12,6 +12,7 @@ from dpbench.analysis.statistics import (
     paired_ratio,
     percentile_interval,
     pooled_mean,
+    resampled_error,
     resampled_means,
 )
 from dpbench.bench.judge.rules import percentile, supports
@@ -123,3 +124,12 @@ def test_the_least_blocks_give_an_interval_that_often_holds() -> None:
         times = np.exp(0.2 * rng.standard_normal((2, LEAST_BLOCKS * BLOCK_STEPS)))
         held += paired_ratio(times[0], times[1], resamples=200).spans(1.0)
     assert 240 <= held < 300
+
+
+@pytest.mark.parametrize("steps", [80, 97, 1000])
+def test_the_error_of_a_mean_is_that_of_its_resamples(steps: int) -> None:
+    """Of correlated values; 20000 resamples tell their own spread to half a percent."""
+    rng = np.random.default_rng(5)
+    values = np.cumsum(rng.standard_normal(steps)) / 10.0
+    drawn = resampled_means(values, BLOCK_STEPS, 20_000, 3).std()
+    assert resampled_error(values, BLOCK_STEPS) == pytest.approx(drawn, rel=0.03)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +49,13 @@ def paired(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
     """Algorithmic times of the steps that both configurations have done."""
     in_first, in_second = common_steps(first, second)
     return first.algo_ns[in_first], second.algo_ns[in_second]
+
+
+def common_ratio(replays: Iterable[tuple[StepTimes, StepTimes]]) -> Interval:
+    """How many times as long the second of each pair takes as the first, on the steps that both
+    have done, each pair of equal weight; unknown where there are none."""
+    common = (paired(first, second) for first, second in replays)
+    return pooled_mean([np.log(second / first) for first, second in common if len(first)])
 
 
 def paired_comparison(records: Records, first: Verdict, second: Verdict) -> PairedComparison:
