@@ -22,7 +22,7 @@ from dpbench.report.formats import plural
 from dpbench.report.page.topic import SmallTable, Topic
 from dpbench.report.table import markdown
 from dpbench.report.topics.claims import Claim, claims
-from dpbench.report.topics.paper import PAPER, laws_of, paper_topic
+from dpbench.report.topics.paper import PAPER, held_text, laws_of, paper_topic
 from dpbench.scenario.scenario import Scenario
 
 SUITE = "claims"
@@ -89,12 +89,12 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
     _write_figures(folder, topic, laws_of(records), scenario)
     _frame(topic.tables[0]).to_csv(folder / "claims.csv", index=False)
     (folder / "claims.md").write_text(_document(topic, results), encoding="utf-8")
-    contradicted = _contradicted(claims(records))
+    found = claims(records)
     radius = linear_record(scenario).spectral_radius
     stable = (
         f"stability: largest |λ| {radius:.4f} (eq. 35); sway offset held: `dpbench check {PAPER}`"
     )
-    said = (topic.lines[0], *contradicted, stable, *_places(folder))
+    said = (f"{held_text(found)}.", *_contradicted(found), stable, *_places(folder))
     return Reproduction(said, tuple(remarks), complete=lost == 0)
 
 

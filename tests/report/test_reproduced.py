@@ -163,3 +163,5 @@ def test_the_topic_counts_what_is_reproduced(records: Any) -> None:
     held = measured.count("reproduced")
     assert topic.lines[0].startswith(f"{held} of {len(measured)} claims")
     assert [row[2] for row in topic.tables[0].rows] == states
+    for claim, state in _states(records).items():
+        assert (claim.replace("`", "") in topic.lines[0]) == (state == "not reproduced")

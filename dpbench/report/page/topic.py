@@ -34,7 +34,8 @@ class SmallTable:
 class Topic:
     """A section made of lines, figures, tables and a text to paste elsewhere.
 
-    The one that `leads` is what the suite asks: it stands in the answer, its first line the answer.
+    `short` is what a line of links calls it, by default its title. The one that `leads` is what the
+    suite asks: it stands in the answer, its first line the answer.
     """
 
     id: str
@@ -44,3 +45,4 @@ class Topic:
     tables: tuple[SmallTable, ...] = ()
     paste: str = ""
     leads: bool = False
+    short: str = ""

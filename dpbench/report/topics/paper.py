@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from dpbench.analysis.records import Records
 from dpbench.bench.design import STILL, WEATHER, Bracket, Designs
 from dpbench.report.charts.ship import Law, forces, increments, path, precision
 from dpbench.report.formats import MISSING, rounded_down, rounded_up
 from dpbench.report.page import cite
 from dpbench.report.page.topic import Figure, SmallTable, Topic
-from dpbench.report.topics.claims import choices, claims, pair_of
+from dpbench.report.topics.claims import Claim, choices, claims, pair_of
 
 PAPER = "paper"
 
@@ -39,11 +41,10 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
     measured = [claim for claim in found if claim.state != "not measured"]
     if scenario is None or not laws or not measured:
         return None
-    held = sum(claim.state == "reproduced" for claim in measured)
     return Topic(
         id="paper",
         title="The paper",
-        lines=(f"{held} of {len(measured)} claims of Xia, Liu, Pang & Xue are reproduced.",),
+        lines=(_headline(measured),),
         paste=cite.PAPER,
         figures=tuple(
             Figure(f"paper-{name}", draw(laws, scenario), caption) for name, draw, caption in DRAWN
@@ -59,6 +60,19 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
             *([_stability(designs)] if designs is not None else ()),
         ),
     )
+
+
+def _headline(measured: Sequence[Claim]) -> str:
+    """How many claims are reproduced, and which are not."""
+    failed = [claim.claim.replace("`", "") for claim in measured if claim.state != "reproduced"]
+    return held_text(measured) + (f"; not: “{'”, “'.join(failed)}”." if failed else ".")
+
+
+def held_text(found: Sequence[Claim]) -> str:
+    """How many of the claims that were measured are reproduced."""
+    states = [claim.state for claim in found if claim.state != "not measured"]
+    held = states.count("reproduced")
+    return f"{held} of {len(states)} claims of Xia, Liu, Pang & Xue are reproduced"
 
 
 def _stability(designs: Designs) -> SmallTable:

@@ -10,22 +10,20 @@ import pandas as pd
 from dpbench.analysis.machine import delayed_runs, disturbance_of, round_spread, timed_runs
 from dpbench.analysis.records import Records
 from dpbench.bench.judge.calibration import within_bar
-from dpbench.bench.record.revision import revision_text
+from dpbench.bench.record.disturbance import Disturbance
 from dpbench.report.charts.lines import dots
-from dpbench.report.formats import significant
+from dpbench.report.formats import and_list, share_text, significant
 from dpbench.report.machine_verdict import (
     disturbance_facts,
     machine_facts,
     own_switches,
-    verdict_text,
 )
 from dpbench.report.page.topic import Figure, SmallTable, Topic
 from dpbench.solvers.calibration import COPY_ONLY, WAITS_NS
 
 COVERED = (
-    "An interval covers this run on this machine: blocks of steps are drawn anew, so neighbouring "
-    "steps stay together.",
-    "It does not cover another machine, build or day: compare two runs for that.",
+    "An interval covers this run on this machine, by resampling blocks of neighbouring steps; not "
+    "another machine, build or day: compare two runs for that.",
     "Not covered at all: other ships, weather and tunings; times on an embedded target; the worst "
     "step that was never met.",
 )
@@ -44,16 +42,35 @@ def _spread(records: Records) -> list[str]:
     if math.isnan(largest):
         return []
     return [
-        f"Ratios of two solvers: yes, beyond {significant(largest)}. So far apart, at most, lie "
+        f"Ratios of two solvers: yes, beyond {significant(largest)}: so far apart, at most, lie "
         f"fastest and slowest round of one replay (in the median {significant(usual)}); the time "
-        "of a step is its fastest. Microseconds: of this machine on that day alone."
+        "of a step is its fastest."
     ]
 
 
-def _off(asked: Sequence[tuple[str, float, float]], missed: Sequence[str]) -> str:
-    """What was asked of the waits off the bar [µs], and what was measured."""
-    longest = {name: (us, max(p50 for n, _, p50 in asked if n == name)) for name, us, _ in asked}
-    return ", ".join(f"{longest[n][0]:g} µs took {longest[n][1]:.1f} µs" for n in missed)
+def _waits_text(asked: Sequence[tuple[str, float, float]]) -> str:
+    """Whether waits of known length [µs] were measured right, and what follows where not."""
+    known = {name: us for name, us, _ in asked}
+    longest = {name: max(p50 for n, _, p50 in asked if n == name) for name in known}
+    missed = [name for name in known if within_bar(name, 1e3 * longest[name]) is False]
+    if not missed:
+        return "Waits of known length were measured within 1 µs or 1 %."
+    said = [f"{known[name]:g} µs as {longest[name]:.1f} µs" for name in missed]
+    worst = max(longest[name] / known[name] - 1.0 for name in missed)
+    return (
+        f"Waits of known length: {and_list(said)}, off by more than 1 µs and 1 %. Times of that "
+        f"length may read up to {share_text(worst)} too long; ratios hardly change."
+    )
+
+
+def _quiet_text(found: Disturbance) -> str:
+    """Whether the machine did other things while replays were timed."""
+    if complaints := found.complaints():
+        return (
+            f"Other work disturbed the machine: {and_list(complaints)}. Times may be too long; "
+            "run again when it is idle."
+        )
+    return "The machine did little else meanwhile, by the counters of its kernel (in the table)."
 
 
 def trust_topic(records: Records) -> Topic | None:
@@ -70,31 +87,23 @@ def trust_topic(records: Records) -> Topic | None:
     lines = _spread(records)
     figures = []
     if asked:
-        missed = sorted({n for n, _, p50 in asked if within_bar(n, 1e3 * p50) is False})
-        lines.append(
-            "Waits of known length were measured "
-            + (
-                f"wrong by more than 1 µs or 1 %: {_off(asked, missed)}."
-                if missed
-                else "within 1 µs or 1 %."
-            )
-        )
+        lines.append(_waits_text(asked))
         table = (
             pd.DataFrame(asked, columns=["name", "x", "y"]).groupby("name", as_index=False).max()
         )
         chart = dots(table, "Waits of known length", "asked [µs]", "measured p50 [µs]")
-        figures.append(Figure("calibration", chart, "The harness's own waits: asked and measured."))
+        figures.append(Figure("calibration", chart, "Asked and measured."))
     if found.seconds > 0:
-        lines.append(f"The machine was {verdict_text(found)}.")
+        lines.append(_quiet_text(found))
     facts = [
         *machine_facts(records.machine),
         *(disturbance_facts(found) if found.seconds > 0 else ()),
         *own_switches(timed),
-        *(("dpbench", text) for text in (revision_text(records.suite),) if text),
     ]
     return Topic(
         id="trust",
         title="Can I believe the times",
+        short="Trust",
         lines=(*lines, *COVERED),
         figures=tuple(figures),
         tables=(SmallTable(("machine", ""), tuple(facts)),),
