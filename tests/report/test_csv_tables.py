@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 
 from dpbench.analysis.counting_rows import counting_of
 from dpbench.analysis.run_steps import run_steps
+from dpbench.report.csv_tables import TABLES
 from dpbench.report.page.answer import Answer
 from dpbench.report.write import write_report
 
@@ -44,10 +46,13 @@ def test_verdicts_are_those_of_the_analysis(written: Any) -> None:
         who = verdict.configuration
         named = row["solver"], row["route"], row["policy"], row["settings"], row["outcome"]
         assert named == (who.solver, who.route, who.policy, who.settings, verdict.outcome)
-        figures = ("p50_ns", "p99_ns", "algo_max_ns", "raw_max_ns", "error_move", "failed_steps")
-        for name in (*figures, "steps", "closed_loops", "replays"):
+        for name in ("error_move", "failed_steps", "steps", "closed_loops", "replays"):
             attribute = {"closed_loops": "loops"}.get(name, name)
             np.testing.assert_equal(float(row[name]), float(getattr(verdict, attribute)))
+        times = {"p50": "p50", "p99": "p99", "max": "algo_max", "raw_max": "raw_max"}
+        for name, attribute in times.items():
+            ns = float(getattr(verdict, f"{attribute}_ns"))
+            np.testing.assert_allclose(1e3 * float(row[f"{name}_us"]), ns, rtol=1e-12)
         assert (row["why"] if isinstance(row["why"], str) else "") == Answer.why(verdict)
 
 
@@ -61,8 +66,9 @@ def test_hard_steps_are_the_largest_of_each_run(written: Any) -> None:
     for (run_id, measure), row in first.iterrows():
         own = steps[str(run_id)]
         values = {"time": own.time_ns, "iterations": own.iterations, "error": own.error}[measure]
-        assert row["value"] == np.nanmax(values)
-        assert values[list(own.k).index(row["k"])] == row["value"]
+        value = row["value"] * (1e3 if measure == "time" else 1.0)
+        assert value == pytest.approx(np.nanmax(values), rel=1e-12)
+        assert values[list(own.k).index(row["k"])] == pytest.approx(value, rel=1e-12)
 
 
 def test_every_place_and_level_of_a_solver_has_a_row(written: Any) -> None:
@@ -105,3 +111,15 @@ def test_tables_of_topics_are_files_too(written: Any, topic: str) -> None:
     table = _table(written.folder, topic)
     assert list(table.columns) == list(shown.tables[0].head)
     assert [tuple(row) for row in table.to_numpy()] == list(shown.tables[0].rows)
+
+
+def test_the_legend_explains_every_table_and_column(written: Any) -> None:
+    """Of the tables that no topic made: the names and units of what is in the files."""
+    legend = (written.folder / "tables" / "README.md").read_text(encoding="utf-8")
+    parts = dict(part.split(".csv\n", 1) for part in legend.split("\n## ")[1:])
+    files = {path.stem for path in (written.folder / "tables").glob("*.csv")}
+    assert set(parts) == files
+    for name in files & set(TABLES):
+        explained = set(re.findall(r"^- `(\w+)`: \S", parts[name], re.M))
+        plain = {"solver", "route", "policy", "settings", "way", "first", "second"}
+        assert set(_table(written.folder, name).columns) <= explained | plain, name
