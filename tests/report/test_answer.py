@@ -99,6 +99,21 @@ def test_chips_say_of_each_place_what_the_first_did_there(records: Any) -> None:
     }
 
 
+def test_a_chip_says_how_other_ways_did_where_the_first_was_not_run(records: Any) -> None:
+    """By name, with what became of each; of other settings and solvers nothing."""
+    for way in ({"route": "native", "policy": "warm", "median_us": 5.0}, {}):
+        records.loop("daqp", "paper", **{k: v for k, v in way.items() if k != "median_us"})
+        records.replay("daqp", "paper", **way)
+    records.loop("daqp", "paper", units="si")
+    records.loop("daqp", "paper", units="si", policy="reuse", route="native", error=0.4)
+    records.loop("osqp", "paper", units="si")
+    answer = _answer(records)
+    assert answer.first is not None and answer.first.policy == "warm"
+    said = next(chip for chip in answer.chips if "SI" in chip.text)
+    assert said.text == "paper (SI units): not run; qpsolvers fresh held; native reuse missed"
+    assert said.mark == "none"
+
+
 def test_open_is_not_recommended(records: Any) -> None:
     """Where no solver steered a ship, nothing contradicts the fastest, and what is open is said."""
     records.replay("daqp")

@@ -88,7 +88,7 @@ def ladder(table: pd.DataFrame, deadline_ms: float, *, slow: float = 1.0) -> Any
     chosen = base.mark_rule(strokeWidth=22, color=ACCENT).encode(
         x=alt.value(0),
         x2=alt.value("width"),
-        opacity=alt.condition(pick, alt.value(0.13), alt.value(0.0)),
+        opacity=alt.condition(pick, alt.value(0.25), alt.value(0.0)),
         tooltip=tips,
     )
     whisker = (

@@ -28,18 +28,18 @@ NO_ANSWER = 1e9
 _WIDTH = 620
 
 
-def strips(table: pd.DataFrame, forces: pd.DataFrame, demand_error: float) -> Any:
-    """Four strips on one axis; a vertical line stands at the parameter `at`, brushing sets `span`.
+def strips(table: pd.DataFrame, forces: pd.DataFrame | None, demand_error: float) -> Any:
+    """Four strips on one axis, three of a replay, which has no forces; a vertical line stands at
+    the parameter `at`.
 
     Parameters
     ----------
     table : columns `COLUMNS`; `raw_us` the largest sample of a step, NaN in a closed loop.
-    forces : columns k, force (of `FORCES`) and share of its limit.
+    forces : columns k, force (of `FORCES`) and share of its limit; None of a replay.
     demand_error : what the error of the first move may be.
     """
     at = alt.param(name="at", value=-1)
     steps = alt.InlineData(name="steps", values=_rows(table))
-    tau = alt.InlineData(name="forces", values=_rows(forces))
     rule = (
         alt.Chart(alt.InlineData(values=[{}]))
         .mark_rule(color=ACCENT, strokeWidth=1.5)
@@ -51,8 +51,8 @@ def strips(table: pd.DataFrame, forces: pd.DataFrame, demand_error: float) -> An
     panels = (
         (110, _time(steps)),
         (90, _error(steps, demand_error)),
-        (80, _iterations(steps)),
-        (90, _forces(tau)),
+        (80, _iterations(steps, last=forces is None)),
+        *(() if forces is None else ((90, _forces(forces)),)),
     )
     chart = alt.vconcat(
         *(alt.layer(*parts, rule, height=height, width=_WIDTH) for height, parts in panels),
@@ -62,7 +62,8 @@ def strips(table: pd.DataFrame, forces: pd.DataFrame, demand_error: float) -> An
     return styled(
         chart,
         "Step by step",
-        "Step time, error of the first move, iterations and forces of one run over its steps.",
+        "Step time, error of the first move, iterations"
+        f"{'' if forces is None else ' and forces'} of one run over its steps.",
     )
 
 
@@ -119,9 +120,9 @@ def _error(steps: alt.InlineData, demand_error: float) -> tuple[Any, ...]:
     return dots, limit_rule(demand_error)
 
 
-def _iterations(steps: alt.InlineData) -> tuple[Any, ...]:
+def _iterations(steps: alt.InlineData, *, last: bool) -> tuple[Any, ...]:
     base = alt.Chart(steps).encode(
-        x=_x(),
+        x=_x(last=last),
         tooltip=[alt.Tooltip("k:Q"), alt.Tooltip("iterations:Q"), alt.Tooltip("active:Q")],
     )
     area = base.mark_area(color=LINE, opacity=0.8, interpolate="step").encode(
@@ -130,8 +131,9 @@ def _iterations(steps: alt.InlineData) -> tuple[Any, ...]:
     return area, base.mark_circle(size=9, color=INK, opacity=0.9).encode(y="iterations:Q")
 
 
-def _forces(forces: alt.InlineData) -> tuple[Any, ...]:
-    base = alt.Chart(forces).encode(x=_x(last=True))
+def _forces(forces: pd.DataFrame) -> tuple[Any, ...]:
+    tau = alt.InlineData(name="forces", values=_rows(forces))
+    base = alt.Chart(tau).encode(x=_x(last=True))
     line = base.mark_line(strokeWidth=1.3, interpolate="step-after").encode(
         y=alt.Y(
             "share:Q",

@@ -13,7 +13,7 @@ from dpbench.analysis.times.pairs import paired_comparison
 from dpbench.analysis.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
 from dpbench.errors import InputError
-from dpbench.report.formats import error_text, rounded_down, time_text
+from dpbench.report.formats import and_list, error_text, rounded_down, time_text
 from dpbench.report.page.facts import Facts
 from dpbench.report.verdict_text import (
     NOBODY,
@@ -170,22 +170,39 @@ def _chips(facts: Facts, first: Configuration | None) -> list[Chip]:
     if first is None:
         return []
     c = facts.index(first)
-    words = {"meets": "held", "misses": "missed", "open": "open", "not run": "not run"}
     states = [facts.state(c, p) for p in range(len(facts.places))]
     counts = Counter(states)
     counted = {s for s in counts if len(states) > MOST_CHIPS and counts[s] > FEW}
     marks = {state: "none" if state == "not run" else state for state in states}
     named = [
-        Chip(f"{place.label}: {words[state]}", marks[state])
-        for place, state in zip(facts.places, states, strict=True)
+        Chip(f"{place.label}: {_STATES[state]}{_otherwise(facts, first, p)}", marks[state])
+        for p, (place, state) in enumerate(zip(facts.places, states, strict=True))
         if state not in counted
     ]
     sums = [
-        Chip(f"{words[state]} in {counts[state]} of {len(states)}", marks[state])
+        Chip(f"{_STATES[state]} in {counts[state]} of {len(states)}", marks[state])
         for state in counts
         if state in counted
     ]
     return [*sums, *named]
+
+
+_STATES = {"meets": "held", "misses": "missed", "open": "open", "not run": "not run"}
+
+
+def _otherwise(facts: Facts, chosen: Configuration, p: int) -> str:
+    """How the solver did in a place where it was run in other ways than the chosen one alone."""
+    if (facts.index(chosen), p) in facts.runs:
+        return ""
+    ways: dict[str, list[str]] = {}
+    for c, other in enumerate(facts.configurations):
+        if (other.solver, other.settings) == (chosen.solver, chosen.settings):
+            ways.setdefault(facts.state(c, p), []).append(f"{other.route} {other.policy}")
+    return "".join(
+        f"; {and_list(names)} {_STATES[state]}"
+        for state, names in ways.items()
+        if state != "not run"
+    )
 
 
 def _snippets(c: Configuration) -> Iterator[tuple[str, str]]:

@@ -132,6 +132,11 @@ class Facts:
             return "misses"
         return "misses" if verdict.causes else "open" if verdict.doubts else "meets"
 
+    def timed_at(self, verdict: Verdict) -> int | None:
+        """The number of the replay behind the p99 of a verdict; None where nothing was timed."""
+        wanted = Place("replay", verdict.timed_on, "scaled")
+        return self.places.index(wanted) if wanted in self.places else None
+
     def index(self, configuration: Configuration) -> int:
         """The number of a configuration; −1 for one that was not run."""
         known = self.configurations

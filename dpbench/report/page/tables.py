@@ -64,6 +64,13 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "run": ("solver_version", "build", "units", "formulation", "n", "m", "steps_done", "run_id"),
 }
 """What is shown beside `ALWAYS`, a group at a time; the whole table is a file."""
+TIMES = {
+    "algo_p50_ns": "p50",
+    "algo_p99_ns": "p99",
+    "algo_max_ns": "largest step",
+    "raw_max_ns": "largest sample",
+}
+"""Columns of times that the page has words for."""
 MOST_ROWS = 3000
 """A longer table is a file alone."""
 
@@ -71,17 +78,16 @@ MOST_ROWS = 3000
 def runs_table(facts: Facts, runs: pd.DataFrame) -> dict[str, Any]:
     """The runs as columns of text and numbers; those without any value are left out."""
     runs = runs.iloc[:MOST_ROWS]
-    # Without a controller the sequence says more: none has a scenario, or one for several of them.
-    own = runs["N_p"].isna() & (runs["sequence"] != "")
-    places = runs["sequence"].where(own, runs["scenario"])
     made = {
         "solver": runs["solver"],
         "way": runs["route"] + " " + runs["policy"],
         "settings": runs["settings"],
-        "where": places + runs["mode"].map({"replay": " (replay)"}).fillna(""),
+        "where": _places(runs),
         "outcome": runs["outcome"],
     }
-    columns = [{"name": n, "label": n, "meaning": "", "group": "", "text": True} for n in ALWAYS]
+    columns: list[dict[str, Any]] = [
+        {"name": n, "label": n, "meaning": "", "group": "", "text": True} for n in ALWAYS
+    ]
     values: list[list[Any]] = [made[name].astype(str).tolist() for name in ALWAYS]
     for group, names in GROUPS.items():
         for name in names:
@@ -90,9 +96,8 @@ def runs_table(facts: Facts, runs: pd.DataFrame) -> dict[str, Any]:
             cells = [str(x) for x in runs[name]] if text else [number(x) for x in runs[name]]
             if all(x in ("", None) for x in cells):
                 continue
-            columns.append(
-                {"name": name, "label": name, "meaning": meaning, "group": group, "text": text}
-            )
+            columns.append({"name": name, "meaning": meaning, "group": group, "text": text})
+            columns[-1] |= _shown(name)
             values.append(cells)
     by_id = {run.run_id: key for key, run in facts.runs.items()}
     keys = [by_id.get(str(run_id)) for run_id in runs["run_id"]]
@@ -103,6 +108,25 @@ def runs_table(facts: Facts, runs: pd.DataFrame) -> dict[str, Any]:
         "c": [None if key is None else key[0] for key in keys],
         "p": [None if key is None else key[1] for key in keys],
     }
+
+
+def _places(runs: pd.DataFrame) -> pd.Series[str]:
+    """Where each run was, as the page calls it."""
+    replayed = (runs["mode"] == "replay") | (runs["scenario"] == "")
+    names = runs["sequence"].where(replayed, runs["scenario"])
+    labels = [
+        Place(str(mode), str(name), str(units)).label
+        for mode, name, units in zip(runs["mode"], names, runs["units"], strict=True)
+    ]
+    return pd.Series(labels, index=runs.index)
+
+
+def _shown(name: str) -> dict[str, Any]:
+    """What a column is called on the page, and by what its numbers are multiplied there: times are
+    microseconds."""
+    if not name.endswith("_ns"):
+        return {"label": name}
+    return {"label": f"{TIMES.get(name, name.removesuffix('_ns'))} [µs]", "scale": 1e-3}
 
 
 def ladder_table(facts: Facts, calling_ns: float) -> pd.DataFrame:

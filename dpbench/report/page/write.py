@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,8 @@ import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from dpbench.analysis.times.pairs import paired_comparison
+from dpbench.analysis.step_times import StepTimes
+from dpbench.analysis.times.pairs import common_ratio
 from dpbench.analysis.times.work_precision import (
     LevelPoint,
     default_route_levels,
@@ -61,7 +63,7 @@ FILES = {
     "capability.parquet": "one row a QP at the edge of what thrusters hold",
     "machine.json": "the machine and the versions",
     "suite.json": "what was asked",
-    "tables/runs.csv": "the runs as CSV; beside it more tables of this page",
+    "tables/runs.csv": "the runs as CSV; README.md beside it explains all tables",
 }
 VARIABLES = {
     INK: "var(--ink)",
@@ -104,7 +106,7 @@ def page_html(
     shown = {"answer": "Answer"} | {
         name: title
         for name, title in (
-            ("matrix", "Where each solver holds"),
+            ("matrix", "Scenarios"),
             ("one", "One solver"),
             ("two", "Two solvers"),
             ("accuracy", "Accuracy"),
@@ -114,7 +116,7 @@ def page_html(
     }
     lead = next((topic for topic in topics if topic.leads), None)
     others = [topic for topic in topics if topic is not lead]
-    sections = [*shown.items(), *((t.id, t.title) for t in others), ("data", "Data")]
+    sections = [*shown.items(), *((t.id, t.short or t.title) for t in others), ("data", "Data")]
     template = environment().get_template("page.html.j2")
     return template.render(
         title=f"dpbench: {results.suite.get('name', folder.name)}",
@@ -137,7 +139,7 @@ def page_html(
         block=block,
         scripts=[
             *(Markup(script(entry)) for entry in vendored()),
-            *(Markup(own(f"scripts/{name}.js")) for name in SCRIPTS),
+            Markup("\n".join(own(f"scripts/{name}.js") for name in SCRIPTS)),
         ],
     )
 
@@ -165,14 +167,14 @@ def charts_of(facts: Facts, calling_ns: float) -> dict[str, Any]:
         charts["matrix"] = matrix(tiles)
         charts["matrix_narrow"] = matrix(tiles, stacked=True)
     nothing = pd.DataFrame(columns=["k", "force", "share"])
-    charts["strips"] = strips(
-        pd.DataFrame(columns=list(STRIP_COLUMNS)), nothing, facts.demand.error_move
-    )
+    no_steps = pd.DataFrame(columns=list(STRIP_COLUMNS))
+    charts["strips"] = strips(no_steps, nothing, facts.demand.error_move)
     replayed = [c for (c, p) in facts.runs if facts.places[p].mode == "replay"]
+    if replayed:
+        charts["strips_replay"] = strips(no_steps, None, facts.demand.error_move)
     if len(set(replayed)) > 1:
-        charts["pairs"] = pairs(
-            pd.DataFrame(columns=list(PAIR_COLUMNS)), "the chosen one", "the one beside it"
-        )
+        # The axes are named by signals of these names, which the page adds.
+        charts["pairs"] = pairs(pd.DataFrame(columns=list(PAIR_COLUMNS)), "first", "second")
     points = _points(facts)
     if len(points):
         charts["accuracy"] = accuracy(points, facts.demand.error_move)
@@ -226,7 +228,7 @@ def _document(
                 "raw": None if v is None else number(v.raw_max_ns),
                 "error": None if v is None else number(v.error_move),
                 "failed": None if v is None else v.failed_steps,
-                "timed_on": "" if v is None else v.timed_on,
+                "timed_at": None if v is None else facts.timed_at(v),
             }
         )
     return {
@@ -237,11 +239,20 @@ def _document(
         "flags": FLAGS,
         "most_across": MOST_ACROSS,
         "demand": facts.demand.error_move,
-        "charts": {name: json.loads(follow(json.dumps(vega(c)))) for name, c in charts.items()},
+        "charts": _specifications(charts),
         "answer": _opening(facts, results, answer),
-        "paired": _paired(facts, answer),
+        "paired": _paired(facts),
         "table": runs_table(facts, results.runs),
     }
+
+
+def _specifications(charts: Mapping[str, Any]) -> dict[str, Any]:
+    """The figures as Vega; the narrow matrix takes its tiles from the wide one."""
+    made = {name: json.loads(follow(json.dumps(vega(c)))) for name, c in charts.items()}
+    for data in made.get("matrix_narrow", {}).get("data", ()):
+        if "values" in data:
+            data["values"] = []
+    return made
 
 
 def _opening(facts: Facts, results: Results, answer: Answer) -> dict[str, int | None]:
@@ -254,18 +265,20 @@ def _opening(facts: Facts, results: Results, answer: Answer) -> dict[str, int | 
     return {"first": named[0] if named else first or 0, "second": second, "k": report.get("step")}
 
 
-def _paired(facts: Facts, answer: Answer) -> dict[str, list[float]]:
-    """The interval of the paired ratio of the two configurations that the page opens with."""
-    verdicts = {v.configuration: v for v in facts.verdicts.all if v.timed_on}
-    pair = answer.first, answer.second
-    if pair[0] not in verdicts or pair[1] not in verdicts:
-        return {}
-    first, second = (facts.index(c) for c in pair if c is not None)
-    compared = paired_comparison(
-        facts.records, verdicts[facts.configurations[first]], verdicts[facts.configurations[second]]
-    )
-    low, high = compared.ratio.low, compared.ratio.high
-    return {f"{first}/{second}": [low, high]} if math.isfinite(low) and math.isfinite(high) else {}
+def _paired(facts: Facts) -> dict[str, Any]:
+    """How far the 95 % interval of the paired ratio of any two configurations reaches, as a
+    logarithm: `c` the configurations that were timed, `reach` an array of their pairs, (0, 1),
+    (0, 2), ... (1, 2), ..., missing where there is no interval."""
+    timed: dict[int, dict[int, StepTimes]] = {}
+    for (c, p), run in facts.runs.items():
+        if facts.places[p].mode == "replay" and (times := facts.records.times(run)) is not None:
+            timed.setdefault(c, {})[p] = times
+    reach = []
+    for first, second in combinations(timed.values(), 2):
+        ratio = common_ratio((first[p], second[p]) for p in first if p in second)
+        known = ratio.low > 0.0 and ratio.high < math.inf
+        reach.append(0.5 * math.log(ratio.high / ratio.low) if known else math.nan)
+    return {"c": list(timed), "reach": facts.block.log(reach)}
 
 
 def _place(facts: Facts, p: int) -> dict[str, Any]:
@@ -299,9 +312,8 @@ def _solver(name: str) -> dict[str, str]:
 
 
 MATRIX = (
-    "Each solver in the way it is judged by, its default where that was run. A "
-    "tile is what that run alone says of the demand: ✓ meets, ✕ misses, ? open (not everything "
-    "was run or could be judged), – not run. Units SI are a trial outside the verdict."
+    "Each solver in the way it is judged by. A tile is what that run alone says of the demand; "
+    "open: not everything was run or could be judged. SI units are a trial outside the verdict."
 )
 
 
@@ -353,7 +365,7 @@ def _footer(results: Results) -> str:
     return (
         f"dpbench {results.suite.get('harness_version', '')}{f', {commit}' if commit else ''}, run "
         f"{results.suite.get('started_utc', '')[:10]}; "
-        f"numpy {versions.get('numpy', '')}. Page made from the files above alone."
+        f"numpy {versions.get('numpy', '')}."
     )
 
 

@@ -11,6 +11,9 @@ from urllib.parse import parse_qs
 import pandas as pd
 import pytest
 
+from dpbench.analysis.times.pairs import paired_comparison
+from dpbench.scenario.scenario import load_scenario
+
 DRAWN = ("ladder", "matrix", "accuracy")
 DESK, PHONE = (1400, 900), (390, 844)
 CHOSEN = "#s=piqp&w=qpsolvers-fresh&set=default&sc=rough&k=74"
@@ -109,14 +112,24 @@ def test_a_tile_of_the_matrix_chooses_the_place_too(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_a_row_of_the_table_is_chosen_by_a_click(opened: Any) -> None:
-    """The row opens above the table."""
+    """It is marked where it stands and named in the line that stays; its name opens it above."""
     page = opened()
     page.select_option("#table-of", "all")
     page.fill("#table-filter", "quadprog")
-    page.locator("#table-body tr").nth(1).click()
+    row = page.locator("#table-body tr").nth(1)
+    row.scroll_into_view_if_needed()
+    before = row.bounding_box()
+    row.locator("td").nth(3).click()
     page.wait_for_function("location.hash.includes('s=quadprog')")
     settled(page)
+    assert page.locator("#table-body tr[aria-current]").count() == 1
+    assert row.get_attribute("aria-current") == "true"
+    assert abs(row.bounding_box()["y"] - before["y"]) < 30
+    assert page.inner_text("#chosen").startswith("quadprog (")
+    line = page.locator("#chosen").bounding_box()
+    assert line["y"] >= 0 and line["x"] + line["width"] <= DESK[0]
     assert page.inner_text("#one-title").startswith("quadprog (")
+    row.locator("button").click()
     assert page.evaluate("document.activeElement.id") == "one"
 
 
@@ -138,7 +151,52 @@ def test_a_hard_step_opens(opened: Any) -> None:
     assert page.locator("#hard button[aria-pressed=true]").count() >= 1
     run_id = page.evaluate("cell(state.c, state.p).id")
     assert run_id in page.inner_text("#step-query")
-    assert run_id in page.inner_text("#data-query")
+    assert "north" not in page.inner_text("#step-said")
+    assert not page.locator("#ship").is_visible()
+    drawn = page.evaluate("facts.charts[forms.strips].data.map((data) => data.name)")
+    assert "steps" in drawn and "forces" not in drawn
+    assert rows_in(page, "strips", "steps") >= 100
+    wide = page.locator("#figure-strips canvas").bounding_box()["width"]
+    page.select_option("#choose-place", label="paper")
+    settled(page)
+    assert rows_in(page, "strips", "forces") >= 100
+    assert page.locator("#figure-strips canvas").bounding_box()["width"] < wide
+    assert page.locator("#figure-strips canvas").count() == 1
+
+
+@pytest.mark.slow
+def test_a_step_of_a_loop_says_where_the_ship_is(opened: Any, campaign: Path) -> None:
+    """Position and forces of the row of the run; of the nearest that a thinned track has kept."""
+    page = opened("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper&k=74")
+    said = page.inner_text("#step-said")
+    number = r"([\d.e-]+)"
+    ship = re.search(
+        rf"Ship(?: at k (\d+), the nearest kept)?: {number} m north, {number} m east, "
+        rf"heading {number}°; surge {number} %",
+        said,
+    )
+    assert ship
+    k = int(ship[1] or 74)
+    assert abs(k - 74) < page.evaluate("trackOf(cell(state.c, state.p)).every")
+    run_id = page.evaluate("cell(state.c, state.p).id")
+    steps = pd.read_parquet(campaign / "steps.parquet", filters=[("run_id", "==", run_id)])
+    row = steps[steps["k"] == k].iloc[0]
+    limit = load_scenario("paper").vessel.tau_max[0]
+    assert float(ship[2]) == pytest.approx(row["n_m"], rel=0.005, abs=2e-3)
+    assert float(ship[3]) == pytest.approx(row["e_m"], rel=0.005, abs=2e-3)
+    assert float(ship[5]) == pytest.approx(100 * row["tau_x_N"] / limit, rel=0.05, abs=0.2)
+
+
+@pytest.mark.slow
+def test_the_query_is_that_of_the_replay_behind_the_p99(opened: Any, campaign: Path) -> None:
+    """Whatever place is chosen; its lines give the p99 that the page names."""
+    page = opened("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper_tight")
+    said = page.inner_text("#data-query")
+    run = re.search(r'"run_id", "==", "(\w+)"', said)
+    assert run and "(replay)" in said
+    steps = pd.read_parquet(campaign / "steps.parquet", filters=[("run_id", "==", run[1])])
+    p99_us = steps[steps.counts].groupby("k").total_ns.min().quantile(0.99) / 1e3
+    assert f"p99 {page.evaluate(f'time({1e3 * p99_us})')}" in page.inner_text("#chosen")
 
 
 @pytest.mark.slow
@@ -236,9 +294,27 @@ def test_two_solvers_are_compared(opened: Any) -> None:
     assert ratio
     assert said.startswith("piqp (")
     assert float(ratio[1]) == pytest.approx(90.0 / 18.0, rel=0.1)
+    assert re.search(r"over \d+ steps of paper \(replay\)", said)
+    for name, title in (("first", "piqp ("), ("second", "daqp (")):
+        named = page.evaluate(f"views.pairs.then((view) => view.signal('{name}'))")
+        assert named.startswith(title) and named.endswith("[µs]")
     markdown = page.text_content("#two-markdown")
     assert "| p99 |" in markdown
     assert len(markdown.encode()) < 3000
+
+
+@pytest.mark.slow
+def test_any_two_have_the_interval_of_their_ratio(opened: Any, written: Any) -> None:
+    """That of the paired comparison, in whichever order they stand."""
+    facts = written.report.facts
+    timed = [v for v in facts.verdicts.all if v.timed_on]
+    page = opened()
+    for first, second in ((timed[0], timed[-1]), (timed[-2], timed[1])):
+        ratio = paired_comparison(facts.records, first, second).ratio
+        a, b = (facts.index(v.configuration) for v in (first, second))
+        reach = page.evaluate(f"reachOf({a}, {b})")
+        assert reach == page.evaluate(f"reachOf({b}, {a})")
+        assert reach == pytest.approx((ratio.high / ratio.low) ** 0.5, rel=1e-3)
 
 
 @pytest.mark.slow

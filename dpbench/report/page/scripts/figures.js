@@ -2,25 +2,37 @@
 "use strict";
 
 const NARROW = 640;  // A figure of less than this many pixels is drawn for a phone.
-const views = {};
+const views = {}, forms = {};
 const HARD_ONLY = 64;  // Bit of a step that a thinned run keeps only since it is a hard one.
 const CANVAS = ["strips", "pairs"];
 
 async function figureOf(name) {
   const host = $(`figure-${name}`);
-  if (!host || !facts.charts[name]) return null;
-  views[name] ??= made(name, host);
+  const form = formOf(name);
+  if (!host || !facts.charts[form]) return null;
+  if (views[name] && forms[name] !== form) {
+    views[name].then((old) => old.finalize());
+    delete views[name];
+  }
+  forms[name] = form;
+  views[name] ??= made(name, host, form);
   return views[name];
 }
 
+// A replay has no forces, so no strip of them.
+function formOf(name) {
+  return name === "strips" && facts.places[state.p].mode === "replay" ? "strips_replay" : name;
+}
+
 // A view drawn aside first: the figure that stands there is replaced only by a finished one.
-async function made(name, host) {
-  const spec = sized(name, Math.floor(host.parentElement.clientWidth)), aside = document.createElement("div");
+async function made(name, host, form) {
+  const spec = sized(form, Math.floor(host.parentElement.clientWidth)), aside = document.createElement("div");
   const view = new vega.View(vega.parse(CANVAS.includes(name) ? inked(spec) : spec), {
     renderer: CANVAS.includes(name) ? "canvas" : "svg", hover: true, tooltip: vegaTooltip(),
     loader: { load: () => null },
   });
   await view.initialize(aside).runAsync();
+  if (forms[name] !== form) return view;
   host.replaceChildren(aside);
   // What paper has to make up for.
   host.classList.toggle("narrow", host.parentElement.clientWidth < NARROW);
@@ -36,7 +48,9 @@ function sized(name, width) {
     signal.name in values ? { ...signal, value: values[signal.name] } : signal) });
   const spec = facts.charts[name];
   if (name === "matrix") {
-    const at = narrow ? facts.charts.matrix_narrow : spec, table = spec.data.find((d) => d.values);
+    const table = spec.data.find((d) => d.values), below = facts.charts.matrix_narrow;
+    const at = !narrow ? spec
+      : { ...below, data: below.data.map((d) => (d.values ? { ...d, values: table.values } : d)) };
     const of = (key) => unique(table.values.map((row) => row[key]));
     const tiles = of("place").length > facts.most_across ? ["solver", "place"] : ["place", "solver"];
     const labels = 14 + 7 * Math.max(...of(tiles[1]).map((text) => text.length));
@@ -44,11 +58,18 @@ function sized(name, width) {
     const step = (width - labels - slant - 16 * levels) / (levels * of(tiles[0]).length);
     return set(at, { x_step: Math.max(14, Math.min(46, step)) });
   }
-  if (name === "strips") return { ...spec, width: width - 78, autosize: { type: "pad", resize: true } };
+  if (name.startsWith("strips")) return { ...spec, width: width - 78, autosize: { type: "pad", resize: true } };
   const fit = { type: name === "pairs" ? "fit" : "fit-x", contains: "padding", resize: true };
   const square = Math.min(width, 460);
-  return name === "pairs" ? { ...spec, width: square, height: square, autosize: fit }
+  return name === "pairs" ? { ...named(spec), width: square, height: square, autosize: fit }
     : set({ ...spec, width, autosize: fit, marks: apart(spec.marks) }, { narrow });
+}
+
+// Axes called by the solvers that are compared: Vega-Lite cannot say so.
+function named(spec) {
+  const called = (axis) => (axis.title ? { ...axis, title: { signal: axis.title.split(" ")[0] } } : axis);
+  return { ...spec, axes: spec.axes.map(called),
+    signals: [...(spec.signals ?? []), { name: "first", value: "" }, { name: "second", value: "" }] };
 }
 
 // Names keep off the points too.

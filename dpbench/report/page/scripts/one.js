@@ -60,7 +60,7 @@ async function drawOne() {
     return;
   }
   $("hard").hidden = false;
-  const p99 = C().p99[state.c];
+  $("ship").hidden = !trackOf(run);
   text.textContent = [
     `${run.state === "meets" ? "Holds" : run.state === "misses" ? "Misses the demand" : "Open"} in `
     + `${facts.places[state.p].label}: ran ${run.steps} of ${run.planned} steps; first move beyond the `
@@ -69,15 +69,14 @@ async function drawOne() {
     run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the exactly solved loop`
       + `${run.settle_s === null || run.settle_s === "inf" ? "." : ` and settled within 1 m and 1° at ${figure(run.settle_s)} s.`}`,
     run.why ? `${run.outcome}: ${run.why}.` : "",
-    `Over the whole run: ${C().outcome[state.c]}${C().why[state.c] ? ` (${C().why[state.c]})` : ""}`
-    + (p99 === null ? "." : `; p99 ${time(p99)} on ${C().timed_on[state.c]}.`),
+    `Over the whole run: ${C().outcome[state.c]}${C().why[state.c] ? ` (${C().why[state.c]})` : ""}.`,
     solver.method ? `Method: ${solver.method}.` : "",
   ].filter(Boolean).join(" ").replaceAll("`", "");
   drawHard(run);
   const stepped = run.t !== undefined && run.t !== null;
   $("figure-strips").hidden = $("strips-said").hidden = !stepped;
   $("strips-time").textContent = facts.places[state.p].mode === "replay"
-    ? "Dot: the fastest counted round, grey up to the largest sample."
+    ? "Dot: the fastest counted round, grey up to the largest sample. A replay steers no ship."
     : "Dot: one sample a step, not timed alone; only replays compare times.";
   if (!stepped) { drawShip(null); return; }
   const view = await figureOf("strips");
@@ -87,7 +86,8 @@ async function drawOne() {
       if (share !== null) forces.push({
         k: run.first + j * track.every, force: ["surge", "sway", "yaw"][i], share });
     }));
-    view.data("steps", rowsOf(run)).data("forces", forces);
+    view.data("steps", rowsOf(run));
+    if (formOf("strips") === "strips") view.data("forces", forces);
     view.signal("at", state.k ?? -1);
     await view.runAsync();
     await fill(view, $("figure-strips"));
@@ -117,6 +117,19 @@ function drawHard(run) {
   drawStep(run);
 }
 
+// Where the ship is at a step, and what it is pushed by.
+function moved(run, k) {
+  const track = trackOf(run);
+  if (!track) return "";
+  const at = Math.min(track.x[0].length - 1, Math.round((k - run.first) / track.every));
+  const [n, e, psi] = track.x.map((values) => values[at]);
+  if (n === null) return "";
+  const force = ["surge", "sway", "yaw"].map((axis, i) => `${axis} ${figure(100 * track.u[i][at], 2)} %`);
+  const kept = run.first + at * track.every;
+  return `Ship${kept === k ? "" : ` at k ${kept}, the nearest kept`}: ${figure(n)} m north, ${figure(e)} m east, heading ${figure((psi * 180) / Math.PI)}°; `
+    + `${force.join(", ")} of the force there is.`;
+}
+
 function drawStep(run) {
   const box = $("step"), k = state.k, j = k === null ? -1 : k - run.first;
   const t = array(run.t);
@@ -124,10 +137,11 @@ function drawStep(run) {
   const f = array(run.f)[j] ?? 0, said = (bit) => Boolean(f & (1 << bit));
   const known = (run.hard ?? []).flat().find((hard) => hard[0] === k);
   const flags = facts.flags.filter((_, bit) => bit > 1 && said(bit));
-  $("step-said").textContent = `Step ${k}: ${time(t[j])}, ${figure(array(run.i)[j])} iterations, `
+  const exact = run.hard?.[0].find((hard) => hard[0] === k);
+  $("step-said").textContent = `Step ${k}: ${time(exact ? exact[1] : t[j])}, ${figure(array(run.i)[j])} iterations, `
     + `${figure(array(run.a)[j])} active limits, error of the first move ${figure(array(run.e)[j])}; `
     + `claimed ${said(0) ? "solved" : `not solved${known ? ` (${known[2].toLowerCase()})` : ""}`}, `
-    + `${said(1) ? "true" : "not true"}${flags.length ? `, ${flags.join(", ")}` : ""}.`;
+    + `${said(1) ? "true" : "not true"}${flags.length ? `, ${flags.join(", ")}` : ""}. ${moved(run, k)}`;
   const place = facts.places[run.p];
   $("step-export").textContent =
     `dpbench export ${place.source} --at ${k + (place.first ?? 0)} --out step-${k}.npz`;
@@ -199,8 +213,7 @@ function drawShip(run) {
   const slider = $("ship-k");
   slider.max = String(last); slider.value = String(at);
   const kept = run.first + at * track.every;
-  $("ship-said").textContent = `k ${kept}${state.k === null || state.k === kept ? "" : " (the nearest kept)"}: `
-    + `${figure(N[at])} m north, ${figure(E[at])} m east, heading ${figure((psi[at] * 180) / Math.PI)}°`;
+  $("ship-said").textContent = `k ${kept}${state.k === null || state.k === kept ? "" : " (the nearest kept)"}`;
 }
 
 let playing = null;
@@ -215,6 +228,6 @@ function play() {
   $("ship-play").textContent = "Stop";
   playing = setInterval(() => {
     if (at >= track.x[0].length) { stop(); return; }
-    state.k = run.first + at * track.every; at += 2; drawShip(run);
+    state.k = run.first + at * track.every; at += 2; drawShip(run); drawStep(run);
   }, 33);
 }

@@ -15,6 +15,18 @@ function kept() {
     + `${meet} of them meet the demand${samples}`;
 }
 
+// How the chosen one's times compare with those of the answer.
+function beside() {
+  const first = facts.answer.first, rows = first === state.c ? [] : together(first, state.c);
+  return rows.length ? `, ${figure(ratioOf(rows))} × ${unlike(first, state.c)}` : "";
+}
+
+// Draws the eye to what has changed.
+function glow(node) {
+  if (matchMedia("(prefers-reduced-motion: reduce)").matches) return;
+  node.animate([{ backgroundColor: "var(--warn-fill)" }, { backgroundColor: "transparent" }], 1500);
+}
+
 // What follows from a change of some parts of the selection; without them, from all of it.
 async function draw(changed = ["slow", "c", "p", "b", "k"]) {
   if (!count()) { drawTable(); return; }
@@ -22,7 +34,9 @@ async function draw(changed = ["slow", "c", "p", "b", "k"]) {
   const place = facts.places[state.p].label;
   const p99 = C().p99[state.c];
   $("chosen").textContent = `${label(state.c)}: ${C().outcome[state.c]}`
-    + `${p99 === null ? "" : `, p99 ${time(p99)}`}; in ${place}${state.k === null ? "" : `, k ${state.k}`}`;
+    + `${p99 === null ? "" : `, p99 ${time(p99)}`}${beside()}; in ${place}${
+      state.k === null ? "" : `, k ${state.k}`}`;
+  if (touched("c", "p")) glow($("chosen"));
   if (touched("slow") && $("slow")) {
     $("slow-said").textContent = `× ${figure(state.slow)}`;
     $("slow").value = String(Math.log10(state.slow));
@@ -115,6 +129,10 @@ function listenPage() {
     });
   }
   onNewLook(redraw);
+  // Links within the page stop below the lines that stay, however many there are.
+  new ResizeObserver(([bar]) => {
+    document.documentElement.style.scrollPaddingTop = `${bar.target.offsetHeight + 4}px`;
+  }).observe(document.querySelector(".top"));
   for (const button of document.querySelectorAll("[data-go]")) {
     button.addEventListener("click", () => {
       const [solver, w, settings] = button.dataset.go.split("~");

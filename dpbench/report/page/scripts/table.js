@@ -29,11 +29,8 @@ function drawTable() {
     });
     th.append(button); head.append(th);
   }
-  const open = (i) => {
-    if (table.c[i] === null) return;
-    select({ c: table.c[i], p: table.p[i], k: null });
-    go("one");
-  };
+  // A row is chosen where it stands; its name opens it above.
+  const choose = (i) => { if (table.c[i] !== null) select({ c: table.c[i], p: table.p[i], k: null }); };
   const body = rows.slice(0, ROWS).map((i) => {
     const tr = document.createElement("tr");
     for (const [column, j] of shown) {
@@ -42,28 +39,40 @@ function drawTable() {
       if (j === 0 && table.c[i] !== null) {
         const button = document.createElement("button");
         button.textContent = value;
+        button.addEventListener("click", () => { choose(i); go("one"); });
         td.append(button);
-      } else td.textContent = column.text ? value : figure(value, 4);
+      } else td.textContent = column.text ? value : figure(scaled(value, column), 4);
       if (!column.text) td.className = "n";
       if (value === null || value === "") td.classList.add("empty");
       tr.append(td);
     }
-    tr.addEventListener("click", () => open(i));
+    if (table.c[i] === state.c && table.p[i] === state.p) tr.setAttribute("aria-current", "true");
+    tr.addEventListener("click", () => choose(i));
     return tr;
   });
   $("table-head").replaceChildren(head);
   $("table-body").replaceChildren(...body);
   $("table-said").textContent = `${Math.min(ROWS, rows.length)} of ${rows.length} rows${
     $("table-of").value === "all" ? "" : `, of ${table.rows} in all`}`;
-  const run = cell(state.c, state.p);
-  $("data-query").textContent = run
-    ? `steps = pandas.read_parquet("steps.parquet", filters=[("run_id", "==", "${run.id}")])`
-      + `  # ${label(state.c)} in ${facts.places[state.p].label}`
-      + (facts.places[state.p].mode === "replay"
-        ? `\nsteps[steps.counts].groupby("k").total_ns.min().quantile([0.5, 0.99])  # p50 and p99`
-        : "") : "";
-  $("data-query").hidden = !run;
   state.rows = rows; state.shown = shown;
+  drawQuery();
+}
+
+// A number as it is shown: in the unit of its column's name there.
+function scaled(value, column) {
+  return column.scale && typeof value === "number" ? value * column.scale : value;
+}
+
+// The rows behind the p99 that the page names; of what was not timed, those of the chosen place.
+function drawQuery() {
+  const p = C().timed_at?.[state.c] ?? state.p, run = cell(state.c, p);
+  $("data-query").hidden = !run;
+  $("data-query").textContent = !run ? ""
+    : `steps = pandas.read_parquet("steps.parquet", filters=[("run_id", "==", "${run.id}")])`
+      + `  # ${label(state.c)} in ${facts.places[p].label}`
+      + (facts.places[p].mode === "replay"
+        ? `\nsteps[steps.counts].groupby("k").total_ns.min().quantile([0.5, 0.99]) / 1e3  # p50 and p99 [µs]`
+        : "");
 }
 
 function csv() {

@@ -1,16 +1,11 @@
 // Two configurations on the steps that both were timed on.
 "use strict";
 
-async function drawTwo() {
-  const others = all().filter((c) => c !== state.c && C().p50[c] !== null);
-  // Unless one was asked for: the answer, and beside the answer the next.
-  const second = [state.b, facts.answer.first, facts.answer.second, others[0]]
-    .find((c) => others.includes(c));
-  if (second === undefined) return;
-  options("choose-other", others.map((c) => [c, label(c)]), second);
+// The steps of all sequences that two configurations have replayed, with the time of each.
+function together(first, second) {
   const rows = [];
   facts.places.forEach((place, p) => {
-    const a = cell(state.c, p), b = cell(second, p);
+    const a = cell(first, p), b = cell(second, p);
     if (place.mode !== "replay" || !a || !b || a.t == null || b.t == null) return;
     const x = array(a.t), y = array(b.t), f = array(a.f), g = array(b.f);
     x.forEach((ns, j) => {
@@ -19,23 +14,59 @@ async function drawTwo() {
         k: a.first + j, a_us: ns / 1e3, b_us: other / 1e3, sequence: place.label });
     });
   });
-  const said = $("two-said");
-  if (!rows.length) { said.textContent = "No sequence was replayed by both."; $("figure-pairs").hidden = true; return; }
-  $("figure-pairs").hidden = false;
-  const sequences = unique(rows.map((row) => row.sequence));
-  const mean = sequences.map((name) => {
+  return rows;
+}
+
+// How many times as long the second takes: the geometric mean, each sequence of equal weight.
+function ratioOf(rows) {
+  const means = unique(rows.map((row) => row.sequence)).map((name) => {
     const own = rows.filter((row) => row.sequence === name);
     return own.reduce((sum, row) => sum + Math.log(row.b_us / row.a_us), 0) / own.length;
-  }).reduce((sum, x) => sum + x, 0) / sequences.length;
-  const ratio = Math.exp(mean), pair = facts.paired[`${state.c}/${second}`];
-  const interval = pair ? `, 95 % interval ${
-    (ratio >= 1 ? pair : [1 / pair[1], 1 / pair[0]]).map((x) => figure(x)).join(" to ")}` : "";
-  const [slower, faster] = ratio >= 1 ? [second, state.c] : [state.c, second];
-  said.textContent = `${label(slower)} takes ${figure(Math.max(ratio, 1 / ratio))} times as long as `
-    + `${label(faster)} (geometric mean over ${rows.length} steps, each sequence of equal weight`
-    + `${interval}). Below the dashed line ${label(second)} is the faster one.`;
+  });
+  return Math.exp(means.reduce((sum, x) => sum + x, 0) / means.length);
+}
+
+// By what factor the 95 % interval of the ratio of two reaches up and down; null without one.
+function reachOf(first, second) {
+  const { c, reach } = facts.paired;
+  const [i, j] = [c.indexOf(first), c.indexOf(second)].sort((a, b) => a - b);
+  if (i < 0) return null;
+  const log = array(reach)[i * c.length - (i * (i + 1)) / 2 + j - i - 1];
+  return log === null ? null : Math.exp(log);
+}
+
+// What tells a configuration from another: its solver, if that will do.
+const unlike = (c, other) => (C().solver[c] === C().solver[other] ? label(c) : C().solver[c]);
+
+// Which steps they are.
+function commonSteps(rows) {
+  const counts = unique(rows.map((row) => row.sequence))
+    .map((name) => `${rows.filter((row) => row.sequence === name).length} steps of ${name}`);
+  return `${counts.join(" and ")}${counts.length > 1 ? ", of equal weight" : ""}`;
+}
+
+async function drawTwo() {
+  const others = all().filter((c) => c !== state.c && C().p50[c] !== null);
+  // Unless one was asked for: the answer, and beside the answer the next.
+  const second = [state.b, facts.answer.first, facts.answer.second, others[0]]
+    .find((c) => others.includes(c));
+  if (second === undefined) return;
+  options("choose-other", others.map((c) => [c, label(c)]), second);
+  const rows = together(state.c, second), said = $("two-said");
+  if (!rows.length) { said.textContent = "No sequence was replayed by both."; $("figure-pairs").hidden = true; return; }
+  $("figure-pairs").hidden = false;
+  const ratio = Math.max(ratioOf(rows), 1 / ratioOf(rows)), reach = reachOf(state.c, second);
+  const [slower, faster] = ratioOf(rows) >= 1 ? [second, state.c] : [state.c, second];
+  const interval = reach === null ? "too few steps for an interval"
+    : `95 % interval ${figure(ratio / reach)} to ${figure(ratio * reach)}`;
+  said.textContent = `${label(slower)} takes ${figure(ratio)} times as long as ${label(faster)} `
+    + `(${interval}): geometric mean over ${commonSteps(rows)}. Below the dashed line `
+    + `${unlike(second, state.c)} is faster.`;
   const view = await figureOf("pairs");
-  if (view) await view.data("pairs", rows).runAsync();
+  if (view) {
+    view.signal("first", `${label(state.c)} [µs]`).signal("second", `${label(second)} [µs]`);
+    await view.data("pairs", rows).runAsync();
+  }
   $("two-markdown").textContent = `| | ${label(state.c)} | ${label(second)} |\n|---|---|---|\n`
     + [["p50", "p50"], ["p99", "p99"], ["largest step", "max"]].map(([name, column]) =>
       `| ${name} | ${time(C()[column][state.c])} | ${time(C()[column][second])} |`).join("\n")
