@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.machine import disturbance_of, round_spread, timed_runs
-from dpbench.report.formats import and_list
+from dpbench.report.formats import and_list, share_text
 from dpbench.report.topics.trust import trust_topic
 from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
 
@@ -82,9 +82,12 @@ def test_the_bar_is_a_microsecond_or_a_hundredth(
     assert all(name in figures for name in CALIBRATION)
     topic = trust_topic(records.view())
     assert topic is not None
-    waits = [WAITS_NS[name] / 1e3 for name in sorted(missed) if name in WAITS_NS]
-    off = ", ".join(f"{us:g} µs took {us + off_us:.1f} µs" for us in waits)
+    waits = [us / 1e3 for name, us in WAITS_NS.items() if name in missed]
+    off = and_list([f"{us:g} µs as {us + off_us:.1f} µs" for us in waits])
     assert (off or "within 1 µs or 1 %") in topic.lines[0]
+    if waits:
+        worst = f"known to {share_text(max(off_us / us for us in waits))} at best"
+        assert worst in topic.lines[0]
 
 
 def test_a_quiet_machine_and_a_disturbed_one(records: Any) -> None:

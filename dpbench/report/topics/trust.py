@@ -42,7 +42,7 @@ def _spread(records: Records) -> list[str]:
     if math.isnan(largest):
         return []
     return [
-        f"Ratios of two solvers: yes, beyond {significant(largest)}: so far apart, at most, lie "
+        f"Ratios of two solvers: yes, beyond {significant(largest)}. So far apart, at most, lie "
         f"fastest and slowest round of one replay (in the median {significant(usual)}); the time "
         "of a step is its fastest."
     ]
@@ -56,10 +56,10 @@ def _waits_text(asked: Sequence[tuple[str, float, float]]) -> str:
     if not missed:
         return "Waits of known length were measured within 1 µs or 1 %."
     said = [f"{known[name]:g} µs as {longest[name]:.1f} µs" for name in missed]
-    worst = max(longest[name] / known[name] - 1.0 for name in missed)
+    worst = max(abs(longest[name] / known[name] - 1.0) for name in missed)
     return (
         f"Waits of known length: {and_list(said)}, off by more than 1 µs and 1 %. Times of that "
-        f"length may read up to {share_text(worst)} too long; ratios hardly change."
+        f"length, and their ratios, are known to {share_text(worst)} at best."
     )
 
 
