@@ -10,6 +10,7 @@ from dpbench.bench.judge.memory_of_answers import with_loop_ratio
 from dpbench.bench.judge.rows import run_row, step_rows
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.schema import as_steps
+from dpbench.bench.record.study_columns import study_columns
 from dpbench.bench.workers.executor import CellJob, CellStore
 
 
@@ -34,4 +35,5 @@ def tabulate(
                 frames.append(steps)
             rows.append(run_row(run_id, cell, outcome, library, machine_id, evaluated, steps))
     steps = pd.concat(frames, ignore_index=True) if frames else as_steps(pd.DataFrame())
-    return with_loop_ratio(pd.DataFrame(rows)), steps
+    runs = with_loop_ratio(pd.DataFrame(rows))
+    return runs.assign(**study_columns(runs)), steps

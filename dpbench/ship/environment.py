@@ -71,6 +71,12 @@ class Environment:
         """Whether a load depends on the ship's velocity or heading: wind, current or drift."""
         return any(source is not None for source in (self.wind, self.current, self.drift))
 
+    @property
+    def draws(self) -> bool:
+        """Whether anything of it is drawn at random, so that the seed matters."""
+        gusty = self.wind is not None and self.wind.gusts != "none"
+        return gusty or any(part is not None for part in (self.drift, self.motion, self.noise))
+
     def force(self, t_s: ArrayLike) -> Matrix:
         """b at the times t_s (...,): array (..., 3) [N, N, N·m]."""
         t = np.asarray(t_s, dtype=np.float64)[..., np.newaxis]

@@ -13,7 +13,7 @@ from typing import Any
 from dpbench.errors import SettingsError
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter
 from dpbench.solvers.contract import Options, Settings
-from dpbench.solvers.record import DEFAULT, LEVELS
+from dpbench.solvers.record import DEFAULT, LEVELS, MID, TOLERANCES
 from dpbench.solvers.table import record
 
 
@@ -45,12 +45,45 @@ def setting_names(solver: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*LEVELS, *record(solver).levels)))
 
 
+def tolerance_of(name: str) -> float | None:
+    """The tolerance that a name of settings such as "1e-4" states; None for other names."""
+    try:
+        tolerance = float(name)
+    except ValueError:
+        return None
+    return tolerance if 0.0 < tolerance < 1.0 else None
+
+
+def has_setting(solver: str, name: str) -> bool:
+    """Whether a solver has settings of that name: its own, or a tolerance it can be given."""
+    return name in setting_names(solver) or _at_tolerance(solver, name) is not None
+
+
+def _at_tolerance(solver: str, name: str) -> Options | None:
+    """The options of a stated tolerance, between the levels or beyond them; None where neither.
+
+    What is the tolerance itself at `low`, `mid` and `high` is this one here; the rest is as at
+    `mid`. A solver without a tolerance to set has nothing to change.
+    """
+    tolerance, levels = tolerance_of(name), record(solver).levels
+    if tolerance is None:
+        return None
+    if not settings_matter(solver):
+        return levels.get(DEFAULT, {})
+    mid = levels[MID]
+    stated = [
+        key for key in mid if all(levels[at].get(key) == eps for at, eps in TOLERANCES.items())
+    ]
+    return {**mid, **dict.fromkeys(stated, tolerance)} if stated else None
+
+
 def level_options(name: str, solver: str) -> Options:
     """What the setting of that name means for a solver; SettingsError if there is none."""
-    names = setting_names(solver)
-    if name not in names:
-        raise SettingsError(f"settings of {solver}", "", repr(name), " | ".join(names))
-    return record(solver).levels.get(name, {})
+    names, stated = setting_names(solver), _at_tolerance(solver, name)
+    if name not in names and stated is None:
+        allowed = f"{' | '.join(names)} | a tolerance such as 1e-4"
+        raise SettingsError(f"settings of {solver}", "", repr(name), allowed)
+    return record(solver).levels.get(name, {}) if stated is None else stated
 
 
 def describe_levels(solver: str) -> str:

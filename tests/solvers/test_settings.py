@@ -10,7 +10,7 @@ from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Status
 from dpbench.solvers.native import NATIVE
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.record import LEVELS
+from dpbench.solvers.record import LEVELS, TOLERANCES
 from dpbench.solvers.settings import (
     describe_levels,
     level_options,
@@ -102,6 +102,39 @@ def test_settings_matter_where_there_are_levels():
         "unconstrained_clipped",
     }
     assert not without & {"daqp", "hildreth", "osqp", "piqp_sparse"}
+
+
+@pytest.mark.parametrize("solver", TABLE)
+def test_a_stated_tolerance_lies_among_the_levels(solver):
+    """At the tolerance of a level it is that level; between two it differs from both."""
+    for level, tolerance in TOLERANCES.items():
+        assert level_options(f"{tolerance:g}", solver) == level_options(level, solver)
+    between = level_options("2e-5", solver)
+    if settings_matter(solver):
+        assert 2e-5 in between.values()
+        assert between not in [level_options(level, solver) for level in LEVELS]
+    else:
+        assert between == level_options("default", solver)
+
+
+@pytest.mark.parametrize("name", ["1e-4.", "-1e-4", "0", "nan", "inf", "1", "1e-4x", ""])
+def test_what_is_no_tolerance_is_no_name_of_settings(name):
+    """Numbers that no solver can stop at, and what is no number, are refused."""
+    with pytest.raises(SettingsError, match="a tolerance such as 1e-4"):
+        level_options(name, "osqp")
+
+
+def test_a_stated_tolerance_decides_how_exact_an_answer_is(sequence):
+    """Clarabel asked for 1e-2 stops earlier than asked for 1e-11, on either route."""
+    exact = certify(sequence.base).z
+    for route in ("qpsolvers", "native"):
+        errors = []
+        for name in ("1e-2", "1e-11"):
+            workspace = open_workspace("clarabel", route=route, settings=name)
+            workspace.setup(sequence.base)
+            workspace.solve()
+            errors.append(np.abs(workspace.read().z - exact).max())
+        assert errors[1] < 1e-2 * errors[0]
 
 
 @pytest.mark.parametrize("route", ["qpsolvers", "native"])

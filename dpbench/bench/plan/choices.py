@@ -9,6 +9,7 @@ from pydantic import BaseModel
 
 from dpbench.bench.judge.rules import supports
 from dpbench.bench.plan.cells import PlannedCell
+from dpbench.bench.plan.study_points import StudyTable
 from dpbench.bench.plan.suite import (
     CapabilityTable,
     ClosedLoopTable,
@@ -20,7 +21,15 @@ from dpbench.bench.plan.suite import (
 from dpbench.bench.sequences.source import is_untimed
 from dpbench.errors import InputError
 
-Table = TypeVar("Table", ClosedLoopTable, ReplayTable, RecordedTable, RandomTable, CapabilityTable)
+Table = TypeVar(
+    "Table",
+    ClosedLoopTable,
+    ReplayTable,
+    RecordedTable,
+    RandomTable,
+    CapabilityTable,
+    StudyTable,
+)
 
 
 def with_choices(
@@ -47,7 +56,7 @@ def with_choices(
         raise InputError("--steps", "", steps, "a whole number, 1 or more")
     asked = list(scenarios or ())
     foreign = not set(asked) <= set(suite.scenario_names)
-    loops, replays = list(suite.closed_loop), list(suite.replay)
+    loops, replays, studies = list(suite.closed_loop), list(suite.replay), list(suite.study)
     if foreign:
         loops = _once([_changed(t, scenarios=asked, vessels=[], steps=0) for t in loops])
         replays = _once(
@@ -55,6 +64,7 @@ def with_choices(
         )
     if settings:
         loops = _once([_changed(t, settings=list(settings)) for t in loops])
+        studies = _once([_changed(t, settings=list(settings)) for t in studies])
         replays = _once([_changed(t, settings=list(settings)) for t in replays])
         recorded = _once([_changed(t, settings=list(settings)) for t in suite.recorded])
         random = _once([_changed(t, settings=list(settings)) for t in suite.random])
@@ -63,7 +73,8 @@ def with_choices(
     if steps is not None:
         loops = [_changed(t, steps=min(steps, t.steps or steps)) for t in loops]
         replays = [_changed(t, steps=min(steps, t.steps or steps)) for t in replays]
-    return _changed(suite, closed_loop=loops, replay=replays)
+        studies = [_changed(t, steps=min(steps, t.steps or steps)) for t in studies]
+    return _changed(suite, closed_loop=loops, replay=replays, study=studies)
 
 
 Model = TypeVar("Model", bound=BaseModel)

@@ -21,7 +21,7 @@ from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Route
 from dpbench.solvers.own.adapters import UNCONSTRAINED_CLIPPED
 from dpbench.solvers.plugins import find_plugin
-from dpbench.solvers.settings import setting_names, settings_matter
+from dpbench.solvers.settings import has_setting, setting_names, settings_matter
 from dpbench.solvers.table import TABLE, available, record, solver_names
 
 BASELINE_LAW = UNCONSTRAINED_CLIPPED.name
@@ -97,10 +97,11 @@ def configurations_of(solvers: Sequence[str], table: Table) -> list[Configuratio
     solvers = _taking_part(solvers, table)
     if not solvers:
         return []
-    known = [name for solver in solvers for name in setting_names(solver)]
     for name in table.settings:
-        if name not in known:
-            raise SettingsError("settings", "", repr(name), " | ".join(dict.fromkeys(known)))
+        if not any(has_setting(solver, name) for solver in solvers):
+            known = [name for solver in solvers for name in setting_names(solver)]
+            allowed = f"{' | '.join(dict.fromkeys(known))} | a tolerance such as 1e-4"
+            raise SettingsError("settings", "", repr(name), allowed)
     own = [name for name in solvers if name in CALIBRATION]
     solvers = [name for name in solvers if name not in CALIBRATION]
     configurations: list[Configuration] = []
@@ -111,7 +112,7 @@ def configurations_of(solvers: Sequence[str], table: Table) -> list[Configuratio
         route: Route = row.default_route if wanted == "default" else wanted
         if route not in row.policies:
             continue
-        names = [name for name in table.settings if name in setting_names(solver)]
+        names = [name for name in table.settings if has_setting(solver, name)]
         if settings_matter(solver):
             configurations += [
                 Configuration(solver, route, policy, name, units, formulation) for name in names

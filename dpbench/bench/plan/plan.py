@@ -15,6 +15,7 @@ from dpbench.bench.plan.cells import (
     replay_cells,
 )
 from dpbench.bench.plan.configurations import BASELINE_LAW, choose_solvers, configurations_of
+from dpbench.bench.plan.study_cells import study_cells
 from dpbench.bench.plan.suite import ClosedLoopTable, ReplayTable, SuiteFile
 from dpbench.bench.sequences.consequence import steered_rows
 from dpbench.bench.sequences.recording import with_horizons
@@ -57,6 +58,8 @@ def plan(
         for name in closed.names:
             if name in wanted:
                 cells += _closed_loop_cells(suite, closed, loaded[name], chosen)
+    if not scenarios:
+        cells += study_cells(suite, chosen, beside)
     for replay in suite.replay:
         for pair in replay.pairs if replay.scenario in wanted else ():
             name = replay.scenario

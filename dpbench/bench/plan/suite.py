@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar, Literal, get_args
 
 from pydantic import AfterValidator, Field
 
+from dpbench.bench.plan.study_points import RouteName, RunsTable, StudyTable
 from dpbench.bench.record.cell import SLOWEST, Fallback, Units
 from dpbench.errors import InputError
 from dpbench.qp.random.recipe import RandomRecipe
@@ -21,7 +22,6 @@ Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Size = Annotated[list[Count], Field(min_length=2, max_length=2)]
-RouteName = Literal["default", "qpsolvers", "native"]
 FormulationName = Literal["condensed_box", "condensed_stacked", "sparse"]
 
 
@@ -48,18 +48,7 @@ class DemandTable(FileModel):
     """The deadline of a step, for the slow-downs a solver survives [ms]."""
 
 
-class _RunsTable(FileModel):
-    """In which ways solvers run; settings that a solver does not have are left out."""
-
-    settings: list[str] = ["default"]
-    """default, low, mid, high, or a name that a solver has beside them."""
-    routes: list[RouteName] = ["default"]
-    """How a solver is called; default: each solver's own."""
-    policies: list[Policy] = ["fresh"]
-    """What is kept between two steps."""
-
-
-class ClosedLoopTable(_RunsTable):
+class ClosedLoopTable(RunsTable):
     """Every solver steers the ship itself; route "default" is each solver's own.
 
     With `vessels` every scenario is run with each of them instead of its own. `slowdowns` says how
@@ -100,7 +89,7 @@ class ClosedLoopTable(_RunsTable):
         return [f"{scenario}@{vessel}" for scenario in self.scenarios for vessel in self.vessels]
 
 
-class ReplayTable(_RunsTable):
+class ReplayTable(RunsTable):
     """Identical QPs, recorded along the exactly solved loop, through every solver.
 
     With `horizons` ("30/5") the scenario is run under each of them instead of those of its tuning.
@@ -132,7 +121,7 @@ class ReplayTable(_RunsTable):
         return [parse_horizons(text) for text in self.horizons] or [None]
 
 
-class RandomTable(_RunsTable):
+class RandomTable(RunsTable):
     """Random QPs with a planted optimum, through every solver: families × sizes × seeds.
 
     A size is [n, m]. Such QPs have no units but their own.
@@ -163,7 +152,7 @@ class RandomTable(_RunsTable):
         ]
 
 
-class RecordedTable(_RunsTable):
+class RecordedTable(RunsTable):
     """Recorded QPs through every solver: a stored sequence by name, a `.npz`, or a folder.
 
     A relative path is looked for beside the suite first. Such QPs have no units but their own.
@@ -254,6 +243,8 @@ class SuiteFile(FileModel):
     """Stability and region of attraction of the controllers; not studied without this table."""
     closed_loop: list[ClosedLoopTable] = []
     """Every solver steers the ship itself."""
+    study: list[StudyTable] = []
+    """One scenario at many points of its keys, in many seas."""
     replay: list[ReplayTable] = []
     """Identical QPs through every solver: the source of timing."""
     recorded: list[RecordedTable] = []

@@ -18,7 +18,7 @@ FORMULATIONS: tuple[Formulation, ...] = ("condensed_box", "condensed_stacked", "
 FALLBACKS: tuple[Fallback, ...] = ("shifted_plan", "hold", "clip")
 SLOWEST = 1e9
 """Largest slow-down: with it a latency of some seconds still is a 64-bit integer [ns]."""
-_OPTIONAL = ("source", "slowdown", "deadline_s", "budget_s", "repeat_budget_s")
+_OPTIONAL = ("source", "study", "slowdown", "deadline_s", "budget_s", "repeat_budget_s")
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,8 @@ class Cell:
     solver_module : file of the plug-in that brings the solver; "" for none.
     source : replay only: what its QPs are made from where they are not those of the scenario's
         controller; its `kind`, the `name` of the sequence, and whatever else `source.py` needs.
+    study : closed loop of a study only: its `base`, the `point` and `replicate` it stands for, and
+        `x`, the values of the point's keys by their dotted names.
     """
 
     mode: Literal["closed_loop", "replay"]
@@ -63,6 +65,7 @@ class Cell:
     seed: int = 0
     solver_module: str = ""
     source: dict[str, Any] = field(default_factory=dict)
+    study: dict[str, Any] = field(default_factory=dict)
     slowdown: float = 0.0
     deadline_s: float = 0.0
     budget_s: float = 0.0

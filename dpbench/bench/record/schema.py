@@ -11,6 +11,8 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
+from dpbench.bench.record.study_columns import PREFIX
+
 SCHEMA_VERSION = 5
 RENAMED_IN = 5
 """A table of the schema before this one differs from it in the names of columns alone."""
@@ -125,6 +127,9 @@ IDENTITY_COLUMNS: Columns = {
     "slowdown": ("float64", "how much slower the ship's computer is; 0: it waits for answers"),
     "deadline_s": ("float64", "budget of a step; NaN in replay"),
     "seed": ("int64", "seed of the order of replay rounds"),
+    "study": ("str", "base scenario of the study it belongs to; empty in no study"),
+    "study_point": ("Int64", "point of the study; its keys are in the columns x_<key>"),
+    "replicate": ("Int64", "which of the runs at that point, from 1: another sea"),
     "outcome": ("str", "finished | crashed | hung | timed_out | refused | invalid | lost"),
     "outcome_detail": ("str", "cause in the library's or the harness's words"),
     "machine_id": ("str", "hash of the machine description"),
@@ -326,6 +331,9 @@ RUN_COLUMNS = (
 
 ADDED = frozenset(
     {
+        "study",
+        "study_point",
+        "replicate",
         "thrust_share",
         "power_share",
         "thrust_variation",
@@ -368,5 +376,10 @@ def as_steps(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def as_runs(frame: pd.DataFrame) -> pd.DataFrame:
-    """`frame` with exactly the columns and types of `runs.parquet`; absent ones are missing."""
-    return _conform(frame, RUN_COLUMNS)
+    """`frame` with exactly the columns and types of `runs.parquet`; absent ones are missing.
+
+    The keys of studies, columns x_<key>, stay as they are behind them.
+    """
+    runs = _conform(frame, RUN_COLUMNS)
+    keys = [name for name in frame.columns if name.startswith(PREFIX)]
+    return runs.join(frame[keys]) if keys else runs

@@ -1,0 +1,159 @@
+"""Expand the studies of a suite into closed-loop cells, and refuse keys that change nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from dpbench.bench.plan.cells import PlannedCell, cell_of
+from dpbench.bench.plan.configurations import BASELINE_LAW, configurations_of
+from dpbench.bench.plan.study_points import MOST_CELLS, Point, StudyPoint, StudyTable, points_of
+from dpbench.bench.plan.suite import ClosedLoopTable, SuiteFile
+from dpbench.errors import InputError
+from dpbench.scenario.scenario import Scenario, load_scenario
+from dpbench.scenario.variation import differ, value_of, varied
+
+
+def study_cells(suite: SuiteFile, solvers: Sequence[str], beside: Path | None) -> list[PlannedCell]:
+    """The cells of all studies of a suite, in the order of their points.
+
+    Parameters
+    ----------
+    solvers : the suite's own; beside : folder of the suite.
+
+    Raises
+    ------
+    InputError : for a key that the scenario has not, a value it cannot have, or one that does
+        nothing in the steps that are run.
+    """
+    cells: list[PlannedCell] = []
+    for number, table in enumerate(suite.study):
+        cells += _cells_of(suite, table, f"suite: study {number}", solvers, beside)
+        if len(cells) > MOST_CELLS:
+            raise InputError("suite", "study", f"{len(cells)} cells", f"at most {MOST_CELLS}")
+    return cells
+
+
+def _cells_of(
+    suite: SuiteFile,
+    table: StudyTable,
+    where: str,
+    solvers: Sequence[str],
+    beside: Path | None,
+) -> list[PlannedCell]:
+    base = load_scenario(table.base, beside=beside)
+    keys = [*table.keys, *([table.replicates.key] if table.replicates.count > 1 else [])]
+    own = {key: value_of(base, key, where) for key in keys}
+    points = points_of(table, own)
+    scenarios = _Scenarios(base, where, beside)
+    _refuse_idle_keys(table, points, scenarios)
+    blanks = _blanks(suite, table, base, solvers)
+    return [
+        _at(blank, table, point, scenarios.at(point.values | point.of_replicate))
+        for point in points
+        for blank in blanks
+    ]
+
+
+def _blanks(
+    suite: SuiteFile, table: StudyTable, base: Scenario, solvers: Sequence[str]
+) -> list[PlannedCell]:
+    """The cells of the base scenario, one for each configuration."""
+    ways = {name: getattr(table, name) for name in ("solvers", "settings", "routes", "policies")}
+    loops = ClosedLoopTable(scenarios=[table.base], **ways)
+    return [
+        cell_of(
+            configuration,
+            suite,
+            loops,
+            mode="closed_loop",
+            scenario=base.files,
+            steps=1,
+            fallback="shifted_plan",
+        )
+        for configuration in configurations_of(solvers, loops)
+        # The baseline law does not look at settings: it runs once.
+        if configuration.solver != BASELINE_LAW
+        or (configuration.settings, configuration.policy) == ("default", "fresh")
+    ]
+
+
+def _at(
+    blank: PlannedCell, table: StudyTable, point: StudyPoint, scenario: Scenario
+) -> PlannedCell:
+    """The cell of a configuration at a point."""
+    study = {"base": table.base, "point": point.index, "replicate": point.replicate}
+    cell = replace(
+        blank.cell,
+        scenario=scenario.files,
+        steps=min(table.steps or scenario.steps, scenario.steps),
+        study=study | {"x": point.values},
+    )
+    return replace(blank, cell=cell)
+
+
+class _Scenarios:
+    """The scenario of a study at its points, the latest kept: configurations share it."""
+
+    def __init__(self, base: Scenario, where: str, beside: Path | None) -> None:
+        self._base, self._where, self._beside = base, where, beside
+        self._values: Point = {}
+        self._scenario = base
+
+    def at(self, values: Point) -> Scenario:
+        """The scenario with these values of its keys."""
+        if values != self._values:
+            self._scenario = varied(self._base, values, self._where, beside=self._beside)
+            self._values = values
+        return self._scenario
+
+    def trial(self, values: Point) -> Scenario | None:
+        """As `at`; None for values that no point has together, and that cannot be."""
+        try:
+            return self.at(values)
+        except InputError:
+            return None
+
+    def refuse(self, key: str, steps: int) -> None:
+        """Raise InputError for a key that does nothing in the first `steps` steps."""
+        steps = min(steps or self._base.steps, self._base.steps)
+        found = f"a key that changes nothing in {steps} steps of {self._base.name}"
+        if key == "environment.seed" and not self._base.environment.draws:
+            found = f"a seed where the weather of {self._base.name} draws nothing at random"
+        allowed = "a key that the run depends on; gusts, waves and noise depend on the seed"
+        raise InputError(self._where, key, found, allowed)
+
+
+def _refuse_idle_keys(
+    table: StudyTable, points: Sequence[StudyPoint], scenarios: _Scenarios
+) -> None:
+    """Raise InputError for a key of which two values make no difference, wherever it is tried.
+
+    It is tried at the first point and at the last one, as a seed does nothing in a calm sea.
+    """
+    again = table.replicates
+    tried = {key: _two_values(key, points) for key in table.keys}
+    if again.count > 1:
+        tried[again.key] = [again.first, again.first + 1]
+    ends: list[Mapping[str, object]] = [points[i].values | points[i].of_replicate for i in (0, -1)]
+    for key, pair in tried.items():
+        if len(pair) < 2:
+            continue
+        trials = [[scenarios.trial({**end, key: value}) for value in pair] for end in ends]
+        if not any(_may_differ(one, other, table.steps) for one, other in trials):
+            scenarios.refuse(key, table.steps)
+
+
+def _may_differ(one: Scenario | None, other: Scenario | None, steps: int) -> bool:
+    """Whether two runs can differ; None is a scenario that cannot be, which says nothing here."""
+    if one is None or other is None or one.steps != other.steps:
+        return True
+    return differ(one, other, min(steps or one.steps, one.steps))
+
+
+def _two_values(key: str, points: Sequence[StudyPoint]) -> list[object]:
+    """The first value of a key, and the first that is another; one if all are the same."""
+    first = points[0].values[key]
+    other = next((p.values[key] for p in points if p.values[key] != first), None)
+    return [first] if other is None else [first, other]

@@ -1,0 +1,178 @@
+"""The points of a study: one scenario under other values of its keys, laid out as a design asks.
+
+points = product of { the axes of `product`, `zip` as one axis, the draws of `design` as one }
+runs   = points × replicates × configurations
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+from scipy.stats import qmc
+
+from dpbench.arrays import Matrix
+from dpbench.scenario.problem_files import FileModel
+from dpbench.solvers.contract import Policy
+
+Value = bool | int | float | str | list[float]
+"""What a key of a scenario, vessel or tuning may be given."""
+Values = Annotated[list[Value], Field(min_length=1)]
+Range = Annotated[list[float], Field(min_length=2, max_length=2)]
+Point = dict[str, Any]
+"""Values of keys by their dotted names."""
+MOST_CELLS = 1_000_000
+"""A plan is kept in memory: a million cells take some gigabytes."""
+
+
+RouteName = Literal["default", "qpsolvers", "native"]
+
+
+class RunsTable(FileModel):
+    """In which ways solvers run; settings that a solver does not have are left out."""
+
+    settings: list[str] = ["default"]
+    """default, low, mid, high, a name that a solver has beside them, or a tolerance: "1e-4"."""
+    routes: list[RouteName] = ["default"]
+    """How a solver is called; default: each solver's own."""
+    policies: list[Policy] = ["fresh"]
+    """What is kept between two steps."""
+
+
+class ReplicatesTable(FileModel):
+    """The same point again under other values of one whole number, by default another sea."""
+
+    key: str = "environment.seed"
+    """Dotted name of the key that tells replicates apart."""
+    count: Annotated[int, Field(ge=1, le=MOST_CELLS)] = 1
+    """How many there are of each point."""
+    first: Annotated[int, Field(ge=0, le=MOST_CELLS)] = 1
+    """Its value in the first of them; the others follow by one."""
+
+
+class DesignOfPointsTable(FileModel):
+    """Points drawn from ranges of keys, spread evenly by a low-discrepancy sequence."""
+
+    kind: Literal["sobol", "latin_hypercube"]
+    """sobol: a scrambled Sobol sequence; latin_hypercube: a Latin hypercube sample."""
+    points: Annotated[int, Field(ge=1, le=MOST_CELLS)]
+    """How many; a power of two for sobol."""
+    seed: Annotated[int, Field(ge=0)] = 1
+    """Of the draw: the same seed is the same points."""
+    ranges: Annotated[dict[str, Range], Field(min_length=1)]
+    """Least and largest value of each key, by its dotted name."""
+
+    @model_validator(mode="after")
+    def _drawable(self) -> DesignOfPointsTable:
+        if self.kind == "sobol" and self.points & (self.points - 1):
+            raise ValueError("a power of two points for sobol: 64, 128, 256, ...")
+        for key, (least, largest) in self.ranges.items():
+            if not least < largest:
+                raise ValueError(f"a range that grows for {key!r}, as [5.0, 18.0]")
+        return self
+
+    def draws(self) -> Matrix:
+        """The points (points, keys) in the units of the files."""
+        sizes = len(self.ranges)
+        sampler = (
+            qmc.Sobol(sizes, rng=self.seed)
+            if self.kind == "sobol"
+            else qmc.LatinHypercube(sizes, rng=self.seed)
+        )
+        low, high = np.array(list(self.ranges.values())).T
+        drawn: Matrix = qmc.scale(sampler.random(self.points), low, high)
+        return drawn
+
+
+class StudyTable(RunsTable):
+    """One scenario steered at many points of its keys, each again in several seas.
+
+    A key is named with dots: environment.wind.speed_mps, start.east_m, vessel (a ship by name),
+    vessel.length_m. Solvers, routes, policies and settings are as in a closed loop.
+    """
+
+    base: str
+    """The scenario by name, scenario@vessel, or a TOML file beside the suite."""
+    solvers: list[str] = []
+    """Only these of the suite's solvers; all where it is empty."""
+    steps: Annotated[int, Field(ge=0)] = 0
+    """Only the first steps; 0: all."""
+    product: dict[str, Values] = {}
+    """Every value of each key with every value of the others."""
+    zip: dict[str, Values] = {}
+    """Keys that change together: their first values, then their second ones, and so on."""
+    design: DesignOfPointsTable | None = None
+    """Points drawn from ranges."""
+    replicates: ReplicatesTable = ReplicatesTable()
+    """The same points again in other seas; once by default."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> StudyTable:
+        lengths = {len(values) for values in self.zip.values()}
+        if len(lengths) > 1:
+            raise ValueError("as many values of each key in zip")
+        keys = self.keys
+        twice = [key for key in keys if keys.count(key) > 1]
+        if twice:
+            raise ValueError(f"each key once, {twice[0]!r} is there twice")
+        if self.replicates.count > 1 and self.replicates.key in keys:
+            raise ValueError(f"{self.replicates.key!r} in replicates or among the points, not both")
+        return self
+
+    @property
+    def keys(self) -> list[str]:
+        """The dotted names of all keys that tell points apart."""
+        drawn = [] if self.design is None else list(self.design.ranges)
+        return [*self.product, *self.zip, *drawn]
+
+
+@dataclass(frozen=True)
+class StudyPoint:
+    """One run of each configuration of a study.
+
+    index : of the point; replicate : from 1 on; values : of its keys; of_replicate : the same of
+    the key that tells replicates apart.
+    """
+
+    index: int
+    replicate: int
+    values: Point
+    of_replicate: Point
+
+
+def points_of(table: StudyTable, own: Mapping[str, object]) -> list[StudyPoint]:
+    """All points of a study, each with all its replicates.
+
+    Parameters
+    ----------
+    own : the base scenario's own values of the drawn keys: where one is a whole number, so are the
+        values drawn for it.
+    """
+    axes: list[list[Point]] = [[{key: v} for v in values] for key, values in table.product.items()]
+    if table.zip:
+        together = zip(*table.zip.values(), strict=True)
+        axes.append([dict(zip(table.zip, values, strict=True)) for values in together])
+    if table.design is not None:
+        names = list(table.design.ranges)
+        rows: Sequence[Sequence[float]] = table.design.draws().tolist()
+        axes.append([_typed(dict(zip(names, row, strict=True)), own) for row in rows])
+    merged: list[Point] = [
+        {key: value for part in parts for key, value in part.items()} for parts in product(*axes)
+    ]
+    again = table.replicates
+    seeds = [{again.key: again.first + r} for r in range(again.count)] if again.count > 1 else [{}]
+    return [
+        StudyPoint(index, r + 1, values, seed)
+        for index, values in enumerate(merged)
+        for r, seed in enumerate(seeds)
+    ]
+
+
+def _typed(drawn: Point, own: Mapping[str, object]) -> Point:
+    """Draws as the files want them: whole numbers where the scenario has a whole number."""
+    whole = {key for key in drawn if isinstance(own.get(key), int)}
+    return {key: round(value) if key in whole else value for key, value in drawn.items()}

@@ -1,0 +1,109 @@
+"""A scenario with other values of some of its keys, and whether a key makes any difference.
+
+A key is named as in the files, with dots: `environment.wind.speed_mps`, `start.east_m`,
+`controller.output_weight.0` for an entry of a list; `vessel` is the ship by name, and
+`vessel.limits.rate_max_N_per_s.1` a key of its file.
+"""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from dpbench.errors import InputError, one_of
+from dpbench.scenario.problem_files import problem_path, read_model
+from dpbench.scenario.scenario import Scenario, scenario_of
+from dpbench.scenario.tables import VesselFile
+from dpbench.ship.plant import SUBSTEPS
+
+Files = dict[str, Any]
+VESSEL = "vessel"
+_LABELS = {"name": "", "title": "", "shows": "", "tuning": "", "files": {}}
+
+
+def varied(
+    scenario: Scenario, values: Mapping[str, object], where: str, *, beside: Path | None = None
+) -> Scenario:
+    """The scenario with other values of some keys, under its own name.
+
+    Parameters
+    ----------
+    values : by the dotted names of the keys, in the units of the files.
+    where : what names the keys in errors; beside : the folder a vessel's file is looked for in.
+
+    Raises
+    ------
+    InputError : for a key that its files do not have, or a value that cannot be there.
+    """
+    files = dict(scenario.files)
+    for key, value in values.items():
+        if key == VESSEL:
+            path = problem_path("vessels", str(value), beside=beside)
+            files |= {"vessel": read_model(path, VesselFile).model_dump(), "vessel_name": path.stem}
+    for key, value in values.items():
+        if key != VESSEL:
+            parts = key.split(".")
+            file = "vessel" if parts[0] == VESSEL else "scenario"
+            path_in_file = parts[1:] if file == "vessel" else parts
+            files[file] = _with(files[file], path_in_file, value, f"{where}: {key}")
+    return scenario_of(files, where=where, vessel_where=f"{where}: vessel")
+
+
+def value_of(scenario: Scenario, key: str, where: str) -> object:
+    """The scenario's own value of a key; InputError, naming `where`, for one that it has not."""
+    if key == VESSEL:
+        return scenario.files["vessel_name"]
+    parts = key.split(".")
+    at = scenario.files["vessel" if parts[0] == VESSEL else "scenario"]
+    for part in parts[1:] if parts[0] == VESSEL else parts:
+        at = at[_place(at, part, f"{where}: {key}")]
+    return at
+
+
+def _with(table: Any, parts: list[str], value: object, where: str) -> Any:
+    """A copy of a table with one of its values replaced; what is not on the way is shared."""
+    place = _place(table, parts[0], where)
+    changed = table.copy()
+    changed[place] = _with(table[place], parts[1:], value, where) if parts[1:] else value
+    return changed
+
+
+def _place(table: Any, part: str, where: str) -> Any:
+    """The key or index that `part` is in a table or list."""
+    if isinstance(table, dict):
+        if part in table:
+            return part
+        raise InputError(where, "", f"no key {part!r} there", one_of(part, sorted(table)))
+    if isinstance(table, list):
+        if part.isdecimal() and int(part) < len(table):
+            return int(part)
+        raise InputError(where, "", part, f"an index from 0 to {len(table) - 1}")
+    stands = "nothing" if table is None else "a value"
+    raise InputError(where, "", f"{stands} above {part!r}", "a key of a table of the scenario")
+
+
+def differ(one: Scenario, other: Scenario, steps: int) -> bool:
+    """Whether two runs of so many steps can differ: in weather, ship, controller or reference."""
+    return _behaviour(one, steps) != _behaviour(other, steps)
+
+
+def _behaviour(scenario: Scenario, steps: int) -> bytes:
+    """All that a run of so many steps depends on; names and titles are no part of it."""
+    sea, sample_s = scenario.environment, scenario.sample_s
+    weather = (
+        sea.stage_table(steps, sample_s, SUBSTEPS),
+        sea.measured_motion(steps, sample_s),
+        sea.noise_table(steps),
+        sea.load_coefficients(scenario.vessel),
+    )
+    ships = [
+        replace(ship, id="", title="", source="", where="")
+        for ship in (scenario.vessel, scenario.true_ship)
+    ]
+    estimation = replace(scenario.estimation, where="")
+    fields = vars(scenario) | _LABELS | {"environment": None, "estimation": estimation}
+    fields |= {"vessel": ships[0], "true_ship": ships[1], "steps": steps}
+    return pickle.dumps((weather, fields))

@@ -1,0 +1,112 @@
+"""Other values of a scenario's keys, against a file written with those values by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dpbench.errors import InputError
+from dpbench.scenario.problem_files import problems_root
+from dpbench.scenario.scenario import load_scenario
+from dpbench.scenario.variation import differ, value_of, varied
+
+
+def _by_hand(tmp_path: Path, name: str, *edits: tuple[str, str]) -> Path:
+    """A shipped scenario's file with some of its text replaced."""
+    text = (problems_root() / "scenarios" / f"{name}.toml").read_text(encoding="utf-8")
+    for old, new in edits:
+        assert text.count(old) == 1, f"{old} stands once in {name}"
+        text = text.replace(old, new)
+    path = tmp_path / f"{name}.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_a_varied_scenario_is_the_file_with_these_values(tmp_path: Path) -> None:
+    """Weather, horizon, an entry of a list and the seed: the documents of a file edited by hand."""
+    values = {
+        "environment.wind.speed_mps": 14.5,
+        "environment.seed": 7,
+        "controller.prediction_horizon": 30,
+        "controller.output_weight.2": 2500.0,
+    }
+    edited = _by_hand(
+        tmp_path,
+        "weather",
+        ("speed_mps = 10.7", "speed_mps = 14.5"),
+        ("seed = 1", "seed = 7"),
+        ("prediction_horizon = 60", "prediction_horizon = 30"),
+        ("[1.0, 1.0, 3000.0]", "[1.0, 1.0, 2500.0]"),
+    )
+    assert varied(load_scenario("weather"), values, "test").files == load_scenario(edited).files
+
+
+def test_keys_of_the_vessel_and_another_vessel() -> None:
+    """A vessel by name gives what scenario@vessel gives; a key of it changes that ship alone."""
+    base = load_scenario("rough")
+    other = varied(base, {"vessel": "supply_mss"}, "test")
+    assert other.files["vessel"] == load_scenario("rough@supply_mss").files["vessel"]
+    heavier = varied(base, {"vessel.limits.surge_N.1": 5e5}, "test")
+    assert heavier.vessel.tau_max[0] == 5e5 and base.vessel.tau_max[0] != 5e5
+    np.testing.assert_array_equal(heavier.vessel.M, base.vessel.M)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"environment.wind.sped_mps": 3.0}, "environment.wind.sped_mps.*speed_mps"),
+        ({"environment.squalls.0.start_s": 3.0}, "environment.squalls.0.start_s.*index"),
+        ({"environment.noise.position_m": 3.0}, "nothing above 'position_m'"),
+        ({"environment.seed.x": 3}, "a value above 'x'"),
+        ({"environment.wind.speed_mps": "much"}, "speed_mps.*'much'"),
+        ({"controller.control_horizon": 70}, "control_horizon.*70"),
+        ({"vessel": "titanic"}, "vessel name.*titanic"),
+    ],
+)
+def test_what_cannot_be_is_said_in_a_line(values: dict[str, object], said: str) -> None:
+    """An unknown key, a key of what the scenario has not, a value of a wrong type or size."""
+    with pytest.raises(InputError, match=said):
+        varied(load_scenario("weather"), values, "study")
+
+
+def test_own_values_and_what_has_none() -> None:
+    """The base's own values are read by the same names."""
+    base = load_scenario("weather")
+    assert value_of(base, "environment.waves.hs_m", "x") == 2.1
+    assert value_of(base, "vessel", "x") == "supply_fs99"
+    assert value_of(base, "controller.output_weight.1", "x") == 1.0
+    with pytest.raises(InputError, match="seeed"):
+        value_of(base, "environment.seeed", "x")
+
+
+@pytest.mark.parametrize(
+    ("scenario", "key", "pair", "steps", "expected"),
+    [
+        ("weather", "environment.seed", (1, 2), 50, True),
+        ("rough", "environment.seed", (1, 2), 50, False),
+        ("rough", "title", ("a", "b"), 50, False),
+        ("rough", "controller.tuning", ("a", "b"), 50, False),
+        ("rough", "start.east_m", (1.0, 2.0), 50, True),
+        ("rough", "controller.move_weight_relative.0", (0.2, 0.3), 50, True),
+        ("weather", "vessel.windage.frontal_m2", (200.0, 300.0), 50, True),
+        ("rough", "environment.ramp_s", (0.0, 40.0), 50, True),
+    ],
+)
+def test_whether_a_key_makes_a_difference(
+    scenario: str, key: str, pair: tuple[object, object], steps: int, expected: bool
+) -> None:
+    """Names and a seed without randomness make none; weather, ship and controller do."""
+    base = load_scenario(scenario)
+    one, other = (varied(base, {key: value}, "test") for value in pair)
+    assert differ(one, other, steps) is expected
+
+
+def test_weather_after_the_last_step_makes_no_difference() -> None:
+    """A squall that begins later than the steps that are run changes none of them."""
+    base = load_scenario("squall")
+    starts = (10.0, 12.0) if base.files["scenario"]["environment"]["squalls"] else ()
+    one, other = (varied(base, {"environment.squalls.0.start_s": start}, "test") for start in starts)
+    assert not differ(one, other, round(5.0 / base.sample_s))
+    assert differ(one, other, round(20.0 / base.sample_s))
