@@ -23,10 +23,11 @@ class Records:
 
     `all_runs`: each row is one of `runs`, which are about the ship, of `slowed`, closed loops on a
     slow computer, of `random`, which have no ship, of `consequence`, which ask whether a loss could
-    be held, of `at_edge`, static allocations around a capability plot, or of another formulation
-    than the common one of its problem; what is selected below is selected from `runs`, so that
-    nothing mixes formulations, nor a solver's mistakes with a computer's. The harness's own
-    configurations are no solvers: they are in `calibration` and nowhere else.
+    be held, of `at_edge`, static allocations around a capability plot, of `study`, which steer one
+    scenario at many points, or of another formulation than the common one of its problem; what is
+    selected below is selected from `runs`, so that nothing mixes formulations, nor a solver's
+    mistakes with a computer's. The harness's own configurations are no solvers: they are in
+    `calibration` and nowhere else.
     """
 
     def __init__(self, results: Results) -> None:
@@ -44,6 +45,7 @@ class Records:
         self.random = [run for run in self.all_runs if run.family]
         self.consequence = [run for run in self.all_runs if run.lost_group]
         self.at_edge = [run for run in self.all_runs if run.at_edge_of]
+        self.study = [run for run in self.all_runs if run.study]
         undelayed = [run for run in self.all_runs if not run.slowdown > 0.0]
         self.runs = _commonly_formulated([run for run in undelayed if not run.has_topic])
         self._steps = results.steps

@@ -34,6 +34,8 @@ class RunRecord:
     family : of a random sequence; "" of every other run.
     lost_group : the failure group whose loss its QPs are about; "" of every other run.
     at_edge_of : the vessel at whose capability's edge its QPs are; "" of every other run.
+    study : the study it belongs to; "" of every other run. point, replicate : its place there, and
+        x the values of the study's keys at that point.
     default_route : whether it runs on its solver's own route, which `Records` finds out.
     own_switches_a_step : involuntary switches a step that the configuration makes itself, which
         `machine.py` finds out; they are not among `involuntary_switches` then. NaN for none.
@@ -92,6 +94,7 @@ class RunRecord:
     latency_max_ns: float
     limit_violations: Count
     r_rms_m: float
+    r_95_m: float
     r_tail_max_m: float
     heading_max_deg: float
     settle_s: float
@@ -114,6 +117,10 @@ class RunRecord:
     family: str = ""
     lost_group: str = ""
     at_edge_of: str = ""
+    study: str = ""
+    point: int = -1
+    replicate: int = 0
+    x: Mapping[str, Any] = field(default_factory=dict)
     default_route: bool = False
     own_switches_a_step: float = np.nan
 
@@ -131,12 +138,17 @@ class RunRecord:
         family = str(source["recipe"]["family"]) if source.get("kind") == "random" else ""
         group = str(source["group"]) if source.get("kind") == "consequence" else ""
         vessel = str(source["vessel_name"]) if source.get("kind") == "capability" else ""
+        study = description.get("study", {"name": "", "point": -1, "replicate": 0, "x": {}})
         return cls(
             **columns,
             description=description,
             family=family,
             lost_group=group,
             at_edge_of=vessel,
+            study=study["name"],
+            point=study["point"],
+            replicate=study["replicate"],
+            x=study["x"],
         )
 
     @property
@@ -148,8 +160,9 @@ class RunRecord:
 
     @property
     def has_topic(self) -> bool:
-        """Whether a topic of its own is about it, and no verdict: its QPs steer no ship."""
-        return bool(self.family or self.lost_group or self.at_edge_of)
+        """Whether a topic of its own is about it, and no verdict: its QPs steer no ship, or one of
+        many in a study."""
+        return bool(self.family or self.lost_group or self.at_edge_of or self.study)
 
     @property
     def problem(self) -> str:

@@ -28,8 +28,12 @@ def study_cells(suite: SuiteFile, solvers: Sequence[str], beside: Path | None) -
         nothing in the steps that are run.
     """
     cells: list[PlannedCell] = []
-    for number, table in enumerate(suite.study):
-        cells += _cells_of(suite, table, f"suite: study {number}", solvers, beside)
+    titles = [table.title for table in suite.study]
+    for table in suite.study:
+        if titles.count(table.title) > 1:
+            allowed = "a name of its own for each study of a suite"
+            raise InputError("suite", "study.name", f"two studies called {table.title!r}", allowed)
+        cells += _cells_of(suite, table, f"suite: study {table.title}", solvers, beside)
         if len(cells) > MOST_CELLS:
             raise InputError("suite", "study", f"{len(cells)} cells", f"at most {MOST_CELLS}")
     return cells
@@ -83,7 +87,7 @@ def _at(
     blank: PlannedCell, table: StudyTable, point: StudyPoint, scenario: Scenario
 ) -> PlannedCell:
     """The cell of a configuration at a point."""
-    study = {"base": table.base, "point": point.index, "replicate": point.replicate}
+    study = {"name": table.title, "point": point.index, "replicate": point.replicate}
     cell = replace(
         blank.cell,
         scenario=scenario.files,

@@ -97,6 +97,10 @@ class StudyTable(RunsTable):
 
     base: str
     """The scenario by name, scenario@vessel, or a TOML file beside the suite."""
+    name: str = ""
+    """What it is called, one word for each study of a suite; by default as its scenario."""
+    radius_m: Annotated[float, Field(gt=0)] = 1.0
+    """A run is held where its radial error stays within this in its second half [m]."""
     solvers: list[str] = []
     """Only these of the suite's solvers; all where it is empty."""
     steps: Annotated[int, Field(ge=0)] = 0
@@ -122,6 +126,11 @@ class StudyTable(RunsTable):
         if self.replicates.count > 1 and self.replicates.key in keys:
             raise ValueError(f"{self.replicates.key!r} in replicates or among the points, not both")
         return self
+
+    @property
+    def title(self) -> str:
+        """Its name, or that of its scenario."""
+        return self.name or self.base
 
     @property
     def keys(self) -> list[str]:

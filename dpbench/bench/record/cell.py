@@ -44,7 +44,7 @@ class Cell:
     solver_module : file of the plug-in that brings the solver; "" for none.
     source : replay only: what its QPs are made from where they are not those of the scenario's
         controller; its `kind`, the `name` of the sequence, and whatever else `source.py` needs.
-    study : closed loop of a study only: its `base`, the `point` and `replicate` it stands for, and
+    study : closed loop of a study only: its `name`, the `point` and `replicate` it stands for, and
         `x`, the values of the point's keys by their dotted names.
     """
 

@@ -127,7 +127,7 @@ IDENTITY_COLUMNS: Columns = {
     "slowdown": ("float64", "how much slower the ship's computer is; 0: it waits for answers"),
     "deadline_s": ("float64", "budget of a step; NaN in replay"),
     "seed": ("int64", "seed of the order of replay rounds"),
-    "study": ("str", "base scenario of the study it belongs to; empty in no study"),
+    "study": ("str", "name of the study it belongs to; empty in no study"),
     "study_point": ("Int64", "point of the study; its keys are in the columns x_<key>"),
     "replicate": ("Int64", "which of the runs at that point, from 1: another sea"),
     "outcome": ("str", "finished | crashed | hung | timed_out | refused | invalid | lost"),

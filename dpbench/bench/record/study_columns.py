@@ -29,7 +29,7 @@ def study_columns(runs: pd.DataFrame) -> pd.DataFrame:
 def _columns_of(study: dict[str, Any]) -> dict[str, Any]:
     values = {f"{PREFIX}{key}": _plain(value) for key, value in study["x"].items()}
     return {
-        "study": study["base"],
+        "study": study["name"],
         "study_point": study["point"],
         "replicate": study["replicate"],
     } | values
