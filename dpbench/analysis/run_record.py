@@ -139,15 +139,14 @@ class RunRecord:
         group = str(source["group"]) if source.get("kind") == "consequence" else ""
         vessel = str(source["vessel_name"]) if source.get("kind") == "capability" else ""
         study = description.get("study", {"name": "", "point": -1, "replicate": 0, "x": {}})
+        columns |= {"study": study["name"], "replicate": study["replicate"]}
         return cls(
             **columns,
             description=description,
             family=family,
             lost_group=group,
             at_edge_of=vessel,
-            study=study["name"],
             point=study["point"],
-            replicate=study["replicate"],
             x=study["x"],
         )
 

@@ -66,7 +66,7 @@ def _blanks(
     """The cells of the base scenario, one for each configuration."""
     ways = {name: getattr(table, name) for name in ("solvers", "settings", "routes", "policies")}
     loops = ClosedLoopTable(scenarios=[table.base], **ways)
-    return [
+    cells = [
         cell_of(
             configuration,
             suite,
@@ -77,9 +77,13 @@ def _blanks(
             fallback="shifted_plan",
         )
         for configuration in configurations_of(solvers, loops)
-        # The baseline law does not look at settings: it runs once.
-        if configuration.solver != BASELINE_LAW
-        or (configuration.settings, configuration.policy) == ("default", "fresh")
+    ]
+    # The baseline law does not look at settings or policies: it runs once, under one name.
+    once = ("default", "fresh")
+    return [
+        replace(blank, alias_settings=()) if blank.cell.solver == BASELINE_LAW else blank
+        for blank in cells
+        if blank.cell.solver != BASELINE_LAW or (blank.cell.settings, blank.cell.policy) == once
     ]
 
 

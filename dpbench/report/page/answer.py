@@ -118,7 +118,7 @@ def _nothing(facts: Facts, found: Recommendation) -> str:
     records = facts.records
     if any(not run.is_baseline_law for run in records.runs):
         return _plain(why_nothing(records, facts.verdicts, found))
-    topics = records.random or records.consequence or records.at_edge
+    topics = records.random or records.consequence or records.at_edge or records.study
     other = topics or records.delayed or records.calibration
     return "" if other else NOBODY
 

@@ -23,6 +23,7 @@ from dpbench.report.topics.replays import (
     race_topic,
     routes_topic,
 )
+from dpbench.report.topics.study import study_topic
 from dpbench.report.topics.sweeps import horizon_topic, slowdown_topic
 from dpbench.report.topics.thrusters import thrusters_topic
 from dpbench.report.topics.trust import trust_topic
@@ -49,6 +50,7 @@ def topics_of(
         worst_case_topic(records),
         horizon_topic(records, demand),
         slowdown_topic(records),
+        study_topic(records),
         random_topic(records),
         consequence_topic(records),
         capability_topic(records, capability),
@@ -87,14 +89,8 @@ def _question(records: Records, topics: Sequence[str]) -> str:
     if "conclusion" in topics:
         return "conclusion"
     if not records.runs:
-        return next(
-            (
-                id
-                for id in ("slowdown", "random", "consequence", "capability", "trust")
-                if id in topics
-            ),
-            "",
-        )
+        asked = ("study", "slowdown", "random", "consequence", "capability", "trust")
+        return next((id for id in asked if id in topics), "")
     if records.delayed or records.random:
         return ""
     if _only(records, "replay"):

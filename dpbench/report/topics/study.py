@@ -1,0 +1,193 @@
+"""A study: what holds where, what a configuration costs in the same seas, how loose it may be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pandas as pd
+from pandas.api.types import is_numeric_dtype
+
+from dpbench.analysis.records import Records
+from dpbench.analysis.study import (
+    SMALL_COST,
+    SMALL_M,
+    PairedDifference,
+    StudiedConfiguration,
+    Study,
+    studies,
+)
+from dpbench.report.charts.study import behind, held_lines, held_maps
+from dpbench.report.formats import and_list, plural, significant
+from dpbench.report.page.topic import Figure, SmallTable, Topic
+
+MOST_MAPS = 6
+"""The reference, and those that hold least, are mapped; more maps than these nobody compares."""
+_HEAD = (
+    "configuration",
+    "runs",
+    "held",
+    "cost over exact",
+    "behind [cm]",
+    "dearer",
+    "shown",
+    "seas for 1 cm",
+)
+
+
+def study_topic(records: Records) -> Topic | None:
+    """The topic; None of records without a study."""
+    known = studies(records)
+    if not known:
+        return None
+    return Topic(
+        id="study",
+        title="Studies: many seas, paired",
+        lines=tuple(line for study in known for line in _lines(study)),
+        figures=tuple(figure for study in known for figure in _figures(study)),
+        tables=tuple(table for study in known for table in _tables(study)),
+    )
+
+
+def _lines(study: Study) -> Iterator[str]:
+    runs, points = study.runs, len(study.points)
+    seas = plural(study.replicates, "sea")
+    yield (
+        f"{study.name}: {plural(len(runs), 'run')} at {plural(points, 'point')} in {seas}; "
+        f"{_separated(study)}"
+    )
+    held = study.configurations[0].held
+    worst = min(study.configurations, key=lambda c: c.held)
+    radius = f"within {study.radius_m:g} m in the second half of a run"
+    yield (
+        f"{study.reference} holds the ship {radius} in {100 * held:.0f} % of them"
+        + (f", {worst.name} in {100 * worst.held:.0f} %." if worst.held < held else ", as all do.")
+    )
+    if study.loosest:
+        yield _loosest(study)
+
+
+def _separated(study: Study) -> str:
+    """Who is shown to be behind the reference in the same seas, and who is not."""
+    others = [c for c in study.configurations if c.behind is not None]
+    worse = [c for c in others if c.behind is not None and c.behind.mean.low > 0.0]
+    worse.sort(key=lambda c: -_mean(c))
+    said = [f"{c.name} by {_cm(_mean(c))} cm" for c in worse[:3]]
+    more = f" and {len(worse) - 3} more" if len(worse) > 3 else ""
+    if not worse:
+        return f"no difference to {study.reference} is shown."
+    same = len(others) - len(worse)
+    rest = f"; of {same} no difference is shown" if same else ""
+    return f"behind {study.reference} in the same sea: {', '.join(said)}{more}{rest}."
+
+
+def _loosest(study: Study) -> str:
+    """The loosest tolerance of each solver that costs next to nothing."""
+    cheap = {s: c for s, c in study.loosest.items() if c is not None}
+    none = [s for s, c in study.loosest.items() if c is None]
+    limits = f"less than {100 * SMALL_M:g} cm and {100 * SMALL_COST:g} % of the cost"
+    parts = [f"{solver} {c.tolerance:g}" for solver, c in cheap.items()]
+    said = f"The loosest tolerance shown to cost {limits}: {and_list(parts)}" if parts else ""
+    without = f"No tolerance of {and_list(none)} is shown to cost {limits}" if none else ""
+    return ". ".join(filter(None, (said, without))) + "."
+
+
+def _figures(study: Study) -> Iterator[Figure]:
+    name = study.name.replace("@", "-").replace("/", "-")
+    maps = _maps(study)
+    keys = [str(key) for key in study.points if is_numeric_dtype(study.points[key])]
+    title = f"Held within {study.radius_m:g} m, {study.name}"
+    if len(keys) > 1:
+        drawn = bool(study.points[keys[0]].nunique() > max(8, len(study.points) // 2))
+        chart = held_maps(maps, title, keys[0], keys[1], drawn=drawn)
+        caption = "Share of seas at each point; a run that did not end is not held."
+        yield Figure(f"study-held-{name}", chart, caption)
+    elif keys:
+        chart = held_lines(maps, title, keys[0])
+        yield Figure(f"study-held-{name}", chart, "Share of seas at each value.")
+    table, seas = _behind(study)
+    if len(table):
+        chart = behind(table, seas, f"Behind {study.reference}, {study.name}", 100 * SMALL_M)
+        caption = "A dot a sea, the mean with its 95 % interval; the band is 1 cm to either side."
+        yield Figure(f"study-behind-{name}", chart, caption)
+
+
+def _maps(study: Study) -> pd.DataFrame:
+    """The maps of the reference and of those that hold least, in columns of the chart."""
+    ordered = sorted(study.configurations[1:], key=lambda c: c.held)[: MOST_MAPS - 1]
+    numeric = study.points.select_dtypes("number").columns.tolist()
+    tables = []
+    for configuration in [study.configurations[0], *ordered]:
+        table = study.held_map(configuration.name)
+        columns = dict(zip(numeric, ("x", "y"), strict=False))
+        part = table.rename(columns=columns)[[*columns.values(), "held", "runs"]]
+        # Points that differ in a third key lie on one another: their seas are counted together.
+        seas = part.assign(held=part["held"] * part["runs"])
+        summed = seas.groupby(list(columns.values()), as_index=False).sum() if columns else seas
+        summed["held"] /= summed["runs"]
+        tables.append(summed.assign(configuration=configuration.name))
+    return pd.concat(tables, ignore_index=True)
+
+
+def _behind(study: Study) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Means with their intervals, and every sea; both in cm."""
+    reference = study.values(study.reference, "r_95_m")
+    rows, seas = [], []
+    for configuration in study.configurations:
+        difference = configuration.behind
+        if difference is None or difference.pairs == 0:
+            continue
+        mean, bounded = difference.mean, np.isfinite(difference.mean.low)
+        rows.append(
+            {
+                "name": configuration.name,
+                "mean_cm": 100 * mean.value,
+                "low_cm": 100 * mean.low if bounded else 100 * mean.value,
+                "high_cm": 100 * mean.high if bounded else 100 * mean.value,
+                "pairs": difference.pairs,
+            }
+        )
+        each = 100 * (study.values(configuration.name, "r_95_m") - reference).dropna()
+        seas.append(each.rename("behind_cm").reset_index().assign(name=configuration.name))
+    return pd.DataFrame(rows), pd.concat(seas, ignore_index=True) if seas else pd.DataFrame()
+
+
+def _tables(study: Study) -> Iterator[SmallTable]:
+    rows = tuple(_row(configuration) for configuration in study.configurations)
+    yield SmallTable(_HEAD, rows, f"{study.name}: against {study.reference} in the same sea")
+    axes = tuple(
+        (str(key), str(values.nunique()), str(values.min()), str(values.max()))
+        for key, values in study.points.items()
+    )
+    if axes:
+        yield SmallTable(("key", "values", "least", "largest"), axes, f"{study.name}: its points")
+
+
+def _row(configuration: StudiedConfiguration) -> tuple[str, ...]:
+    behind_cm, dearer = configuration.behind, configuration.dearer
+    return (
+        configuration.name,
+        f"{configuration.finished} of {configuration.runs}",
+        f"{100 * configuration.held:.0f} %",
+        f"{significant(100 * configuration.cost, 2)} %",
+        "reference" if behind_cm is None else _interval(behind_cm, 100.0),
+        "" if dearer is None else f"{_interval(dearer, 100.0)} %",
+        "" if behind_cm is None else ("yes" if behind_cm.shown else "no"),
+        "" if behind_cm is None else str(behind_cm.replicates_for(SMALL_M) or "–"),
+    )
+
+
+def _interval(difference: PairedDifference, scale: float) -> str:
+    mean = difference.mean
+    if not np.isfinite(mean.low):
+        return f"{significant(scale * mean.value, 2)} (too few seas)"
+    low, high = (significant(scale * value, 2) for value in (mean.low, mean.high))
+    return f"{significant(scale * mean.value, 2)} [{low}, {high}]"
+
+
+def _mean(configuration: StudiedConfiguration) -> float:
+    return 0.0 if configuration.behind is None else configuration.behind.mean.value
+
+
+def _cm(metres: float) -> str:
+    return significant(100.0 * metres, 2)
