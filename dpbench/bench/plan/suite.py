@@ -165,7 +165,7 @@ class RecordedTable(RunsTable):
     """Forms of the QP a solver is given."""
 
 
-class CapabilityTable(_RunsTable):
+class CapabilityTable(RunsTable):
     """The capability plot of a ship: the largest wind its thrusters hold from 36 directions, intact
     and after each failure (DNV-ST-0111, level 1), and the QPs at that edge through every solver.
 
