@@ -7,7 +7,7 @@ is honest: the solver does its work and then keeps the processor busy before the
 import os
 from time import perf_counter_ns
 
-from dpbench.solvers.native.daqp import ADAPTER, DaqpWorkspace
+from dpbench.solvers.libraries.daqp import ADAPTER, DaqpWorkspace
 from dpbench.solvers.plugins import solver_record
 
 SHARE = float(os.environ.get("DPBENCH_SLOWED_BY", "0"))

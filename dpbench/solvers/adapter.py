@@ -1,7 +1,7 @@
 """What the adapter of one library consists of, on route native and on route qpsolvers.
 
 Behind qpsolvers it is data and two small functions; the workspace that drives it is common to all.
-A module of `native/` or `through_qpsolvers/` that holds an adapter is found by `adapters_in`: to
+A module of `libraries/` or `through_qpsolvers/` that holds an adapter is found by `adapters_in`: to
 write the file is to register the solver.
 """
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from dpbench.errors import UnknownNameError, one_of
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter
 from dpbench.solvers.calibration import CALIBRATION, open_calibration
-from dpbench.solvers.native import NATIVE
+from dpbench.solvers.libraries import NATIVE
 from dpbench.solvers.own.adapters import OWN
 from dpbench.solvers.plugins import entry_point_names, find_plugin, load_file, loaded_names
 from dpbench.solvers.record import UNREAD, Build, SolverRecord

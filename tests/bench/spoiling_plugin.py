@@ -5,7 +5,7 @@ import numpy as np
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution
 from dpbench.solvers.contract import Workspace
-from dpbench.solvers.native.quadprog import ADAPTER
+from dpbench.solvers.libraries.quadprog import ADAPTER
 from dpbench.solvers.plugins import solver_record
 
 ARRAYS = ("P", "q", "A", "l", "u", "lb", "ub")

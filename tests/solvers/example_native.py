@@ -1,10 +1,10 @@
-"""A native solver as a newcomer adds it: this file in `native/`, and nothing else.
+"""A native solver as a newcomer adds it: this file in `libraries/`, and nothing else.
 
 It is quadprog under another name, which keeps nothing from step to step.
 """
 
 from dpbench.solvers.adapter import NativeAdapter
-from dpbench.solvers.native.quadprog import QuadprogWorkspace
+from dpbench.solvers.libraries.quadprog import QuadprogWorkspace
 from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord, by_tolerance, stated
 
 RECORD = SolverRecord(

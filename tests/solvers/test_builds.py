@@ -10,7 +10,7 @@ from types import ModuleType
 
 import pytest
 
-from dpbench.solvers.native.hpipm.library import build_of
+from dpbench.solvers.libraries.hpipm.library import build_of
 from dpbench.solvers.record import Build, vectorised_build
 from dpbench.solvers.table import Availability, available
 

@@ -8,7 +8,7 @@ import pytest
 from dpbench.errors import SettingsError
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Status
-from dpbench.solvers.native import NATIVE
+from dpbench.solvers.libraries import NATIVE
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.record import LEVELS, TOLERANCES
 from dpbench.solvers.settings import (

@@ -18,7 +18,7 @@ import dpbench
 from dpbench.errors import DpbenchError, PolicyError, SolverUnavailableError, UnknownNameError
 from dpbench.solvers import table
 from dpbench.solvers.isolation import isolate
-from dpbench.solvers.native import NATIVE
+from dpbench.solvers.libraries import NATIVE
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import TABLE, available, qpsolvers_adapter, record, solver_names
 from dpbench.solvers.through_qpsolvers import ADAPTERS

@@ -13,7 +13,7 @@ from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.adapter import NativeAdapter
 from dpbench.solvers.contract import Options, Policy
-from dpbench.solvers.native.base import SOLVED, NativeWorkspace
+from dpbench.solvers.libraries.native_workspace import SOLVED, NativeWorkspace
 from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord
 from dpbench.solvers.through_qpsolvers import daqp as wrapped
 

@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.solvers.native.hpipm.library import Structures, pointer
+from dpbench.solvers.libraries.hpipm.library import Structures, pointer
 
 Indices = NDArray[np.intp]
 Couplings = list[list[tuple[int, int]]]

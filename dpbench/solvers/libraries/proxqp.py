@@ -25,7 +25,7 @@ from dpbench.qp.program import rows_per_block
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.adapter import NativeAdapter, attributes
 from dpbench.solvers.contract import Options, Policy, shift_into
-from dpbench.solvers.native.base import NativeWorkspace, stacked
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace, stacked
 from dpbench.solvers.record import NAN_IGNORED, RouteRecord, SolverRecord
 from dpbench.solvers.through_qpsolvers import proxqp as wrapped
 

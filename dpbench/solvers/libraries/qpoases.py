@@ -17,7 +17,7 @@ import numpy as np
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.adapter import NativeAdapter
-from dpbench.solvers.native.base import NativeWorkspace
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace
 from dpbench.solvers.record import NAN_ANSWER, RouteRecord, SolverRecord, stated
 
 RECORD = SolverRecord(

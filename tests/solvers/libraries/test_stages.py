@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from dpbench.solvers.native.hpipm.stages import Stage, find_stages
+from dpbench.solvers.libraries.hpipm.stages import Stage, find_stages
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ import scipy.sparse
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.native.base import NativeWorkspace, Start, stacked
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Start, stacked
 from dpbench.solvers.record import RouteRecord
 from dpbench.solvers.through_qpsolvers import qpalm as wrapped
 

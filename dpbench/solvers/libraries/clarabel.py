@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse
 
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.native.base import OneSidedWorkspace
+from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace
 from dpbench.solvers.record import RouteRecord
 from dpbench.solvers.through_qpsolvers import clarabel as wrapped
 

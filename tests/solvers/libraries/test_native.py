@@ -9,8 +9,8 @@ from dpbench.errors import DpbenchError
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.native import NATIVE
-from dpbench.solvers.native.base import Start
+from dpbench.solvers.libraries import NATIVE
+from dpbench.solvers.libraries.native_workspace import Start
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import TABLE, available
 

@@ -9,7 +9,7 @@ import scipy.sparse
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Solution
-from dpbench.solvers.native.base import OneSidedWorkspace, Start
+from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Start
 from dpbench.solvers.record import RouteRecord
 from dpbench.solvers.through_qpsolvers import scs as wrapped
 

@@ -10,7 +10,7 @@ import scipy.sparse
 
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.adapter import NativeAdapter, attributes
-from dpbench.solvers.native.base import OneSidedWorkspace
+from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace
 from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
 
 RECORD = SolverRecord(

@@ -15,8 +15,7 @@ from dpbench.arrays import Vector
 from dpbench.qp.solution import Solution
 from dpbench.solvers.adapter import NativeAdapter
 from dpbench.solvers.contract import Options, Policy
-from dpbench.solvers.native.base import NativeWorkspace, Start, stacked
-from dpbench.solvers.native.hpipm.library import (
+from dpbench.solvers.libraries.hpipm.library import (
     OPTION_NAMES,
     TOLERANCE_NAMES,
     Limits,
@@ -25,6 +24,7 @@ from dpbench.solvers.native.hpipm.library import (
     load_library,
     pointer,
 )
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Start, stacked
 from dpbench.solvers.one_sided import Sides
 from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
 

@@ -9,7 +9,7 @@ import scipy.linalg
 
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.contract import Options, Policy
-from dpbench.solvers.native.base import OneSidedWorkspace
+from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace
 from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord
 from dpbench.solvers.through_qpsolvers import quadprog as wrapped
 

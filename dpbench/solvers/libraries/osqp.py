@@ -11,7 +11,7 @@ from dpbench.arrays import Vector
 from dpbench.errors import DpbenchError
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.contract import Options, Policy
-from dpbench.solvers.native.base import NativeWorkspace, Start, stacked
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Start, stacked
 from dpbench.solvers.record import RouteRecord, SolverRecord
 from dpbench.solvers.through_qpsolvers import osqp as wrapped
 

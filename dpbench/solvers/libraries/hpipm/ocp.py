@@ -15,16 +15,16 @@ from dpbench.arrays import Vector
 from dpbench.qp.solution import Solution
 from dpbench.solvers.adapter import NativeAdapter
 from dpbench.solvers.contract import Options, Policy
-from dpbench.solvers.native.base import NativeWorkspace, Start
-from dpbench.solvers.native.hpipm import dense as hpipm
-from dpbench.solvers.native.hpipm.library import (
+from dpbench.solvers.libraries.hpipm import dense as hpipm
+from dpbench.solvers.libraries.hpipm.library import (
     OPTION_NAMES,
     TOLERANCE_NAMES,
     Structures,
     load_library,
     pointer,
 )
-from dpbench.solvers.native.hpipm.stages import Part, StageData, addresses, find_stages
+from dpbench.solvers.libraries.hpipm.stages import Part, StageData, addresses, find_stages
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Start
 from dpbench.solvers.one_sided import Sides
 from dpbench.solvers.record import SolverRecord, by_tolerance
 

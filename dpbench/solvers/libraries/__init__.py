@@ -2,5 +2,5 @@
 
 from dpbench.solvers.adapter import NativeAdapter, adapters_in
 
-NATIVE = adapters_in(__name__, NativeAdapter, besides=("base",))
+NATIVE = adapters_in(__name__, NativeAdapter, besides=("native_workspace",))
 """By the name of the solver."""

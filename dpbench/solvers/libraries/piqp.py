@@ -10,7 +10,7 @@ import scipy.sparse
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.native.base import NativeWorkspace
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace
 from dpbench.solvers.record import NAN_IGNORED, RouteRecord
 from dpbench.solvers.through_qpsolvers import piqp as wrapped
 
