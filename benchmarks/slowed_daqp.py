@@ -7,7 +7,7 @@ is honest: the solver does its work and then keeps the processor busy before the
 import os
 from time import perf_counter_ns
 
-from dpbench.solvers.libraries.daqp import ADAPTER, DaqpWorkspace
+from dpbench.solvers.libraries.daqp import NATIVE, DaqpWorkspace
 from dpbench.solvers.plugins import solver_record
 
 SHARE = float(os.environ.get("DPBENCH_SLOWED_BY", "0"))
@@ -38,4 +38,4 @@ class SlowedWorkspace(DaqpWorkspace):
 
 def open(policy, options):
     """A workspace of DAQP's own record, whose capabilities are the same."""
-    return SlowedWorkspace(ADAPTER.record, policy, options)
+    return SlowedWorkspace(NATIVE.record, policy, options)

@@ -1,23 +1,23 @@
 """What the adapter of one library consists of, on route native and on route qpsolvers.
 
 Behind qpsolvers it is data and two small functions; the workspace that drives it is common to all.
-A module of `libraries/` or `through_qpsolvers/` that holds an adapter is found by `adapters_in`: to
-write the file is to register the solver.
+A module of `libraries/` that holds an adapter is found by `adapters_in`: to write the file is to
+register the solver.
 """
 
 from __future__ import annotations
 
 import pkgutil
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple
 
 from dpbench.errors import DpbenchError
 from dpbench.qp.solution import Status
 from dpbench.solvers.contract import Options, Policy, Workspace
 from dpbench.solvers.one_sided import Box
-from dpbench.solvers.record import RouteRecord, SolverRecord
+from dpbench.solvers.record import SolverRecord
 
 Opened = Callable[[SolverRecord, Policy, Options], Workspace]
 """Makes a workspace of a record, a policy and validated options."""
@@ -32,14 +32,14 @@ class NativeAdapter:
     record : its row in the table, with what it can do on route native.
     workspace : makes a workspace of this record.
     option_names : the names of the library's settings, asked of the library itself; None where
-        they are not known and not checked.
+        they are those of `settings_object`, or are not known and not checked.
     settings_object : a fresh settings object of the library that takes options as attributes,
         None where it takes them otherwise.
     """
 
     record: SolverRecord
     workspace: Opened
-    option_names: Callable[[], Iterable[str]] | None
+    option_names: Callable[[], Iterable[str]] | None = None
     settings_object: Callable[[], Any] | None = None
 
 
@@ -61,21 +61,27 @@ def found_is_all(answer: Any, options: Options) -> ClaimedStatus:
     return ClaimedStatus(Status.SOLVED) if answer.found else NO_REASON
 
 
-def read_enumerated(statuses: Mapping[str, Status], unit_ns: float) -> ReadStatus:
-    """The `read_status` of a library that times itself only where `compute_timings` asks for it.
+class Enumerated(NamedTuple):
+    """How a library speaks that times itself only where `compute_timings` asks for it.
 
     Parameters
     ----------
-    statuses : by the names of its enumeration; unit_ns : the unit of its run time [ns].
+    statuses : by the names of its enumeration; unit_ns : the unit of its times [ns].
     """
 
-    def read_status(answer: Any, options: Options) -> ClaimedStatus:
-        info = answer.extras["info"]
-        name = info.status.name
-        run_ns = round(info.run_time * unit_ns) if options.get("compute_timings", False) else -1
-        return ClaimedStatus(statuses.get(name, Status.UNKNOWN), int(info.iter), run_ns, name)
+    statuses: Mapping[str, Status]
+    unit_ns: float
 
-    return read_status
+    def __call__(self, info: Any, took: float, options: Options) -> ClaimedStatus:
+        """What its information about a solve says."""
+        name = info.status.name
+        took_ns = round(took * self.unit_ns) if options.get("compute_timings", False) else -1
+        return ClaimedStatus(self.statuses.get(name, Status.UNKNOWN), int(info.iter), took_ns, name)
+
+    def of_run(self, answer: Any, options: Options) -> ClaimedStatus:
+        """The same as a `read_status`, with the run time that counts its set-up."""
+        info = answer.extras["info"]
+        return self(info, info.run_time, options)
 
 
 @dataclass(frozen=True)
@@ -88,10 +94,8 @@ class QpsolversAdapter:
     box : whether bounds reach it as bounds, or as rows prepared once because qpsolvers would
         otherwise append an identity matrix at every solve.
     read_status : what a `qpsolvers.Solution` with extras says, given the options of the call.
-    option_names : the names of the library's settings, asked of the library itself; the members
-        of a group of settings as "group.name"; None where they are not known and not checked.
-    settings_object : a fresh settings object of the library that takes options as attributes,
-        None where it takes them as keywords.
+    option_names, settings_object : as of `NativeAdapter`; the members of a group of settings as
+        "group.name".
     qpsolvers_name : its name in qpsolvers where that is not the name of its record.
     fixed : arguments of every call that are not settings of the algorithm.
     not_found : what is reported where nothing was found and nothing is said about it.
@@ -102,7 +106,7 @@ class QpsolversAdapter:
     record: SolverRecord
     box: Box
     read_status: ReadStatus
-    option_names: Callable[[], Iterable[str]] | None
+    option_names: Callable[[], Iterable[str]] | None = None
     settings_object: Callable[[], Any] | None = None
     qpsolvers_name: str = ""
     fixed: Options = field(default_factory=dict)
@@ -115,10 +119,9 @@ class QpsolversAdapter:
         """Its name in qpsolvers."""
         return self.qpsolvers_name or self.record.name
 
-    def natively(self, can: RouteRecord, workspace: Opened) -> NativeAdapter:
-        """The same library through its own interface as well, with the same settings."""
-        record = self.record.with_native(can)
-        return NativeAdapter(record, workspace, self.option_names, self.settings_object)
+    def natively(self, workspace: Opened) -> NativeAdapter:
+        """The same library through its own interface, with the same settings."""
+        return NativeAdapter(self.record, workspace, self.option_names, self.settings_object)
 
     def claimed_status(self, answer: Any, options: Options) -> ClaimedStatus:
         """Status, iterations and reported time of a `qpsolvers.Solution`.
@@ -146,43 +149,39 @@ def made_by(module: str, name: str) -> Callable[[], Any]:
     return settings_object
 
 
-class _Registered(Protocol):
-    @property
-    def record(self) -> SolverRecord: ...
-
-
-Registered = TypeVar("Registered", bound=_Registered)
-
-
 def adapters_in(
-    package: str, kind: type[Registered], besides: Iterable[str]
-) -> dict[str, Registered]:
+    package: str, besides: Iterable[str]
+) -> tuple[dict[str, NativeAdapter], dict[str, QpsolversAdapter]]:
     """The adapters that the modules of a package hold, by the name of their solver.
 
     Parameters
     ----------
     package : its name, while it is being imported.
-    kind : the class of the adapters; besides : the modules that serve the others and hold none.
+    besides : the modules that serve the others and hold none.
+
+    Returns
+    -------
+    Those of route native, and those of route qpsolvers.
 
     Raises
     ------
-    DpbenchError : a module without an adapter, or two adapters of one name.
+    DpbenchError : a module without an adapter, or two adapters of one name and route.
     """
-    registered: dict[str, Registered] = {}
-    for name in _modules(package):
-        if name in besides:
+    native: dict[str, NativeAdapter] = {}
+    wrapped: dict[str, QpsolversAdapter] = {}
+    for info in pkgutil.iter_modules(import_module(package).__path__):
+        if info.name in besides:
             continue
-        module = import_module(f"{package}.{name}")
-        adapters = [value for value in vars(module).values() if isinstance(value, kind)]
-        if not adapters:
-            raise DpbenchError(f"{module.__name__} holds no {kind.__name__}")
-        for adapter in adapters:
-            if registered.setdefault(adapter.record.name, adapter) is not adapter:
-                raise DpbenchError(
-                    f"{module.__name__}: solver {adapter.record.name} is there twice"
-                )
-    return registered
-
-
-def _modules(package: str) -> Iterator[str]:
-    return (info.name for info in pkgutil.iter_modules(import_module(package).__path__))
+        module = import_module(f"{package}.{info.name}")
+        before = len(native) + len(wrapped)
+        for held in vars(module).values():
+            taken = False
+            if isinstance(held, NativeAdapter):
+                taken = native.setdefault(held.record.name, held) is not held
+            elif isinstance(held, QpsolversAdapter):
+                taken = wrapped.setdefault(held.record.name, held) is not held
+            if taken:
+                raise DpbenchError(f"{module.__name__}: solver {held.record.name} is there twice")
+        if len(native) + len(wrapped) == before:
+            raise DpbenchError(f"{module.__name__} holds no adapter")
+    return native, wrapped

@@ -60,7 +60,7 @@ def _opened(row: SolverRecord, route: Route, policy: Policy, settings: Settings)
     # without their warnings.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        from dpbench.solvers.through_qpsolvers.workspace import QpsolversWorkspace
+        from dpbench.solvers.libraries.qpsolvers_workspace import QpsolversWorkspace
 
     return QpsolversWorkspace(adapter, policy, options)
 

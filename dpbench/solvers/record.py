@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 from dpbench.solvers.contract import Form, Options, Policy, Route
@@ -271,7 +271,3 @@ class SolverRecord:
             return ""
         usual = REFUSED_BY_QPSOLVERS if route == "qpsolvers" else {}
         return can.refused.get(policy) or usual.get(policy, NOT_OFFERED)
-
-    def with_native(self, native: RouteRecord) -> SolverRecord:
-        """The same solver, reached through its own interface as well."""
-        return replace(self, routes={**self.routes, "native": native})

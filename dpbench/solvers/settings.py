@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from dpbench.errors import SettingsError
-from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter
+from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, attributes
 from dpbench.solvers.contract import Options, Settings
 from dpbench.solvers.record import DEFAULT, LEVELS, MID, TOLERANCES
 from dpbench.solvers.table import record
@@ -33,10 +33,13 @@ def resolve(settings: Settings, adapter: NativeAdapter | QpsolversAdapter) -> Op
     name = adapter.record.name
     if isinstance(settings, str):
         return dict(level_options(settings, name))
+    target = None if adapter.settings_object is None else adapter.settings_object()
     if adapter.option_names is not None:
         check_names(name, settings, adapter.option_names())
-    if adapter.settings_object is not None:
-        _check_values(name, settings, adapter.settings_object())
+    elif target is not None:
+        check_names(name, settings, attributes(target))
+    if target is not None:
+        _check_values(name, settings, target)
     return {**adapter.record.levels.get(DEFAULT, {}), **settings}
 
 

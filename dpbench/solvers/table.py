@@ -12,17 +12,16 @@ from pathlib import Path
 from dpbench.errors import UnknownNameError, one_of
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter
 from dpbench.solvers.calibration import CALIBRATION, open_calibration
-from dpbench.solvers.libraries import NATIVE
+from dpbench.solvers.libraries import NATIVE, THROUGH_QPSOLVERS
+from dpbench.solvers.libraries.generic import generic_adapter, is_served
 from dpbench.solvers.own.adapters import OWN
 from dpbench.solvers.plugins import entry_point_names, find_plugin, load_file, loaded_names
 from dpbench.solvers.record import UNREAD, Build, SolverRecord
-from dpbench.solvers.through_qpsolvers import ADAPTERS
-from dpbench.solvers.through_qpsolvers.generic import generic_adapter, is_served
 
 _ON_NATIVE: dict[str, NativeAdapter] = {**NATIVE, **OWN}
 TABLE: dict[str, SolverRecord] = {
-    name: _ON_NATIVE[name].record if name in _ON_NATIVE else ADAPTERS[name].record
-    for name in sorted({*_ON_NATIVE, *ADAPTERS})
+    name: _ON_NATIVE[name].record if name in _ON_NATIVE else THROUGH_QPSOLVERS[name].record
+    for name in sorted({*_ON_NATIVE, *THROUGH_QPSOLVERS})
 }
 """The solvers of this house and the libraries it has adapters for, in alphabetical order."""
 
@@ -84,7 +83,7 @@ def native_adapter(name: str) -> NativeAdapter:
 
 def qpsolvers_adapter(name: str) -> QpsolversAdapter:
     """The adapter of a solver on route qpsolvers."""
-    return ADAPTERS[name] if name in ADAPTERS else generic_adapter(name)
+    return THROUGH_QPSOLVERS[name] if name in THROUGH_QPSOLVERS else generic_adapter(name)
 
 
 def load_solver_module(path: str | Path) -> SolverRecord:

@@ -5,7 +5,7 @@ import numpy as np
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution
 from dpbench.solvers.contract import Workspace
-from dpbench.solvers.libraries.quadprog import ADAPTER
+from dpbench.solvers.libraries.quadprog import NATIVE
 from dpbench.solvers.plugins import solver_record
 
 ARRAYS = ("P", "q", "A", "l", "u", "lb", "ub")
@@ -68,7 +68,7 @@ class Spoiling(Workspace):
 
 def open(policy, options):
     """A workspace; one that is `fresh` is set up at every step."""
-    return Spoiling(ADAPTER.workspace(ADAPTER.record, policy, options))
+    return Spoiling(NATIVE.workspace(NATIVE.record, policy, options))
 
 
 RECORD = solver_record(

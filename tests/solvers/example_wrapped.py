@@ -1,10 +1,11 @@
-"""A solver behind qpsolvers as a newcomer adds it: this file in `through_qpsolvers/`, no more."""
+"""A solver behind qpsolvers as a newcomer adds it: this file in `libraries/`, and nothing else."""
 
 from dataclasses import replace
 
 from dpbench.solvers.adapter import QpsolversAdapter
-from dpbench.solvers.through_qpsolvers import quadprog
+from dpbench.solvers.libraries import quadprog
 
-RECORD = replace(quadprog.RECORD, name="newcomer_wrapped", method="that of quadprog")
-ADAPTER = replace(quadprog.ADAPTER, record=RECORD, qpsolvers_name="quadprog")
+ROUTES = {"qpsolvers": quadprog.RECORD.on("qpsolvers")}
+RECORD = replace(quadprog.RECORD, name="newcomer_wrapped", method="that of quadprog", routes=ROUTES)
+ADAPTER = replace(quadprog.THROUGH_QPSOLVERS, record=RECORD, qpsolvers_name="quadprog")
 assert isinstance(ADAPTER, QpsolversAdapter)

@@ -15,13 +15,13 @@ import pytest
 
 import dpbench
 from dpbench.errors import DpbenchError
-from dpbench.solvers.adapter import NativeAdapter, adapters_in
+from dpbench.solvers.adapter import adapters_in
 
 HERE, ROOT = Path(__file__).parent, Path(dpbench.__file__).parents[1]
 (TEXT,) = re.findall(
     r"^- \*\*a solver\*\*:(.*?)^- ", (ROOT / "CONTRIBUTING.md").read_text(), re.M | re.S
 )
-NATIVE, WRAPPED = re.findall(r"`(dpbench/solvers/\w+/)`", TEXT)
+(ROOM,) = re.findall(r"`(dpbench/solvers/\w+/)`", TEXT)
 NEWCOMERS = ("newcomer", "newcomer_wrapped")
 
 
@@ -34,8 +34,8 @@ def copied(tmp_path_factory: pytest.TempPathFactory) -> Path:
     passing = shutil.ignore_patterns("*.pyc*", "*.tmp*")
     shutil.copytree(ROOT / "dpbench", root / "dpbench", ignore=passing)
     shutil.copytree(HERE, root / "tests", ignore=passing)
-    shutil.copy(HERE / "example_native.py", root / NATIVE / "newcomer.py")
-    shutil.copy(HERE / "example_wrapped.py", root / WRAPPED / "newcomer_wrapped.py")
+    shutil.copy(HERE / "example_native.py", root / ROOM / "newcomer.py")
+    shutil.copy(HERE / "example_wrapped.py", root / ROOM / "newcomer_wrapped.py")
     return root
 
 
@@ -115,13 +115,12 @@ def test_a_file_without_an_adapter_is_an_error(
     for name in ("one", "two"):
         (folder / f"{name}.py").write_text((HERE / "example_native.py").read_text())
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(DpbenchError, match=r"two_solvers.helper holds no NativeAdapter"):
-        adapters_in("two_solvers", NativeAdapter, besides=())
+    with pytest.raises(DpbenchError, match=r"two_solvers.helper holds no adapter"):
+        adapters_in("two_solvers", besides=())
     with pytest.raises(DpbenchError, match=r"two_solvers.two: solver newcomer is there twice"):
-        adapters_in("two_solvers", NativeAdapter, besides=("helper",))
-    assert list(adapters_in("two_solvers", NativeAdapter, besides=("helper", "two"))) == [
-        "newcomer"
-    ]
+        adapters_in("two_solvers", besides=("helper",))
+    native, wrapped = adapters_in("two_solvers", besides=("helper", "two"))
+    assert list(native) == ["newcomer"] and not wrapped
 
 
 @pytest.mark.parametrize("field", ["family", "levels", "project", "routes"])

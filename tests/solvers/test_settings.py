@@ -8,7 +8,7 @@ import pytest
 from dpbench.errors import SettingsError
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Status
-from dpbench.solvers.libraries import NATIVE
+from dpbench.solvers.libraries import NATIVE, THROUGH_QPSOLVERS
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.record import LEVELS, TOLERANCES
 from dpbench.solvers.settings import (
@@ -19,7 +19,6 @@ from dpbench.solvers.settings import (
     settings_matter,
 )
 from dpbench.solvers.table import TABLE
-from dpbench.solvers.through_qpsolvers import ADAPTERS
 
 # Names that the libraries keep no list of, with a value each may take.
 WRITTEN_DOWN = {
@@ -73,7 +72,7 @@ def solve(solver, settings, qp):
 def test_every_level_is_accepted_by_the_library(installed, name, sequence):
     """Each key of a level is a key of the library, on each route, and it solves with it."""
     options = level_options(name, installed)
-    for adapters in (ADAPTERS, NATIVE):
+    for adapters in (THROUGH_QPSOLVERS, NATIVE):
         if installed in adapters:
             assert resolve(dict(options), adapters[installed]) == options
     expected = UNREACHED.get((installed, name), Status.SOLVED)
@@ -167,7 +166,7 @@ def test_osqp_adapts_its_penalty_by_iterations_at_every_level():
     """No name of OSQP's settings leaves the interval of adaptation to a clock."""
     for name in setting_names("osqp"):
         assert "adaptive_rho_interval=50" in describe_levels("osqp").splitlines()[0]
-        assert resolve(name, ADAPTERS["osqp"])["adaptive_rho_interval"] == 50
+        assert resolve(name, THROUGH_QPSOLVERS["osqp"])["adaptive_rho_interval"] == 50
     assert resolve({"eps_abs": 1e-5}, NATIVE["osqp"])["adaptive_rho_interval"] == 50
 
 
@@ -214,7 +213,7 @@ def test_an_unknown_name_is_refused(installed):
 def test_names_written_down_are_the_librarys(solver, sequence):
     """Each name that had to be written down is taken by the library, one at a time."""
     values = WRITTEN_DOWN[solver]
-    assert sorted(values) == sorted(ADAPTERS[solver].option_names())
+    assert sorted(values) == sorted(THROUGH_QPSOLVERS[solver].option_names())
     for key, value in values.items():
         answer = solve(solver, {key: value}, sequence.base)
         assert answer.status is Status.SOLVED, f"{key}: {answer.detail}"

@@ -18,10 +18,9 @@ import dpbench
 from dpbench.errors import DpbenchError, PolicyError, SolverUnavailableError, UnknownNameError
 from dpbench.solvers import table
 from dpbench.solvers.isolation import isolate
-from dpbench.solvers.libraries import NATIVE
+from dpbench.solvers.libraries import NATIVE, THROUGH_QPSOLVERS
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import TABLE, available, qpsolvers_adapter, record, solver_names
-from dpbench.solvers.through_qpsolvers import ADAPTERS
 
 NATIVE_ONLY = [
     "hpipm",
@@ -63,7 +62,7 @@ def test_every_promised_solver_is_in_the_table():
 
 def test_no_adapter_is_hidden_by_another():
     """A solver with an adapter on each route has both of them in its row, wrapped by default."""
-    for name in ADAPTERS:
+    for name in THROUGH_QPSOLVERS:
         assert TABLE[name].default_route == "qpsolvers"
     assert all("native" in TABLE[name].routes for name in NATIVE)
 

@@ -1,6 +1,8 @@
-"""The libraries through their own interfaces, one module each: to write it is to register it."""
+"""The libraries, one module each, with its routes: to write the module is to register it."""
 
-from dpbench.solvers.adapter import NativeAdapter, adapters_in
+from dpbench.solvers.adapter import adapters_in
 
-NATIVE = adapters_in(__name__, NativeAdapter, besides=("native_workspace",))
+NATIVE, THROUGH_QPSOLVERS = adapters_in(
+    __name__, besides=("generic", "native_workspace", "qpsolvers_workspace")
+)
 """By the name of the solver."""

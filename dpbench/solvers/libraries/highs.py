@@ -1,4 +1,5 @@
-"""HiGHS through its own interface: two-sided, vectors changed in its model, no start."""
+"""HiGHS: two-sided, vectors changed in its model, no start; and behind qpsolvers, which passes on
+whether an answer was found and nothing else."""
 
 from __future__ import annotations
 
@@ -9,20 +10,51 @@ import scipy.sparse
 
 from dpbench.arrays import Vector
 from dpbench.errors import DpbenchError
-from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.libraries.native_workspace import NativeWorkspace
-from dpbench.solvers.record import RouteRecord
-from dpbench.solvers.through_qpsolvers import highs as wrapped
+from dpbench.qp.solution import Status
+from dpbench.solvers.adapter import QpsolversAdapter, found_is_all, made_by
+from dpbench.solvers.libraries.native_workspace import Claim, NativeWorkspace, Point
+from dpbench.solvers.record import NAN_IGNORED, RouteRecord, SolverRecord, by_tolerance, stated
 
-NATIVE = RouteRecord(
-    policies=("fresh", "reuse"),
-    updates="vectors",
-    two_sided=True,
-    refused={
-        "warm": "its QP solver takes no start: with the basis kept or cleared the answers and "
-        "iterations are the same to the last bit"
+RECORD = SolverRecord(
+    name="highs",
+    family="active set",
+    method="primal null-space active set",
+    distribution="highspy",
+    module="highspy",
+    extra="solvers",
+    form="csc",
+    routes={
+        "qpsolvers": RouteRecord(("fresh",), detects_infeasibility=False, faults=NAN_IGNORED),
+        "native": RouteRecord(
+            ("fresh", "reuse"),
+            updates="vectors",
+            two_sided=True,
+            refused={
+                "warm": "its QP solver takes no start: with the basis kept or cleared the answers "
+                "and iterations are the same to the last bit"
+            },
+        ),
     },
+    levels=by_tolerance(
+        "primal_feasibility_tolerance", "dual_feasibility_tolerance", qp_regularization_value=0.0
+    ),
+    project=stated(
+        licence=("MIT", "HiGHS, metadata of its distribution"),
+        language=("C++, C interface", "HiGHS documentation, front page"),
+    ),
 )
+
+
+settings_object = made_by("highspy", "HighsOptions")
+# Without a solution HiGHS fills x with zeros, which must not be taken for an iterate.
+THROUGH_QPSOLVERS = QpsolversAdapter(
+    RECORD,
+    "native",
+    found_is_all,
+    settings_object=settings_object,
+    iterate_when_not_found=False,
+)
+
 
 STATUS = {
     "kOptimal": Status.SOLVED,
@@ -87,21 +119,21 @@ class HighsWorkspace(NativeWorkspace):
     def _call(self) -> None:
         self._solver.run()
 
-    def _answer(self) -> Solution:
-        solver = self._solver
-        name = str(solver.getModelStatus().name)
-        status = STATUS.get(name, Status.UNKNOWN)
-        iterations = int(solver.getInfo().qp_iteration_count)
-        solution = solver.getSolution()
-        if not (status.usable and solution.value_valid):
-            return self._missing(status, name, iterations)
-        z = np.array(solution.col_value)
+    def _claimed(self) -> Claim:
+        name = str(self._solver.getModelStatus().name)
+        iterations = int(self._solver.getInfo().qp_iteration_count)
+        return STATUS.get(name, Status.UNKNOWN), iterations, -1, name
+
+    def _point(self) -> Point | None:
+        solution = self._solver.getSolution()
+        if not solution.value_valid:
+            return None
         if solution.dual_valid:
             # Its multipliers are positive at a lower limit.
             y, y_box = -np.array(solution.row_dual), -np.array(solution.col_dual)
         else:
             y, y_box = np.full(self._m, np.nan), np.full(self._n, np.nan)
-        return Solution(status, z, y, y_box, iterations, detail=name)
+        return np.array(solution.col_value), y, y_box
 
 
-ADAPTER = wrapped.ADAPTER.natively(NATIVE, HighsWorkspace)
+NATIVE = THROUGH_QPSOLVERS.natively(HighsWorkspace)

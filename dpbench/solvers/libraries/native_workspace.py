@@ -24,6 +24,9 @@ from dpbench.solvers.contract import Options, Policy, Workspace, check_step, not
 from dpbench.solvers.one_sided import OneSidedForm
 from dpbench.solvers.record import SolverRecord
 
+Claim = tuple[Status, int, int, str]
+"""Status, iterations, reported time [ns] and the library's word, as in `ClaimedStatus`."""
+Point = tuple[Vector, Vector, Vector]
 NOT_SOLVED = "read before solve"
 SOLVED = Status.SOLVED  # looking it up in its class takes 50 ns
 
@@ -33,9 +36,11 @@ class NativeWorkspace(Workspace):
 
     A subclass gives `_convert` (the matrices `_P, _A, _lb, _ub` in the library's form, once, as
     route qpsolvers does), `_build` (a new library object from these and `_q, _l, _u`),
-    `_hand_over` (the vectors of a step), `_call` (the solve) and `_answer` (the `Solution`, with
-    the library's word for its status as `detail`);
-    whatever these raise becomes the status ERROR with the library's words.
+    `_hand_over` (the vectors of a step), `_call` (the solve, unless it is `_solver.solve()`),
+    `_claimed` (what the library says of its answer, in its own word for the status) and `_point`
+    (the answer); whatever these raise becomes the status ERROR with the library's words.
+
+    Where the record says that a warm start is made of vectors, `_start` holds the previous answer.
 
     Parameters
     ----------
@@ -44,12 +49,17 @@ class NativeWorkspace(Workspace):
     options : the library's own settings, already validated.
     """
 
+    _solver: Any
+    _result: Any = None
+    _start: Start
+
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
         super().__init__(record.name, "native", policy)
         self.form = record.form
         self._library: Any = import_module(record.module)
         self.setup_every_step = policy == "fresh"
         self._warm = policy == "warm"
+        self._given_start = self._warm and record.on("native").start != "active set"
         self._options = dict(options)
         self._n, self._m, self._block = -1, -1, 0
         self._converted = self._used = False
@@ -68,13 +78,24 @@ class NativeWorkspace(Workspace):
     def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
         """Give the library the vectors of a step; nothing else has changed."""
 
-    @abstractmethod
     def _call(self) -> None:
         """Let the library solve."""
+        self._result = self._solver.solve()
 
     @abstractmethod
+    def _claimed(self) -> Claim:
+        """What the library says about its last answer."""
+
+    @abstractmethod
+    def _point(self) -> Point | None:
+        """z, y and y_box in memory of their own, None if there are none; asked of usable ones."""
+
     def _answer(self) -> Solution:
-        """The library's last answer in memory of its own."""
+        status, iterations, reported_ns, detail = self._claimed()
+        point = self._point() if status.usable else None
+        if point is None:
+            return self._missing(status, iterations, reported_ns, detail)
+        return Solution(status, *point, iterations, reported_ns, detail)
 
     def _configure(self, settings: Any) -> None:
         """Write the options into a settings object of the library."""
@@ -89,7 +110,16 @@ class NativeWorkspace(Workspace):
     def _build_for(self, q: Vector, low: Vector, high: Vector) -> None:
         """Keep the vectors of a step and make a new library object for them."""
         self._q[:], self._l[:], self._u[:] = q, low, high
+        self._renew()
+
+    def _renew(self) -> None:
+        if self._given_start:
+            self._start = Start(self._n, self._m, self._block)
         self._build()
+
+    def _advanced(self) -> bool:
+        """Whether there is a start for this step; `_start` is it."""
+        return self._given_start and self._start.advance()
 
     def setup(self, qp: QuadraticProgram) -> None:
         """Copy the problem and make a new library object; forgets every earlier answer."""
@@ -155,7 +185,7 @@ class NativeWorkspace(Workspace):
             if not self._converted:
                 self._convert()
                 self._converted = True
-            self._build()
+            self._renew()
         except (KeyboardInterrupt, SystemExit):
             raise
         except BaseException as error:  # a panic of Rust is no Exception
@@ -182,9 +212,9 @@ class NativeWorkspace(Workspace):
             raise not_set_up("read")
         if self._failure:
             self._unread = False
-            return self._missing(Status.ERROR, self._failure)
+            return self._missing(Status.ERROR, -1, -1, self._failure)
         if not self._done:
-            return self._missing(Status.ERROR, NOT_SOLVED)
+            return self._missing(Status.ERROR, -1, -1, NOT_SOLVED)
         solution = self._answer()
         if solution.status is SOLVED:
             solution.detail = ""
@@ -199,10 +229,10 @@ class NativeWorkspace(Workspace):
 
     def _remember(self, solution: Solution) -> None:
         """Keep what the next start is made of; nothing where the library keeps it itself."""
+        if self._given_start:
+            self._start.remember(solution)
 
-    def _missing(
-        self, status: Status, detail: str = "", iterations: int = -1, reported_ns: int = -1
-    ) -> Solution:
+    def _missing(self, status: Status, iterations: int, reported_ns: int, detail: str) -> Solution:
         solution = Solution.missing(self._n, self._m, status, detail)
         solution.iterations, solution.reported_ns = iterations, reported_ns
         return solution

@@ -1,29 +1,124 @@
-"""OSQP through its extension module: vectors updated, start given or cold, data copied by it."""
+"""OSQP: its extension module, vectors updated, start given or cold, data copied by it; status
+values of its C library, time in seconds."""
 
 from __future__ import annotations
 
 from importlib import import_module
+from typing import Any
 
 import numpy as np
 import scipy.sparse
 
 from dpbench.arrays import Vector
 from dpbench.errors import DpbenchError
-from dpbench.qp.solution import Solution, Status
+from dpbench.qp.solution import Status
+from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter
 from dpbench.solvers.contract import Options, Policy
-from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Start, stacked
-from dpbench.solvers.record import RouteRecord, SolverRecord
-from dpbench.solvers.through_qpsolvers import osqp as wrapped
-
-NATIVE = RouteRecord(
-    policies=("fresh", "reuse", "warm"),
-    updates="vectors",
-    keeps="the step size ρ it has adapted, and the scale of the cost it took from q at its set-up",
-    start="primal and dual",
-    two_sided=True,
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stacked
+from dpbench.solvers.record import (
+    DEFAULT,
+    HIGH,
+    Build,
+    CSettings,
+    RouteRecord,
+    SolverRecord,
+    by_tolerance,
+    stated,
 )
 
-STATUS = wrapped.STATUS
+
+def build() -> Build:
+    """The linear algebra it takes when none is asked for."""
+    return Build(f"algebra {import_module('osqp').default_algebra()}")
+
+
+# OSQP 1.x adapts ρ every so many iterations by default, as others did by the clock: said aloud.
+_LEVELS = by_tolerance(
+    "eps_abs",
+    eps_rel=0.0,
+    max_iter=200_000,
+    always={"adaptive_rho": 1, "adaptive_rho_interval": 50},
+)
+# Polishing is a second algorithm whose failures are silent, so it has names of its own.
+_POLISHED = {f"{name}_polished": {**_LEVELS[name], "polishing": True} for name in (DEFAULT, HIGH)}
+
+RECORD = SolverRecord(
+    name="osqp",
+    family="first order",
+    method="operator splitting (ADMM)",
+    distribution="osqp",
+    module="osqp",
+    extra="core",
+    form="csc",
+    routes={
+        "qpsolvers": RouteRecord(("fresh", "warm"), start="primal"),
+        "native": RouteRecord(
+            ("fresh", "reuse", "warm"),
+            updates="vectors",
+            keeps="the step size ρ it has adapted, and the scale of the cost it took from q at its "
+            "set-up",
+            start="primal and dual",
+            two_sided=True,
+        ),
+    },
+    levels={**_LEVELS, **_POLISHED},
+    project=stated(
+        licence=("Apache-2.0", "OSQP, metadata of its distribution"),
+        language=("C, library-free", "OSQP web site, Features"),
+        c_code=("yes, generates code for a problem", "OSQP web site, Features: Embeddable"),
+        allocation_free=("yes, generated code", "OSQP web site, Features: no memory manager"),
+        single_precision=("yes, OSQP_USE_FLOAT", "OSQP source, osqp_api_types.h"),
+        c_settings=CSettings(
+            "OSQPSettings", "osqp_set_default_settings", "OSQP source, osqp_api_types.h"
+        ),
+    ),
+    build=build,
+)
+
+STATUS = {
+    1: Status.SOLVED,
+    2: Status.INACCURATE,
+    3: Status.PRIMAL_INFEASIBLE,
+    4: Status.PRIMAL_INFEASIBLE,
+    5: Status.DUAL_INFEASIBLE,
+    6: Status.DUAL_INFEASIBLE,
+    7: Status.MAX_ITERATIONS,
+    8: Status.TIME_LIMIT,
+    9: Status.NUMERICAL_ERROR,
+    10: Status.ERROR,
+}
+
+
+def claimed(info: Any, took_s: float) -> ClaimedStatus:
+    """What OSQP's information about a solve says."""
+    status = STATUS.get(int(info.status_val), Status.UNKNOWN)
+    return ClaimedStatus(status, int(info.iter), round(took_s * 1e9), str(info.status))
+
+
+def read_status(answer: Any, options: Options) -> ClaimedStatus:
+    """Status, iterations and the run time with set-up."""
+    info = answer.extras["info"]
+    return claimed(info, info.run_time)
+
+
+def settings_object() -> Any:
+    """OSQP's settings at their defaults."""
+    library = import_module("osqp.ext_builtin")
+    settings = library.OSQPSettings()
+    library.osqp_set_default_settings(settings)
+    return settings
+
+
+# Without raise_error, osqp 1.1 raises a warning at every solve.
+THROUGH_QPSOLVERS = QpsolversAdapter(
+    RECORD,
+    "rows",
+    read_status,
+    settings_object=settings_object,
+    fixed={"raise_error": False},
+)
+
+
 INFINITY = 1e30  # OSQP_INFTY
 
 
@@ -48,7 +143,7 @@ class OsqpWorkspace(NativeWorkspace):
         np.minimum(high, INFINITY, out=self._high_rows)
 
     def _build(self) -> None:
-        settings = wrapped.settings_object()
+        settings = settings_object()
         settings.verbose, settings.warm_starting = False, self._warm
         self._configure(settings)
         self._fill(self._l, self._u)
@@ -56,30 +151,22 @@ class OsqpWorkspace(NativeWorkspace):
         self._solver = self._library.OSQPSolver(
             self._P_upper, self._q, self._rows, self._low, self._high, m + n, n, settings
         )
-        self._start = Start(n, m, self._block)
 
     def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
         self._fill(low, high)
         if self._solver.update_data_vec(q=q, l=self._low, u=self._high):
             raise DpbenchError("OSQP refuses the vectors: a lower limit lies above the upper one")
-        if self._warm and self._start.advance():
+        if self._advanced():
             self._solver.warm_start(self._start.z, self._start.dual)
 
-    def _call(self) -> None:
-        self._solver.solve()
+    def _claimed(self) -> ClaimedStatus:
+        info = self._solver.info
+        return claimed(info, info.solve_time)
 
-    def _answer(self) -> Solution:
-        info, m = self._solver.info, self._m
-        status = STATUS.get(int(info.status_val), Status.UNKNOWN)
-        reported_ns, detail = round(info.solve_time * 1e9), str(info.status)
-        if not status.usable:
-            return self._missing(status, detail, info.iter, reported_ns)
-        solution = self._solver.solution
+    def _point(self) -> Point:
+        solution, m = self._solver.solution, self._m
         z, y = solution.x, solution.y  # copies, made by the library's interface
-        return Solution(status, z, y[:m], y[m:], info.iter, reported_ns, detail)
-
-    def _remember(self, solution: Solution) -> None:
-        self._start.remember(solution)
+        return z, y[:m], y[m:]
 
 
-ADAPTER = wrapped.ADAPTER.natively(NATIVE, OsqpWorkspace)
+NATIVE = THROUGH_QPSOLVERS.natively(OsqpWorkspace)

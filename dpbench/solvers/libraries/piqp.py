@@ -1,34 +1,92 @@
-"""PIQP through its own interface, dense, sparse or by stages: vectors updated, no start."""
+"""PIQP, dense, sparse or by stages: vectors updated, no start; its status enumeration, time in
+seconds."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 import scipy.sparse
 
 from dpbench.arrays import Vector
-from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.libraries.native_workspace import NativeWorkspace
-from dpbench.solvers.record import NAN_IGNORED, RouteRecord
-from dpbench.solvers.through_qpsolvers import piqp as wrapped
-
-NATIVE = RouteRecord(
-    policies=("fresh", "reuse"),
-    updates="vectors",
-    two_sided=True,
-    refused={"warm": "PIQP has no interface for a start"},
-    faults=NAN_IGNORED,
+from dpbench.qp.solution import Status
+from dpbench.solvers.adapter import ClaimedStatus, Enumerated, QpsolversAdapter
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point
+from dpbench.solvers.record import (
+    NAN_IGNORED,
+    RouteRecord,
+    SolverRecord,
+    by_tolerance,
+    stated,
+    vectorised_build,
 )
-SPARSE = replace(wrapped.RECORD, name="piqp_sparse", form="csc", routes={"native": NATIVE})
+
+RECORD = SolverRecord(
+    name="piqp",
+    family="interior point",
+    method="proximal interior point",
+    distribution="piqp",
+    module="piqp",
+    extra="core",
+    form="dense",
+    routes={
+        "qpsolvers": RouteRecord(("fresh",), faults=NAN_IGNORED),
+        "native": RouteRecord(
+            ("fresh", "reuse"),
+            updates="vectors",
+            two_sided=True,
+            refused={"warm": "PIQP has no interface for a start"},
+            faults=NAN_IGNORED,
+        ),
+    },
+    levels=by_tolerance(
+        "eps_abs",
+        "eps_duality_gap_abs",
+        eps_rel=0.0,
+        check_duality_gap=True,
+        eps_duality_gap_rel=0.0,
+        max_iter=1000,
+    ),
+    project=stated(
+        licence=("BSD-2-Clause", "PIQP README, Features"),
+        language=("C++14, C interface", "PIQP README, Features and Interfaces"),
+        allocation_free=("yes, updates and re-solves", "PIQP README, Features"),
+    ),
+    build=lambda: vectorised_build("piqp.piqp_python"),
+)
+
+STATUS = {
+    "PIQP_SOLVED": Status.SOLVED,
+    "PIQP_MAX_ITER_REACHED": Status.MAX_ITERATIONS,
+    "PIQP_PRIMAL_INFEASIBLE": Status.PRIMAL_INFEASIBLE,
+    "PIQP_DUAL_INFEASIBLE": Status.DUAL_INFEASIBLE,
+    "PIQP_NUMERICS": Status.NUMERICAL_ERROR,
+    "PIQP_INVALID_SETTINGS": Status.ERROR,
+}
+CLAIMED = Enumerated(STATUS, 1e9)
+
+
+def settings_object() -> Any:
+    """PIQP's settings at their defaults."""
+    return import_module("piqp").DenseSolver().settings
+
+
+THROUGH_QPSOLVERS = QpsolversAdapter(
+    RECORD,
+    "native",
+    CLAIMED.of_run,
+    settings_object=settings_object,
+)
+
+
+SPARSE = replace(RECORD, name="piqp_sparse", form="csc", routes={"native": RECORD.on("native")})
 MULTISTAGE = replace(
     SPARSE,
     name="piqp_multistage",
     method="proximal interior point, factorised stage by stage",
 )
-
-STATUS = wrapped.STATUS
 
 
 class PiqpWorkspace(NativeWorkspace):
@@ -81,24 +139,18 @@ class PiqpWorkspace(NativeWorkspace):
             return
         self._build_for(q, low, high)
 
-    def _call(self) -> None:
-        self._solver.solve()
+    def _claimed(self) -> ClaimedStatus:
+        info = self._solver.result.info
+        return CLAIMED(info, info.solve_time, self._options)
 
-    def _answer(self) -> Solution:
+    def _point(self) -> Point:
         result = self._solver.result
-        info = result.info
-        name = info.status.name
-        status = STATUS.get(name, Status.UNKNOWN)
-        timed = bool(self._options.get("compute_timings", False))
-        reported_ns = round(info.solve_time * 1e9) if timed else -1
-        if not status.usable:
-            return self._missing(status, name, int(info.iter), reported_ns)
         # x is a view of the library's memory.
         z, y, y_box = result.x.copy(), result.z_u - result.z_l, result.z_bu - result.z_bl
         if self._equal.size:
             inequalities, y = y, np.empty(self._m)
             y[self._equal], y[self._unequal] = result.y, inequalities
-        return Solution(status, z, y, y_box, int(info.iter), reported_ns, name)
+        return z, y, y_box
 
 
 class MultistageWorkspace(PiqpWorkspace):
@@ -110,6 +162,6 @@ class MultistageWorkspace(PiqpWorkspace):
         return solver
 
 
-ADAPTER = wrapped.ADAPTER.natively(NATIVE, PiqpWorkspace)
-SPARSE_ADAPTER = replace(ADAPTER, record=SPARSE)
-MULTISTAGE_ADAPTER = replace(ADAPTER, record=MULTISTAGE, workspace=MultistageWorkspace)
+NATIVE = THROUGH_QPSOLVERS.natively(PiqpWorkspace)
+NATIVE_SPARSE = replace(NATIVE, record=SPARSE)
+NATIVE_MULTISTAGE = replace(NATIVE, record=MULTISTAGE, workspace=MultistageWorkspace)

@@ -1,4 +1,4 @@
-"""ProxQP (proxsuite) through its own interface, dense or sparse.
+"""ProxQP (proxsuite) dense or sparse; its status enumeration, time in microseconds.
 
 A start handed to `solve(x, y, z)` has no effect in proxsuite 0.8 (the iterates are those of no
 guess at all), and the dense solver with bounds refuses it; its memory of the previous result does
@@ -9,10 +9,13 @@ but SOLVED makes the next update start from nothing.
 
 Two-sided rows cost it the sight of infeasibility: it runs to its iteration limit where the same
 rows in one-sided form, as route qpsolvers hands them over, are found infeasible at once.
+
+Behind qpsolvers its iterations are outer plus inner ones.
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from importlib import import_module
 from typing import Any
@@ -23,23 +26,81 @@ import scipy.sparse
 from dpbench.arrays import Vector
 from dpbench.qp.program import rows_per_block
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.adapter import NativeAdapter, attributes
-from dpbench.solvers.contract import Options, Policy, shift_into
-from dpbench.solvers.libraries.native_workspace import NativeWorkspace, stacked
-from dpbench.solvers.record import NAN_IGNORED, RouteRecord, SolverRecord
-from dpbench.solvers.through_qpsolvers import proxqp as wrapped
-
-NATIVE = RouteRecord(
-    policies=("fresh", "reuse", "warm"),
-    updates="vectors",
-    start="primal and dual",
-    two_sided=True,
-    detects_infeasibility=False,
-    faults=NAN_IGNORED,
+from dpbench.solvers.adapter import (
+    ClaimedStatus,
+    Enumerated,
+    NativeAdapter,
+    QpsolversAdapter,
+    attributes,
 )
-SPARSE = replace(wrapped.RECORD, name="proxqp_sparse", form="csc", routes={"native": NATIVE})
+from dpbench.solvers.contract import Options, Policy, shift_into
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stacked
+from dpbench.solvers.record import (
+    NAN_IGNORED,
+    RouteRecord,
+    SolverRecord,
+    by_tolerance,
+    stated,
+    vectorised_build,
+)
 
-STATUS = wrapped.STATUS
+RECORD = SolverRecord(
+    name="proxqp",
+    family="augmented Lagrangian",
+    method="proximal augmented Lagrangian, semismooth Newton inside",
+    distribution="proxsuite",
+    module="proxsuite",
+    extra="core",
+    form="dense",
+    routes={
+        "qpsolvers": RouteRecord(("fresh", "warm"), start="primal", faults=NAN_IGNORED),
+        "native": RouteRecord(
+            ("fresh", "reuse", "warm"),
+            updates="vectors",
+            start="primal and dual",
+            two_sided=True,
+            detects_infeasibility=False,
+            faults=NAN_IGNORED,
+        ),
+    },
+    levels=by_tolerance(
+        "eps_abs",
+        "eps_duality_gap_abs",
+        eps_rel=0.0,
+        check_duality_gap=True,
+        eps_duality_gap_rel=0.0,
+    ),
+    project=stated(
+        licence=("BSD-2-Clause", "ProxSuite documentation, What is ProxSuite?"),
+        language=("C++14", "ProxSuite README, main features"),
+    ),
+    build=lambda: vectorised_build("proxsuite.proxsuite_pywrap"),
+)
+
+# "Closest feasible" means that the problem has no feasible point and a shifted one was solved.
+STATUS = {
+    "PROXQP_SOLVED": Status.SOLVED,
+    "PROXQP_MAX_ITER_REACHED": Status.MAX_ITERATIONS,
+    "PROXQP_PRIMAL_INFEASIBLE": Status.PRIMAL_INFEASIBLE,
+    "PROXQP_SOLVED_CLOSEST_PRIMAL_FEASIBLE": Status.PRIMAL_INFEASIBLE,
+    "PROXQP_DUAL_INFEASIBLE": Status.DUAL_INFEASIBLE,
+}
+
+CLAIMED = Enumerated(STATUS, 1e3)
+
+DATA = {"H", "g", "A", "b", "C", "l", "u", "l_box", "u_box", "x", "y", "z", "verbose"}
+
+
+def keywords() -> list[str]:
+    """The keywords of `proxqp.dense.solve`, whose signature stands in its docstring only."""
+    signature = str(import_module("proxsuite").proxqp.dense.solve.__doc__).split("->")[0]
+    return [name for name in re.findall(r"[(,] ?(\w+): ", signature) if name not in DATA]
+
+
+THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "native", CLAIMED.of_run, keywords)
+
+
+SPARSE = replace(RECORD, name="proxqp_sparse", form="csc", routes={"native": RECORD.on("native")})
 
 
 class ProxqpWorkspace(NativeWorkspace):
@@ -105,22 +166,17 @@ class ProxqpWorkspace(NativeWorkspace):
             for part, by in ((x, block), (z[:m], rows), (z[m:], block)):
                 shift_into(part, part.copy(), by)
 
-    def _call(self) -> None:
-        self._solver.solve()
+    def _claimed(self) -> ClaimedStatus:
+        info = self._solver.results.info
+        claimed = CLAIMED(info, info.solve_time, self._options)
+        self._stuck = claimed.status is not Status.SOLVED
+        return claimed
 
-    def _answer(self) -> Solution:
-        results, m = self._solver.results, self._m
-        info = results.info
-        name = info.status.name
-        status = STATUS.get(name, Status.UNKNOWN)
-        self._stuck = status is not Status.SOLVED
-        timed = bool(self._options.get("compute_timings", False))
-        reported_ns = round(info.solve_time * 1e3) if timed else -1
-        if not status.usable:
-            return self._missing(status, name, int(info.iter), reported_ns)
+    def _point(self) -> Point:
         # Both are views of the library's memory.
+        results, m = self._solver.results, self._m
         z, y = results.x.copy(), results.z.copy()
-        return Solution(status, z, y[:m], y[m:], int(info.iter), reported_ns, name)
+        return z, y[:m], y[m:]
 
     def _remember(self, solution: Solution) -> None:
         self._shiftable = True
@@ -136,7 +192,5 @@ def option_names() -> list[str]:
     return [name for name in attributes(settings_object()) if name != "initial_guess"]
 
 
-ADAPTER = NativeAdapter(
-    wrapped.RECORD.with_native(NATIVE), ProxqpWorkspace, option_names, settings_object
-)
-SPARSE_ADAPTER = replace(ADAPTER, record=SPARSE)
+NATIVE = NativeAdapter(RECORD, ProxqpWorkspace, option_names, settings_object)
+NATIVE_SPARSE = replace(NATIVE, record=SPARSE)

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse
 
-from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.adapter import NativeAdapter, attributes
-from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace
+from dpbench.qp.solution import Status
+from dpbench.solvers.adapter import NativeAdapter
+from dpbench.solvers.libraries.native_workspace import Claim, OneSidedWorkspace, Point
 from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
 
 RECORD = SolverRecord(
@@ -50,8 +50,6 @@ STATUS = {
 class QocoWorkspace(OneSidedWorkspace):
     """QOCO on A z = b, G z ≤ h."""
 
-    _result: Any
-
     def _arrange(self) -> None:
         form, csc = self._form, scipy.sparse.csc_matrix
         self._matrices = tuple(None if M is None else csc(M) for M in (self._P, form.A, form.G))
@@ -83,18 +81,15 @@ class QocoWorkspace(OneSidedWorkspace):
         form = self._form
         self._solver.update_vector_data(c=form.q, b=form.b, h=form.h)
 
-    def _call(self) -> None:
-        self._result = self._solver.solve()
-
-    def _answer(self) -> Solution:
+    def _claimed(self) -> Claim:
         result = self._result
-        name = str(result.status)
-        status = STATUS.get(name, Status.UNKNOWN)
-        iterations, reported_ns = int(result.iters), round(result.solve_time_sec * 1e9)
-        if not status.usable:
-            return self._missing(status, name, iterations, reported_ns)
-        y, y_box = self._form.two_sided(np.array(result.z), np.array(result.y))
-        return Solution(status, np.array(result.x), y, y_box, iterations, reported_ns, name)
+        name, took_ns = str(result.status), round(result.solve_time_sec * 1e9)
+        return STATUS.get(name, Status.UNKNOWN), int(result.iters), took_ns, name
+
+    def _point(self) -> Point:
+        result = self._result
+        duals = np.array(result.z), np.array(result.y)
+        return np.array(result.x), *self._form.two_sided(*duals)
 
 
 def settings_object() -> Any:
@@ -105,6 +100,4 @@ def settings_object() -> Any:
     return settings
 
 
-ADAPTER = NativeAdapter(
-    RECORD, QocoWorkspace, lambda: attributes(settings_object()), settings_object
-)
+NATIVE = NativeAdapter(RECORD, QocoWorkspace, settings_object=settings_object)

@@ -1,26 +1,83 @@
-"""QPALM through its own interface: two-sided, vectors updated, start given or cold."""
+"""QPALM: two-sided, vectors updated, start given or cold; status texts of its C library, time in
+seconds."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import scipy.sparse
 
 from dpbench.arrays import Vector
-from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Start, stacked
-from dpbench.solvers.record import RouteRecord
-from dpbench.solvers.through_qpsolvers import qpalm as wrapped
+from dpbench.qp.solution import Status
+from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter, made_by
+from dpbench.solvers.contract import Options
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stacked
+from dpbench.solvers.record import CSettings, RouteRecord, SolverRecord, by_tolerance, stated
 
-NATIVE = RouteRecord(
-    policies=("fresh", "reuse", "warm"),
-    updates="vectors",
-    start="primal and dual",
-    two_sided=True,
-    faults={
-        "solved despite limits that cross": "its update does not look for them, its setup does"
+RECORD = SolverRecord(
+    name="qpalm",
+    family="augmented Lagrangian",
+    method="proximal augmented Lagrangian with an exact line search",
+    distribution="qpalm",
+    module="qpalm",
+    extra="solvers",
+    form="csc",
+    routes={
+        "qpsolvers": RouteRecord(
+            ("fresh",),
+            refused={
+                "warm": "qpsolvers sets the start as a setting `x`, which QPALM does not have, and "
+                "drops the error"
+            },
+        ),
+        "native": RouteRecord(
+            ("fresh", "reuse", "warm"),
+            updates="vectors",
+            start="primal and dual",
+            two_sided=True,
+            faults={
+                "solved despite limits that cross": "its update does not look for them, its setup "
+                "does"
+            },
+        ),
     },
+    levels=by_tolerance("eps_abs", eps_rel=0.0, max_iter=100_000),
+    project=stated(
+        licence=("LGPL-3.0-or-later", "QPALM, metadata of its distribution"),
+        language=("C", "QPALM README, Supported platforms"),
+        c_settings=CSettings(
+            "QPALMSettings", "qpalm_set_default_settings", "QPALM source, types.h"
+        ),
+    ),
 )
 
-STATUS = wrapped.STATUS
+STATUS = {
+    "solved": Status.SOLVED,
+    "dual terminated": Status.INACCURATE,
+    "maximum iterations reached": Status.MAX_ITERATIONS,
+    "primal infeasible": Status.PRIMAL_INFEASIBLE,
+    "dual infeasible": Status.DUAL_INFEASIBLE,
+    "time limit exceeded": Status.TIME_LIMIT,
+    "user cancellation": Status.ERROR,
+    "error": Status.ERROR,
+}
+
+
+def claimed(info: Any, took_s: float) -> ClaimedStatus:
+    """What QPALM's information about a solve says."""
+    name = str(info.status)
+    status = STATUS.get(name, Status.UNKNOWN)
+    return ClaimedStatus(status, int(info.iter), round(took_s * 1e9), name)
+
+
+def read_status(answer: Any, options: Options) -> ClaimedStatus:
+    """Status, iterations and the run time with set-up."""
+    info = answer.extras["info"]
+    return claimed(info, info.run_time)
+
+
+settings_object = made_by("qpalm", "Settings")
+THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "rows", read_status, settings_object=settings_object)
 
 
 class QpalmWorkspace(NativeWorkspace):
@@ -34,40 +91,34 @@ class QpalmWorkspace(NativeWorkspace):
         self._low, self._high = self._limits_of_all()
 
     def _build(self) -> None:
-        n, m, data = self._n, self._m, self._data
+        m, data = self._m, self._data
         self._low[:m], self._high[:m] = self._l, self._u
         data.q, data.bmin, data.bmax = self._q, self._low, self._high
-        settings = wrapped.settings_object()
+        settings = settings_object()
         settings.verbose = False
         self._configure(settings)
         self._solver = self._library.Solver(data, settings)
-        self._start = Start(n, m, self._block)
 
     def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
         m, solver = self._m, self._solver
         self._low[:m], self._high[:m] = low, high
         solver.update_q(q)
         solver.update_bounds(self._low, self._high)
-        if self._warm and self._start.advance():
+        if self._advanced():
             solver.warm_start(self._start.z, self._start.dual)
 
     def _call(self) -> None:
         self._solver.solve(asynchronous=False)
 
-    def _answer(self) -> Solution:
-        info, m = self._solver.info, self._m
-        name = str(info.status)
-        status = STATUS.get(name, Status.UNKNOWN)
-        iterations, reported_ns = int(info.iter), round(info.solve_time * 1e9)
-        if not status.usable:
-            return self._missing(status, name, iterations, reported_ns)
+    def _claimed(self) -> ClaimedStatus:
+        info = self._solver.info
+        return claimed(info, info.solve_time)
+
+    def _point(self) -> Point:
         # Both are views of the library's memory.
-        solution = self._solver.solution
+        solution, m = self._solver.solution, self._m
         z, y = solution.x.copy(), solution.y.copy()
-        return Solution(status, z, y[:m], y[m:], iterations, reported_ns, name)
-
-    def _remember(self, solution: Solution) -> None:
-        self._start.remember(solution)
+        return z, y[:m], y[m:]
 
 
-ADAPTER = wrapped.ADAPTER.natively(NATIVE, QpalmWorkspace)
+NATIVE = THROUGH_QPSOLVERS.natively(QpalmWorkspace)

@@ -15,9 +15,9 @@ from importlib import import_module
 import numpy as np
 
 from dpbench.arrays import Vector
-from dpbench.qp.solution import Solution, Status
+from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import NativeAdapter
-from dpbench.solvers.libraries.native_workspace import NativeWorkspace
+from dpbench.solvers.libraries.native_workspace import Claim, NativeWorkspace, Point
 from dpbench.solvers.record import NAN_ANSWER, RouteRecord, SolverRecord, stated
 
 RECORD = SolverRecord(
@@ -104,17 +104,17 @@ class QpoasesWorkspace(NativeWorkspace):
     def _call(self) -> None:
         self._trigger()
 
-    def _answer(self) -> Solution:
+    def _claimed(self) -> Claim:
         flag = int(self._buffer.ret())
         iterations = int(self._buffer.stats()["iter_count"])
-        status = STATUS.get(flag, Status.UNKNOWN)
+        return STATUS.get(flag, Status.UNKNOWN), iterations, -1, f"return status {flag}"
+
+    def _point(self) -> Point | None:
         # Where it says no more than that it failed, its x may be that of an earlier problem.
-        if status is Status.UNKNOWN or not status.usable:
-            return self._missing(status, f"return status {flag}", iterations)
+        if STATUS.get(int(self._buffer.ret()), Status.UNKNOWN) is Status.UNKNOWN:
+            return None
         outputs = self._outputs
-        z, y, y_box = outputs["x"].copy(), outputs["lam_a"].copy(), outputs["lam_x"].copy()
-        detail = "" if status is Status.SOLVED else f"return status {flag}"
-        return Solution(status, z, y, y_box, iterations, detail=detail)
+        return outputs["x"].copy(), outputs["lam_a"].copy(), outputs["lam_x"].copy()
 
 
 def option_names() -> list[str]:
@@ -123,4 +123,4 @@ def option_names() -> list[str]:
     return [name for name in re.findall(r"^\| (\w+) +\| OT_", text, re.M) if name != "printLevel"]
 
 
-ADAPTER = NativeAdapter(RECORD, QpoasesWorkspace, option_names)
+NATIVE = NativeAdapter(RECORD, QpoasesWorkspace, option_names)

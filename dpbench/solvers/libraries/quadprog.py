@@ -1,4 +1,5 @@
-"""quadprog through its own interface: one-sided, the inverse factor of P made once."""
+"""quadprog: one-sided, the inverse factor of P made once; behind qpsolvers it either solves, or
+raises that there is no solution."""
 
 from __future__ import annotations
 
@@ -7,17 +8,53 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 
-from dpbench.qp.solution import Solution, Status
+from dpbench.qp.solution import Status
+from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter
 from dpbench.solvers.contract import Options, Policy
-from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace
-from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord
-from dpbench.solvers.through_qpsolvers import quadprog as wrapped
+from dpbench.solvers.libraries.native_workspace import Claim, OneSidedWorkspace, Point
+from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord, stated
 
-NATIVE = RouteRecord(
-    policies=("fresh", "reuse"),
-    refused={"warm": "it starts from the unconstrained optimum"},
-    faults=NAN_FAULTS,
+RECORD = SolverRecord(
+    name="quadprog",
+    family="active set",
+    method="dual active set (Goldfarb-Idnani)",
+    distribution="quadprog",
+    module="quadprog",
+    extra="core",
+    form="dense",
+    routes={
+        "qpsolvers": RouteRecord(("fresh",), faults=NAN_FAULTS),
+        "native": RouteRecord(
+            ("fresh", "reuse"),
+            refused={"warm": "it starts from the unconstrained optimum"},
+            faults=NAN_FAULTS,
+        ),
+    },
+    levels={},
+    project=stated(
+        licence=("GPL-2.0-or-later", "quadprog, metadata of its distribution"),
+        language=("C, from Fortran", "quadprog, its source"),
+    ),
+    needs_strict_convexity=True,
 )
+
+
+def read_status(answer: Any, options: Options) -> ClaimedStatus:
+    """Only an answer that was found has extras; quadprog counts rows added and rows dropped."""
+    return ClaimedStatus(Status.SOLVED, int(answer.extras["iterations"][0]))
+
+
+# The library raises ValueError for arrays of the wrong kind, for a P that is not positive definite
+# and for inconsistent constraints. The first cannot happen here and qpsolvers tells the second
+# apart, so "not found" is the third. Its one keyword, `factorized`, says what P is: no setting.
+THROUGH_QPSOLVERS = QpsolversAdapter(
+    RECORD,
+    "rows",
+    read_status,
+    lambda: (),
+    not_found=ClaimedStatus(Status.PRIMAL_INFEASIBLE, detail="constraints are inconsistent"),
+)
+
 
 # It raises what it has to say.
 STATUS = {
@@ -32,7 +69,6 @@ class QuadprogWorkspace(OneSidedWorkspace):
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
         super().__init__(record, policy, options)
         self._solve_qp = self._library.solve_qp
-        self._result: Any = None
         self._status, self._words = Status.UNKNOWN, ""
 
     def _arrange(self) -> None:
@@ -68,13 +104,17 @@ class QuadprogWorkspace(OneSidedWorkspace):
             self._words = str(error)
             self._status = STATUS.get(self._words, Status.UNKNOWN)
 
-    def _answer(self) -> Solution:
+    def _claimed(self) -> Claim:
         if self._result is None:
-            return self._missing(self._status, self._words)
-        z, _, _, iterations, dual, _ = self._result
+            return self._status, -1, -1, self._words
+        return Status.SOLVED, int(self._result[3][0]), -1, ""
+
+    def _point(self) -> Point | None:
+        if self._result is None:
+            return None
+        z, _, _, _, dual, _ = self._result
         count = self._equalities
-        y, y_box = self._form.two_sided(dual[count:], -dual[:count])
-        return Solution(Status.SOLVED, z.copy(), y, y_box, int(iterations[0]))
+        return z.copy(), *self._form.two_sided(dual[count:], -dual[:count])
 
 
-ADAPTER = wrapped.ADAPTER.natively(NATIVE, QuadprogWorkspace)
+NATIVE = THROUGH_QPSOLVERS.natively(QuadprogWorkspace)

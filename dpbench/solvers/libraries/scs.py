@@ -1,33 +1,98 @@
-"""SCS through its own interface: one-sided, vectors updated, start given or cold."""
+"""SCS: one-sided, vectors updated, start given or cold; status values of its C library, time in
+milliseconds."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import scipy.sparse
 
 from dpbench.arrays import Vector
-from dpbench.qp.solution import Solution
-from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Start
-from dpbench.solvers.record import RouteRecord
-from dpbench.solvers.through_qpsolvers import scs as wrapped
+from dpbench.qp.solution import Status
+from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter
+from dpbench.solvers.contract import Options
+from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Point
+from dpbench.solvers.record import CSettings, RouteRecord, SolverRecord, by_tolerance, stated
 
-NATIVE = RouteRecord(
-    policies=("fresh", "reuse", "warm"),
-    updates="vectors",
-    keeps="the scale it has adapted, the normalisation of b and c at its set-up, and the "
-    "memory of its acceleration",
-    start="primal and dual",
+RECORD = SolverRecord(
+    name="scs",
+    family="first order",
+    method="operator splitting on the homogeneous embedding, Anderson acceleration",
+    distribution="scs",
+    module="scs",
+    extra="solvers",
+    form="csc",
+    routes={
+        "qpsolvers": RouteRecord(("fresh", "warm"), start="primal"),
+        "native": RouteRecord(
+            ("fresh", "reuse", "warm"),
+            updates="vectors",
+            keeps="the scale it has adapted, the normalisation of b and c at its set-up, and the "
+            "memory of its acceleration",
+            start="primal and dual",
+        ),
+    },
+    levels=by_tolerance("eps_abs", eps_rel=0.0, max_iters=1_000_000),
+    project=stated(
+        licence=("MIT", "SCS, metadata of its distribution"),
+        language=("C", "SCS documentation, front page"),
+        single_precision=("yes, a flag of its build", "SCS source, scs.mk"),
+        c_settings=CSettings("ScsSettings", "scs_set_default_settings", "SCS source, scs.h"),
+    ),
 )
 
-STATUS = wrapped.STATUS
+STATUS = {
+    1: Status.SOLVED,
+    2: Status.INACCURATE,
+    -1: Status.DUAL_INFEASIBLE,
+    -2: Status.PRIMAL_INFEASIBLE,
+    -4: Status.NUMERICAL_ERROR,
+    -5: Status.ERROR,
+    -6: Status.DUAL_INFEASIBLE,
+    -7: Status.PRIMAL_INFEASIBLE,
+}
+
+# The page "Settings" of its manual; its C type has no signature to ask and refuses other names.
+OPTION_NAMES = (
+    "acceleration_interval",
+    "acceleration_lookback",
+    "adaptive_scale",
+    "alpha",
+    "eps_abs",
+    "eps_infeas",
+    "eps_rel",
+    "max_iters",
+    "normalize",
+    "rho_x",
+    "scale",
+    "time_limit_secs",
+)
+
+
+def claimed(info: Mapping[str, Any], took_ms: float) -> ClaimedStatus:
+    """What SCS's information about a solve says."""
+    status = STATUS.get(int(info["status_val"]), Status.UNKNOWN)
+    # An inaccurate answer names the limit that stopped it in its text.
+    if status is Status.INACCURATE and "time_limit" in info["status"]:
+        status = Status.TIME_LIMIT
+    elif status is Status.INACCURATE and "max_iters" in info["status"]:
+        status = Status.MAX_ITERATIONS
+    return ClaimedStatus(status, int(info["iter"]), round(took_ms * 1e6), str(info["status"]))
+
+
+def read_status(answer: Any, options: Options) -> ClaimedStatus:
+    """Status, iterations and the sum of set-up and solve time."""
+    info = answer.extras
+    return claimed(info, info["setup_time"] + info["solve_time"])
+
+
+THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "rows", read_status, lambda: OPTION_NAMES)
 
 
 class ScsWorkspace(OneSidedWorkspace):
     """SCS on [A; G] z + s = [b; h]; `warm` gives it x, y and the slacks s that go with x."""
-
-    _result: Any
 
     def _arrange(self) -> None:
         rows, equalities, inequalities = self._rows()
@@ -45,12 +110,11 @@ class ScsWorkspace(OneSidedWorkspace):
     def _create(self) -> None:
         data = {"P": self._P_upper, "A": self._matrix, "b": self._b, "c": self._form.q}
         self._solver = self._library.SCS(data, self._cone, verbose=False, **self._options)
-        self._start = Start(self._n, self._m, self._block)
         self._given = False
 
     def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
         super()._hand_over(q, low, high)
-        if self._warm and self._start.advance():
+        if self._advanced():
             self._place_start()
 
     def _send(self) -> None:
@@ -71,23 +135,15 @@ class ScsWorkspace(OneSidedWorkspace):
         else:
             self._result = self._solver.solve(False)
 
-    def _answer(self) -> Solution:
-        result = self._result
-        info = result["info"]
-        detail = str(info["status"])
-        status = wrapped.status_of(info)
-        iterations, reported_ns = int(info["iter"]), round(info["solve_time"] * 1e6)
-        if not status.usable:
-            return self._missing(status, detail, iterations, reported_ns)
-        count = self._equalities
+    def _claimed(self) -> ClaimedStatus:
+        info = self._result["info"]
+        return claimed(info, info["solve_time"])
+
+    def _point(self) -> Point:
+        z, y, count = self._result["x"].copy(), self._result["y"], self._equalities
         if self._empty:
-            y, y_box = np.zeros(self._m), np.zeros(self._n)
-        else:
-            y, y_box = self._form.two_sided(result["y"][count:], result["y"][:count])
-        return Solution(status, result["x"].copy(), y, y_box, iterations, reported_ns, detail)
-
-    def _remember(self, solution: Solution) -> None:
-        self._start.remember(solution)
+            return z, np.zeros(self._m), np.zeros(self._n)
+        return z, *self._form.two_sided(y[count:], y[:count])
 
 
-ADAPTER = wrapped.ADAPTER.natively(NATIVE, ScsWorkspace)
+NATIVE = THROUGH_QPSOLVERS.natively(ScsWorkspace)

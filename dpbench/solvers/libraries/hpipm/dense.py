@@ -5,26 +5,23 @@ HPIPM takes an infinite side as one that is masked out, and l = u as an equality
 
 from __future__ import annotations
 
-import ctypes
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Vector
-from dpbench.qp.solution import Solution
 from dpbench.solvers.adapter import NativeAdapter
-from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.libraries.hpipm.library import (
     OPTION_NAMES,
     TOLERANCE_NAMES,
     Limits,
     Structures,
     blasfeo_build,
-    load_library,
     pointer,
 )
-from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Start, stacked
+from dpbench.solvers.libraries.hpipm.workspace import HpipmWorkspace
+from dpbench.solvers.libraries.native_workspace import Point, stacked
 from dpbench.solvers.one_sided import Sides
 from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
 
@@ -62,17 +59,12 @@ RECORD = SolverRecord(
 )
 
 
-class HpipmWorkspace(NativeWorkspace):
+class DenseWorkspace(HpipmWorkspace):
     """HPIPM on lb ≤ v ≤ ub, lg ≤ C v ≤ ug, A v = b; `warm` gives it the previous v, shifted."""
 
-    def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
-        super().__init__(record, policy, options)
-        self._library = load_library()
-        self._flags = ctypes.c_int(0), ctypes.c_int(1)
-
     def _convert(self) -> None:
+        super()._convert()
         self._rows = stacked(self._A, self._n)
-        self._low, self._high = self._limits_of_all()
 
     def _build(self) -> None:
         n, m, library = self._n, self._m, self._library
@@ -94,7 +86,6 @@ class HpipmWorkspace(NativeWorkspace):
         for name, array in constants.items():
             getattr(library, f"d_dense_qp_set_{name}")(pointer(array), parts.qp)
         self._allocate(n_bounds)
-        self._start = Start(n, m, self._block)
         self._fill(self._q)
 
     def _allocate(self, n_bounds: int) -> None:
@@ -137,39 +128,18 @@ class HpipmWorkspace(NativeWorkspace):
         for function, address in self._setters:
             function(address, qp)
 
-    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
-        if Sides.pattern(low, high) != self._pattern:
-            self._build_for(q, low, high)
-            return
-        m, library, parts = self._m, self._library, self._parts
-        self._low[:m], self._high[:m] = low, high
-        self._fill(q)
-        if self._warm:
-            given = self._start.advance()
-            if given:
-                library.d_dense_qp_sol_set_v(pointer(self._start.z), parts.sol)
-            flag = ctypes.byref(self._flags[given])
-            library.d_dense_qp_ipm_arg_set_warm_start(flag, parts.arg)
+    def _place_start(self) -> None:
+        self._library.d_dense_qp_sol_set_v(pointer(self._start.z), self._parts.sol)
 
-    def _call(self) -> None:
-        parts = self._parts
-        self._library.d_dense_qp_ipm_solve(parts.qp, parts.sol, parts.arg, parts.ws)
-
-    def _answer(self) -> Solution:
-        parts, m = self._parts, self._m
-        status, detail, count = parts.outcome()
-        if not status.usable:
-            return self._missing(status, detail, count)
+    def _point(self) -> Point:
+        m, sol = self._m, self._parts.sol
         for function, address in self._getters:
-            function(parts.sol, address)
+            function(sol, address)
         y, limits = np.zeros(m + self._n), self._limits
         y[limits.sides] = self._upper - self._lower
         if limits.equal.size:
             y[limits.equal] = -self._pi
-        return Solution(status, self._z.copy(), y[:m], y[m:], count, detail=detail)
-
-    def _remember(self, solution: Solution) -> None:
-        self._start.remember(solution)
+        return self._z.copy(), y[:m], y[m:]
 
 
-ADAPTER = NativeAdapter(RECORD, HpipmWorkspace, lambda: (*OPTION_NAMES, "kkt_fact_alg"))
+NATIVE = NativeAdapter(RECORD, DenseWorkspace, lambda: (*OPTION_NAMES, "kkt_fact_alg"))

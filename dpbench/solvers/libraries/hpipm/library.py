@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
 from dpbench.solvers.contract import Options
+from dpbench.solvers.libraries.native_workspace import Claim
 from dpbench.solvers.record import Build
 
 MODES = ("SPEED_ABS", "SPEED", "BALANCE", "ROBUST")
@@ -100,6 +101,9 @@ class Structures:
         self._set_arguments(dict(options))
         # Its size depends on the arguments.
         self.ws = self._make("_ipm_ws", self.dim, self.arg)
+        self._solve = self.function("ipm_solve")
+        self._set_warm_start = self.function("ipm_arg_set_warm_start")
+        self._warm_flags = [ctypes.byref(ctypes.c_int(flag)) for flag in (0, 1)]
         self._flag, self._count = ctypes.c_int(), ctypes.c_int()
         self._asked = [
             (self.function("ipm_get_status"), ctypes.byref(self._flag)),
@@ -110,12 +114,20 @@ class Structures:
         """A function of the library for this kind of problem."""
         return getattr(self._library, f"{self._kind}_{name}")
 
-    def outcome(self) -> tuple[Status, str, int]:
-        """Status, its number in words and iterations of the last solve."""
+    def start_warm(self, given: bool) -> None:
+        """Whether the next solve begins with what is in `sol`."""
+        self._set_warm_start(self._warm_flags[given], self.arg)
+
+    def solve(self) -> None:
+        """Solve `qp` into `sol`."""
+        self._solve(self.qp, self.sol, self.arg, self.ws)
+
+    def outcome(self) -> Claim:
+        """What HPIPM says of the last solve."""
         for function, target in self._asked:
             function(self.ws, target)
         flag = self._flag.value
-        return STATUS.get(flag, Status.UNKNOWN), f"status {flag}", self._count.value
+        return STATUS.get(flag, Status.UNKNOWN), self._count.value, -1, f"status {flag}"
 
     def _set_arguments(self, options: dict[str, Any]) -> None:
         mode = MODES.index(str(options.pop("mode", "SPEED")))

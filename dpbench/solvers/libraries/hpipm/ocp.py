@@ -6,27 +6,24 @@ of a step grows with the number of stages, that of the dense solver with its cub
 
 from __future__ import annotations
 
-import ctypes
 from dataclasses import replace
 
 import numpy as np
 
 from dpbench.arrays import Vector
-from dpbench.qp.solution import Solution
 from dpbench.solvers.adapter import NativeAdapter
-from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.libraries.hpipm import dense as hpipm
 from dpbench.solvers.libraries.hpipm.library import (
     OPTION_NAMES,
     TOLERANCE_NAMES,
     Structures,
-    load_library,
     pointer,
 )
 from dpbench.solvers.libraries.hpipm.stages import Part, StageData, addresses, find_stages
-from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Start
+from dpbench.solvers.libraries.hpipm.workspace import HpipmWorkspace
+from dpbench.solvers.libraries.native_workspace import Point
 from dpbench.solvers.one_sided import Sides
-from dpbench.solvers.record import SolverRecord, by_tolerance
+from dpbench.solvers.record import by_tolerance
 
 RECORD = replace(
     hpipm.RECORD,
@@ -37,20 +34,14 @@ RECORD = replace(
 )
 
 
-class HpipmOcpWorkspace(NativeWorkspace):
+class OcpWorkspace(HpipmWorkspace):
     """HPIPM by stages, found anew when other rows have l = u or an infinite side.
 
     `warm` gives it the previous z, shifted.
     """
 
-    def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
-        super().__init__(record, policy, options)
-        self._library = load_library()
-        self._flags = tuple(ctypes.byref(ctypes.c_int(flag)) for flag in (0, 1))
-        self._pattern: bytes | None = None
-
     def _convert(self) -> None:
-        self._low, self._high = self._limits_of_all()
+        super()._convert()
         self._pattern = None
 
     def _find(self) -> None:
@@ -71,11 +62,8 @@ class HpipmOcpWorkspace(NativeWorkspace):
             for name, array in matrices.items():
                 if array.size:
                     parts.function(f"set_{name}")(k, pointer(array), parts.qp)
-        self._solve = parts.function("ipm_solve")
-        self._set_start = parts.function("ipm_arg_set_warm_start")
         self._set_masks()
         self._allocate()
-        self._start = Start(self._n, m, self._block)
         self._fill(self._q, everything=True)
 
     def _set_masks(self) -> None:
@@ -126,38 +114,18 @@ class HpipmOcpWorkspace(NativeWorkspace):
         for part in (self._cost, self._b, *self._limits):
             part.send(everything)
 
-    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
-        if Sides.pattern(low, high) != self._pattern:
-            self._build_for(q, low, high)
-            return
-        m = self._m
-        self._low[:m], self._high[:m] = low, high
-        self._fill(q)
-        if self._warm:
-            given, parts = self._start.advance(), self._parts
-            if given:
-                self._start.z.take(self._data.order, out=self._z)
-                self._set(*self._pieces, parts.sol)
-            self._set_start(self._flags[given], parts.arg)
+    def _place_start(self) -> None:
+        self._start.z.take(self._data.order, out=self._z)
+        self._set(*self._pieces, self._parts.sol)
 
-    def _call(self) -> None:
-        parts = self._parts
-        self._solve(parts.qp, parts.sol, parts.arg, parts.ws)
-
-    def _answer(self) -> Solution:
-        parts, data, m = self._parts, self._data, self._m
-        status, detail, count = parts.outcome()
-        if not status.usable:
-            return self._missing(status, detail, count)
-        self._get(parts.sol, *self._pieces)
+    def _point(self) -> Point:
+        data, m = self._data, self._m
+        self._get(self._parts.sol, *self._pieces)
         z, y = np.empty(self._n), np.zeros(m + self._n)
         z[data.order] = self._z
         y[data.sides] = self._upper - self._lower
         y[data.dynamics] = -self._pi / data.pivots
-        return Solution(status, z, y[:m], y[m:], count, detail=detail)
-
-    def _remember(self, solution: Solution) -> None:
-        self._start.remember(solution)
+        return z, y[:m], y[m:]
 
 
-ADAPTER = NativeAdapter(RECORD, HpipmOcpWorkspace, lambda: (*OPTION_NAMES, "ric_alg"))
+NATIVE = NativeAdapter(RECORD, OcpWorkspace, lambda: (*OPTION_NAMES, "ric_alg"))

@@ -12,13 +12,13 @@ from qpsolvers import Problem, solve_problem
 from dpbench.errors import DpbenchError
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.solution import Status
+from dpbench.solvers.libraries import THROUGH_QPSOLVERS
+from dpbench.solvers.libraries import qpsolvers_workspace as qpsolvers_route
 from dpbench.solvers.one_sided import OneSidedForm
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import TABLE, available
-from dpbench.solvers.through_qpsolvers import ADAPTERS
-from dpbench.solvers.through_qpsolvers import workspace as qpsolvers_route
 
-THROUGH = [name for name in ADAPTERS if available(name).ok]
+THROUGH = [name for name in THROUGH_QPSOLVERS if available(name).ok]
 WARM = [name for name in THROUGH if "warm" in TABLE[name].policies["qpsolvers"]]
 
 
@@ -36,7 +36,7 @@ def run(workspace, sequence):
 @pytest.mark.parametrize("solver", THROUGH)
 def test_warm_is_offered_where_a_start_matters_and_only_there(solver, sequence):
     """A start changes something if and only if the table offers the policy `warm`."""
-    adapter = ADAPTERS[solver]
+    adapter = THROUGH_QPSOLVERS[solver]
     row = adapter.record
     name = adapter.called
     form = OneSidedForm(sequence.base, row.form, adapter.box)

@@ -58,4 +58,4 @@ def option_names() -> list[str]:
     return [name for name in names if name not in ("self", "verbose", "warm_start")]
 
 
-ADAPTER = QpsolversAdapter(RECORD, "rows", read_status, option_names)
+THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "rows", read_status, option_names)

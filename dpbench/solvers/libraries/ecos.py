@@ -65,4 +65,4 @@ def read_status(answer: Any, options: Options) -> ClaimedStatus:
     )
 
 
-ADAPTER = QpsolversAdapter(RECORD, "rows", read_status, lambda: OPTION_NAMES)
+THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "rows", read_status, lambda: OPTION_NAMES)

@@ -76,4 +76,4 @@ def option_names() -> list[str]:
     return [*OF_QPSOLVERS, *plain, *grouped]
 
 
-ADAPTER = QpsolversAdapter(RECORD, "native", read_status, option_names)
+THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "native", read_status, option_names)

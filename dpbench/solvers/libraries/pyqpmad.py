@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter, attributes, made_by
+from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter, made_by
 from dpbench.solvers.contract import Options
 from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord, stated
 
@@ -34,6 +34,4 @@ def read_status(answer: Any, options: Options) -> ClaimedStatus:
 
 
 settings_object = made_by("pyqpmad", "SolverParameters")
-ADAPTER = QpsolversAdapter(
-    RECORD, "rows", read_status, lambda: attributes(settings_object()), settings_object
-)
+THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "rows", read_status, settings_object=settings_object)
