@@ -52,36 +52,55 @@ class ClaimedStatus(NamedTuple):
     detail: str = ""
 
 
-ReadStatus = Callable[[Any, Options], ClaimedStatus]
+Claim = tuple[Status, int, int, str]
+"""A `ClaimedStatus`, or a plain tuple of the same where every step asks for one."""
+ReadStatus = Callable[[Any, Options], Claim]
 NO_REASON = ClaimedStatus(Status.UNKNOWN, detail="not found; qpsolvers does not pass the reason on")
 
 
-def found_is_all(answer: Any, options: Options) -> ClaimedStatus:
+def found_is_all(answer: Any, options: Options) -> Claim:
     """The `read_status` of a library of which qpsolvers passes on `found` and nothing else."""
     return ClaimedStatus(Status.SOLVED) if answer.found else NO_REASON
 
 
-class Enumerated(NamedTuple):
-    """How a library speaks that times itself only where `compute_timings` asks for it.
+Tell = Callable[[Any, float, Options], Claim]
+"""What a library claims, of its `info`, the time that counts in its own unit, and the options."""
+
+
+def told(
+    statuses: Mapping[Any, Status],
+    unit_ns: float,
+    *,
+    word: Callable[[Any], str] = lambda info: str(info.status),
+    number: Callable[[Any], int] | None = None,
+    on_request: bool = False,
+) -> Tell:
+    """How a library tells of a solve: in an `info` with `status`, `iter` and times.
 
     Parameters
     ----------
-    statuses : by the names of its enumeration; unit_ns : the unit of its times [ns].
+    statuses : by its words; unit_ns : the unit of its times [ns].
+    word : its word for the status; number : what stands for that in `statuses` instead.
+    on_request : it times itself only where the option `compute_timings` asks for it.
     """
 
-    statuses: Mapping[str, Status]
-    unit_ns: float
+    def tell(info: Any, took: float, options: Options) -> Claim:
+        name = word(info)
+        status = statuses.get(name if number is None else number(info), Status.UNKNOWN)
+        timed = not on_request or options.get("compute_timings", False)
+        return status, int(info.iter), round(took * unit_ns) if timed else -1, name
 
-    def __call__(self, info: Any, took: float, options: Options) -> ClaimedStatus:
-        """What its information about a solve says."""
-        name = info.status.name
-        took_ns = round(took * self.unit_ns) if options.get("compute_timings", False) else -1
-        return ClaimedStatus(self.statuses.get(name, Status.UNKNOWN), int(info.iter), took_ns, name)
+    return tell
 
-    def of_run(self, answer: Any, options: Options) -> ClaimedStatus:
-        """The same as a `read_status`, with the run time that counts its set-up."""
+
+def with_setup(tell: Tell) -> ReadStatus:
+    """The `read_status` of a library that tells so: its run time counts its set-up."""
+
+    def read_status(answer: Any, options: Options) -> Claim:
         info = answer.extras["info"]
-        return self(info, info.run_time, options)
+        return tell(info, info.run_time, options)
+
+    return read_status
 
 
 @dataclass(frozen=True)
@@ -123,7 +142,7 @@ class QpsolversAdapter:
         """The same library through its own interface, with the same settings."""
         return NativeAdapter(self.record, workspace, self.option_names, self.settings_object)
 
-    def claimed_status(self, answer: Any, options: Options) -> ClaimedStatus:
+    def claimed_status(self, answer: Any, options: Options) -> Claim:
         """Status, iterations and reported time of a `qpsolvers.Solution`.
 
         Problems without constraints are answered by qpsolvers itself for some libraries; such an

@@ -95,6 +95,16 @@ def check_step(step: QPStep, n: int, m: int) -> None:
             raise ShapeError.of("QPStep", name, array.shape, f"shape {shape}")
 
 
+def words_of(error: BaseException) -> str:
+    """What a library raised, in words; a person's interrupt is no failure and is raised again.
+
+    It takes whatever was raised: a panic of Rust is no `Exception`.
+    """
+    if isinstance(error, (KeyboardInterrupt, SystemExit)):
+        raise error
+    return f"{type(error).__name__}: {error}"
+
+
 def not_set_up(call: str) -> DpbenchError:
     """What is raised when a workspace is used before its set-up."""
     return DpbenchError(f"{call} before setup: call setup with the whole problem first")

@@ -12,6 +12,7 @@ from pathlib import Path
 from dpbench.errors import UnknownNameError, one_of
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter
 from dpbench.solvers.calibration import CALIBRATION, open_calibration
+from dpbench.solvers.contract import words_of
 from dpbench.solvers.libraries import NATIVE, THROUGH_QPSOLVERS
 from dpbench.solvers.libraries.generic import generic_adapter, is_served
 from dpbench.solvers.own.adapters import OWN
@@ -126,10 +127,8 @@ def available(name: str) -> Availability:
             warnings.simplefilter("ignore")
             importlib.import_module(row.module)
             build = row.build()
-    except (KeyboardInterrupt, SystemExit):
-        raise
-    except BaseException as error:  # a panic of Rust is no Exception
-        reason = f"importing {row.module} failed: {type(error).__name__}: {error}"
+    except BaseException as error:
+        reason = f"importing {row.module} failed: {words_of(error)}"
         return Availability(False, version, " ".join(reason.split()))
     return Availability(True, version, build=build)
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.qp.solution import Solution
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.record import Family, RouteRecord
@@ -104,6 +105,16 @@ class Sequence(NamedTuple):
 
     base: QuadraticProgram
     steps: list[QPStep]
+
+    def answers(self, workspace: Workspace) -> list[Solution]:
+        """Those of a workspace that is set up with the problem and then follows the steps."""
+        workspace.setup(self.base)
+        answers = []
+        for step in self.steps:
+            workspace.update(step)
+            workspace.solve()
+            answers.append(workspace.read())
+        return answers
 
 
 def mpc_like() -> Sequence:

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter, made_by
+from dpbench.solvers.adapter import Claim, QpsolversAdapter, made_by
 from dpbench.solvers.contract import Options
 from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Point
 from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
@@ -53,13 +53,13 @@ STATUS = {
 }
 
 
-def claimed(status: Any, iterations: int, solve_s: float) -> ClaimedStatus:
+def claimed(status: Any, iterations: int, solve_s: float) -> Claim:
     """What Clarabel says; it counts its set-up in the time it reports."""
     name = str(status)
-    return ClaimedStatus(STATUS.get(name, Status.UNKNOWN), iterations, round(solve_s * 1e9), name)
+    return STATUS.get(name, Status.UNKNOWN), iterations, round(solve_s * 1e9), name
 
 
-def read_status(answer: Any, options: Options) -> ClaimedStatus:
+def read_status(answer: Any, options: Options) -> Claim:
     """Status and time; qpsolvers drops the iterations."""
     return claimed(answer.extras["status"], -1, answer.extras["solve_time"])
 
@@ -93,7 +93,7 @@ class ClarabelWorkspace(OneSidedWorkspace):
     def _send(self) -> None:
         self._solver.update(q=self._form.q, b=self._form.bh)
 
-    def _claimed(self) -> ClaimedStatus:
+    def _claimed(self) -> Claim:
         result = self._result
         return claimed(result.status, int(result.iterations), result.solve_time)
 

@@ -13,9 +13,9 @@ import numpy as np
 from dpbench.arrays import Vector
 from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, found_is_all
+from dpbench.solvers.adapter import Claim, NativeAdapter, QpsolversAdapter, found_is_all
 from dpbench.solvers.contract import Options, Policy
-from dpbench.solvers.libraries.native_workspace import SOLVED, Claim, NativeWorkspace, Point
+from dpbench.solvers.libraries.native_workspace import SOLVED, NativeWorkspace, Point
 from dpbench.solvers.record import (
     NAN_FAULTS,
     CSettings,

@@ -11,8 +11,8 @@ import scipy.sparse
 from dpbench.arrays import Vector
 from dpbench.errors import DpbenchError
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import QpsolversAdapter, found_is_all, made_by
-from dpbench.solvers.libraries.native_workspace import Claim, NativeWorkspace, Point
+from dpbench.solvers.adapter import Claim, QpsolversAdapter, found_is_all, made_by
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point
 from dpbench.solvers.record import NAN_IGNORED, RouteRecord, SolverRecord, by_tolerance, stated
 
 RECORD = SolverRecord(

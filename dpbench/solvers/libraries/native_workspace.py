@@ -20,12 +20,19 @@ import numpy as np
 from dpbench.arrays import Matrix, Vector
 from dpbench.qp.program import QPStep, QuadraticProgram, rows_per_block
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Options, Policy, Workspace, check_step, not_set_up, shift_into
+from dpbench.solvers.adapter import Claim
+from dpbench.solvers.contract import (
+    Options,
+    Policy,
+    Workspace,
+    check_step,
+    not_set_up,
+    shift_into,
+    words_of,
+)
 from dpbench.solvers.one_sided import OneSidedForm
 from dpbench.solvers.record import SolverRecord
 
-Claim = tuple[Status, int, int, str]
-"""Status, iterations, reported time [ns] and the library's word, as in `ClaimedStatus`."""
 Point = tuple[Vector, Vector, Vector]
 NOT_SOLVED = "read before solve"
 SOLVED = Status.SOLVED  # looking it up in its class takes 50 ns
@@ -166,9 +173,7 @@ class NativeWorkspace(Workspace):
             return
         try:
             self._hand_over(q, low, high)
-        except (KeyboardInterrupt, SystemExit):
-            raise
-        except BaseException as error:  # a panic of Rust is no Exception
+        except BaseException as error:
             self._fail(error)
 
     def _keep(self, step: QPStep) -> None:
@@ -186,13 +191,11 @@ class NativeWorkspace(Workspace):
                 self._convert()
                 self._converted = True
             self._renew()
-        except (KeyboardInterrupt, SystemExit):
-            raise
-        except BaseException as error:  # a panic of Rust is no Exception
+        except BaseException as error:
             self._fail(error)
 
     def _fail(self, error: BaseException) -> None:
-        self._failure, self._unusable = f"{type(error).__name__}: {error}", True
+        self._failure, self._unusable = words_of(error), True
 
     def solve(self) -> None:
         """Solve; whatever the library raises is kept for `read`."""
@@ -201,9 +204,7 @@ class NativeWorkspace(Workspace):
         self._done = self._unread = self._used = True
         try:
             self._call()
-        except (KeyboardInterrupt, SystemExit):
-            raise
-        except BaseException as error:  # a panic of Rust is no Exception
+        except BaseException as error:
             self._fail(error)
 
     def read(self) -> Solution:

@@ -12,7 +12,7 @@ import scipy.sparse
 from dpbench.arrays import Vector
 from dpbench.errors import DpbenchError
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter
+from dpbench.solvers.adapter import Claim, QpsolversAdapter, told, with_setup
 from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stacked
 from dpbench.solvers.record import (
@@ -87,18 +87,7 @@ STATUS = {
     9: Status.NUMERICAL_ERROR,
     10: Status.ERROR,
 }
-
-
-def claimed(info: Any, took_s: float) -> ClaimedStatus:
-    """What OSQP's information about a solve says."""
-    status = STATUS.get(int(info.status_val), Status.UNKNOWN)
-    return ClaimedStatus(status, int(info.iter), round(took_s * 1e9), str(info.status))
-
-
-def read_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Status, iterations and the run time with set-up."""
-    info = answer.extras["info"]
-    return claimed(info, info.run_time)
+tell = told(STATUS, 1e9, number=lambda info: int(info.status_val))
 
 
 def settings_object() -> Any:
@@ -113,7 +102,7 @@ def settings_object() -> Any:
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "rows",
-    read_status,
+    with_setup(tell),
     settings_object=settings_object,
     fixed={"raise_error": False},
 )
@@ -159,9 +148,9 @@ class OsqpWorkspace(NativeWorkspace):
         if self._advanced():
             self._solver.warm_start(self._start.z, self._start.dual)
 
-    def _claimed(self) -> ClaimedStatus:
+    def _claimed(self) -> Claim:
         info = self._solver.info
-        return claimed(info, info.solve_time)
+        return tell(info, info.solve_time, self._options)
 
     def _point(self) -> Point:
         solution, m = self._solver.solution, self._m

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from importlib import import_module
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ import scipy.sparse
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import ClaimedStatus, Enumerated, QpsolversAdapter
+from dpbench.solvers.adapter import Claim, QpsolversAdapter, told, with_setup
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point
 from dpbench.solvers.record import (
     NAN_IGNORED,
@@ -65,7 +66,7 @@ STATUS = {
     "PIQP_NUMERICS": Status.NUMERICAL_ERROR,
     "PIQP_INVALID_SETTINGS": Status.ERROR,
 }
-CLAIMED = Enumerated(STATUS, 1e9)
+tell = told(STATUS, 1e9, word=attrgetter("status.name"), on_request=True)
 
 
 def settings_object() -> Any:
@@ -76,7 +77,7 @@ def settings_object() -> Any:
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "native",
-    CLAIMED.of_run,
+    with_setup(tell),
     settings_object=settings_object,
 )
 
@@ -139,12 +140,13 @@ class PiqpWorkspace(NativeWorkspace):
             return
         self._build_for(q, low, high)
 
-    def _claimed(self) -> ClaimedStatus:
-        info = self._solver.result.info
-        return CLAIMED(info, info.solve_time, self._options)
+    def _claimed(self) -> Claim:
+        self._result = self._solver.result
+        info = self._result.info
+        return tell(info, info.solve_time, self._options)
 
     def _point(self) -> Point:
-        result = self._solver.result
+        result = self._result
         # x is a view of the library's memory.
         z, y, y_box = result.x.copy(), result.z_u - result.z_l, result.z_bu - result.z_bl
         if self._equal.size:

@@ -18,6 +18,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from importlib import import_module
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -27,11 +28,12 @@ from dpbench.arrays import Vector
 from dpbench.qp.program import rows_per_block
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.adapter import (
-    ClaimedStatus,
-    Enumerated,
+    Claim,
     NativeAdapter,
     QpsolversAdapter,
     attributes,
+    told,
+    with_setup,
 )
 from dpbench.solvers.contract import Options, Policy, shift_into
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stacked
@@ -86,7 +88,7 @@ STATUS = {
     "PROXQP_DUAL_INFEASIBLE": Status.DUAL_INFEASIBLE,
 }
 
-CLAIMED = Enumerated(STATUS, 1e3)
+tell = told(STATUS, 1e3, word=attrgetter("status.name"), on_request=True)
 
 DATA = {"H", "g", "A", "b", "C", "l", "u", "l_box", "u_box", "x", "y", "z", "verbose"}
 
@@ -97,7 +99,7 @@ def keywords() -> list[str]:
     return [name for name in re.findall(r"[(,] ?(\w+): ", signature) if name not in DATA]
 
 
-THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "native", CLAIMED.of_run, keywords)
+THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "native", with_setup(tell), keywords)
 
 
 SPARSE = replace(RECORD, name="proxqp_sparse", form="csc", routes={"native": RECORD.on("native")})
@@ -166,15 +168,16 @@ class ProxqpWorkspace(NativeWorkspace):
             for part, by in ((x, block), (z[:m], rows), (z[m:], block)):
                 shift_into(part, part.copy(), by)
 
-    def _claimed(self) -> ClaimedStatus:
-        info = self._solver.results.info
-        claimed = CLAIMED(info, info.solve_time, self._options)
-        self._stuck = claimed.status is not Status.SOLVED
+    def _claimed(self) -> Claim:
+        self._result = self._solver.results
+        info = self._result.info
+        claimed = tell(info, info.solve_time, self._options)
+        self._stuck = claimed[0] is not Status.SOLVED
         return claimed
 
     def _point(self) -> Point:
         # Both are views of the library's memory.
-        results, m = self._solver.results, self._m
+        results, m = self._result, self._m
         z, y = results.x.copy(), results.z.copy()
         return z, y[:m], y[m:]
 

@@ -9,8 +9,8 @@ import numpy as np
 import scipy.sparse
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import NativeAdapter
-from dpbench.solvers.libraries.native_workspace import Claim, OneSidedWorkspace, Point
+from dpbench.solvers.adapter import Claim, NativeAdapter
+from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Point
 from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
 
 RECORD = SolverRecord(

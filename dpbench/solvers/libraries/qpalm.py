@@ -3,14 +3,11 @@ seconds."""
 
 from __future__ import annotations
 
-from typing import Any
-
 import scipy.sparse
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter, made_by
-from dpbench.solvers.contract import Options
+from dpbench.solvers.adapter import Claim, QpsolversAdapter, made_by, told, with_setup
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stacked
 from dpbench.solvers.record import CSettings, RouteRecord, SolverRecord, by_tolerance, stated
 
@@ -61,23 +58,11 @@ STATUS = {
     "user cancellation": Status.ERROR,
     "error": Status.ERROR,
 }
-
-
-def claimed(info: Any, took_s: float) -> ClaimedStatus:
-    """What QPALM's information about a solve says."""
-    name = str(info.status)
-    status = STATUS.get(name, Status.UNKNOWN)
-    return ClaimedStatus(status, int(info.iter), round(took_s * 1e9), name)
-
-
-def read_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Status, iterations and the run time with set-up."""
-    info = answer.extras["info"]
-    return claimed(info, info.run_time)
-
-
+tell = told(STATUS, 1e9)
 settings_object = made_by("qpalm", "Settings")
-THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "rows", read_status, settings_object=settings_object)
+THROUGH_QPSOLVERS = QpsolversAdapter(
+    RECORD, "rows", with_setup(tell), settings_object=settings_object
+)
 
 
 class QpalmWorkspace(NativeWorkspace):
@@ -110,9 +95,9 @@ class QpalmWorkspace(NativeWorkspace):
     def _call(self) -> None:
         self._solver.solve(asynchronous=False)
 
-    def _claimed(self) -> ClaimedStatus:
+    def _claimed(self) -> Claim:
         info = self._solver.info
-        return claimed(info, info.solve_time)
+        return tell(info, info.solve_time, self._options)
 
     def _point(self) -> Point:
         # Both are views of the library's memory.

@@ -23,6 +23,7 @@ from dpbench.solvers.contract import (
     check_step,
     not_set_up,
     shift_into,
+    words_of,
 )
 from dpbench.solvers.one_sided import OneSidedForm
 
@@ -102,10 +103,8 @@ class QpsolversWorkspace(Workspace):
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")
                     self._answer = self._call()
-        except (KeyboardInterrupt, SystemExit):
-            raise
-        except BaseException as error:  # a panic of Rust is no Exception
-            self._failure = f"{type(error).__name__}: {error}"
+        except BaseException as error:
+            self._failure = words_of(error)
 
     def _call(self) -> Any:
         return solve_problem(self._problem, self._name, initvals=self._start, **self._options)

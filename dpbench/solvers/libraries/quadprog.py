@@ -9,9 +9,9 @@ import numpy as np
 import scipy.linalg
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter
+from dpbench.solvers.adapter import Claim, ClaimedStatus, QpsolversAdapter
 from dpbench.solvers.contract import Options, Policy
-from dpbench.solvers.libraries.native_workspace import Claim, OneSidedWorkspace, Point
+from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Point
 from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord, stated
 
 RECORD = SolverRecord(

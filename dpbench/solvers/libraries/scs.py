@@ -11,7 +11,7 @@ import scipy.sparse
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter
+from dpbench.solvers.adapter import Claim, QpsolversAdapter
 from dpbench.solvers.contract import Options
 from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Point
 from dpbench.solvers.record import CSettings, RouteRecord, SolverRecord, by_tolerance, stated
@@ -71,7 +71,7 @@ OPTION_NAMES = (
 )
 
 
-def claimed(info: Mapping[str, Any], took_ms: float) -> ClaimedStatus:
+def claimed(info: Mapping[str, Any], took_ms: float) -> Claim:
     """What SCS's information about a solve says."""
     status = STATUS.get(int(info["status_val"]), Status.UNKNOWN)
     # An inaccurate answer names the limit that stopped it in its text.
@@ -79,10 +79,10 @@ def claimed(info: Mapping[str, Any], took_ms: float) -> ClaimedStatus:
         status = Status.TIME_LIMIT
     elif status is Status.INACCURATE and "max_iters" in info["status"]:
         status = Status.MAX_ITERATIONS
-    return ClaimedStatus(status, int(info["iter"]), round(took_ms * 1e6), str(info["status"]))
+    return status, int(info["iter"]), round(took_ms * 1e6), str(info["status"])
 
 
-def read_status(answer: Any, options: Options) -> ClaimedStatus:
+def read_status(answer: Any, options: Options) -> Claim:
     """Status, iterations and the sum of set-up and solve time."""
     info = answer.extras
     return claimed(info, info["setup_time"] + info["solve_time"])
@@ -135,7 +135,7 @@ class ScsWorkspace(OneSidedWorkspace):
         else:
             self._result = self._solver.solve(False)
 
-    def _claimed(self) -> ClaimedStatus:
+    def _claimed(self) -> Claim:
         info = self._result["info"]
         return claimed(info, info["solve_time"])
 

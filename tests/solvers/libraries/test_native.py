@@ -1,4 +1,4 @@
-"""Native workspaces: what a start is, what is kept, what is said about a library's failures."""
+"""Workspaces of libraries: what a start is, what is kept, what is said about their failures."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from dpbench.solvers.libraries import NATIVE
 from dpbench.solvers.libraries.native_workspace import Start
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import TABLE, available
+from tests.solvers.conftest import Sequence
 
 HERE = [name for name in NATIVE if available(name).ok]
 WARM = [name for name in HERE if "warm" in TABLE[name].on("native").policies]
@@ -26,13 +27,7 @@ def opened(solver, policy="", settings="default"):
 
 def answers(workspace, base, steps):
     """The answers of a workspace along steps."""
-    workspace.setup(base)
-    solutions = []
-    for step in steps:
-        workspace.update(step)
-        workspace.solve()
-        solutions.append(workspace.read())
-    return solutions
+    return Sequence(base, steps).answers(workspace)
 
 
 @pytest.mark.parametrize("solver", WARM)
@@ -129,11 +124,16 @@ class Panic(BaseException):
     """As raised by Rust libraries, which do not derive theirs from Exception."""
 
 
-@pytest.mark.parametrize("method", ["_build", "_hand_over", "_call"])
-@pytest.mark.parametrize("error", [ValueError("y"), Panic("z")])
-def test_what_a_library_raises_is_an_answer(monkeypatch, sequence, method, error):
+CALLS = [("native", method) for method in ("_build", "_hand_over", "_call")]
+CALLS.append(("qpsolvers", "_call"))
+"""What of a workspace calls the library, on each route."""
+
+
+@pytest.mark.parametrize(("route", "method"), CALLS)
+@pytest.mark.parametrize("error", [KeyError("x"), ValueError("y"), Panic("z")])
+def test_what_a_library_raises_is_an_answer(monkeypatch, sequence, route, method, error):
     """Whatever a library raises, and whenever, becomes the status ERROR with its words."""
-    workspace = opened("osqp")
+    workspace = open_workspace("osqp", route=route, policy="warm")
     workspace.setup(sequence.base)
 
     def fail(*arguments):
@@ -155,10 +155,10 @@ def test_what_a_library_raises_is_an_answer(monkeypatch, sequence, method, error
     assert workspace.read().claimed
 
 
-@pytest.mark.parametrize("method", ["_build", "_hand_over", "_call"])
-def test_an_interrupt_is_no_answer(monkeypatch, sequence, method):
+@pytest.mark.parametrize(("route", "method"), CALLS)
+def test_an_interrupt_is_no_answer(monkeypatch, sequence, route, method):
     """A person's interrupt passes through."""
-    workspace = opened("osqp")
+    workspace = open_workspace("osqp", route=route, policy="warm")
     workspace.setup(sequence.base)
 
     def interrupt(*arguments):
@@ -170,10 +170,12 @@ def test_an_interrupt_is_no_answer(monkeypatch, sequence, method):
             pass
 
 
-@pytest.mark.parametrize("solver", HERE)
-def test_use_before_setup_is_a_persons_mistake(solver, sequence):
+@pytest.mark.parametrize(
+    ("solver", "route"), [*((name, "native") for name in HERE), ("daqp", "qpsolvers")]
+)
+def test_use_before_setup_is_a_persons_mistake(solver, route, sequence):
     """Update and read before setup raise, with the remedy."""
-    workspace = opened(solver)
+    workspace = open_workspace(solver, route=route)
     with pytest.raises(DpbenchError, match="call setup"):
         workspace.update(sequence.steps[0])
     with pytest.raises(DpbenchError, match="call setup"):

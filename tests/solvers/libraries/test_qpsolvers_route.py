@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from qpsolvers import Problem, solve_problem
 
-from dpbench.errors import DpbenchError
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.solution import Status
 from dpbench.solvers.libraries import THROUGH_QPSOLVERS
@@ -20,17 +19,6 @@ from dpbench.solvers.table import TABLE, available
 
 THROUGH = [name for name in THROUGH_QPSOLVERS if available(name).ok]
 WARM = [name for name in THROUGH if "warm" in TABLE[name].policies["qpsolvers"]]
-
-
-def run(workspace, sequence):
-    """The answers of a workspace along a sequence."""
-    workspace.setup(sequence.base)
-    answers = []
-    for step in sequence.steps:
-        workspace.update(step)
-        workspace.solve()
-        answers.append(workspace.read())
-    return answers
 
 
 @pytest.mark.parametrize("solver", THROUGH)
@@ -67,7 +55,7 @@ def test_a_warm_start_is_the_previous_answer_one_move_later(monkeypatch, sequenc
     monkeypatch.setattr(qpsolvers_route, "solve_problem", spy)
     b = sequence.base
     base = QuadraticProgram(b.P, b.q, b.A, b.l, b.u, b.lb, b.ub, block)
-    answers = run(open_workspace("daqp", policy="warm"), sequence._replace(base=base))
+    answers = sequence._replace(base=base).answers(open_workspace("daqp", policy="warm"))
     assert starts[0] is None
     for start, previous in zip(starts[1:], answers, strict=False):
         expected = previous.z
@@ -80,7 +68,7 @@ def test_a_warm_start_is_the_previous_answer_one_move_later(monkeypatch, sequenc
 def test_reset_forgets_the_start(solver, sequence):
     """After a reset a warm workspace solves the next step as a fresh one does."""
     workspace = open_workspace(solver, policy="warm")
-    run(workspace, sequence)
+    sequence.answers(workspace)
     workspace.reset()
     step = sequence.steps[3]
     workspace.update(step)
@@ -89,48 +77,6 @@ def test_reset_forgets_the_start(solver, sequence):
     fresh.setup(sequence.base.at(step))
     fresh.solve()
     np.testing.assert_array_equal(workspace.read().z, fresh.read().z)
-
-
-class Panic(BaseException):
-    """As raised by Rust libraries, which do not derive theirs from Exception."""
-
-
-@pytest.mark.parametrize("error", [KeyError("x"), ValueError("y"), Panic("z")])
-def test_what_a_library_raises_is_an_answer(monkeypatch, sequence, error):
-    """Whatever a library raises becomes the status ERROR with its words."""
-    workspace = open_workspace("daqp")
-    workspace.setup(sequence.base)
-
-    def fail(*arguments, **options):
-        raise error
-
-    monkeypatch.setattr(qpsolvers_route, "solve_problem", fail)
-    workspace.solve()
-    answer = workspace.read()
-    assert answer.status is Status.ERROR
-    assert answer.detail == f"{type(error).__name__}: {error}"
-
-
-def test_an_interrupt_is_no_answer(monkeypatch, sequence):
-    """A person's interrupt passes through."""
-    workspace = open_workspace("daqp")
-    workspace.setup(sequence.base)
-
-    def interrupt(*arguments, **options):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(qpsolvers_route, "solve_problem", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        workspace.solve()
-
-
-def test_use_before_setup_is_a_persons_mistake(sequence):
-    """Update and read before setup raise, with the remedy."""
-    workspace = open_workspace("daqp")
-    with pytest.raises(DpbenchError, match="call setup"):
-        workspace.update(sequence.steps[0])
-    with pytest.raises(DpbenchError, match="call setup"):
-        workspace.read()
 
 
 TIMED = {

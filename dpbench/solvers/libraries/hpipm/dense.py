@@ -90,7 +90,7 @@ class DenseWorkspace(HpipmWorkspace):
 
     def _allocate(self, n_bounds: int) -> None:
         """Buffers and their addresses: what is set at each step, and what is got."""
-        limits, library = self._limits, self._library
+        limits = self._limits
         self._g, self._z = np.empty(self._n), np.empty(self._n)
         self._pi = np.empty(limits.equal.size)
         self._lower, self._upper = np.empty_like(limits.low), np.empty_like(limits.high)
@@ -110,16 +110,8 @@ class DenseWorkspace(HpipmWorkspace):
             "lam_ub": self._upper[:n_bounds],
             "lam_ug": self._upper[n_bounds:],
         }
-        self._setters = [
-            (getattr(library, f"d_dense_qp_set_{name}"), pointer(array))
-            for name, array in given.items()
-            if array.size
-        ]
-        self._getters = [
-            (getattr(library, f"d_dense_qp_sol_get_{name}"), pointer(array))
-            for name, array in wanted.items()
-            if array.size
-        ]
+        self._setters = self._parts.calls("set", given)
+        self._getters = self._parts.calls("sol_get", wanted)
 
     def _fill(self, q: Vector) -> None:
         self._g[:] = q

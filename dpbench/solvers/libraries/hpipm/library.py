@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
+from dpbench.solvers.adapter import Claim
 from dpbench.solvers.contract import Options
-from dpbench.solvers.libraries.native_workspace import Claim
 from dpbench.solvers.record import Build
 
 MODES = ("SPEED_ABS", "SPEED", "BALANCE", "ROBUST")
@@ -113,6 +113,11 @@ class Structures:
     def function(self, name: str) -> Any:
         """A function of the library for this kind of problem."""
         return getattr(self._library, f"{self._kind}_{name}")
+
+    def calls(self, verb: str, arrays: dict[str, Vector]) -> list[tuple[Any, Any]]:
+        """The function that sets or gets each array that is not empty, and its address."""
+        named = [(name, array) for name, array in arrays.items() if array.size]
+        return [(self.function(f"{verb}_{name}"), pointer(array)) for name, array in named]
 
     def start_warm(self, given: bool) -> None:
         """Whether the next solve begins with what is in `sol`."""

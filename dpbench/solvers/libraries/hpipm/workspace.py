@@ -5,9 +5,10 @@ from __future__ import annotations
 from abc import abstractmethod
 
 from dpbench.arrays import Vector
+from dpbench.solvers.adapter import Claim
 from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.libraries.hpipm.library import Structures, load_library
-from dpbench.solvers.libraries.native_workspace import Claim, NativeWorkspace
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace
 from dpbench.solvers.one_sided import Sides
 from dpbench.solvers.record import SolverRecord
 

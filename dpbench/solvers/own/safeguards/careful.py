@@ -39,7 +39,9 @@ def solve_carefully(
         with inf it is a point, whatever it violates.
     """
     try:
-        return _prepared(qp).answer(start, contradiction)
+        M = np.vstack([qp.A, np.eye(qp.n)])
+        problem = _Problem(qp, M, *qp.limits(), Projection.of(qp.P, M))
+        return problem.answer(start, contradiction)
     except np.linalg.LinAlgError as error:
         return Solution.missing(qp.n, qp.m, Status.NUMERICAL_ERROR, str(error))
 
@@ -99,8 +101,3 @@ class _Problem:
             lam[W] += step
             z = z + np.linalg.solve(L.T, e - J_W @ step)
         return z, lam
-
-
-def _prepared(qp: QuadraticProgram) -> _Problem:
-    M = np.vstack([qp.A, np.eye(qp.n)])
-    return _Problem(qp, M, *qp.limits(), Projection.of(qp.P, M))

@@ -29,8 +29,7 @@ MOVED = 2e4
 OFF = 10.0
 """Roundings by which a row may be missed that has no room to be moved as far."""
 HALVES = 6
-"""RouteComparison of halving the rows: any two of the 64 nearest their limits are apart in one of
-them."""
+"""Ways of halving the rows: any two of the 64 nearest their limits are apart in one of them."""
 
 
 def is_sensitive(S: Matrix, qp: QuadraticProgram) -> bool:
