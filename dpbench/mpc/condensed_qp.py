@@ -6,7 +6,7 @@ and three views of it.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, TypedDict
 
 import numpy as np
 
@@ -31,6 +31,15 @@ Amplitude = Literal["reachable", "hard", "soft"]
 """What amplitude limits that `emit` is given mean for plan row i: `reachable`, the limits or what
 the rate leaves of them; `hard`, the limits, though no plan may satisfy them; `soft`, the limits
 with a slack at an exact penalty."""
+
+
+class Form(TypedDict, total=False):
+    """What the constructors of all condensed QPs take by name; see `CondensedQP`."""
+
+    units: UnitSystem
+    amplitude: Amplitude
+    outputs: OutputBounds | None
+    penalty: Penalty | None
 
 
 class CondensedQP:

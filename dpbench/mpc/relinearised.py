@@ -16,18 +16,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
+from typing import TypeVar, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
-from dpbench.mpc.condense import CondensedMatrices, ControlProblem, UnitSystem, condense_matrices
-from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
+from dpbench.mpc.condense import CondensedMatrices, ControlProblem, condense_matrices
+from dpbench.mpc.condensed_qp import CondensedQP, Form
 from dpbench.mpc.model import HEADING
-from dpbench.mpc.outputs import OutputBounds
-from dpbench.mpc.soft_limits import Penalty
 from dpbench.qp.program import QPStep
 
 _TURNS = 2.0 * np.pi * np.arange(5) / 5
@@ -112,14 +110,9 @@ class RelinearisedQP(CondensedQP):
         psi0_rad: float,
         threshold_rad: float = 0.0,
         always: bool = True,
-        units: UnitSystem = "scaled",
-        amplitude: Amplitude = "reachable",
-        outputs: OutputBounds | None = None,
-        penalty: Penalty | None = None,
+        **form: Unpack[Form],
     ) -> None:
-        super().__init__(
-            problem, units=units, amplitude=amplitude, outputs=outputs, penalty=penalty
-        )
+        super().__init__(problem, **form)
         if not threshold_rad >= 0.0:
             raise InputError("RelinearisedQP", "threshold_rad", threshold_rad, "0 or more")
         self.psi0_rad = self.heading_rad = psi0_rad

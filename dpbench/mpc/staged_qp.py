@@ -100,10 +100,6 @@ class StagedQP:
         """The first variable of stage i."""
         return self._first(i, self._width)
 
-    def _first_row(self, i: int) -> int:
-        """The first row of stage i."""
-        return self._first(i, self._row_width)
-
     def _first(self, i: int, width: int) -> int:
         """Where stage i begins if one with a move is so wide; those behind have a state alone."""
         behind = max(i - self.control.N_c, 0)
@@ -150,7 +146,7 @@ class StagedQP:
         self.A: Matrix = np.zeros((self.m, self.n))
         low, high = np.zeros(self.m), np.zeros(self.m)
         for i in range(problem.N_p):
-            row, first = self._first_row(i), self._start(i)
+            row, first = self._first(i, self._row_width), self._start(i)
             if i < problem.N_c:
                 du, u = slice(first, first + n_u), slice(first + n_u, first + 2 * n_u)
                 moved = slice(row, row + n_u)

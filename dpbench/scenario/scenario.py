@@ -14,12 +14,13 @@ from dpbench.arrays import Matrix, Vector
 from dpbench.display import fields_html, numbers_text
 from dpbench.errors import InputError, UnknownNameError
 from dpbench.mpc.condense import ControlProblem, Terminal, UnitSystem
-from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
+from dpbench.mpc.condensed_qp import Amplitude, CondensedQP, Form
 from dpbench.mpc.model import StateSpace, prediction_model
 from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.reference import ReferenceFilter, reference_table
 from dpbench.mpc.relinearised import RelinearisedQP
 from dpbench.mpc.staged_qp import StagedQP
+from dpbench.mpc.thruster_rows import ThrusterRows
 from dpbench.mpc.thrusters.attainable_set import AttainableSet
 from dpbench.mpc.thrusters.azimuth_turning import TurningQP
 from dpbench.scenario.commanded_thrusters import (
@@ -161,20 +162,27 @@ class Scenario:
 
     def control_problem(self) -> ControlProblem:
         """What the controller is given: the model at ψ0, horizons, weights, limits."""
-        ship = self.vessel
+        ship, W = self.vessel, None
         model = prediction_model(ship.M, ship.D, self.psi0_rad, self.sample_s)
+        if self.steered is not None:
+            model = StateSpace(model.A, model.B @ self.steered.thrusters.T_e, model.C)
+            W = self.steered.W
         horizons = self.N_p, self.N_c, self.Q, self.R
+        limits = *self._own_limits, self.du_max
+        return ControlProblem(model, *horizons, *limits, self.terminal, self._rows, W)
+
+    @property
+    def _rows(self) -> ThrusterRows | None:
+        """The rows of u that are limited; None where each axis of it is."""
         if self.attainable is not None:
-            rows = self.attainable.rows()
-            limits = rows.low, rows.high, self.du_max
-            return ControlProblem(model, *horizons, *limits, terminal=self.terminal, thrusters=rows)
-        if self.steered is None:
-            limits = ship.tau_min, ship.tau_max, self.du_max
-            return ControlProblem(model, *horizons, *limits, terminal=self.terminal)
-        thrusters, rows, W = self.steered.thrusters, self.steered.rows, self.steered.W
-        steered = StateSpace(model.A, model.B @ thrusters.T_e, model.C)
-        limits = rows.low, rows.high, self.du_max
-        return ControlProblem(steered, *horizons, *limits, thrusters=rows, W=W)
+            return self.attainable.rows()
+        return None if self.steered is None else self.steered.rows
+
+    @property
+    def _own_limits(self) -> tuple[Vector, Vector]:
+        """Limits of u, or of its rows, while nothing has failed."""
+        rows, ship = self._rows, self.vessel
+        return (ship.tau_min, ship.tau_max) if rows is None else (rows.low, rows.high)
 
     def reference_table(self, samples: int) -> Matrix:
         """The reference at each sample (samples, 3), heading unwrapped from the start's."""
@@ -182,12 +190,7 @@ class Scenario:
 
     def limit_tables(self, samples: int) -> tuple[Matrix, Matrix]:
         """The limits in force at each sample, of τ (samples, 3) or of the thrusters' rows."""
-        own = self.vessel.tau_min, self.vessel.tau_max
-        if self.steered is not None:
-            own = self.steered.rows.low, self.steered.rows.high
-        if self.attainable is not None:
-            own = self.attainable.limits(set())
-        return limit_tables_of(own, self.faults, samples)
+        return limit_tables_of(self._own_limits, self.faults, samples)
 
     def estimator(self) -> Estimator:
         """A new estimator, which starts in the state the run starts in."""
@@ -340,21 +343,14 @@ def _outputs(controller: ControllerTable, scale: Froude, sample_s: float) -> Out
 
 def condense(scenario: Scenario, *, units: UnitSystem = "scaled") -> CondensedQP:
     """The builder of the scenario's QPs, in scaled units or SI."""
-    problem, outputs = scenario.control_problem(), scenario.outputs
+    problem = scenario.control_problem()
+    form: Form = {"units": units, "amplitude": scenario.amplitude, "outputs": scenario.outputs}
     if scenario.relinearised:
-        return RelinearisedQP(
-            problem,
-            psi0_rad=scenario.psi0_rad,
-            units=units,
-            amplitude=scenario.amplitude,
-            outputs=outputs,
-        )
+        return RelinearisedQP(problem, psi0_rad=scenario.psi0_rad, **form)
     turning = None if scenario.steered is None else scenario.steered.turning
     if turning is not None:
-        return TurningQP(
-            problem, turning, units=units, amplitude=scenario.amplitude, outputs=outputs
-        )
-    return CondensedQP(problem, units=units, amplitude=scenario.amplitude, outputs=outputs)
+        return TurningQP(problem, turning, **form)
+    return CondensedQP(problem, **form)
 
 
 def no_stages(scenario: Scenario) -> str:

@@ -127,13 +127,14 @@ class ThrusterSet:
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise InputError(self.where, "thrusters.name", f"{twice[0]!r} twice", "a name for each")
-        if np.linalg.matrix_rank(self.T_e / [[1.0], [1.0], [self._arm_m]]) < AXES:
+        if np.linalg.matrix_rank(self.T_e / [[1.0], [1.0], [self.longest_arm_m]]) < AXES:
             found = f"{', '.join(names) or 'none'}, which leave an axis without force"
             raise InputError(self.where, "thrusters", found, "forces in surge, sway and yaw")
 
     @property
-    def _arm_m(self) -> float:
-        return max((abs(t.x_m) + abs(t.y_m) for t in self.thrusters), default=1.0) or 1.0
+    def longest_arm_m(self) -> float:
+        """The largest distance of a thruster from the origin; 1 where all are there."""
+        return max((float(np.hypot(t.x_m, t.y_m)) for t in self.thrusters), default=1.0) or 1.0
 
     @cached_property
     def T_e(self) -> Matrix:

@@ -68,18 +68,13 @@ def attainable_set(thrusters: ThrusterSet, sides: int) -> AttainableSet:
     """
     parts = [_corners(t, sides, thrusters.where) @ t.columns.T for t in thrusters.thrusters]
     # In metres of arm, moments weigh as forces do, and edges can be compared.
-    arm = np.array([1.0, 1.0, 1.0 / _arm_m(thrusters)])
+    arm = np.array([1.0, 1.0, 1.0 / thrusters.longest_arm_m])
     edges = np.vstack([_edges(part * arm) for part in parts])
     pairs = np.triu_indices(len(edges), 1)
     crossed = np.cross(edges[pairs[0]], edges[pairs[1]])
     size = np.linalg.norm(crossed, axis=1)
     normals = _distinct(crossed[size > _PARALLEL] / size[size > _PARALLEL, np.newaxis])
     return AttainableSet(np.ascontiguousarray(normals * arm), tuple(parts))
-
-
-def _arm_m(thrusters: ThrusterSet) -> float:
-    """The lever that counts as one: the largest distance of a thruster from the origin."""
-    return max(float(np.hypot(t.x_m, t.y_m)) for t in thrusters.thrusters) or 1.0
 
 
 def _corners(thruster: Thruster, sides: int, where: str) -> Matrix:

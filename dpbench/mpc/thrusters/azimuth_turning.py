@@ -11,14 +11,14 @@ if it pushed with a twentieth of its thrust; else it could never leave nothing b
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Unpack
 
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.mpc.condense import ControlProblem, UnitSystem
-from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
-from dpbench.mpc.outputs import OutputBounds
-from dpbench.mpc.soft_limits import Layer, Penalty
+from dpbench.mpc.condense import ControlProblem
+from dpbench.mpc.condensed_qp import CondensedQP, Form
+from dpbench.mpc.soft_limits import Layer
 from dpbench.qp.program import QPStep
 from dpbench.ship.thrusters import ThrusterSet
 
@@ -88,26 +88,17 @@ class TurningQP(CondensedQP):
     """
 
     def __init__(
-        self,
-        problem: ControlProblem,
-        turning: AzimuthTurning,
-        *,
-        units: UnitSystem = "scaled",
-        amplitude: Amplitude = "reachable",
-        outputs: OutputBounds | None = None,
-        penalty: Penalty | None = None,
+        self, problem: ControlProblem, turning: AzimuthTurning, **form: Unpack[Form]
     ) -> None:
         self.turning = turning
-        super().__init__(
-            problem, units=units, amplitude=amplitude, outputs=outputs, penalty=penalty
-        )
+        super().__init__(problem, **form)
         a, rows, N_c = len(turning.x), self.m // problem.N_c, problem.N_c
         move = np.arange(N_c)[:, np.newaxis, np.newaxis]
         row = rows - 2 * a + 2 * np.arange(a)[:, np.newaxis] + [0, 0, 1, 1]
         column = turning.x[:, np.newaxis] + [0, 1, 0, 1]
         self._entries = move * rows + row, move * self.block + column
         self._own = slice(rows - 2 * a, rows)
-        self._unit = problem.du_max[turning.x] if units == "scaled" else np.ones(a)
+        self._unit = problem.du_max[turning.x] if self.units == "scaled" else np.ones(a)
         self._radial = problem.du_max[turning.x] / self._unit
 
     def _extra_layers(self) -> list[Layer]:

@@ -138,8 +138,7 @@ def sector_normals(start: float, end: float) -> Matrix:
 def balance_units(thrusters: ThrusterSet) -> Vector:
     """(3,) ΣT [N] for both forces and ΣT times the longest arm [N·m] for the moment."""
     total = float(thrusters.thrust_N.sum())
-    arm = max(float(np.hypot(t.x_m, t.y_m)) for t in thrusters.thrusters) or 1.0
-    return np.array([total, total, total * arm])
+    return np.array([total, total, total * thrusters.longest_arm_m])
 
 
 def balance_matrix(thrusters: ThrusterSet) -> Matrix:

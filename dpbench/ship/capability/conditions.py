@@ -52,8 +52,3 @@ def condition_of_wind(wind_mps: float) -> Condition:
     """
     columns = (float(np.interp(wind_mps, _TABLE[:, 0], column)) for column in _TABLE.T[1:])
     return Condition(wind_mps, *columns)
-
-
-def number_of_wind(wind_mps: float) -> int:
-    """The DP capability number of a ship that holds up to this wind: 0 to 11."""
-    return int(np.searchsorted(_TABLE[:, 0], wind_mps, side="right")) - 1

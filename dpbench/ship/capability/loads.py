@@ -29,7 +29,6 @@ from dpbench.ship.weather.wind import AIR_DENSITY
 
 DYNAMIC_FACTOR = 1.25
 """By which thrust has to exceed the mean loads (3.2.2)."""
-LOADS = ("wind", "current", "waves")
 
 
 def folded(from_rad: float) -> float:

@@ -26,10 +26,6 @@ _ROUNDING = 1e-9
 """Angles [rad] that are the same."""
 
 
-def _no_chords() -> Matrix:
-    return np.zeros((0, 3))
-
-
 @dataclass(frozen=True, eq=False)
 class Piece:
     """A convex part of what an azimuth may give, in units of its effective thrust.
@@ -41,7 +37,7 @@ class Piece:
     """
 
     sector: tuple[float, float] | None = None
-    chords: Matrix = field(default_factory=_no_chords)
+    chords: Matrix = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 def pieces(
