@@ -21,6 +21,7 @@ from dpbench.mpc.condense import (
     scaled_rows,
     summed_rows,
 )
+from dpbench.mpc.kernels import reachable_limits
 from dpbench.mpc.model import HORIZONTAL
 from dpbench.mpc.outputs import OutputBounds, instants, output_layers
 from dpbench.mpc.soft_limits import Layer, Penalty, amplitude_layer, lay
@@ -147,15 +148,15 @@ class CondensedQP:
         )
         problem, N_c, r = self.control, self.control.N_c, len(self.control.G)
         first = r if self.amplitude == "soft" else 0
-        self._i: Matrix = np.arange(1.0, N_c + 1)[:, np.newaxis]
         self._shape, self._row_shape = (N_c, self.block), (N_c, self.m // N_c)
         self._moves = slice(None), slice(0, n_u)
         self._upper = slice(None), slice(0, r)
         self._lower = slice(None), slice(first, first + r)
         self._row_unit = self.scale.row[:r]
         self._retreat: Retreat | None = None
-        if problem.thrusters is not None:
-            self._retreat = Retreat(problem.thrusters, problem.du_max, problem.row_max, N_c)
+        if problem.thrusters is not None and self.amplitude == "reachable":
+            rates = problem.du_max, problem.row_max
+            self._retreat = Retreat(problem.thrusters, *rates, N_c, factor=self._row_unit)
 
     def emit(
         self,
@@ -213,19 +214,17 @@ class CondensedQP:
 
     def _limit(self, step: QPStep, u_prev: Vector, u_min: Vector, u_max: Vector) -> None:
         """Amplitude limits other than the vessel's, as the policy says."""
-        problem, retreat = self.control, self._retreat
-        if retreat is not None and self.amplitude == "reachable":
-            low, high = retreat.limits(u_prev, u_min, u_max)
+        problem, unit = self.control, self._row_unit
+        if self._retreat is not None:
+            self._retreat.write(u_prev, u_min, u_max, step.l, step.u)
+        elif self.amplitude == "reachable":
+            limits = u_prev, u_min, u_max, problem.row_max, unit
+            reachable_limits(*limits, step.l, step.u, problem.N_c)
         else:
-            before = u_prev if retreat is None else problem.G @ u_prev
+            before = u_prev if problem.thrusters is None else problem.G @ u_prev
             high, low = (u_max - before) / problem.row_max, (u_min - before) / problem.row_max
-            if self.amplitude == "reachable":
-                # In rate-limit steps the reachable bounds −i and i are exact, so a row that is
-                # forced to its bound meets it to the last bit and no rounding makes the step
-                # infeasible.
-                high, low = np.maximum(high, -self._i), np.minimum(low, self._i)
-        np.multiply(low, self._row_unit, out=step.l.reshape(self._row_shape)[self._lower])
-        np.multiply(high, self._row_unit, out=step.u.reshape(self._row_shape)[self._upper])
+            step.l.reshape(self._row_shape)[self._lower] = low * unit
+            step.u.reshape(self._row_shape)[self._upper] = high * unit
 
     def problem(self, step: QPStep) -> QuadraticProgram:
         """The whole problem of one step."""

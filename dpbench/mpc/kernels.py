@@ -172,6 +172,22 @@ def condense_blocks(A, B, C, Q, R, N_p, N_c):
     return E, F_x, F_held, F, h
 
 
+@njit(cache=True, error_model="numpy")
+def reachable_limits(u_prev, u_min, u_max, row_max, row_unit, l, u, N_c):  # noqa: E741 - as in the program
+    """Limits (r,) as far as the rate can follow them into the first r rows of each move in l, u.
+
+    In rate-limit steps the reachable bounds −i and i are exact, so a row that is forced to its
+    bound meets it to the last bit and no rounding makes the step infeasible.
+    """
+    r, stride = len(u_prev), len(l) // N_c
+    for i in range(N_c):
+        for k in range(r):
+            low, high = (u_min[k] - u_prev[k]) / row_max[k], (u_max[k] - u_prev[k]) / row_max[k]
+            low = i + 1.0 if low > i + 1.0 else low
+            high = -(i + 1.0) if high < -(i + 1.0) else high
+            l[i * stride + k], u[i * stride + k] = low * row_unit[k], high * row_unit[k]
+
+
 @njit(cache=True)
 def map_blocks(F_x, F_held, F_u, G, u_min, u_max, unit, row_unit):
     """Z (n + 2m, n_x + n_y + n_u + 1) with [q; l; u] = Z [x; y_ref; u_prev; 1] (eq. 20-24).

@@ -122,52 +122,88 @@ class Retreat:
     ----------
     rows : of the intact thrusters; du_max : (n_f,) rate limits of a sample; row_max : (r,) unit of
         a row; N_c : moves.
+    factor : (r,) what limits in units of rows are multiplied by; None for 1.
     """
 
-    def __init__(self, rows: ThrusterRows, du_max: Vector, row_max: Vector, N_c: int) -> None:
-        self._constants = (
-            rows.G,
-            np.stack((rows.low, rows.high)),
-            rows.thruster,
-            rows.entry,
-            du_max,
-            row_max,
-        )
-        self._shape = 2, N_c, len(rows.low)
+    def __init__(
+        self,
+        rows: ThrusterRows,
+        du_max: Vector,
+        row_max: Vector,
+        N_c: int,
+        *,
+        factor: Vector | None = None,
+    ) -> None:
+        (r, n_f), p = rows.G.shape, int(rows.entry[-1]) + 1
+        self._shape = N_c, r
+        # One array, because a call costs most for its arguments.
+        table = np.zeros((G_FROM + n_f, max(r, n_f, p + 1)))
+        table[LOW, :r], table[HIGH, :r] = rows.low, rows.high
+        table[ROW_MAX, :r] = row_max
+        table[FACTOR, :r] = 1.0 if factor is None else factor
+        table[DU_MAX, :n_f] = du_max
+        table[ROW_FROM, : p + 1] = np.searchsorted(rows.thruster, np.arange(p + 1))
+        table[ENTRY_FROM, : p + 1] = np.searchsorted(rows.entry, np.arange(p + 1))
+        table[G_FROM:, :r] = rows.G.T
+        self._table: Matrix = table
 
     def limits(self, f: Vector, low: Vector, high: Vector) -> tuple[Matrix, Matrix]:
         """What low and high (r,) are at each move, less G f, in units of rows: (N_c, r) each."""
-        out = np.empty(self._shape)
-        _closing_in(*self._constants, f, low, high, out)
-        return out[0], out[1]
+        l, u = np.empty(self._shape), np.empty(self._shape)  # noqa: E741 - as in the program
+        self.write(f, low, high, l.reshape(-1), u.reshape(-1))
+        return l, u
+
+    def write(self, f: Vector, low: Vector, high: Vector, l: Vector, u: Vector) -> None:  # noqa: E741 - as in the program
+        """The same into the first r of the rows of each move in l and u (m,)."""
+        _close_in(self._table, f, low, high, l, u, self._shape[0])
 
 
-@njit(cache=True)
-def _closing_in(G, intact, row_of, entry_of, du_max, row_max, f, low, high, out):  # type: ignore[no-untyped-def] # compiled: numba finds the types
-    """Limits of each move less G f over row_max into out (2, N_c, r); intact (2, r)."""
-    r, n_f, p = G.shape[0], G.shape[1], entry_of[-1] + 1
-    along, gauge, steps, lost = np.zeros(r), np.zeros(p), np.zeros(p), np.zeros(p)
-    for j in range(n_f):
-        steps[entry_of[j]] += (f[j] / du_max[j]) ** 2
-    steps = np.sqrt(steps)
+# Rows of the table that `_close_in` works on; its columns are rows k, entries or thrusters.
+LOW, HIGH, ROW_MAX, FACTOR, ALONG, DU_MAX, ROW_FROM, ENTRY_FROM, G_FROM = range(9)
+
+
+@njit(cache=True, error_model="numpy")
+def _close_in(table, f, low, high, l, u, N_c):  # type: ignore[no-untyped-def] # noqa: E741 - compiled: numba finds the types; as in the program
+    """Limits of each move less G f over row_max, times factor, into l and u (N_c rows of moves)."""
+    r, n_f, stride = low.shape[0], f.shape[0], l.shape[0] // N_c
     for k in range(r):
-        for j in range(n_f):
-            along[k] += G[k, j] * f[j]
-        # A sector's edge has zero for a limit: no share of it tells where f is.
-        limit = intact[1 if along[k] > 0.0 else 0, k]
-        if limit != 0.0:
-            gauge[row_of[k]] = max(gauge[row_of[k]], along[k] / limit)
-        if low[k] == high[k]:
-            lost[row_of[k]] = 1.0
-    for i in range(out.shape[1]):
+        table[ALONG, k] = 0.0
+    for j in range(n_f):
         for k in range(r):
-            t = row_of[k]
-            left = steps[t] - RETREAT * (i + 1)
-            share = left / steps[t] if left > GONE else 0.0
-            least, most = low[k], high[k]
-            if lost[t] == 0.0:
-                least, most = min(least, share * along[k]), max(most, share * along[k])
-            elif share > 0.0:
-                least, most = share * gauge[t] * intact[0, k], share * gauge[t] * intact[1, k]
-            out[0, i, k] = (least - along[k]) / row_max[k]
-            out[1, i, k] = (most - along[k]) / row_max[k]
+            table[ALONG, k] += table[G_FROM + j, k] * f[j]
+    t, first = 0, 0
+    while first < r:
+        end = int(table[ROW_FROM, t + 1])
+        gauge, lost = _state_of(table, first, end, low, high)
+        steps = 0.0
+        for j in range(int(table[ENTRY_FROM, t]), int(table[ENTRY_FROM, t + 1])):
+            steps += (f[j] / table[DU_MAX, j]) ** 2
+        steps = np.sqrt(steps)
+        for i in range(N_c):
+            left = steps - RETREAT * (i + 1)
+            share = left / steps if left > GONE else 0.0
+            shrunk = lost and share > 0.0
+            for k in range(first, end):
+                along, least, most = table[ALONG, k], low[k], high[k]
+                if shrunk:
+                    least, most = share * gauge * table[LOW, k], share * gauge * table[HIGH, k]
+                elif not lost:
+                    least, most = min(least, share * along), max(most, share * along)
+                unit, factor = table[ROW_MAX, k], table[FACTOR, k]
+                l[i * stride + k] = (least - along) / unit * factor
+                u[i * stride + k] = (most - along) / unit * factor
+        t, first = t + 1, end
+
+
+@njit(cache=True, error_model="numpy")
+def _state_of(table, first, end, low, high):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+    """The share of a thruster's intact limits that holds its force, and whether it is lost."""
+    gauge, lost = 0.0, False
+    for k in range(first, end):
+        along = table[ALONG, k]
+        # A sector's edge has zero for a limit: no share of it tells where f is.
+        limit = table[HIGH if along > 0.0 else LOW, k]
+        if limit != 0.0:
+            gauge = max(gauge, along / limit)
+        lost |= low[k] == high[k]
+    return gauge, lost

@@ -112,3 +112,47 @@ def test_the_straight_way_back_keeps_to_the_rate_and_to_what_the_rows_become(
         assert (along <= back + most[i] * row_max + rounding).all()
         assert (along >= back + least[i] * row_max - rounding).all()
         before = now
+
+
+@settings(derandomize=True, max_examples=100)
+@given(
+    st.lists(st.floats(-2.0, 2.0), min_size=4, max_size=4),
+    st.sets(st.integers(0, 2)),
+    st.floats(0.0, 1.0),
+    st.integers(1, 4),
+)
+def test_limits_close_in_as_the_formula_says_wherever_they_are_written(
+    parts: list[float], lost: set[int], left: float, behind: int
+) -> None:
+    """Row by row in plain Python; rows of others behind a move's stay."""
+    thrusters, N_c = one_azimuth(), 3
+    rows, du_max = thruster_rows(thrusters, 8), thrusters.step_max(1.0)
+    row_max, f = rows.units(du_max), T * np.array(parts)
+    r, factor = len(row_max), np.linspace(0.5, 2.0, len(row_max))
+    gone_low, high = rows.without(lost)
+    low, high = left * gone_low, left * high
+    stride = r + behind
+    l, u = np.full(N_c * stride, 7.0), np.full(N_c * stride, 8.0)  # noqa: E741 - as in the program
+    Retreat(rows, du_max, row_max, N_c, factor=factor).write(f, low, high, l, u)
+    for i in range(N_c):
+        for k in range(r):
+            number = rows.thruster[k]
+            own, entries = rows.thruster == number, np.flatnonzero(rows.entry == number)
+            along = np.array([sum(rows.G[j, e] * f[e] for e in entries) for j in range(r)])
+            steps = math.sqrt(sum((f[e] / du_max[e]) ** 2 for e in entries))
+            gauge = max(
+                along[j] / (rows.high if along[j] > 0.0 else rows.low)[j]
+                for j in np.flatnonzero(own)
+            )
+            share = 1.0 - 0.9 * (i + 1) / steps if steps > 0.9 * (i + 1) + 0.05 else 0.0
+            if not (low == high)[own].any():
+                least, most = min(low[k], share * along[k]), max(high[k], share * along[k])
+            elif share > 0.0:
+                least, most = share * gauge * rows.low[k], share * gauge * rows.high[k]
+            else:
+                least, most = low[k], high[k]
+            expected = np.array([least, most]) - along[k]
+            found = np.array([l[i * stride + k], u[i * stride + k]]) / factor[k] * row_max[k]
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * T)
+    of_others = np.arange(N_c * stride).reshape(N_c, stride)[:, r:]
+    assert (l[of_others] == 7.0).all() and (u[of_others] == 8.0).all()

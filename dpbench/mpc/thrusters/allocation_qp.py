@@ -102,7 +102,9 @@ class AllocationQP:
         self._row_unit: Vector = row_unit if scaled else row_one
         self._build()
         self._theta = np.ones(AXES + n_f + 1)
-        self._retreat = Retreat(problem.rows, problem.df_max, problem.row_max, 1)
+        of_limits = problem.row_max / self._row_unit[AXES:]
+        rates = problem.df_max, problem.row_max
+        self._retreat = Retreat(problem.rows, *rates, 1, factor=of_limits)
 
     def _build(self) -> None:
         """P, A, bounds and Z: in SI units first, then in those of the variables and rows."""
@@ -143,15 +145,8 @@ class AllocationQP:
         # The two sides of an equality are equal to the last bit, in whatever order a product adds.
         step.u[:AXES] = step.l[:AXES]
         if limits is not None:
-            self._limit(step, f_prev, *limits)
+            self._retreat.write(f_prev, *limits, step.l[AXES:], step.u[AXES:])
         return step
-
-    def _limit(self, step: QPStep, f_prev: Vector, low: Vector, high: Vector) -> None:
-        """Limits other than the problem's, as far as the rate can follow them."""
-        problem = self.allocation
-        low, high = (side[0] for side in self._retreat.limits(f_prev, low, high))
-        unit = problem.row_max / self._row_unit[AXES:]
-        step.l[AXES:], step.u[AXES:] = low * unit, high * unit
 
     def base(self) -> QuadraticProgram:
         """The problem at rest, with no force demanded: what a workspace sets up with."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Unpack
 
 import numpy as np
+from numba import njit
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.mpc.condense import ControlProblem
@@ -54,13 +55,9 @@ class AzimuthTurning:
 
     def directions(self, f: Vector) -> tuple[Vector, Vector, Vector]:
         """Parts of n (a,) along X and Y, and the most across in one sample (a,) [N]."""
-        along, across = f[self.x], f[self.x + 1]
-        size = np.sqrt(along * along + across * across)
-        # Below it a direction is rounding, and what is squared is lost.
-        pushing = size > 1e-9 * self.least_N
-        safe = np.where(pushing, size, 1.0)
-        most: Vector = np.maximum(size, self.least_N) * self.arc
-        return np.where(pushing, along / safe, 1.0), across / safe, most
+        parts = zip(f[self.x], f[self.x + 1], self.arc, self.least_N, strict=True)
+        c, s, most = np.array([_direction(*part) for part in parts]).reshape(-1, 3).T
+        return c, s, most
 
     def kept(self, f: Vector, move: Vector, du_max: Vector) -> Vector:
         """The move (n_f,) cut to what rate and turning allow from f on."""
@@ -78,6 +75,15 @@ class AzimuthTurning:
         return out
 
 
+@njit(cache=True, error_model="numpy")
+def _direction(along, across, arc, least_N):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+    """Parts of n along X and Y, and the most across, of one azimuth."""
+    size = np.sqrt(along * along + across * across)
+    most = max(size, least_N) * arc
+    # Below it a direction is rounding, and what is squared is lost.
+    return (along / size, across / size, most) if size > 1e-9 * least_N else (1.0, across, most)
+
+
 class TurningQP(CondensedQP):
     """The problem of thrusters whose azimuths turn at a limited rate; each step brings A.
 
@@ -92,14 +98,12 @@ class TurningQP(CondensedQP):
     ) -> None:
         self.turning = turning
         super().__init__(problem, **form)
-        a, rows, N_c = len(turning.x), self.m // problem.N_c, problem.N_c
-        move = np.arange(N_c)[:, np.newaxis, np.newaxis]
-        row = rows - 2 * a + 2 * np.arange(a)[:, np.newaxis] + [0, 0, 1, 1]
-        column = turning.x[:, np.newaxis] + [0, 1, 0, 1]
-        self._entries = move * rows + row, move * self.block + column
-        self._own = slice(rows - 2 * a, rows)
-        self._unit = problem.du_max[turning.x] if self.units == "scaled" else np.ones(a)
-        self._radial = problem.du_max[turning.x] / self._unit
+        a, rows = len(turning.x), self.m // problem.N_c
+        unit = problem.du_max[turning.x] if self.units == "scaled" else np.ones(a)
+        # One array, because a call costs most for its arguments.
+        limits = turning.arc, turning.least_N, problem.du_max[turning.x] / unit, unit
+        first = rows - 2 * a + 2 * np.arange(a)
+        self._table: Matrix = np.vstack([turning.x, *limits, first]).astype(np.float64)
 
     def _extra_layers(self) -> list[Layer]:
         """Two rows an azimuth, with directions and limits of a thruster at nothing."""
@@ -125,11 +129,26 @@ class TurningQP(CondensedQP):
     ) -> QPStep:
         """The QP of one step as `CondensedQP.emit`, with the directions of u_prev in A."""
         step = super().emit(x, y_ref, u_prev, limits=limits)
-        c, s, most = self.turning.directions(u_prev)
         A: Matrix = self.A.copy()
-        A[self._entries] = np.stack((c, s, -s, c), axis=-1)
-        bounds = np.stack((self._radial, most / self._unit), axis=-1).reshape(-1)
-        step.l.reshape(self._row_shape)[:, self._own] = -bounds
-        step.u.reshape(self._row_shape)[:, self._own] = bounds
+        _turn(self._table, u_prev, A, step.l, step.u, self.control.N_c)
         step.A = A
         return step
+
+
+# Rows of the table of `_turn`, whose columns are azimuths; the last one is the first of its rows.
+X, ARC, LEAST_N, RADIAL, UNIT, FIRST = range(6)
+
+
+@njit(cache=True, error_model="numpy")
+def _turn(table, f, A, l, u, N_c):  # type: ignore[no-untyped-def] # noqa: E741 - compiled: numba finds the types; as in the program
+    """Rows and limits of the directions of f into A, l and u, alike at every move."""
+    rows, block = A.shape[0] // N_c, A.shape[1] // N_c
+    for j in range(table.shape[1]):
+        at, radial = int(table[X, j]), table[RADIAL, j]
+        c, s, most = _direction(f[at], f[at + 1], table[ARC, j], table[LEAST_N, j])
+        across = most / table[UNIT, j]
+        for i in range(N_c):
+            r, x = i * rows + int(table[FIRST, j]), i * block + at
+            A[r, x], A[r, x + 1] = c, s
+            A[r + 1, x], A[r + 1, x + 1] = -s, c
+            l[r], u[r], l[r + 1], u[r + 1] = -radial, radial, -across, across
