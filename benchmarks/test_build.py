@@ -137,3 +137,26 @@ def test_bare_product(benchmark: BenchmarkFixture, problem: ControlProblem) -> N
     builder = CondensedQP(problem)
     theta, out = np.full(builder.Z.shape[1], 0.1), np.empty(builder.Z.shape[0])
     benchmark(lambda: np.dot(builder.Z, theta, out=out))
+
+
+@pytest.fixture(scope="module", params=[(30, 5), (60, 10)], ids=["30/5", "60/10"])
+def lost(request: pytest.FixtureRequest) -> QPBuilder:
+    """What emits the QPs of a ship that loses thrusters on the way."""
+    N_p, N_c = request.param
+    return QPBuilder(replace(load_scenario("thrusters_loss"), N_p=N_p, N_c=N_c))
+
+
+@pytest.mark.benchmark(group="emit one step with thrusters")
+@pytest.mark.parametrize("at_s", [0.0, 150.0], ids=["intact", "lost"])
+def test_emit_with_thrusters(benchmark: BenchmarkFixture, lost: QPBuilder, at_s: float) -> None:
+    """θ → q, l, u before and after the fault at 90 s."""
+    x, f = np.full(9, 0.1), np.full(lost.n_f, 5e3)
+    benchmark(lost.emit, int(at_s / 0.5), x, f)
+
+
+@pytest.mark.benchmark(group="emit one step with thrusters")
+def test_bare_product_with_thrusters(benchmark: BenchmarkFixture, lost: QPBuilder) -> None:
+    """The product of the same matrix: what emitting is measured against."""
+    Z = lost.condensed.Z
+    theta, out = np.full(Z.shape[1], 0.1), np.empty(Z.shape[0])
+    benchmark(lambda: np.dot(Z, theta, out=out))

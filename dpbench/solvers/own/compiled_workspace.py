@@ -6,6 +6,8 @@ call on it and leaves its ending in `_ending`: the number of iterations, or a ne
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from dpbench.arrays import Matrix
@@ -13,8 +15,8 @@ from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.contract import Policy, Route, Workspace, check_step, not_set_up
 from dpbench.solvers.own.active_set import layout as layout
-from dpbench.solvers.own.active_set.constants import empty, fill, results, vectors
-from dpbench.solvers.own.active_set.kernel import take_over
+from dpbench.solvers.own.active_set.constants import empty, fill, results, rows, vectors
+from dpbench.solvers.own.active_set.kernel import take_over, take_over_rows
 
 SOLVED = Status.SOLVED
 NOT_SOLVED_YET = -100
@@ -28,6 +30,7 @@ class CompiledWorkspace(Workspace):
         self.setup_every_step = policy == "fresh"
         self._base: QuadraticProgram | None = None
         self._S: Matrix | None = None
+        self._others = False
         self._refusal = ""
         self._ending = NOT_SOLVED_YET
         self._unusual: Solution
@@ -38,22 +41,32 @@ class CompiledWorkspace(Workspace):
 
     def _prepare(self, qp: QuadraticProgram) -> None:
         before, n, m = self._base, qp.n, qp.m
-        self._base, self._ending = qp, NOT_SOLVED_YET
+        self._base, self._others, self._ending = qp, False, NOT_SOLVED_YET
         if self._S is None or before is None or (before.n, before.m) != (n, m):
             self._S = empty(n, m)
             self._z, self._y, self._y_box = results(self._S, n, m)
         self._refusal = fill(self._S, qp, keep=self.policy == "warm")
 
     def update(self, step: QPStep) -> None:
-        """Take over the vectors; new matrices are factorised again."""
+        """Take over the vectors, and rows of A that changed; a new P is factorised."""
         self._ending = NOT_SOLVED_YET
-        if step.P is None and step.A is None and step.lb is None and step.ub is None:
+        if step.P is None and step.lb is None and step.ub is None and not self._refusal:
             try:
-                if take_over(self._S, step.q, step.l, step.u):
+                if take_over(self._S, step.q, step.l, step.u) and self._take_over_rows(step.A):
                     return
             except TypeError:  # arrays of another kind, or no setup yet
                 pass
         self._update_slowly(step)
+
+    def _take_over_rows(self, A: Matrix | None) -> bool:
+        """Whether A has been taken over without factorising P again; None for the same A."""
+        if A is None:
+            return True
+        taken: bool = take_over_rows(self._S, A)
+        # Only what is unusual asks for the problem as a whole.
+        self._others = self._others or taken
+        self.matrix_updates += taken
+        return taken
 
     def _update_slowly(self, step: QPStep) -> None:
         """Arrays of another layout or type, new matrices, or a mistake."""
@@ -67,7 +80,7 @@ class CompiledWorkspace(Workspace):
                 vector[:] = new
         else:
             self.matrix_updates += 1
-            self._prepare(base.at(step).copy())
+            self._prepare(self._known(base).at(step).copy())
 
     def _cannot(self) -> None:
         if self._base is None:
@@ -104,10 +117,17 @@ class CompiledWorkspace(Workspace):
 
     def _problem(self) -> QuadraticProgram:
         """The current problem, in memory of its own."""
-        base = self._base
-        assert base is not None and self._S is not None
+        assert self._base is not None and self._S is not None
+        base = self._known(self._base)
         q, low, high = (array.copy() for array in vectors(self._S, base.n, base.m))
         return QuadraticProgram(base.P, q, base.A, low, high, base.lb, base.ub, base.block)
+
+    def _known(self, base: QuadraticProgram) -> QuadraticProgram:
+        """What was set up, with the rows that were taken over since."""
+        if self._others and self._S is not None:
+            base = self._base = replace(base, A=rows(self._S, base.n, base.m).copy())
+            self._others = False
+        return base
 
     def _missing(self, status: Status, detail: str) -> Solution:
         if self._base is None:

@@ -24,10 +24,6 @@ LANES = 16
 LINE_BYTES = 64
 # A guard against rounding only: the method ends by itself, usually within n + m iterations.
 ITERATIONS_PER_ROW = 20
-# What a multiplier may be for its rounding to be no more than 1e-10 in the gradient.
-MOST = 1e5
-# A row shorter than this in the norm of P⁻¹ is zero: its square underflows.
-ZERO = 1e-150
 
 
 def _padded(length: int) -> int:
@@ -90,7 +86,7 @@ def fill(S: Matrix, qp: QuadraticProgram, *, keep: bool) -> str:
     check = S[layout.CHECK]
     check[layout.LONGEST] = np.sqrt(H.diagonal().max())
     check[layout.STEEPEST] = np.sqrt(np.trace(P))
-    check[layout.MOST] = MOST / max(np.abs(qp.A).max(initial=0.0), 1.0)
+    check[layout.MOST] = layout.MOST_MULTIPLIER / max(np.abs(qp.A).max(initial=0.0), 1.0)
     return ""
 
 
@@ -105,7 +101,7 @@ def _unit(H: Matrix, n: int, rows: slice) -> Vector:
     """One over each row's length in the norm of P⁻¹; 1 for zero rows, 0 for padding."""
     length = np.sqrt(H.diagonal())
     unit = np.ones(length.size)
-    np.divide(1.0, length, out=unit, where=length > ZERO)
+    np.divide(1.0, length, out=unit, where=length > layout.ZERO_ROW)
     unit[n : rows.start] = 0.0
     unit[rows.stop :] = 0.0
     return unit
@@ -122,3 +118,8 @@ def vectors(S: Matrix, n: int, m: int) -> tuple[Vector, Vector, Vector]:
     n_pad = _padded(n)
     rows = slice(n_pad, n_pad + m)
     return S[layout.Q, :n], S[layout.LOW, rows], S[layout.HIGH, rows]
+
+
+def rows(S: Matrix, n: int, m: int) -> Matrix:
+    """A (m, n) as a view of S."""
+    return _blocks(S, _padded(n))[-1][:m, :n]

@@ -69,6 +69,9 @@ from typing import Any
 from numba import njit
 
 from dpbench.arrays import Matrix
+from dpbench.solvers.own.active_set.changed_rows import (
+    change,
+)
 from dpbench.solvers.own.active_set.check import (
     excess,
     is_near,
@@ -92,6 +95,7 @@ from dpbench.solvers.own.active_set.layout import (
     HIGH,
     INFEASIBLE,
     ITERATIONS,
+    KEEP,
     LAM,
     LIMIT,
     LOW,
@@ -132,13 +136,13 @@ from dpbench.solvers.own.active_set.refine import (
     settle_signs,
 )
 from dpbench.solvers.own.active_set.spans import (
-    GROUP,
-    mark,
+    mark_all,
 )
 from dpbench.solvers.own.active_set.start import (
     begin,
     length,
     repair,
+    retake,
     start,
 )
 
@@ -341,6 +345,20 @@ def _entry_points(version: int) -> tuple[Callable[..., Any], ...]:
             S[LOW, n_pad + i], S[HIGH, n_pad + i] = low[i], high[i]
         return True
 
+    @njit("b1(f8[:, ::1], f8[:, ::1])", cache=True, fastmath=REORDER, error_model="numpy")
+    def take_over_rows(S, A):  # type: ignore[no-untyped-def] # compiled by numba
+        S[HEAD, STAMP] = version
+        n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
+        if A.shape[0] != S[HEAD, M] or A.shape[1] != S[HEAD, N]:
+            return False
+        K, P, H, J, rows, L = starts(n, width)
+        ending = change(S, K, P, H, J, rows, A)
+        if ending > 0:
+            mark_all(S, K, P, H, J, n)
+        if ending >= 0 and S[HEAD, KEEP] > 0.0 and S[HEAD, STALE] == 0.0:
+            retake(S, L, H)
+        return ending >= 0
+
     @njit("f8(f8[:, ::1])", cache=True, fastmath=REORDER, error_model="numpy")
     def excess_of(S):  # type: ignore[no-untyped-def] # compiled by numba
         S[HEAD, STAMP] = version
@@ -352,17 +370,19 @@ def _entry_points(version: int) -> tuple[Callable[..., Any], ...]:
         S[HEAD, STAMP] = version
         n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
         K, P, H, J, _, _ = starts(n, width)
-        mark(S, K, P, GROUP, n)
-        mark(S, P, H, GROUP, n)
-        mark(S, H, J, 1, n)
+        mark_all(S, K, P, H, J, n)
 
     # Without Numba's dispatcher, which takes 0.1 µs a call to find the type of S again.
-    return solve_step.get_overload(solve_step.signatures[0]), take_over, excess_of, mark_spans
+    step = solve_step.get_overload(solve_step.signatures[0])
+    return step, take_over, take_over_rows, excess_of, mark_spans
 
 
-solve_step, take_over, excess_of, mark_spans = _entry_points(stamp())
+solve_step, take_over, take_over_rows, excess_of, mark_spans = _entry_points(stamp())
 """solve_step(S): solve the QP in S; the number of iterations, or a negative ending.
 take_over(S, q, l, u): copy the vectors into S, or False where a length does not fit; TypeError for
 anything but contiguous float64 vectors that may be written to.
+take_over_rows(S, A): A in place of the one in S, with all that is made of it, the active set kept;
+False where a shape does not fit or `fill` has to make it; TypeError for anything but a contiguous
+float64 matrix. The limits in S are to be those of the step already.
 mark_spans(S): write where the rows of K, [P Aᵀ] and H are not zero; after every change of them.
 excess_of(S): how many times what is allowed z and λ in S miss the optimality conditions by."""

@@ -53,6 +53,10 @@ PUT_ASIDE = 2.0
 TAIL = 16
 """Columns behind the `width` first ones, where rows of K, [P Aᵀ] and H say which of their entries
 are not zero: how many spans of them there are before column n_pad and in all, then the spans."""
+MOST_MULTIPLIER = 1e5
+"""What a multiplier may be for its rounding to be no more than 1e-10 in the gradient."""
+ZERO_ROW = 1e-150
+"""A row shorter than this in the norm of P⁻¹ is zero: its square underflows."""
 MASK = 0xFFFFFF
 """An integer is taken with it so that the compiler knows that an index is not negative."""
 

@@ -48,6 +48,14 @@ def mark(S: Matrix, first: int, end: int, step: int, n: int) -> None:
 
 
 @compiled
+def mark_all(S: Matrix, K: int, P: int, H: int, J: int, n: int) -> None:
+    """Write the spans of K, [P Aᵀ] and H."""
+    mark(S, K, P, GROUP, n)
+    mark(S, P, H, GROUP, n)
+    mark(S, H, J, 1, n)
+
+
+@compiled
 def any_entry(S: Matrix, first: int, end: int, column: int) -> bool:
     """Whether any of some rows has an entry in the vector that begins at a column."""
     for r in range(first, end):

@@ -176,17 +176,31 @@ def take_in(S: Matrix, L: int, H: int, i: int, side: float, lam: float) -> None:
 
 
 @compiled
-def shift(S: Matrix, L: int, H: int) -> None:
-    """The set moves on by one move; the last move keeps what it had as well."""
-    n, n_pad, m = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, int(S[HEAD, M])
-    block, block_rows = int(S[HEAD, BLOCK]) & MASK, int(S[HEAD, BLOCK_ROWS]) & MASK
+def take_out(S: Matrix) -> int:
+    """Empty the set: rows and sides of it into BEFORE, λ into R; how many they are."""
     w = int(S[HEAD, COUNT]) & MASK
     for k in range(w):
         i = int(S[ACTIVE, k]) & MASK
         S[BEFORE, k], S[R, k] = (i + 1) * S[SIDE, i], S[LAM, i]
         S[SIDE, i] = S[LAM, i] = 0.0
     S[HEAD, COUNT] = 0
-    for k in range(w):
+    return w
+
+
+@compiled
+def retake(S: Matrix, L: int, H: int) -> None:
+    """The same set again, with the factor of what H has become."""
+    for k in range(take_out(S)):
+        side = 1.0 if S[BEFORE, k] > 0.0 else -1.0
+        take_in(S, L, H, (int(abs(S[BEFORE, k])) - 1) & MASK, side, S[R, k])
+
+
+@compiled
+def shift(S: Matrix, L: int, H: int) -> None:
+    """The set moves on by one move; the last move keeps what it had as well."""
+    n, n_pad, m = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, int(S[HEAD, M])
+    block, block_rows = int(S[HEAD, BLOCK]) & MASK, int(S[HEAD, BLOCK_ROWS]) & MASK
+    for k in range(take_out(S)):
         side = 1.0 if S[BEFORE, k] > 0.0 else -1.0
         i = (int(abs(S[BEFORE, k])) - 1) & MASK
         first, end, by = (0, n, block) if i < n_pad else (n_pad, n_pad + m, block_rows)
