@@ -15,7 +15,7 @@ from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.contract import Policy, Route, Workspace, check_step, not_set_up
 from dpbench.solvers.own.active_set import layout as layout
-from dpbench.solvers.own.active_set.constants import empty, fill, results, rows, vectors
+from dpbench.solvers.own.active_set.constants import constraints, empty, fill, results, vectors
 from dpbench.solvers.own.active_set.kernel import take_over, take_over_rows
 
 SOLVED = Status.SOLVED
@@ -45,6 +45,7 @@ class CompiledWorkspace(Workspace):
         if self._S is None or before is None or (before.n, before.m) != (n, m):
             self._S = empty(n, m)
             self._z, self._y, self._y_box = results(self._S, n, m)
+            self._constraints = constraints(self._S, n, m)
         self._refusal = fill(self._S, qp, keep=self.policy == "warm")
 
     def update(self, step: QPStep) -> None:
@@ -125,7 +126,7 @@ class CompiledWorkspace(Workspace):
     def _known(self, base: QuadraticProgram) -> QuadraticProgram:
         """What was set up, with the rows that were taken over since."""
         if self._others and self._S is not None:
-            base = self._base = replace(base, A=rows(self._S, base.n, base.m).copy())
+            base = self._base = replace(base, A=self._constraints[0].copy())
             self._others = False
         return base
 

@@ -22,10 +22,11 @@ from dpbench.solvers.own.compiled_workspace import CompiledWorkspace
 from dpbench.solvers.own.safeguards.careful import solve_carefully
 from dpbench.solvers.own.safeguards.exact_point import error_bound, is_regular
 from dpbench.solvers.own.safeguards.pinned import determined
-from dpbench.solvers.own.safeguards.proof import cleaned, contradicts
+from dpbench.solvers.own.safeguards.proof import clean, contradicts, is_proof
 from dpbench.solvers.own.safeguards.sensitivity import is_sensitive, unit_of
 
 INFEASIBLE = Status.PRIMAL_INFEASIBLE
+RAY = "y and y_box are a Farkas ray"
 USABLE = 1e4
 """An answer that misses the optimality conditions by up to this many times what is allowed is
 given as inaccurate: 1e-6 of a row's terms, 1e-4 of 1 + ‖q‖ at most."""
@@ -54,14 +55,12 @@ class PaperActiveSet(CompiledWorkspace):
     def _decide(self, ending: int) -> None:
         """Check the proof of a contradiction, and leave what is not clear to the careful method."""
         assert self._S is not None
-        qp, self._ending = self._problem(), layout.UNDECIDED
+        self._ending = layout.UNDECIDED
+        if ending == layout.INFEASIBLE and self._is_proven():
+            return None
+        qp = self._problem()
         if ending == layout.DOUBTFUL:
             return self._solved(qp, int(self._S[layout.HEAD, layout.ITERATIONS]))
-        if ending == layout.INFEASIBLE:
-            z = np.full(qp.n, np.nan)
-            self._unusual = _proven(qp, Solution(INFEASIBLE, z, self._y, self._y_box))
-            if self._unusual.status is INFEASIBLE:
-                return None
         careful = solve_carefully(qp)
         if careful.status is INFEASIBLE:
             self._unusual = _proven(qp, careful)
@@ -69,6 +68,15 @@ class PaperActiveSet(CompiledWorkspace):
                 return None
             careful = solve_carefully(qp, contradiction=np.inf)
         return self._judge(qp, careful)
+
+    def _is_proven(self) -> bool:
+        """Whether the ray in S proves that the problem there has no feasible point."""
+        y, y_box = self._y.copy(), self._y_box.copy()
+        clean(y, y_box)
+        if not is_proof(*self._constraints, y, y_box):
+            return False
+        self._unusual = Solution(INFEASIBLE, np.full(len(y_box), np.nan), y, y_box, detail=RAY)
+        return True
 
     def _judge(self, qp: QuadraticProgram, answer: Solution) -> None:
         """Solved, inaccurate or neither, by the optimality conditions and not by how it ended."""
@@ -116,8 +124,9 @@ def _proven(qp: QuadraticProgram, answer: Solution) -> Solution:
     """
     if answer.status is not INFEASIBLE:
         return answer
-    y, y_box = cleaned(answer.y, answer.y_box)
+    y, y_box = answer.y.copy(), answer.y_box.copy()
+    clean(y, y_box)
     if contradicts(qp, y, y_box):
-        return Solution(INFEASIBLE, answer.z, y, y_box, detail="y and y_box are a Farkas ray")
+        return Solution(INFEASIBLE, answer.z, y, y_box, detail=RAY)
     detail = "the limits contradict each other by no more than rounding"
     return Solution.missing(qp.n, qp.m, Status.NUMERICAL_ERROR, detail)

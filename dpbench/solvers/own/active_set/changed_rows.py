@@ -111,9 +111,7 @@ def columns(S: Matrix, block: int, rows: int, first: Indices, row: Indices, shar
 
 
 @compiled
-def rows_of(
-    S: Matrix, block: int, width: int, first: Indices, row: Indices, share: Vector
-) -> None:
+def rows_of(S: Matrix, block: int, width: int, first: Indices, row: Indices, share: Vector) -> None:
     """The changed rows of H or J."""
     n_pad = int(S[HEAD, N_PAD]) & MASK
     for c in range(len(first) - 1):

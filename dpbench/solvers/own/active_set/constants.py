@@ -120,6 +120,7 @@ def vectors(S: Matrix, n: int, m: int) -> tuple[Vector, Vector, Vector]:
     return S[layout.Q, :n], S[layout.LOW, rows], S[layout.HIGH, rows]
 
 
-def rows(S: Matrix, n: int, m: int) -> Matrix:
-    """A (m, n) as a view of S."""
-    return _blocks(S, _padded(n))[-1][:m, :n]
+def constraints(S: Matrix, n: int, m: int) -> tuple[Matrix, Vector, Vector, Vector, Vector]:
+    """A (m, n), l, u, lb and ub as views of S."""
+    A = _blocks(S, _padded(n))[-1][:m, :n]
+    return A, *vectors(S, n, m)[1:], S[layout.LOW, :n], S[layout.HIGH, :n]

@@ -73,7 +73,7 @@ NEAR, STEEP = 1e-8, 1e-4
 this share of its length away from the others leans on them."""
 NONE = 1e-9
 """A share of a combination that is less is rounding."""
-MOST_EXTRA = 32
+MOST_EXTRA = 64
 """More inactive rows at their limits are left to the safeguards."""
 MOST_DEPENDENT = VECTORS - SHARES
 """The same of those that are combinations of others and do not squeeze them."""

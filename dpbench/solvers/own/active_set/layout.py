@@ -17,7 +17,7 @@ With n variables and m rows, both padded to multiples of 16, C = [I; A] has `wid
     13  R       14  STEP          scratch                                     k
     15  X       16  E             scratch                                     k or variable or i
     18  BEFORE                    what λ or SIDE was, or a list of rows       i or k
-    19 … 42  SHARES               of rows in the active ones (`crowded`)      k
+    19 … 82  SHARES               of rows in the active ones (`crowded`)      k
     ── blocks ─────────────────────────────────────────────────────────────────────
     K   n_pad rows                −P⁻¹Cᵀ                                      i
     P   n_pad rows                [P Aᵀ]                                      i
@@ -44,7 +44,7 @@ from dpbench.arrays import Matrix
 # Rows of vectors. X, E, R and STEP are scratch.
 HEAD, CHECK, Q, LOW, HIGH, UNIT, SUM, V0, V = range(9)
 LAM, SIDE, ACTIVE, INVERSE, R, STEP, X, E, Z, BEFORE = range(9, 19)
-SHARES, VECTORS = 19, 43
+SHARES, VECTORS = 19, 83
 # Slots of row HEAD, and of row CHECK; there is room for sixteen in a row.
 N, N_PAD, M, COUNT, ASIDE, ITERATIONS, LIMIT, KEEP, STALE, BLOCK, BLOCK_ROWS, STAMP = range(12)
 LONGEST, STEEPEST, MOST, LARGEST, LENGTH, WORST, CANDIDATES = range(7)

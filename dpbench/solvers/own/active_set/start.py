@@ -211,12 +211,25 @@ def shift(S: Matrix, L: int, H: int) -> None:
 
 
 @compiled
+def take_in_equalities(S: Matrix, L: int, H: int) -> None:
+    """Rows with equal limits are active whatever else is; those that lean on others stay out."""
+    count, width = 0, width_of(S)
+    for i in range(width):
+        count += (S[LOW, i] == S[HIGH, i]) & (S[SIDE, i] == 0.0)
+    for i in range(width if count else 0):
+        if S[LOW, i] == S[HIGH, i]:
+            take_in(S, L, H, i, 1.0, 0.0)
+
+
+@compiled
 def start(S: Matrix, L: int, H: int, noise: float) -> int:
     """The set to start from and its v: the same as before if that will do; a row it violates."""
+    take_in_equalities(S, L, H)
     if S[HEAD, COUNT] > 0.0:
         wrong = multipliers(S, L)
         if wrong != 0:
             shift(S, L, H)
+            take_in_equalities(S, L, H)
             repair(S, L)
     values(S, H)
     return most_violated(S, noise)

@@ -9,6 +9,7 @@ it has to say what it takes for zero.
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from dpbench.arrays import Vector
 from dpbench.qp.program import QuadraticProgram
@@ -19,32 +20,63 @@ CONSISTENT = 1e-6
 """Share of its terms below which a sum of a ray may be meant to vanish."""
 PROVEN = 1e-10
 """Share of its terms to which a sum of a proof is taken to be what it is computed to be."""
+TINY = 2.3e-308
+"""The smallest number that is not subnormal."""
 FAR = 1e6
 """How many times farther than the limits of the proof are no feasible point is left, where a
 variable has no bound to absorb what does not cancel."""
 
 
-def cleaned(y: Vector, y_box: Vector) -> tuple[Vector, Vector]:
-    """A ray without the entries that are rounding, in new memory."""
-    size = ROUNDING * max(np.abs(y).max(initial=0.0), np.abs(y_box).max(initial=0.0))
-    return np.where(np.abs(y) > size, y, 0.0), np.where(np.abs(y_box) > size, y_box, 0.0)
-
-
 def contradicts(qp: QuadraticProgram, y: Vector, y_box: Vector) -> bool:
-    """Whether (y, y_box) proves `qp` infeasible, but for rounding.
+    """Whether (y, y_box) proves `qp` infeasible, but for rounding; see `is_proof`."""
+    return bool(is_proof(qp.A, qp.l, qp.u, qp.lb, qp.ub, y, y_box))
+
+
+@njit("void(f8[:], f8[:])", cache=True)
+def clean(y, y_box):  # type: ignore[no-untyped-def] # compiled by numba
+    """Take the entries of a ray that are rounding out of it."""
+    most = 0.0
+    for part in (y, y_box):
+        for i in range(len(part)):
+            most = max(most, abs(part[i]))
+    for part in (y, y_box):
+        for i in range(len(part)):
+            part[i] = part[i] if abs(part[i]) > ROUNDING * most else 0.0
+
+
+@njit("UniTuple(f8, 2)(f8[:], f8[:], f8[:])", cache=True)
+def _reach(ray, low, high):  # type: ignore[no-untyped-def] # compiled by numba
+    """The most that limits allow a sum along a ray to be, and the size of its terms."""
+    reach, size = 0.0, 0.0
+    for i in range(len(ray)):
+        if ray[i] != 0.0:
+            term = ray[i] * (high[i] if ray[i] > 0.0 else low[i])
+            reach, size = reach + term, size + abs(term)
+    return reach, size
+
+
+@njit("b1(f8[:, :], f8[:], f8[:], f8[:], f8[:], f8[:], f8[:])", cache=True, error_model="numpy")
+def is_proof(A, l, u, lb, ub, y, y_box):  # type: ignore[no-untyped-def] # noqa: E741 - compiled by numba; as in the program
+    """Whether (y, y_box) proves that l ≤ A z ≤ u and lb ≤ z ≤ ub have no point, but for rounding.
 
     Aᵀy + y_box vanishes to `CONSISTENT` of the terms it is the sum of. With y_box := −Aᵀy, what the
     limits allow the sum of y(Az) + y_box z to reach is negative by more than `PROVEN` of its terms,
     and by more than what entries of y_box that name no bound can add within `FAR`.
     """
-    box = -(y @ qp.A)
-    terms = np.abs(y) @ np.abs(qp.A) + np.abs(y_box)
-    if not (np.abs(box - y_box) <= CONSISTENT * terms).all():
-        return False
-    unbounded = np.isinf(np.where(box > 0.0, qp.ub, qp.lb))
-    ray = np.concatenate([y, np.where(unbounded, 0.0, box)])
-    low, high = qp.limits()
-    used = ray != 0.0
-    reach = ray[used] * np.where(ray[used] > 0.0, high[used], low[used])
-    left = np.abs(box[unbounded]).sum() / max(float(terms.max()), np.finfo(float).tiny)
-    return bool(reach.sum() < -(PROVEN + FAR * left) * np.abs(reach).sum())
+    box, terms = np.zeros(len(y_box)), np.abs(y_box)
+    for i in range(len(y)):
+        if y[i] != 0.0:
+            for k in range(len(box)):
+                box[k] -= y[i] * A[i, k]
+                terms[k] += abs(y[i] * A[i, k])
+    unbounded, most = 0.0, TINY
+    for k in range(len(box)):
+        if not abs(box[k] - y_box[k]) <= CONSISTENT * terms[k]:
+            return False
+        most = max(most, terms[k])
+        if abs(ub[k] if box[k] > 0.0 else lb[k]) == np.inf:
+            unbounded += abs(box[k])
+            box[k] = 0.0
+    of_rows, of_bounds = _reach(y, l, u), _reach(box, lb, ub)
+    size = of_rows[1] + of_bounds[1]
+    return of_rows[0] + of_bounds[0] < -(PROVEN + FAR * unbounded / most) * size
