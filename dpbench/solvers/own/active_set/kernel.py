@@ -97,6 +97,7 @@ from dpbench.solvers.own.active_set.layout import (
     ITERATIONS,
     KEEP,
     LAM,
+    LENGTH,
     LIMIT,
     LOW,
     MASK,
@@ -152,6 +153,8 @@ combination of the active ones."""
 NO_PART = 1e-11
 """A row whose share in a combination is less has none: without a row to bring in, nothing but a
 multiplier's way to zero ends a step, and on a share that is rounding that way has no end."""
+GROSS = 1e-4
+"""Share of the sizes that meet there by which values that are not refined cannot be wrong."""
 CONTRADICTION = 1e-9
 """A violated dependent row is taken for a contradiction if violated by more than this share."""
 PASSES = 20
@@ -200,7 +203,7 @@ def bring_in(S: Matrix, L: int, H: int, J: int, j: int, size: float) -> int:
     """Raise the multiplier of row j until the row is active; rows that block are dropped.
 
     A dependent row that nothing blocks is a contradiction, or the active rows written twice; with
-    an infinite `size` it is always the latter.
+    an infinite `size`, before values are refined, it is the former only where that is `GROSS`.
     """
     n = int(S[HEAD, N]) & MASK
     side = 1.0 if S[V, j] > S[HIGH, j] else -1.0
@@ -215,7 +218,10 @@ def bring_in(S: Matrix, L: int, H: int, J: int, j: int, size: float) -> int:
             return UNDECIDED
         blocking, t_dual = first_to_block(S, j, side, w, dependent)
         if dependent and blocking < 0:
-            if gap * S[UNIT, j] > CONTRADICTION * (abs(g) * S[UNIT, j] + size):
+            least = CONTRADICTION * (abs(g) * S[UNIT, j] + size)
+            if size == inf:
+                least = GROSS * (abs(g) * S[UNIT, j] + S[CHECK, LENGTH] + length(S, V))
+            if gap * S[UNIT, j] > least:
                 return ray(S, j, side, w)
             return put_aside(S, H, j, lam)
         t_primal = inf if dependent else gap / d
@@ -297,7 +303,7 @@ def solve(S: Matrix) -> int:
         return int(size)
     coarse, first = VIOLATED * size, max(size * size, TINY)
     j, before = start(S, L, H, coarse), first
-    # Whether rows contradict each other is decided on refined values only.
+    # Whether rows hardly contradict each other is decided on refined values only.
     size = inf
     for _ in range(PASSES):
         ending = bring_all_in(S, L, H, J, j, coarse, size)
