@@ -1,4 +1,7 @@
-"""The arguments of the command line: one function per command."""
+"""The arguments of the command line: one function per command.
+
+Each is kept under the name of the parameter that it is for.
+"""
 
 from __future__ import annotations
 
@@ -63,10 +66,17 @@ def _run(commands: Commands) -> None:
         help="instead: a stored sequence, a .npz, or a folder of them by qpsolvers",
     )
     run.add_argument("--out", help="result folder (default: results/<suite>)")
-    run.add_argument("--solver", action="append", metavar="S", help="only this solver; repeatable")
+    run.add_argument(
+        "--solver",
+        action="append",
+        dest="solvers",
+        metavar="S",
+        help="only this solver; repeatable",
+    )
     run.add_argument(
         "--scenario",
         action="append",
+        dest="scenarios",
         metavar="N",
         help="only this scenario; another one, or a file, takes the place of the suite's",
     )
@@ -82,6 +92,10 @@ def _run(commands: Commands) -> None:
     _how_to_end(run)
 
 
+HOW_TO_END = ("open", "json", "quiet")
+"""Arguments of what comes after a run or report."""
+
+
 def _how_to_end(command: Any) -> None:
     command.add_argument("--open", action="store_true", help="open the page in a browser")
     command.add_argument("--json", action="store_true", help="say how it ended as JSON")
@@ -93,7 +107,11 @@ def _report(commands: Commands) -> None:
     report.add_argument("dir", help="a folder written by `dpbench run`")
     report.add_argument("--baseline", metavar="S", help="the solver set beside the answer")
     report.add_argument(
-        "--figures", action="append", metavar="FORMAT", help="figures as pdf or png too; repeatable"
+        "--figures",
+        action="append",
+        default=[],
+        metavar="FORMAT",
+        help="figures as pdf or png too; repeatable",
     )
     report.add_argument(
         "--statement", metavar="FILE.pdf", help="a one-page statement for a class society"
@@ -107,6 +125,7 @@ def _report(commands: Commands) -> None:
     report.add_argument(
         "--against",
         action="append",
+        default=[],
         metavar="S",
         help="with --for: beside this one (osqp and daqp); repeatable",
     )

@@ -20,13 +20,13 @@ from dpbench.bench.capability.study import FROM_DEG, Capability, capability_of, 
 from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.sequences.at_edge import write_batch
 from dpbench.cli.progress_bar import Bar
+from dpbench.cli.terminal import WIDTH
 from dpbench.errors import InputError, SolverUnavailableError
 from dpbench.report.formats import time_text
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.vessel import Vessel
 from dpbench.solvers.table import available, record
 
-COLUMNS = 80
 SIDES = 24
 """Sides of the polygons in QPs, unless others are asked for: they give away 0.9 % of the thrust,
 within the 1 % that de Wit (2009) recommends."""
@@ -132,7 +132,7 @@ def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
         "starboard); + where the standard knows no more weather."
     )
     table = [f" from {head}".rstrip(), *rows]
-    return [*textwrap.wrap(about, COLUMNS), "", *table, "", *_verdict(capability)]
+    return [*textwrap.wrap(about, WIDTH), "", *table, "", *_verdict(capability)]
 
 
 def _cell(held: Held) -> str:
@@ -152,7 +152,7 @@ def _verdict(capability: Capability) -> list[str]:
         lines.append(
             f"Assumed, as the vessel's file leaves it out: {', '.join(capability.assumed)}."
         )
-    return [part for line in lines for part in textwrap.wrap(line, COLUMNS)]
+    return [part for line in lines for part in textwrap.wrap(line, WIDTH)]
 
 
 def answer_lines(answers: Sequence[Answers]) -> list[str]:
@@ -180,7 +180,7 @@ def answer_lines(answers: Sequence[Answers]) -> list[str]:
         "".join(f"{cell:{'<' if i == 0 else '>'}{widths[i]}}" for i, cell in enumerate(row))
         for row in (heads, *rows)
     ]
-    return [*textwrap.wrap(about, COLUMNS), "", *table]
+    return [*textwrap.wrap(about, WIDTH), "", *table]
 
 
 def as_document(

@@ -12,6 +12,7 @@ from typing import Any
 NAMES = {
     "suite": "suites",
     "scenario": "scenarios",
+    "scenarios": "scenarios",
     "sequence": "sequences",
     "what": "scenarios",
     "file": "scenarios",
@@ -35,7 +36,7 @@ def complete(whole: argparse.ArgumentParser) -> None:
 
 def _names_of(argument: str) -> Callable[..., list[str]] | None:
     """Who knows the values of an argument; None for files and numbers."""
-    if argument == "solver":
+    if argument in ("solver", "solvers"):
         return _solvers
     kind = NAMES.get(argument)
     return None if kind is None else lambda **_: _stored(kind)

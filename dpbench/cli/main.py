@@ -14,9 +14,9 @@ import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
-from dpbench.cli.arguments import parser
+from dpbench.cli.arguments import HOW_TO_END, parser
 from dpbench.cli.completion import complete
 from dpbench.cli.ending import say_ending
 from dpbench.errors import DpbenchError, InputError, RenamedWarning, renamed
@@ -89,6 +89,12 @@ def _exit_code(arguments: argparse.Namespace) -> int:
         _no_codes_at_exit()
 
 
+def _given(arguments: argparse.Namespace, *without: str) -> dict[str, Any]:
+    """What was given, by the names of the parameters that it is for."""
+    others = ("command", "call", *without)
+    return {name: value for name, value in vars(arguments).items() if name not in others}
+
+
 def _run(arguments: argparse.Namespace) -> int:
     from dpbench.bench.campaign import run_campaign
     from dpbench.bench.record.result_folder import accidents
@@ -96,19 +102,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from dpbench.report.write import report_and_ending
 
     with Bar(quiet=arguments.quiet or arguments.json) as bar:
-        out = run_campaign(
-            arguments.suite,
-            arguments.out,
-            solvers=arguments.solver,
-            scenarios=arguments.scenario,
-            settings=arguments.settings,
-            steps=arguments.steps,
-            jobs=arguments.jobs,
-            fresh=arguments.fresh,
-            solver_module=arguments.solver_module,
-            sequence=arguments.sequence,
-            progress=bar,
-        )
+        out = run_campaign(**_given(arguments, *HOW_TO_END), progress=bar)
         bar.advance(0, "writing the report")
         found = report_and_ending(out)
     say_ending(*found, arguments)
@@ -123,16 +117,9 @@ def _report(arguments: argparse.Namespace) -> int:
 
     if arguments.against and arguments.solver is None:
         raise InputError("--against", "", "no solver to set beside them", "--for SOLVER as well")
-    said = report_and_ending(
-        arguments.dir,
-        baseline=arguments.baseline,
-        figures=arguments.figures or (),
-        statement=arguments.statement,
-        send=arguments.send,
-        solver=arguments.solver,
-        against=arguments.against or (),
+    say_ending(
+        *report_and_ending(arguments.dir, **_given(arguments, "dir", *HOW_TO_END)), arguments
     )
-    say_ending(*said, arguments)
     return 0
 
 
@@ -210,16 +197,7 @@ def _export(arguments: argparse.Namespace) -> int:
         with Bar(transient=True) as bar:
             said = regenerate(arguments.out or "results/sequences", progress=bar)
     else:
-        said = export(
-            arguments.what,
-            arguments.out,
-            format=arguments.format,
-            horizons=arguments.horizons,
-            steps=arguments.steps,
-            every=arguments.every,
-            at=arguments.at,
-            part=arguments.part,
-        )
+        said = export(**_given(arguments, "all"))
     say(said.splitlines())
     return 0
 
@@ -230,20 +208,7 @@ def _worst_case(arguments: argparse.Namespace) -> int:
     from dpbench.cli.terminal import say
 
     with Bar() as bar:
-        found = find_worst_case(
-            arguments.solver,
-            scenario=arguments.scenario,
-            goal=arguments.goal,
-            route=arguments.route,
-            policy=arguments.policy,
-            settings=arguments.settings,
-            budget=arguments.budget,
-            steps=arguments.steps,
-            seed=arguments.seed,
-            out=arguments.out,
-            solver_module=arguments.solver_module,
-            progress=bar,
-        )
+        found = find_worst_case(**_given(arguments), progress=bar)
     say(found.lines)
     return 130 if found.search.stopped == "interrupted" else 0
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dpbench.cli.own_ship_files import OwnShip, cautions, scenario_text, suite_text, vessel_text
+from dpbench.cli.terminal import WIDTH
 from dpbench.errors import InputError
 from dpbench.scenario.hull_files import Hull, read_mss, read_table
 from dpbench.scenario.own_ship import (
@@ -27,7 +28,6 @@ from dpbench.scenario.sea_states import DP_NUMBERS, largest_sea, load_share
 from dpbench.ship.vessel import Vessel
 
 WHERE = "init"
-COLUMNS = 80
 
 
 @dataclass(frozen=True)
@@ -228,7 +228,7 @@ def _said(
     paths = [str(folder / name) for name in texts]
     share = load_share(vessel, number)
     lines = [f"wrote {path}" for path in paths]
-    lines += [line for remark in remarks for line in textwrap.wrap(remark, COLUMNS)]
+    lines += [line for remark in remarks for line in textwrap.wrap(remark, WIDTH)]
     lines.append(f"sea: DP number {number}; its mean force takes {share:.0%} of the limits")
     if share > 1.0:
         lines.append("This ship cannot hold there: see --sea, --sway-thrust and --yaw-moment.")

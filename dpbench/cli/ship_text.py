@@ -11,6 +11,7 @@ import numpy as np
 from dpbench.arrays import Vector
 from dpbench.bench.design import OFFSETS_M, Bracket, held_in_still_water, is_held
 from dpbench.bench.progress import Progress, Silent
+from dpbench.cli.terminal import WIDTH
 from dpbench.report.formats import rounded_down, rounded_up, significant
 from dpbench.scenario.scenario import Scenario, load_scenario
 from dpbench.ship.characteristics import (
@@ -25,7 +26,6 @@ from dpbench.ship.characteristics import (
 from dpbench.ship.froude import Froude
 from dpbench.ship.vessel import Vessel
 
-COLUMNS = 80
 CONTROLLERS = ("paper", "rough")
 """The scenarios whose controllers a vessel is tried with: the paper's 30/5 and the robust 60/10."""
 _SPEEDS = ("m/s", "m/s", "°/s")
@@ -51,7 +51,7 @@ def scenario_text(name: str | Path, scenario: Scenario, progress: Progress | Non
 
 def _lines(lines: Sequence[str]) -> str:
     first, *others = lines
-    return "\n".join([textwrap.shorten(first, COLUMNS, placeholder=" …"), *others])
+    return "\n".join([textwrap.shorten(first, WIDTH, placeholder=" …"), *others])
 
 
 def ship_lines(vessel: Vessel) -> list[str]:
