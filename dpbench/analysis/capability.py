@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from dpbench.analysis.grouping import firsts
 from dpbench.analysis.random_claims import claims_by_run, claims_of
 from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
@@ -98,9 +99,7 @@ def capability_plots(records: Records, table: pd.DataFrame | None) -> list[Plot]
     plots = []
     for name in {**names, **dict.fromkeys(map(str, known))}:
         runs = [run for run in records.at_edge if run.sequence == name and run.has_steps]
-        answers: dict[str, Answers] = {}
-        for of_solver in answers_of(records, runs):
-            answers.setdefault(of_solver.solver, of_solver)
+        answers = firsts(answers_of(records, runs), lambda of_solver: of_solver.solver)
         source = runs[0].description["source"] if runs else {}
         own = known.get(name)
         vessel = str(source["vessel_name"] if own is None else own["vessel"].iloc[0])
@@ -114,7 +113,7 @@ def _edges(records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]) ->
     """Columns `EDGES`, of the rows of one plot in `capability.parquet`."""
     liars: dict[int, set[str]] = {}
     for run in runs:
-        steps = _counting(records, run)
+        steps = records.counting_steps(run)
         claims = claims_of(steps)
         for k in steps["k"][claims["lies"] | claims["empty_wrong"]]:
             liars.setdefault(int(k), set()).add(run.solver)
@@ -127,13 +126,8 @@ def _edges(records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]) ->
     return pd.DataFrame(rows, columns=list(EDGES))
 
 
-def _counting(records: Records, run: RunRecord) -> pd.DataFrame:
-    steps = records.steps(run)
-    return steps[steps["counts"]]
-
-
 def _answers(records: Records, run: RunRecord) -> Answers:
-    steps = _counting(records, run)
+    steps = records.counting_steps(run)
     counts = claims_by_run(steps).reindex([run.run_id], fill_value=0).iloc[0]
     infeasible = int((steps["certificate"] == INFEASIBLE).sum())
     times: pd.Series[float] = steps["total_ns"].astype("float64")

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from dpbench.analysis.grouping import firsts, grouped
 from dpbench.analysis.random_claims import claims_of
 from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
@@ -83,19 +84,13 @@ class Analysis:
     @property
     def best(self) -> dict[str, BatchAnswers]:
         """The best configuration of each solver, by its name."""
-        best: dict[str, BatchAnswers] = {}
-        for answers in self.answers:
-            best.setdefault(answers.solver, answers)
-        return best
+        return firsts(self.answers, lambda answers: answers.solver)
 
 
 def consequence_analyses(records: Records) -> list[Analysis]:
     """Those of the records that have a step, in the order of the suite."""
-    batches: dict[str, list[RunRecord]] = {}
-    for run in records.consequence:
-        if run.outcome != "refused":
-            name = run.sequence.removesuffix(f", {run.lost_group} lost")
-            batches.setdefault(name, []).append(run)
+    asked = [run for run in records.consequence if run.outcome != "refused"]
+    batches = grouped(asked, lambda run: run.sequence.removesuffix(f", {run.lost_group} lost"))
     return [
         _analysis(records, name, runs)
         for name, runs in batches.items()
@@ -104,30 +99,20 @@ def consequence_analyses(records: Records) -> list[Analysis]:
 
 
 def _analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> Analysis:
-    groups = tuple(dict.fromkeys(run.lost_group for run in runs))
-    longest = [
-        max((run for run in runs if run.lost_group == group), key=lambda run: run.steps_done)
-        for group in groups
-    ]
+    groups = grouped(runs, lambda run: run.lost_group)
+    longest = [max(of_group, key=lambda run: run.steps_done) for of_group in groups.values()]
     files = runs[0].scenario_files
     sample_s = float("nan") if files is None else scenario_once(files).sample_s
-    by_configuration: dict[str, list[RunRecord]] = {}
-    for run in runs:
-        by_configuration.setdefault(run.name, []).append(run)
+    by_configuration = grouped(runs, lambda run: run.name)
     answers = [_answers(records, own, len(groups), sample_s) for own in by_configuration.values()]
     answers.sort(key=lambda a: (a.untrue > 0, -(a.held + a.refused), a.untrue, a.largest))
     spans = pd.concat([_spans(records, run, sample_s) for run in longest if run.has_steps])
-    return Analysis(name, groups, spans, tuple(answers))
-
-
-def _counting(records: Records, run: RunRecord) -> pd.DataFrame:
-    steps = records.steps(run)
-    return steps[steps["counts"]]
+    return Analysis(name, tuple(groups), spans, tuple(answers))
 
 
 def _spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
     """Columns `SPAN` of one group, neighbours of one state joined."""
-    steps = _counting(records, run).drop_duplicates("k").sort_values("k")
+    steps = records.counting_steps(run).drop_duplicates("k").sort_values("k")
     certificate, t_s = steps["certificate"], steps["t_s"].to_numpy()
     known = np.where(certificate == INFEASIBLE, LOST, HELD)
     state = np.where(certificate.isin((UNCERTIFIED, UNDECIDED)), UNKNOWN, known)
@@ -141,7 +126,7 @@ def _answers(
     records: Records, runs: Sequence[RunRecord], groups: int, sample_s: float
 ) -> BatchAnswers:
     """The answers of one configuration, a run for each group."""
-    counts = pd.concat([_counts(_counting(records, run)) for run in runs], axis=1).sum(axis=1)
+    counts = pd.concat([_counts(records.counting_steps(run)) for run in runs], axis=1).sum(axis=1)
     batch_ns = _batch_ns(records, runs) if len(runs) == groups else np.zeros(0)
     shares = batch_ns / (1e9 * sample_s)
     return BatchAnswers(

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from dpbench.analysis.grouping import spans_of
 from dpbench.bench.judge.rules import decided, failed_steps
 
 Floats = NDArray[np.float64]
@@ -27,8 +28,7 @@ class CountingRows:
     Parameters
     ----------
     rows : where each stands in the step table; run_id, repeat, k : run, round and step.
-    total_ns, setup_ns, update_ns, solve_ns, read_ns : times of the step and of its phases.
-    iterations, error_move, n_active : as in the step table.
+    total_ns, iterations, error_move, n_active : as in the step table.
     known : whether the right answer is known; true : whether this one is, by the referee.
     failed : see `failed_steps`; claimed, late, fallback, clipped, status : as in the step table.
     """
@@ -38,10 +38,6 @@ class CountingRows:
     repeat: Ints
     k: Ints
     total_ns: Floats
-    setup_ns: Floats
-    update_ns: Floats
-    solve_ns: Floats
-    read_ns: Floats
     iterations: Floats
     error_move: Floats
     n_active: Floats
@@ -60,11 +56,7 @@ class CountingRows:
     @cached_property
     def bounds(self) -> dict[str, tuple[int, int]]:
         """First row of each run, and the one after its last."""
-        if not len(self):
-            return {}
-        edges = np.flatnonzero(self.run_id[1:] != self.run_id[:-1]) + 1
-        starts, ends = [0, *edges.tolist()], [*edges.tolist(), len(self)]
-        return {str(self.run_id[a]): (a, b) for a, b in zip(starts, ends, strict=True)}
+        return spans_of(self.run_id)
 
     def of(self, run_id: str) -> CountingRows:
         """The rows of one run; none when it left none."""

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from dpbench.analysis.grouping import firsts, grouped
 from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
 from dpbench.bench.record.disturbance import MAX_SWITCHES_PER_S, Disturbance
@@ -63,13 +64,15 @@ def _switches_a_step(run: RunRecord) -> float:
 
 
 def _once_each(records: Records) -> list[RunRecord]:
-    once: dict[tuple[object, ...], RunRecord] = {}
-    for run in [*records.calibration, *records.all_runs]:
-        if run.mode == "replay" and not run.family and run.has_steps:
-            # Settings without effect are one run under several names, to the nanosecond.
-            unnamed = replace(run.configuration, settings="")
-            once.setdefault((run.sequence, unnamed, str(run.replay_s), str(run.raw_max_ns)), run)
-    return list(once.values())
+    runs = [*records.calibration, *records.all_runs]
+    timed = [run for run in runs if run.mode == "replay" and not run.family and run.has_steps]
+    return list(firsts(timed, _identity).values())
+
+
+def _identity(run: RunRecord) -> tuple[object, ...]:
+    """Settings without effect are one run under several names, to the nanosecond."""
+    unnamed = replace(run.configuration, settings="")
+    return run.sequence, unnamed, str(run.replay_s), str(run.raw_max_ns)
 
 
 def disturbance_of(runs: Sequence[RunRecord]) -> Disturbance:
@@ -94,8 +97,6 @@ def disturbed_sequences(records: Records) -> dict[str, Disturbance]:
 
     Random problems, which are not timed alone, are none of them.
     """
-    runs: dict[str, list[RunRecord]] = {}
-    for run in timed_runs(records):
-        runs.setdefault(run.sequence, []).append(run)
-    disturbances = {sequence: disturbance_of(replays) for sequence, replays in runs.items()}
+    replays = grouped(timed_runs(records), lambda run: run.sequence)
+    disturbances = {sequence: disturbance_of(runs) for sequence, runs in replays.items()}
     return {sequence: one for sequence, one in disturbances.items() if one.seconds > 0}

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import pandas as pd
 
+from dpbench.analysis.grouping import grouped
 from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
 from dpbench.bench.judge.rules import (
@@ -21,7 +22,7 @@ from dpbench.bench.judge.rules import (
     decided,
     true_not_claimed,
 )
-from dpbench.bench.record.configuration import Configuration, settings_level
+from dpbench.bench.record.configuration import settings_level
 
 
 @dataclass(frozen=True)
@@ -61,8 +62,7 @@ class RandomClaims:
     def __init__(self, records: Records) -> None:
         self.runs = _once([run for run in records.random if run.outcome != "refused"])
         ids = [run.run_id for run in self.runs]
-        steps = pd.concat([records.table.iloc[:0], *map(records.steps, self.runs)])
-        counts = claims_by_run(steps[steps["counts"]]).reindex(ids, fill_value=0)
+        counts = claims_by_run(records.counting_steps(*self.runs)).reindex(ids, fill_value=0)
         self._counts = counts.assign(missed=[r.steps_planned - r.steps_done for r in self.runs])
 
     def by(self, *names: str) -> dict[tuple[str, ...], Tally]:
@@ -74,21 +74,18 @@ class RandomClaims:
 
 
 def _once(runs: Sequence[RunRecord]) -> list[RunRecord]:
-    by_settings: dict[Configuration, dict[str, list[RunRecord]]] = {}
-    for run in runs:
-        levels = by_settings.setdefault(replace(run.configuration, settings=""), {})
-        levels.setdefault(run.settings, []).append(run)
     kept: list[RunRecord] = []
-    for levels in by_settings.values():
-        names: dict[str, list[str]] = {}
-        for settings, of_level in levels.items():
-            # Times never repeat to the nanosecond, so equal ones are those of one run.
-            figures = {run.sequence: (run.raw_max_ns, run.steps_done) for run in of_level}
-            names.setdefault(repr(sorted(figures.items())), []).append(settings)
-        for alike in names.values():
-            shown = ", ".join(sorted(alike, key=settings_level))
-            kept += [replace(run, settings=shown) for run in levels[alike[0]]]
+    for own in grouped(runs, lambda run: replace(run.configuration, settings="")).values():
+        by_level = grouped(own, lambda run: run.settings)
+        for alike in grouped(by_level.items(), lambda level: _figures(level[1])).values():
+            shown = ", ".join(sorted((settings for settings, _ in alike), key=settings_level))
+            kept += [replace(run, settings=shown) for run in alike[0][1]]
     return kept
+
+
+def _figures(runs: Sequence[RunRecord]) -> str:
+    """Times never repeat to the nanosecond, so equal ones are those of one run."""
+    return repr(sorted((run.sequence, run.raw_max_ns, run.steps_done) for run in runs))
 
 
 def claims_by_run(steps: pd.DataFrame) -> pd.DataFrame:

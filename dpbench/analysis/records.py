@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 
-import numpy as np
 import pandas as pd
 
 from dpbench.analysis.counting_rows import CountingRows, counting_of
+from dpbench.analysis.grouping import spans_of
 from dpbench.analysis.run_record import RunRecord, records_of
 from dpbench.analysis.step_times import StepTimes, step_times_of
 from dpbench.bench.record.configuration import COMMON
@@ -55,12 +55,7 @@ class Records:
     @cached_property
     def _rows_of(self) -> dict[str, tuple[int, int]]:
         """First and last row of each run in the step table, which is ordered by run."""
-        codes, names = pd.factorize(self._steps["run_id"])
-        if len(codes) == 0:
-            return {}
-        edges = np.flatnonzero(np.diff(codes)) + 1
-        starts, ends = [0, *edges.tolist()], [*edges.tolist(), len(codes)]
-        return {str(names[codes[a]]): (a, b) for a, b in zip(starts, ends, strict=True)}
+        return spans_of(self._steps["run_id"])
 
     @property
     def has_steps(self) -> bool:
@@ -72,15 +67,15 @@ class Records:
         """The rows of the step table that count, as arrays."""
         return counting_of(self._steps)
 
-    @property
-    def table(self) -> pd.DataFrame:
-        """The whole step table, ordered by run."""
-        return self._steps
-
     def steps(self, run: RunRecord) -> pd.DataFrame:
         """The step rows of a run; empty when it left none."""
         first, last = self._rows_of.get(run.run_id, (0, 0))
         return self._steps.iloc[first:last]
+
+    def counting_steps(self, *runs: RunRecord) -> pd.DataFrame:
+        """The step rows of some runs that count."""
+        steps = pd.concat([self._steps.iloc[:0], *map(self.steps, runs)])
+        return steps[steps["counts"]]
 
     def select(self, **wanted: object) -> list[RunRecord]:
         """Runs whose columns have the wanted values, or one of a tuple of values."""

@@ -47,6 +47,10 @@ class RunSteps:
     rounds: int
     rows: Ints
 
+    def values(self, measure: Measure) -> Floats:
+        """(K,) what makes a step hard by a measure."""
+        return {"time": self.time_ns, "iterations": self.iterations, "error": self.error}[measure]
+
 
 @dataclass(frozen=True)
 class HardStep:
@@ -91,7 +95,7 @@ def _one(rows: CountingRows) -> RunSteps:
 
 def hardest(run: RunSteps, measure: Measure, count: int = 5) -> list[HardStep]:
     """The hardest steps of a run, the hardest first; those without a figure are none of them."""
-    values = {"time": run.time_ns, "iterations": run.iterations, "error": run.error}[measure]
+    values = run.values(measure)
     there = np.flatnonzero(~np.isnan(values))
     if len(there) > count:
         # Only those that reach the least of the hardest have to be put in order.

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import takewhile
 
+from dpbench.analysis.grouping import grouped
 from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
 from dpbench.bench.record.configuration import Configuration
@@ -21,11 +22,6 @@ class DelayedConfiguration:
 
     configuration: Configuration
     loops: dict[float, RunRecord]
-
-    @property
-    def name(self) -> str:
-        """What it is called in a table."""
-        return next(iter(self.loops.values())).name
 
     @property
     def survives(self) -> float:
@@ -53,30 +49,27 @@ class DelayedGroup:
 
 def delayed_groups(records: Records) -> list[DelayedGroup]:
     """The loops on slow computers by scenario, configurations that survive most first."""
-    groups: dict[tuple[str, int, float], list[RunRecord]] = {}
-    for run in records.delayed:
-        key = run.scenario, run.steps_planned, run.deadline_s
-        groups.setdefault(key, []).append(run)
-    return [
-        DelayedGroup(*key, configurations=_configurations(runs)) for key, runs in groups.items()
-    ]
+    groups = grouped(records.delayed, lambda r: (r.scenario, r.steps_planned, r.deadline_s))
+    return [DelayedGroup(*key, _configurations(runs)) for key, runs in groups.items()]
 
 
 def _configurations(runs: Sequence[RunRecord]) -> tuple[DelayedConfiguration, ...]:
-    loops: dict[Configuration, dict[float, RunRecord]] = {}
-    for run in sorted(runs, key=lambda run: run.slowdown):
-        loops.setdefault(run.configuration, {})[run.slowdown] = run
-    return tuple(sorted((DelayedConfiguration(*item) for item in loops.items()), key=_by_survival))
+    rising = sorted(runs, key=lambda run: run.slowdown)
+    delayed = [
+        DelayedConfiguration(configuration, {run.slowdown: run for run in loops})
+        for configuration, loops in grouped(rising, lambda run: run.configuration).items()
+    ]
+    return tuple(sorted(delayed, key=_by_survival))
 
 
 def _by_survival(configuration: DelayedConfiguration) -> tuple[float, float, str]:
     """Those that survive most first, then those whose last loop costs least."""
-    last = [cost_ratio(run) for run in configuration.loops.values()][-1]
-    survives = configuration.survives
+    last = list(configuration.loops.values())[-1]
+    survives, cost = configuration.survives, cost_ratio(last)
     return (
         math.inf if math.isnan(survives) else -survives,
-        math.inf if math.isnan(last) else last,
-        configuration.name,
+        math.inf if math.isnan(cost) else cost,
+        last.name,
     )
 
 

@@ -19,6 +19,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from dpbench.analysis.demand import Demand
+from dpbench.analysis.grouping import grouped
 from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
 from dpbench.bench.judge.rules import percentile, supports
@@ -167,14 +168,12 @@ def verdicts_of(
     ----------
     among : the runs that are judged, of `records.runs`; by default all of them.
     """
-    by_solver: dict[str, dict[Configuration, list[RunRecord]]] = {}
-    for run in records.runs if among is None else among:
-        if run.units == "scaled" and not run.is_baseline_law:
-            of_solver = by_solver.setdefault(run.solver, {})
-            of_solver.setdefault(run.configuration.in_common_formulation, []).append(run)
+    runs = records.runs if among is None else among
+    judged = [run for run in runs if run.units == "scaled" and not run.is_baseline_law]
     verdicts: dict[str, list[Verdict]] = {}
-    for solver, of_solver in by_solver.items():
-        longest = {configuration: _longest(runs) for configuration, runs in of_solver.items()}
+    for solver, of_solver in grouped(judged, lambda run: run.solver).items():
+        by_configuration = grouped(of_solver, lambda run: run.configuration.in_common_formulation)
+        longest = {it: _longest(runs) for it, runs in by_configuration.items()}
         ordered = sorted(longest.items(), key=lambda item: _reference_first(*item))
         asked = [run for run in ordered[0][1].values() if run.outcome != "refused"]
         verdicts[solver] = [

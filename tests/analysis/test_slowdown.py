@@ -47,7 +47,7 @@ def test_survival_ends_at_the_first_loop_that_costs_more(records: Any) -> None:
     """109.9 is within 10 % of 100, 111 is not; what comes after a lost loop does not count."""
     fill(records)
     survives = {
-        configuration.name: configuration.survives
+        configuration.configuration.solver: configuration.survives
         for configuration in group_of(records).configurations
     }
     assert (survives["daqp"], survives["hildreth"]) == (1000.0, 1.0)
@@ -61,7 +61,8 @@ def test_a_violated_limit_or_an_early_end_is_no_survival(records: Any) -> None:
     configurations = group_of(records).configurations
     assert all(math.isnan(configuration.survives) for configuration in configurations)
     ratios = {
-        configuration.name: cost_ratio(configuration.loops[1.0]) for configuration in configurations
+        configuration.configuration.solver: cost_ratio(configuration.loops[1.0])
+        for configuration in configurations
     }
     assert ratios["daqp"] == 1.0 and math.isnan(ratios["osqp"])
 

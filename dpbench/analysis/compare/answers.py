@@ -128,8 +128,8 @@ def _change(measure: Measure, a: Range, b: Range, margin: float) -> Change:
 
 def _accuracy(records: Records, run: RunRecord, common: int) -> dict[str, Range]:
     """Least and largest over the counting rounds of each figure, on the first `common` steps."""
-    steps = records.steps(run)
-    counting = steps[steps["counts"] & (steps["k"] < common)]
+    steps = records.counting_steps(run)
+    counting = steps[steps["k"] < common]
     if counting.empty:
         return {m.column: _point(getattr(run, m.column)) for m in ACCURACY}
     failed, true = failed_steps(counting), counting["true"].where(decided(counting))

@@ -13,6 +13,7 @@ from packaging.version import InvalidVersion, Version
 from dpbench.analysis.compare.answers import ORDER
 from dpbench.analysis.compare.pairs import key_of, problem_of
 from dpbench.analysis.compare.times import REFERENCES, usualness
+from dpbench.analysis.grouping import grouped
 from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
 from dpbench.errors import InputError, UnknownNameError, one_of
@@ -177,25 +178,20 @@ def _units(records: Records, solver: str) -> Mapping[str, float] | None:
 def _history(
     runs: Mapping[str, RunRecord], units: Mapping[str, Mapping[str, float] | None]
 ) -> History:
-    versions: dict[str, dict[str, RunRecord]] = {}
-    builds = {run.build for run in runs.values()}
-    for name, run in runs.items():
-        build = run.build if len(builds) > 1 else ""
-        version = f"{run.solver_version} {build}".strip() or "no version"
-        versions.setdefault(version, {})[name] = run
-    return History(
-        [
-            Release(
-                version,
-                of_version,
-                *(
-                    _mean([_time(run, column, units[name]) for name, run in of_version.items()])
-                    for column in ("algo_p50_ns", "algo_p99_ns", "algo_max_ns")
-                ),
-            )
-            for version, of_version in sorted(versions.items(), key=lambda item: _order(item[0]))
-        ]
-    )
+    builds = len({run.build for run in runs.values()})
+
+    def version_of(of_folder: tuple[str, RunRecord]) -> str:
+        _, run = of_folder
+        return f"{run.solver_version} {run.build if builds > 1 else ''}".strip() or "no version"
+
+    releases = []
+    for version, of_version in grouped(runs.items(), version_of).items():
+        times = (
+            _mean([_time(run, column, units[name]) for name, run in of_version])
+            for column in ("algo_p50_ns", "algo_p99_ns", "algo_max_ns")
+        )
+        releases.append(Release(version, dict(of_version), *times))
+    return History(sorted(releases, key=lambda release: _order(release.version)))
 
 
 def _time(run: RunRecord, column: str, unit: Mapping[str, float] | None) -> float:

@@ -22,6 +22,7 @@ from dpbench.analysis.compare.evidence import (
     gather_against,
 )
 from dpbench.analysis.compare.pairs import Pair, key_of
+from dpbench.analysis.grouping import firsts
 from dpbench.analysis.machine import disturbed_sequences
 from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
@@ -124,15 +125,15 @@ class Shared:
 
 def time_pairs(a: Records, b: Records, pairs: Sequence[Pair]) -> list[Timing]:
     """The timings of all replayed pairs that have one."""
-    once: dict[tuple[object, ...], Timing] = {}
     time_of = _steps_timing if a.has_steps and b.has_steps else _medians_timing
-    for pair in (pair for pair in pairs if pair.a.mode == "replay"):
-        timing = time_of(a, b, pair)
-        if timing is not None:
-            # Settings without effect are one run under several names, and one piece of evidence.
-            unnamed = key_of(pair.a) | {"settings": ""}
-            once.setdefault((*unnamed.values(), timing.log, timing.own), timing)
-    return list(once.values())
+    timings = [time_of(a, b, pair) for pair in pairs if pair.a.mode == "replay"]
+    return list(firsts(filter(None, timings), _identity).values())
+
+
+def _identity(timing: Timing) -> tuple[object, ...]:
+    """Settings without effect are one run under several names, and one piece of evidence."""
+    unnamed = key_of(timing.pair.a) | {"settings": ""}
+    return *unnamed.values(), timing.log, timing.own
 
 
 def why_unjudged(a: Records, b: Records, timings: Sequence[Timing]) -> dict[str, str]:
@@ -180,14 +181,11 @@ def reference_rows(timings: Sequence[Timing], solver: str) -> NDArray[np.int64]:
 
     Of several the most usual: default settings, each step from nothing, in scaled units.
     """
-    order = sorted(
-        (i for i, t in enumerate(timings) if t.pair.a.solver == solver),
-        key=lambda i: usualness(timings[i].pair.a),
-    )
-    first: dict[str, int] = {}
-    for i in order:
-        first.setdefault(timings[i].pair.a.problem, i)
-    return np.array([first.get(t.pair.a.problem, -1) for t in timings], dtype=np.int64)
+    runs = [timing.pair.a for timing in timings]
+    own = [i for i, run in enumerate(runs) if run.solver == solver]
+    usual_first = sorted(own, key=lambda i: usualness(runs[i]))
+    usual = firsts(usual_first, lambda i: runs[i].problem)
+    return np.array([usual.get(run.problem, -1) for run in runs], dtype=np.int64)
 
 
 def usualness(run: RunRecord) -> tuple[Any, ...]:
@@ -329,8 +327,7 @@ def _machine(timings: Sequence[Timing]) -> _Machine:
 
 def _rounds(records: Records, run: RunRecord) -> pd.DataFrame | None:
     """(rounds, steps) times [ns] of the rounds that count."""
-    steps = records.steps(run)
-    counting = steps[steps["counts"]]
+    counting = records.counting_steps(run)
     if counting.empty:
         return None
     times = counting.assign(total_ns=counting["total_ns"].astype("float64"))

@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from dpbench.analysis.grouping import grouped
 from dpbench.analysis.verdict import OUTCOMES, Verdict, Verdicts
 from dpbench.bench.record.configuration import settings_level
 from dpbench.errors import UnknownNameError
@@ -44,16 +45,13 @@ def ranked(verdicts: Verdicts) -> list[Verdict]:
 def fastest_of(verdicts: Verdicts, solver: str) -> Verdict | None:
     """The fastest configuration of one solver, at its most usual settings where others are hardly
     faster."""
-    own = [verdict for verdict in ranked(verdicts) if verdict.configuration.solver == solver]
-    return _most_usual(own) if own else None
+    return next((v for v in podium(verdicts) if v.configuration.solver == solver), None)
 
 
 def podium(verdicts: Verdicts) -> list[Verdict]:
     """The fastest configuration of each solver, the fastest solver first."""
-    by_solver: dict[str, list[Verdict]] = {}
-    for verdict in ranked(verdicts):
-        by_solver.setdefault(verdict.configuration.solver, []).append(verdict)
-    return [_most_usual(own) for own in by_solver.values()]
+    by_solver = grouped(ranked(verdicts), lambda verdict: verdict.configuration.solver)
+    return list(map(_most_usual, by_solver.values()))
 
 
 def _most_usual(own: Sequence[Verdict]) -> Verdict:
@@ -132,8 +130,6 @@ def why_not_aboard(solver: str) -> str:
 def best_of_each(verdicts: Verdicts) -> list[Verdict]:
     """For each solver the fastest of its configurations that nothing is said against, else its
     reference; those that meet the demand first, then by time."""
-    chosen = [
-        fastest_of(verdicts, reference.configuration.solver) or reference
-        for reference in verdicts.references
-    ]
+    fastest = {verdict.configuration.solver: verdict for verdict in podium(verdicts)}
+    chosen = [fastest.get(solver, own[0]) for solver, own in verdicts.of.items()]
     return sorted(fastest_first(chosen), key=lambda v: OUTCOMES.index(v.outcome))

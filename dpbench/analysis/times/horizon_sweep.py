@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from dpbench.analysis.demand import Demand, is_right
+from dpbench.analysis.grouping import firsts, grouped
 from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
 from dpbench.analysis.statistics import UNKNOWN, Floats, Interval, percentile_interval
@@ -121,22 +122,17 @@ class Sweep:
     @property
     def best(self) -> list[SweptConfiguration]:
         """The best configuration of each solver and formulation; the fastest solvers first."""
-        best: dict[tuple[str, str], SweptConfiguration] = {}
-        for swept in sorted(self.swept, key=_preference):
-            who = swept.configuration
-            best.setdefault((who.solver, who.formulation), swept)
-        return list(best.values())
+        best = sorted(self.swept, key=_preference)
+        kinds = firsts(best, lambda s: (s.configuration.solver, s.configuration.formulation))
+        return list(kinds.values())
 
 
 def sweeps(records: Records, demand: Demand) -> list[Sweep]:
     """The sweeps in the records: scenarios that were replayed under two horizons at least."""
-    groups: dict[str, list[RunRecord]] = {}
     # A sweep compares formulations, which `Records.select` does not.
-    for run in records.all_runs:
-        problem = _problem_key(run) if run.mode == "replay" and run.units == "scaled" else ""
-        if problem:
-            groups.setdefault(problem, []).append(run)
-    candidates = [_sweep(records, runs, demand) for runs in groups.values()]
+    replays = [run for run in records.all_runs if run.mode == "replay" and run.units == "scaled"]
+    problems = grouped(replays, _problem_key)
+    candidates = [_sweep(records, runs, demand) for key, runs in problems.items() if key]
     return [sweep for sweep in candidates if len(sweep.sequences) > 1]
 
 

@@ -7,7 +7,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dpbench.analysis.records import Records
 from dpbench.analysis.statistics import UNKNOWN, Floats, Interval, pooled_mean
@@ -39,15 +38,9 @@ class PairedComparison:
         return len(set(self.leaders.values())) > 1 or self.ratio.high < 1.0
 
 
-def common_steps(first: StepTimes, second: StepTimes) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Where in each of two configurations the steps stand that both have done."""
-    _, in_first, in_second = np.intersect1d(first.k, second.k, return_indices=True)
-    return in_first, in_second
-
-
 def paired(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
     """Algorithmic times of the steps that both configurations have done."""
-    in_first, in_second = common_steps(first, second)
+    _, in_first, in_second = np.intersect1d(first.k, second.k, return_indices=True)
     return first.algo_ns[in_first], second.algo_ns[in_second]
 
 

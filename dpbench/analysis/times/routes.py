@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dpbench.analysis.grouping import grouped
 from dpbench.analysis.records import Records
-from dpbench.analysis.run_record import RunRecord
 from dpbench.analysis.statistics import Interval, paired_ratio
 from dpbench.analysis.step_times import StepTimes
 from dpbench.analysis.times.pairs import paired
@@ -60,18 +60,14 @@ class RouteComparison:
         """Median of the algorithmic step time; NaN where the route left no step."""
         return float(np.median(self.times[route].algo_ns)) if route in self.times else np.nan
 
-    @property
-    def best_ns(self) -> float:
-        """The smallest median of all routes."""
-        return min(map(self.median_ns, self.times))
-
     def neighbour(self, route: RoutePolicy) -> RoutePolicy | None:
         """The route above it that was measured."""
         return next((above for above in ABOVE.get(route, ()) if above in self.times), None)
 
-    def compare(self, route: RoutePolicy, above: RoutePolicy | None) -> Comparison | None:
-        """`route` beside `above`; None when one of them left no common step."""
-        if above is None or above not in self.times or route not in self.times:
+    def compare(self, route: RoutePolicy) -> Comparison | None:
+        """A route beside its neighbour; None without one, or without a common step."""
+        above = self.neighbour(route)
+        if above is None:
             return None
         above_ns, route_ns = paired(self.times[above], self.times[route])
         return Comparison(above, paired_ratio(above_ns, route_ns)) if len(route_ns) else None
@@ -79,16 +75,15 @@ class RouteComparison:
 
 def route_comparisons(records: Records, sequence: str) -> list[RouteComparison]:
     """All solvers at all settings levels of a sequence, the fastest first; none without a step."""
-    by_solver: dict[tuple[str, str], dict[RoutePolicy, RunRecord]] = {}
-    for run in records.replays(sequence):
-        by_solver.setdefault((run.solver, run.settings), {})[run.route, run.policy] = run
     comparisons = []
+    by_solver = grouped(records.replays(sequence), lambda run: (run.solver, run.settings))
     for (solver, settings), runs in by_solver.items():
-        timed = {route: records.times(run) for route, run in runs.items()}
+        timed: dict[RoutePolicy, StepTimes | None]
+        timed = {(run.route, run.policy): records.times(run) for run in runs}
         times = {route: of_route for route, of_route in timed.items() if of_route is not None}
         if times:
             comparisons.append(RouteComparison(solver, settings, times))
-    return sorted(comparisons, key=lambda comparison: (comparison.best_ns, comparison.solver))
+    return sorted(comparisons, key=lambda c: (min(map(c.median_ns, c.times)), c.solver))
 
 
 def native_comparisons(comparisons: Sequence[RouteComparison]) -> list[RouteComparison]:
@@ -97,8 +92,3 @@ def native_comparisons(comparisons: Sequence[RouteComparison]) -> list[RouteComp
     native = [c for c in comparisons if any(route == "native" for route, _ in c.times)]
     compared = any(c.neighbour(route) for c in native for route in c.times if route[0] == "native")
     return native if compared else []
-
-
-def route_policy_text(route: RoutePolicy) -> str:
-    """`native warm`."""
-    return " ".join(route)

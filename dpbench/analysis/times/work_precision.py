@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dpbench.analysis.grouping import grouped
 from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
 from dpbench.bench.judge.rules import percentile, supports
@@ -49,25 +50,22 @@ def native_route_levels(records: Records, sequences: Sequence[str]) -> dict[str,
 def _levels(
     records: Records, sequences: Sequence[str], wanted: Callable[[RunRecord], bool]
 ) -> dict[str, list[LevelPoint]]:
-    configurations: dict[Configuration, dict[str, RunRecord]] = {}
-    for run in records.select(mode="replay", units="scaled", sequence=tuple(sequences)):
-        if wanted(run):
-            by_sequence = configurations.setdefault(run.configuration.in_common_formulation, {})
-            by_sequence[run.sequence] = run
+    replays = records.select(mode="replay", units="scaled", sequence=tuple(sequences))
+    configurations = grouped(
+        filter(wanted, replays), lambda run: run.configuration.in_common_formulation
+    )
     points = [
         point
         for configuration, runs in configurations.items()
-        if len(runs) == len(sequences)
-        and (point := _level_point(records, configuration, list(runs.values()))) is not None
+        if len({run.sequence for run in runs}) == len(sequences)
+        and (point := _level_point(records, configuration, runs)) is not None
     ]
     # The first of a solver has its policy: that of least p50 at the most usual settings.
     points.sort(key=lambda point: (settings_level(point.configuration.settings), point.p50_ns))
-    levels_by_solver: dict[str, list[LevelPoint]] = {}
-    for point in points:
-        levels = levels_by_solver.setdefault(point.configuration.solver, [])
-        if not levels or levels[0].configuration.policy == point.configuration.policy:
-            levels.append(point)
-    return levels_by_solver
+    return {
+        solver: [p for p in own if p.configuration.policy == own[0].configuration.policy]
+        for solver, own in grouped(points, lambda point: point.configuration.solver).items()
+    }
 
 
 def _level_point(

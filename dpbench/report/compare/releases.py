@@ -10,6 +10,7 @@ from pathlib import Path
 from dpbench.analysis.compare.pairs import differences
 from dpbench.analysis.compare.releases import Histories, History, histories
 from dpbench.analysis.demand import Demand
+from dpbench.analysis.grouping import grouped
 from dpbench.analysis.records import Records
 from dpbench.bench.record.result_folder import load_results
 from dpbench.errors import InputError
@@ -78,12 +79,8 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
 
 def _changed(found: Histories) -> dict[str, list[History]]:
     """By solver, the histories of those with several versions."""
-    changed = {h.run.solver for h in found.all if h.changed}
-    by_solver: dict[str, list[History]] = {}
-    for history in found.all:
-        if history.run.solver in changed:
-            by_solver.setdefault(history.run.solver, []).append(history)
-    return by_solver
+    by_solver = grouped(found.all, lambda history: history.run.solver)
+    return {name: own for name, own in by_solver.items() if any(h.changed for h in own)}
 
 
 def _lead(found: Histories) -> list[str]:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dpbench.analysis.counting_rows import Floats
 from dpbench.analysis.run_record import RunRecord
 from dpbench.analysis.run_steps import MEASURES, Measure, RunSteps, hardest
 from dpbench.analysis.times.fastest import best_of_each, fastest_first
@@ -117,7 +116,7 @@ def _worst_of(facts: Facts, run: RunRecord, measure: Measure) -> WorstStep | Non
     hard = hardest(steps, measure, 1)
     if not hard:
         return None
-    values = _values(steps, measure)
+    values = steps.values(measure)
     median = float(np.median(values[~np.isnan(values)]))
     return WorstStep(measure, run, steps, hard[0].at, hard[0].value, median)
 
@@ -174,12 +173,8 @@ def _of_other(facts: Facts, worst: WorstStep, configuration: Configuration) -> s
             continue
         at = np.flatnonzero(steps.k == worst.k)
         if len(at):
-            return _figure(worst.measure, float(_values(steps, worst.measure)[at[0]]))
+            return _figure(worst.measure, float(steps.values(worst.measure)[at[0]]))
     return MISSING
-
-
-def _values(steps: RunSteps, measure: Measure) -> Floats:
-    return {"time": steps.time_ns, "iterations": steps.iterations, "error": steps.error}[measure]
 
 
 def _figure(measure: Measure, value: float) -> str:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from dpbench.analysis.demand import Demand, is_right
+from dpbench.analysis.grouping import grouped
 from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
 from dpbench.report.formats import MISSING, and_list, count_text, plural, significant
@@ -16,10 +17,9 @@ HEAD = ("configuration", "right in", "steps with a fallback", "farthest from the
 
 def loops_topic(records: Records, demand: Demand) -> Topic | None:
     """The topic; None of records without closed loops."""
-    by_name: dict[str, list[RunRecord]] = {}
-    for run in records.select(mode="closed_loop"):
-        if not run.is_baseline_law and run.outcome != "refused":
-            by_name.setdefault(run.configuration.in_common_formulation.label, []).append(run)
+    loops = records.select(mode="closed_loop")
+    steered = [run for run in loops if not run.is_baseline_law and run.outcome != "refused"]
+    by_name = grouped(steered, lambda run: run.configuration.in_common_formulation.label)
     if not by_name:
         return None
     whole = {
@@ -28,13 +28,13 @@ def loops_topic(records: Records, demand: Demand) -> Topic | None:
     }
     most = max(len(runs) for runs in by_name.values())
     right = [name for name, runs in by_name.items() if whole[name] == len(runs) == most]
-    loops = plural(most, "closed loop")
+    asked = plural(most, "closed loop")
     best = max(whole, key=lambda name: whole[name])
-    lead = f"Nobody is right on every step of {loops}; {best} is in {whole[best]}."
+    lead = f"Nobody is right on every step of {asked}; {best} is in {whole[best]}."
     if right:
         rest = len(by_name) - len(right)
         others = f" {plural(rest, 'configuration')} {'is' if rest == 1 else 'are'} not."
-        lead = f"Right on every step of {loops}: {_named(right)}.{others if rest else ''}"
+        lead = f"Right on every step of {asked}: {_named(right)}.{others if rest else ''}"
     rows = [
         (name, f"{whole[name]} of {len(runs)}", *_control(runs)) for name, runs in by_name.items()
     ]

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.analysis.demand import Demand, is_right
+from dpbench.analysis.grouping import grouped
 from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
 from dpbench.analysis.statistics import Interval, paired_ratio
-from dpbench.analysis.times.pairs import common_steps
-from dpbench.analysis.times.routes import native_comparisons, route_comparisons, route_policy_text
+from dpbench.analysis.times.pairs import paired
+from dpbench.analysis.times.routes import native_comparisons, route_comparisons
 from dpbench.bench.judge.rules import percentile
 from dpbench.bench.record.configuration import settings_level
 from dpbench.report.formats import and_list, plural, significant, time_text
@@ -28,22 +29,15 @@ def routes_topic(records: Records) -> Topic | None:
     gains: dict[str, list[float]] = {}
     for sequence in records.sequences:
         rows = []
-        for comparison in native_comparisons(route_comparisons(records, sequence)):
-            for route in comparison.times:
-                beside = comparison.compare(route, comparison.neighbour(route))
+        for compared in native_comparisons(route_comparisons(records, sequence)):
+            for route in compared.times:
+                beside = compared.compare(route)
                 if beside is None:
                     continue
-                change = f"{route_policy_text(beside.above)} → {route_policy_text(route)}"
+                change = f"{' '.join(beside.above)} → {' '.join(route)}"
                 gains.setdefault(change, []).append(beside.gain.value)
-                rows.append(
-                    (
-                        comparison.solver,
-                        comparison.settings,
-                        change,
-                        _ratio_text(beside.gain),
-                        time_text(comparison.median_ns(route)),
-                    )
-                )
+                figures = _ratio_text(beside.gain), time_text(compared.median_ns(route))
+                rows.append((compared.solver, compared.settings, change, *figures))
         if rows:
             head = ("solver", "settings", "from → to", "times as fast (95 %)", "p50")
             tables.append(SmallTable(head, tuple(rows), sequence))
@@ -148,8 +142,7 @@ def race_topic(records: Records) -> Topic | None:
             there = records.times(rivals[0]) if rivals else None
             if here is None or there is None:
                 continue
-            in_here, in_there = common_steps(here, there)
-            ratio = paired_ratio(here.algo_ns[in_here], there.algo_ns[in_there])
+            ratio = paired_ratio(*paired(here, there))
             options = run.configuration.options
             said.append(f"{_ratio_text(ratio)} in {sequence} ({options})")
             rows.append(
@@ -181,24 +174,20 @@ def _tables(
 ) -> list[SmallTable]:
     """For each replayed sequence a table of median step times: a row for what is kept, a column for
     what is varied; none of sequences where it was not varied."""
-    problems: dict[tuple[str, str], list[RunRecord]] = {}
-    for run in runs:
-        if run.mode == "replay" and not run.is_baseline_law:
-            problems.setdefault((run.sequence, run.units), []).append(run)
+    replays = [run for run in runs if run.mode == "replay" and not run.is_baseline_law]
     tables = []
+    problems = grouped(replays, lambda run: (run.sequence, run.units))
     for (sequence, units), of_problem in problems.items():
         columns = list(dict.fromkeys(varied(run) for run in of_problem))
         if len(columns) < 2:
             continue
-        by_row: dict[str, dict[str, RunRecord]] = {}  # by what is kept, then what is varied
-        for run in of_problem:
-            by_row.setdefault(kept(run), {})[varied(run)] = run
-        rows = tuple(
-            (name, *(_median_text(records, own.get(column), demand) for column in columns))
-            for name, own in by_row.items()
-        )
+        rows = []
+        for name, of_row in grouped(of_problem, kept).items():
+            own = {varied(run): run for run in of_row}
+            cells = (_median_text(records, own.get(column), demand) for column in columns)
+            rows.append((name, *cells))
         title = sequence + (" (SI units)" if units == "si" else "")
-        tables.append(SmallTable(("configuration", *columns), rows, title))
+        tables.append(SmallTable(("configuration", *columns), tuple(rows), title))
     return tables
 
 

@@ -36,7 +36,7 @@ def _ways(records: Any) -> RouteComparison:
 
 
 def _beside(comparison: RouteComparison, route: RoutePolicy) -> Comparison:
-    found = comparison.compare(route, comparison.neighbour(route))
+    found = comparison.compare(route)
     assert found is not None
     return found
 
