@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from dpbench.display import table_html
@@ -24,6 +24,13 @@ class Table:
     heads: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     text_columns: int = 1
+
+
+def head_and_rows(
+    rows: Sequence[Mapping[str, str]],
+) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
+    """The head of a table and its cells, from rows with the head beside each cell."""
+    return tuple(rows[0]), tuple(tuple(row.values()) for row in rows)
 
 
 def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int = 1) -> str:

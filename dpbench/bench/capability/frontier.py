@@ -27,8 +27,6 @@ from dpbench.ship.vessel import Vessel
 
 DIRECTIONS = 36
 """Every 10° (2.4.6)."""
-BOW_RAD = math.radians(30.0)
-"""The sector of the first and third number of the notation, to either side (2.5.1)."""
 INTACT = "intact"
 CHORD_RAD = math.radians(1.0)
 """Angle between corners on the edge of a notch, where circles are circles."""
@@ -119,12 +117,9 @@ class Frontier:
     def pieces_of(self, case: Case) -> list[list[Piece]]:
         """The convex pieces of each thruster (p,); one without any is as good as lost."""
         if case.lost not in self._pieces:
-            self._pieces[case.lost] = [self._pieces_of(i, case) for i in range(self._count)]
+            count = len(self.thrusters.thrusters)
+            self._pieces[case.lost] = [self._pieces_of(i, case) for i in range(count)]
         return self._pieces[case.lost]
-
-    @property
-    def _count(self) -> int:
-        return len(self.thrusters.thrusters)
 
     def _pieces_of(self, i: int, case: Case) -> list[Piece]:
         every = self.thrusters.thrusters

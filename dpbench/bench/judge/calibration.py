@@ -75,11 +75,8 @@ def _replayed(name: str) -> tuple[float, Disturbance]:
     steps, timed_solver, log = replay_parts(
         _made_up(), open_calibration(name), "condensed_box", _ROUNDS, RawLog.in_memory
     )
-    run = ReplayRun(
-        steps, timed_solver, log, warmup_steps=_STEPS, limit_ns=NO_LIMIT_NS, clock=clock
-    )
-    for r in range(_ROUNDS + 1):
-        run.round(r)
+    limits = {"warmup_steps": _STEPS, "limit_ns": NO_LIMIT_NS}
+    ReplayRun(steps, timed_solver, log, clock=clock, **limits).rounds()
     phases = np.maximum(log.times[1:, :, 1:5], 0).sum(axis=2)
     rounds = np.arange(_ROUNDS + 1, dtype=np.int32)
     slowed = disturbed_rounds(rounds, log.reference_kernel_ns) != WARM_UP

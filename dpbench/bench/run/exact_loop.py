@@ -7,7 +7,7 @@ it are the sequences for replay.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -213,12 +213,8 @@ def sequence_of(
     """
     last = len(exact.theta) if count is None else first + count
     if not 0 <= first < last <= len(exact.theta):
-        raise ResultsError(
-            f"sequence of {scenario.name}",
-            "first, count",
-            f"{first}:{last}",
-            f"steps within 0:{len(exact.theta)}",
-        )
+        where, allowed = f"sequence of {scenario.name}", f"steps within 0:{len(exact.theta)}"
+        raise ResultsError(where, "first, count", f"{first}:{last}", allowed)
     builder, steps = QPBuilder(scenario, units), range(first, last)
     if part == "allocation":
         emitted, base, scale = _allocations(scenario, exact, builder, steps)
@@ -238,9 +234,7 @@ def sequence_of(
         base=base,
         P=_stack([step.P for step in emitted]),
         A=_stack([step.A for step in emitted]),
-        q=np.array([step.q for step in emitted]),
-        l=np.array([step.l for step in emitted]),
-        u=np.array([step.u for step in emitted]),
+        **_vectors(emitted),
         units=None if scaled is None else scale,
         scaled=scaled,
         meta={"scenario": scenario.name, "sample_s": scenario.sample_s, "first": first},
@@ -268,14 +262,13 @@ def _sparse_equivalent(
     staged = builder.staged
     assert staged is not None, "asked for"
     steps = [builder.rebuild(k, row) for k, row in enumerate(theta, first)]
-    sequence = QPSequence(
-        name=name,
-        base=staged.problem(steps[0]),
-        q=np.array([step.q for step in steps]),
-        l=np.array([step.l for step in steps]),
-        u=np.array([step.u for step in steps]),
-    )
+    sequence = QPSequence(name, staged.problem(steps[0]), **_vectors(steps))
     return SparseEquivalent(sequence, staged.condensed)
+
+
+def _vectors(steps: Sequence[QPStep]) -> dict[str, Any]:
+    """The vectors of all steps."""
+    return {name: np.array([getattr(step, name) for step in steps]) for name in ("q", "l", "u")}
 
 
 def _stack(matrices: list[Matrix | None]) -> NDArray[np.float64] | None:

@@ -13,7 +13,7 @@ import numpy as np
 from dpbench.bench.record.cell import Formulation
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.errors import InputError
-from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram
+from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution
 from dpbench.qp.stacked import stack, stack_step, unstack
 
@@ -49,7 +49,7 @@ class Box:
 
     def step(self, step: QPStep) -> QPStep:
         """The step itself."""
-        if not (step.P is None and step.A is None and step.lb is None and step.ub is None):
+        if Refresh.MATRICES in step.refresh:
             self.base = self.base.at(step)
             return step.copy()
         return step
@@ -59,20 +59,16 @@ class Box:
         return answer
 
 
-class Stacked:
+class Stacked(Box):
     """The paper's one-sided rows (eq. 23-25), made of each emitted step."""
 
     def __init__(self, base: QuadraticProgram) -> None:
+        super().__init__(stack(base))
         self._m = base.m
-        self.base = stack(base)
 
     def step(self, step: QPStep) -> QPStep:
         """The step with all limits as one-sided rows."""
-        stacked = stack_step(step, self.base)
-        if not (step.P is None and step.A is None and step.lb is None and step.ub is None):
-            self.base = self.base.at(stacked)
-            return stacked.copy()
-        return stacked
+        return super().step(stack_step(step, self.base))
 
     def solution(self, answer: Solution) -> Solution:
         """The multipliers of both sides of a row joined."""
@@ -120,10 +116,8 @@ def in_replay(formulation: Formulation, sequence: QPSequence) -> tuple[QPSequenc
         return sequence, _of_condensed(formulation, sequence.base)
     if sequence.sparse_equivalent is None:
         raise InputError(f"sequence {sequence.name}", "formulation", "'sparse'", NO_MODEL)
-    sparse_equivalent = sequence.sparse_equivalent()
-    return sparse_equivalent.sequence, Sparse(
-        sparse_equivalent.sequence.base, sparse_equivalent.condensed
-    )
+    sparse = sequence.sparse_equivalent()
+    return sparse.sequence, Sparse(sparse.sequence.base, sparse.condensed)
 
 
 def _of_condensed(formulation: Formulation, base: QuadraticProgram) -> Formulated:

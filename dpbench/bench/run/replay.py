@@ -107,6 +107,11 @@ class ReplayRun:
         log.setup_once_ns[0] = solver.prepare()
         log.started[0] = 1
 
+    def rounds(self) -> None:
+        """Replay the warm-up and every round that the log has room for."""
+        for r in range(len(self._log.done)):
+            self.round(r)
+
     def round(self, r: int) -> bool:
         """Replay round r into its rows; False when the time limit stopped it.
 

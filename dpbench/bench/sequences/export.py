@@ -15,7 +15,7 @@ from dpbench.bench.sequences.recording import (
     record,
     thinned,
 )
-from dpbench.bench.sequences.sequence_file import Recorded, save_sequence
+from dpbench.bench.sequences.sequence_file import Recorded
 from dpbench.errors import InputError
 from dpbench.qp.referee.referee import certified
 from dpbench.scenario.horizons import Horizons, parse_horizons
@@ -69,13 +69,7 @@ def export(
     recorded = _recorded(what, _horizons(horizons), steps, every, at, part)
     target.parent.mkdir(parents=True, exist_ok=True)
     if format == "npz":
-        save_sequence(
-            target,
-            recorded.sequence,
-            recorded.optima,
-            units=recorded.units,
-            documents=recorded.documents,
-        )
+        recorded.save(target)
         written = str(target)
     else:
         written = " and ".join(map(str, save_qpbenchmark(target, recorded)))
@@ -91,17 +85,9 @@ def check_asked(options: dict[str, Any]) -> None:
             if options[key] is None:
                 raise InputError("export", name, "nothing", "WHAT and --out PATH, or --all")
         return
-    defaults = {
-        "what": None,
-        "horizons": None,
-        "steps": None,
-        "every": 1,
-        "format": "npz",
-        "at": None,
-        "part": "controller",
-    }
-    for key, default in defaults.items():
-        if options[key] != default:
+    defaults = {"every": 1, "format": "npz", "part": "controller"}
+    for key in ("what", "horizons", "steps", "every", "format", "at", "part"):
+        if options[key] != defaults.get(key):
             found = f"{key} {options[key]} beside --all"
             raise InputError("export", "", found, "--all, which follows its manifest, and --out")
 

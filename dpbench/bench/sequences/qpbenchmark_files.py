@@ -15,12 +15,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from dpbench.bench.sequences.qpsolvers_files import KEYS
 from dpbench.bench.sequences.sequence_file import Recorded
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.solvers.one_sided import OneSidedForm
 
-KEYS = ("P", "q", "G", "h", "A", "b", "lb", "ub")
 _TAKEN = frozenset(sys.stdlib_module_names) | {"qpbenchmark", "qpsolvers", "numpy", "pandas"}
 _TEST_SET = '''"""{title}.
 

@@ -63,6 +63,10 @@ class Recorded:
     units: Units | None = None
     documents: dict[str, Any] = field(default_factory=dict)
 
+    def save(self, path: Path) -> None:
+        """Write all of it; see `save_sequence`."""
+        save_sequence(path, self.sequence, self.optima, units=self.units, documents=self.documents)
+
 
 def save_sequence(
     path: str | Path,
@@ -177,22 +181,18 @@ def _sequence(
     K, n, m = sizes
     shapes = {"P": (n, n), "A": (m, n), "lb": (n,), "ub": (n,), "q": (K, n), "l": (K, m)}
     shapes["u"] = (K, m)
-    read: dict[str, Any] = {
-        key: float_array(arrays, where, key, shape, infinite=INFINITE.get(key, ""))
-        for key, shape in shapes.items()
-    }
-    steps: dict[str, Any] = {
-        key: float_array(
-            arrays, where, f"{key}_steps", (K, *shapes[key]), infinite=INFINITE.get(key, "")
-        )
-        for key in CONSTANT
-        if f"{key}_steps" in arrays
-    }
-    vectors: dict[str, Any] = {key: read.pop(key) for key in ("q", "l", "u")}
+
+    def read(key: str, name: str, shape: tuple[int, ...]) -> Any:
+        return float_array(arrays, where, name, shape, infinite=INFINITE.get(key, ""))
+
+    vectors = {key: read(key, key, shapes[key]) for key in ("q", "l", "u")}
+    matrices = {key: read(key, key, shapes[key]) for key in CONSTANT}
+    names = {key: f"{key}_steps" for key in CONSTANT if f"{key}_steps" in arrays}
+    steps = {key: read(key, name, (K, *shapes[key])) for key, name in names.items()}
     block, moves = count_of(arrays, where, "block"), count_of(arrays, where, "moves")
     try:
         first = {key: vector[0] for key, vector in vectors.items()}
-        base = QuadraticProgram(**read, **first, block=block, moves=moves)
+        base = QuadraticProgram(**matrices, **first, block=block, moves=moves)
     except InputError as error:
         raise InputError(where, error.key, error.found, error.allowed) from error
     return QPSequence(name, base, **vectors, meta=meta, **steps)

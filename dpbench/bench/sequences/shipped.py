@@ -15,7 +15,7 @@ from pydantic import Field
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.run.exact_loop import Part
 from dpbench.bench.sequences.recording import record
-from dpbench.bench.sequences.sequence_file import Recorded, save_sequence
+from dpbench.bench.sequences.sequence_file import Recorded
 from dpbench.errors import InputError
 from dpbench.scenario.key_types import Horizon
 from dpbench.scenario.problem_files import SEQUENCES, FileModel, problems_root, read_model
@@ -148,10 +148,7 @@ def regenerate(
     for rule in wanted:
         shown.advance(0, rule.name)
         recorded, path = rule.record(), folder / f"{rule.name}.npz"
-        documents = recorded.documents
-        save_sequence(
-            path, recorded.sequence, recorded.optima, units=recorded.units, documents=documents
-        )
+        recorded.save(path)
         size += path.stat().st_size
         shown.advance(rule.steps, rule.name)
     return f"{folder}: {len(wanted)} sequences, {size / 1e6:.1f} MB"

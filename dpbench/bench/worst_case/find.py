@@ -195,16 +195,16 @@ def _cell(solver: str, route: Route | None, policy: Policy, settings: str, base:
 def _saved(worst_case: WorstCase, seed: int) -> WorstCase:
     """Write what was found."""
     search, cell, path = worst_case.search, worst_case.cell, worst_case.path
-    facts: dict[str, Any] = {
-        "worst_case_goal": worst_case.goal,
-        "worst_case_solver": cell.solver,
-        "worst_case_solver_version": available(cell.solver).version,
-        "worst_case_route": cell.route,
-        "worst_case_policy": cell.policy,
-        "worst_case_settings": cell.settings,
-        "worst_case_scenario": cell.scenario_name,
-        "worst_case_seed": seed,
-        "worst_case_evaluations": search.evaluations,
+    facts = {
+        "goal": worst_case.goal,
+        "solver": cell.solver,
+        "solver_version": available(cell.solver).version,
+        "route": cell.route,
+        "policy": cell.policy,
+        "settings": cell.settings,
+        "scenario": cell.scenario_name,
+        "seed": seed,
+        "evaluations": search.evaluations,
     }
     if search.best is not None:
         _write(path, search.best, facts)
@@ -219,16 +219,17 @@ def _saved(worst_case: WorstCase, seed: int) -> WorstCase:
 
 def _write(path: Path, case: Case, facts: dict[str, Any]) -> None:
     scenario, worst = case.scenario, case.worst
-    facts_of_case: dict[str, Any] = {"worst_case_outcome": case.outcome.outcome}
+    facts = facts | {"outcome": case.outcome.outcome}
     if worst is not None:
-        facts_of_case |= {
-            "worst_case_step": worst.step,
-            "worst_case_iterations": worst.iterations,
+        facts |= {
+            "step": worst.step,
+            "iterations": worst.iterations,
             # JSON has no word for an infinite error.
-            "worst_case_error_plan": repr(worst.error_plan),
-            "worst_case_status": worst.status.name.lower(),
+            "error_plan": repr(worst.error_plan),
+            "status": worst.status.name.lower(),
         }
-    horizons = {"N_p": scenario.N_p, "N_c": scenario.N_c}
-    sequence = replace(case.sequence, meta=case.sequence.meta | horizons | facts | facts_of_case)
+    meta = case.sequence.meta | {"N_p": scenario.N_p, "N_c": scenario.N_c}
+    meta |= {f"worst_case_{name}": fact for name, fact in facts.items()}
+    sequence = replace(case.sequence, meta=meta)
     units = QPBuilder(scenario, "si").condensed.scale
     save_sequence(path, sequence, units=units, documents=scenario.files)

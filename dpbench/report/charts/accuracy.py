@@ -12,8 +12,11 @@ from dpbench.report.charts.style import (
     INK,
     NAMES,
     below,
+    coloured,
     limit_rule,
     log_scale,
+    narrow,
+    picking,
     styled,
     tip,
 )
@@ -33,15 +36,10 @@ def accuracy(table: pd.DataFrame, demand_error: float) -> Any:
     """
     table = table.assign(shown=table["error"].clip(lower=FLOOR))
     percentile = alt.param(name="percentile", value="p50")
-    narrow = alt.param(name="narrow", value=False)
-    pick = alt.selection_point(name="pick", fields=["id"], on="click", empty=False)
-    families = [f for f in FAMILY_COLOURS if f in set(table["family"])]
-    colour = alt.Color(
-        "family:N",
-        scale=alt.Scale(domain=families, range=[FAMILY_COLOURS[f] for f in families]),
-        title=None,
-        legend=below(columns=alt.ExprRef("narrow ? 1 : 3")),
-    )
+    pick = picking("id")
+    families = {f: hue for f, hue in FAMILY_COLOURS.items() if f in set(table["family"])}
+    columns = alt.ExprRef("narrow ? 1 : 3")
+    colour = coloured("family", families, families.values(), columns=columns)
     base = (
         alt.Chart(table)
         .transform_calculate(time="percentile == 'p99' ? datum.p99_us : datum.p50_us")
@@ -67,7 +65,7 @@ def accuracy(table: pd.DataFrame, demand_error: float) -> Any:
             ],
         )
     )
-    lines = base.mark_line(strokeWidth=1, opacity=0.45).add_params(percentile, narrow, pick)
+    lines = base.mark_line(strokeWidth=1, opacity=0.45).add_params(percentile, narrow(), pick)
     dots = base.mark_point(filled=True, opacity=0.95).encode(
         shape=alt.Shape("settings:N", title=None, legend=below(symbolFillColor=INK)),
         size=alt.condition(pick, alt.value(190), alt.value(70)),

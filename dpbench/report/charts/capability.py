@@ -18,7 +18,7 @@ from dpbench.report.charts.style import (
     PALETTE,
     PAPER,
     SOFT,
-    below,
+    coloured,
     styled,
     tip,
 )
@@ -54,12 +54,7 @@ def rose(table: pd.DataFrame, title: str) -> Any:
             x=x,
             y=y,
             order="i:Q",
-            color=alt.Color(
-                "case:N",
-                title=None,
-                scale=alt.Scale(domain=cases, range=list(PALETTE[: len(cases)])),
-                legend=below(columns=3),
-            ),
+            color=coloured("case", cases, PALETTE[: len(cases)], columns=3),
         )
     )
     points = _points(closed, x, y)
@@ -176,11 +171,8 @@ def answers(table: pd.DataFrame, title: str) -> Any:
             ),
             y=alt.Y("solver:N", title=None, sort=list(dict.fromkeys(table["solver"]))),
             order="place:Q",
-            color=alt.Color(
-                "answer:N",
-                title=None,
-                scale=alt.Scale(domain=kinds, range=[_LOOKS[kind] for kind in kinds]),
-                legend=below(symbolType="square", columns=2),
+            color=coloured(
+                "answer", kinds, map(_LOOKS.__getitem__, kinds), symbolType="square", columns=2
             ),
             tooltip=[alt.Tooltip("solver:N"), alt.Tooltip("answer:N"), alt.Tooltip("qps:Q")],
         )

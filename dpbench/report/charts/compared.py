@@ -18,8 +18,11 @@ from dpbench.report.charts.style import (
     NOT_RUN,
     SOFT,
     alike,
-    below,
+    coloured,
     log_scale,
+    names_scale,
+    narrow,
+    picking,
     styled,
     tip,
 )
@@ -37,21 +40,20 @@ def ratios(table: pd.DataFrame, margin: float) -> Any:
     ----------
     table : columns `COLUMNS`, the slowest first; margin : what is no difference.
     """
-    narrow = alt.param(name="narrow", value=False)
     names = alt.Axis(labelLimit=alt.ExprRef("narrow ? 170 : 330"))
     base = alt.Chart(table).encode(
         y=alt.Y("name:N", sort=table["name"].tolist(), title=None, axis=names),
-        color=_colour(),
+        color=coloured("verdict", VERDICTS, _COLOURS, columns=2),
         tooltip=_tips(),
     )
-    pick = _pick()
+    pick = picking("id")
     rows = base.mark_rule(strokeWidth=16, color=ACCENT).encode(
         x=alt.value(0),
         x2=alt.value("width"),
         color=alt.value(ACCENT),
         opacity=alt.condition(pick, alt.value(0.16), alt.value(0.0)),
     )
-    rows = rows.add_params(narrow, pick)
+    rows = rows.add_params(narrow(), pick)
     x = alt.X(
         "ratio:Q",
         title="B / A, machine factor taken out",
@@ -73,14 +75,14 @@ def both(table: pd.DataFrame) -> Any:
     scale = log_scale(domain=[low, high])
     x = alt.X("a_us:Q", title="A: median step time [µs]", scale=scale)
     y = alt.Y("b_us:Q", title="B: median step time [µs]", scale=scale)
-    pick = _pick()
+    pick = picking("id")
     points = (
         alt.Chart(table)
         .mark_point(filled=True, opacity=0.9)
         .encode(
             x=x,
             y=y,
-            color=_colour(),
+            color=coloured("verdict", VERDICTS, _COLOURS, columns=2),
             shape=_shape(),
             size=alt.condition(pick, alt.value(260), alt.value(55)),
             tooltip=_tips(),
@@ -91,18 +93,8 @@ def both(table: pd.DataFrame) -> Any:
     return styled(chart, "Both runs", "Median step times of both runs against each other.")
 
 
-def _colour() -> alt.Color:
-    scale = alt.Scale(domain=list(VERDICTS), range=list(_COLOURS))
-    return alt.Color("verdict:N", scale=scale, title=None, legend=below(columns=2))
-
-
 def _shape() -> alt.Shape:
-    scale = alt.Scale(domain=list(VERDICTS), range=list(_SHAPES))
-    return alt.Shape("verdict:N", scale=scale, title=None)
-
-
-def _pick() -> alt.Parameter:
-    return alt.selection_point(name="pick", fields=["id"], on="click", empty=False)
+    return alt.Shape("verdict:N", scale=names_scale(VERDICTS, _SHAPES), title=None)
 
 
 def _tips() -> list[alt.Tooltip]:

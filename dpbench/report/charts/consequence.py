@@ -13,8 +13,9 @@ from dpbench.report.charts.style import (
     MISSES,
     OPEN,
     PAPER,
-    below,
+    coloured,
     log_scale,
+    names_scale,
     styled,
     tip,
 )
@@ -36,7 +37,7 @@ def spans(table: pd.DataFrame, title: str) -> Any:
     table = table.assign(
         middle_s=0.5 * (table["from_s"] + table["to_s"]), text=table["state"].where(named, "")
     )
-    present = [state for state in _STATES if state in set(table["state"])]
+    present = {state: hue for state, hue in _STATES.items() if state in set(table["state"])}
     base = alt.Chart(table).encode(
         y=alt.Y(
             "group:N",
@@ -52,12 +53,7 @@ def spans(table: pd.DataFrame, title: str) -> Any:
         ],
     )
     time = alt.Scale(domain=[float(first), float(last)], nice=False)
-    colour = alt.Color(
-        "state:N",
-        title=None,
-        scale=alt.Scale(domain=present, range=[_STATES[state] for state in present]),
-        legend=below(symbolType="square"),
-    )
+    colour = coloured("state", present, present.values(), symbolType="square")
     bars = base.mark_bar().encode(
         x=alt.X("from_s:Q", title="time [s]", scale=time, axis=alt.Axis(tickCount=5)),
         x2="to_s:Q",
@@ -96,13 +92,8 @@ def shares(table: pd.DataFrame, title: str) -> Any:
                 axis=alt.Axis(format="~g", tickCount=3, grid=False),
             ),
             y=alt.Y("name:N", title=None, sort=table["name"].tolist(), axis=alt.Axis(grid=True)),
-            color=alt.Color(
-                "answers:N",
-                title=None,
-                scale=alt.Scale(domain=kinds, range=colours),
-                legend=below(),
-            ),
-            shape=alt.Shape("answers:N", scale=alt.Scale(domain=kinds, range=shapes)),
+            color=coloured("answers", kinds, colours),
+            shape=alt.Shape("answers:N", scale=names_scale(kinds, shapes)),
             tooltip=[
                 alt.Tooltip("name:N", title="configuration"),
                 tip("percent:Q", "share [%]", 2),

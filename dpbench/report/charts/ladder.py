@@ -7,15 +7,19 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
+from dpbench.analysis.verdict import OUTCOMES
 from dpbench.report.charts.style import (
     ACCENT,
     INK,
     LINE,
+    OUTCOME_COLOURS,
+    OUTCOME_SHAPES,
     SOFT,
-    below,
+    coloured,
     log_scale,
-    outcome_colour,
-    outcome_shape,
+    names_scale,
+    narrow,
+    picking,
     styled,
     tip,
 )
@@ -39,8 +43,7 @@ def ladder(table: pd.DataFrame, deadline_ms: float, *, slow: float = 1.0) -> Any
     """
     order = table["label"].tolist()
     factor = alt.param(name="slow", value=slow)
-    narrow = alt.param(name="narrow", value=False)
-    pick = alt.selection_point(name="pick", fields=["id"], on="click", empty=False)
+    pick = picking("id")
     names = alt.Axis(labelLimit=260, labelExpr="narrow ? split(datum.label, ' (')[0] : datum.label")
     base = (
         alt.Chart(table)
@@ -62,12 +65,9 @@ def ladder(table: pd.DataFrame, deadline_ms: float, *, slow: float = 1.0) -> Any
             values=[10.0**e for e in range(-3, 5)], format="~g", orient="top", labelOverlap="greedy"
         ),
     )
-    colour = alt.Color(
-        "outcome:N",
-        scale=outcome_colour(),
-        title="demand",
-        legend=below(columns=alt.ExprRef("narrow ? 2 : 4")),
-    )
+    columns = alt.ExprRef("narrow ? 2 : 4")
+    colour = coloured("outcome", OUTCOMES, OUTCOME_COLOURS, title="demand", columns=columns)
+    shape = alt.Shape("outcome:N", scale=names_scale(OUTCOMES, OUTCOME_SHAPES))
     tips = [
         alt.Tooltip("label:N", title="configuration"),
         alt.Tooltip("outcome:N", title="demand"),
@@ -84,7 +84,7 @@ def ladder(table: pd.DataFrame, deadline_ms: float, *, slow: float = 1.0) -> Any
     rows = base.mark_rule(strokeWidth=22, opacity=0.0).encode(
         x=alt.value(0), x2=alt.value("width"), tooltip=tips
     )
-    rows = rows.add_params(factor, narrow, pick)
+    rows = rows.add_params(factor, narrow(), pick)
     chosen = base.mark_rule(strokeWidth=22, color=ACCENT).encode(
         x=alt.value(0),
         x2=alt.value("width"),
@@ -104,7 +104,7 @@ def ladder(table: pd.DataFrame, deadline_ms: float, *, slow: float = 1.0) -> Any
         x=alt.X("left:Q"), x2="called:Q", opacity=alt.value(0.7), tooltip=tips
     )
     point = base.mark_point(filled=True, size=70, opacity=1).encode(
-        x=x, color=colour, shape=alt.Shape("outcome:N", scale=outcome_shape()), tooltip=tips
+        x=x, color=colour, shape=shape, tooltip=tips
     )
     limit = pd.DataFrame({"deadline": [deadline_ms], "text": [f"deadline {deadline_ms:g} ms"]})
     deadline = alt.Chart(limit).mark_rule(color=INK, strokeWidth=1.5).encode(x="deadline:Q")

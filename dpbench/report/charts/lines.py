@@ -13,9 +13,10 @@ from dpbench.report.charts.style import (
     MISSES,
     PALETTE,
     alike,
-    below,
+    coloured,
     limit_rule,
     log_scale,
+    names_scale,
     styled,
     tip,
 )
@@ -40,7 +41,7 @@ def lines(
     """
     names = list(dict.fromkeys(table["name"]))
     dashes = [[[1, 0], [6, 3], [2, 2]][(i // len(PALETTE)) % 3] for i in range(len(names))]
-    hues = alt.Scale(domain=names, range=[PALETTE[i % len(PALETTE)] for i in range(len(names))])
+    hues = [PALETTE[i % len(PALETTE)] for i in range(len(names))]
     base = alt.Chart(table).encode(
         x=alt.X(
             "x:Q",
@@ -49,27 +50,14 @@ def lines(
             axis=alt.Axis(format=x[1]),
         ),
         y=alt.Y("y:Q", title=y[0], scale=log_scale(), axis=alt.Axis(format=y[1])),
-        color=alt.Color(
-            "name:N",
-            title=None,
-            scale=hues,
-            legend=below(symbolLimit=40, labelLimit=320, columns=1),
-        ),
-        tooltip=[
-            alt.Tooltip("name:N"),
-            alt.Tooltip("x:Q", title=x[0]),
-            tip("y:Q", y[0]),
-        ],
+        color=coloured("name", names, hues, symbolLimit=40, labelLimit=320, columns=1),
+        tooltip=[alt.Tooltip("name:N"), alt.Tooltip("x:Q", title=x[0]), tip("y:Q", y[0])],
     )
-    joined = base.mark_line(strokeWidth=1.5).encode(
-        strokeDash=alt.StrokeDash(
-            "name:N", scale=alt.Scale(domain=names, range=dashes), legend=None
-        )
-    )
+    dash = alt.StrokeDash("name:N", scale=names_scale(names, dashes), legend=None)
+    joined = base.mark_line(strokeWidth=1.5).encode(strokeDash=dash)
+    hue = alt.Color("name:N", scale=names_scale(names, hues), legend=None)
     dots = base.mark_point(size=45, opacity=1, strokeWidth=1.5).encode(
-        fill=alt.condition(
-            "datum.good", alt.Color("name:N", scale=hues, legend=None), alt.value("white")
-        ),
+        fill=alt.condition("datum.good", hue, alt.value("white"))
     )
     layers = [joined, dots]
     if limit is not None:

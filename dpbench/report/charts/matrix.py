@@ -15,7 +15,8 @@ from dpbench.report.charts.style import (
     INK,
     OUTCOME_COLOURS,
     PAPER,
-    below,
+    coloured,
+    picking,
     styled,
     tip,
 )
@@ -47,7 +48,7 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     # Worked out in the figure, so that the page can hand it other rows.
     signs = json.dumps(dict(zip(OUTCOMES, MARKS, strict=True)), ensure_ascii=False)
     inks = json.dumps(dict(zip(OUTCOMES, OUTCOME_COLOURS, strict=True)))
-    pick = alt.selection_point(name="pick", fields=["id", "place_id"], on="click", empty=False)
+    pick = picking("id", "place_id")
     long = len(places) > MOST_ACROSS
     across, down = ("solver", "place") if long else ("place", "solver")
     order = {"solver": solvers, "place": places}
@@ -70,12 +71,7 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     ]
     base = alt.Chart().encode(x=x, y=y, tooltip=tips)
     tiles = base.mark_rect(strokeWidth=1.5).encode(
-        color=alt.Color(
-            "state:N",
-            scale=alt.Scale(domain=list(OUTCOMES), range=list(FILLS)),
-            title="demand",
-            legend=below(symbolType="square"),
-        ),
+        color=coloured("state", OUTCOMES, FILLS, title="demand", symbolType="square"),
         stroke=alt.condition(pick, alt.value(ACCENT), alt.value(PAPER)),
         strokeWidth=alt.condition(pick, alt.value(3), alt.value(1.5)),
     )
@@ -96,15 +92,12 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     placed = alt.layer(
         tiles, text, data=table, width=alt.Step(30), height=alt.Step(15 if long else 22)
     )
-    chart = (
-        placed.facet(
-            row=alt.Row("settings:N", sort=levels, title=None, header=header), spacing=14
-        ).resolve_axis(x="independent")
-        if stacked
-        else placed.facet(
-            column=alt.Column("settings:N", sort=levels, title=None, header=header), spacing=14
-        )
-    )
+    own: dict[str, Any] = {"sort": levels, "title": None, "header": header}
+    if stacked:
+        chart = placed.facet(row=alt.Row("settings:N", **own), spacing=14)
+        chart = chart.resolve_axis(x="independent")
+    else:
+        chart = placed.facet(column=alt.Column("settings:N", **own), spacing=14)
     return styled(
         chart,
         "Where each solver holds",

@@ -7,7 +7,16 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
-from dpbench.report.charts.style import ACCENT, MISSES, NOT_RUN, below, log_scale, styled, tip
+from dpbench.report.charts.style import (
+    ACCENT,
+    MISSES,
+    NOT_RUN,
+    coloured,
+    log_scale,
+    names_scale,
+    styled,
+    tip,
+)
 
 COLUMNS = ("label", "age", "problem", "p50", "p99", "largest", "error")
 AGES = ("newest release", "earlier release")
@@ -61,18 +70,12 @@ def _axis(form: str) -> alt.Axis:
 
 def _base(table: pd.DataFrame) -> Any:
     names = alt.Axis(labelLimit=170)
-    colour = alt.Color(
-        "age:N",
-        scale=alt.Scale(domain=list(AGES), range=[ACCENT, NOT_RUN]),
-        title=None,
-        legend=below(),
-    )
-    shape = alt.Shape("age:N", scale=alt.Scale(domain=list(AGES), range=["circle", "diamond"]))
+    shape = alt.Shape("age:N", scale=names_scale(AGES, ("circle", "diamond")))
     order = list(dict.fromkeys(table["label"]))
     tips = [alt.Tooltip("label:N"), *(tip(f"{name}:Q") for name in COLUMNS[3:])]
     return alt.Chart(table).encode(
         y=alt.Y("label:N", sort=order, title=None, axis=names),
-        color=colour,
+        color=coloured("age", AGES, (ACCENT, NOT_RUN)),
         shape=shape,
         tooltip=tips,
     )

@@ -11,7 +11,17 @@ import numpy as np
 import pandas as pd
 
 from dpbench.analysis.thinning import MOST, extremes
-from dpbench.report.charts.style import INK, PALETTE, SOFT, below, log_scale, styled
+from dpbench.arrays import Vector
+from dpbench.report.charts.style import (
+    INK,
+    PALETTE,
+    SOFT,
+    below,
+    coloured,
+    log_scale,
+    names_scale,
+    styled,
+)
 from dpbench.scenario.scenario import Scenario
 
 CIRCLE_M = 1.0
@@ -36,36 +46,19 @@ class Law:
 
 def path(laws: Sequence[Law], scenario: Scenario) -> Any:
     """Figure 4: the ship's path in the north-east plane with the 1 m circle, axes alike."""
-    table = pd.concat(
-        [
-            pd.DataFrame(
-                {
-                    "law": law.label,
-                    "i": range(len(thin)),
-                    "n": thin["n_m"],
-                    "e": thin["e_m"],
-                }
-            )
-            for law in laws
-            for thin in [law.steps.iloc[:: len(law.steps) // _room(laws) + 1]]
-        ]
-    )
+    tables = []
+    for law in laws:
+        thin = law.steps.iloc[:: len(law.steps) // _room(laws) + 1]
+        places = {"i": range(len(thin)), "n": thin["n_m"], "e": thin["e_m"]}
+        tables.append(pd.DataFrame({"law": law.label, **places}))
+    table = pd.concat(tables)
     north, east = (float(x) for x in scenario.reference[:2])
     angle = np.linspace(0.0, 2.0 * np.pi, 73)
-    circle = pd.DataFrame(
-        {
-            "i": range(73),
-            "n": north + CIRCLE_M * np.cos(angle),
-            "e": east + CIRCLE_M * np.sin(angle),
-        }
-    )
-    points = pd.DataFrame(
-        {
-            "what": ["start", "reference"],
-            "n": [float(scenario.start[0]), north],
-            "e": [float(scenario.start[1]), east],
-        }
-    )
+    n, e = north + CIRCLE_M * np.cos(angle), east + CIRCLE_M * np.sin(angle)
+    circle = pd.DataFrame({"i": range(73), "n": n, "e": e})
+    starts = [*map(float, scenario.start[:2])]
+    kinds = ["start", "reference"]
+    points = pd.DataFrame([starts, [north, east]], columns=["n", "e"]).assign(what=kinds)
     x, y = _alike(pd.concat([table, circle, points]))
     lines = (
         alt.Chart(table)
@@ -82,7 +75,7 @@ def path(laws: Sequence[Law], scenario: Scenario) -> Any:
             shape=alt.Shape(
                 "what:N",
                 title=None,
-                scale=alt.Scale(domain=["start", "reference"], range=["circle", "cross"]),
+                scale=names_scale(kinds, ("circle", "cross")),
                 legend=below(columns=1),
             ),
         )
@@ -117,33 +110,29 @@ def errors(steps: pd.DataFrame, reference: np.ndarray) -> dict[str, np.ndarray]:
 
 def forces(laws: Sequence[Law], scenario: Scenario) -> Any:
     """Figure 6: the force applied in each axis, with its amplitude limits."""
-    low, high = scenario.vessel.tau_min, scenario.vessel.tau_max
-    panels = [
-        _force(laws, f"tau_{key}_{unit}", scale, f"{name} [{shown}]", (low[i], high[i]))
-        for i, (name, key, unit, scale, shown) in enumerate(AXES)
-    ]
-    return styled(_stack(panels), "Forces", "Force applied in each axis, with its limits.")
+    panels = _of_axes(laws, "tau", "", scenario.vessel.tau_min, scenario.vessel.tau_max)
+    return styled(panels, "Forces", "Force applied in each axis, with its limits.")
 
 
 def increments(laws: Sequence[Law], scenario: Scenario) -> Any:
     """Figure 7: the change of the force in each step, with the rate limits."""
-    panels = [
-        _force(
-            laws,
-            f"dtau_{key}_{unit}",
-            scale,
-            f"Δ{name} [{shown}]",
-            (-scenario.force_step_max[i], scenario.force_step_max[i]),
-        )
-        for i, (name, key, unit, scale, shown) in enumerate(AXES)
-    ]
-    return styled(
-        _stack(panels), "Increments", "Change of the force in each step, with its limits."
+    most = scenario.force_step_max
+    panels = _of_axes(laws, "dtau", "Δ", -most, most)
+    return styled(panels, "Increments", "Change of the force in each step, with its limits.")
+
+
+def _of_axes(laws: Sequence[Law], column: str, sign: str, low: Vector, high: Vector) -> Any:
+    """A panel for each axis, with limits (3,)."""
+    return _stack(
+        [
+            _force(laws, f"{column}_{key}_{unit}", scale, f"{sign}{name} [{shown}]", limits)
+            for (name, key, unit, scale, shown), *limits in zip(AXES, low, high, strict=True)
+        ]
     )
 
 
 def _force(
-    laws: Sequence[Law], column: str, scale: float, title: str, limits: tuple[float, float]
+    laws: Sequence[Law], column: str, scale: float, title: str, limits: Sequence[float]
 ) -> Any:
     table = _tables(laws, lambda law: law.steps[column].to_numpy() / scale)
     reach = float(np.abs(table["value"]).max())
@@ -207,20 +196,13 @@ def _stack(panels: Sequence[Any]) -> Any:
 
 
 def _law(laws: Sequence[Law]) -> alt.Color:
-    return alt.Color(
-        "law:N",
-        title=None,
-        scale=alt.Scale(domain=[law.label for law in laws], range=list(PALETTE[: len(laws)])),
-        legend=below(labelLimit=260, columns=1),
-    )
+    labels = [law.label for law in laws]
+    return coloured("law", labels, PALETTE[: len(laws)], labelLimit=260, columns=1)
 
 
 def _dash(laws: Sequence[Law]) -> alt.StrokeDash:
-    return alt.StrokeDash(
-        "law:N",
-        title=None,
-        scale=alt.Scale(domain=[law.label for law in laws], range=[[1, 0], [6, 3]][: len(laws)]),
-    )
+    scale = names_scale((law.label for law in laws), [[1, 0], [6, 3]][: len(laws)])
+    return alt.StrokeDash("law:N", title=None, scale=scale)
 
 
 def _alike(table: pd.DataFrame) -> tuple[alt.X, alt.Y]:

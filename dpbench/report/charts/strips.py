@@ -14,7 +14,7 @@ from dpbench.report.charts.style import (
     MISSES,
     PALETTE,
     SOFT,
-    below,
+    coloured,
     limit_rule,
     log_scale,
     styled,
@@ -141,11 +141,6 @@ def _forces(forces: pd.DataFrame) -> tuple[Any, ...]:
             scale=alt.Scale(domain=[-1.05, 1.05], clamp=True),
             axis=alt.Axis(values=[-1, 0, 1]),
         ),
-        color=alt.Color(
-            "force:N",
-            scale=alt.Scale(domain=list(FORCES), range=list(PALETTE[:3])),
-            title=None,
-            legend=below(),
-        ),
+        color=coloured("force", FORCES, PALETTE[:3]),
     )
     return (line,)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import altair as alt
-
-from dpbench.analysis.verdict import OUTCOMES
 
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif"
 INK, SOFT, LINE, GRID, ACCENT = "#1d2733", "#5b6876", "#c9d1d9", "#e7ebef", "#0b6e99"
@@ -43,14 +42,27 @@ NAMES = "names"
 other name and left out where there is no room."""
 
 
-def outcome_colour() -> alt.Scale:
-    """Colours of the outcomes."""
-    return alt.Scale(domain=list(OUTCOMES), range=list(OUTCOME_COLOURS))
+def names_scale(names: Iterable[str], looks: Iterable[Any]) -> alt.Scale:
+    """What each name looks like: colours, shapes or dashes."""
+    return alt.Scale(domain=list(names), range=list(looks))
 
 
-def outcome_shape() -> alt.Scale:
-    """Shapes of the outcomes."""
-    return alt.Scale(domain=list(OUTCOMES), range=list(OUTCOME_SHAPES))
+def coloured(
+    field: str, names: Iterable[str], colours: Iterable[str], *, title: Any = None, **legend: Any
+) -> alt.Color:
+    """A colour for each name, with a legend `below`."""
+    scale = names_scale(names, colours)
+    return alt.Color(f"{field}:N", scale=scale, title=title, legend=below(**legend))
+
+
+def picking(*fields: str) -> alt.Parameter:
+    """The selection `pick`, which clicking sets to the fields of a mark."""
+    return alt.selection_point(name="pick", fields=list(fields), on="click", empty=False)
+
+
+def narrow() -> alt.Parameter:
+    """The parameter `narrow`, which the page sets where there is little room."""
+    return alt.param(name="narrow", value=False)
 
 
 def log_scale(**options: Any) -> alt.Scale:

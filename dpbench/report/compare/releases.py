@@ -22,7 +22,7 @@ from dpbench.report.formats import (
     significant,
     time_text,
 )
-from dpbench.report.table import Table, document
+from dpbench.report.table import Table, document, head_and_rows
 
 BUSY = 0.05
 """A load kernel that changed by more says that the machine was busier in one of two runs."""
@@ -158,10 +158,9 @@ def _tables(found: Histories) -> list[Table]:
     )
     tables = [
         Table(
-            title=f"{solver} over its releases",
-            note=note,
-            heads=_heads(found.reference),
-            rows=tuple(row for history in own_histories for row in _rows(history, found)),
+            f"{solver} over its releases",
+            note,
+            *head_and_rows([row for history in own_histories for row in _rows(history, found)]),
             text_columns=4,
         )
         for solver, own_histories in changed.items()
@@ -169,17 +168,11 @@ def _tables(found: Histories) -> list[Table]:
     rest = [history for history in found.all if history.run.solver not in changed]
     if rest:
         # With one version there is none before it.
-        kept = [i for i, head in enumerate(_heads(found.reference)) if head not in BEFORE]
-        rows = [(h.run.solver, row) for h in rest for row in _rows(h, found)]
-        tables.append(
-            Table(
-                title="Of one version in all folders",
-                note="For comparison: what these differ by is no change of a solver.",
-                heads=("solver", *(_heads(found.reference)[i] for i in kept)),
-                rows=tuple((solver, *(row[i] for i in kept)) for solver, row in rows),
-                text_columns=5,
-            )
-        )
+        rows = [{"solver": h.run.solver} | row for h in rest for row in _rows(h, found)]
+        kept = [{head: row[head] for head in row if head not in BEFORE} for row in rows]
+        note = "For comparison: what these differ by is no change of a solver."
+        title = "Of one version in all folders"
+        tables.append(Table(title, note, *head_and_rows(kept), text_columns=5))
     return tables
 
 
@@ -187,44 +180,28 @@ BEFORE = ("to the one before", "load kernel")
 """Columns about the release before."""
 
 
-def _heads(reference: str) -> tuple[str, ...]:
-    unit = f" [× {reference}]" if reference else ""
-    return (
-        "configuration",
-        "problem",
-        "version",
-        "folders",
-        f"p50{unit}",
-        *BEFORE,
-        f"p99{unit}",
-        f"largest step{unit}",
-        "largest error",
-        "claimed, not true",
-        "failed steps",
-        "outcome",
-    )
-
-
-def _rows(history: History, found: Histories) -> list[tuple[str, ...]]:
-    run = history.run
+def _rows(history: History, found: Histories) -> list[dict[str, str]]:
+    run, unit = history.run, f" [× {found.reference}]" if found.reference else ""
     mode = "replay" if run.mode == "replay" else "closed loop"
     label = run.configuration.label.removeprefix(f"{run.solver} ").strip("()")
     return [
-        (
-            label,
-            f"{run.problem}, {mode}",
-            release.version,
-            "all" if len(release.runs) == found.folders else and_list(list(release.runs)),
-            _time(release.p50, found),
-            significant(history.change(i)),
-            significant(history.load_change(i)),
-            _time(release.p99, found),
-            _time(release.largest, found),
-            error_text(release.error_move),
-            _count(release.claimed_not_true),
-            _count(release.failed_steps),
-            release.outcome.replace("_", " "),
-        )
+        {
+            "configuration": label,
+            "problem": f"{run.problem}, {mode}",
+            "version": release.version,
+            "folders": "all"
+            if len(release.runs) == found.folders
+            else and_list(list(release.runs)),
+            f"p50{unit}": _time(release.p50, found),
+            BEFORE[0]: significant(history.change(i)),
+            BEFORE[1]: significant(history.load_change(i)),
+            f"p99{unit}": _time(release.p99, found),
+            f"largest step{unit}": _time(release.largest, found),
+            "largest error": error_text(release.error_move),
+            "claimed, not true": _count(release.claimed_not_true),
+            "failed steps": _count(release.failed_steps),
+            "outcome": release.outcome.replace("_", " "),
+        }
         for i, release in enumerate(history.releases)
     ]
 

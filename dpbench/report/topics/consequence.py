@@ -12,18 +12,7 @@ from dpbench.analysis.records import Records
 from dpbench.report.charts.consequence import shares, spans
 from dpbench.report.formats import and_list, plural, significant
 from dpbench.report.page.topic import Figure, SmallTable, Topic
-
-HEAD = (
-    "configuration",
-    "p99 share",
-    "largest share",
-    "held",
-    "not held",
-    "missed alarms",
-    "other untrue claims",
-    "no answer",
-    "ways all right",
-)
+from dpbench.report.table import head_and_rows
 
 MOST_ROWS = 8
 """A longer table is a file alone: the figures show who is right."""
@@ -34,7 +23,7 @@ def consequence_topic(records: Records) -> Topic | None:
     analyses = consequence_analyses(records)
     if not analyses:
         return None
-    tables = [(tuple(_rows(analysis)), analysis.name) for analysis in analyses]
+    tables = [(list(_rows(analysis)), analysis.name) for analysis in analyses]
     long = max(len(rows) for rows, _ in tables) > MOST_ROWS
     return Topic(
         id="consequence",
@@ -46,7 +35,9 @@ def consequence_topic(records: Records) -> Topic | None:
             + (" The counts of every solver: tables/consequence*.csv." if long else ""),
         ),
         figures=tuple(figure for analysis in analyses for figure in _figures(analysis)),
-        tables=tuple(SmallTable(HEAD, rows, name, file_only=long) for rows, name in tables),
+        tables=tuple(
+            SmallTable(*head_and_rows(rows), name, file_only=long) for rows, name in tables
+        ),
     )
 
 
@@ -125,21 +116,27 @@ def _liars(answers: Sequence[BatchAnswers]) -> str:
     return "alarms are missed by " + and_list([f"{a.name} ({a.missed})" for a in missed])
 
 
-def _rows(analysis: Analysis) -> Iterator[tuple[str, ...]]:
+def _rows(analysis: Analysis) -> Iterator[dict[str, str]]:
     """The best configuration of each solver, and how many of its ways to run are all right."""
     for solver, best in analysis.best.items():
         ways = [answers.all_right for answers in analysis.answers if answers.solver == solver]
-        yield (
-            best.name,
-            _share(best.p99),
-            _share(best.largest),
-            f"{best.held} of {best.feasible}",
-            f"{best.refused} of {best.infeasible}",
-            str(best.missed),
-            str(best.untrue - best.missed),
-            str(best.silent),
-            f"{sum(ways)} of {len(ways)}",
-        )
+        yield row_of(best, ways)
+
+
+def row_of(best: BatchAnswers, ways: Sequence[bool]) -> dict[str, str]:
+    """The cells of a solver by their heads; `ways`: whether each of its configurations is all
+    right."""
+    return {
+        "configuration": best.name,
+        "p99 share": _share(best.p99),
+        "largest share": _share(best.largest),
+        "held": f"{best.held} of {best.feasible}",
+        "not held": f"{best.refused} of {best.infeasible}",
+        "missed alarms": str(best.missed),
+        "other untrue claims": str(best.untrue - best.missed),
+        "no answer": str(best.silent),
+        "ways all right": f"{sum(ways)} of {len(ways)}",
+    }
 
 
 def _share(share: float) -> str:

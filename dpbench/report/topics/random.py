@@ -11,6 +11,7 @@ from dpbench.analysis.records import Records
 from dpbench.report.charts.lines import tiles
 from dpbench.report.formats import and_list
 from dpbench.report.page.topic import Figure, SmallTable, Topic
+from dpbench.report.table import head_and_rows
 
 
 def _liars(by_solver: Mapping[tuple[str, ...], Tally]) -> str:
@@ -44,29 +45,17 @@ def random_topic(records: Records) -> Topic | None:
             "A set that knows of no ship: it says whom to trust, not who is fast.",
         ),
         figures=(Figure("random-claims", tiles(table, "False claims", "family", "solver"), ""),),
-        tables=(
-            SmallTable(
-                (
-                    "solver",
-                    "steps",
-                    "claimed and true",
-                    "false claims",
-                    "true, not claimed",
-                    "no answer",
-                    "never reached",
-                ),
-                tuple(
-                    (
-                        name,
-                        str(tally.steps),
-                        str(tally.told + tally.empty_right),
-                        str(tally.wrong),
-                        str(tally.silent),
-                        str(tally.nothing),
-                        str(tally.missed),
-                    )
-                    for (name,), tally in rows
-                ),
-            ),
-        ),
+        tables=(SmallTable(*head_and_rows([_row(name, tally) for (name,), tally in rows])),),
     )
+
+
+def _row(solver: str, tally: Tally) -> dict[str, str]:
+    return {
+        "solver": solver,
+        "steps": str(tally.steps),
+        "claimed and true": str(tally.told + tally.empty_right),
+        "false claims": str(tally.wrong),
+        "true, not claimed": str(tally.silent),
+        "no answer": str(tally.nothing),
+        "never reached": str(tally.missed),
+    }
