@@ -58,20 +58,13 @@ def disturbance_facts(found: Disturbance) -> list[tuple[str, str]]:
     """What disturbed some replays, as the kernel shows it."""
     disturbed = f"{count_text(found.disturbed)} of {plural(found.rounds, 'round')}"
     throttled = count_text(found.throttled)
+    stolen = "not visible" if isnan(found.steal_share) else share_text(found.steal_share)
     return [
         ("disturbed rounds left", f"{disturbed}; {count_text(found.rerun)} run again"),
-        ("involuntary context switches", f"{_rate(found.switches_per_s)} a second"),
-        ("time stolen by the host", f"{_steal(found.steal_share)}"),
+        ("involuntary context switches", f"{significant(found.switches_per_s, 2)} a second"),
+        ("time stolen by the host", stolen),
         ("throttle events", "not visible" if throttled == MISSING else throttled),
     ]
-
-
-def _rate(value: float) -> str:
-    return significant(value, 2)
-
-
-def _steal(share: float) -> str:
-    return "not visible" if share != share else share_text(share)
 
 
 def own_switches(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
@@ -84,5 +77,5 @@ def own_switches(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
             own[name] = max(own.get(name, 0.0), row.own_switches_a_step)
     if not own:
         return []
-    said = ", ".join(f"{name}: {_rate(a_step)} a step" for name, a_step in own.items())
+    said = ", ".join(f"{name}: {significant(a_step, 2)} a step" for name, a_step in own.items())
     return [("switches a configuration makes itself, not counted above", said)]

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
+from dpbench.analysis.run_steps import RunSteps
 from dpbench.analysis.times.fastest import (
     Recommendation,
     fastest_first,
@@ -182,6 +183,12 @@ def clause(finding: Finding) -> str:
         some_also=f" (some also in {also})" if also else "",
         also_over=f" (over the demand also in {also})" if also else "",
     )
+
+
+def answer_text(steps: RunSteps, at: int) -> str:
+    """What the answer at one place of a run is worth."""
+    claimed = "claimed" if steps.claimed[at] else "not claimed"
+    return f"{claimed}, {'true' if steps.true[at] else 'not true'}"
 
 
 def where(row: RunRecord) -> str:

@@ -44,17 +44,17 @@ class Release:
     @property
     def error_move(self) -> float:
         """The largest error of the first move."""
-        return _largest(run.error_move_max for run in self.runs.values())
+        return largest(run.error_move_max for run in self.runs.values())
 
     @property
     def claimed_not_true(self) -> float:
         """Most steps a round of a run that were claimed solved and are not."""
-        return _largest(_per_round(run, run.claimed_not_true) for run in self.runs.values())
+        return largest(_per_round(run, run.claimed_not_true) for run in self.runs.values())
 
     @property
     def failed_steps(self) -> float:
         """Most failed steps a round of a run."""
-        return _largest(_per_round(run, run.failed_steps) for run in self.runs.values())
+        return largest(_per_round(run, run.failed_steps) for run in self.runs.values())
 
     @property
     def outcome(self) -> str:
@@ -226,5 +226,6 @@ def _mean(values: Sequence[float]) -> float:
     return float(np.exp(np.mean(np.log(values))))
 
 
-def _largest(values: Iterable[float]) -> float:
+def largest(values: Iterable[float]) -> float:
+    """The largest of the values that are there; NaN where none is."""
     return max((value for value in values if not math.isnan(value)), default=math.nan)

@@ -8,7 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dpbench.analysis.compare.pairs import differences
-from dpbench.analysis.compare.releases import Histories, History, histories
+from dpbench.analysis.compare.releases import (
+    Histories,
+    History,
+    Release,
+    histories,
+    largest,
+)
 from dpbench.analysis.demand import Demand
 from dpbench.analysis.grouping import grouped
 from dpbench.analysis.records import Records
@@ -96,7 +102,7 @@ def _sentence(solver: str, own_histories: Sequence[History]) -> str:
     changed = [history for history in own_histories if history.changed]
     ends = [(history.releases[0], history.releases[-1]) for history in changed]
     errors, failed = (
-        " → ".join(text(_largest(of_release)) for of_release in zip(*pairs, strict=True))
+        " → ".join(text(largest(of_release)) for of_release in zip(*pairs, strict=True))
         for text, pairs in (
             (error_text, [tuple(release.error_move for release in two) for two in ends]),
             (_count, [tuple(release.failed_steps for release in two) for two in ends]),
@@ -118,10 +124,6 @@ def _took(changed: Sequence[History]) -> str:
         f"{beside if abs(load - 1.0) > BUSY else ''}, {timed.run.configuration.options} on "
         f"{timed.run.problem}"
     )
-
-
-def _largest(values: Sequence[float]) -> float:
-    return max((value for value in values if not math.isnan(value)), default=math.nan)
 
 
 def _lines(found: Histories, records: Mapping[str, Records]) -> list[str]:
@@ -182,16 +184,13 @@ BEFORE = ("to the one before", "load kernel")
 
 def _rows(history: History, found: Histories) -> list[dict[str, str]]:
     run, unit = history.run, f" [× {found.reference}]" if found.reference else ""
-    mode = "replay" if run.mode == "replay" else "closed loop"
     label = run.configuration.label.removeprefix(f"{run.solver} ").strip("()")
     return [
         {
             "configuration": label,
-            "problem": f"{run.problem}, {mode}",
+            "problem": f"{run.problem}, {run.mode.replace('_', ' ')}",
             "version": release.version,
-            "folders": "all"
-            if len(release.runs) == found.folders
-            else and_list(list(release.runs)),
+            "folders": _folders(release, found),
             f"p50{unit}": _time(release.p50, found),
             BEFORE[0]: significant(history.change(i)),
             BEFORE[1]: significant(history.load_change(i)),
@@ -204,6 +203,10 @@ def _rows(history: History, found: Histories) -> list[dict[str, str]]:
         }
         for i, release in enumerate(history.releases)
     ]
+
+
+def _folders(release: Release, found: Histories) -> str:
+    return "all" if len(release.runs) == found.folders else and_list(list(release.runs))
 
 
 def _count(value: float) -> str:

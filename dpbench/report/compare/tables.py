@@ -28,27 +28,18 @@ def solvers_table(compared: Sequence[Compared], answers: Sequence[Answer]) -> Ta
     control."""
     names = [c.timing.pair.a.solver for c in compared] + [a.pair.a.solver for a in answers]
     rows = []
-    for solver in sorted({str(name) for name in names}):
-        times = Counter[str](
-            c.assessment.verdict for c in compared if c.timing.pair.a.solver == solver
-        )
+    for solver in sorted(set(names)):
+        own = [c for c in compared if c.timing.pair.a.solver == solver]
+        times = Counter[str](c.assessment.verdict for c in own)
         changes = Counter[str](a.change for a in answers if a.pair.a.solver == solver)
         cells = (_together(times, TIMES), _together(changes, ("worse", "better", "same")))
-        rows.append(
-            (
-                solver,
-                *cells,
-                ", ".join(f"{times[v]} {v}" for v in TIMES if times[v]) or MISSING,
-                count_text(changes.total()),
-            )
-        )
+        counts = ", ".join(f"{times[v]} {v}" for v in TIMES if times[v]) or MISSING
+        rows.append((solver, *cells, counts, count_text(changes.total())))
     return Table(
         title="Verdict per solver",
-        note="Over all ways to run it: slower, faster, worse or better where a configuration "
-        "is and none "
-        "is the contrary; equivalent where every configuration is; same where every figure is. "
-        "Claims on "
-        "step times hold together over all solvers.",
+        note="Over all ways to run it: slower, faster, worse or better where a configuration is "
+        "and none is the contrary; equivalent where every configuration is; same where every "
+        "figure is. Claims on step times hold together over all solvers.",
         heads=("solver", "step times", "accuracy and control", "configurations", "figures"),
         rows=tuple(rows),
         text_columns=4,
@@ -88,10 +79,10 @@ def times_table(
         title="Step times, replays",
         note=(
             "B/A: geometric mean over the steps of the ratio of algorithmic times (minimum over "
-            f"as many rounds of either run). Machine: {machine}, "
-            "taken out of the next. Its interval holds for all rows together and counts the noise "
-            f"between two runs. Slower or faster: by more than {percent}; equivalent: within "
-            f"{percent}; each kind of claim with a family-wise error of {100 * alpha:g} % (Holm)."
+            f"as many rounds of either run). Machine: {machine}, taken out of the next. Its "
+            "interval holds for all rows together and counts the noise between two runs. Slower or "
+            f"faster: by more than {percent}; equivalent: within {percent}; each kind of claim "
+            f"with a family-wise error of {100 * alpha:g} % (Holm)."
         ),
         heads=(
             "configuration",
@@ -169,10 +160,9 @@ def answer_line(answer: Answer) -> str:
 
 
 def _answer_row(answer: Answer) -> tuple[str, ...]:
-    mode = "closed loop" if answer.pair.a.mode == "closed_loop" else "replay"
     return (
         answer.pair.label,
-        f"{mode} of {answer.pair.a.problem}",
+        f"{answer.pair.a.mode.replace('_', ' ')} of {answer.pair.a.problem}",
         answer.measure.head,
         _range_text(answer.measure.column, answer.a),
         _range_text(answer.measure.column, answer.b),

@@ -20,7 +20,7 @@ from dpbench.report.documents.markdown import HEAD, cut, solver_row
 from dpbench.report.formats import MISSING, and_list, count_text, error_text, time_text
 from dpbench.report.page.facts import Facts
 from dpbench.report.table import markdown
-from dpbench.report.verdict_text import clauses, demand_text, paired_text
+from dpbench.report.verdict_text import answer_text, clauses, demand_text, paired_text
 
 if TYPE_CHECKING:
     from dpbench.report.write import Report
@@ -150,17 +150,12 @@ def _worst_table(facts: Facts, worst: Sequence[WorstStep], others: Sequence[Verd
             step.run.configuration.options,
             _figure(step.measure, step.value),
             _figure(step.measure, step.median),
-            _answer(step),
+            answer_text(step.steps, step.at),
             *(_of_other(facts, step, verdict.configuration) for verdict in others),
         )
         for step in worst
     ]
     return markdown(heads, rows, 3)
-
-
-def _answer(step: WorstStep) -> str:
-    claimed = "claimed" if step.steps.claimed[step.at] else "not claimed"
-    return f"{claimed}, {'true' if step.steps.true[step.at] else 'not true'}"
 
 
 def _of_other(facts: Facts, worst: WorstStep, configuration: Configuration) -> str:

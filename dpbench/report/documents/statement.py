@@ -93,20 +93,16 @@ def _lines(folder: Path, results: Results, facts: Facts, chosen: Verdict) -> lis
         *_wrapped(
             f"Measured on every judged step of {plural(chosen.loops, 'closed loop')} and "
             f"{plural(chosen.replays, 'replay')} ({chosen.steps} steps): largest error of the "
-            "first "
-            f"move {error_text(chosen.error_move)} of a rate-limit step, "
-            f"{plural(chosen.failed_steps, 'failed step')}; "
-            f"step time p50 {time_text(chosen.p50_ns)}, p99 {time_text(chosen.p99_ns)}, largest "
-            "step "
+            f"first move {error_text(chosen.error_move)} of a rate-limit step, "
+            f"{plural(chosen.failed_steps, 'failed step')}; step time p50 "
+            f"{time_text(chosen.p50_ns)}, p99 {time_text(chosen.p99_ns)}, largest step "
             f"{time_text(chosen.algo_max_ns)}, largest single sample "
             f"{time_text(chosen.raw_max_ns)}."
         ),
         *_wrapped(
             f"A computer {rounded_down(chosen.slowdown(facts.demand))} times slower would still "
-            "make the "
-            f"deadline by the largest step, {rounded_down(chosen.raw_slowdown(facts.demand))} "
-            "times by the "
-            "largest sample."
+            "make the deadline by the largest step, "
+            f"{rounded_down(chosen.raw_slowdown(facts.demand))} times by the largest sample."
         ),
         *_section("Valid for"),
         *_wrapped(_ships(facts)),

@@ -103,15 +103,15 @@ def levels_topic(records: Records, demand: Demand) -> Topic | None:
 def _right_levels(records: Records, demand: Demand) -> str:
     """Which solvers are right on every step with the settings of their library, and which only with
     others."""
-    right: dict[str, list[str]] = {}
-    wrong: dict[str, set[str]] = {}
-    for run in sorted(records.runs, key=lambda run: settings_level(run.settings)):
-        levels = right.setdefault(run.solver, [])
-        if not is_right(run, demand):
-            wrong.setdefault(run.solver, set()).add(run.settings)
-        if run.settings not in levels:
-            levels.append(run.settings)
-    good = {name: [v for v in of if v not in wrong.get(name, ())] for name, of in right.items()}
+    runs = sorted(records.runs, key=lambda run: settings_level(run.settings))
+    levels_of = {
+        solver: grouped(own, lambda run: run.settings)
+        for solver, own in grouped(runs, lambda run: run.solver).items()
+    }
+    good = {
+        solver: [level for level, own in of.items() if all(is_right(run, demand) for run in own)]
+        for solver, of in levels_of.items()
+    }
     by_default = [name for name, levels in good.items() if "default" in levels]
     others = [
         f"{name} at {and_list(levels)}"

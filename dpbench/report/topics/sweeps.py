@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import pandas as pd
 
@@ -19,7 +20,8 @@ from dpbench.scenario.horizons import Horizons
 def horizon_topic(records: Records, demand: Demand) -> Topic | None:
     """How the step time grows with the horizon; None where it was not varied."""
     figures, tables = [], []
-    for sweep in sweeps(records, demand):
+    found = sweeps(records, demand)
+    for sweep in found:
         rows, points = [], []
         for swept in sweep.best:
             name = swept.configuration.label
@@ -55,17 +57,17 @@ def horizon_topic(records: Records, demand: Demand) -> Topic | None:
     if not figures:
         return None
     said = (
-        *_longest_horizons(records, demand),
+        *_longest_horizons(found, demand),
         "How the step time grows with the horizon, and the longest with right answers within the "
         "limit. ≥: no longer one has a p99; ?: the 95 % interval of a p99 holds the limit.",
     )
     return Topic("horizon", "Longer horizons", said, tuple(figures), tuple(tables))
 
 
-def _longest_horizons(records: Records, demand: Demand) -> list[str]:
+def _longest_horizons(found: Sequence[Sweep], demand: Demand) -> list[str]:
     """Who fits the longest horizon, a sentence for each scenario."""
     said = []
-    for sweep in sweeps(records, demand):
+    for sweep in found:
         largest = {
             swept.configuration.label: fits
             for swept in sweep.best
@@ -134,7 +136,8 @@ def _longest(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> str:
 def slowdown_topic(records: Records) -> Topic | None:
     """What a slower computer does to the ship; None where none was simulated."""
     figures, tables = [], []
-    for group in delayed_groups(records):
+    groups = delayed_groups(records)
+    for group in groups:
         points = [
             {
                 "name": delayed.configuration.label,
@@ -171,7 +174,7 @@ def slowdown_topic(records: Records) -> Topic | None:
     if not tables:
         return None
     said = (
-        *map(_survivors, delayed_groups(records)),
+        *map(_survivors, groups),
         "The ship sailed with answers as late as a slower computer makes them. A configuration "
         f"survives a slow-down while the loop costs at most {100 * MARGIN:g} % more.",
     )

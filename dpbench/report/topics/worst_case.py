@@ -11,6 +11,7 @@ from dpbench.analysis.run_record import RunRecord
 from dpbench.analysis.run_steps import RunSteps, run_steps
 from dpbench.report.formats import MISSING, count_text, error_text, time_text
 from dpbench.report.page.topic import SmallTable, Topic
+from dpbench.report.verdict_text import answer_text
 
 
 def worst_case_topic(records: Records) -> Topic | None:
@@ -43,7 +44,6 @@ def _row(run: RunRecord, steps: RunSteps, k: int) -> tuple[str, ...] | None:
     if not len(at):
         return None
     i = int(at[0])
-    claimed = "claimed" if steps.claimed[i] else "not claimed"
     return (
         run.configuration.label,
         time_text(steps.time_ns[i]),
@@ -51,7 +51,7 @@ def _row(run: RunRecord, steps: RunSteps, k: int) -> tuple[str, ...] | None:
         count_text(steps.iterations[i]),
         count_text(_median(steps.iterations)),
         error_text(float(steps.error[i])),
-        f"{claimed}, {'true' if steps.true[i] else 'not true'}",
+        answer_text(steps, i),
     )
 
 
