@@ -52,6 +52,11 @@ def parser(
     return whole
 
 
+def _option(command: Any, name: str, value: str, meaning: str, **more: Any) -> None:
+    """An option that takes a value; `more` as of `add_argument`."""
+    command.add_argument(name, metavar=value, help=meaning, **more)
+
+
 def _run(commands: Commands) -> None:
     run = commands.add_parser(
         "run",
@@ -60,34 +65,26 @@ def _run(commands: Commands) -> None:
         "itself, give the same command again; 2 bad input.",
     )
     run.add_argument("suite", nargs="?", help="a suite by name, or a TOML file")
-    run.add_argument(
+    _option(
+        run,
         "--sequence",
-        metavar="S",
-        help="instead: a stored sequence, a .npz, or a folder of them by qpsolvers",
+        "S",
+        "instead: a stored sequence, a .npz, or a folder of them by qpsolvers",
     )
     run.add_argument("--out", help="result folder (default: results/<suite>)")
-    run.add_argument(
-        "--solver",
-        action="append",
-        dest="solvers",
-        metavar="S",
-        help="only this solver; repeatable",
-    )
-    run.add_argument(
+    _option(run, "--solver", "S", "only this solver; repeatable", action="append", dest="solvers")
+    _option(
+        run,
         "--scenario",
+        "N",
+        "only this scenario; another one, or a file, takes the place of the suite's",
         action="append",
         dest="scenarios",
-        metavar="N",
-        help="only this scenario; another one, or a file, takes the place of the suite's",
     )
-    run.add_argument(
-        "--settings", action="append", metavar="L", help="only at default, low, mid or high"
-    )
-    run.add_argument("--steps", type=int, metavar="N", help="at most N steps of each run")
-    run.add_argument(
-        "--jobs", type=int, metavar="J", help="loops or random configurations at a time"
-    )
-    run.add_argument("--solver-module", metavar="FILE.py", help="a plug-in that brings a solver")
+    _option(run, "--settings", "L", "only at default, low, mid or high", action="append")
+    _option(run, "--steps", "N", "at most N steps of each run", type=int)
+    _option(run, "--jobs", "J", "loops or random configurations at a time", type=int)
+    _option(run, "--solver-module", "FILE.py", "a plug-in that brings a solver")
     run.add_argument("--fresh", action="store_true", help="run finished cells again too")
     _how_to_end(run)
 
@@ -105,33 +102,32 @@ def _how_to_end(command: Any) -> None:
 def _report(commands: Commands) -> None:
     report = commands.add_parser("report", help="write the report of a result folder again")
     report.add_argument("dir", help="a folder written by `dpbench run`")
-    report.add_argument("--baseline", metavar="S", help="the solver set beside the answer")
-    report.add_argument(
+    _option(report, "--baseline", "S", "the solver set beside the answer")
+    _option(
+        report,
         "--figures",
+        "FORMAT",
+        "figures as pdf or png too; repeatable",
         action="append",
         default=[],
-        metavar="FORMAT",
-        help="figures as pdf or png too; repeatable",
     )
-    report.add_argument(
-        "--statement", metavar="FILE.pdf", help="a one-page statement for a class society"
-    )
-    report.add_argument(
+    _option(report, "--statement", "FILE.pdf", "a one-page statement for a class society")
+    _option(
+        report,
         "--for",
+        "S",
+        "also DIR/S.md: this solver beside others, for a pull request, and its worst steps",
         dest="solver",
-        metavar="S",
-        help="also DIR/S.md: this solver beside others, for a pull request, and its worst steps",
     )
-    report.add_argument(
+    _option(
+        report,
         "--against",
+        "S",
+        "with --for: beside this one (osqp and daqp); repeatable",
         action="append",
         default=[],
-        metavar="S",
-        help="with --for: beside this one (osqp and daqp); repeatable",
     )
-    report.add_argument(
-        "--send", metavar="FOLDER", help="make a folder for results/community, to be sent to us"
-    )
+    _option(report, "--send", "FOLDER", "make a folder for results/community, to be sent to us")
     _how_to_end(report)
 
 
@@ -147,16 +143,17 @@ def _compare(commands: Commands) -> None:
         action="store_true",
         help="instead: each solver over its versions, in two folders or more",
     )
-    compare.add_argument(
+    _option(
+        compare,
         "--reference",
-        metavar="S",
-        help="compare ratios to this solver; of two machines always (paper_active_set or daqp)",
+        "S",
+        "compare ratios to this solver; of two machines always (paper_active_set or daqp)",
     )
     compare.add_argument("--any-machine", action="store_true", help=argparse.SUPPRESS)
     compare.add_argument("--margin", type=float, default=0.05, help="what is no difference (0.05)")
     compare.add_argument("--alpha", type=float, default=0.05, help="family-wise error (0.05)")
-    compare.add_argument("--markdown", metavar="FILE", help="write Markdown; - for the screen")
-    compare.add_argument("--html", metavar="FILE", help="write a page with figures")
+    _option(compare, "--markdown", "FILE", "write Markdown; - for the screen")
+    _option(compare, "--html", "FILE", "write a page with figures")
 
 
 def _export(commands: Commands) -> None:
@@ -166,13 +163,11 @@ def _export(commands: Commands) -> None:
     )
     export.add_argument("--all", action="store_true", help="instead: all stored sequences anew")
     export.add_argument("--format", default="npz", help="npz (default) or qpbenchmark")
-    export.add_argument(
-        "--out", metavar="PATH", help="the file to write; of --all a folder (results/sequences)"
-    )
-    export.add_argument("--horizons", metavar="N_p/N_c", help="instead of the tuning's")
-    export.add_argument("--steps", type=int, metavar="N", help="only the first N steps")
-    export.add_argument("--every", type=int, default=1, metavar="K", help="each K-th of them")
-    export.add_argument("--at", type=int, metavar="K", help="instead: step K alone")
+    _option(export, "--out", "PATH", "the file to write; of --all a folder (results/sequences)")
+    _option(export, "--horizons", "N_p/N_c", "instead of the tuning's")
+    _option(export, "--steps", "N", "only the first N steps", type=int)
+    _option(export, "--every", "K", "each K-th of them", type=int, default=1)
+    _option(export, "--at", "K", "instead: step K alone", type=int)
     export.add_argument(
         "--part", default="controller", help="controller (default), or allocation of a cascade"
     )
@@ -184,25 +179,15 @@ def _worst_case(commands: Commands) -> None:
     )
     worst_case.add_argument("solver", help="the solver to search")
     worst_case.add_argument("--goal", default="iterations", help="iterations (default) or error")
-    worst_case.add_argument(
-        "--scenario", default="paper", metavar="N", help="whose starts are varied"
-    )
+    _option(worst_case, "--scenario", "N", "whose starts are varied", default="paper")
     worst_case.add_argument("--route", help="native (default where there is one) or qpsolvers")
     worst_case.add_argument("--policy", default="fresh", help="fresh (default), reuse or warm")
     worst_case.add_argument("--settings", default="default", help="default, low, mid or high")
-    worst_case.add_argument(
-        "--budget", type=int, default=300, metavar="B", help="cases to try (300)"
-    )
-    worst_case.add_argument(
-        "--steps", type=int, default=60, metavar="N", help="length of a case (60)"
-    )
+    _option(worst_case, "--budget", "B", "cases to try (300)", type=int, default=300)
+    _option(worst_case, "--steps", "N", "length of a case (60)", type=int, default=60)
     worst_case.add_argument("--seed", type=int, default=1, help="of the search (1)")
-    worst_case.add_argument(
-        "--out", metavar="FILE.npz", help="default: worst-cases/<solver>-<goal>.npz"
-    )
-    worst_case.add_argument(
-        "--solver-module", metavar="FILE.py", help="a plug-in that brings the solver"
-    )
+    _option(worst_case, "--out", "FILE.npz", "default: worst-cases/<solver>-<goal>.npz")
+    _option(worst_case, "--solver-module", "FILE.py", "a plug-in that brings the solver")
 
 
 def _paper(commands: Commands) -> None:
@@ -212,7 +197,7 @@ def _paper(commands: Commands) -> None:
         epilog="Exit code: 0 done, whatever became of the claims; 1 runs were lost by the "
         "benchmark itself, give the same command again; 2 bad input.",
     )
-    paper.add_argument("--out", metavar="DIR", help="folder (default: results/paper)")
+    _option(paper, "--out", "DIR", "folder (default: results/paper)")
 
 
 def _list(commands: Commands) -> None:
@@ -262,18 +247,18 @@ def _init(commands: Commands) -> None:
         "in another sea.",
     )
     init.add_argument("name", metavar="NAME", help="of the ship: letters, digits, _ and -")
-    init.add_argument("--length", metavar="M", help="between perpendiculars [m]")
-    init.add_argument("--breadth", metavar="M", help="[m]")
-    init.add_argument("--draught", metavar="M", help="[m]")
-    init.add_argument("--displacement", metavar="T", help="[t]")
-    init.add_argument("--thrust", metavar="KN", help="largest force ahead [kN]")
-    init.add_argument("--sway-thrust", metavar="KN", help="sideways [kN] (a third of --thrust)")
-    init.add_argument("--yaw-moment", metavar="KNM", help="[kN·m] (0.57 sway thrust times length)")
-    init.add_argument("--like", metavar="V", help="library vessel to scale (the nearest)")
-    init.add_argument("--from-mss", metavar="FILE.mat", help="a vessel of the MSS toolbox")
-    init.add_argument("--from-csv", metavar="FILE", help="rows coefficient,value (see docs)")
-    init.add_argument("--sea", metavar="N", help="DP number, 1 to 9 (what the ship can hold)")
-    init.add_argument("--out", default=".", metavar="DIR", help="folder to write to (here)")
+    _option(init, "--length", "M", "between perpendiculars [m]")
+    _option(init, "--breadth", "M", "[m]")
+    _option(init, "--draught", "M", "[m]")
+    _option(init, "--displacement", "T", "[t]")
+    _option(init, "--thrust", "KN", "largest force ahead [kN]")
+    _option(init, "--sway-thrust", "KN", "sideways [kN] (a third of --thrust)")
+    _option(init, "--yaw-moment", "KNM", "[kN·m] (0.57 sway thrust times length)")
+    _option(init, "--like", "V", "library vessel to scale (the nearest)")
+    _option(init, "--from-mss", "FILE.mat", "a vessel of the MSS toolbox")
+    _option(init, "--from-csv", "FILE", "rows coefficient,value (see docs)")
+    _option(init, "--sea", "N", "DP number, 1 to 9 (what the ship can hold)")
+    _option(init, "--out", "DIR", "folder to write to (here)", default=".")
     init.add_argument("--force", action="store_true", help="write over files that are there")
 
 
@@ -285,9 +270,7 @@ def _capability(commands: Commands) -> None:
         "--solver, which solvers tell the loads at that edge apart.",
     )
     capability.add_argument("vessel", help="a vessel with thrusters by name, or a TOML file")
-    capability.add_argument(
-        "--sides", type=int, metavar="N", help="polygons with N sides in place of circles"
-    )
+    _option(capability, "--sides", "N", "polygons with N sides in place of circles", type=int)
     capability.add_argument(
         "--solver",
         action="append",
@@ -295,10 +278,6 @@ def _capability(commands: Commands) -> None:
         help="judge the answers of this solver to the QPs at the edge; repeatable; all: of every "
         "one that is installed",
     )
-    capability.add_argument(
-        "--out", metavar="DIR", help="where these QPs go (results/capability-<vessel>)"
-    )
-    capability.add_argument(
-        "--figure", metavar="FILE", help="write the rose: .svg, .html, .png or .pdf"
-    )
+    _option(capability, "--out", "DIR", "where these QPs go (results/capability-<vessel>)")
+    _option(capability, "--figure", "FILE", "write the rose: .svg, .html, .png or .pdf")
     capability.add_argument("--json", action="store_true", help="say it as JSON")
