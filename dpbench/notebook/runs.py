@@ -6,7 +6,6 @@ that crashes, and no core is pinned. The assessment is the same.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -102,13 +101,9 @@ class Run:
             "fallbacks": count_text(row["fallbacks"]),
             "position error, rms": f"{significant(row['r_rms_m'])} m",
             "position error, second half": f"≤ {significant(row['r_tail_max_m'])} m",
-            "settled into 0.1 m after": _settled(row["settle_0p1m_s"]),
+            "settled into 0.1 m after": seconds_text(row["settle_0p1m_s"]),
             "farthest from the exact loop": f"{significant(row['dev_position_max_m'])} m",
         }
-
-
-def _settled(after_s: float) -> str:
-    return seconds_text(after_s) + (" s" if math.isfinite(after_s) else "")
 
 
 def run_closed_loop(

@@ -97,7 +97,7 @@ def seconds_text(value: float) -> str:
     """A settling time; an infinite one never settled."""
     if math.isnan(value):
         return MISSING
-    return "never" if math.isinf(value) else f"{value:.1f}"
+    return "never" if math.isinf(value) else f"{value:.1f} s"
 
 
 def interval_text(low: float, high: float, scale: float = 1.0) -> str:

@@ -22,7 +22,7 @@ from dpbench.analysis.compare.evidence import (
     gather_against,
 )
 from dpbench.analysis.compare.pairs import Pair, key_of
-from dpbench.analysis.grouping import firsts
+from dpbench.analysis.grouping import firsts, grouped
 from dpbench.analysis.machine import disturbed_sequences
 from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
@@ -74,6 +74,11 @@ class Timing:
     k: NDArray[np.int64]
     a_ns: Floats
     b_ns: Floats
+
+    @property
+    def problem(self) -> str:
+        """The sequence it was measured on."""
+        return self.pair.a.problem
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,11 +149,11 @@ def why_unjudged(a: Records, b: Records, timings: Sequence[Timing]) -> dict[str,
     """
     known = disturbed_sequences(a), disturbed_sequences(b)
     reasons = {}
-    for name in dict.fromkeys(t.pair.a.problem for t in timings):
+    for name, own in grouped(timings, lambda t: t.problem).items():
         disturbances = [by_sequence.get(name) for by_sequence in known]
         hidden = [one is None for one in disturbances]
         disturbed = [one is not None and bool(one.complaints()) for one in disturbances]
-        if not np.isfinite(_machine([t for t in timings if t.pair.a.problem == name]).kernel):
+        if not np.isfinite(_machine(own).kernel):
             reasons[name] = "the reference kernel was not timed"
         elif any(disturbed):
             reasons[name] = f"{_which(disturbed)} disturbed"
@@ -203,7 +208,7 @@ def compare_to_reference(
     ----------
     rows : (N,) as of `reference_rows`; what they name is the measure and has no verdict.
     """
-    groups = [t.pair.a.problem for t in timings]
+    groups = [t.problem for t in timings]
     logs, own = np.array([t.log for t in timings]), np.array([t.own for t in timings])
     evidence = gather_against(logs, own, groups, rows, JACKKNIFE_SHARE)
     judged = np.setdiff1d(np.arange(len(timings)), rows)
@@ -228,9 +233,9 @@ def compare_times(
     what the configurations share is not judged, nor are configurations that have only that kernel
     to be held against.
     """
-    groups = [t.pair.a.problem for t in timings]
+    groups = [t.problem for t in timings]
     labels = np.asarray(groups)
-    machines = {n: _machine([t for t in timings if t.pair.a.problem == n]) for n in groups}
+    machines = {n: _machine(own) for n, own in grouped(timings, lambda t: t.problem).items()}
     fit = np.array([np.nan if unjudged[name] else machines[name].expected for name in groups])
     logs = np.array([t.log for t in timings])
     met = _load_met(timings, labels)
@@ -317,12 +322,9 @@ def _logs(timings: Sequence[Timing], column: str) -> Floats:
 
 def _machine(timings: Sequence[Timing]) -> _Machine:
     """The kernels of one sequence, timed in every worker; NaN where a folder does not tell."""
-    medians = []
-    for column in ("reference_kernel_ns", "load_kernel_ns"):
-        logs = _logs(timings, column)
-        known = logs[np.isfinite(logs)]
-        medians.append(float(np.median(known)) if len(known) else float(np.nan))
-    return _Machine(*medians)
+    columns = (_logs(timings, name) for name in ("reference_kernel_ns", "load_kernel_ns"))
+    known = (logs[np.isfinite(logs)] for logs in columns)
+    return _Machine(*(float(np.median(logs)) if len(logs) else math.nan for logs in known))
 
 
 def _rounds(records: Records, run: RunRecord) -> pd.DataFrame | None:
@@ -344,8 +346,7 @@ def _medians_timing(a: Records, b: Records, pair: Pair) -> Timing | None:
         return None
     steps = min(pair.a.steps_done, pair.b.steps_done)
     rounds = int(min(pair.a.rounds, pair.b.rounds))
-    none = np.empty(0)
-    log = math.log(medians[1] / medians[0])
+    log, none = math.log(medians[1] / medians[0]), np.empty(0)
     return Timing(pair, log, 0.0, steps, rounds, medians, none.astype(np.int64), none, none)
 
 

@@ -144,15 +144,12 @@ def _transient(row: RunRecord, law: RunRecord) -> Finding:
 def _settling(row: RunRecord, law: RunRecord) -> Finding:
     constrained, clipped = row.settle_0p1m_s, law.settle_0p1m_s
     found = (
-        f"settles into 0.1 m after {seconds_text(constrained)} s against {_after(clipped)} clipped"
+        f"settles into 0.1 m after {seconds_text(constrained)} against {seconds_text(clipped)} "
+        "clipped"
         if math.isfinite(constrained)
-        else f"never settles into 0.1 m, against {_after(clipped)} clipped"
+        else f"never settles into 0.1 m, against {seconds_text(clipped)} clipped"
     )
     return found, constrained < clipped
-
-
-def _after(seconds: float) -> str:
-    return "never" if math.isinf(seconds) else f"{seconds_text(seconds)} s"
 
 
 def _steady(view: Records, row: RunRecord, law: RunRecord) -> Finding:
