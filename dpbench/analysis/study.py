@@ -25,12 +25,14 @@ from dpbench.analysis.records import Records
 from dpbench.analysis.run_record import RunRecord
 from dpbench.analysis.statistics import TAILS, Interval
 from dpbench.solvers.record import TOLERANCES
-from dpbench.solvers.settings import tolerance_of
+from dpbench.solvers.settings import settings_matter, tolerance_of
 
 SMALL_M = 0.01
 """A difference of 1 cm in the 95 % radial error is what a tolerance may cost."""
 SMALL_COST = 0.01
 """So is 1 % of the closed-loop cost."""
+NOTHING_M = 1e-6
+"""A difference in the same sea below a thousandth of a millimetre is none to a ship."""
 LEAST_PAIRS = 4
 """With fewer pairs no interval is stated."""
 
@@ -148,7 +150,9 @@ class StudiedConfiguration:
 
     @property
     def tolerance(self) -> float | None:
-        """The tolerance of its settings; None of the library's own choice."""
+        """The tolerance of its settings; None of the library's own choice, or without one to set."""
+        if not settings_matter(self.solver):
+            return None
         return TOLERANCES.get(self.settings) or tolerance_of(self.settings)
 
     @property

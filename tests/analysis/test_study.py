@@ -151,12 +151,20 @@ def test_who_lost_a_run_is_no_reference_and_its_other_seas_are_paired() -> None:
 
 
 def test_the_loosest_tolerance_that_costs_little() -> None:
-    """Of 1e-3 (3 cm behind), 1e-4 (2 mm) and 1e-6 it is 1e-4; of a solver with none cheap, none."""
-    away = {"a/1e-6": 0.0, "a/1e-4": 0.002, "a/low": 0.03, "b/1e-4": 0.05, "c": 0.0}
+    """Of 1e-3 (3 cm behind), 1e-4 (2 mm) and 1e-6 it is 1e-4; of a solver with none cheap, none; a
+    solver without a tolerance to set is not asked."""
+    away = {
+        "osqp/1e-6": 0.0,
+        "osqp/1e-4": 0.002,
+        "osqp/low": 0.03,
+        "piqp/1e-4": 0.05,
+        "daqp": 0.0,
+        "quadprog/1e-4": 0.0,
+    }
     study = _study(_runs(away))
     loosest = study.loosest
-    assert set(loosest) == {"a", "b"} and loosest["b"] is None
-    assert loosest["a"] is not None and loosest["a"].settings == "1e-4"
+    assert set(loosest) == {"osqp", "piqp"} and loosest["piqp"] is None
+    assert loosest["osqp"] is not None and loosest["osqp"].settings == "1e-4"
 
 
 def test_the_map_of_what_is_held() -> None:

@@ -10,6 +10,7 @@ from pandas.api.types import is_numeric_dtype
 
 from dpbench.analysis.records import Records
 from dpbench.analysis.study import (
+    NOTHING_M,
     SMALL_COST,
     SMALL_M,
     PairedDifference,
@@ -70,14 +71,14 @@ def _lines(study: Study) -> Iterator[str]:
 def _separated(study: Study) -> str:
     """Who is shown to be behind the reference in the same seas, and who is not."""
     others = [c for c in study.configurations if c.behind is not None]
-    worse = [c for c in others if c.behind is not None and c.behind.mean.low > 0.0]
+    worse = [c for c in others if c.behind is not None and c.behind.mean.low > NOTHING_M]
     worse.sort(key=lambda c: -_mean(c))
     said = [f"{c.name} by {_cm(_mean(c))} cm" for c in worse[:3]]
     more = f" and {len(worse) - 3} more" if len(worse) > 3 else ""
     if not worse:
-        return f"no difference to {study.reference} is shown."
+        return f"nobody is shown to be behind {study.reference} in the same sea."
     same = len(others) - len(worse)
-    rest = f"; of {same} no difference is shown" if same else ""
+    rest = f"; {same} {'is' if same == 1 else 'are'} not shown to be" if same else ""
     return f"behind {study.reference} in the same sea: {', '.join(said)}{more}{rest}."
 
 
@@ -169,7 +170,7 @@ def _row(configuration: StudiedConfiguration) -> tuple[str, ...]:
         configuration.name,
         f"{configuration.finished} of {configuration.runs}",
         f"{100 * configuration.held:.0f} %",
-        f"{significant(100 * configuration.cost, 2)} %",
+        f"{_percent(configuration.cost)} %",
         "reference" if behind_cm is None else _interval(behind_cm, 100.0),
         "" if dearer is None else f"{_interval(dearer, 100.0)} %",
         "" if behind_cm is None else ("yes" if behind_cm.shown else "no"),
@@ -181,8 +182,15 @@ def _interval(difference: PairedDifference, scale: float) -> str:
     mean = difference.mean
     if not np.isfinite(mean.low):
         return f"{significant(scale * mean.value, 2)} (too few seas)"
+    if max(abs(mean.low), abs(mean.high)) < NOTHING_M:
+        return "0"
     low, high = (significant(scale * value, 2) for value in (mean.low, mean.high))
     return f"{significant(scale * mean.value, 2)} [{low}, {high}]"
+
+
+def _percent(share: float) -> str:
+    """A share in percent to two digits; what is rounding alone is 0."""
+    return "0" if abs(share) < NOTHING_M else significant(100.0 * share, 2)
 
 
 def _mean(configuration: StudiedConfiguration) -> float:
