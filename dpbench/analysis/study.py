@@ -150,7 +150,7 @@ class StudiedConfiguration:
 
     @property
     def tolerance(self) -> float | None:
-        """The tolerance of its settings; None of the library's own choice, or without one to set."""
+        """The tolerance of its settings; None of a library's own choice, or with none to set."""
         if not settings_matter(self.solver):
             return None
         return TOLERANCES.get(self.settings) or tolerance_of(self.settings)
