@@ -34,8 +34,7 @@ class RunRecord:
     family : of a random sequence; "" of every other run.
     lost_group : the failure group whose loss its QPs are about; "" of every other run.
     at_edge_of : the vessel at whose capability's edge its QPs are; "" of every other run.
-    study : the study it belongs to; "" of every other run. point, replicate : its place there, and
-        x the values of the study's keys at that point.
+    x : of a study, the values of its keys at the run's point.
     default_route : whether it runs on its solver's own route, which `Records` finds out.
     own_switches_a_step : involuntary switches a step that the configuration makes itself, which
         `machine.py` finds out; they are not among `involuntary_switches` then. NaN for none.
@@ -58,6 +57,9 @@ class RunRecord:
     units: Units
     slowdown: float
     deadline_s: float
+    study: str
+    study_point: Count
+    replicate: Count
     outcome: str
     outcome_detail: str
     steps_planned: int
@@ -117,9 +119,6 @@ class RunRecord:
     family: str = ""
     lost_group: str = ""
     at_edge_of: str = ""
-    study: str = ""
-    point: int = -1
-    replicate: int = 0
     x: Mapping[str, Any] = field(default_factory=dict)
     default_route: bool = False
     own_switches_a_step: float = np.nan
@@ -138,16 +137,13 @@ class RunRecord:
         family = str(source["recipe"]["family"]) if source.get("kind") == "random" else ""
         group = str(source["group"]) if source.get("kind") == "consequence" else ""
         vessel = str(source["vessel_name"]) if source.get("kind") == "capability" else ""
-        study = description.get("study", {"name": "", "point": -1, "replicate": 0, "x": {}})
-        columns |= {"study": study["name"], "replicate": study["replicate"]}
         return cls(
             **columns,
             description=description,
             family=family,
             lost_group=group,
             at_edge_of=vessel,
-            point=study["point"],
-            x=study["x"],
+            x=description.get("study", {}).get("x", {}),
         )
 
     @property

@@ -180,8 +180,8 @@ class Study:
                 "configuration": run.name,
                 "solver": run.solver,
                 "settings": run.settings,
-                "point": run.point,
-                "replicate": run.replicate,
+                "point": int(run.study_point),
+                "replicate": int(run.replicate),
                 "finished": run.outcome == "finished",
                 "held": run.outcome == "finished" and run.r_tail_max_m <= radius_m,
                 "r_95_m": run.r_95_m,
@@ -193,7 +193,7 @@ class Study:
         ]
         self.runs = pd.DataFrame(rows)
         """A row a run: configuration, point, replicate, whether it ended and held, its errors."""
-        points = {run.point: dict(run.x) for run in runs}
+        points = {int(run.study_point): dict(run.x) for run in runs}
         self.points = pd.DataFrame.from_dict(points, orient="index").sort_index()
         """The values of the keys (columns) at each point (index)."""
 

@@ -15,7 +15,15 @@ from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.record.schema import RUN_COLUMNS, as_runs
 
 TYPES = {"str": str, "bool": bool, "int64": int, "Int64": Count, "float64": float}
-DERIVED = ["description", "family", "lost_group", "default_route", "own_switches_a_step"]
+DERIVED = [
+    "description",
+    "family",
+    "lost_group",
+    "at_edge_of",
+    "x",
+    "default_route",
+    "own_switches_a_step",
+]
 
 
 def _record(**columns: Any) -> RunRecord:

@@ -107,8 +107,8 @@ def _runs(away: dict[str, float], *, points: int = 2, seas: int = 6, **odd: str)
             name=f"{name} ({settings})" if settings else name,
             solver=name.partition(" ")[0],
             settings=settings or "default",
-            point=p,
-            replicate=r + 1,
+            study_point=float(p),
+            replicate=float(r + 1),
             x={"hs": float(p)},
             outcome=odd.get(name, "finished") if (p, r) == (0, 0) else "finished",
             r_tail_max_m=sea[p, r] + behind,
@@ -173,7 +173,7 @@ def test_the_map_of_what_is_held() -> None:
     study = _study(runs, radius_m=1.1)
     table = study.held_map("a")
     for point in range(3):
-        own = [run.r_tail_max_m <= 1.1 for run in runs if run.point == point]
+        own = [run.r_tail_max_m <= 1.1 for run in runs if run.study_point == point]
         assert table.loc[point, "held"] == pytest.approx(sum(own) / 8)
         assert table.loc[point, "hs"] == float(point)
     assert study.replicates == 8
