@@ -110,8 +110,8 @@ def _table_of(field: FieldInfo) -> type[FileModel] | None:
 def _read(schema: Schema) -> tuple[str, str]:
     """Type and bounds of a value, in words."""
     if "anyOf" in schema:
-        (given,) = (option for option in schema["anyOf"] if option.get("type") != "null")
-        return _read(given)
+        given = [option for option in schema["anyOf"] if option.get("type") != "null"]
+        return _read(given[0]) if len(given) == 1 else ("value", "")
     if "$ref" in schema:
         return "table", ""
     if "enum" in schema or "const" in schema:
@@ -119,6 +119,9 @@ def _read(schema: Schema) -> tuple[str, str]:
         return "text", ", ".join(code(str(value)) for value in values)
     if schema["type"] == "array":
         return _read_list(schema)
+    if schema["type"] == "object":
+        inner, allowed = _read(schema["additionalProperties"])
+        return f"keys, each with a {inner}", allowed
     bounds = (
         f"{sign} {schema[key]:g}"
         for key, sign in BOUNDS.items()
