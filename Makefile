@@ -11,6 +11,8 @@ CORE   := build/core
 LOWEST := build/lowest
 TEST_TOOLS := hypothesis markdown-it-py packaging pytest pytest-xdist
 LOWEST_TESTS := tests/solvers tests/scenario tests/mpc tests/report/test_answer.py
+# Seconds of rounds of each benchmark.
+BENCH_S := 1.0
 # Tests beside each other, one a core; `alone` are those that need the machine to themselves.
 SIDE_BY_SIDE := -n 2 --dist worksteal
 
@@ -85,6 +87,7 @@ docs: setup ## the documentation in build/site; a warning or a dead link is an e
 bench-ci: setup ## pytest-benchmark of the parts; writes results/bench-ci.json
 	mkdir -p results
 	$(BIN)/python -m pytest benchmarks --override-ini addopts='--import-mode=importlib' \
+	    --benchmark-max-time=$(BENCH_S) \
 	    --benchmark-json=results/bench-ci.json --benchmark-columns=min,median,max,rounds
 
 bench-compare: setup ## compare it with this machine's baseline, RENEW=--renew to replace that

@@ -30,7 +30,7 @@ from dpbench.analysis.compare.evidence import Assessment, Prior, assess, gather
 from dpbench.bench.record.machine import describe_machine
 from dpbench.errors import InputError
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 MARGIN, ALPHA = 0.15, 0.05
 NOISE = Prior(sd=0.05, df=6.0)
 """Of one benchmark in its few rounds, between two runs of the same code."""
