@@ -131,7 +131,7 @@ def _taking_part(solvers: Sequence[str], table: Table) -> list[str]:
     if not isinstance(table, ClosedLoopTable | ReplayTable):
         return list(solvers)
     named = _named(table.solvers) if table.solvers else solvers
-    without = _named(table.without) if isinstance(table, ClosedLoopTable) else []
+    without = _named(table.without)
     return [name for name in solvers if name in named and name not in without]
 
 

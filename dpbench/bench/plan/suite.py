@@ -93,9 +93,9 @@ class ReplayTable(RunsTable):
     """Identical QPs, recorded along the exactly solved loop, through every solver.
 
     With `horizons` ("30/5") the scenario is run under each of them instead of those of its tuning.
-    With `solvers` only those of the suite take part that are named here. With `consequence` the QPs
-    are not the controller's: a sequence for each failure group of the ship says whether the other
-    thrusters could take over at each sample.
+    With `solvers` only those of the suite take part that are named here, and none of `without`.
+    With `consequence` the QPs are not the controller's: a sequence for each failure group of the
+    ship says whether the other thrusters could take over at each sample.
     """
 
     scenario: str
@@ -104,6 +104,8 @@ class ReplayTable(RunsTable):
     """Consequence analysis along the loop, in place of the controller's own QPs."""
     solvers: list[str] = []
     """Only these of the suite's solvers; all where it is empty."""
+    without: list[str] = []
+    """All but these of the suite's solvers."""
     horizons: Annotated[list[str], AfterValidator(different_horizons)] = []
     """Pairs such as 30/5, instead of the scenario's own."""
     first: Count = 0
