@@ -32,6 +32,7 @@ $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[solvers,peers,dev,docs]'
+	$(BIN)/python -m dpbench.cli.compiling
 	touch $(STAMP)
 
 bench: setup ## run the standard suite (five to twelve minutes) and write its report

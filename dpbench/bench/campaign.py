@@ -30,7 +30,8 @@ from dpbench.bench.sequences.at_edge import capability_in
 from dpbench.bench.sequences.recording import read_sequence
 from dpbench.bench.sequences.source import is_at_edge, is_sound, is_untimed, source_key
 from dpbench.bench.tabulate import tabulate
-from dpbench.bench.workers.child import is_compiled, template_context
+from dpbench.bench.workers.child import template_context
+from dpbench.bench.workers.compiled import missing, needed
 from dpbench.bench.workers.executor import Bench, CellJob, CellStore, work_of
 from dpbench.bench.workers.scratch import Scratch
 from dpbench.bench.workers.worker import make_source
@@ -80,10 +81,11 @@ class Campaign:
                 pending.append(job)
         work = sum(work_of(job.cell) for job in pending)
         progress.start(work + self._designs.work)
-        if not is_compiled():
-            progress.remark("compiling the kernels, once after an installation: some 30 s")
+        solvers = [job.cell.solver for job in pending]
+        if missing(needed(solvers)):
+            progress.remark("compiling the kernels, once after an installation: up to a minute")
         with Scratch(self._store.folder) as scratch:
-            context, slots = template_context(), self._jobs
+            context, slots = template_context(solvers), self._jobs
             bench = Bench(context, scratch, self._store, self._cores, slots, progress)
             self._run_cells(bench, pending)
             self._again_with_sound_sources(bench, pending)

@@ -96,7 +96,9 @@ def hessian_blocks(h, Q, R, N_c, E):
     # Q h_{N_p−1−j} of all j side by side, so that a row of E is made in one sweep.
     beside = np.empty((n_y, N_c * n_u))
     for j in range(N_c):
-        beside[:, j * n_u : (j + 1) * n_u] = Qh[N_p - 1 - j]
+        for k in range(n_y):
+            for a in range(n_u):
+                beside[k, j * n_u + a] = Qh[N_p - 1 - j, k, a]
     part = np.empty(N_c * n_u)
     for row in range(last * n_u - 1, -1, -1):
         i, a = row // n_u, row % n_u
@@ -109,7 +111,9 @@ def hessian_blocks(h, Q, R, N_c, E):
         for c in range(width):
             E[row, c] = E[row + n_u, c + n_u] + part[c]
     for i in range(N_c):
-        E[i * n_u : (i + 1) * n_u, i * n_u : (i + 1) * n_u] += R
+        for a in range(n_u):
+            for b in range(n_u):
+                E[i * n_u + a, i * n_u + b] += R[a, b]
     _mirror(E)
 
 
@@ -154,7 +158,9 @@ def gradient_blocks(h, F, Q, F_x, F_held):
         _accumulate(h[t], Q, held)
         j = N_p - 1 - t
         if j < N_c:
-            F_held[j * n_u : (j + 1) * n_u] = -held
+            for a in range(n_u):
+                for b in range(n_y):
+                    F_held[j * n_u + a, b] = -held[a, b]
 
 
 @njit(cache=True)

@@ -55,7 +55,7 @@ def run(designs: list[Design], out: Path) -> Designs:
     cores = sorted(os.sched_getaffinity(0))
     with Scratch(out) as scratch:
         store = CellStore(out / "cells")
-        bench = Bench(template_context(), scratch, store, cores, len(cores), Silent())
+        bench = Bench(template_context([]), scratch, store, cores, len(cores), Silent())
         study(designs, out).run(bench, out)
     designs_there = load_designs(out)
     assert designs_there is not None

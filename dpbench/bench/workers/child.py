@@ -9,7 +9,7 @@ import multiprocessing.resource_tracker
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
@@ -19,6 +19,7 @@ from dpbench.bench.record.cell import Outcome
 from dpbench.bench.record.machine import THREAD_VARIABLES, pin_threads
 from dpbench.bench.record.raw_log import RawLog, is_whole
 from dpbench.bench.workers import notice
+from dpbench.bench.workers.compiled import OWN, compile_in_processes, missing, needed
 from dpbench.bench.workers.interrupts import interrupts_wait
 from dpbench.bench.workers.notice import AtWork, Notice
 
@@ -36,17 +37,19 @@ def with_log(outcome: Outcome, raw: Path) -> Outcome:
     return outcome
 
 
-def is_compiled() -> bool:
-    """Whether the kernels were compiled before on this machine, into Numba's cache."""
-    kept = os.environ.get("NUMBA_CACHE_DIR")
-    folder = Path(kept) if kept else Path(__file__).parents[2]
-    return any(folder.rglob("*.nbi"))
+def template_context(solvers: Iterable[str]) -> ForkServerContext:
+    """The context whose processes are forked from the template (`template.py`), threads pinned.
 
-
-def template_context() -> ForkServerContext:
-    """The context whose processes are forked from the template (`template.py`), threads pinned."""
+    The first one of a process decides for which of this house's `solvers` it is made ready; any
+    other loads its kernels when it is opened.
+    """
+    modules = needed(solvers)
+    absent = missing(modules)
+    # A cell that did would lose its time to start; what is left over the template compiles itself.
+    if OWN in absent:
+        compile_in_processes(absent)
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["dpbench.bench.workers.template"])
+    context.set_forkserver_preload(modules)
     before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
     pin_threads()
     try:

@@ -1,6 +1,6 @@
 """Importing this module makes a process the template that cells are forked from.
 
-It loads everything a cell needs except solvers, compiles what is compiled, and starts no thread;
+It loads everything a cell needs except solvers, compiles their kernels, and starts no thread;
 forking it costs milliseconds where a fresh interpreter costs half a second (traps.md 17).
 """
 
@@ -20,9 +20,8 @@ from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.model import prediction_model
 from dpbench.ship.plant import SUBSTEPS, Plant
 from dpbench.ship.vessel import Vessel
-from dpbench.solvers.own import hildreth, paper_active_set
 
-__all__ = ["hildreth", "worker"]
+__all__ = ["worker"]
 
 
 def _prime() -> None:
@@ -35,7 +34,6 @@ def _prime() -> None:
     model = prediction_model(ship.M, ship.D, 0.0, 0.1)
     CondensedQP(ControlProblem(model, 3, 2, np.eye(3), np.eye(3), -three, three, three))
     reference_kernel_ns(time.perf_counter_ns)
-    paper_active_set.prime()
 
 
 _prime()

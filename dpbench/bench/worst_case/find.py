@@ -139,9 +139,10 @@ def find_worst_case(
     _make_room(path)
     space = SearchSpace(base, steps, f"{base.name}-worst-{solver}-{goal}")
     with one_interrupt():
+        context = template_context([solver])
         with (
             scratch_folder() as folder,
-            closing(SearchedSolver(template_context(), Path(folder), cell)) as solver_process,
+            closing(SearchedSolver(context, Path(folder), cell)) as solver_process,
         ):
             search = Search(solver_process, space, goal, budget, progress or Silent())
             search.run(base, seed)

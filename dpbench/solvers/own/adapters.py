@@ -55,6 +55,9 @@ UNCONSTRAINED_CLIPPED = replace(
     },
 )
 
+WITH_KERNELS = (PAPER_ACTIVE_SET.name, HILDRETH.name)
+"""Those that are compiled: `primed`."""
+
 
 def _paper_active_set(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
     from dpbench.solvers.own.paper_active_set import PaperActiveSet

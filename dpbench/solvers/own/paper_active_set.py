@@ -32,14 +32,6 @@ USABLE = 1e4
 given as inaccurate: 1e-6 of a row's terms, 1e-4 of 1 + ‖q‖ at most."""
 
 
-def prime() -> None:
-    """Load or compile what is compiled, so that no step of a run has to."""
-    one = np.ones(1)
-    workspace = PaperActiveSet("paper_active_set", "native", "reuse")
-    workspace.setup(QuadraticProgram(np.eye(1), one, np.eye(1), -one, one, -one, one))
-    workspace.solve()
-
-
 class PaperActiveSet(CompiledWorkspace):
     """The paper's method with its constant matrices, and under `warm` its set, kept."""
 

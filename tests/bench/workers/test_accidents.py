@@ -210,7 +210,7 @@ def test_a_worker_that_died_between_rounds_ends_no_campaign(tmp_path: Path) -> N
     more."""
     cell = cast(Cell, SimpleNamespace(limit_s=1.0))
     child = supervise.ServingChild(
-        supervise.template_context(), print, ("bye",), tmp_path, "a", limit_s=1.0
+        supervise.template_context([]), print, ("bye",), tmp_path, "a", limit_s=1.0
     )
     child.process.join()
     worker = interleave.ReplayWorker("a", cell, child)

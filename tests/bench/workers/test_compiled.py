@@ -1,18 +1,27 @@
-"""Whether the kernels were compiled before."""
+"""What a campaign's solvers need compiled, and whether it was compiled before."""
 
 from pathlib import Path
 
 import pytest
 
-from dpbench.bench.workers.child import is_compiled
+from dpbench.bench.workers.compiled import LOOP, OWN, missing, needed
+
+
+def test_kernels_of_own_solvers_are_needed_only_where_one_of_them_runs() -> None:
+    """The template, which freezes what is loaded, is loaded last."""
+    assert needed(["daqp", "unconstrained_clipped"]) == [LOOP]
+    assert needed(["daqp", "hildreth"]) == [OWN, LOOP]
+    assert needed(["paper_active_set"]) == [OWN, LOOP]
 
 
 def test_an_empty_cache_is_told_from_one_with_kernels(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By the index files that Numba leaves."""
+    """By the index files that Numba leaves, each part by its own."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    assert not is_compiled()
+    assert missing([OWN, LOOP]) == [OWN, LOOP]
     (tmp_path / "kernel").mkdir()
-    (tmp_path / "kernel" / "advance-69.py311.nbi").touch()
-    assert is_compiled()
+    (tmp_path / "kernel" / "replay._reference_kernel-26.py311.nbi").touch()
+    assert missing([OWN, LOOP]) == [OWN]
+    (tmp_path / "kernel" / "hildreth._entry_point.locals.hildreth_step-177.py311.nbi").touch()
+    assert missing([OWN, LOOP]) == []

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.alone
 
 @pytest.fixture(scope="module")
 def context() -> ForkServerContext:
-    return template_context()
+    return template_context([])
 
 
 def wait(child: Child, seconds: float = 20.0) -> None:
@@ -177,5 +177,5 @@ def test_the_template_pins_threads_and_leaves_the_caller_alone(
 ) -> None:
     """Making the template does not change the environment of the process that asks for it."""
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
-    template_context()
+    template_context([])
     assert os.environ["OMP_NUM_THREADS"] == "7"

@@ -109,4 +109,5 @@ def stamp() -> int:
         code, known = function.__code__, function.__globals__
         numbers = [known[n] for n in code.co_names if isinstance(known.get(n), (int, float))]
         parts.append((code, numbers))
-    return zlib.crc32(marshal.dumps(parts))
+    # Version 2: later ones also write how often an object is referred to, which changes by itself.
+    return zlib.crc32(marshal.dumps(parts, 2))

@@ -1,0 +1,46 @@
+"""What is compiled, in two parts, and compiling both side by side into Numba's cache."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from dpbench.solvers.own.adapters import WITH_KERNELS
+
+LOOP, OWN = "dpbench.bench.workers.template", "dpbench.solvers.own.primed"
+"""Modules that compile as they are imported: what every cell needs, and this house's solvers."""
+_LAST = {LOOP: "replay._reference_kernel-*.nbi", OWN: "hildreth._entry_point.*.nbi"}
+"""The index in the cache of what each of them compiles last."""
+
+
+def needed(solvers: Iterable[str]) -> list[str]:
+    """The modules that cells of these solvers need; `LOOP`, which is the template, last."""
+    return [OWN, LOOP] if set(solvers) & set(WITH_KERNELS) else [LOOP]
+
+
+def missing(modules: Sequence[str]) -> list[str]:
+    """Those of the modules that were not compiled before on this machine, into Numba's cache."""
+    kept = os.environ.get("NUMBA_CACHE_DIR")
+    folder = Path(kept) if kept else Path(__file__).parents[2]
+    return [module for module in modules if not any(folder.rglob(_LAST[module]))]
+
+
+def compile_in_processes(modules: Sequence[str]) -> None:
+    """Compile each of the modules in a process of its own, side by side.
+
+    One that fails is left to whoever needs its kernels, who then compiles and sees the error.
+    """
+    processes: list[subprocess.Popen[bytes]] = []
+    try:
+        for module in modules:
+            program = [sys.executable, "-c", f"import {module}"]
+            processes.append(subprocess.Popen(program, stderr=subprocess.DEVNULL))
+        for process in processes:
+            process.wait()
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()

@@ -1,0 +1,32 @@
+"""Compile all that any command needs, so that none waits for it: `python -m dpbench.cli.compiling`.
+
+`make setup` ends with it; without it the first command that needs a kernel compiles that.
+"""
+
+from __future__ import annotations
+
+import time
+
+from dpbench.bench.workers.compiled import LOOP, OWN, compile_in_processes, missing
+from dpbench.notebook.runs import run_closed_loop
+from dpbench.scenario.problem_files import problem_names
+from dpbench.scenario.scenario import load_scenario
+from dpbench.solvers.open import open_workspace
+
+
+def compile_all() -> None:
+    """Fill Numba's cache, and say so; nothing where it is filled."""
+    absent = missing((OWN, LOOP))
+    if not absent:
+        return
+    print("compiling the kernels, once after an installation: about a minute", flush=True)
+    started = time.monotonic()
+    compile_in_processes(absent)
+    # Observers, thrusters and the like compile when a scenario's first step asks for them.
+    for name in problem_names("scenarios"):
+        run_closed_loop(load_scenario(name).first(2), open_workspace("paper_active_set"))
+    print(f"compiled in {time.monotonic() - started:.0f} s")
+
+
+if __name__ == "__main__":
+    compile_all()

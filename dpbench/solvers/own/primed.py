@@ -1,0 +1,25 @@
+"""Importing this module loads or compiles the kernels of this house's own solvers.
+
+A template that cells are forked from imports it where a cell runs one of them, so that no step of a
+run has to.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dpbench.qp.program import QuadraticProgram
+from dpbench.solvers.own import hildreth
+from dpbench.solvers.own.paper_active_set import PaperActiveSet
+
+__all__ = ["hildreth"]
+
+
+def _prime() -> None:
+    one = np.ones(1)
+    workspace = PaperActiveSet("paper_active_set", "native", "reuse")
+    workspace.setup(QuadraticProgram(np.eye(1), one, np.eye(1), -one, one, -one, one))
+    workspace.solve()
+
+
+_prime()
