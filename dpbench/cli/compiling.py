@@ -19,7 +19,7 @@ def compile_all() -> None:
     absent = missing((OWN, LOOP))
     if not absent:
         return
-    print("compiling the kernels, once after an installation: about a minute", flush=True)
+    print("compiling the kernels, once after an installation: a minute or two", flush=True)
     started = time.monotonic()
     compile_in_processes(absent)
     # Observers, thrusters and the like compile when a scenario's first step asks for them.
