@@ -55,7 +55,8 @@ class ExactWorkspace(Workspace):
     def setup(self, qp: QuadraticProgram) -> None:
         """Take the constant matrices."""
         self._base = qp
-        self._referee = Referee(qp.P, qp.A, qp.lb, qp.ub)
+        matrices = qp.P, qp.A, qp.lb, qp.ub
+        self._referee = self._referee.after(*matrices) if self._referee else Referee(*matrices)
         self._step = QPStep(qp.q, qp.l, qp.u)
 
     def update(self, step: QPStep) -> None:

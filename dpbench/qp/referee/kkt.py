@@ -21,30 +21,23 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.qp.referee.joint import JointQP, Proof
-
-UNIT = float(np.finfo(np.float64).eps)
-LONG_UNIT = float(np.finfo(np.longdouble).eps)
-"""Twice the unit roundoffs, which leaves room; long double is at least as fine as double on every
-platform, and the bounds use whatever it is."""
-OUTWARD = 1.0 + 1e-11
-"""Makes up for the rounding of the bounds themselves: sums of up to some 10⁴ positive terms."""
-UNDERFLOW = 1e-290
-"""Far above what any sum here can lose by underflow."""
+from dpbench.qp.referee.kernels import OUTWARD, UNDERFLOW, UNIT, linear_kernel
 
 
-def gamma(k: int, unit: float = UNIT) -> float:
+def gamma(k: int) -> float:
     """γ_k = k·u / (1 − k·u)."""
-    return k * unit / (1.0 - k * unit)
+    return k * UNIT / (1.0 - k * UNIT)
 
 
 class KKTSystem:
-    """The KKT matrix of the rows `signs` ≠ 0 of C, its inverse and what is proven of it.
+    """The KKT matrix of the rows `signs` ≠ 0 of C and a symmetric P; its inverse, what is proven.
 
     Attributes
     ----------
     rows (w,), signs (w,) : active rows of C and the side they are active at (+1 upper).
-    X (n+w, n+w) : approximate inverse. alpha : proven bound of ‖I − XK‖ in the norm weighted by
-        `weight`; inf or ≥ 1 where nothing is proven (then K may be singular).
+    X (n+w, n+w) : approximate inverse; X_T : its columns as rows.
+    alpha : proven bound of ‖I − XK‖ in the norm weighted by `weight`; inf or ≥ 1 where nothing is
+        proven (then K may be singular).
     """
 
     def __init__(self, P: Matrix, C: Matrix, signs: NDArray[np.int8]) -> None:
@@ -62,7 +55,7 @@ class KKTSystem:
         self.weight = np.ones(N)
         self.weight[n:] = size
         self.alpha = np.inf
-        self.gamma, self.long_gamma = gamma(N + 4), gamma(N + 4, LONG_UNIT)
+        self.gamma = gamma(N + 4)
         try:
             self.X = np.linalg.inv(self.K)
         except np.linalg.LinAlgError:
@@ -71,13 +64,11 @@ class KKTSystem:
             self._prove()
 
     def _prove(self) -> None:
-        N = self.K.shape[0]
-        self._K_abs, self._X_abs = np.abs(self.K), np.abs(self.X)
-        self._K_long = self.K.astype(np.longdouble)
-        identity = np.eye(N)
-        defect = np.abs(identity - self.X @ self.K)
-        defect += self.gamma * (self._X_abs @ self._K_abs + identity)
-        self.alpha = float(((defect @ self.weight) / self.weight).max()) * OUTWARD
+        self.X_T = np.ascontiguousarray(self.X.T)
+        defect = np.abs(np.eye(len(self.K)) - self.X @ self.K) @ self.weight
+        # |X|(|K| d) in place of (|X||K|) d: a matrix product less.
+        size = np.abs(self.X) @ (np.abs(self.K) @ self.weight) + self.weight
+        self.alpha = float(((defect + self.gamma * size) / self.weight).max()) * OUTWARD
 
     @property
     def proven(self) -> bool:
@@ -88,31 +79,12 @@ class KKTSystem:
         """[−q; b_W] (n+w,), b_W the limits the rows are active at."""
         return np.concatenate((-q, np.concatenate((U, L))[self.limits]))
 
-    def solve(self, rhs: Vector, x: Vector) -> tuple[Vector, Vector]:
-        """K⁻¹ rhs and a rigorous bound of its error, both (n+w,), from an approximation x.
-
-        Call only where `proven`. One refinement; the residual in long double.
-        """
-        long_rhs = rhs.astype(np.longdouble)
-        x = x + self.X @ (long_rhs - self._K_long @ x).astype(np.float64)
-        r = (long_rhs - self._K_long @ x).astype(np.float64)
-        size = self._K_abs @ np.abs(x)
-        size += np.abs(rhs)
-        size *= self.long_gamma
-        size += self.gamma * np.abs(r)
-        size += UNDERFLOW
-        e = np.abs(self.X @ r)
-        e += self._X_abs @ size
-        e *= OUTWARD
-        spread = self.alpha / (1.0 - self.alpha) * float((e / self.weight).max())
-        e += spread * OUTWARD * self.weight
-        return x, e
-
     def inverse_bounds(self) -> Matrix:
         """Entrywise upper bounds of |K⁻¹|: |X| + α/(1−α) · d · max_j(|X_ji|/d_j)."""
-        column = (self._X_abs / self.weight[:, np.newaxis]).max(axis=0)
+        X = np.abs(self.X)
+        column = (X / self.weight[:, np.newaxis]).max(axis=0)
         spread = self.alpha / (1.0 - self.alpha)
-        return (self._X_abs + spread * np.outer(self.weight, column)) * OUTWARD
+        return (X + spread * np.outer(self.weight, column)) * OUTWARD
 
 
 def positive_definite(P: Matrix) -> bool:
@@ -135,45 +107,21 @@ class Geometry:
     """What bounding the slacks needs of C, once."""
 
     def __init__(self, C: Matrix) -> None:
-        self.C, self.C_abs = C, np.abs(C)
+        self.C_T = np.ascontiguousarray(C.T)
         self.gamma = gamma(C.shape[1] + 2)
 
 
-def linear_certificate(
-    problem: JointQP, geometry: Geometry, system: KKTSystem, *, guess: bool
-) -> Proof | None:
+def linear_certificate(problem: JointQP, geometry: Geometry, system: KKTSystem) -> Proof | None:
     """The optimum, if the active set of `system` is proven to be that of `problem`.
 
     Parameters
     ----------
     system : a `proven` system of the problem's matrices; P must be positive semidefinite and
         L ≤ U, which the caller has checked.
-    guess : give up early where the active set is plainly another one.
     """
-    L, U, rows, n = problem.L, problem.U, system.rows, system.n
-    rhs = system.rhs(problem.q, L, U)
-    if not np.isfinite(rhs).all():
-        return None
-    x = system.X @ rhs
-    # An equality-like row holds its multiplier at either sign.
-    free = L[rows] == U[rows]
-    if guess:
-        value = geometry.C @ x[:n]
-        slack = np.minimum(U - value, value - L)
-        slack[rows] = 0.0
-        if slack.min() < 0.0 or not (free | (system.signs * x[n:] > 0.0)).all():
-            return None
-    x, error = system.solve(rhs, x)
-    if not (free | (system.signs * x[n:] > error[n:])).all():
-        return None
-    z, z_error = x[:n], error[:n]
-    value = geometry.C @ z
-    slack = np.minimum(U - value, value - L)
-    slack[rows] = np.inf
-    # Rounding of C z and of the final subtraction, and what z itself is uncertain by.
-    doubt = geometry.C_abs @ (z_error + geometry.gamma * np.abs(z)) + UNIT * np.abs(value)
-    if not (slack > doubt * OUTWARD).all():
-        return None
-    y = np.zeros(len(L))
-    y[rows] = x[n:]
-    return Proof(z, y, float(z_error.max()), "linear")
+    bound, x, _, y = linear_kernel(
+        *(problem.q, problem.L, problem.U, geometry.C_T, geometry.gamma),
+        *(system.K, system.X_T, system.weight, system.rows, system.signs),
+        *(system.alpha, system.gamma),
+    )
+    return Proof(x[: system.n], y, bound, "linear") if bound < np.inf else None

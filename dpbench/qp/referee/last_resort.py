@@ -47,9 +47,8 @@ from dpbench.qp.referee.equilibrated import Scales, safe
 from dpbench.qp.referee.feasibility.implied import with_implied, without_empty
 from dpbench.qp.referee.gap import TAU_EXPONENT, independent, met, refine
 from dpbench.qp.referee.joint import ExactMatrices, JointQP, Kind, Proof, Signs
+from dpbench.qp.referee.kernels import OUTWARD, UNIT
 from dpbench.qp.referee.kkt import (
-    OUTWARD,
-    UNIT,
     Geometry,
     KKTSystem,
     gamma,
@@ -323,7 +322,7 @@ class LastResort:
         system = KKTSystem(problem.P, problem.C, held)
         z = guess.z
         if system.proven:
-            proof = linear_certificate(problem, self._geometry, system, guess=False)
+            proof = linear_certificate(problem, self._geometry, system)
             if proof is not None and self._convex:
                 bound = np.full(len(proof.z), proof.bound)
                 return self._back(proof.z, proof.y, bound, "linear"), None

@@ -64,8 +64,10 @@ from dpbench.qp.referee.feasibility.implied import fix_forced
 from dpbench.qp.referee.feasibility.rounding import least_violation, refute
 from dpbench.qp.referee.gap import gap_certificate, independent, met
 from dpbench.qp.referee.joint import ExactMatrices, JointQP, Kind, Proof, Signs
+from dpbench.qp.referee.kernels import CROSSED, MEANINGLESS, meaning
 from dpbench.qp.referee.kkt import Geometry, KKTSystem, linear_certificate, positive_definite
 from dpbench.qp.referee.last_resort import LastResort
+from dpbench.qp.referee.nearby import nearby
 from dpbench.qp.referee.oracle import guesses
 from dpbench.qp.referee.rational import rational_certificate
 from dpbench.qp.residuals import best_multipliers
@@ -156,6 +158,13 @@ class Referee:
         self._definite = self._finite and positive_definite(self._P)
         self._convex = self._definite or (self._finite and self._proven_convex())
 
+    def after(self, P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
+        """A referee of a later step's matrices, begun at the active set that this one is at."""
+        later = Referee(P, A, lb, ub)
+        if len(later._last) == len(self._last):
+            later._last = self._last
+        return later
+
     def _proven_convex(self) -> bool:
         """Whether P is positive semidefinite: definite in other units, or exactly so by blocks."""
         P = self._P
@@ -177,18 +186,30 @@ class Referee:
     def certify(self, q: Vector, l: Vector, u: Vector) -> Optimum:  # noqa: E741 - as in QuadraticProgram
         """The optimum of the problem with these vectors; (n,), (m,), (m,)."""
         L, U = np.concatenate((l, self._lb)), np.concatenate((u, self._ub))
-        if not (self._finite and np.isfinite(q).all() and _meant(L, U)):
+        limits = meaning(q, L, U)
+        if limits == MEANINGLESS or not self._finite:
             return self._nothing()
         problem = JointQP(self._P, q, self._C, L, U)
-        if (L > U).any():
+        if limits == CROSSED:
             return self._infeasible(problem) or self._nothing()
-        proof = self._linear(problem, self._last, guess=True)
+        proof = self._linear(problem, self._last) or self._near(problem)
         if proof is None or proof.bound > WANTED:
             return self._search(problem)
         return self._optimum(proof)
 
+    def _near(self, problem: JointQP) -> Proof | None:
+        """With the active set that is near to that of the step before."""
+        system = self._system(self._last) if self._convex else None
+        if system is None or not system.proven:
+            return None
+        signs = nearby(problem, self._geometry, system)
+        proof = None if signs is None else self._linear(problem, signs)
+        if signs is not None and proof is not None:
+            self._last = signs
+        return proof
+
     def _search(self, problem: JointQP) -> Optimum:
-        """Everything but the active set of the step before."""
+        """Everything but the active set of the step before and what is near to it."""
         fixed = fix_forced(problem)
         posed = problem if fixed is None else fixed
         tried: list[Signs] = []
@@ -200,7 +221,7 @@ class Referee:
                     return empty
                 continue
             tried.append(signs)
-            best = self._linear(posed, signs, guess=False)
+            best = self._linear(posed, signs)
             if best is not None:
                 self._last = signs
                 break
@@ -238,13 +259,13 @@ class Referee:
             y, y_box = nothing.y, nothing.y_box
         return Optimum(proof.z, y, y_box, proof.bound, proof.kind)
 
-    def _linear(self, problem: JointQP, signs: Signs, *, guess: bool) -> Proof | None:
+    def _linear(self, problem: JointQP, signs: Signs) -> Proof | None:
         if not self._convex:
             return None
         system = self._system(signs)
         if not system.proven:
             return None
-        return linear_certificate(problem, self._geometry, system, guess=guess)
+        return linear_certificate(problem, self._geometry, system)
 
     def _system(self, signs: Signs) -> KKTSystem:
         key = signs.tobytes()
@@ -336,11 +357,6 @@ class Referee:
         )
 
 
-def _meant(L: Vector, U: Vector) -> bool:
-    """Whether the limits are numbers that some z could satisfy one by one."""
-    return not (np.isnan(L) | np.isnan(U) | (np.inf == L) | (-np.inf == U)).any()
-
-
 def certify(qp: QuadraticProgram) -> Optimum:
     """The certified optimum of one problem; a `Referee` is faster for many that share P and A."""
     return Referee(qp.P, qp.A, qp.lb, qp.ub).certify(qp.q, qp.l, qp.u)
@@ -373,7 +389,7 @@ def each_certified(sequence: QPSequence) -> Iterator[Optimum]:
         step = sequence.step(k)
         if qp.changed_by(step):
             qp = qp.at(step)
-            referee = Referee(qp.P, qp.A, qp.lb, qp.ub)
+            referee = referee.after(qp.P, qp.A, qp.lb, qp.ub)
         yield referee.certify(step.q, step.l, step.u)
 
 

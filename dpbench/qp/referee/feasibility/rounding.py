@@ -38,7 +38,7 @@ from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.dyadic import Dyadic
 from dpbench.qp.referee.feasibility.farkas import first_valid
 from dpbench.qp.referee.joint import JointQP
-from dpbench.qp.referee.kkt import OUTWARD, UNDERFLOW
+from dpbench.qp.referee.kernels import OUTWARD, UNDERFLOW
 
 UNIT_ROUNDOFF = 2.0**-53
 ENDLESS = 1e20

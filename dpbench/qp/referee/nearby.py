@@ -1,0 +1,168 @@
+"""A guess of the active set from one that it is near to, as one step's is to that of the next.
+
+The primal-dual active-set method (Hintermüller, Ito and Kunisch, SIAM J. Optim. 13, 2003): at the
+point of a set W, the rows whose multipliers have the wrong sign go, the rows that the point
+violates come, and so on until nothing changes. That need not end, and a set that comes out need not
+be right: a certificate judges it like any other guess.
+
+No system is built on the way. The point of a set that differs from W by some rows solves that of W
+with a column for each of them, k in all,
+
+    ┌ K_W  B ┐  ┌ x ┐     ┌ rhs ┐      B  [c_i; 0] for a row i to be brought in, t its limit
+    └ Bᵀ   0 ┘  └ μ ┘  =  └  t  ┘         [0; e_j] for the row at place j to be dropped, t = 0
+
+and with X ≈ K_W⁻¹ known that is a system of k: (BᵀXB) μ = BᵀX rhs − t,  x = X rhs − XB μ. The
+column of a row dropped makes its multiplier zero and takes up whatever its equation says.
+
+By hand, the point nearest (3, ½) under z₁ ≤ 1 and z₂ ≤ 1, from W = {1}, the row of z₂: there
+z = (3, 1) and λ₁ = ½ − 1 = −½ is of the wrong sign while z₁ > 1. So row 1 goes and row 0 comes,
+
+    X  1  0  0     B  1  0    at W: x = (3, 1, −½),  Bᵀx − t = (3 − 1, −½)
+       0  0  1        0  0    BᵀXB = [1 0; 0 −1],    μ = (2, ½)
+       0  1 −1        0  1    x − XB μ = (3, 1, −½) − 2·(1, 0, 0) − ½·(0, 1, −1) = (1, ½, 0)
+
+and at that set z = (1, ½), λ₀ = μ₀ = 3 − 1 = 2, and nothing changes any more.
+
+>>> C, L, U = np.eye(2), np.full(2, -np.inf), np.ones(2)
+>>> problem = JointQP(np.eye(2), np.array([-3.0, -0.5]), C, L, U)
+>>> near = KKTSystem(problem.P, C, np.array([0, 1], dtype=np.int8))
+>>> nearby(problem, Geometry(C), near).tolist()
+[1, 0]
+>>> x, mu = np.array([3.0, 1.0, -0.5]), np.zeros(2)
+>>> place, signs, both = np.array([-1, 2]), np.array([1, 0]), np.array([0, 1])
+>>> _correct.py_func(C, L, U, near.X_T, place, signs, both, x, mu), x.tolist(), mu.tolist()
+(True, [1.0, 0.5, 0.0], [2.0, 0.5])
+"""
+
+# The functions are compiled by numba, which infers their types.
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
+
+from __future__ import annotations
+
+import numpy as np
+
+from dpbench.qp.referee.joint import JointQP, Signs
+from dpbench.qp.referee.kernels import add_columns, inlined, kept
+from dpbench.qp.referee.kkt import Geometry, KKTSystem
+
+STEPS, MOST = 8, 12
+"""Exchanges, and rows other than those of W, beyond which the guess is given up: a library finds
+distant sets sooner. Between two steps of a loop one or two exchanges of few rows are made."""
+
+
+def nearby(problem: JointQP, geometry: Geometry, system: KKTSystem) -> Signs | None:
+    """The set at which the method ends, begun at that of a `proven` system; None if it fails."""
+    signs: Signs = np.zeros(len(problem.L), dtype=np.int8)
+    signs[system.rows] = system.signs
+    posed = problem.q, problem.L, problem.U, problem.C
+    return signs if _method(*posed, geometry.C_T, system.X_T, system.rows, signs) else None
+
+
+@inlined
+def _limit(L, U, signs, i):
+    """The limit a row is active at; 0 where it is not, for its equation then says nothing."""
+    return U[i] if signs[i] > 0 else L[i] if signs[i] < 0 else 0.0
+
+
+@inlined
+def _solve(S, b):
+    """b becomes S⁻¹ b by Gauss-Jordan elimination; False where S is singular."""
+    for k in range(len(b)):
+        best = k
+        for i in range(k + 1, len(b)):
+            if abs(S[i, k]) > abs(S[best, k]):
+                best = i
+        if S[best, k] == 0.0:
+            return False
+        for j in range(k, len(b)):
+            S[k, j], S[best, j] = S[best, j], S[k, j]
+        b[k], b[best] = b[best], b[k]
+        for i in range(len(b)):
+            share = S[i, k] / S[k, k] if i != k else 0.0
+            b[i] -= share * b[k]
+            for j in range(k, len(b)):
+                S[i, j] -= share * S[k, j]
+    for k in range(len(b)):
+        b[k] /= S[k, k]
+    return True
+
+
+@inlined
+def _correct(C, L, U, X_T, place, signs, changed, x, mu):
+    """x (n+w,) of W becomes that of the set `signs`, with mu (k,); False where it has none.
+
+    place (N,) : where the row's equation stands in K_W; −1 for a row that is not in W.
+    changed (k,) : the rows that are in W or in the set, but not in both.
+    """
+    B_T = np.zeros((len(mu), len(x)))
+    X_B, S = np.zeros_like(B_T), np.zeros((len(mu), len(mu)))
+    for k in range(len(mu)):
+        i = changed[k]
+        mu[k] = -_limit(L, U, signs, i)
+        if place[i] >= 0:
+            B_T[k, place[i]] = 1.0
+        else:
+            for j in range(C.shape[1]):
+                B_T[k, j] = C[i, j]
+        add_columns(X_T, B_T[k], X_B[k])
+        for j in range(len(x)):
+            mu[k] += B_T[k, j] * x[j]
+            for other in range(k + 1):
+                S[k, other] += B_T[k, j] * X_B[other, j]
+        for other in range(k):
+            S[other, k] = S[k, other]
+    if not _solve(S, mu):
+        return False
+    for k in range(len(mu)):
+        for j in range(len(x)):
+            x[j] -= mu[k] * X_B[k, j]
+    return True
+
+
+@inlined
+def _exchange(L, U, signs, place, changed, value, x, mu):
+    """Violated rows come, those with a multiplier of the wrong sign go; whether any did."""
+    multipliers = np.zeros(len(signs))
+    for i in range(len(signs)):
+        if place[i] >= 0:
+            multipliers[i] = x[place[i]]
+    for k in range(len(mu)):
+        if place[changed[k]] < 0:
+            multipliers[changed[k]] = mu[k]
+    moved = False
+    for i in range(len(signs)):
+        sign = signs[i]
+        if sign == 0:
+            sign = 1 if value[i] > U[i] else -1 if value[i] < L[i] else 0
+        elif L[i] != U[i] and not sign * multipliers[i] > 0.0:
+            sign = 0
+        moved |= sign != signs[i]
+        signs[i] = sign
+    return moved
+
+
+@kept
+def _method(q, L, U, C, C_T, X_T, rows, signs):
+    """Whether the method ends within `STEPS`; `signs` (N,), W before, becomes the set it is at."""
+    n, N = len(q), len(L)
+    place, changed = np.full(N, -1), np.zeros(N, dtype=np.int64)
+    for k in range(len(rows)):
+        place[rows[k]] = n + k
+    for _ in range(STEPS):
+        x, rhs, value, count = np.zeros(len(X_T)), np.zeros(len(X_T)), np.zeros(N), 0
+        for j in range(n):
+            rhs[j] = -q[j]
+        for i in range(N):
+            if place[i] >= 0:
+                rhs[place[i]] = _limit(L, U, signs, i)
+            if (place[i] >= 0) != (signs[i] != 0):
+                changed[count] = i
+                count += 1
+        add_columns(X_T, rhs, x)
+        mu = np.zeros(count)
+        if count > MOST or not _correct(C, L, U, X_T, place, signs, changed, x, mu):
+            return False
+        add_columns(C_T, x[:n], value)
+        if not _exchange(L, U, signs, place, changed, value, x, mu):
+            return True
+    return False
