@@ -151,6 +151,7 @@ class Referee:
         self._geometry = Geometry(self._C)
         self._systems: OrderedDict[bytes, KKTSystem] = OrderedDict()
         self._last: Signs = np.zeros(self._m + n, dtype=np.int8)
+        self._farkas: tuple[Vector, Vector] | None = None
         self._inverse: Matrix | None = None
         self._exact: ExactMatrices | None = None
         self._last_resort: LastResort | None = None
@@ -194,7 +195,7 @@ class Referee:
             return self._infeasible(problem) or self._nothing()
         proof = self._linear(problem, self._last) or self._near(problem)
         if proof is None or proof.bound > WANTED:
-            return self._search(problem)
+            return self._still_infeasible(problem) or self._search(problem)
         return self._optimum(proof)
 
     def _near(self, problem: JointQP) -> Proof | None:
@@ -325,7 +326,26 @@ class Referee:
     def _infeasible(self, problem: JointQP) -> Optimum | None:
         """The verdict "infeasible" or "undecided" with a verified vector, if there is one."""
         farkas = certify_infeasible(self._program(problem))
-        return None if farkas is None else self._refuted(problem, *farkas)
+        if farkas is None:
+            return None
+        self._farkas = farkas
+        return self._refuted(problem, *farkas)
+
+    def _still_infeasible(self, problem: JointQP) -> Optimum | None:
+        """The verdict "infeasible" by the vector of an earlier problem, where that is valid still.
+
+        What it leaves undecided at rounding is for a vector of the problem's own.
+        """
+        if self._farkas is None:
+            return None
+        both = np.concatenate(self._farkas)
+        used = np.flatnonzero(both)
+        limits = np.where(both > 0.0, problem.U, problem.L)[used]
+        # Most vectors of another step are seen to prove nothing before they are tried exactly.
+        if not both[used] @ limits < 0.0 or not farkas_valid(self._program(problem), *self._farkas):
+            return None
+        verdict = self._refuted(problem, *self._farkas)
+        return verdict if verdict.kind == "infeasible" else None
 
     def _refuted(self, problem: JointQP, y: Vector, y_box: Vector) -> Optimum:
         """The verdict on a problem that (y, y_box) proves to have no feasible point."""

@@ -10,7 +10,9 @@ A feasible z would give 0 = zᵀ(Aᵀy + y_box) ≤ the sum on the left of "< 0"
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from fractions import Fraction
+from itertools import chain
 from math import lcm
 
 import numpy as np
@@ -104,24 +106,22 @@ def certify_infeasible(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
 
 def first_valid(qp: QuadraticProgram, both: Vector) -> tuple[Vector, Vector] | None:
     """A valid Farkas vector (y, y_box) near the one in `both` (m + n,), if there is one."""
-    for y in (both[: qp.m], *_fractions(both[: qp.m])):
+    for y in chain((both[: qp.m],), _fractions(both[: qp.m])):
         y_box = -(y @ qp.A)
         if farkas_valid(qp, y, y_box):
             return y, y_box
     return None
 
 
-def _fractions(vector: Vector) -> list[Vector]:
-    """Integer vectors near multiples of `vector`."""
+def _fractions(vector: Vector) -> Iterator[Vector]:
+    """Integer vectors near multiples of `vector`; lazily, for they take far longer than a proof."""
     size = float(np.abs(vector).max(initial=0.0))
     smallest = float(np.abs(vector[np.abs(vector) > 1e-7 * size]).min(initial=size))
-    vectors = []
     for unit in {size, smallest} - {0.0}:
         for limit in DENOMINATORS:
             whole = in_integers(vector / unit, limit)
             if whole is not None:
-                vectors.append(whole)
-    return vectors
+                yield whole
 
 
 def in_integers(vector: Vector, denominator: int) -> Vector | None:
@@ -170,5 +170,5 @@ def certify_unbounded(qp: QuadraticProgram) -> Vector | None:
     )
     if answer.x is None or answer.fun is None or not answer.fun < 0.0:
         return None
-    candidates = (answer.x, *_fractions(answer.x))
+    candidates = chain((answer.x,), _fractions(answer.x))
     return next((d for d in candidates if unbounded_valid(qp, d)), None)
