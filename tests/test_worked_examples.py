@@ -18,6 +18,8 @@ EXPLAINED = sorted(
     if "\n>>> " in path.read_text(encoding="utf-8")
 )
 HARD = {
+    "dpbench.qp.referee.kernels",
+    "dpbench.qp.referee.nearby",
     "dpbench.qp.referee.rational",
     "dpbench.qp.referee.referee",
     "dpbench.ship.estimation.kalman",

@@ -8,13 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpbench.qp.program import QuadraticProgram
+from dpbench.qp.referee import referee
 from dpbench.qp.referee.feasibility.farkas import (
     certify_infeasible,
     certify_unbounded,
     farkas_valid,
     unbounded_valid,
 )
-from dpbench.qp.referee.referee import certify, claim_is_true, error_of
+from dpbench.qp.referee.referee import Referee, certify, claim_is_true, error_of
 from dpbench.qp.solution import Solution, Status
 
 INF = np.inf
@@ -178,3 +179,64 @@ def test_unbounded_problems() -> None:
     assert certify_unbounded(closed) is None
     assert not unbounded_valid(closed, np.array([0.0, 3.0, 1.0]))
     assert not _claim(closed, Status.DUAL_INFEASIBLE)
+
+
+def _opposed(excess: float) -> tuple[np.ndarray, np.ndarray]:
+    """l and u of z_1 + z_2 ≤ 1, z_1 + z_2 ≥ 1 + excess and a row that moves with it."""
+    return np.array([-INF, 1.0 + excess, -INF]), np.array([1.0, INF, 9.0 + excess])
+
+
+OPPOSED = (
+    np.eye(2),
+    np.array([[1.0, 1.0], [1.0, 1.0], [1.0, -1.0]]),
+    np.full(2, -4.0),
+    np.full(2, 4.0),
+)
+
+
+def test_the_vector_of_an_earlier_problem_is_tried_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Along drifting limits one linear program proves all; each proof is valid for its problem."""
+    asked = 0
+
+    def count(qp: QuadraticProgram) -> object:
+        nonlocal asked
+        asked += 1
+        return certify_infeasible(qp)
+
+    monkeypatch.setattr(referee, "certify_infeasible", count)
+    steady, q = Referee(*OPPOSED), np.array([-3.0, 0.5])
+    for excess in (0.5, 0.25, -0.25, 1.0, 2.0):
+        l, u = _opposed(excess)  # noqa: E741 - as in QuadraticProgram
+        optimum = steady.certify(q, l, u)
+        assert optimum.kind == ("infeasible" if excess > 0.0 else "linear")
+        if excess > 0.0:
+            qp = QuadraticProgram(OPPOSED[0], q, OPPOSED[1], l, u, *OPPOSED[2:])
+            assert farkas_valid(qp, optimum.y, optimum.y_box)
+    assert asked == 1
+
+
+@pytest.mark.parametrize("excess", [2.0**-52, 1e-12, 0.0, -1e-12])
+def test_an_earlier_vector_changes_no_verdict(excess: float) -> None:
+    """At rounding a referee that has seen a clearly infeasible problem says what a new one says."""
+    q = np.array([-3.0, 0.5])
+    seasoned, fresh = Referee(*OPPOSED), Referee(*OPPOSED)
+    assert seasoned.certify(q, *_opposed(0.5)).kind == "infeasible"
+    later, known = seasoned.certify(q, *_opposed(excess)), fresh.certify(q, *_opposed(excess))
+    assert later.kind == known.kind
+    assert np.array_equal(later.z, known.z, equal_nan=True) or later.bound < 1e-9
+
+
+@settings(max_examples=60, derandomize=True, deadline=None)
+@given(seeds, st.integers(1, 5), st.integers(2, 6), st.booleans())
+def test_an_earlier_vector_proves_no_other_problem(seed: int, n: int, m: int, boxed: bool) -> None:
+    """With limits moved about at random the verdicts are those of a new referee each."""
+    rng = np.random.default_rng(seed)
+    qp, _ = _infeasible(seed, n, m, boxed)
+    seasoned = Referee(qp.P, qp.A, qp.lb, qp.ub)
+    assert seasoned.certify(qp.q, qp.l, qp.u).kind == "infeasible"
+    for _ in range(3):
+        shift = rng.integers(-8, 9, m) / 4
+        l, u = qp.l + np.minimum(shift, 0.0), qp.u + np.maximum(shift, 0.0)  # noqa: E741 - as above
+        later = seasoned.certify(qp.q, l, u)
+        known = Referee(qp.P, qp.A, qp.lb, qp.ub).certify(qp.q, l, u)
+        assert (later.kind == "infeasible") is (known.kind == "infeasible")

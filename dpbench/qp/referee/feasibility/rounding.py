@@ -111,9 +111,10 @@ def _reach(C: Matrix, limits: Matrix, gamma: float) -> Vector:
     for j, column in enumerate(C.T):
         mentions = column > 0.0
         distance = limits[:, mentions] / column[mentions]
-        distance = distance[distance > 0.0]
+        distance = np.sort(distance[distance > 0.0])
         if len(distance):
-            reach[j] = distance[distance > gamma * np.median(distance)].min()
+            median = 0.5 * (distance[(len(distance) - 1) // 2] + distance[len(distance) // 2])
+            reach[j] = distance[distance.searchsorted(gamma * median, side="right")]
     return reach
 
 
