@@ -186,7 +186,8 @@ class Referee:
 
     def certify(self, q: Vector, l: Vector, u: Vector) -> Optimum:  # noqa: E741 - as in QuadraticProgram
         """The optimum of the problem with these vectors; (n,), (m,), (m,)."""
-        L, U = np.concatenate((l, self._lb)), np.concatenate((u, self._ub))
+        # Kernels are compiled for arrays that may be written to, whatever memory q lies in.
+        q, L, U = q.copy(), np.concatenate((l, self._lb)), np.concatenate((u, self._ub))
         limits = meaning(q, L, U)
         if limits == MEANINGLESS or not self._finite:
             return self._nothing()

@@ -204,3 +204,15 @@ def test_sets_that_change_by_little_need_no_guesser(monkeypatch: pytest.MonkeyPa
         assert optimum.kind == "linear" and optimum.bound <= 1e-15
         sets.add(np.sign(optimum.y_box).tobytes())
     assert len(sets) >= 10
+
+
+def test_any_memory_of_the_vectors_is_taken() -> None:
+    """Vectors that may not be written to, or are every second number of others, compile nothing."""
+    P, none, ones = np.eye(3), np.zeros((0, 3)), np.ones(3)
+    plain = Referee(P, none, -ones, ones).certify(np.array([-2.0, 0.5, 0.0]), ones[:0], ones[:0])
+    compiled = len(meaning.signatures), len(linear_kernel.signatures)
+    q = np.array([-2.0, 9.0, 0.5, 9.0, 0.0, 9.0])
+    q.setflags(write=False)
+    strided = Referee(P, none, -ones, ones).certify(q[::2], ones[:0], ones[:0])
+    assert (strided.z == plain.z).all() and strided.kind == plain.kind == "linear"
+    assert compiled == (len(meaning.signatures), len(linear_kernel.signatures))
