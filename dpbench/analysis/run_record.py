@@ -71,7 +71,9 @@ class RunRecord:
     error_plan_max: float
     uncertified: Count
     undecided_steps: Count
+    infeasible_steps: Count
     failed_steps: Count
+    iterations_max: float
     # timing: `TIMING_COLUMNS`
     rounds: Count
     disturbed_rounds: Count

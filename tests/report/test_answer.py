@@ -45,13 +45,22 @@ def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
     page, text = _plain(written.html), written.markdown
     terminal = "\n".join(said for _, said in written.lines)
     by_step = rounded_down(chosen.slowdown(demand))
-    by_sample = rounded_down(chosen.raw_slowdown(demand))
+    runs = written.results.runs
+    runs = runs[(runs["solver"] == "daqp") & (runs["route"] == "qpsolvers")]
+    runs = runs[(runs["policy"] == "fresh") & (runs["settings"] == "default")]
+    largest = runs["raw_max_ns"].max()
+    loops = runs[(runs["mode"] == "closed_loop") & (runs["units"] == "scaled")]
+    hardest = loops.loc[loops["raw_p50_ns"].idxmax()]
     for said in (page, text, terminal):
         assert "Use daqp (qpsolvers, fresh, default): right on every step of 4 closed loops" in said
         assert f"p99 {time_text(chosen.p99_ns)}" in said
         assert error_text(chosen.error_move) in said
-        assert f"A computer {by_step} times slower" in said
-        assert f"{by_sample} times by its largest sample" in said
+        slowest = rounded_down(demand.deadline_ns / largest)
+        assert f"Allow for a computer up to × {slowest}: " in said
+        assert f"its largest single sample, {time_text(largest)} in " in said
+        assert f"by its largest replayed step × {by_step}." in said
+        assert f"hardest loop: {hardest['scenario']}, " in said
+        assert f"median {time_text(hardest['raw_p50_ns'])})" in said
     assert "native warm" not in terminal, "a way that was replayed alone is not recommended"
 
 
@@ -109,8 +118,10 @@ def test_a_chip_says_how_other_ways_did_where_the_first_was_not_run(records: Any
     records.loop("osqp", "paper", units="si")
     answer = _answer(records)
     assert answer.first is not None and answer.first.policy == "warm"
-    said = next(chip for chip in answer.chips if "SI" in chip.text)
-    assert said.text == "paper (SI units): not run; qpsolvers fresh held; native reuse missed"
+    said = next(chip for chip in answer.chips if "N·m" in chip.text)
+    assert said.text == (
+        "paper (in N and N·m): qpsolvers fresh held; native reuse missed; this way not run"
+    )
     assert said.mark == "none"
 
 

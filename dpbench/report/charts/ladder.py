@@ -30,21 +30,35 @@ LOWEST_MS = 1e-3
 """Left end of the axis."""
 
 
-def ladder(table: pd.DataFrame, deadline_ms: float, *, slow: float = 1.0) -> Any:
+_CLOSE = "replace(replace(datum.label, ' (', ', '), ')', '')"
+"""A name that leaves the bars more room."""
+
+
+def _outcome(deadline_ms: float, p99_ms: float) -> str:
+    """What the demand finds on the slower computer, as an expression: a largest step beyond the
+    deadline or a p99 beyond its limit misses; without a p99 it is open."""
+    late = f"datum.max_ms * slow > {deadline_ms} || datum.p99_ms * slow > {p99_ms}"
+    unknown = f"!isValid(datum.p99_ms) && datum.max_ms * slow > {p99_ms} && slow > 1"
+    later = f"({late}) ? 'misses' : ({unknown}) ? 'open' : datum.outcome"
+    return f"datum.outcome == 'meets' || datum.outcome == 'open' ? ({later}) : datum.outcome"
+
+
+def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float, *, slow: float = 1.0) -> Any:
     """A row per solver: bar from p50 to p99, line on to the largest step, whisker to the largest
     sample, where that is the longer one.
 
-    The parameter `slow` of the chart scales all but that whisker, which is this machine's; with
-    `narrow` the names stand without their way; clicking sets `pick`.
+    The parameter `slow` of the chart scales all but that whisker, which is this machine's, and the
+    colours say what the demand finds then; with `narrow` names stand closer; clicking sets `pick`.
 
     Parameters
     ----------
     table : columns `COLUMNS`, the first row on top.
+    p99_ms : what the demand allows.
     """
     order = table["label"].tolist()
     factor = alt.param(name="slow", value=slow)
     pick = picking("id")
-    names = alt.Axis(labelLimit=260, labelExpr="narrow ? split(datum.label, ' (')[0] : datum.label")
+    names = alt.Axis(labelLimit=260, labelExpr=f"narrow ? {_CLOSE} : datum.label")
     base = (
         alt.Chart(table)
         .transform_calculate(
@@ -53,6 +67,9 @@ def ladder(table: pd.DataFrame, deadline_ms: float, *, slow: float = 1.0) -> Any
             m="datum.max_ms * slow",
             called="datum.p50_ms * datum.share * slow",
             left=f"{LOWEST_MS}",
+            now=_outcome(deadline_ms, p99_ms),
+            computer="'× ' + format(slow, '.3~g')",
+            sample="slow > 1 ? 'not scaled' : format(datum.raw_max_ms, '.3~g')",
         )
         .encode(y=alt.Y("label:N", sort=order, title=None, axis=names))
     )
@@ -66,20 +83,21 @@ def ladder(table: pd.DataFrame, deadline_ms: float, *, slow: float = 1.0) -> Any
         ),
     )
     columns = alt.ExprRef("narrow ? 2 : 4")
-    colour = coloured("outcome", OUTCOMES, OUTCOME_COLOURS, title="demand", columns=columns)
-    shape = alt.Shape("outcome:N", scale=names_scale(OUTCOMES, OUTCOME_SHAPES))
+    colour = coloured("now", OUTCOMES, OUTCOME_COLOURS, title="demand", columns=columns)
+    shape = alt.Shape("now:N", scale=names_scale(OUTCOMES, OUTCOME_SHAPES))
     tips = [
         alt.Tooltip("label:N", title="configuration"),
-        alt.Tooltip("outcome:N", title="demand"),
+        alt.Tooltip("computer:N", title="computer slower"),
+        alt.Tooltip("now:N", title="demand there"),
         *(
             tip(f"{name}:Q", f"{title} [ms]", 3)
             for name, title in (
                 ("a", "p50"),
                 ("c", "p99"),
                 ("m", "largest step"),
-                ("raw_max_ms", "largest sample"),
             )
         ),
+        alt.Tooltip("sample:N", title="largest sample [ms]"),
     ]
     rows = base.mark_rule(strokeWidth=22, opacity=0.0).encode(
         x=alt.value(0), x2=alt.value("width"), tooltip=tips

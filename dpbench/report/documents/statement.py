@@ -21,7 +21,8 @@ from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.revision import revision_text
 from dpbench.errors import InputError
 from dpbench.report.charts.style import INK, LINE, SOFT
-from dpbench.report.formats import error_text, plural, rounded_down, time_text
+from dpbench.report.formats import error_text, plural, time_text
+from dpbench.report.page.answer import slower_text
 from dpbench.report.page.facts import Facts
 from dpbench.report.verdict_text import aboard, demand_text
 from dpbench.solvers.settings import level_options
@@ -99,11 +100,7 @@ def _lines(folder: Path, results: Results, facts: Facts, chosen: Verdict) -> lis
             f"{time_text(chosen.algo_max_ns)}, largest single sample "
             f"{time_text(chosen.raw_max_ns)}."
         ),
-        *_wrapped(
-            f"A computer {rounded_down(chosen.slowdown(facts.demand))} times slower would still "
-            "make the deadline by the largest step, "
-            f"{rounded_down(chosen.raw_slowdown(facts.demand))} times by the largest sample."
-        ),
+        *_wrapped(slower_text(facts, chosen)),
         *_section("Valid for"),
         *_wrapped(_ships(facts)),
         *_wrapped(f"Runs: {_places(facts, chosen)}."),

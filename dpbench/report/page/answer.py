@@ -13,7 +13,7 @@ from dpbench.analysis.times.pairs import paired_comparison
 from dpbench.analysis.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
 from dpbench.errors import InputError
-from dpbench.report.formats import and_list, error_text, rounded_down, time_text
+from dpbench.report.formats import and_list, error_text, plural, rounded_down, time_text
 from dpbench.report.page.facts import Facts
 from dpbench.report.verdict_text import (
     NOBODY,
@@ -108,8 +108,8 @@ def _sentence(facts: Facts, found: Recommendation) -> str:
     left_open = "" if chosen.outcome == "meets" else f"; {_plain(clauses(chosen.missing))}"
     return (
         f"{head} {c.solver} ({c.route}, {c.policy}, {c.settings}): right on every step of "
-        f"{judged_on(chosen)}, {usual_time(chosen)}, largest error of the first move "
-        f"{error_text(chosen.error_move)}{left_open}."
+        f"{judged_on(chosen)}, {usual_time(chosen)}{_hardest(facts, chosen)}, largest error of the "
+        f"first move {error_text(chosen.error_move)}{left_open}."
     )
 
 
@@ -134,12 +134,7 @@ def _notes(facts: Facts, found: Recommendation) -> Iterator[tuple[str, str]]:
     if chosen is None:
         return
     yield "aboard", aboard(chosen.configuration.solver)
-    yield (
-        "slower",
-        f"A computer {rounded_down(chosen.slowdown(facts.demand))} times slower still makes the "
-        f"deadline by its largest step, {rounded_down(chosen.raw_slowdown(facts.demand))} times "
-        "by its largest sample on this machine." + _in_loops(facts, chosen.configuration),
-    )
+    yield "slower", slower_text(facts, chosen)
     if found.faster is not None:
         label = found.faster.configuration.label
         yield "faster", f"{label} is faster, and is not the answer: {found.because}."
@@ -149,21 +144,32 @@ def _notes(facts: Facts, found: Recommendation) -> Iterator[tuple[str, str]]:
         yield "next", f"Next: {label}, {time}, {beside}."
 
 
-def _in_loops(facts: Facts, chosen: Configuration) -> str:
-    """The largest sample of its closed loops: harder QPs than those replayed, not timed alone."""
-    c = facts.index(chosen)
-    loops = [
-        run
-        for (d, p), run in facts.runs.items()
-        if d == c and facts.places[p].mode == "closed_loop" and not isnan(run.raw_max_ns)
-    ]
-    if not loops:
-        return ""
-    worst = max(loops, key=lambda run: run.raw_max_ns)
+def slower_text(facts: Facts, chosen: Verdict) -> str:
+    """How slow a computer may be: by the largest sample of everything the configuration ran, then
+    by the largest step of its replays."""
+    by_step = rounded_down(chosen.slowdown(facts.demand))
+    largest = facts.longest_sample(chosen.configuration)
+    if largest is None:
+        return f"Allow for a computer up to × {by_step}, by its largest replayed step."
+    place, run = largest
     return (
-        f" In its closed loops, which are not timed alone, the largest sample is "
-        f"{time_text(worst.raw_max_ns)}, in {worst.scenario}."
+        f"Allow for a computer up to × {rounded_down(facts.demand.deadline_ns / run.raw_max_ns)}: "
+        f"its largest single sample, {time_text(run.raw_max_ns)} in {place.label}; by its largest "
+        f"replayed step × {by_step}."
     )
+
+
+def _hardest(facts: Facts, chosen: Verdict) -> str:
+    """The closed loop that took longest in the median: its QPs may be harder than those
+    replayed."""
+    hardest = facts.hardest_loop(chosen.configuration)
+    if hardest is None:
+        return ""
+    place, run = hardest
+    iterations = (
+        "" if isnan(run.iterations_max) else f"up to {plural(run.iterations_max, 'iteration')}, "
+    )
+    return f" (hardest loop: {place.label}, {iterations}median {time_text(run.raw_p50_ns)})"
 
 
 def _chips(facts: Facts, first: Configuration | None) -> list[Chip]:
@@ -175,7 +181,7 @@ def _chips(facts: Facts, first: Configuration | None) -> list[Chip]:
     counted = {s for s in counts if len(states) > MOST_CHIPS and counts[s] > FEW}
     marks = {state: "none" if state == "not run" else state for state in states}
     named = [
-        Chip(f"{place.label}: {_STATES[state]}{_otherwise(facts, first, p)}", marks[state])
+        Chip(f"{place.label}: {_otherwise(facts, first, p)}{_STATES[state]}", marks[state])
         for p, (place, state) in enumerate(zip(facts.places, states, strict=True))
         if state not in counted
     ]
@@ -198,11 +204,12 @@ def _otherwise(facts: Facts, chosen: Configuration, p: int) -> str:
     for c, other in enumerate(facts.configurations):
         if (other.solver, other.settings) == (chosen.solver, chosen.settings):
             ways.setdefault(facts.state(c, p), []).append(f"{other.route} {other.policy}")
-    return "".join(
-        f"; {and_list(names)} {_STATES[state]}"
+    others = [
+        f"{and_list(names)} {_STATES[state]}; "
         for state, names in ways.items()
         if state != "not run"
-    )
+    ]
+    return "".join([*others, "this way "]) if others else ""
 
 
 def _snippets(c: Configuration) -> Iterator[tuple[str, str]]:

@@ -10,7 +10,7 @@ The page refers to a configuration and a place by their position in these lists.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -54,7 +54,7 @@ class Place:
     def label(self) -> str:
         """As it is called on the page."""
         extra = ["replay"] if self.mode == "replay" else []
-        extra += ["SI units"] if self.units == "si" else []
+        extra += ["in N and N·m"] if self.units == "si" else []
         extra += [f"computer × {self.slowdown:g}"] if self.slowdown > 0 else []
         extra += [self.formulation.replace("_", " ")] if self.formulation else []
         return self.name + (f" ({', '.join(extra)})" if extra else "")
@@ -137,6 +137,29 @@ class Facts:
         wanted = Place("replay", verdict.timed_on, "scaled")
         return self.places.index(wanted) if wanted in self.places else None
 
+    def longest_sample(self, configuration: Configuration) -> tuple[Place, RunRecord] | None:
+        """The run with its largest single sample, of everything it ran: loops and replays alike;
+        None where none left a sample."""
+        return self._largest(configuration, "raw_max_ns", lambda _: True)
+
+    def hardest_loop(self, configuration: Configuration) -> tuple[Place, RunRecord] | None:
+        """The judged closed loop with its largest median of samples; None where none left any."""
+        return self._largest(
+            configuration, "raw_p50_ns", lambda p: p.mode == "closed_loop" and p.units == "scaled"
+        )
+
+    def _largest(
+        self, configuration: Configuration, column: str, wanted: Callable[[Place], bool]
+    ) -> tuple[Place, RunRecord] | None:
+        known = [
+            (self.places[p], run)
+            for (c, p), run in self.runs.items()
+            if self.configurations[c] == configuration
+            and wanted(self.places[p])
+            and not math.isnan(getattr(run, column))
+        ]
+        return max(known, key=lambda one: float(getattr(one[1], column)), default=None)
+
     def index(self, configuration: Configuration) -> int:
         """The number of a configuration; −1 for one that was not run."""
         known = self.configurations
@@ -167,6 +190,8 @@ class Facts:
             "state": self.state(c, p),
             "outcome": run.outcome,
             "why": run.outcome_detail[:200],
+            "infeasible": number(run.infeasible_steps),
+            "all_true": run.true_share == 1.0,
             "steps": run.steps_done,
             "planned": run.steps_planned,
             "error": number(run.error_move_max),

@@ -153,9 +153,12 @@ def ladder_table(facts: Facts, calling_ns: float) -> pd.DataFrame:
 
 
 def matrix_table(facts: Facts) -> pd.DataFrame:
-    """Solver × place × settings, of each solver in the way of its reference."""
+    """Solver × place × settings, of each solver in the way that the ladder shows, so that of the
+    answer these are the tiles of what is recommended."""
+    best = {v.configuration.solver: v.configuration for v in best_of_each(facts.verdicts)}
     rows = []
-    for own in facts.references:
+    for reference in facts.references:
+        own = best.get(reference.solver, reference)
         for level in facts.levels:
             wanted = replace(own, settings=level)
             for p, place in enumerate(facts.places):

@@ -161,7 +161,7 @@ def charts_of(facts: Facts, calling_ns: float) -> dict[str, Any]:
     charts: dict[str, Any] = {}
     timed = ladder_table(facts, calling_ns)
     if len(timed):
-        charts["ladder"] = ladder(timed, facts.demand.deadline_ms)
+        charts["ladder"] = ladder(timed, facts.demand.deadline_ms, facts.demand.p99_ms)
     tiles = matrix_table(facts)
     if len(tiles):
         charts["matrix"] = matrix(tiles)
@@ -238,7 +238,11 @@ def _document(
         "cells": columns_of(cells),
         "flags": FLAGS,
         "most_across": MOST_ACROSS,
-        "demand": facts.demand.error_move,
+        "demand": {
+            "error_move": facts.demand.error_move,
+            "deadline_ms": facts.demand.deadline_ms,
+            "p99_ms": facts.demand.p99_ms,
+        },
         "charts": _specifications(charts),
         "answer": _opening(facts, results, answer),
         "paired": _paired(facts),
@@ -312,8 +316,8 @@ def _solver(name: str) -> dict[str, str]:
 
 
 MATRIX = (
-    "Each solver in the way it is judged by. A tile is what that run alone says of the demand; "
-    "open: not everything was run or could be judged. SI units are a trial outside the verdict."
+    "A tile is what that run alone says of the demand; open: not everything was run or could be "
+    "judged. N and N·m are a trial outside the verdict."
 )
 
 

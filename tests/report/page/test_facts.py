@@ -34,7 +34,7 @@ def test_places_come_scenarios_first_and_si_last(records: Any) -> None:
     assert [place.label for place in facts.places] == [
         "calm",
         "paper",
-        "rough (SI units)",
+        "rough (in N and N·m)",
         "calm (replay)",
     ]
     assert [configuration.solver for configuration in facts.configurations] == ["daqp"]
@@ -66,7 +66,7 @@ def test_si_units_are_a_place_and_no_configuration(records: Any) -> None:
     facts = _facts(records)
     assert len(facts.configurations) == 1
     assert _state(facts, "daqp", "paper") == "meets"
-    assert _state(facts, "daqp", "paper (SI units)") == "misses"
+    assert _state(facts, "daqp", "paper (in N and N·m)") == "misses"
 
 
 def test_of_two_runs_in_one_place_the_longer_counts(records: Any) -> None:

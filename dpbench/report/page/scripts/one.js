@@ -46,7 +46,7 @@ function referenceOf(p) {
 
 // On how many steps the first move is farther off than the demand allows.
 function over(run) {
-  return run.t == null ? "–" : array(run.e).filter((e) => e > facts.demand).length;
+  return run.t == null ? "–" : array(run.e).filter((e) => e > facts.demand.error_move).length;
 }
 
 async function drawOne() {
@@ -68,7 +68,8 @@ async function drawOne() {
     + `${figure(run.untrue)}; failed on ${figure(run.failed)}.`,
     run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the exactly solved loop`
       + `${run.settle_s === null || run.settle_s === "inf" ? "." : ` and settled within 1 m and 1° at ${figure(run.settle_s)} s.`}`,
-    run.why ? `${run.outcome}: ${run.why}.` : "",
+    run.infeasible > 0 ? `${run.infeasible} of the steps had no solution${run.all_true ? ", and it said so" : ""}.` : "",
+    run.why && run.state !== "meets" ? `${run.outcome}: ${run.why}.` : "",
     `Over the whole run: ${C().outcome[state.c]}${C().why[state.c] ? ` (${C().why[state.c]})` : ""}.`,
     solver.method ? `Method: ${solver.method}.` : "",
   ].filter(Boolean).join(" ").replaceAll("`", "");

@@ -1,18 +1,20 @@
 // What follows from a change of the selection, what listens to the reader, and the start.
 "use strict";
 
-// How many of the ladder still make the deadline on the slower computer, by their largest step.
+// A few names; of many none.
+const few = (rows) => (rows.length && rows.length <= 6 ? `: ${rows.map((row) => row.solver).join(", ")}` : "");
+
+// How many of the ladder still make the deadline on the slower computer, by their largest step, and
+// how many of those meet the whole demand there.
 function kept() {
-  const sets = facts.charts.ladder.data.filter((data) => data.values?.length).map((data) => data.values);
-  const rows = sets.find((values) => "max_ms" in values[0]);
-  const { deadline } = sets.find((values) => "deadline" in values[0])[0];
-  const within = rows.filter((row) => row.max_ms * state.slow <= deadline);
-  const named = within.length && within.length <= 8 && within.length < rows.length
-    ? `: ${within.map((row) => row.solver).join(", ")}` : "";
-  const meet = within.filter((row) => row.outcome === "meets").length;
-  const samples = state.slow > 1 ? "; single samples are not shown here" : "";
-  return `${within.length} of ${rows.length} keep the deadline by their largest step${named}; `
-    + `${meet} of them meet the demand${samples}`;
+  const rows = rowsDrawn("ladder").values, { deadline_ms, p99_ms } = facts.demand;
+  const within = rows.filter((row) => row.max_ms * state.slow <= deadline_ms);
+  const out = rows.filter((row) => !within.includes(row));
+  const meet = within.filter((row) => row.outcome === "meets"
+    && (row.p99_ms ?? row.max_ms) * state.slow <= p99_ms);
+  return `${within.length} of ${rows.length} keep ${deadline_ms} ms by their largest step${
+    few(within) || (few(out) && ` (not${few(out)})`)}; ${meet.length} also the demand and its p99 of ${
+    p99_ms} ms${few(meet)}`;
 }
 
 // How the chosen one's times compare with those of the answer.
@@ -38,7 +40,7 @@ async function draw(changed = ["slow", "c", "p", "b", "k"]) {
       state.k === null ? "" : `, k ${state.k}`}`;
   if (touched("c", "p")) glow($("chosen"));
   if (touched("slow") && $("slow")) {
-    $("slow-said").textContent = `× ${figure(state.slow)}`;
+    $("slow-said").value = figure(state.slow);
     $("slow").value = String(Math.log10(state.slow));
     $("slow-kept").textContent = kept();
     await signal("ladder", { slow: state.slow });
@@ -89,6 +91,7 @@ function listen() {
   $("matrix-way")?.addEventListener("change", drawMatrix);
   $("choose-other")?.addEventListener("change", (e) => select({ b: Number(e.target.value) }));
   $("slow")?.addEventListener("input", (e) => select({ slow: 10 ** Number(e.target.value) }));
+  $("slow-said")?.addEventListener("change", (e) => select({ slow: atMost(e.target.value) }));
   $("percentile")?.addEventListener("change", (e) => signal("accuracy", { percentile: e.target.value }));
   for (const button of document.querySelectorAll("[data-copy]")) {
     button.addEventListener("click", () => copy(button, $(button.dataset.copy)));

@@ -42,6 +42,9 @@ function cell(c, p) {
     Object.entries(facts.cells).map(([name, column]) => [name, column[i]]));
 }
 
+// A slow-down that the slider can show.
+const atMost = (text) => Math.min(1e4, Math.max(1, Number(text) || 1));
+
 function read() {
   if (!count()) { Object.assign(state, { c: null, p: 0, k: null, slow: 1, b: null }); return; }
   const asked = new URLSearchParams(location.hash.slice(1));
@@ -55,7 +58,7 @@ function read() {
   }
   const [bs, bw, bset] = (asked.get("b") ?? "").split("~");
   const b = configuration(bs, bw, bset) ?? null;
-  const slow = Math.min(1e4, Math.max(1, Number(asked.get("slow")) || 1));
+  const slow = atMost(asked.get("slow"));
   const k = asked.get("k") ? Number(asked.get("k")) : asked.has("s") ? null : facts.answer.k;
   Object.assign(state, { c, p: Math.max(0, p), k: Number.isInteger(k) ? k : null, slow, b });
 }
