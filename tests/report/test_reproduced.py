@@ -52,9 +52,12 @@ def test_claims_of_the_paper_case(records: Any) -> None:
 def test_rows_that_contradict_are_believed(
     records: Any, column: str, value: float, claim: str
 ) -> None:
-    """When the clipped law is the better one in the rows, the claim is not reproduced."""
+    """When the clipped law is the better one in the rows, the opposite of the claim is found."""
     _pair(records, **{column: value})
-    assert _states(records)[claim] == "not reproduced"
+    assert _states(records)[claim] == "opposite"
+    topic = paper_topic(records.view())
+    assert topic is not None and "; the opposite: “" in topic.lines[0]
+    assert f"“{claim}”" in topic.lines[0].split("the opposite: ")[1]
 
 
 @pytest.mark.parametrize(
@@ -164,4 +167,6 @@ def test_the_topic_counts_what_is_reproduced(records: Any) -> None:
     assert topic.lines[0].startswith(f"{held} of {len(measured)} claims")
     assert [row[2] for row in topic.tables[0].rows] == states
     for claim, state in _states(records).items():
-        assert (claim.replace("`", "") in topic.lines[0]) == (state == "not reproduced")
+        assert (claim.replace("`", "") in topic.lines[0]) == (
+            state in ("not reproduced", "opposite")
+        )

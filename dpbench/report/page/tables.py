@@ -20,6 +20,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "algo_p50_ns",
         "algo_p99_ns",
         "algo_max_ns",
+        "raw_p50_ns",
         "raw_max_ns",
         "raw_samples",
         "rounds",
@@ -68,6 +69,7 @@ TIMES = {
     "algo_p50_ns": "p50",
     "algo_p99_ns": "p99",
     "algo_max_ns": "largest step",
+    "raw_p50_ns": "p50 of samples",
     "raw_max_ns": "largest sample",
 }
 """Columns of times that the page has words for."""

@@ -45,6 +45,7 @@ from dpbench.report.charts.style import (
     PAPER,
     SOFT,
 )
+from dpbench.report.glossary import meanings
 from dpbench.report.glossary import topics as glossary
 from dpbench.report.page.answer import Answer
 from dpbench.report.page.cite import software
@@ -134,7 +135,8 @@ def page_html(
         files=_files(folder),
         kinds=[kind for kind in FORMATS[1:] if any((folder / "figures").glob(f"*.{kind}"))],
         cite=software(results),
-        words=glossary()["Solvers and how they are run"],
+        words={term: meanings()[term] for term in WORDS}
+        | glossary()["Solvers and how they are run"],
         footer=_footer(results),
         block=block,
         scripts=[
@@ -146,6 +148,11 @@ def page_html(
 
 SCRIPTS = ("common", "selection", "figures", "one", "two", "table", "page")
 """Of the page, in the order they are loaded; the last one starts."""
+WORDS = (
+    *("demand", "closed loop", "replay", "sample", "step", "round", "p50, p95, p99", "move"),
+    *("rate limit", "rate-limit step", "certified optimum", "fallback", "failed step", "interval"),
+)
+"""Of the glossary what the page says of any solver, before the words on how they are run."""
 _CHART_OF = {"two": "pairs"}
 LIVE = ("one", "two")
 """Sections that scripts alone can fill."""

@@ -18,7 +18,7 @@ from dpbench.analysis.run_record import RunRecord
 from dpbench.report.formats import count_text, plural, seconds_text, share_text, significant
 from dpbench.scenario.scenario import Scenario, load_scenario
 
-State = Literal["reproduced", "not reproduced", "not measured"]
+State = Literal["reproduced", "not reproduced", "opposite", "not measured"]
 
 OF_PAPER = ("paper", "paper_tight")
 """Scenarios that restate the paper's case."""
@@ -96,7 +96,19 @@ def claims(view: Records) -> list[Claim]:
     ]
 
 
-Finding = tuple[str, bool]
+Finding = tuple[str, State]
+
+
+def _state(holds: bool) -> State:
+    return "reproduced" if holds else "not reproduced"
+
+
+def _less(constrained: float, clipped: float, margin: float = 0.0) -> State:
+    """Whether the constrained law has the smaller figure, by more than a share of the larger; the
+    opposite where the clipped one has."""
+    if constrained < (1.0 - margin) * clipped:
+        return "reproduced"
+    return "opposite" if clipped < (1.0 - margin) * constrained else "not reproduced"
 
 
 def _alone(pair: Pair, claim: str, find: Callable[[RunRecord], Finding]) -> Claim:
@@ -104,8 +116,7 @@ def _alone(pair: Pair, claim: str, find: Callable[[RunRecord], Finding]) -> Clai
         return Claim(claim, "no complete closed loop of this scenario", "not measured")
     if short := pair.short(pair.constrained):
         return Claim(claim, short, "not measured")
-    found, holds = find(pair.constrained)
-    return Claim(claim, found, "reproduced" if holds else "not reproduced")
+    return Claim(claim, *find(pair.constrained))
 
 
 def _both(pair: Pair, claim: str, find: Callable[[RunRecord, RunRecord], Finding]) -> Claim:
@@ -113,8 +124,7 @@ def _both(pair: Pair, claim: str, find: Callable[[RunRecord, RunRecord], Finding
         return Claim(claim, "one of the two laws has no complete closed loop", "not measured")
     if short := pair.short(pair.constrained, pair.clipped):
         return Claim(claim, short, "not measured")
-    found, holds = find(pair.constrained, pair.clipped)
-    return Claim(claim, found, "reproduced" if holds else "not reproduced")
+    return Claim(claim, *find(pair.constrained, pair.clipped))
 
 
 def _circle(row: RunRecord) -> Finding:
@@ -123,12 +133,13 @@ def _circle(row: RunRecord) -> Finding:
         f"{share_text(share)} of the run inside {CIRCLE_M:g} m; largest radial error in the "
         f"second half {significant(100 * tail)} cm"
     )
-    return found, tail <= CIRCLE_M
+    return found, _state(tail <= CIRCLE_M)
 
 
 def _stationary(row: RunRecord) -> Finding:
     tail = row.r_tail_max_m
-    return f"largest radial error in the second half {significant(100 * tail)} cm", tail < STEADY_M
+    found = f"largest radial error in the second half {significant(100 * tail)} cm"
+    return found, _state(tail < STEADY_M)
 
 
 def _transient(row: RunRecord, law: RunRecord) -> Finding:
@@ -138,7 +149,7 @@ def _transient(row: RunRecord, law: RunRecord) -> Finding:
         f"total variation of the force {significant(row.total_variation)} against "
         f"{significant(law.total_variation)}"
     )
-    return found, constrained < clipped
+    return found, _less(constrained, clipped)
 
 
 def _settling(row: RunRecord, law: RunRecord) -> Finding:
@@ -149,7 +160,7 @@ def _settling(row: RunRecord, law: RunRecord) -> Finding:
         if math.isfinite(constrained)
         else f"never settles into 0.1 m, against {seconds_text(clipped)} clipped"
     )
-    return found, constrained < clipped
+    return found, _less(constrained, clipped)
 
 
 def _steady(view: Records, row: RunRecord, law: RunRecord) -> Finding:
@@ -166,7 +177,7 @@ def _steady(view: Records, row: RunRecord, law: RunRecord) -> Finding:
         found += ", equal within 1 %: no limit is active then"
     if math.isinf(law.settle_0p1m_s):
         found += "; the clipped law never settles into 0.1 m"
-    return found, constrained < (1.0 - SAME) * clipped
+    return found, _less(constrained, clipped, SAME)
 
 
 def _heading(row: RunRecord, law: RunRecord) -> Finding:
@@ -174,20 +185,20 @@ def _heading(row: RunRecord, law: RunRecord) -> Finding:
     found = (
         f"largest heading error {significant(constrained)}° against {significant(clipped)}° clipped"
     )
-    return found, constrained < clipped
+    return found, _less(constrained, clipped)
 
 
 def _rates(row: RunRecord) -> Finding:
     shares = {axis: getattr(row, f"at_rate_{axis}") for axis in ("surge", "sway", "yaw")}
     text = ", ".join(f"{axis} {share_text(share)}" for axis, share in shares.items())
     steps = plural(row.steps_done, "step")
-    return f"share of the {steps} at a rate limit: {text}", max(shares.values()) > 0.0
+    return f"share of the {steps} at a rate limit: {text}", _state(max(shares.values()) > 0.0)
 
 
 def _violations(row: RunRecord) -> Finding:
     count = row.limit_violations
     steps = plural(row.steps_done, "step")
-    return f"{plural(count, 'applied force')} outside a limit in {steps}", count == 0
+    return f"{plural(count, 'applied force')} outside a limit in {steps}", _state(count == 0)
 
 
 def choices(view: Records) -> list[tuple[str, str]]:

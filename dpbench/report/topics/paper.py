@@ -64,8 +64,13 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
 
 def _headline(measured: Sequence[Claim]) -> str:
     """How many claims are reproduced, and which are not."""
-    failed = [claim.claim.replace("`", "") for claim in measured if claim.state != "reproduced"]
-    return held_text(measured) + (f"; not: “{'”, “'.join(failed)}”." if failed else ".")
+    others = {"not": "not reproduced", "the opposite": "opposite"}
+    named = {
+        word: [claim.claim.replace("`", "") for claim in measured if claim.state == state]
+        for word, state in others.items()
+    }
+    said = [f"{word}: “{'”, “'.join(names)}”" for word, names in named.items() if names]
+    return "; ".join([held_text(measured), *said]) + "."
 
 
 def held_text(found: Sequence[Claim]) -> str:

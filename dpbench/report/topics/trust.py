@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import pandas as pd
 
@@ -12,7 +13,7 @@ from dpbench.analysis.records import Records
 from dpbench.bench.judge.calibration import within_bar
 from dpbench.bench.record.disturbance import Disturbance
 from dpbench.report.charts.lines import dots
-from dpbench.report.formats import and_list, share_text, significant
+from dpbench.report.formats import and_list, count_text, plural, share_text, significant
 from dpbench.report.machine_verdict import (
     disturbance_facts,
     machine_facts,
@@ -21,9 +22,9 @@ from dpbench.report.machine_verdict import (
 from dpbench.report.page.topic import Figure, SmallTable, Topic
 from dpbench.solvers.calibration import COPY_ONLY, WAITS_NS
 
+UNSEEN = "not visible"
+"""Of the machine, what its kernel does not show."""
 COVERED = (
-    "An interval covers this run on this machine, by resampling blocks of neighbouring steps; not "
-    "another machine, build or day: compare two runs for that.",
     "Not covered at all: other ships, weather and tunings; times on an embedded target; the worst "
     "step that was never met.",
 )
@@ -37,14 +38,15 @@ def calling_ns(records: Records) -> float:
 
 
 def _spread(records: Records) -> list[str]:
-    """From which ratio on two solvers differ, by what rounds of one replay differ."""
+    """Which figure says whether times differ: the interval of a pair, or what rounds differ by."""
     usual, largest = round_spread(records)
     if math.isnan(largest):
         return []
     return [
-        f"Ratios of two solvers: yes, beyond {significant(largest)}. So far apart, at most, lie "
-        f"fastest and slowest round of one replay (in the median {significant(usual)}); the time "
-        "of a step is its fastest."
+        "Within this run two solvers differ where the 95 % interval of their pair leaves out 1; a "
+        f"time of another run or day differs beyond × {significant(largest)}, the most that two "
+        f"rounds of one replay differ here (median {significant(usual)}); about another machine "
+        "nothing is claimed."
     ]
 
 
@@ -53,24 +55,36 @@ def _waits_text(asked: Sequence[tuple[str, float, float]]) -> str:
     known = {name: us for name, us, _ in asked}
     longest = {name: max(p50 for n, _, p50 in asked if n == name) for name in known}
     missed = [name for name in known if within_bar(name, 1e3 * longest[name]) is False]
+    below = f" Below {min(known.values()):g} µs, the shortest wait, nothing was checked."
     if not missed:
-        return "Waits of known length were measured within 1 µs or 1 %."
+        return f"Waits of known length were measured within 1 µs or 1 %.{below}"
     said = [f"{known[name]:g} µs as {longest[name]:.1f} µs" for name in missed]
     worst = max(abs(longest[name] / known[name] - 1.0) for name in missed)
     return (
-        f"Waits of known length: {and_list(said)}, off by more than 1 µs and 1 %. Times of that "
-        f"length, and their ratios, are known to {share_text(worst)} at best."
+        f"Waits of known length: {and_list(said)} (p50 of all samples), so times of that length "
+        f"are known to {share_text(worst)}.{below}"
     )
 
 
-def _quiet_text(found: Disturbance) -> str:
+def _quiet_text(found: Disturbance, machine: Mapping[str, Any]) -> str:
     """Whether the machine did other things while replays were timed."""
     if complaints := found.complaints():
         return (
             f"Other work disturbed the machine: {and_list(complaints)}. Times may be too long; "
             "run again when it is idle."
         )
-    return "The machine did little else meanwhile, by the counters of its kernel (in the table)."
+    return (
+        "The machine was quiet by its kernel's counters: "
+        f"{count_text(found.disturbed)} of {plural(found.rounds, 'round')} disturbed even when run "
+        f"again, as {count_text(found.rerun)} were.{_unwatched(machine)}"
+    )
+
+
+def _unwatched(machine: Mapping[str, Any]) -> str:
+    """What nobody could see of the machine while it measured."""
+    keys = {"governor": "its frequency", "throttle_counters": "throttling"}
+    hidden = [name for key, name in keys.items() if machine.get(key, UNSEEN) == UNSEEN]
+    return f" Not watched, as the machine hides it: {and_list(hidden)}." if hidden else ""
 
 
 def trust_topic(records: Records) -> Topic | None:
@@ -91,10 +105,10 @@ def trust_topic(records: Records) -> Topic | None:
         table = (
             pd.DataFrame(asked, columns=["name", "x", "y"]).groupby("name", as_index=False).max()
         )
-        chart = dots(table, "Waits of known length", "asked [µs]", "measured p50 [µs]")
+        chart = dots(table, "Waits of known length", "asked [µs]", "p50 of samples [µs]")
         figures.append(Figure("calibration", chart, "Asked and measured."))
     if found.seconds > 0:
-        lines.append(_quiet_text(found))
+        lines.append(_quiet_text(found, records.machine))
     facts = [
         *machine_facts(records.machine),
         *(disturbance_facts(found) if found.seconds > 0 else ()),

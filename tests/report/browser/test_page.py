@@ -139,7 +139,7 @@ def test_a_hard_step_opens(opened: Any) -> None:
     page = opened()
     page.select_option("#choose-place", label="paper (replay)")
     settled(page)
-    button = page.locator("#hard button").first
+    button = page.locator("#hard p").nth(1).locator("button").first
     k = re.match(r"k (\d+):", button.inner_text())
     assert k
     button.click()
@@ -162,6 +162,76 @@ def test_a_hard_step_opens(opened: Any) -> None:
     assert rows_in(page, "strips", "forces") >= 100
     assert page.locator("#figure-strips canvas").bounding_box()["width"] < wide
     assert page.locator("#figure-strips canvas").count() == 1
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+@pytest.mark.slow
+def test_a_name_of_the_ladder_is_chosen_by_a_click(opened: Any, size: tuple[int, int]) -> None:
+    """The letters, not the bar alone; they say the way on a phone too."""
+    page = opened(size=size)
+    row = page.evaluate("rowsDrawn('ladder').values.at(-1)")
+    name = page.locator("#figure-ladder text", has_text=row["solver"]).last
+    said = name.text_content()
+    assert said.replace(", ", " ").replace("(", "").startswith(row["solver"] + " ")
+    name.scroll_into_view_if_needed()
+    box = name.bounding_box()
+    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.wait_for_function(f"state.c === {row['id']}")
+
+
+@pytest.mark.slow
+def test_a_click_among_the_strips_opens_the_nearest_step(opened: Any) -> None:
+    """Wherever it lands."""
+    page = opened("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper")
+    canvas = page.locator("#figure-strips canvas")
+    canvas.scroll_into_view_if_needed()
+    box = canvas.bounding_box()
+    wanted = page.evaluate(
+        """(x) => views.strips.then((view) => view.scale("x").invert(x - view.origin()[0]))""",
+        0.6 * box["width"],
+    )
+    page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + 100)
+    page.wait_for_function("state.k !== null")
+    assert abs(int(selection(page)["k"]) - wanted) < 4.0, "a dot there is the step it stands for"
+
+
+@pytest.mark.slow
+def test_the_hardest_steps_begin_with_those_of_all_places(opened: Any) -> None:
+    """The worst place first; a click goes there. Single samples of a loop come last."""
+    page = opened("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper")
+    heads = page.locator("#hard span").all_inner_texts()
+    assert heads[0].endswith(", all places") and heads[-1] == "single samples, slowest"
+    worst = page.evaluate("worstAnywhere().steps")
+    assert worst == sorted(worst, key=lambda step: -step["value"])
+    page.locator("#hard button").first.click()
+    place = page.evaluate(f"facts.places[{worst[0]['p']}].label")
+    page.wait_for_function(f"state.p === {worst[0]['p']} && state.k === {worst[0]['k']}")
+    assert selection(page)["sc"] == place
+
+
+@pytest.mark.slow
+def test_the_table_has_pages_and_what_has_no_value_stands_last(opened: Any) -> None:
+    """Both ways of sorting; the next page goes on where one ends."""
+    page = opened()
+    page.select_option("#table-of", "all")
+    first = page.locator("#table-body tr").all_inner_texts()
+    page.click("#table-next")
+    second = page.locator("#table-body tr").all_inner_texts()
+    assert len(first) == 20 and second and first != second
+    assert page.inner_text("#table-said").startswith(f"21 to {20 + len(second)} of ")
+    page.click("#table-back")
+    assert page.locator("#table-body tr").all_inner_texts() == first
+    assert page.is_disabled("#table-back")
+    label = page.evaluate(
+        """() => facts.table.columns.find((column, j) => column.group === "times"
+          && facts.table.values[j].includes(null)).label"""
+    )
+    for _ in range(2):
+        page.get_by_role("button", name=label, exact=True).click()
+        values = page.evaluate("state.rows.map((i) => facts.table.values[sorting.column][i])")
+        known = [value for value in values if value is not None]
+        assert values == known + [None] * (len(values) - len(known)) and len(known) < len(values)
+    assert known == sorted(known, reverse=True)
 
 
 @pytest.mark.slow
@@ -270,6 +340,11 @@ def test_words_are_a_click_away(opened: Any) -> None:
     page = opened()
     page.click("#answer a[href='#words']")
     assert page.locator("#words dt").first.is_visible()
+    terms = page.locator("#words dt").all_inner_texts()
+    assert {"demand", "replay", "closed loop", "p50, p95, p99", "round", "sample", "step"} <= {
+        *terms
+    }
+    assert {"rate-limit step", "certified optimum", "fallback"} <= {*terms}
     assert page.evaluate("document.activeElement.id") == "words"
 
 
@@ -441,8 +516,11 @@ def test_the_matrix_shows_another_way(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_it_copies(opened: Any) -> None:
-    """What is to be pasted is in the clipboard; where there is none it is marked."""
-    page = opened()
+    """What is to be pasted is in the clipboard, commands and lines of pandas too; where there is
+    none it is marked."""
+    page = opened(CHOSEN)
+    for name in ("step-export", "step-query", "data-query"):
+        assert page.locator(f"[data-copy={name}]").is_visible()
     page.context.grant_permissions(["clipboard-read", "clipboard-write"])
     buttons = [one for one in page.locator("[data-copy]").all() if one.is_visible()]
     assert len(buttons) >= 3
@@ -453,6 +531,7 @@ def test_it_copies(opened: Any) -> None:
             "(text) => navigator.clipboard.readText().then((got) => got === text)", arg=text
         )
         assert button.inner_text() == "Copied"
+    page.wait_for_function("!document.body.innerText.includes('Copied')")
     page.evaluate("() => { navigator.clipboard.writeText = () => Promise.reject(Error()); }")
     page.click("[data-copy='paste-1']")
     page.wait_for_function("getSelection().toString().includes('open_workspace')")

@@ -37,7 +37,7 @@ async function made(name, host, form) {
   // What paper has to make up for.
   host.classList.toggle("narrow", host.parentElement.clientWidth < NARROW);
   host.classList.toggle("dark", matchMedia("(prefers-color-scheme: dark)").matches);
-  view.addEventListener("click", (_, item) => picked(name, item?.datum));
+  view.addEventListener("click", (event, item) => picked(name, item?.datum, view, event));
   return view;
 }
 
@@ -62,7 +62,14 @@ function sized(name, width) {
   const fit = { type: name === "pairs" ? "fit" : "fit-x", contains: "padding", resize: true };
   const square = Math.min(width, 460);
   return name === "pairs" ? { ...named(spec), width: square, height: square, autosize: fit }
-    : set({ ...spec, width, autosize: fit, marks: apart(spec.marks) }, { narrow });
+    : set({ ...spec, width, autosize: fit, marks: apart(spec.marks), axes: spec.axes.map(clickable) }, { narrow });
+}
+
+// Names of rows take clicks.
+function clickable(axis) {
+  const labels = axis.encode?.labels;
+  return axis.scale !== "y" || !labels ? axis : { ...axis, encode: { ...axis.encode,
+    labels: { ...labels, interactive: true, update: { ...labels.update, cursor: { value: "pointer" } } } } };
 }
 
 // Axes called by the solvers that are compared: Vega-Lite cannot say so.
@@ -96,10 +103,21 @@ async function redraw() {
   await draw();
 }
 
-function picked(name, datum) {
+// The step nearest to a click anywhere among the strips.
+function nearestStep(view, event) {
+  const x = event.clientX - view.container().querySelector("canvas").getBoundingClientRect().left;
+  const wanted = view.scale("x").invert(x - view.origin()[0]);
+  const rows = rowsOf(cell(state.c, state.p));
+  return rows.reduce((best, row) => (Math.abs(row.k - wanted) < Math.abs(best.k - wanted) ? row : best)).k;
+}
+
+function picked(name, datum, view, event) {
+  if (name === "strips") { select({ k: datum?.k ?? nearestStep(view, event) }); return; }
   if (!datum) return;
-  if ((name === "strips") && datum.k !== undefined) select({ k: datum.k });
-  else if (datum.id !== undefined) {
+  // A name at the axis stands for its row.
+  if (name === "ladder" && datum.id === undefined)
+    datum = rowsDrawn("ladder").values.find((row) => row.label === datum.value) ?? datum;
+  if (datum.id !== undefined) {
     const change = { c: Number(datum.id) };
     if (change.c < 0) return;
     if (datum.place_id !== undefined) change.p = Number(datum.place_id);

@@ -96,25 +96,49 @@ async function drawOne() {
   drawShip(run);
 }
 
+// Of the chosen configuration the steps of most iterations over all places, the worst first; of a
+// solver whose iterations say nothing, those of the largest error.
+function worstAnywhere() {
+  const m = varies(state.c) ? 1 : 2;
+  const known = facts.places.flatMap((place, p) => (cell(state.c, p)?.hard?.[m] ?? [])
+    .map(([k, value]) => ({ p, k, value })));
+  const rank = (x) => (x === "inf" ? Infinity : x);
+  return { m, steps: known.sort((a, b) => rank(b.value) - rank(a.value)).slice(0, 5) };
+}
+
+// Whether the iterations of a configuration differ from step to step.
+function varies(c) {
+  const known = facts.places.flatMap((_, p) => cell(c, p)?.hard?.[1] ?? []).map(([, value]) => value);
+  const usual = facts.places.flatMap((_, p) => array(cell(c, p)?.i)).filter((x) => x !== null);
+  return known.length > 0 && usual.some((x) => x !== known[0]);
+}
+
 function drawHard(run) {
-  const replayed = facts.places[state.p].mode === "replay";
+  const replayed = facts.places[state.p].mode === "replay", anywhere = worstAnywhere();
   const names = [
-    replayed ? "slowest" : "slowest, one sample each", "most iterations", "largest error",
+    replayed ? "slowest" : "single samples, slowest", "most iterations", "largest error",
   ];
-  const boxes = (run.hard ?? []).map((list, m) => {
-    const row = document.createElement("p"), head = document.createElement("span");
-    head.textContent = names[m]; head.className = "soft";
-    row.append(head);
-    for (const [k, value] of list) {
+  const row = (name, steps) => {
+    const line = document.createElement("p"), head = document.createElement("span");
+    head.textContent = name; head.className = "soft";
+    line.append(head, ...steps.map(({ p, k, said }) => {
       const button = document.createElement("button");
-      button.textContent = `k ${k}: ${m === 0 ? time(value) : figure(value)}`;
-      button.setAttribute("aria-pressed", String(k === state.k));
-      button.addEventListener("click", () => select({ k }));
-      row.append(button);
-    }
-    return row;
-  });
-  $("hard").replaceChildren(...boxes);
+      button.textContent = said;
+      button.setAttribute("aria-pressed", String(k === state.k && p === state.p));
+      button.addEventListener("click", () => select({ p, k }));
+      return button;
+    }));
+    return line;
+  };
+  const here = (run.hard ?? []).map((list, m) => row(names[m], list.map(([k, value]) =>
+    ({ p: state.p, k, said: `k ${k}: ${m === 0 ? time(value) : figure(value)}` }))));
+  // Where a step is one sample its time is jitter as well: it comes last; iterations that are alike
+  // everywhere say nothing.
+  const order = (replayed ? [0, 1, 2] : [1, 2, 0]).filter((m) => m !== 1 || varies(state.c));
+  const all = anywhere.steps.map(({ p, k, value }) =>
+    ({ p, k, said: `k ${k} in ${facts.places[p].label}: ${figure(value)}` }));
+  $("hard").replaceChildren(row(`${names[anywhere.m]}, all places`, all),
+    ...order.map((m) => here[m]).filter((line) => line?.children.length > 1));
   drawStep(run);
 }
 

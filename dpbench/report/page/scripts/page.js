@@ -59,7 +59,9 @@ async function draw(changed = ["slow", "c", "p", "b", "k"]) {
 async function copy(button, text) {
   try {
     await navigator.clipboard.writeText(text.textContent);
+    const said = button.textContent;
     button.textContent = "Copied";
+    setTimeout(() => { button.textContent = said; }, 2000);
   } catch {
     text.hidden = false;
     getSelection().selectAllChildren(text);
@@ -96,10 +98,12 @@ function listen() {
   for (const button of document.querySelectorAll("[data-copy]")) {
     button.addEventListener("click", () => copy(button, $(button.dataset.copy)));
   }
-  $("table-filter").addEventListener("input", drawTable);
-  $("table-group").addEventListener("change", drawTable);
+  for (const [id, event] of [["filter", "input"], ["group", "change"], ["of", "change"]]) {
+    $(`table-${id}`).addEventListener(event, () => { sorting.from = 0; drawTable(); });
+  }
+  $("table-back").addEventListener("click", () => { sorting.from -= ROWS; drawTable(); });
+  $("table-next").addEventListener("click", () => { sorting.from += ROWS; drawTable(); });
   $("table-csv").addEventListener("click", () => download("runs.csv", csv()));
-  $("table-of").addEventListener("change", drawTable);
   listenPage();
 }
 

@@ -2,7 +2,7 @@
 "use strict";
 
 const ROWS = 20;
-const sorting = { column: 0, down: false };
+const sorting = { column: 0, down: false, from: 0 };
 function drawTable() {
   const table = facts.table, filter = $("table-filter").value.toLowerCase();
   const group = $("table-group").value;
@@ -13,11 +13,14 @@ function drawTable() {
     .filter((i) => filter.split(/\s+/).every((word) => table.columns.some((column, j) => column.text
       && String(table.values[j][i]).toLowerCase().includes(word))));
   const values = table.values[sorting.column] ?? table.values[0];
-  const rank = (x) => (x === null ? Infinity : x === "inf" ? 1e300 : x);
+  const rank = (x) => (x === "inf" ? 1e300 : x);
   rows.sort((a, b) => {
     const x = rank(values[a]), y = rank(values[b]);
+    // What has no value stands last, whichever way the others are sorted.
+    if ((x === null) !== (y === null)) return x === null ? 1 : -1;
     return (x < y ? -1 : x > y ? 1 : a - b) * (sorting.down ? -1 : 1);
   });
+  const from = sorting.from = Math.max(0, Math.min(sorting.from, rows.length - 1));
   const head = document.createElement("tr");
   for (const [column, j] of shown) {
     const th = document.createElement("th"), button = document.createElement("button");
@@ -25,13 +28,13 @@ function drawTable() {
     if (sorting.column === j) th.setAttribute("aria-sort", sorting.down ? "descending" : "ascending");
     button.addEventListener("click", () => {
       sorting.down = sorting.column === j ? !sorting.down : false;
-      sorting.column = j; drawTable();
+      sorting.column = j; sorting.from = 0; drawTable();
     });
     th.append(button); head.append(th);
   }
   // A row is chosen where it stands; its name opens it above.
   const choose = (i) => { if (table.c[i] !== null) select({ c: table.c[i], p: table.p[i], k: null }); };
-  const body = rows.slice(0, ROWS).map((i) => {
+  const body = rows.slice(from, from + ROWS).map((i) => {
     const tr = document.createElement("tr");
     for (const [column, j] of shown) {
       const td = document.createElement("td"), value = table.values[j][i];
@@ -52,8 +55,10 @@ function drawTable() {
   });
   $("table-head").replaceChildren(head);
   $("table-body").replaceChildren(...body);
-  $("table-said").textContent = `${Math.min(ROWS, rows.length)} of ${rows.length} rows${
+  $("table-said").textContent = `${rows.length ? from + 1 : 0} to ${Math.min(from + ROWS, rows.length)} of ${rows.length} rows${
     $("table-of").value === "all" ? "" : `, of ${table.rows} in all`}`;
+  $("table-back").disabled = from === 0;
+  $("table-next").disabled = from + ROWS >= rows.length;
   state.rows = rows; state.shown = shown;
   drawQuery();
 }
@@ -66,7 +71,7 @@ function scaled(value, column) {
 // The rows behind the p99 that the page names; of what was not timed, those of the chosen place.
 function drawQuery() {
   const p = C().timed_at?.[state.c] ?? state.p, run = cell(state.c, p);
-  $("data-query").hidden = !run;
+  $("data-query").parentElement.hidden = !run;
   $("data-query").textContent = !run ? ""
     : `steps = pandas.read_parquet("steps.parquet", filters=[("run_id", "==", "${run.id}")])`
       + `  # ${label(state.c)} in ${facts.places[p].label}`
