@@ -237,5 +237,5 @@ def _snippets(c: Configuration) -> Iterator[tuple[str, str]]:
 def _machine(machine: Mapping[str, Any]) -> str:
     return (
         f"Machine: {machine.get('cpu_model', 'not known')}, {machine.get('cores', '?')} cores, "
-        f"{machine.get('python', '')}. Times hold for it alone; ratios carry further."
+        f"{machine.get('python', '')}. Times hold for it alone."
     )

@@ -43,10 +43,10 @@ def _spread(records: Records) -> list[str]:
     if math.isnan(largest):
         return []
     return [
-        "Within this run two solvers differ where the 95 % interval of their pair leaves out 1; a "
-        f"time of another run or day differs beyond × {significant(largest)}, the most that two "
-        f"rounds of one replay differ here (median {significant(usual)}); about another machine "
-        "nothing is claimed."
+        "Within this run two solvers differ where the 95 % interval of their pair leaves out 1; "
+        f"against another run or day count differences beyond × {significant(largest)} alone, the "
+        f"most that two rounds of one replay differ here (median {significant(usual)}); for "
+        "another machine compare two runs."
     ]
 
 
@@ -61,8 +61,8 @@ def _waits_text(asked: Sequence[tuple[str, float, float]]) -> str:
     said = [f"{known[name]:g} µs as {longest[name]:.1f} µs" for name in missed]
     worst = max(abs(longest[name] / known[name] - 1.0) for name in missed)
     return (
-        f"Waits of known length: {and_list(said)} (p50 of all samples), so times of that length "
-        f"are known to {share_text(worst)}.{below}"
+        f"Waits of known length: {and_list(said)} (p50 of all samples), so absolute times of that "
+        f"length are known to {share_text(worst)}.{below}"
     )
 
 

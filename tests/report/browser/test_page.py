@@ -84,7 +84,7 @@ def test_a_row_of_the_ladder_is_chosen_by_a_click(opened: Any) -> None:
     settled(page)
     assert page.inner_text("#one-title").startswith("clarabel (")
     assert re.match(
-        r"clarabel \(.*\): (meets|misses|open), p99 .*; in ", page.inner_text("#chosen")
+        r"clarabel \(.*\): (meets|misses|open), p99 .*; shown in ", page.inner_text("#chosen")
     )
     assert page.input_value("#choose-other") == str(page.evaluate("facts.answer.first"))
     assert rows_in(page, "strips", "steps") >= 100

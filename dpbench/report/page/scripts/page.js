@@ -34,9 +34,9 @@ async function draw(changed = ["slow", "c", "p", "b", "k"]) {
   if (!count()) { drawTable(); return; }
   const touched = (...parts) => parts.some((part) => changed.includes(part));
   const place = facts.places[state.p].label;
-  const p99 = C().p99[state.c];
+  const p99 = C().p99[state.c], timed = facts.places[C().timed_at[state.c]];
   $("chosen").textContent = `${label(state.c)}: ${C().outcome[state.c]}`
-    + `${p99 === null ? "" : `, p99 ${time(p99)}`}${beside()}; in ${place}${
+    + `${p99 === null ? "" : `, p99 ${time(p99)} in ${timed?.label}`}${beside()}; shown in ${place}${
       state.k === null ? "" : `, k ${state.k}`}`;
   if (touched("c", "p")) glow($("chosen"));
   if (touched("slow") && $("slow")) {

@@ -1,0 +1,32 @@
+"""What the page says of its times: one rule for when two differ, and what nobody could watch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dpbench.analysis.machine import round_spread
+from dpbench.report.formats import significant
+from dpbench.report.topics.trust import trust_topic
+
+
+def test_one_sentence_says_which_figure_applies_to_what(records: Any) -> None:
+    """The interval within the run; against another run the largest ratio of two rounds."""
+    records.replay("daqp", replay_s=9.0)
+    view = records.view()
+    topic = trust_topic(view)
+    assert topic is not None
+    usual, largest = round_spread(view)
+    rule = topic.lines[0]
+    assert "95 % interval of their pair" in rule
+    assert f"another run or day count differences beyond × {significant(largest)} alone" in rule
+    assert f"(median {significant(usual)})" in rule
+
+
+def test_what_the_machine_hides_is_said(records: Any) -> None:
+    """Beside the rounds that were disturbed or run again, where it calls itself quiet."""
+    records.replay("daqp", replay_s=9.0, rerun_rounds=2, involuntary_switches=0, steal_s=0.0)
+    topic = trust_topic(records.view())
+    assert topic is not None
+    (quiet,) = (line for line in topic.lines if line.startswith("The machine was quiet"))
+    assert "disturbed even when run again, as 2 were." in quiet
+    assert quiet.endswith("Not watched, as the machine hides it: its frequency and throttling.")
