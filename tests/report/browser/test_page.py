@@ -429,7 +429,7 @@ def test_the_keyboard_reaches_everything(opened: Any) -> None:
         """() => {
           const all = [...document.querySelectorAll(
             "a[href], button, select, input, [tabindex='0']")];
-          const seen = all.filter((node) => node.checkVisibility());
+          const seen = all.filter((node) => node.checkVisibility() && !node.disabled);
           seen.forEach((node, i) => { node.dataset.nth = i; });
           return seen.length;
         }"""
