@@ -20,7 +20,36 @@ else is in SI units. What is not known is missing (NaN or null), never made up; 
 number that may be missing. This is version {schema.SCHEMA_VERSION} of the schema. How the figures
 are computed stands in [Method](../method.md).
 
-`load_results(folder).runs` and `.steps` are the two tables as data frames.
+`load_results(folder).runs` and `.steps` are the two tables as data frames, with all columns below.
+"""
+STORAGE = """## How they are stored
+
+Both are Parquet files, compressed with Zstandard, that pandas, polars, DuckDB and others read
+alone; each page carries its check sum. The rows of a run follow each other in the order of its
+steps, in one row group; the runs of `steps.parquet` stand in the order in which they were finished,
+those of `runs.parquet` in that of the suite. What follows from other columns, bit for bit, stands
+in no file:
+"""
+SAME = """Where one of these columns is equal, bit for bit, to the one beside it, it is null in the
+file and has that one's value:
+"""
+READERS = """In SQL, as of DuckDB, with `steps.parquet` alone:
+
+```sql
+SELECT run_id, k, coalesce(cmd_x_N, tau_x_N) AS cmd_x_N,
+       setup_ns IS NULL AND update_ns IS NULL AND solve_ns IS NULL AND read_ns IS NULL AS untimed,
+       coalesce(setup_ns, 0) + coalesce(update_ns, 0) + coalesce(solve_ns, 0) + coalesce(read_ns, 0)
+         + coalesce(allocation_ns, 0) AS total_ns
+FROM 'steps.parquet'
+```
+
+`dpbench.bench.record.result_folder.scan_steps(folder, columns, run_ids)` gives the columns that are
+asked for, derived ones too, some hundred thousand rows at a time, whatever the size of the file.
+Files of earlier schemas store all columns, and are read as well.
+
+While a campaign runs, finished cells stand in `cells/`: in `open.cells`, and in parts of some
+hundred cells, `steps-00001.parquet` and `runs-00001.parquet`, of the same columns. A cell whose row
+stands there is finished, and is not run again.
 """
 
 
@@ -30,6 +59,10 @@ def pages() -> dict[str, str]:
     for title, columns in GROUPS.items():
         parts += [f"### {title}\n", _table(columns)]
     parts += ["## `steps.parquet`\n", _table(schema.STEP_COLUMNS)]
+    derived = ((code(name), prose(formula)) for name, formula in schema.DERIVED.items())
+    same = ((code(name), code(other)) for name, other in schema.SAME_AS.items())
+    parts += [STORAGE, table(("derived column", "formula"), derived)]
+    parts += [SAME, table(("column", "equal to"), same), READERS]
     return {"reference/columns.md": "\n".join(parts)}
 
 

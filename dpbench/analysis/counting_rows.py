@@ -73,8 +73,8 @@ def counting_of(steps: pd.DataFrame) -> CountingRows:
     counts = steps["counts"].to_numpy(dtype=np.bool_)
     arrays: dict[str, NDArray[np.generic]] = {
         "rows": np.flatnonzero(counts),
-        "known": decided(steps).to_numpy(dtype=np.bool_)[counts],
-        "failed": failed_steps(steps).to_numpy(dtype=np.bool_)[counts],
+        "known": decided(steps)[counts],
+        "failed": failed_steps(steps)[counts],
     }
     for name in ("run_id", "status"):
         # One object a name, not one a row.

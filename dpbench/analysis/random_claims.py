@@ -106,5 +106,6 @@ def claims_of(steps: pd.DataFrame) -> pd.DataFrame:
             "empty_right": known & none_said & true,
             "empty_wrong": known & none_said & ~true,
             "nothing": known & ~claimed & ~none_said & ~true,
-        }
+        },
+        index=steps.index,
     )

@@ -6,9 +6,10 @@ loses at most the cells in flight.
 
 from __future__ import annotations
 
+import json
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -22,22 +23,33 @@ from dpbench.bench.plan.choices import remarks_on, with_choices
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import SuiteFile, load_suite, naming, sequence_suite
 from dpbench.bench.progress import Progress, Silent
-from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
+from dpbench.bench.record.cell import HARNESS_VERSION, Cell, Outcome
+from dpbench.bench.record.cell_store import CellStore
 from dpbench.bench.record.machine import describe_machine
-from dpbench.bench.record.result_folder import Results, claimed, read_json, write_results
+from dpbench.bench.record.result_folder import (
+    claimed,
+    load_descriptions,
+    read_json,
+    write_json,
+)
 from dpbench.bench.record.revision import Revision, revision, revisions
 from dpbench.bench.sequences.at_edge import capability_in
 from dpbench.bench.sequences.recording import read_sequence
-from dpbench.bench.sequences.source import is_at_edge, is_sound, is_untimed, source_key
-from dpbench.bench.tabulate import tabulate
+from dpbench.bench.sequences.source import is_at_edge, is_sound, is_untimed
+from dpbench.bench.tabulate import is_tabulated, tabulate
 from dpbench.bench.workers.child import template_context
 from dpbench.bench.workers.compiled import missing, needed
-from dpbench.bench.workers.executor import Bench, CellJob, CellStore, work_of
+from dpbench.bench.workers.executor import Bench, CellJob, work_of
 from dpbench.bench.workers.scratch import Scratch
 from dpbench.bench.workers.worker import make_source
-from dpbench.errors import InputError
+from dpbench.errors import InputError, ResultsError
 from dpbench.scenario.problem_files import sequence_path
 from dpbench.solvers.table import available, load_solver_module
+
+WAVE_STEPS = 100_000
+"""Steps of the sources that are kept at a time: some 2 kB each."""
+Run = Callable[[list[CellJob], dict[str, Path]], None]
+"""Runs cells, from the files behind their QPs."""
 
 
 class Campaign:
@@ -55,12 +67,19 @@ class Campaign:
     ) -> None:
         self.machine = describe_machine()
         self._name, self._suite, self._out, self._jobs = name, suite, out, jobs
-        self._store = CellStore(out / "cells")
+        self._store = CellStore(out)
         self._designs = DesignStudy(designs, out / "cells", self.machine["id"], fresh=fresh)
         solvers = {p.cell.solver for p in planned}
         self._libraries = {solver: available(solver) for solver in solvers}
         self.work = [self._job(p) for p in planned]
         self._fresh = fresh
+        self._at_edge: list[str] = []
+        if fresh:
+            self._store.forget(job.run_id for job in self.work)
+            self._drop_sources()
+        # Capability plots stand in the files that the QPs at their edge come from.
+        at_edge = [job.source_key for job in self.work if is_at_edge(job.cell)]
+        self._at_edge += dict.fromkeys(at_edge)
         self._cores = sorted(os.sched_getaffinity(0))
 
     def _job(self, planned: PlannedCell) -> CellJob:
@@ -75,64 +94,91 @@ class Campaign:
         for job in self.work:
             if job.planned.refused:
                 job.outcome = Outcome("refused", job.planned.refused)
-            elif not self._fresh:
-                job.outcome = self._store.finished(job)
-            if job.outcome is None:
+            elif job.run_id in self._store.finished:
+                job.outcome = Outcome(self._store.finished[job.run_id], "")
+            else:
                 pending.append(job)
         work = sum(work_of(job.cell) for job in pending)
         progress.start(work + self._designs.work)
+        if not work + self._designs.work and self._is_written():
+            return self._out
         solvers = [job.cell.solver for job in pending]
         if missing(needed(solvers)):
             progress.remark("compiling the kernels, once after an installation: up to a minute")
         with Scratch(self._store.folder) as scratch:
             context, slots = template_context(solvers), self._jobs
-            bench = Bench(context, scratch, self._store, self._cores, slots, progress)
+            bench = Bench(
+                context, scratch, self._store, self._cores, slots, progress, self.machine["id"]
+            )
             self._run_cells(bench, pending)
-            self._again_with_sound_sources(bench, pending)
+            self._drop_sources()
             self._designs.run(bench, self._out)
         self._write(started_utc, time.monotonic() - started_s, scratch.remarks)
         return self._out
 
     def _run_cells(self, bench: Bench, pending: list[CellJob]) -> None:
-        """Make the QPs of all cells, then run the cells, mode by mode."""
-        sources = self._sources(bench, pending)
-        runnable = [job for job in pending if job.outcome is None]
-        loops = [job for job in runnable if job.cell.mode == "closed_loop"]
-        bench.batches(loops, sources, "closed loops")
-        replays = [job for job in runnable if job.cell.mode == "replay"]
-        for group in _groups([job for job in replays if not is_untimed(job.cell)]):
-            bench.replays(group, sources)
-        untimed = [job for job in replays if is_untimed(job.cell)]
-        bench.batches(untimed, sources, "problems without a deadline")
+        """Run cells mode by mode, in waves of as many sources as are kept at a time."""
 
-    def _again_with_sound_sources(self, bench: Bench, pending: list[CellJob]) -> None:
-        """Run what was lost by a source that was damaged since it was looked at, once again."""
-        lost = [job for job in pending if job.outcome and job.outcome.outcome == "lost"]
-        cells = {_key(job): job.cell for job in lost}
-        sound = {key: is_sound(cell, self._source_path(key)) for key, cell in cells.items()}
-        to_repeat = [job for job in lost if not sound[_key(job)]]
-        for job in to_repeat:
-            job.outcome = None
-        if to_repeat:
-            self._run_cells(bench, to_repeat)
+        def replay(jobs: list[CellJob], sources: dict[str, Path]) -> None:
+            for group in _groups(jobs):
+                bench.replays(group, sources)
+
+        def loop(jobs: list[CellJob], sources: dict[str, Path]) -> None:
+            bench.batches(jobs, sources, "closed loops")
+
+        def solve(jobs: list[CellJob], sources: dict[str, Path]) -> None:
+            bench.batches(jobs, sources, "problems without a deadline")
+
+        loops = [job for job in pending if job.cell.mode == "closed_loop"]
+        replays = [job for job in pending if job.cell.mode == "replay"]
+        timed = [job for job in replays if not is_untimed(job.cell)]
+        untimed = [job for job in replays if is_untimed(job.cell)]
+        for run, jobs in ((loop, loops), (replay, timed), (solve, untimed)):
+            for wave in _waves(jobs):
+                self._run_wave(bench, run, wave)
+                self._drop_sources({job.source_key for job in pending if job.outcome is None})
+
+    def _run_wave(self, bench: Bench, run: Run, jobs: list[CellJob]) -> None:
+        """Make the sources of cells and run them; once again what was lost by a source that was
+        damaged since it was looked at."""
+        for _ in range(2):
+            for job in jobs:
+                job.outcome = None
+            sources = self._sources(bench, jobs)
+            run([job for job in jobs if job.outcome is None], sources)
+            lost = [job for job in jobs if job.is_lost]
+            cells = {job.source_key: job.cell for job in lost}
+            sound = {key: is_sound(cell, self._source_path(key)) for key, cell in cells.items()}
+            jobs = [job for job in lost if not sound[job.source_key]]
 
     def _source_path(self, key: str) -> Path:
         return self._store.folder / f"exact-{key}.npz"
 
-    def _sources(self, bench: Bench, pending: list[CellJob]) -> dict[str, Path]:
-        """What the QPs of all cells are made from, by key: exactly solved loops and the like."""
-        jobs: dict[Path, list[CellJob]] = {}
-        for job in pending:
-            jobs.setdefault(self._source_path(_key(job)), []).append(job)
-        missing = {
-            path: of_path[0].cell.to_json()
-            for path, of_path in jobs.items()
-            if self._fresh or not is_sound(of_path[0].cell, path)
+    def _drop_sources(self, needed: Container[str] = ()) -> None:
+        """Remove what QPs are made from, but for what cells still need, and what holds plots."""
+        for path in self._store.folder.glob("exact-*.npz"):
+            key = path.stem.removeprefix("exact-")
+            if key not in needed and key not in self._at_edge:
+                path.unlink(missing_ok=True)
+
+    def _sources(self, bench: Bench, jobs: list[CellJob]) -> dict[str, Path]:
+        """What the QPs of cells are made from, by key: exactly solved loops and the like, each as
+        long as the longest of its cells asks for."""
+        of_key: dict[str, list[CellJob]] = {}
+        for job in jobs:
+            of_key.setdefault(job.source_key, []).append(job)
+        paths = {key: self._source_path(key) for key in of_key}
+        longest = {key: max((job.cell for job in some), key=_last) for key, some in of_key.items()}
+        unmade = {
+            paths[key]: cell.to_json()
+            for key, cell in longest.items()
+            if not is_sound(cell, paths[key])
         }
-        for errand in bench.make_files(make_source, missing):
+        by_path = {path: of_key[key] for key, path in paths.items()}
+        for errand in bench.make_files(make_source, unmade):
             if errand.outcome.outcome != "finished":
-                self._without_source(jobs[errand.path], errand.outcome)
-        return {_key(of_path[0]): path for path, of_path in jobs.items()}
+                self._without_source(by_path[errand.path], errand.outcome)
+        return paths
 
     def _without_source(self, jobs: list[CellJob], outcome: Outcome) -> None:
         """Cells whose QPs could not be made: by their nature, or by an accident of the harness."""
@@ -140,8 +186,22 @@ class Campaign:
         became = "lost" if outcome.outcome == "lost" else "invalid"
         for job in jobs:
             job.outcome = Outcome(became, f"the {what} failed: {outcome.detail}")
-            if became == "lost":
-                self._store.finish(job, job.outcome)
+
+    def _is_written(self) -> bool:
+        """Whether the folder says already what this campaign would write."""
+        try:
+            found = load_descriptions(self._out)[1]
+        except ResultsError:
+            return False
+        asked = json.loads(json.dumps(self._document()))
+        same = all(found.get(key) == value for key, value in asked.items())
+        if self._at_edge and not (self._out / CAPABILITY_FILE).is_file():
+            return False
+        return same and is_tabulated(self.work, self._store, self.machine["id"])
+
+    def _document(self) -> dict[str, Any]:
+        """What is asked of the campaign, as in `suite.json`."""
+        return {"name": self._name, **self._suite.model_dump(), "harness_version": HARNESS_VERSION}
 
     def _earlier_revisions(self) -> list[Revision]:
         """Those of the cells that an interrupted campaign left in the folder."""
@@ -152,27 +212,26 @@ class Campaign:
         return earlier
 
     def _write(self, started: datetime, wall_s: float, remarks: Sequence[str]) -> None:
-        runs, steps = tabulate(self.work, self._store, self.machine["id"])
+        runs, step_rows = tabulate(self.work, self._store, self.machine["id"])
         suite: dict[str, Any] = {
-            "name": self._name,
-            **self._suite.model_dump(),
-            "harness_version": HARNESS_VERSION,
+            **self._document(),
             "revisions": revisions(self._earlier_revisions(), revision()),
             "started_utc": started.isoformat(timespec="seconds"),
             "wall_s": round(wall_s, 1),
             **_accidents(runs, remarks),
         }
-        write_results(self._out, Results(runs, steps, self.machine, suite))
+        rows = {"run_rows": len(runs), "step_rows": step_rows}
+        write_json(self._out / "machine.json", self.machine)
+        write_json(self._out / "suite.json", suite | rows)
         self._write_capability()
 
     def _write_capability(self) -> None:
         """The capability plots, out of the files that the QPs at their edge come from."""
-        keys = dict.fromkeys(_key(job) for job in self.work if is_at_edge(job.cell))
-        tables = [capability_in(self._source_path(key)) for key in keys]
+        tables = [capability_in(self._source_path(key)) for key in self._at_edge]
         made = [table for table in tables if table is not None]
         if made:
             write_capability(self._out, made)
-        elif not keys:
+        elif not self._at_edge:
             (self._out / CAPABILITY_FILE).unlink(missing_ok=True)
 
 
@@ -193,8 +252,26 @@ def _accidents(runs: pd.DataFrame, remarks: Sequence[str]) -> dict[str, Any]:
     return {"lost_cells": len(causes), "remarks": [*remarks, line]}
 
 
-def _key(job: CellJob) -> str:
-    return source_key(job.cell, HARNESS_VERSION)
+def _last(cell: Cell) -> int:
+    """The sample behind the last that a cell needs of its source."""
+    return cell.first + cell.steps
+
+
+def _waves(jobs: list[CellJob]) -> Iterator[list[CellJob]]:
+    """Jobs in groups whose sources have some `WAVE_STEPS` steps together."""
+    of_key: dict[str, list[CellJob]] = {}
+    for job in jobs:
+        of_key.setdefault(job.source_key, []).append(job)
+    wave: list[CellJob] = []
+    steps = 0
+    for some in of_key.values():
+        wave += some
+        steps += max(_last(job.cell) for job in some)
+        if steps >= WAVE_STEPS:
+            yield wave
+            wave, steps = [], 0
+    if wave:
+        yield wave
 
 
 def _groups(jobs: list[CellJob]) -> list[list[CellJob]]:

@@ -14,9 +14,10 @@ import pandas as pd
 from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
 from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.judge.rows import run_row, step_rows
+from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import FALLBACKS, FORMULATIONS, Cell, Fallback, Formulation, Outcome
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.record.schema import as_runs, as_steps
+from dpbench.bench.record.schema import as_runs
 from dpbench.bench.run.assemble import NO_LIMIT_NS, clock, closed_loop_setup, replay_parts
 from dpbench.bench.run.closed_loop import closed_loop
 from dpbench.bench.run.exact_loop import solve_exactly
@@ -216,7 +217,7 @@ def _run(
     evaluated: Evaluated,
     scenario: Scenario | None = None,
 ) -> Run:
-    steps = step_rows("in-process", cell, evaluated)
+    steps = step_columns(cell, evaluated)
     outcome = Outcome("finished", "", workspace.form, *timed_solver.size)
     row = run_row("in-process", cell, outcome, Availability(True), "", evaluated, steps)
-    return Run(as_steps(steps), as_runs(pd.DataFrame([row])).iloc[0], scenario)
+    return Run(step_rows("in-process", steps), as_runs(pd.DataFrame([row])).iloc[0], scenario)

@@ -81,6 +81,7 @@ def test_every_planned_cell_is_a_row(results: Results) -> None:
     refused = replayed[replayed["outcome"] == "refused"]
     assert set(refused["solver"]) == {"quadprog"} and (refused["policy"] == "warm").all()
     assert refused["outcome_detail"].str.contains("start").all()
+    assert (runs["study"] == "").all(), "no row of any kind is of a study"
     assert (runs.loc[runs["outcome"] != "refused", "outcome"] == "finished").all()
 
 

@@ -31,9 +31,10 @@ from dpbench.bench.design import (
 )
 from dpbench.bench.plan.suite import DesignTable
 from dpbench.bench.progress import Silent
+from dpbench.bench.record.cell_store import CellStore
 from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.workers.child import template_context
-from dpbench.bench.workers.executor import Bench, CellStore
+from dpbench.bench.workers.executor import Bench
 from dpbench.bench.workers.scratch import Scratch
 from dpbench.errors import CertificateError, InputError, RenamedWarning, ResultsError
 from dpbench.qp.referee.referee import certify
@@ -54,7 +55,7 @@ def run(designs: list[Design], out: Path) -> Designs:
     """What `design.json` says after a run of such designs into a folder."""
     cores = sorted(os.sched_getaffinity(0))
     with Scratch(out) as scratch:
-        store = CellStore(out / "cells")
+        store = CellStore(out)
         bench = Bench(template_context([]), scratch, store, cores, len(cores), Silent())
         study(designs, out).run(bench, out)
     designs_there = load_designs(out)

@@ -10,7 +10,7 @@ import pytest
 
 from dpbench.bench.plan.suite import load_suite
 from dpbench.bench.record.result_folder import load_results
-from dpbench.bench.record.schema import RENAMED, RENAMED_IN, RUN_COLUMNS, STEP_COLUMNS
+from dpbench.bench.record.schema import READABLE, RENAMED, RUN_COLUMNS, STEP_COLUMNS
 from dpbench.cli.main import main
 from dpbench.errors import RenamedWarning, ResultsError
 from dpbench.solvers.plugins import find_plugin, load_file
@@ -51,14 +51,14 @@ def test_the_old_name_of_a_suite_is_read() -> None:
         assert load_suite("ladder")[0].name == "levels.toml"
 
 
-def test_a_folder_of_the_schema_before_is_read_with_its_old_columns(
+def test_a_folder_of_an_early_schema_is_read_with_its_old_columns(
     records: Any, tmp_path: Path
 ) -> None:
     """The same tables, but for the number of the schema."""
     records.replay("daqp")
     folder = records.write(tmp_path / "old")
     now = load_results(folder)
-    _as_written_before(folder, RENAMED_IN - 1)
+    _as_written_before(folder, min(READABLE))
     with pytest.warns(RenamedWarning) as said:
         before = load_results(folder)
     assert {old for old in RENAMED if any(old in str(line.message) for line in said)} == set(
@@ -74,7 +74,7 @@ def test_an_older_schema_is_refused(records: Any, tmp_path: Path) -> None:
     """What differs in more than names is not read."""
     records.replay("daqp")
     folder = records.write(tmp_path / "older")
-    _as_written_before(folder, RENAMED_IN - 2)
+    _as_written_before(folder, min(READABLE) - 1)
     with pytest.raises(ResultsError, match="schema"):
         load_results(folder)
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,8 +16,8 @@ from numpy.typing import NDArray
 from dpbench.bench.judge.control_metrics import control_metrics
 from dpbench.bench.judge.thruster_metrics import shares_of_full, thruster_metrics
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.npz import keep, kept
 from dpbench.bench.record.raw_log import COUNTERS, TIMES, AnswerLog, RawLog
+from dpbench.bench.record.step_table import times_of
 from dpbench.bench.run.assemble import as_run
 from dpbench.bench.run.exact_loop import ExactLoop, base_problem
 from dpbench.bench.run.qp_builder import QPBuilder
@@ -60,21 +59,6 @@ class Evaluated:
 
     columns: Columns
     metrics: dict[str, float]
-
-    def save(self, path: Path) -> None:
-        """Write to `path` (.npz), whole or not at all."""
-        names = np.array(list(self.metrics), dtype=str)
-        values = np.array(list(self.metrics.values()), dtype=np.float64)
-        columns = {f"c_{name}": column for name, column in self.columns.items()}
-        keep(path, {"metric_names": names, "metric_values": values} | columns)
-
-    @classmethod
-    def load(cls, path: Path) -> Evaluated:
-        """Read what `save` wrote; ResultsError where it is damaged or gone."""
-        with kept(path) as stored:
-            columns = {name[2:]: stored[name] for name in stored if name.startswith("c_")}
-            names, values = stored["metric_names"].tolist(), stored["metric_values"].tolist()
-            return cls(columns, dict(zip(names, values, strict=True)))
 
 
 class StepEvaluator:
@@ -166,7 +150,7 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
     done = int(log.done[0])
     columns, matrix_steps = _controller(scaled, own, log)
     columns |= {
-        "t_s": np.arange(done) * scenario.sample_s,
+        "t_s": times_of(columns["k"], 0, 1, scenario.sample_s),
         "latency_ns": log.latency_ns[:done].copy(),
         "fallback": log.flags[:done, 0].astype(bool),
         "unconverged": log.flags[:done, 1].astype(bool),
@@ -186,6 +170,7 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
         limits = scaled.f_min, scaled.f_max
         metrics["undelivered_share"] = float(columns["undelivered_share"].max())
     metrics |= thruster_metrics(scenario, thrust, limits)
+    metrics |= {"sample_s": scenario.sample_s, "first_sample": 0.0, "every_sample": 1.0}
     metrics["matrix_steps"] = float(matrix_steps)
     metrics |= dict(zip(COUNTERS, log.counters[0].tolist(), strict=True))
     return Evaluated(columns, metrics)

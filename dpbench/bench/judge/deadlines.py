@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from dpbench.bench.record.schema import MISSING
 from dpbench.bench.run.slow_computer import ComputationalDelay
 
 Flags = NDArray[np.bool_]
 
 
 def late_columns(
-    delay: ComputationalDelay, latency_ns: NDArray[np.int64], total_ns: pd.Series[Any]
-) -> dict[str, Any]:
+    delay: ComputationalDelay, latency_ns: NDArray[np.int64], total_ns: NDArray[np.int64]
+) -> dict[str, NDArray[Any]]:
     """`late` and, on a slow computer, `latency_ns` of the steps of a loop.
 
     Parameters
@@ -25,8 +27,8 @@ def late_columns(
     if not delay.simulated:
         return {"late": total_ns > delay.budget_ns}
     idle = latency_ns < 0
-    latency = pd.arrays.IntegerArray(np.where(idle, 0, latency_ns), idle)
-    return {"late": idle | (latency_ns > delay.budget_ns), "latency_ns": latency}
+    late = idle | (latency_ns > delay.budget_ns)
+    return {"late": late, "latency_ns": np.maximum(latency_ns, MISSING)}
 
 
 def longest_streak(flags: Flags) -> int:
@@ -52,20 +54,25 @@ def _runs(flags: Flags) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return edges[::2], edges[1::2]
 
 
-def deadline_metrics(steps: pd.DataFrame, slowdown: float) -> dict[str, Any]:
+def deadline_metrics(steps: Mapping[str, NDArray[Any]], slowdown: float) -> dict[str, Any]:
     """Misses, streaks and recovery of a loop, in step order; latencies too where it is slow."""
-    late, true = (steps[name].to_numpy(dtype=bool) for name in ("late", "true"))
+    late, true = steps["late"], steps["true"]
     recovered = steps_to_recover(late, true & ~late)
-    total = steps["total_ns"].dropna().to_numpy(dtype=np.float64)
-    metrics = {
+    total = _there(steps["total_ns"])
+    metrics: dict[str, Any] = {
         "deadline_misses": int(late.sum()),
         "longest_miss_streak": longest_streak(late),
         "miss_recover_steps_max": pd.NA if recovered is None else recovered,
         "computations": len(total),
     }
     if slowdown > 0.0:
-        latency = steps["latency_ns"].dropna().to_numpy(dtype=np.float64)
+        latency = _there(steps["latency_ns"])
         # Rounding apart, only a time without that of others is less than what was measured.
         metrics["interrupted"] = int((latency < slowdown * total - 0.5).sum())
         metrics |= {"latency_p50_ns": np.median(latency), "latency_max_ns": latency.max()}
     return metrics
+
+
+def _there(times_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Those of the times that are not missing."""
+    return times_ns[times_ns > MISSING].astype(np.float64)

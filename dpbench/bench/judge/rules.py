@@ -2,12 +2,14 @@
 
 Which rounds of a replay count, when a percentile is supported, which steps have a right answer that
 is known, what a failed step is, and what a false claim is. The step table has a column `counts`, so
-whoever reads it asks nobody. Tables are those of `assemble.step_rows`, or of `steps.parquet`.
+whoever reads it asks nobody. Steps are the columns of `step_columns.py`, or those of
+`steps.parquet`.
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Mapping
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -17,6 +19,8 @@ from dpbench.qp.solution import Status
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+Steps = Mapping[str, NDArray[Any]] | pd.DataFrame
+"""Columns of steps by name: (N,) arrays, or a table."""
 Level = Literal["true", "true_1e4", "true_1e6"]
 """Columns that say whether an answer is true: at 1e-3, 1e-4 and 1e-6."""
 
@@ -84,70 +88,59 @@ def percentile(values: Floats, percent: float) -> float:
     return float(np.percentile(values, percent))
 
 
-def decided(steps: pd.DataFrame) -> pd.Series[bool]:
-    """Steps whose right answer is known: an optimum, or that no point is feasible."""
-    known: pd.Series[bool] = ~steps["certificate"].isin((UNCERTIFIED, UNDECIDED))
-    return known
+def decided(steps: Steps) -> Flags:
+    """(N,) steps whose right answer is known: an optimum, or that no point is feasible."""
+    return ~_among(steps, "certificate", (UNCERTIFIED, UNDECIDED))
 
 
-def failed_steps(steps: pd.DataFrame) -> pd.Series[bool]:
-    """Steps with a fallback though there was an answer to give, or with an unfinished iterate.
+def failed_steps(steps: Steps) -> Flags:
+    """(N,) steps with a fallback though there was an answer to give, or with an unfinished iterate.
 
     A QP without a feasible point has no answer to give; an iterate that is given all the same
     fails. A step that is undecided at rounding never does.
     """
-    infeasible = steps["certificate"] == INFEASIBLE
-    failed = (steps["fallback"] & ~infeasible) | steps["unconverged"]
-    of_the_solver: pd.Series[bool] = failed & (steps["certificate"] != UNDECIDED)
-    return of_the_solver
+    infeasible = _among(steps, "certificate", (INFEASIBLE,))
+    failed = (_flags(steps, "fallback") & ~infeasible) | _flags(steps, "unconverged")
+    return failed & ~_among(steps, "certificate", (UNDECIDED,))
 
 
-def claimed_not_true(steps: pd.DataFrame, level: Level = "true") -> pd.Series[bool]:
-    """Steps claimed solved that are not; where the right answer is not known, no claim is false."""
-    false: pd.Series[bool] = steps["claimed"] & ~steps[level] & decided(steps)
-    return false
+def claimed_not_true(steps: Steps, level: Level = "true") -> Flags:
+    """(N,) steps claimed solved that are not; where the right answer is not known, no claim is
+    false."""
+    return _flags(steps, "claimed") & ~_flags(steps, level) & decided(steps)
 
 
-def true_not_claimed(steps: pd.DataFrame) -> pd.Series[bool]:
-    """Steps with a true optimum that its solver did not claim."""
-    said_none = steps["status"].isin(NO_ANSWER_CLAIMS)
-    silent: pd.Series[bool] = steps["true"] & ~steps["claimed"] & ~said_none & decided(steps)
-    return silent
+def true_not_claimed(steps: Steps) -> Flags:
+    """(N,) steps with a true optimum that its solver did not claim."""
+    said_none = _among(steps, "status", NO_ANSWER_CLAIMS)
+    return _flags(steps, "true") & ~_flags(steps, "claimed") & ~said_none & decided(steps)
 
 
-def unusable(steps: pd.DataFrame) -> pd.Series[bool]:
-    """Steps whose answer is none that a closed loop could apply: by its status, or not finite."""
-    infinite = np.isinf(steps["error_plan"]) | np.isinf(steps["primal"])
-    useless: pd.Series[bool] = steps["status"].isin(_NO_USE) | infinite
-    return useless
+def unusable(steps: Steps) -> Flags:
+    """(N,) steps whose answer is none that a closed loop could apply: by its status, or not
+    finite."""
+    infinite: Flags = np.isinf(steps["error_plan"]) | np.isinf(steps["primal"])
+    return _among(steps, "status", _NO_USE) | np.asarray(infinite)
 
 
-def joined(first: pd.DataFrame, second: pd.DataFrame) -> pd.DataFrame:
-    """Steps of a cascade, from the judged columns of its two QPs (K rows each).
-
-    A step is claimed, and true, only if both answers are; its time is that of both. Status and
-    certificate are those of the first QP, or of the second where the first is solved, or has no
-    feasible point, and the second is not solved; where the right answer to either is not known,
-    that to the step is not. All else is of the first; of the second, `allocation_ns` is the time
-    and `allocation_error` that of its first move.
-    """
-    both = first.copy()
-    for name in ("claimed", "true", "true_1e4", "true_1e6"):
-        both[name] = first[name] & second[name]
-    of_second = ~second["claimed"] & (first["claimed"] | (first["certificate"] == INFEASIBLE))
-    for name in ("status", "certificate"):
-        both[name] = first[name].where(~of_second, second[name])
-    for unknown in (UNDECIDED, UNCERTIFIED):
-        either = (first["certificate"] == unknown) | (second["certificate"] == unknown)
-        both.loc[either, "certificate"] = unknown
-    both["total_ns"] = first["total_ns"] + second["total_ns"]
-    both["allocation_ns"] = second["total_ns"]
-    both["allocation_error"] = second["error_move"]
-    return both
-
-
-def errors(steps: pd.DataFrame) -> pd.Series[float]:
-    """The error of the first move of each step, in rate-limit steps; of a cascade the larger of
-    that of its force and that of its thrusters."""
-    larger: pd.Series[float] = steps[["error_move", "allocation_error"]].max(axis=1)
+def errors(steps: Steps) -> Floats:
+    """(N,) the error of the first move of each step, in rate-limit steps; of a cascade the larger
+    of that of its force and that of its thrusters."""
+    of_move = np.asarray(steps["error_move"])
+    if "allocation_error" not in steps:
+        return of_move
+    larger: Floats = np.fmax(of_move, np.asarray(steps["allocation_error"]))
     return larger
+
+
+def _flags(steps: Steps, name: str) -> Flags:
+    return np.asarray(steps[name], dtype=np.bool_)
+
+
+def _among(steps: Steps, name: str, values: tuple[str, ...]) -> Flags:
+    """(N,) where a column of words has one of `values`."""
+    column = steps[name]
+    if isinstance(column, pd.Series):
+        return column.isin(values).to_numpy(dtype=np.bool_)
+    found: Flags = np.isin(column, values)
+    return found

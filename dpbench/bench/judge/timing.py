@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from dpbench.bench.judge.closed_loop import OF_SECOND, Columns, Evaluated
 from dpbench.bench.judge.rules import WARM_UP, disturbed_rounds, percentile
 from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.schema import MISSING
+
+Steps = Mapping[str, NDArray[Any]]
+Floats = NDArray[np.float64]
 
 
-def timing_metrics(cell: Cell, evaluated: Evaluated, counting: pd.DataFrame) -> dict[str, Any]:
+def timing_metrics(cell: Cell, evaluated: Evaluated, counting: Steps) -> dict[str, Any]:
     """Step times over the steps that count; percentiles where the samples support them."""
     columns = evaluated.columns
     once = int(columns["setup_once_ns"][0])
     second = f"{OF_SECOND}setup_once_ns"
     if once > 0 and second in columns:
         once += int(columns[second][0])
-    raw = counting["total_ns"].to_numpy(dtype=np.float64)
+    raw = counting["total_ns"].astype(np.float64)
     timing: dict[str, Any] = {
         "setup_once_ns": once if once > 0 else np.nan,
         "matrix_updates": int(evaluated.columns["matrix_updates"].max()),
@@ -32,33 +36,50 @@ def timing_metrics(cell: Cell, evaluated: Evaluated, counting: pd.DataFrame) -> 
     }
     if cell.mode == "closed_loop":
         for phase in ("emit", "overhead"):
-            timing[f"{phase}_p50_ns"] = float(counting[f"{phase}_ns"].median())
+            timing[f"{phase}_p50_ns"] = _median_of_known(counting[f"{phase}_ns"])
         return timing | _parts(counting)
-    per_step = pd.Series(raw).groupby(counting["k"].to_numpy())
-    best = per_step.min().to_numpy()
+    rounds, by_round = _by_round(counting, raw)
+    best = np.nanmin(by_round, axis=0)
     return timing | {
-        "rounds": int(counting["repeat"].nunique()),
+        "rounds": len(rounds),
         # The warm-up is never run again and never counts, so it is not said to be disturbed either.
         "disturbed_rounds": int((disturbed_rounds_of(evaluated.columns) != WARM_UP).sum()),
-        "counting_disturbed": int(counting.loc[counting["disturbed"], "repeat"].nunique()),
+        "counting_disturbed": len(np.unique(counting["repeat"][counting["disturbed"]])),
         "reference_kernel_ns": reference_kernel_median(evaluated.columns),
-        "load_kernel_ns": load_time(evaluated.columns, counting["repeat"].unique()),
+        "load_kernel_ns": load_time(evaluated.columns, rounds),
         "algo_p50_ns": percentile(best, 50),
         "algo_p95_ns": percentile(best, 95),
         "algo_p99_ns": percentile(best, 99),
         "algo_max_ns": best.max(),
-        "algo_median_p50_ns": percentile(per_step.median().to_numpy(), 50),
+        "algo_median_p50_ns": percentile(np.nanmedian(by_round, axis=0), 50),
     }
 
 
-def _parts(counting: pd.DataFrame) -> dict[str, float]:
+def _by_round(counting: Steps, values: Floats) -> tuple[NDArray[np.int32], Floats]:
+    """The rounds (R,), and the values (R, K) by round and step; NaN where a round has no such step.
+
+    Only steps that some round has.
+    """
+    rounds, row = np.unique(counting["repeat"], return_inverse=True)
+    steps, column = np.unique(counting["k"], return_inverse=True)
+    by_round = np.full((len(rounds), len(steps)), np.nan)
+    by_round[row, column] = values
+    return rounds, by_round
+
+
+def _median_of_known(times_ns: NDArray[np.int64]) -> float:
+    known = times_ns[times_ns > MISSING]
+    return float(np.median(known)) if len(known) else float("nan")
+
+
+def _parts(counting: Steps) -> dict[str, float]:
     """The times of both QPs of a cascade by themselves; nothing of other loops."""
-    second = counting["allocation_ns"]
-    if second.isna().all():
+    if "allocation_ns" not in counting:
         return {}
+    second = counting["allocation_ns"].astype(np.float64)
     parts = {"controller": counting["total_ns"] - second, "allocation": second}
     return {
-        f"{name}_p{percent}_ns": percentile(times.to_numpy(dtype=np.float64), percent)
+        f"{name}_p{percent}_ns": percentile(times, percent)
         for name, times in parts.items()
         for percent in (50, 99)
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import json
-from collections.abc import Iterator
+from collections.abc import Container, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,16 +12,27 @@ from typing import Any
 
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 
 from dpbench.bench.record.schema import (
     ADDED,
+    READABLE,
     RENAMED,
-    RENAMED_IN,
     RUN_COLUMNS,
     SCHEMA_VERSION,
     STEP_COLUMNS,
     as_runs,
     as_steps,
+)
+from dpbench.bench.record.step_table import (
+    OF_CLOCK,
+    OF_FILE,
+    STORED,
+    is_complete,
+    needed_for,
+    of_runs,
+    with_derived,
 )
 from dpbench.errors import InputError, ResultsError, renamed
 
@@ -119,36 +130,110 @@ def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
     if not folder.is_dir():
         raise ResultsError(str(folder), "", "no such folder", "a folder written by `dpbench run`")
     no_steps = without_steps and not (folder / "steps.parquet").exists()
-    results = Results(
-        runs=_read_table(folder, "runs"),
-        steps=as_steps(pd.DataFrame()) if no_steps else _read_table(folder, "steps"),
-        machine=read_json(folder / "machine.json"),
-        suite=read_json(folder / "suite.json"),
-    )
+    runs = _read_table(folder, "runs")
+    steps = as_steps(pd.DataFrame()) if no_steps else _read_table(folder, "steps")
+    results = Results(runs, steps, *load_descriptions(folder))
     tables = {"run_rows": results.runs} | ({} if no_steps else {"step_rows": results.steps})
     for name, frame in tables.items():
         promised = results.suite.get(name)
         if promised != len(frame):
             found = f"{promised} where the table has {len(frame)} rows"
             raise ResultsError(str(folder / "suite.json"), name, found, "the same; run again")
-    if "id" not in results.machine:
-        raise ResultsError(str(folder / "machine.json"), "id", "nothing", "a machine description")
     return results
+
+
+def load_descriptions(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """`machine.json` and `suite.json`; ResultsError, naming the file, when one is missing or
+    damaged."""
+    machine, suite = read_json(folder / "machine.json"), read_json(folder / "suite.json")
+    if "id" not in machine:
+        raise ResultsError(str(folder / "machine.json"), "id", "nothing", "a machine description")
+    return machine, suite
+
+
+def scan_steps(
+    out: str | Path, columns: Sequence[str], run_ids: Container[str] | None = None
+) -> Iterator[pa.Table]:
+    """The steps of a result folder, some hundred thousand rows of whole runs at a time.
+
+    Memory is that of one such table, whatever the number of runs; with `run_ids`, what holds none
+    of them is not read.
+
+    Parameters
+    ----------
+    columns : of `STEP_COLUMNS`; only what these are made from is read.
+    run_ids : only the steps of these runs; None for all.
+
+    Raises
+    ------
+    ResultsError : naming the file, when one is missing or damaged, or has no such column.
+    """
+    path = Path(out) / "steps.parquet"
+    with _readable(path):
+        clock = read_clock(Path(out)) if "t_s" in columns else pd.DataFrame()
+        with pq.ParquetFile(path, read_dictionary=["run_id"]) as file:
+            known = {RENAMED.get(name, name): name for name in file.schema_arrow.names}
+            complete = is_complete(known)
+            needed = list(columns) if complete else needed_for(columns)
+            named = {name: known[name] for name in {*needed, "run_id"}}
+            for i in range(file.num_row_groups):
+                if run_ids is not None:
+                    names = pc.unique(file.read_row_group(i, columns=["run_id"])["run_id"])
+                    if not any(name in run_ids for name in names.to_pylist()):
+                        continue
+                group = file.read_row_group(i, columns=list(named.values()))
+                group = group.select(list(named.values())).rename_columns(list(named))
+                some = group if run_ids is None else of_runs(group, run_ids)
+                yield some.select(columns) if complete else with_derived(some, columns, clock)
+
+
+def read_steps(
+    out: str | Path, columns: Sequence[str], run_ids: Container[str] | None = None
+) -> pa.Table:
+    """As `scan_steps`, in one table."""
+    tables = list(scan_steps(out, columns, run_ids))
+    if tables:
+        return pa.concat_tables(tables).unify_dictionaries()
+    return pa.table({name: pa.array([], OF_FILE.field(name).type) for name in columns})
+
+
+def read_clock(folder: Path) -> pd.DataFrame:
+    """The columns of `runs.parquet` that times of steps follow from, by run_id."""
+    path = folder / "runs.parquet"
+    with _readable(path):
+        there = set(pq.read_schema(path).names)
+        wanted = [name for name in ("run_id", *OF_CLOCK) if name in there]
+        clock: pd.DataFrame = pq.read_table(path, columns=wanted).to_pandas()
+    return clock.set_index("run_id")
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """What goes wrong as a table is read, as `ResultsError`."""
+    if not path.is_file():
+        raise ResultsError(str(path), "", "no such file", "a table written by `dpbench run`")
+    try:
+        yield
+    except (OSError, ValueError, KeyError, pa.ArrowException) as error:
+        if isinstance(error, ResultsError):
+            raise
+        raise ResultsError(
+            str(path), "", f"a damaged file ({str(error)[:120]})", "a parquet table; run again"
+        ) from error
 
 
 def _read_table(folder: Path, name: str) -> pd.DataFrame:
     path = folder / f"{name}.parquet"
-    if not path.is_file():
-        raise ResultsError(str(path), "", "no such file", "a table written by `dpbench run`")
-    try:
-        frame = pd.read_parquet(path)
-    except (OSError, ValueError, pa.ArrowException) as error:
-        raise ResultsError(
-            str(path), "", f"a damaged file ({str(error)[:120]})", "a parquet table; run again"
-        ) from error
+    with _readable(path):
+        table = pq.read_table(path)
+        stored = set(table.column_names)
+        if name == "steps" and not is_complete(stored) and set(STORED) <= stored:
+            table = with_derived(table, list(STEP_COLUMNS), read_clock(folder))
+        whole = {pa.int64(): pd.Int64Dtype()} if name == "steps" else {}
+        frame = table.to_pandas(types_mapper=whole.get)
     if "schema" in frame:
         versions = set(frame["schema"].unique().tolist())
-        if versions - {SCHEMA_VERSION, RENAMED_IN - 1}:
+        if versions - READABLE:
             # Said before its columns are looked at: those of another schema are others.
             found, allowed = f"schema {sorted(versions)}", f"schema {SCHEMA_VERSION}; run again"
             raise ResultsError(str(path), "schema", found, allowed)

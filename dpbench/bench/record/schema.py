@@ -13,9 +13,10 @@ import pandas as pd
 
 from dpbench.bench.record.study_columns import PREFIX
 
-SCHEMA_VERSION = 5
-RENAMED_IN = 5
-"""A table of the schema before this one differs from it in the names of columns alone."""
+SCHEMA_VERSION = 6
+READABLE = frozenset({4, 5, 6})
+"""Schemas whose tables are read: those of 4 call some columns otherwise, and those of 4 and 5 store
+what is derived from other columns since."""
 RENAMED = {
     "spoilt": "disturbed",
     "spoilt_rounds": "disturbed_rounds",
@@ -31,6 +32,9 @@ Columns = dict[str, tuple[DType, str]]
 
 AXES = ("n", "e", "psi")
 FORCES = ("surge", "sway", "yaw")
+AXIS_FORCES = ("x_N", "y_N", "n_Nm")
+MISSING = -1
+"""A whole number that is not there, in arrays that cannot say null."""
 
 STEP_COLUMNS: Columns = {
     "run_id": ("str", "cell the row belongs to"),
@@ -126,6 +130,9 @@ IDENTITY_COLUMNS: Columns = {
     "units": ("str", "scaled | si"),
     "slowdown": ("float64", "how much slower the ship's computer is; 0: it waits for answers"),
     "deadline_s": ("float64", "budget of a step; NaN in replay"),
+    "sample_s": ("float64", "time between samples; NaN in a random sequence"),
+    "first_sample": ("Int64", "sample of step 0: where the window of a replay begins"),
+    "every_sample": ("Int64", "samples from one step to the next"),
     "seed": ("int64", "seed of the order of replay rounds"),
     "study": ("str", "name of the study it belongs to; empty in no study"),
     "study_point": ("Int64", "point of the study; its keys are in the columns x_<key>"),
@@ -348,9 +355,30 @@ ADDED = frozenset(
         "controller_p99_ns",
         "allocation_p50_ns",
         "allocation_p99_ns",
+        "sample_s",
+        "first_sample",
+        "every_sample",
     }
 )
-"""Columns that the first files of this schema have not: read as missing there."""
+"""Columns that files of earlier schemas have not: read as missing there."""
+
+SAME_AS = {
+    "primal_own": "primal",
+    "dual_own": "dual",
+    **{f"cmd_{axis}": f"tau_{axis}" for axis in AXIS_FORCES},
+}
+"""Columns of steps that are null in the file where they are equal, bit for bit, to another one."""
+DERIVED = {
+    "t_s": "(first_sample + every_sample·k)·sample_s, these three from `runs.parquet`",
+    "total_ns": "setup_ns + update_ns + solve_ns + read_ns + allocation_ns, of those that are "
+    "there; null where no phase is",
+    **{
+        f"dtau_{axis}": f"tau_{axis} less that of the row before; less 0 where k = 0"
+        for axis in AXIS_FORCES
+    },
+}
+"""Columns of steps that are in no file, and the formula by which every reader has them back, bit
+for bit (`derived.py`)."""
 
 
 def _missing(dtype: DType, rows: int) -> Any:

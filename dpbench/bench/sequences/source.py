@@ -25,7 +25,7 @@ from dpbench.bench.sequences.at_edge import make_at_edge
 from dpbench.bench.sequences.consequence import consequence_sequence, steered_rows
 from dpbench.bench.sequences.recording import digest, read_sequence
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
-from dpbench.errors import InputError
+from dpbench.errors import InputError, ResultsError
 from dpbench.qp.program import QPSequence
 from dpbench.qp.random.recipe import RandomRecipe
 from dpbench.qp.random.sequence import random_sequence
@@ -72,10 +72,10 @@ class Source(Protocol):
 def source_of(cell: Cell) -> Source:
     """The source of a cell's QPs; InputError for a kind that is not known."""
     if not cell.source:
-        return _Loop(cell.scenario)
+        return _Loop(cell.scenario, cell.first + cell.steps)
     kind = cell.source.get("kind")
     if kind == CONSEQUENCE:
-        return _Consequence(cell.scenario, cell.source["group"])
+        return _Consequence(cell.scenario, cell.first + cell.steps, cell.source["group"])
     if kind == CAPABILITY:
         return _AtEdge(cell.source)
     if kind == RANDOM:
@@ -172,12 +172,13 @@ def recorded_source(what: str, path: Path, name: str) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class _Loop:
-    """The QPs along the exactly solved loop of a scenario."""
+    """The QPs along the first steps of the exactly solved loop of a scenario."""
 
     documents: dict[str, Any]
+    steps: int
 
     def make(self, path: Path) -> None:
-        solve_exactly(scenario_of(self.documents)).save(path)
+        solve_exactly(scenario_of(self.documents).first(self.steps)).save(path)
 
     def load(self, cell: Cell, path: Path) -> Replayed:
         scenario, exact = scenario_of(self.documents), ExactLoop.load(path)
@@ -188,7 +189,9 @@ class _Loop:
         return Replayed(sequence, scenario.sample_s, exact.optima[cell.first : last])
 
     def check(self, path: Path) -> None:
-        ExactLoop.load(path)
+        found = len(ExactLoop.load(path).theta)
+        if found < self.steps:
+            raise ResultsError(str(path), "theta", f"{found} steps", f"{self.steps} of them")
 
     def size(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
         return stored["z"].shape[1], stored["optimum_y"].shape[1]

@@ -1,15 +1,16 @@
 """Cells of one configuration one after the other in one process, then judged one after the other.
 
-A closed loop is a batch of its own. Random problems share one, as they ask whether an answer is
-true and not how long it took: importing a library takes most of a second, replaying a small
-sequence some milliseconds. A cell that crashes or hangs costs only itself; those after it go on in
-a new process.
+Importing a library takes up to most of a second, and so it is for a batch where its cells take some
+milliseconds each. Nothing of a batch is compared by its times: only replays are, each in a process
+of its own (`interleaved.py`). A cell that crashes or hangs costs only itself; those after it go on
+in a new process.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
@@ -31,16 +32,14 @@ class _Run(Child):
         folder: Path,
         core: int,
         *,
-        limit_s: float,
         verdict: str,
     ) -> None:
         self._cells, self._suffix, self._at = list(cells), verdict, 0
         args = (tuple(cells), folder, core)
         for cell in cells:
             (folder / f"{cell.name}.{verdict}").unlink(missing_ok=True)
-        super().__init__(
-            context, target, args, folder, cells[0].name, limit_s=limit_s, verdict=verdict
-        )
+        first, limit_s = cells[0].name, cells[0].limit_s
+        super().__init__(context, target, args, folder, first, limit_s=limit_s, verdict=verdict)
 
     def _advance(self) -> None:
         """Watch the first cell that has no verdict yet."""
@@ -48,6 +47,7 @@ class _Run(Child):
             self._at += 1
             if self._at < len(self._cells):
                 self.name = self._cells[self._at].name
+                self._limit_s = self._cells[self._at].limit_s
                 self._verdict = self.folder / f"{self.name}.{self._suffix}"
                 self._born, self._running_since = time.monotonic(), None
 
@@ -75,7 +75,7 @@ class CellBatch:
 
     Parameters
     ----------
-    cells : what the worker needs of each cell, in order; limit_s : a cell's own run time.
+    cells : what the worker needs of each cell, in order.
     to_run : whether they are to be run; where not, they were before, and left steps.
     """
 
@@ -84,12 +84,11 @@ class CellBatch:
         context: ForkServerContext,
         folder: Path,
         cells: Sequence[BatchCell],
-        limit_s: float,
         *,
         to_run: bool = True,
     ) -> None:
         self._context, self._folder, self._cells = context, folder, list(cells)
-        self._limit_s, self._to_run = limit_s, to_run
+        self._to_run = to_run
         self.outcomes: dict[str, Outcome] = {}
 
     def start(self, core: int) -> Child:
@@ -104,7 +103,8 @@ class CellBatch:
             self.outcomes |= ended
             if not rest:
                 self._to_run = False
-                rest = [cell for cell in self._cells if self._left_steps(cell)]
+                ran = [cell for cell in self._cells if self._left_steps(cell)]
+                rest = [replace(cell, outcome=self.outcomes[cell.name]) for cell in ran]
         else:
             for name, verdict in ended.items():
                 if verdict.outcome != "finished":
@@ -120,9 +120,8 @@ class CellBatch:
 
     def _process(self, cells: Sequence[BatchCell], core: int) -> Child:
         """A process that runs cells, or judges them when all are run."""
-        target, limit_s, verdict = run_batch, self._limit_s, "json"
+        target, verdict = run_batch, "json"
         if not self._to_run:
-            target, limit_s, verdict = evaluate_batch, EVALUATION_LIMIT_S, "evaluated.json"
-        return _Run(
-            self._context, target, cells, self._folder, core, limit_s=limit_s, verdict=verdict
-        )
+            target, verdict = evaluate_batch, "evaluated.json"
+            cells = [replace(cell, limit_s=EVALUATION_LIMIT_S) for cell in cells]
+        return _Run(self._context, target, cells, self._folder, core, verdict=verdict)

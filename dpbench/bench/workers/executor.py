@@ -6,21 +6,22 @@ replays that are timed, interleaved, one worker at a time.
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import cached_property
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
-from dpbench.bench.judge.closed_loop import Evaluated
+from dpbench.bench.judge.rows import run_row
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.progress import Progress
-from dpbench.bench.record.cell import HARNESS_VERSION, OUTCOMES, Cell, Outcome
+from dpbench.bench.record.cell import HARNESS_VERSION, Cell, Outcome
+from dpbench.bench.record.cell_store import CellStore, packed
 from dpbench.bench.record.configuration import COLUMNS
 from dpbench.bench.record.raw_log import discard
-from dpbench.bench.record.result_folder import write_json
+from dpbench.bench.record.step_table import no_steps
 from dpbench.bench.sequences.source import log_size, source_key
 from dpbench.bench.workers.batch import CellBatch
 from dpbench.bench.workers.child import with_log
@@ -28,8 +29,11 @@ from dpbench.bench.workers.interleaved import ReplayGroup
 from dpbench.bench.workers.scratch import NoRoomError, Scratch
 from dpbench.bench.workers.slots import Errand, in_slots
 from dpbench.bench.workers.worker import BatchCell
-from dpbench.errors import InputError, ResultsError
+from dpbench.errors import InputError
 from dpbench.solvers.table import Availability
+
+BATCH_CELLS, BATCH_BYTES = 32, 2**23
+"""Closed loops that share a process, and the bytes of their logs, at most."""
 
 
 @dataclass(eq=False)
@@ -46,58 +50,15 @@ class CellJob:
         """Its cell."""
         return self.planned.cell
 
+    @cached_property
+    def source_key(self) -> str:
+        """Of the file behind its QPs."""
+        return source_key(self.cell, HARNESS_VERSION)
+
     @property
     def is_lost(self) -> bool:
         """Whether an accident of the harness cost it."""
         return self.outcome is not None and self.outcome.outcome == "lost"
-
-
-class CellStore:
-    """Finished cells on disk: `<run_id>.json` (the outcome) and `<run_id>.npz` (the columns)."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        folder.mkdir(parents=True, exist_ok=True)
-
-    def evaluated_path(self, job: CellJob) -> Path:
-        """Where the judged columns of a cell go."""
-        return self.folder / f"{job.run_id}.npz"
-
-    def finished(self, job: CellJob) -> Outcome | None:
-        """The outcome of a cell that was finished earlier, None if there is none to rely on.
-
-        None is that of a cell that was lost, or of which something is damaged or gone.
-        """
-        try:
-            text = (self.folder / f"{job.run_id}.json").read_text(encoding="utf-8")
-            document = json.loads(text)
-            with_steps = document.pop("with_steps")
-            outcome = Outcome(**document)
-        except (OSError, ValueError, TypeError, AttributeError, KeyError):
-            return None
-        if outcome.outcome not in OUTCOMES or outcome.outcome == "lost":
-            return None
-        sound = (self.evaluated(job) is not None) == with_steps
-        return outcome if sound else None
-
-    def finish(self, job: CellJob, outcome: Outcome, *, judged: bool = False) -> None:
-        """Keep a cell's outcome; its columns were written before if it was `judged`.
-
-        Columns of an earlier time do not stay beside the outcome of this one.
-        """
-        job.outcome = outcome
-        with_steps = judged and outcome.outcome != "lost"
-        if not with_steps:
-            self.evaluated_path(job).unlink(missing_ok=True)
-        document = outcome.__dict__ | {"with_steps": with_steps}
-        write_json(self.folder / f"{job.run_id}.json", document)
-
-    def evaluated(self, job: CellJob) -> Evaluated | None:
-        """The judged columns of a cell, None if it left no steps, or they are damaged."""
-        try:
-            return Evaluated.load(self.evaluated_path(job))
-        except ResultsError:
-            return None
 
 
 def work_of(cell: Cell) -> int:
@@ -122,6 +83,7 @@ class Bench:
     Parameters
     ----------
     cores : those there are; slots : how many processes may work side by side, on as many cores.
+    machine_id : of `machine.json`, for the rows of the cells.
     """
 
     def __init__(
@@ -132,9 +94,11 @@ class Bench:
         cores: list[int],
         slots: int,
         progress: Progress,
+        machine_id: str = "",
     ) -> None:
         self._context, self._scratch, self.progress = context, scratch, progress
         self._store, self._cores, self._slots = store, cores, cores[:slots]
+        self._machine_id = machine_id
         self._folder = store.folder  # that of the logs at hand, see `_with_room`
 
     def make_files(
@@ -158,20 +122,18 @@ class Bench:
         return in_slots(errands, self._slots)
 
     def batches(self, jobs: Sequence[CellJob], sources: dict[str, Path], what: str) -> None:
-        """Run closed loops, or random sequences, and judge each batch right after it ran."""
-        batches: dict[tuple[str, ...], list[CellJob]] = {}
+        """Run closed loops, or random sequences, and judge each batch right after it ran.
+
+        Cells of one configuration share a process, one after the other.
+        """
         sizes = self._sizes(jobs, sources)
-        for job in sizes:
-            alone = job.cell.mode == "closed_loop"
-            # Cells with the same configuration may share a process.
-            key = (job.run_id,) if alone else tuple(getattr(job.cell, name) for name in COLUMNS)
-            batches.setdefault(key, []).append(job)
+        batches = _batches(sizes, len(self._slots))
         # A batch keeps the logs of all its cells until they are judged.
-        needs = sorted(sum(sizes[job] for job in batch) for batch in batches.values())
+        needs = sorted(sum(sizes[job] for job in batch) for batch in batches)
         if not sizes or not self._with_room(sizes, sum(needs[-len(self._slots) :]), what):
             return
         by_id = {job.run_id: job for job in sizes}
-        for outcomes in self._in_batches(batches.values(), sources):
+        for outcomes in self._in_batches(batches, sources):
             for run_id, outcome in outcomes.items():
                 job, cell = by_id[run_id], by_id[run_id].cell
                 job.outcome = outcome
@@ -206,10 +168,15 @@ class Bench:
 
     def _sizes(self, jobs: Sequence[CellJob], sources: dict[str, Path]) -> dict[CellJob, int]:
         """What each log takes [B]; jobs whose source cannot be read are lost, and not in it."""
-        sizes = {}
+        sizes: dict[CellJob, int] = {}
+        known: dict[tuple[object, ...], int] = {}
         for job in jobs:
+            cell = job.cell
+            alike = job.source_key, cell.sequence, cell.mode, cell.steps, cell.rounds
             try:
-                sizes[job] = log_size(job.cell, _source(job, sources))
+                if alike not in known:
+                    known[alike] = log_size(cell, _source(job, sources))
+                sizes[job] = known[alike]
             except InputError as error:
                 self._lose(job, str(error))
         return sizes
@@ -225,7 +192,7 @@ class Bench:
         return True
 
     def _lose(self, job: CellJob, cause: str) -> None:
-        self._store.finish(job, Outcome("lost", cause))
+        job.outcome = Outcome("lost", cause)
         self.progress.advance(work_of(job.cell), "lost")
 
     def _in_batches(
@@ -243,26 +210,61 @@ class Bench:
                 BatchCell(
                     job.run_id,
                     job.cell.to_json(),
+                    job.cell.limit_s,
                     _source(job, sources),
-                    self._store.evaluated_path(job),
+                    job.outcome,
+                    job.library,
+                    self._machine_id,
                 )
                 for job in jobs
             ]
-            limit_s = jobs[0].cell.limit_s
-            tasks.append(CellBatch(self._context, self._folder, cells, limit_s, to_run=to_run))
+            tasks.append(CellBatch(self._context, self._folder, cells, to_run=to_run))
         for batch in in_slots(tasks, cores or self._slots):
             yield batch.outcomes
 
     def _put_away(self, job: CellJob) -> None:
-        """Keep the outcome of a cell and drop what it left behind."""
-        judged = (self._folder / f"{job.run_id}.evaluated.json").exists()
+        """Keep what became of a cell, unless it was lost, and drop what it left behind."""
         outcome = job.outcome or Outcome("lost", "it was not run")
-        self._store.finish(job, outcome, judged=judged)
+        if outcome.outcome != "lost":
+            try:
+                self._store.append(job.run_id, outcome.outcome, self._record(job, outcome))
+            except OSError as error:
+                outcome = Outcome("lost", f"it could not be kept: {error}")
+        job.outcome = outcome
         discard(self._folder / f"{job.run_id}.raw")
-        for suffix in ("json", "evaluated.json", "noise"):
-            (self._folder / f"{job.run_id}.{suffix}").unlink(missing_ok=True)
+        for suffix in ("json", "judged", "evaluated.json", "noise"):
+            # What stands in a file's place by somebody else's doing goes with the folder.
+            with suppress(OSError):
+                (self._folder / f"{job.run_id}.{suffix}").unlink()
+
+    def _record(self, job: CellJob, outcome: Outcome) -> bytes:
+        """What the referee left of a cell; of one that left no steps its row."""
+        if (self._folder / f"{job.run_id}.evaluated.json").exists():
+            return (self._folder / f"{job.run_id}.judged").read_bytes()
+        about = job.run_id, job.cell, outcome, job.library, self._machine_id
+        return packed(run_row(*about, None, None), no_steps())
 
 
 def _source(job: CellJob, sources: dict[str, Path]) -> Path:
     """The file behind the QPs of a job."""
-    return sources[source_key(job.cell, HARNESS_VERSION)]
+    return sources[job.source_key]
+
+
+def _batches(sizes: Mapping[CellJob, int], slots: int) -> list[list[CellJob]]:
+    """Jobs that may share a process, by the sizes of their logs [B]: those of one configuration.
+
+    No more than keep all slots busy to the end, and than the memory for logs has room for.
+    """
+    most = min(BATCH_CELLS, max(1, len(sizes) // (4 * slots)))
+    batches: dict[tuple[str, ...], list[list[CellJob]]] = {}
+    room: dict[tuple[str, ...], int] = {}
+    for job, size in sizes.items():
+        key = (job.cell.mode, *(getattr(job.cell, name) for name in COLUMNS))
+        alike = batches.setdefault(key, [])
+        looped = job.cell.mode == "closed_loop"
+        if not alike or (looped and (len(alike[-1]) >= most or size > room[key])):
+            alike.append([])
+            room[key] = BATCH_BYTES
+        alike[-1].append(job)
+        room[key] -= size
+    return [batch for alike in batches.values() for batch in alike]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -17,9 +17,13 @@ import numpy as np
 
 from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
 from dpbench.bench.judge.replay import evaluate_sequence
+from dpbench.bench.judge.rows import run_row
+from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import Cell, Outcome
+from dpbench.bench.record.cell_store import packed
 from dpbench.bench.record.disturbance import counters
 from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.record.step_table import step_batch
 from dpbench.bench.run.assemble import clock, closed_loop_setup, replay_parts
 from dpbench.bench.run.closed_loop import closed_loop
 from dpbench.bench.run.exact_loop import ExactLoop
@@ -36,17 +40,23 @@ from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.isolation import isolate
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import load_solver_module
+from dpbench.solvers.table import Availability, load_solver_module
 
 
 @dataclass(frozen=True)
 class BatchCell:
-    """A cell of a batch: its name and JSON, the file behind its QPs, where its columns go."""
+    """A cell of a batch: its run_id and JSON, its own run time, the file behind its QPs.
+
+    outcome : what became of it, once it ran; library, machine_id : for its row.
+    """
 
     name: str
     cell: str
+    limit_s: float
     source: Path
-    evaluated: Path
+    outcome: Outcome | None
+    library: Availability
+    machine_id: str
 
 
 def _opened(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Workspace:
@@ -245,7 +255,8 @@ def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> No
 
 
 def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
-    """Let the referee judge the raw logs of cells; the columns appear in their `evaluated` (.npz).
+    """Let the referee judge the raw logs of cells; a record of each, as `packed` makes it, appears
+    in `folder` as `<name>.judged`.
 
     Runs in a process of its own, in which the solver under test was never loaded.
     """
@@ -254,13 +265,28 @@ def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
     for i, batch_cell in enumerate(cells):
         post(AtWork.HARNESS, i)
         log = RawLog.open(folder / f"{batch_cell.name}.raw")
-        _evaluate(batch_cell, log).save(batch_cell.evaluated)
+        (folder / f"{batch_cell.name}.judged").write_bytes(_judged(batch_cell, log))
         leave_verdict(folder / f"{batch_cell.name}.evaluated.json", Outcome("finished", ""))
 
 
-def _evaluate(batch_cell: BatchCell, log: RawLog) -> Evaluated:
-    cell = Cell.from_json(batch_cell.cell)
+def _judged(batch_cell: BatchCell, log: RawLog) -> bytes:
+    """The record of a cell that ran."""
+    cell, outcome = Cell.from_json(batch_cell.cell), batch_cell.outcome
+    assert outcome is not None, "it ran"
+    evaluated = _evaluate(cell, batch_cell.source, log)
+    steps = step_columns(cell, evaluated)
+    about = batch_cell.name, cell, outcome, batch_cell.library, batch_cell.machine_id
+    return packed(run_row(*about, evaluated, steps), step_batch(steps))
+
+
+def _evaluate(cell: Cell, source: Path, log: RawLog) -> Evaluated:
     if cell.mode == "replay":
-        known, judged = replayed(cell, batch_cell.source), cell.solver not in CALIBRATION
+        known, judged = replayed(cell, source), cell.solver not in CALIBRATION
         return evaluate_sequence(log, known.sequence, known.sample_s, known.optima, judged=judged)
-    return evaluate_log(cell, log, ExactLoop.load(batch_cell.source))
+    return evaluate_log(cell, log, _exact_loop(source))
+
+
+@lru_cache(maxsize=1)
+def _exact_loop(path: Path) -> ExactLoop:
+    """That of many cells in a row, read once a process."""
+    return ExactLoop.load(path)

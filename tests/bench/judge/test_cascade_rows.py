@@ -12,9 +12,12 @@ from dpbench import load_scenario, open_workspace, run_closed_loop
 from dpbench.bench.judge.closed_loop import evaluate_log
 from dpbench.bench.judge.memory_of_answers import with_loop_ratio
 from dpbench.bench.judge.rows import run_row, step_rows
-from dpbench.bench.judge.rules import errors, failed_steps, joined
+from dpbench.bench.judge.rules import errors, failed_steps
+from dpbench.bench.judge.step_columns import StepColumns, joined, step_columns
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.record.schema import MISSING
+from dpbench.bench.record.step_table import total_of
 from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup
 from dpbench.bench.run.closed_loop import closed_loop
 from dpbench.bench.run.exact_loop import solve_exactly
@@ -35,9 +38,10 @@ def judged(units: str = "scaled", spoil: Any = None) -> tuple[pd.DataFrame, dict
     if spoil is not None:
         spoil(setup.log)
     evaluated = evaluate_log(cell, setup.log, solve_exactly(case))
-    steps = step_rows("run", cell, evaluated)
+    steps = step_columns(cell, evaluated)
     outcome = Outcome("finished", "", "dense", 30, 30)
-    return steps, run_row("run", cell, outcome, Availability(True), "", evaluated, steps)
+    rows = step_rows("run", steps)
+    return rows, run_row("run", cell, outcome, Availability(True), "", evaluated, steps)
 
 
 def test_both_qps_are_timed_together_and_apart() -> None:
@@ -110,7 +114,7 @@ def test_the_baseline_law_allocates_by_the_pseudo_inverse() -> None:
     assert np.hypot(steps["n_m"], steps["e_m"]).max() < 0.5
 
 
-def answers(**changes: list[Any]) -> pd.DataFrame:
+def answers(**changes: list[Any]) -> StepColumns:
     """Columns of five solved and certified QPs, some of them changed."""
     columns: dict[str, Any] = {
         "claimed": [True] * 5,
@@ -119,12 +123,15 @@ def answers(**changes: list[Any]) -> pd.DataFrame:
         "true_1e6": [True] * 5,
         "status": ["SOLVED"] * 5,
         "certificate": ["linear"] * 5,
-        "total_ns": [10] * 5,
+        "setup_ns": [MISSING] * 5,
+        "update_ns": [MISSING] * 5,
+        "solve_ns": [7] * 5,
+        "read_ns": [3] * 5,
         "error_move": [0.1] * 5,
         "fallback": [False] * 5,
         "unconverged": [False] * 5,
     }
-    return pd.DataFrame(columns | changes).astype({"total_ns": "Int64"})
+    return {name: np.array(column) for name, column in (columns | changes).items()}
 
 
 def test_a_step_is_as_good_as_the_worse_of_its_answers() -> None:
@@ -146,10 +153,10 @@ def test_a_step_is_as_good_as_the_worse_of_its_answers() -> None:
     assert steps["true"].tolist() == [True, False, False, True, False]
     assert steps["status"].tolist() == ["SOLVED", "SOLVED", "ERROR", "PRIMAL_INFEASIBLE", "ERROR"]
     assert steps["certificate"].tolist() == ["linear"] * 3 + ["infeasible", "linear"]
-    assert steps["total_ns"].tolist() == [20] * 5
+    assert total_of(steps).tolist() == [20] * 5 and steps["allocation_ns"].tolist() == [10] * 5
     assert errors(steps).tolist() == [0.1, 0.7, np.inf, 0.2, np.inf]
     # The loop falls back where either has no answer: a right claim of infeasibility is no failure.
-    steps["fallback"] = [False, False, True, True, True]
+    steps["fallback"] = np.array([False, False, True, True, True])
     assert failed_steps(steps).tolist() == [False, False, True, False, True]
 
 

@@ -15,6 +15,7 @@ from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
 from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.judge.rows import run_row, step_rows
 from dpbench.bench.judge.rules import counting_rows, disturbed_rounds, percentile, supports
+from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import TIMES, RawLog, replay_layout
 from dpbench.bench.record.schema import as_runs
@@ -58,10 +59,10 @@ def _tables(evaluated: Evaluated) -> tuple[pd.DataFrame, Any]:
         "settings": "default",
     }
     cell = Cell(mode="replay", scenario=scenario, steps=STEPS, rounds=3, **configuration)
-    steps = step_rows("planted", cell, evaluated)
+    steps = step_columns(cell, evaluated)
     outcome, library = Outcome("finished", ""), Availability(True)
     row = run_row("planted", cell, outcome, library, "", evaluated, steps)
-    return steps, as_runs(pd.DataFrame([row])).iloc[0]
+    return step_rows("planted", steps), as_runs(pd.DataFrame([row])).iloc[0]
 
 
 def _judged(log: RawLog) -> Evaluated:

@@ -1,0 +1,133 @@
+"""Judged columns of a cell → the columns of its steps: one array for each of `steps.parquet`.
+
+Plain arrays, as a cell of a hundred steps would spend ten times its loop in data frames. A column
+that a run has not is left out; a whole number that is missing is `MISSING`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, OF_SECOND, Columns, Evaluated
+from dpbench.bench.judge.deadlines import late_columns
+from dpbench.bench.judge.rules import (
+    INFEASIBLE,
+    UNCERTIFIED,
+    UNDECIDED,
+    WARM_UP,
+    counting_rows,
+    unusable,
+)
+from dpbench.bench.judge.timing import disturbed_rounds_of
+from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.raw_log import TIMES
+from dpbench.bench.record.schema import AXIS_FORCES, MISSING
+from dpbench.bench.record.step_table import INSIDE, change_of, total_of
+from dpbench.bench.run.slow_computer import delay_of
+from dpbench.qp.solution import Status
+from dpbench.scenario.scenario import scenario_once
+
+StepColumns = dict[str, NDArray[Any]]
+"""(N,) arrays by the names of `STEP_COLUMNS`, all but `run_id`."""
+_STATUS_NAMES = np.array([status.name for status in Status])
+_CERTIFICATE_NAMES = np.array(CERTIFICATES)
+_STATE = ("u_mps", "v_mps", "r_radps", "n_m", "e_m", "psi_rad")
+_OF_THRUSTERS = ("thrust_share", "power_share", "undelivered_share")
+
+
+def step_columns(cell: Cell, evaluated: Evaluated) -> StepColumns:
+    """The columns of the recorded steps of a cell."""
+    columns = evaluated.columns
+    asked = columns["asked"] if cell.slowdown > 0.0 else None
+    steps = _of_qps(columns, asked)
+    second = {
+        name.removeprefix(OF_SECOND): column
+        for name, column in columns.items()
+        if name.startswith(OF_SECOND)
+    }
+    if second:
+        steps = joined(steps, _of_qps(second, None))
+    steps["total_ns"] = total_of(steps)
+    steps["t_s"] = columns["t_s"]
+    rows = len(steps["k"])
+    if cell.mode == "replay":
+        disturbed = np.isin(columns["repeat"], disturbed_rounds_of(columns))
+        steps["warmup"], steps["disturbed"] = steps["repeat"] == WARM_UP, disturbed
+        steps["counts"] = counting_rows(columns["repeat"], disturbed)
+        steps["unconverged"] = np.isin(steps["status"], ("INACCURATE", "MAX_ITERATIONS"))
+        steps["fallback"] = unusable(steps)
+        return steps
+    steps["counts"] = np.ones(rows, dtype=np.bool_)
+    delay = delay_of(cell, scenario_once(cell.scenario).sample_s)
+    steps |= late_columns(delay, columns["latency_ns"], steps["total_ns"])
+    return steps | _of_ship(columns)
+
+
+def chosen(steps: StepColumns, rows: NDArray[np.bool_]) -> StepColumns:
+    """Some of the rows."""
+    return {name: column[rows] for name, column in steps.items()}
+
+
+def _of_qps(columns: Columns, asked: NDArray[np.bool_] | None) -> StepColumns:
+    """What is said of each answer to a QP; `asked` (K,) in which steps there is one, None for
+    all."""
+    status, times = _STATUS_NAMES[columns["status"].astype(int)], columns["times"]
+    if asked is not None:
+        status = np.where(asked, status, "")
+        times = np.where(asked[:, None] | (np.array(TIMES) == "overhead"), times, MISSING)
+    steps: StepColumns = {
+        "repeat": columns["repeat"],
+        "k": columns["k"],
+        "status": status,
+        "claimed": columns["status"] == Status.SOLVED,
+        "certificate": _CERTIFICATE_NAMES[columns["certificate"].astype(int)],
+    }
+    steps |= {f"{phase}_ns": _whole(times[:, i]) for i, phase in enumerate(TIMES)}
+    steps |= {name: _whole(columns[name]) for name in ("iterations", "reported_ns")}
+    for i, figure in enumerate(EVALUATION):
+        values = columns["evaluations"][:, i]
+        steps[figure] = values == 1.0 if figure.startswith("true") else values
+    steps["n_active"] = np.nan_to_num(steps["n_active"]).astype(np.int32)
+    return steps
+
+
+def joined(first: StepColumns, second: StepColumns) -> StepColumns:
+    """Steps of a cascade, from the columns of its two QPs (K rows each).
+
+    A step is claimed, and true, only if both answers are; its time is that of both. Status and
+    certificate are those of the first QP, or of the second where the first is solved, or has no
+    feasible point, and the second is not solved; where the right answer to either is not known,
+    that to the step is not. All else is of the first; of the second, `allocation_ns` is the time
+    and `allocation_error` that of its first move.
+    """
+    both = first.copy()
+    for name in ("claimed", "true", "true_1e4", "true_1e6"):
+        both[name] = first[name] & second[name]
+    of_second = ~second["claimed"] & (first["claimed"] | (first["certificate"] == INFEASIBLE))
+    for name in ("status", "certificate"):
+        both[name] = np.where(of_second, second[name], first[name])
+    for unknown in (UNDECIDED, UNCERTIFIED):
+        either = (first["certificate"] == unknown) | (second["certificate"] == unknown)
+        both["certificate"] = np.where(either, unknown, both["certificate"])
+    both["allocation_ns"] = total_of({phase: second[phase] for phase in INSIDE})
+    both["allocation_error"] = second["error_move"]
+    return both
+
+
+def _whole(values: NDArray[Any]) -> NDArray[np.int64]:
+    """Whole numbers, each that is not there as `MISSING`."""
+    return np.maximum(values.astype(np.int64), MISSING)
+
+
+def _of_ship(columns: Columns) -> StepColumns:
+    state, tau = columns["state"][:-1], columns["tau"].astype(np.float64)
+    ship = {name: columns[name] for name in ("fallback", "unconverged", "clipped")}
+    ship |= {name: state[:, i] for i, name in enumerate(_STATE)}
+    for i, axis in enumerate(AXIS_FORCES):
+        ship[f"tau_{axis}"] = tau[:, i]
+        ship[f"dtau_{axis}"] = change_of(tau[:, i], columns["k"])
+        ship[f"cmd_{axis}"] = columns["command"][:, i]
+    return ship | {name: columns[name] for name in _OF_THRUSTERS if name in columns}

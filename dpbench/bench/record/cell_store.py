@@ -1,0 +1,366 @@
+"""Finished cells on disk, from the first record to the public tables.
+
+A finished cell goes into a journal, a file that only grows. Each of its records is an Arrow IPC
+stream of one batch, the steps of a run, whose schema carries the row of the run as JSON; before it
+stand its length and its check sum. What was cut off in the midst of a record, or damaged since, is
+no record; all others are.
+
+Some hundred cells become a part, two files in `cells/`, the steps first and the runs last; at the
+end of a campaign all parts become `steps.parquet` and `runs.parquet`. A cell is finished when its
+row stands in a table of runs, or in the journal, and its steps can be read. Where a cell is in
+several places, after a campaign was killed as it tidied up, the latest holds.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import zlib
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from dpbench.bench.record.cell import OUTCOMES
+from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs
+from dpbench.bench.record.step_table import (
+    OF_FILE,
+    of_runs,
+    step_writer,
+    with_names,
+    write_runs,
+    write_steps,
+)
+
+_HEAD = struct.Struct("<4sQI")
+"""Mark, length and CRC-32 of the record behind it."""
+_MARK = b"DPB1"
+_ROW = b"run"
+
+Row = dict[str, Any]
+"""A row of `runs.parquet`, by column."""
+
+
+def packed(row: Row, steps: pa.RecordBatch) -> bytes:
+    """A finished run as the bytes of a record."""
+    text = json.dumps(row, default=_plain, ensure_ascii=False)
+    batch = steps.replace_schema_metadata({_ROW: text.encode()})
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, batch.schema) as stream:
+        stream.write_batch(batch)
+    record: bytes = sink.getvalue().to_pybytes()
+    return record
+
+
+def unpacked(record: bytes) -> tuple[Row, pa.RecordBatch]:
+    """What `packed` made bytes of."""
+    with pa.ipc.open_stream(record) as stream:
+        batch = stream.read_next_batch()
+    row: Row = json.loads(batch.schema.metadata[_ROW])
+    return row, batch.replace_schema_metadata(None)
+
+
+def _plain(value: object) -> object:
+    """What JSON has for a number of NumPy, and for one that is missing."""
+    if value is pd.NA:
+        return None
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} in a row")
+
+
+class Journal:
+    """Appends records to a new file at `path`; OSError where it cannot be made."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
+        self.size = 0
+
+    def append(self, record: bytes) -> None:
+        """Write one record behind the last; OSError where there is no room, and nothing is left of
+        it then."""
+        data = memoryview(_HEAD.pack(_MARK, len(record), zlib.crc32(record)) + record)
+        try:
+            written = 0
+            while written < len(data):
+                written += os.pwrite(self._file, data[written:], self.size + written)
+        except OSError:
+            os.ftruncate(self._file, self.size)
+            raise
+        self.size += len(data)
+
+    def close(self) -> None:
+        """No more records."""
+        os.close(self._file)
+
+
+def records_in(path: Path) -> Iterator[bytes]:
+    """The whole records of a journal; none where there is no file.
+
+    Behind a damaged head nothing can be found any more.
+    """
+    try:
+        data = memoryview(path.read_bytes())
+    except OSError:
+        return
+    at = 0
+    while at + _HEAD.size <= len(data):
+        mark, length, check = _HEAD.unpack_from(data, at)
+        record = data[at + _HEAD.size : at + _HEAD.size + length]
+        if mark != _MARK or len(record) < length:
+            return
+        if zlib.crc32(record) == check:
+            yield bytes(record)
+        at += _HEAD.size + length
+
+
+PART_CELLS = 256
+PART_BYTES = 2**26
+"""Cells, or bytes, of a journal from which it becomes a part."""
+GROUP_ROWS = 2**17
+"""Rows of a row group, unless a single run has more."""
+CHECKED_ROWS = 512
+"""Rows of runs that are looked through at a time."""
+_FINISHED = set(OUTCOMES) - {"lost", "invalid"}
+_CHECK = "steps_crc32"
+"""What the metadata of a table of runs say of the file of its steps."""
+_DAMAGE = (OSError, ValueError, KeyError, pa.ArrowException)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A table of runs, and the file of their steps."""
+
+    runs: Path
+    steps: Path
+
+    def rows(self) -> pd.DataFrame:
+        """The rows of finished runs, by run_id; none where the table is damaged or not there."""
+        try:
+            rows = as_runs(pq.read_table(self.runs, page_checksum_verification=True).to_pandas())
+        except _DAMAGE:
+            rows = as_runs(pd.DataFrame())
+        finished = rows["outcome"].isin(_FINISHED) & (rows["schema"] == SCHEMA_VERSION)
+        return rows[finished].set_index("run_id", drop=False)
+
+    def names(self) -> list[str]:
+        """The run_ids of all its rows, in their order."""
+        try:
+            return [
+                str(n) for n in pq.read_table(self.runs, columns=["run_id"])["run_id"].to_pylist()
+            ]
+        except _DAMAGE:
+            return []
+
+    def groups(self) -> Iterator[pa.Table]:
+        """The row groups of the steps that can be read."""
+        try:
+            file = pq.ParquetFile(
+                self.steps, read_dictionary=["run_id"], page_checksum_verification=True
+            )
+        except _DAMAGE:
+            return
+        with file:
+            for i in range(file.num_row_groups):
+                with suppress(*_DAMAGE):
+                    yield file.read_row_group(i).select(OF_FILE.names).cast(OF_FILE)
+
+    def outcomes(self) -> dict[str, str]:
+        """Of each finished run its outcome; a run whose steps cannot be read is none."""
+        finished: dict[str, str] = {}
+        try:
+            with pq.ParquetFile(self.runs, page_checksum_verification=True) as file:
+                # All columns, which tells whether they can be read; some rows at a time, as the
+                # descriptions of cells are long.
+                for rows in file.iter_batches(batch_size=CHECKED_ROWS):
+                    key = (rows[name].to_pylist() for name in ("run_id", "outcome", "schema"))
+                    finished |= {
+                        name: outcome
+                        for name, outcome, schema in zip(*key, strict=True)
+                        if outcome in _FINISHED and schema == SCHEMA_VERSION
+                    }
+        except _DAMAGE:
+            return {}
+        if self._is_sound():
+            return finished
+        groups = [pc.unique(group["run_id"]).to_pylist() for group in self.groups()]
+        read = {name for names in groups for name in names}
+        return {name: became for name, became in finished.items() if name in read}
+
+    def _is_sound(self) -> bool:
+        """Whether the steps are, byte for byte, those that the runs were written beside."""
+        try:
+            said = (pq.read_metadata(self.runs).metadata or {}).get(_CHECK.encode())
+        except _DAMAGE:
+            return False
+        return said == _check_sum(self.steps)
+
+    def write_runs(self, rows: pd.DataFrame, steps: Path) -> None:
+        """Write the rows beside `steps`, and put those in their place before."""
+        check = _check_sum(steps)
+        if steps != self.steps:
+            steps.replace(self.steps)
+        write_runs(self.runs, rows, {_CHECK: check.decode()})
+
+    def remove(self) -> None:
+        """Both files, the runs first."""
+        self.runs.unlink(missing_ok=True)
+        self.steps.unlink(missing_ok=True)
+
+
+def _check_sum(path: Path) -> bytes:
+    """CRC-32 of a file; of one that is not there, of nothing."""
+    check = 0
+    with suppress(OSError), path.open("rb") as file:
+        while block := file.read(2**20):
+            check = zlib.crc32(block, check)
+    return b"%08x" % check
+
+
+class StepFile:
+    """A file of steps on its way: tables of whole runs, gathered into row groups."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.rows = path, 0
+        self._writer, self._waiting, self._count = step_writer(path), list[pa.Table](), 0
+
+    def add(self, table: pa.Table) -> None:
+        """Add whole runs."""
+        self._waiting.append(table)
+        self._count += table.num_rows
+        self.rows += table.num_rows
+        if self._count >= GROUP_ROWS:
+            self._flush()
+
+    def _flush(self) -> None:
+        if self._waiting:
+            group = pa.concat_tables(self._waiting).unify_dictionaries().combine_chunks()
+            write_steps(self._writer, group)
+        self._waiting, self._count = [], 0
+
+    def close(self) -> None:
+        """Write what is left; nothing the second time."""
+        self._flush()
+        self._writer.close()
+
+
+class CellStore:
+    """The finished cells of a result folder.
+
+    Attributes
+    ----------
+    folder : where journal and parts lie, `cells/`.
+    finished : of each finished cell its outcome, by run_id.
+    """
+
+    def __init__(self, out: Path) -> None:
+        self.out, self.folder = out, out / "cells"
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._journal_path = self.folder / "open.cells"
+        self._journal: Journal | None = None
+        self._cells, self._turn_at = 0, PART_CELLS
+        self._stale: set[str] = set()
+        self._tidy()
+        self._turn()
+        self._before = set(self.parts())
+        self.finished: dict[str, str] = {}
+        for part in self.parts():
+            self.finished |= part.outcomes()
+
+    @property
+    def public(self) -> Part:
+        """The tables that others read."""
+        return Part(self.out / "runs.parquet", self.out / "steps.parquet")
+
+    def parts(self) -> list[Part]:
+        """All there are, the public tables first, the latest last."""
+        numbers = sorted(self.folder.glob("runs-*.parquet"))
+        return [self.public, *(self._part(path.stem.removeprefix("runs-")) for path in numbers)]
+
+    def _part(self, number: str) -> Part:
+        return Part(self.folder / f"runs-{number}.parquet", self.folder / f"steps-{number}.parquet")
+
+    def new_part(self) -> Part:
+        """The next one."""
+        last = max((p.runs.stem for p in self.parts()[1:]), default="runs-00000")
+        return self._part(f"{int(last.removeprefix('runs-')) + 1:05d}")
+
+    def forget(self, run_ids: Iterable[str]) -> None:
+        """Take these cells as unfinished, whatever is there of them."""
+        self._stale |= set(run_ids)
+        for run_id in self._stale:
+            self.finished.pop(run_id, None)
+
+    def append(self, run_id: str, outcome: str, record: bytes) -> None:
+        """Keep a finished cell, as `journal.packed` packs it; OSError where there is no room."""
+        if self._journal is None:
+            self._journal = Journal(self._journal_path)
+        self._journal.append(record)
+        self.finished[run_id] = outcome
+        self._cells += 1
+        if self._cells >= self._turn_at or self._journal.size >= PART_BYTES:
+            # Without room for a part the journal goes on, and the next ones try again.
+            self._turn_at = self._cells + PART_CELLS
+            with suppress(OSError):
+                self._turn()
+
+    def close(self) -> None:
+        """Make a part of what the journal holds; nothing is appended any more."""
+        self._turn()
+
+    def _turn(self) -> None:
+        """Make the journal a part."""
+        rows: dict[str, Row] = {}
+        steps: dict[str, pa.RecordBatch] = {}
+        for record in records_in(self._journal_path):
+            row, batch = unpacked(record)
+            name = str(row["run_id"])
+            rows[name], steps[name] = row, batch
+        if rows:
+            part = self.new_part()
+            file = StepFile(part.steps.with_suffix(".part"))
+            try:
+                file.add(with_names(steps))
+                file.close()
+                part.write_runs(as_runs(pd.DataFrame(list(rows.values()))), file.path)
+            finally:
+                file.path.unlink(missing_ok=True)
+        if self._journal is not None:
+            self._journal.close()
+        self._journal, self._cells, self._turn_at = None, 0, PART_CELLS
+        self._journal_path.unlink(missing_ok=True)
+
+    def _tidy(self) -> None:
+        """Remove what a killed campaign left half done."""
+        for path in (*self.folder.glob("*.part"), *self.out.glob("*.parquet.part")):
+            path.unlink(missing_ok=True)
+        for path in self.folder.glob("steps-*.parquet"):
+            if not path.with_name(path.name.replace("steps-", "runs-")).exists():
+                path.unlink(missing_ok=True)
+
+    def rows(self) -> pd.DataFrame:
+        """The rows of all finished cells, by run_id: of several the latest."""
+        tables = [self._valid(part, part.rows()) for part in self.parts()]
+        rows = pd.concat([as_runs(pd.DataFrame()), *(t for t in tables if len(t))])
+        return rows[~rows.index.duplicated(keep="last")]
+
+    def _valid(self, part: Part, rows: pd.DataFrame) -> pd.DataFrame:
+        """The rows of a part but for those that were forgotten since they were written."""
+        return rows[~rows["run_id"].isin(self._stale)] if part in self._before else rows
+
+    def steps(self) -> Iterator[pa.Table]:
+        """The steps of all finished cells once, in tables of whole runs: of several the latest."""
+        owner: dict[str, Part] = {}
+        for part in self.parts():
+            owner |= dict.fromkeys(self._valid(part, part.rows())["run_id"], part)
+        for part in self.parts():
+            for group in part.groups():
+                yield of_runs(group, {name for name, has in owner.items() if has == part})

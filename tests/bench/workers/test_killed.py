@@ -1,0 +1,119 @@
+"""A campaign that is killed with SIGKILL, at whatever moment, is the same once it has gone on."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from dpbench import load_results, run_campaign
+from dpbench.bench.record.cell_store import CellStore
+from dpbench.bench.record.result_folder import Results
+from dpbench.bench.record.schema import ACCURACY_COLUMNS, CONTROL_COLUMNS, STEP_COLUMNS
+
+pytestmark = pytest.mark.alone
+
+SUITE = """
+title = "A suite for one test"
+solvers = ["quadprog", "daqp"]
+baseline_law = false
+cell_limit_s = 60.0
+rounds = 1
+warmup_steps = 0
+
+[[closed_loop]]
+scenarios = ["paper", "rough"]
+settings = ["default", "high"]
+steps = 6
+
+[[random]]
+families = ["no_rows"]
+sizes = [[3, 0], [4, 0]]
+steps = 5
+"""
+CELLS, ROWS = 10, 12
+"""quadprog has no settings: its two loops and two random problems are cells, and its loops rows
+under two names; daqp has four loops."""
+OF_TIME = {"deadline_misses", "longest_miss_streak", "miss_recover_steps_max", "interrupted"}
+RUN = ["cell", "outcome", "steps_done", *ACCURACY_COLUMNS, *CONTROL_COLUMNS]
+KILLED = """
+import os, signal, sys
+from dpbench.bench.record import cell_store
+from dpbench.cli.main import main
+
+def dying(method, left):
+    def call(*given):
+        answer = method(*given)
+        left[0] -= 1
+        if not left[0]:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return answer
+    return call
+
+cell_store.PART_CELLS = 3
+name, moment = sys.argv[1].split(":")
+owner, _, method = name.rpartition(".")
+owner = getattr(cell_store, owner) if owner else cell_store
+setattr(owner, method, dying(getattr(owner, method), [int(moment)]))
+raise SystemExit(main(sys.argv[2:]))
+"""
+
+
+@pytest.fixture(scope="module")
+def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("killed") / "tiny.toml"
+    path.write_text(SUITE, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def undisturbed(suite: Path) -> Results:
+    return load_results(run_campaign(suite, suite.parent / "undisturbed"))
+
+
+def deterministic(results: Results) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """What another run of the same cells has, bit for bit."""
+    runs = results.runs[[name for name in RUN if name not in OF_TIME and name[-3:] != "_ns"]]
+    steps = results.steps.sort_values(["run_id", "repeat", "k"], ignore_index=True)
+    timed = {name for name in STEP_COLUMNS if name.endswith("_ns")} | {"late", "disturbed"}
+    return runs, steps[[name for name in STEP_COLUMNS if name not in timed]]
+
+
+@pytest.mark.parametrize(
+    ("moment", "finished"),
+    [
+        ("CellStore.append:1", 1),
+        ("CellStore.append:5", 5),
+        # A part whose steps are there and whose runs are not: all is still in the journal.
+        ("_check_sum:1", 3),
+        # A part that is whole, with its cells in the journal too.
+        ("write_runs:2", 6),
+        # The public steps are written, and in no place yet; the parts are.
+        ("_check_sum:5", CELLS),
+        # All is written, and the parts are still there.
+        ("write_runs:5", ROWS),
+    ],
+)
+def test_what_was_killed_goes_on_as_if_nothing_was(
+    moment: str, finished: int, suite: Path, undisturbed: Results, tmp_path: Path
+) -> None:
+    """One row a cell, equal in all that is no time; what was finished is not run again."""
+    out = tmp_path / "out"
+    command = [sys.executable, "-c", KILLED, moment, "run", str(suite), "--out", str(out)]
+    done = subprocess.run([*command, "--quiet"], capture_output=True, text=True, check=False)
+    assert done.returncode == -9, done.stderr
+    before = CellStore(out)
+    assert len(before.finished) == finished
+    times = before.rows()["raw_max_ns"].to_dict()
+    run_campaign(suite, out)
+    results = load_results(out)
+    assert results.runs["run_id"].is_unique
+    assert list(results.runs["run_id"]) == list(undisturbed.runs["run_id"])
+    after = results.runs.set_index("run_id")["raw_max_ns"]
+    assert {name: after[name] for name in times} == times
+    for found, wanted in zip(deterministic(results), deterministic(undisturbed), strict=True):
+        pd.testing.assert_frame_equal(found, wanted, check_exact=True)
+    assert sorted(path.name for path in (out / "cells").iterdir()) == [".lock"]
