@@ -46,16 +46,16 @@ class Results(result_folder.Results):
     def verdict(self) -> pd.DataFrame:
         """A row for each configuration: whether it meets the demand, why not, and its figures.
 
-        Times in ns; error_move and failed_steps over all its runs.
+        Times in µs; error_move and failed_steps over all its runs.
         """
         return self.tables["verdicts"]
 
     def hard_steps(self) -> pd.DataFrame:
-        """The five hardest steps of each run by time [ns], by iterations and by error."""
+        """The five hardest steps of each run by time [µs], by iterations and by error."""
         return self.tables["hard_steps"]
 
     def ladder(self) -> pd.DataFrame:
-        """The best configuration of each solver that was timed, with its step times [ms].
+        """The best configuration of each solver that was timed, with its step times [µs].
 
         `share` is what calling a library that does nothing takes of its median.
         """
