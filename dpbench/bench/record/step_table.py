@@ -132,7 +132,7 @@ def write_runs(path: Path, runs: pd.DataFrame, metadata: Mapping[str, str]) -> N
     ----------
     metadata : kept beside them in the file.
     """
-    part = path.with_name(path.name + ".part")
+    part, runs = path.with_name(path.name + ".part"), runs.reset_index(drop=True)
     try:
         keys = pa.Schema.from_pandas(runs[[name for name in runs if name not in RUN_COLUMNS]])
         schema = pa.schema([*OF_RUNS, *keys])
