@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 
 from dpbench import open_workspace, run_closed_loop
-from dpbench.analysis.records import Records
+from dpbench.analysis.records.records import Records
 from dpbench.bench.record.result_folder import Results, write_results
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
 from dpbench.errors import SolverUnavailableError

@@ -12,8 +12,8 @@ from typing import Any
 
 import pandas as pd
 
-from dpbench.analysis.capability import Answers, answers_of
-from dpbench.analysis.records import Records
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.capability import Answers, answers_of
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.capability.frontier import INTACT, Frontier, Held
 from dpbench.bench.capability.study import FROM_DEG, Capability, capability_of, holds_most

@@ -29,7 +29,7 @@ class RunPlots:
 
     def steps(self) -> Any:
         """Step time, error of the first move, iterations and forces over the steps."""
-        from dpbench.analysis.demand import Demand
+        from dpbench.analysis.verdict.demand import Demand
         from dpbench.report.charts.strips import strips
 
         run = self._run
@@ -86,8 +86,8 @@ def _laws(runs: tuple[Run, ...]) -> list[Any]:
 
 def _steps_of(steps: pd.DataFrame) -> pd.DataFrame:
     """The rows of `charts.strips`, one a step: times in µs, the largest sample of a replay."""
-    from dpbench.analysis.counting_rows import counting_of
-    from dpbench.analysis.run_steps import run_steps
+    from dpbench.analysis.records.counting_rows import counting_of
+    from dpbench.analysis.records.run_steps import run_steps
     from dpbench.report.charts.strips import NO_ANSWER
 
     ((_, run),) = run_steps(counting_of(steps))

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from dpbench.analysis.run_steps import MEASURES, hardest
-from dpbench.analysis.times.fastest import best_of_each, fastest_first
+from dpbench.analysis.records.run_steps import MEASURES, hardest
 from dpbench.analysis.times.pairs import paired_comparison
+from dpbench.analysis.verdict.fastest import best_of_each, fastest_first
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.report.page.answer import Answer

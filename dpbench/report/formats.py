@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from decimal import ROUND_DOWN, ROUND_UP, Decimal
 
-from dpbench.analysis.run_record import as_float
+from dpbench.analysis.records.run_record import as_float
 
 MISSING = "–"
 """Stands where there is no number."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from math import isnan
 from typing import Any
 
-from dpbench.analysis.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord
 from dpbench.bench.judge.calibration import within_bar
 from dpbench.bench.record.disturbance import Disturbance
 from dpbench.report.formats import (

@@ -5,17 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import Records
-from dpbench.analysis.run_record import RunRecord
-from dpbench.analysis.run_steps import RunSteps
-from dpbench.analysis.times.fastest import (
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_steps import RunSteps
+from dpbench.analysis.times.pairs import PairedComparison
+from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.fastest import (
     Recommendation,
     fastest_first,
     known_record,
 )
-from dpbench.analysis.times.pairs import PairedComparison
-from dpbench.analysis.verdict import Finding, Outcome, Verdict, Verdicts, detail
+from dpbench.analysis.verdict.verdict import Finding, Outcome, Verdict, Verdicts, detail
 from dpbench.report.formats import (
     and_list,
     count_text,

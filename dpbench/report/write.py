@@ -10,9 +10,9 @@ from typing import Any
 
 import pandas as pd
 
-from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import Records
-from dpbench.analysis.verdict import verdicts_of
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.bench.capability.table import load_capability
 from dpbench.bench.design import Designs, load_designs
 from dpbench.bench.record.result_folder import Results, load_results

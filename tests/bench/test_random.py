@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 
 from dpbench import load_results, run_campaign
-from dpbench.analysis.random_claims import RandomClaims
-from dpbench.analysis.records import Records
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.random_claims import RandomClaims
 from dpbench.bench.plan.cells import NOT_STRICT
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import RandomTable, ReplayTable, SuiteFile, load_suite

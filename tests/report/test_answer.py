@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import Records
-from dpbench.analysis.times.fastest import best_of_each, recommend
-from dpbench.analysis.verdict import verdicts_of
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.fastest import best_of_each, recommend
+from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.report.documents.markdown import MOST_BYTES, report_markdown

@@ -14,7 +14,7 @@ import pytest
 
 from dpbench import InputError, compare
 from dpbench.analysis.compare.pairs import Pair
-from dpbench.analysis.run_record import records_of
+from dpbench.analysis.records.run_record import records_of
 from dpbench.bench.record.result_folder import Results, write_results
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
 from dpbench.cli.main import main

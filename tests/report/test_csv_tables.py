@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.analysis.counting_rows import counting_of
-from dpbench.analysis.run_steps import run_steps
+from dpbench.analysis.records.counting_rows import counting_of
+from dpbench.analysis.records.run_steps import run_steps
 from dpbench.report.csv_tables import TABLES
 from dpbench.report.page.answer import Answer
 from dpbench.report.write import write_report

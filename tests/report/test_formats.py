@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from dpbench.analysis.run_record import as_float
+from dpbench.analysis.records.run_record import as_float
 from dpbench.report.formats import (
     and_list,
     count_text,

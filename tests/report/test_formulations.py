@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from dpbench.analysis.demand import Demand
 from dpbench.analysis.times.routes import route_comparisons
-from dpbench.analysis.verdict import Verdict, verdicts_of
+from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.verdict import Verdict, verdicts_of
 from dpbench.report.page.topic import SmallTable
 from dpbench.report.topics.replays import formulations_topic
 

@@ -13,8 +13,8 @@ from rich.console import Console
 
 from dpbench.analysis.compare.answers import DONE, Answer
 from dpbench.analysis.compare.evidence import Verdict as Compared
-from dpbench.analysis.consequence import BatchAnswers
-from dpbench.analysis.verdict import Outcome as Verdict
+from dpbench.analysis.suites.consequence import BatchAnswers
+from dpbench.analysis.verdict.verdict import Outcome as Verdict
 from dpbench.bench.plan.suite import FormulationName, RouteName
 from dpbench.bench.record.cell import OUTCOMES, Cell, Fallback, Formulation, Units
 from dpbench.cli.doctor import doctor_lines

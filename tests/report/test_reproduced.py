@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.analysis.records import Records
+from dpbench.analysis.records.records import Records
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.topics.claims import choices, claims
 from dpbench.report.topics.paper import paper_topic

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from dpbench.analysis.machine import round_spread
+from dpbench.analysis.times.machine import round_spread
 from dpbench.report.formats import significant
 from dpbench.report.topics.trust import trust_topic
 

@@ -14,8 +14,8 @@ from typing import Any, Literal
 import pandas as pd
 
 from dpbench.analysis.compare.pairs import Pair, key_of
-from dpbench.analysis.records import Records
-from dpbench.analysis.run_record import RunRecord
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
 from dpbench.bench.judge.rules import decided, failed_steps
 
 Change = Literal["worse", "better", "same"]

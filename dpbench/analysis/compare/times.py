@@ -22,10 +22,9 @@ from dpbench.analysis.compare.evidence import (
     gather_against,
 )
 from dpbench.analysis.compare.pairs import Pair, key_of
-from dpbench.analysis.grouping import firsts, grouped
-from dpbench.analysis.machine import disturbed_sequences
-from dpbench.analysis.records import Records
-from dpbench.analysis.run_record import RunRecord
+from dpbench.analysis.records.grouping import firsts, grouped
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.statistics import (
     BLOCK_STEPS,
     RESAMPLES,
@@ -34,6 +33,7 @@ from dpbench.analysis.statistics import (
     enough,
     resampled_means,
 )
+from dpbench.analysis.times.machine import disturbed_sequences
 from dpbench.bench.record.configuration import settings_level
 from dpbench.errors import UnknownNameError, one_of
 

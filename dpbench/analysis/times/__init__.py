@@ -1,1 +1,1 @@
-"""Step times of replays compared: ranks, ratios, growth, work and precision, routes."""
+"""Step times of replays: ratios, growth, work and precision, routes; what disturbed them."""

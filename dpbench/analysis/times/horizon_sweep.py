@@ -11,12 +11,12 @@ from functools import cached_property
 
 import numpy as np
 
-from dpbench.analysis.demand import Demand, is_right
-from dpbench.analysis.grouping import firsts, grouped
-from dpbench.analysis.records import Records
-from dpbench.analysis.run_record import RunRecord
+from dpbench.analysis.records.grouping import firsts, grouped
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.statistics import UNKNOWN, Floats, Interval, percentile_interval
-from dpbench.analysis.step_times import StepTimes
+from dpbench.analysis.verdict.demand import Demand, is_right
 from dpbench.bench.judge.rules import percentile
 from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.record.schema import FORCES

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dpbench.analysis.records import Records
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.statistics import UNKNOWN, Floats, Interval, pooled_mean
-from dpbench.analysis.step_times import StepTimes
-from dpbench.analysis.verdict import Verdict
+from dpbench.analysis.verdict.verdict import Verdict
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dpbench.analysis.grouping import grouped
-from dpbench.analysis.records import Records
+from dpbench.analysis.records.grouping import grouped
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.statistics import Interval, paired_ratio
-from dpbench.analysis.step_times import StepTimes
 from dpbench.analysis.times.pairs import paired
 
 RoutePolicy = tuple[str, str]

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dpbench.analysis.grouping import grouped
-from dpbench.analysis.records import Records
-from dpbench.analysis.run_record import RunRecord
+from dpbench.analysis.records.grouping import grouped
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
 from dpbench.bench.judge.rules import percentile, supports
 from dpbench.bench.record.configuration import Configuration, settings_level
 

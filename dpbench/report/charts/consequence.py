@@ -7,7 +7,7 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
-from dpbench.analysis.consequence import HELD, LOST, UNKNOWN
+from dpbench.analysis.suites.consequence import HELD, LOST, UNKNOWN
 from dpbench.report.charts.style import (
     MEETS,
     MISSES,
@@ -30,7 +30,7 @@ def spans(table: pd.DataFrame, title: str) -> Any:
 
     Parameters
     ----------
-    table : columns `analysis.consequence.SPAN`, groups in the order of the bars.
+    table : columns `analysis.suites.consequence.SPAN`, groups in the order of the bars.
     """
     first, last = table["from_s"].min(), table["to_s"].max()
     named = table["to_s"] - table["from_s"] >= _NAMED * (last - first)

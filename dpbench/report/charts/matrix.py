@@ -8,7 +8,7 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
-from dpbench.analysis.verdict import OUTCOMES
+from dpbench.analysis.verdict.verdict import OUTCOMES
 from dpbench.report.charts.style import (
     ACCENT,
     FILLS,

@@ -10,7 +10,7 @@ import altair as alt
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.thinning import MOST, extremes
+from dpbench.analysis.records.thinning import MOST, extremes
 from dpbench.arrays import Vector
 from dpbench.report.charts.style import (
     INK,

@@ -22,8 +22,8 @@ from dpbench.analysis.compare.times import (
     time_pairs,
     why_unjudged,
 )
-from dpbench.analysis.machine import disturbance_of, timed_runs
-from dpbench.analysis.records import Records
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.times.machine import disturbance_of, timed_runs
 from dpbench.bench.record.result_folder import load_results
 from dpbench.display import table_html
 from dpbench.errors import InputError

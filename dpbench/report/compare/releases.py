@@ -15,9 +15,9 @@ from dpbench.analysis.compare.releases import (
     histories,
     largest,
 )
-from dpbench.analysis.demand import Demand
-from dpbench.analysis.grouping import grouped
-from dpbench.analysis.records import Records
+from dpbench.analysis.records.grouping import grouped
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.verdict.demand import Demand
 from dpbench.bench.record.result_folder import load_results
 from dpbench.errors import InputError
 from dpbench.report.formats import (

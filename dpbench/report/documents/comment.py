@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dpbench.analysis.run_record import RunRecord
-from dpbench.analysis.run_steps import MEASURES, Measure, RunSteps, hardest
-from dpbench.analysis.times.fastest import best_of_each, fastest_first
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_steps import MEASURES, Measure, RunSteps, hardest
 from dpbench.analysis.times.pairs import paired_comparison
-from dpbench.analysis.verdict import Verdict
+from dpbench.analysis.verdict.fastest import best_of_each, fastest_first
+from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
 from dpbench.errors import UnknownNameError, one_of
 from dpbench.report.documents.markdown import HEAD, cut, solver_row

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dpbench.analysis.times.fastest import best_of_each
-from dpbench.analysis.verdict import Verdict
+from dpbench.analysis.verdict.fastest import best_of_each
+from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.formats import error_text, time_text
 from dpbench.report.page.answer import Answer

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import vl_convert as vlc
 
-from dpbench.analysis.times.fastest import recommend
-from dpbench.analysis.verdict import Verdict
+from dpbench.analysis.verdict.fastest import recommend
+from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.revision import revision_text
 from dpbench.errors import InputError

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from math import isnan
 from typing import Any
 
-from dpbench.analysis.times.fastest import Recommendation, fastest_of, known_record, recommend
 from dpbench.analysis.times.pairs import paired_comparison
-from dpbench.analysis.verdict import Verdict
+from dpbench.analysis.verdict.fastest import Recommendation, fastest_of, known_record, recommend
+from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
 from dpbench.errors import InputError
 from dpbench.report.formats import and_list, error_text, plural, rounded_down, time_text

@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import Records
-from dpbench.analysis.run_record import RunRecord, as_float
-from dpbench.analysis.run_steps import MEASURES, RunSteps, hardest, run_steps
-from dpbench.analysis.slowdown import survived
-from dpbench.analysis.verdict import Verdict, Verdicts, verdict_of
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord, as_float
+from dpbench.analysis.records.run_steps import MEASURES, RunSteps, hardest, run_steps
+from dpbench.analysis.suites.slowdown import survived
+from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.verdict import Verdict, Verdicts, verdict_of
 from dpbench.bench.record.configuration import Configuration, settings_level
 from dpbench.report.page.pack import Block
 from dpbench.report.page.steps import Room, Track, pack_steps, pack_track, track_of
@@ -122,7 +122,7 @@ class Facts:
     def state(self, c: int, p: int) -> str:
         """What a run alone says of the demand: meets, misses, open or not run.
 
-        On a slower computer the ship has to be held, too: see `analysis.slowdown`.
+        On a slower computer the ship has to be held, too: see `analysis.suites.slowdown`.
         """
         verdict = self.states.get((c, p))
         if verdict is None or verdict.outcome == "not run":

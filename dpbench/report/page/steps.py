@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.counting_rows import Floats
-from dpbench.analysis.run_steps import RunSteps
-from dpbench.analysis.thinning import kept, share
+from dpbench.analysis.records.counting_rows import Floats
+from dpbench.analysis.records.run_steps import RunSteps
+from dpbench.analysis.records.thinning import kept, share
 from dpbench.report.page.pack import Block
 
 TRACK = {"n_m": 1e-3, "e_m": 1e-3, "psi_rad": 1e-4}

@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from dpbench.analysis.times.fastest import best_of_each
+from dpbench.analysis.verdict.fastest import best_of_each
 from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.report.charts.ladder import COLUMNS as LADDER_COLUMNS

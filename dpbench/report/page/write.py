@@ -17,7 +17,7 @@ import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from dpbench.analysis.step_times import StepTimes
+from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.times.pairs import common_ratio
 from dpbench.analysis.times.work_precision import (
     LevelPoint,

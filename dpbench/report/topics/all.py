@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pandas as pd
 
-from dpbench.analysis.records import Records
-from dpbench.analysis.verdict import Verdicts
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.verdict.verdict import Verdicts
 from dpbench.bench.design import Designs
 from dpbench.report.page.topic import Topic
 from dpbench.report.topics.capability import capability_topic

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import pandas as pd
 
-from dpbench.analysis.capability import Answers, Plot, capability_plots
-from dpbench.analysis.records import Records
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.capability import Answers, Plot, capability_plots
 from dpbench.report.charts.capability import (
     ANSWERS,
     NOTHING,

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from functools import cache, partial
 from typing import Literal
 
-from dpbench.analysis.records import Records
-from dpbench.analysis.run_record import RunRecord
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
 from dpbench.report.formats import count_text, plural, seconds_text, share_text, significant
 from dpbench.scenario.scenario import Scenario, load_scenario
 

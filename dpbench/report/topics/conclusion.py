@@ -5,24 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from math import isfinite, nan
 
-from dpbench.analysis.consequence import (
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.suites.consequence import (
     HELD,
     Analysis,
     BatchAnswers,
     consequence_analyses,
 )
-from dpbench.analysis.demand import Demand, is_right
-from dpbench.analysis.records import Records
-from dpbench.analysis.run_record import RunRecord
-from dpbench.analysis.steering import (
+from dpbench.analysis.verdict.demand import Demand, is_right
+from dpbench.analysis.verdict.fastest import recommend
+from dpbench.analysis.verdict.steering import (
     Fault,
     Steering,
     is_about_thrusters,
     lost_late,
     steering_of,
 )
-from dpbench.analysis.times.fastest import recommend
-from dpbench.analysis.verdict import Verdict, Verdicts
+from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.report.formats import and_list, plural, rounded_up, significant
 from dpbench.report.page.topic import Topic
 

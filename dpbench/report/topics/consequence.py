@@ -7,8 +7,14 @@ from math import isnan
 
 import pandas as pd
 
-from dpbench.analysis.consequence import HELD, LOST, Analysis, BatchAnswers, consequence_analyses
-from dpbench.analysis.records import Records
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.consequence import (
+    HELD,
+    LOST,
+    Analysis,
+    BatchAnswers,
+    consequence_analyses,
+)
 from dpbench.report.charts.consequence import shares, spans
 from dpbench.report.formats import and_list, plural, significant
 from dpbench.report.page.topic import Figure, SmallTable, Topic

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from dpbench.analysis.demand import Demand, is_right
-from dpbench.analysis.grouping import grouped
-from dpbench.analysis.records import Records
-from dpbench.analysis.run_record import RunRecord
+from dpbench.analysis.records.grouping import grouped
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.verdict.demand import Demand, is_right
 from dpbench.report.formats import MISSING, and_list, count_text, plural, significant
 from dpbench.report.page.topic import SmallTable, Topic
 

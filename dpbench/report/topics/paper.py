@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dpbench.analysis.records import Records
+from dpbench.analysis.records.records import Records
 from dpbench.bench.design import STILL, WEATHER, Bracket, Designs
 from dpbench.report.charts.ship import Law, forces, increments, path, precision
 from dpbench.report.formats import MISSING, rounded_down, rounded_up

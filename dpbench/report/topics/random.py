@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import pandas as pd
 
-from dpbench.analysis.random_claims import RandomClaims, Tally
-from dpbench.analysis.records import Records
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.random_claims import RandomClaims, Tally
 from dpbench.report.charts.lines import tiles
 from dpbench.report.formats import and_list
 from dpbench.report.page.topic import Figure, SmallTable, Topic

@@ -10,13 +10,13 @@ from math import isfinite
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.analysis.demand import Demand, is_right
-from dpbench.analysis.grouping import grouped
-from dpbench.analysis.records import Records
-from dpbench.analysis.run_record import RunRecord
+from dpbench.analysis.records.grouping import grouped
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.statistics import Interval, paired_ratio
 from dpbench.analysis.times.pairs import paired
 from dpbench.analysis.times.routes import native_comparisons, route_comparisons
+from dpbench.analysis.verdict.demand import Demand, is_right
 from dpbench.bench.judge.rules import percentile
 from dpbench.bench.record.configuration import settings_level
 from dpbench.report.formats import and_list, plural, significant, time_text

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 from pandas.api.types import is_numeric_dtype
 
-from dpbench.analysis.records import Records
-from dpbench.analysis.study import (
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.study import (
     NOTHING_M,
     SMALL_COST,
     SMALL_M,

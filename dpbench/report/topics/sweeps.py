@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import Records
-from dpbench.analysis.slowdown import MARGIN, DelayedGroup, cost_ratio, delayed_groups
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.slowdown import MARGIN, DelayedGroup, cost_ratio, delayed_groups
 from dpbench.analysis.times.horizon_sweep import Sweep, SweptConfiguration, moves_of, sweeps
+from dpbench.analysis.verdict.demand import Demand
 from dpbench.report.charts.lines import lines
 from dpbench.report.formats import and_list, significant, time_text
 from dpbench.report.page.topic import Figure, SmallTable, Topic

@@ -10,10 +10,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from dpbench.analysis.demand import Demand, is_right
-from dpbench.analysis.records import Records
-from dpbench.analysis.run_record import RunRecord
-from dpbench.analysis.steering import is_about_thrusters
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.verdict.demand import Demand, is_right
+from dpbench.analysis.verdict.steering import is_about_thrusters
 from dpbench.report.formats import MISSING, and_list, plural, significant
 from dpbench.report.page.topic import SmallTable, Topic
 

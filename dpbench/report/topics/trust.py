@@ -8,8 +8,8 @@ from typing import Any
 
 import pandas as pd
 
-from dpbench.analysis.machine import delayed_runs, disturbance_of, round_spread, timed_runs
-from dpbench.analysis.records import Records
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.times.machine import delayed_runs, disturbance_of, round_spread, timed_runs
 from dpbench.bench.judge.calibration import within_bar
 from dpbench.bench.record.disturbance import Disturbance
 from dpbench.report.charts.lines import dots

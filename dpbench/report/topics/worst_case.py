@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from dpbench.analysis.records import Records
-from dpbench.analysis.run_record import RunRecord
-from dpbench.analysis.run_steps import RunSteps, run_steps
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_steps import RunSteps, run_steps
 from dpbench.report.formats import MISSING, count_text, error_text, time_text
 from dpbench.report.page.topic import SmallTable, Topic
 from dpbench.report.verdict_text import answer_text

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpbench.analysis.demand import Demand
 from dpbench.analysis.times.horizon_sweep import SweptConfiguration, growth_exponent, sweeps
+from dpbench.analysis.verdict.demand import Demand
 from dpbench.report.topics.sweeps import horizon_topic
 
 DEMAND = Demand()

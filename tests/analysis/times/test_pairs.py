@@ -4,9 +4,9 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.demand import Demand
 from dpbench.analysis.times.pairs import PairedComparison, paired_comparison
-from dpbench.analysis.verdict import verdicts_of
+from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.verdict import verdicts_of
 
 EXACT = {"spread": 0.0, "rounds": 1}
 """Every algorithmic time is the median itself."""

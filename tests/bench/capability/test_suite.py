@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from dpbench.analysis.capability import capability_plots
-from dpbench.analysis.records import Records
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.capability import capability_plots
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.capability.table import load_capability
 from dpbench.bench.plan.plan import plan

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.analysis.counting_rows import counting_of
-from dpbench.analysis.step_times import step_times_of
+from dpbench.analysis.records.counting_rows import counting_of
+from dpbench.analysis.records.step_times import step_times_of
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
 from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.judge.rows import run_row, step_rows

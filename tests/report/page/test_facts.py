@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.demand import Demand
-from dpbench.analysis.verdict import verdict_of, verdicts_of
+from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.verdict import verdict_of, verdicts_of
 from dpbench.report.page.facts import Facts, columns_of, number
 
 DEMAND = Demand()

@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import Records
-from dpbench.analysis.run_steps import MEASURES, RunSteps, hardest
-from dpbench.analysis.thinning import extremes, kept
-from dpbench.analysis.verdict import verdicts_of
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_steps import MEASURES, RunSteps, hardest
+from dpbench.analysis.records.thinning import extremes, kept
+from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.report.page import steps as packing
 from dpbench.report.page.facts import Facts
 from dpbench.report.page.pack import Block

@@ -10,7 +10,7 @@ from typing import Any, get_args, get_type_hints
 import pandas as pd
 import pytest
 
-from dpbench.analysis.run_record import Count, RunRecord, records_of
+from dpbench.analysis.records.run_record import Count, RunRecord, records_of
 from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.record.schema import RUN_COLUMNS, as_runs
 

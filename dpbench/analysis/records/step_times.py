@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.analysis.counting_rows import CountingRows
+from dpbench.analysis.records.counting_rows import CountingRows
 from dpbench.analysis.statistics import Floats
 
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.analysis.records import Records
+from dpbench.analysis.records.records import Records
 from dpbench.bench.judge.rules import counting_rows
 from dpbench.bench.record.result_folder import Results
 

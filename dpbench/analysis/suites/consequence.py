@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.grouping import firsts, grouped
-from dpbench.analysis.random_claims import claims_of
-from dpbench.analysis.records import Records
-from dpbench.analysis.run_record import RunRecord
+from dpbench.analysis.records.grouping import firsts, grouped
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.statistics import Floats
+from dpbench.analysis.suites.random_claims import claims_of
 from dpbench.bench.judge.rules import INFEASIBLE, UNCERTIFIED, UNDECIDED, percentile
 from dpbench.scenario.scenario import scenario_once
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.machine import disturbance_of, round_spread, timed_runs
+from dpbench.analysis.times.machine import disturbance_of, round_spread, timed_runs
 from dpbench.report.formats import and_list, share_text
 from dpbench.report.topics.trust import trust_topic
 from dpbench.solvers.calibration import CALIBRATION, WAITS_NS

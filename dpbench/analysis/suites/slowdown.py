@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import takewhile
 
-from dpbench.analysis.grouping import grouped
-from dpbench.analysis.records import Records
-from dpbench.analysis.run_record import RunRecord
+from dpbench.analysis.records.grouping import grouped
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
 from dpbench.bench.record.configuration import Configuration
 
 MARGIN = 0.1

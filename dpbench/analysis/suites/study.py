@@ -21,8 +21,8 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
-from dpbench.analysis.records import Records
-from dpbench.analysis.run_record import RunRecord
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.statistics import TAILS, Interval
 from dpbench.solvers.record import TOLERANCES
 from dpbench.solvers.settings import settings_matter, tolerance_of

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from dpbench.analysis.grouping import firsts
-from dpbench.analysis.random_claims import claims_by_run, claims_of
-from dpbench.analysis.records import Records
-from dpbench.analysis.run_record import RunRecord
+from dpbench.analysis.records.grouping import firsts
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.suites.random_claims import claims_by_run, claims_of
 from dpbench.bench.judge.rules import INFEASIBLE
 
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.demand import Demand
-from dpbench.analysis.times.fastest import fastest_first, recommend, why_not_aboard
 from dpbench.analysis.times.pairs import paired_comparison
-from dpbench.analysis.verdict import verdicts_of
+from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.fastest import fastest_first, recommend, why_not_aboard
+from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.report.page.answer import Answer
 from dpbench.report.verdict_text import clauses, counted, demand_text, paired_text
 from dpbench.report.write import Report

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from dpbench.analysis.study import Study, paired_difference
+from dpbench.analysis.suites.study import Study, paired_difference
 
 COLUMNS = ["point", "replicate"]
 

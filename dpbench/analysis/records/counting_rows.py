@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from dpbench.analysis.grouping import spans_of
+from dpbench.analysis.records.grouping import spans_of
 from dpbench.bench.judge.rules import decided, failed_steps
 
 Floats = NDArray[np.float64]

@@ -8,8 +8,8 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from dpbench.analysis.consequence import HELD, LOST, UNKNOWN, consequence_analyses
-from dpbench.analysis.records import Records
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.consequence import HELD, LOST, UNKNOWN, consequence_analyses
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import as_steps
 from dpbench.report.topics.consequence import consequence_topic

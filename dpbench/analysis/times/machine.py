@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from dpbench.analysis.grouping import firsts, grouped
-from dpbench.analysis.records import Records
-from dpbench.analysis.run_record import RunRecord
+from dpbench.analysis.records.grouping import firsts, grouped
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
 from dpbench.bench.record.disturbance import MAX_SWITCHES_PER_S, Disturbance
 
 OWN_A_STEP, OWN_TIMES = 0.5, 10.0

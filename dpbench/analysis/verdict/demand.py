@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from dpbench.analysis.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord
 
 
 @dataclass(frozen=True)

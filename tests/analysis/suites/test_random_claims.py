@@ -7,8 +7,8 @@ from typing import Any
 
 import pandas as pd
 
-from dpbench.analysis.random_claims import RandomClaims
-from dpbench.analysis.records import Records
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.random_claims import RandomClaims
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import as_steps
 from dpbench.qp.random.recipe import RandomRecipe

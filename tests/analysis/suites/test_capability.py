@@ -8,8 +8,8 @@ from typing import Any
 
 import pandas as pd
 
-from dpbench.analysis.capability import Answers, answers_of, capability_plots
-from dpbench.analysis.records import Records
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.capability import Answers, answers_of, capability_plots
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import as_runs, as_steps
 from dpbench.report.topics.capability import capability_topic

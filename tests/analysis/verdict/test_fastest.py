@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.demand import Demand, is_right
-from dpbench.analysis.times.fastest import fastest_of, podium, ranked
 from dpbench.analysis.times.work_precision import LevelPoint, default_route_levels
-from dpbench.analysis.verdict import Verdicts, verdicts_of
+from dpbench.analysis.verdict.demand import Demand, is_right
+from dpbench.analysis.verdict.fastest import fastest_of, podium, ranked
+from dpbench.analysis.verdict.verdict import Verdicts, verdicts_of
 from dpbench.report.verdict_text import judged_on
 from dpbench.report.write import Report
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.demand import Demand
-from dpbench.analysis.slowdown import DelayedGroup, cost_ratio, delayed_groups
-from dpbench.analysis.verdict import verdicts_of
+from dpbench.analysis.suites.slowdown import DelayedGroup, cost_ratio, delayed_groups
+from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.report.topics.sweeps import slowdown_topic
 
 COSTS = {

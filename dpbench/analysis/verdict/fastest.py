@@ -10,8 +10,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dpbench.analysis.grouping import grouped
-from dpbench.analysis.verdict import OUTCOMES, Verdict, Verdicts
+from dpbench.analysis.records.grouping import grouped
+from dpbench.analysis.verdict.verdict import OUTCOMES, Verdict, Verdicts
 from dpbench.bench.record.configuration import settings_level
 from dpbench.errors import UnknownNameError
 from dpbench.solvers.record import SolverRecord

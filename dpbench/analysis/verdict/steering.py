@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from dpbench.analysis.demand import Demand
-from dpbench.analysis.records import Records
-from dpbench.analysis.run_record import RunRecord
-from dpbench.analysis.verdict import OUTCOMES, Outcome, Verdict, Verdicts, verdicts_of
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.verdict import OUTCOMES, Outcome, Verdict, Verdicts, verdicts_of
 
 Fault = Literal["too late", "wrong", "too late or wrong"]
 _LATE = {"p99 late", "p95 late", "hung"}

@@ -8,10 +8,10 @@ from functools import cached_property
 
 import pandas as pd
 
-from dpbench.analysis.counting_rows import CountingRows, counting_of
-from dpbench.analysis.grouping import spans_of
-from dpbench.analysis.run_record import RunRecord, records_of
-from dpbench.analysis.step_times import StepTimes, step_times_of
+from dpbench.analysis.records.counting_rows import CountingRows, counting_of
+from dpbench.analysis.records.grouping import spans_of
+from dpbench.analysis.records.run_record import RunRecord, records_of
+from dpbench.analysis.records.step_times import StepTimes, step_times_of
 from dpbench.bench.record.configuration import COMMON
 from dpbench.bench.record.result_folder import Results
 from dpbench.scenario.scenario import Scenario, scenario_of

@@ -1,0 +1,1 @@
+"""Solvers against the demand of a suite: who meets it, who is fastest, which one to use."""
