@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import ast
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
-WALK = re.findall(
-    r"\| `(dpbench/[\w/]+\.py)` \| `(\w+)` \|",
-    (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8"),
-)
+ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+WALK = re.findall(r"\| `(dpbench/[\w/]+\.py)` \| `(\w+)` \|", ARCHITECTURE)
+# The blocks of floors, one below the other: the names of a line before its text.
+FLOORS = [
+    [set(re.findall(r"\w+", line.split("  ")[0])) for line in re.findall(r"^\w.*", block, re.M)]
+    for block in re.findall(r"^```\n(.*?)^```", ARCHITECTURE, re.M | re.S)
+]
 
 
 def _functions(path: Path) -> set[str]:
@@ -31,6 +35,18 @@ def test_the_walk_goes_from_the_ship_to_the_page() -> None:
     rooms = [file.split("/")[1] for file, _ in WALK]
     assert (rooms[0], rooms[-1]) == ("bench", "report")
     assert set(rooms) == {"bench", "mpc", "solvers", "qp", "analysis", "report"}
+
+
+def test_the_floors_are_those_that_lint_checks() -> None:
+    """Of package, analysis, bench and solvers: the same rooms in the same order."""
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    checked = [
+        [set(re.findall(r"\w+", layer)) for layer in contract["layers"]]
+        for contract in contracts["tool"]["importlinter"]["contracts"]
+        if contract["type"] == "layers"
+    ]
+    assert len(FLOORS) == 4
+    assert checked == FLOORS
 
 
 @pytest.mark.parametrize("document", ["CONTRIBUTING.md", "docs/architecture.md", "README.md"])
