@@ -19,7 +19,8 @@ from pydantic.fields import FieldInfo
 
 from dpbench.bench.plan.suite import SuiteFile
 from dpbench.scenario.problem_files import FileModel
-from dpbench.scenario.tables import ScenarioFile, VesselFile
+from dpbench.scenario.tables.scenario_file import ScenarioFile
+from dpbench.scenario.tables.vessel_file import VesselFile
 from sitegen.markup import code, prose, table
 
 FILES: dict[str, type[FileModel]] = {

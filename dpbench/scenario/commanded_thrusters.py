@@ -13,7 +13,7 @@ from dpbench.mpc.thruster_rows import ThrusterRows, thruster_rows
 from dpbench.mpc.thrusters.allocation_qp import AllocationProblem
 from dpbench.mpc.thrusters.attainable_set import AttainableSet, attainable_set
 from dpbench.mpc.thrusters.azimuth_turning import AzimuthTurning
-from dpbench.scenario.tables import ControllerTable, FaultTable, ScenarioFile
+from dpbench.scenario.tables.scenario_file import ControllerTable, FaultTable, ScenarioFile
 from dpbench.ship.actuators import Actuators, SteeredThrusters
 from dpbench.ship.froude import Froude
 from dpbench.ship.thrusters import ThrusterSet

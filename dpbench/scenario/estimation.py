@@ -8,7 +8,7 @@ import numpy as np
 
 from dpbench.arrays import Vector
 from dpbench.errors import InputError
-from dpbench.scenario.tables import EstimatorTable, ScenarioFile
+from dpbench.scenario.tables.scenario_file import EstimatorTable, ScenarioFile
 from dpbench.ship.estimation.estimator import Estimator, MeasuredState
 from dpbench.ship.estimation.kalman import SENSOR_STD, KalmanFilter, KalmanTuning
 from dpbench.ship.estimation.passive_observer import PassiveObserver, PassiveTuning

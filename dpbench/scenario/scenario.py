@@ -35,7 +35,8 @@ from dpbench.scenario.commanded_thrusters import (
 )
 from dpbench.scenario.estimation import EstimatorChoice, estimator_choice
 from dpbench.scenario.problem_files import parse_model, problem_path, read_model
-from dpbench.scenario.tables import ControllerTable, ScenarioFile, VesselFile
+from dpbench.scenario.tables.scenario_file import ControllerTable, ScenarioFile
+from dpbench.scenario.tables.vessel_file import VesselFile
 from dpbench.ship.actuators import Actuators, SteeredThrusters
 from dpbench.ship.environment import Environment
 from dpbench.ship.estimation.estimator import Estimator

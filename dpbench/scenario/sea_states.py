@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dpbench.scenario.weather_tables import CurrentTable, EnvironmentTable, WavesTable, WindTable
+from dpbench.scenario.tables.weather import CurrentTable, EnvironmentTable, WavesTable, WindTable
 from dpbench.ship.capability.conditions import DP_CONDITIONS
 from dpbench.ship.characteristics import mean_load
 from dpbench.ship.froude import Froude

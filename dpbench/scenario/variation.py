@@ -16,7 +16,7 @@ from typing import Any
 from dpbench.errors import InputError, one_of
 from dpbench.scenario.problem_files import problem_path, read_model
 from dpbench.scenario.scenario import Scenario, scenario_of
-from dpbench.scenario.tables import VesselFile
+from dpbench.scenario.tables.vessel_file import VesselFile
 from dpbench.ship.plant import SUBSTEPS
 
 Files = dict[str, Any]

@@ -17,9 +17,9 @@ from dpbench.bench.run.exact_loop import Part
 from dpbench.bench.sequences.recording import record
 from dpbench.bench.sequences.sequence_file import Recorded
 from dpbench.errors import InputError
-from dpbench.scenario.key_types import Horizon
 from dpbench.scenario.problem_files import SEQUENCES, FileModel, problems_root, read_model
 from dpbench.scenario.scenario import load_scenario
+from dpbench.scenario.tables.key_types import Horizon
 
 Positive = Annotated[int, Field(ge=1)]
 

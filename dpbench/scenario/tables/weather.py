@@ -13,7 +13,8 @@ import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
 from dpbench.arrays import Vector
-from dpbench.scenario.key_types import (
+from dpbench.scenario.problem_files import FileModel
+from dpbench.scenario.tables.key_types import (
     Count,
     Degrees,
     NotNegative,
@@ -22,7 +23,6 @@ from dpbench.scenario.key_types import (
     Three,
     ThreePositive,
 )
-from dpbench.scenario.problem_files import FileModel
 from dpbench.ship.environment import Environment
 from dpbench.ship.froude import Froude
 from dpbench.ship.sensors import SensorNoise
