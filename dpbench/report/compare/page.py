@@ -14,12 +14,12 @@ import pandas as pd
 from markupsafe import Markup
 
 from dpbench.analysis.compare.times import Compared, Timing
-from dpbench.report.charts.compared import COLUMNS, both, ratios
 from dpbench.report.charts.pairs import COLUMNS as STEP_COLUMNS
 from dpbench.report.charts.pairs import pairs
 from dpbench.report.charts.render import svg, vega
 from dpbench.report.compare.comparison import Comparison
 from dpbench.report.compare.tables import answer_line, shared_line, times_table
+from dpbench.report.compare.times_chart import COLUMNS, both, ratios
 from dpbench.report.formats import interval_text, plural
 from dpbench.report.page.facts import columns_of
 from dpbench.report.page.pack import Block

@@ -9,9 +9,9 @@ import pandas as pd
 from markupsafe import Markup
 
 from dpbench.analysis.compare.releases import Histories, History, Release
-from dpbench.report.charts.releases import AGES, COLUMNS, release_errors, release_times
 from dpbench.report.charts.render import svg
 from dpbench.report.compare.releases import Releases
+from dpbench.report.compare.releases_chart import AGES, COLUMNS, release_errors, release_times
 from dpbench.report.formats import MISSING
 from dpbench.report.page.write import environment, follow, own
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.report.topics.conclusion import conclusion_topic
+from dpbench.report.topics.thrusters.conclusion import conclusion_topic
 from dpbench.report.write import Report
 
 WARM = {"route": "native", "policy": "warm"}

@@ -14,7 +14,7 @@ import pytest
 from dpbench.cli.main import main
 from dpbench.report.documents.sent import MOST_BYTES, SENDER, SENT, check_sent
 
-COMMUNITY = Path(__file__).parents[2] / "results" / "community"
+COMMUNITY = Path(__file__).parents[3] / "results" / "community"
 SIGNED = 'who = "Ada"\nwhen = 2026-11-22\ncommand = "dpbench run smoke"\n'
 
 
