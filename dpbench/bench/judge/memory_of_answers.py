@@ -22,7 +22,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dpbench.bench.record.configuration import COLUMNS
-from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.record.raw_log import RawLog, step_ns
 
 FEWEST_VISITS = 20
 """First visits, each with a later one, below which nothing is said."""
@@ -47,7 +47,7 @@ def memory_metrics(log: RawLog) -> dict[str, float]:
     The median over steps of the first visit's time over the shortest later one, less the factor by
     which the reference kernel was slower around the first visits than at its best.
     """
-    total = np.where(log.times[:, :, 1:5] > 0, log.times[:, :, 1:5], 0).sum(axis=2)
+    total = step_ns(log.times)
     warm_up, steps = int(log.done[0]), len(log.first_ns)
     number = np.arange(steps)
     for r, group in ((1, number >= warm_up), (0, number < warm_up)):

@@ -10,6 +10,7 @@ import errno
 import json
 import mmap
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,9 @@ Layout = dict[str, tuple[str, tuple[int, ...]]]
 _ALIGN = 64
 TIMES = ("emit", "setup", "update", "solve", "read", "overhead")
 """Order of the phases in `RawLog.times`; −1 where a phase did not take place."""
+_OWN = slice(TIMES.index("setup"), TIMES.index("read") + 1)
+OF_SOLVER = TIMES[_OWN]
+"""The phases that are the solver's: a step takes their sum."""
 
 ALLOCATION = "allocation."
 """Prefix of the arrays that hold the answers to the second QP of a cascade."""
@@ -199,6 +203,17 @@ class RawLog(AnswerLog):
     def touch(self) -> None:
         """Read a byte of every page, so that the kernel maps it into this process now."""
         np.frombuffer(self._buffer, np.uint8)[:: mmap.PAGESIZE].max(initial=0)
+
+
+def step_ns(times: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(...) what steps took [ns], of their phases (..., `TIMES`)."""
+    total: NDArray[np.int64] = np.maximum(times[..., _OWN], 0).sum(axis=-1)
+    return total
+
+
+def spent_ns(phases_ns: Iterable[int]) -> int:
+    """What one step took [ns], of its phases `OF_SOLVER`."""
+    return sum(ns for ns in phases_ns if ns > 0)
 
 
 def log_bytes(layout: Layout) -> int:

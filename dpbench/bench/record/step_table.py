@@ -17,6 +17,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from dpbench.bench.record.raw_log import OF_SOLVER
 from dpbench.bench.record.schema import (
     DERIVED,
     MISSING,
@@ -50,8 +51,8 @@ _ENCODINGS = {
 }
 """Floats are split into planes of bytes, so that the even ones among them compress; of whole
 numbers the differences are stored."""
-INSIDE = ("setup_ns", "update_ns", "solve_ns", "read_ns")
-"""The phases that are the solver's."""
+INSIDE = tuple(f"{phase}_ns" for phase in OF_SOLVER)
+"""The columns of the phases that are the solver's."""
 OF_CLOCK = ("sample_s", "first_sample", "every_sample")
 """Columns of `runs.parquet` that the times of steps follow from."""
 

@@ -18,7 +18,7 @@ from typing import cast
 import numpy as np
 from threadpoolctl import threadpool_info
 
-from dpbench.bench.record.raw_log import FOOTPRINT, RawLog
+from dpbench.bench.record.raw_log import FOOTPRINT, RawLog, step_ns
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence
 
@@ -103,7 +103,7 @@ def heap_bytes() -> float:
 
 def affordable_steps(log: RawLog) -> int:
     """Steps that all passes can take within `LIMIT_NS`, by the slowest recorded one."""
-    slowest = np.maximum(log.times[:, :, 1:5], 0).sum(axis=2).max()
+    slowest = step_ns(log.times).max()
     return int(min(MOST_STEPS, log.times.shape[1], LIMIT_NS / _PASSES / max(1.0, slowest)))
 
 

@@ -15,7 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from dpbench.bench.record.disturbance import counters
-from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.record.raw_log import RawLog, spent_ns
 from dpbench.bench.run.timed_solver import Clock, TimedSolver, record_answer
 from dpbench.qp.program import QPSequence
 
@@ -143,7 +143,7 @@ class ReplayRun:
                 solver.reset()
             times[k] = (-1, *solver.phases_ns, -1)
             if log.first_ns[k] == 0:
-                log.first_ns[k] = sum(ns for ns in solver.phases_ns if ns > 0)
+                log.first_ns[k] = spent_ns(solver.phases_ns)
             log.matrix_updates[r] = solver.matrix_updates - updates_before
             log.done[r] = k + 1
             if clock() - start_ns > limit_ns:

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.bench.record.cell import SLOWEST, Cell
+from dpbench.bench.record.raw_log import spent_ns
 from dpbench.bench.run.fallback import FallbackLaw
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver
@@ -170,10 +171,10 @@ class SlowComputer:
         solution = self._solver.answer(step)
         switches_after, used_after_ns = self._usage()
         self.phases_ns = self._solver.phases_ns
-        spent_ns = sum(phase for phase in self.phases_ns if phase > 0)
+        step_ns = spent_ns(self.phases_ns)
         if switches_after > switches:
-            spent_ns = min(spent_ns, used_after_ns - used_ns)
-        latency_ns = self._delay.latency_ns(spent_ns)
+            step_ns = min(step_ns, used_after_ns - used_ns)
+        latency_ns = self._delay.latency_ns(step_ns)
         samples = self._delay.samples_late(latency_ns)
         self._latency_ns[self._k] = latency_ns
         self._late = samples > 0
