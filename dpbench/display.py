@@ -18,10 +18,10 @@ def table_html(
     return f"<table>{above}{whole}<tbody>{body}</tbody></table>{below}"
 
 
-def fields_html(title: str, fields: Mapping[str, object], *, note: str = "") -> str:
+def fields_html(title: str, fields: Mapping[str, object]) -> str:
     """What an object says of itself, a row for each of its fields; empty ones are left out."""
     rows = [(name, value) for name, value in fields.items() if str(value) != ""]
-    return table_html((), rows, title=title, note=note)
+    return table_html((), rows, title=title)
 
 
 def numbers_text(numbers: Iterable[float], units: Sequence[str] = ()) -> str:

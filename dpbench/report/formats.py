@@ -88,9 +88,9 @@ def count_text(value: object) -> str:
     return f"{number:,.0f}".replace(",", "\u202f") if math.isfinite(number) else MISSING
 
 
-def plural(count: float, word: str, words: str = "") -> str:
-    """`1 step`, `2 steps`; `words` where the plural does not end in s."""
-    return f"{count_text(count)} {word if count == 1 else words or word + 's'}"
+def plural(count: float, word: str) -> str:
+    """`1 step`, `2 steps`."""
+    return f"{count_text(count)} {word if count == 1 else word + 's'}"
 
 
 def seconds_text(value: float) -> str:
@@ -100,11 +100,11 @@ def seconds_text(value: float) -> str:
     return "never" if math.isinf(value) else f"{value:.1f} s"
 
 
-def interval_text(low: float, high: float, scale: float = 1.0) -> str:
+def interval_text(low: float, high: float) -> str:
     """An interval in brackets."""
     if not (math.isfinite(low) and math.isfinite(high)):
         return MISSING
-    return f"[{significant(low / scale)}, {significant(high / scale)}]"
+    return f"[{significant(low)}, {significant(high)}]"
 
 
 def and_list(words: list[str]) -> str:

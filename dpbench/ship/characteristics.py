@@ -51,9 +51,9 @@ def slow_speed(vessel: Vessel) -> Vector:
     return np.array([speed_mps, speed_mps, speed_mps / (0.5 * vessel.length_m)])
 
 
-def sideways_force(vessel: Vessel, speed_mps: float = 1.0) -> Vector:
-    """Force that holds the ship in a current abeam, or moves it sideways: (3,) [N, N, N·m]."""
-    force: Vector = vessel.D[:, SWAY] * speed_mps
+def sideways_force(vessel: Vessel) -> Vector:
+    """Force (3,) [N, N, N·m] that holds the ship in a current abeam of 1 m/s, or moves it so."""
+    force: Vector = vessel.D[:, SWAY].copy()
     return force
 
 

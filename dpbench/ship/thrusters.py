@@ -153,15 +153,6 @@ class ThrusterSet:
         ends = np.cumsum([thruster.components for thruster in self.thrusters]).tolist()
         return tuple(slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True))
 
-    @cached_property
-    def labels(self) -> tuple[str, ...]:
-        """Names of the entries of f: `bow`, or `stern port x` and `stern port y`."""
-        return tuple(
-            f"{t.name} {part}" if t.components == 2 else t.name
-            for t in self.thrusters
-            for part in ("x", "y")[: t.components]
-        )
-
     def per_entry(self, values: Sequence[float] | Vector) -> Vector:
         """A value a thruster (p,) as one an entry of f (n_f,)."""
         return np.repeat(np.asarray(values), [thruster.components for thruster in self.thrusters])

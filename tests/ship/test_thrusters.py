@@ -98,7 +98,6 @@ def test_limits_of_a_ship_are_those_of_each_axis_by_itself() -> None:
     np.testing.assert_allclose(high, [4e5, 2.8e5, 2 * lever + 2.4e6 + 6e5])
     np.testing.assert_allclose(thrusters.rate()[:2], [2e4 + 1e4, 2e4 + 1e4])
     assert thrusters.groups["board A"] == (0, 3)
-    assert thrusters.labels[1:3] == ("azimuth -35.0 -6.0 x", "azimuth -35.0 -6.0 y")
 
 
 @pytest.mark.parametrize(

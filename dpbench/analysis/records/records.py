@@ -110,12 +110,13 @@ class Records:
         carried = self.scenario(scenario)
         return self.full_steps(scenario) if carried is None else carried.steps
 
-    def full_loops(self, scenario: str, settings: str = "default") -> list[RunRecord]:
-        """Full-length closed loops of a scenario in scaled units, the baseline law included."""
+    def full_loops(self, scenario: str) -> list[RunRecord]:
+        """Full-length closed loops of a scenario at default settings in scaled units, the baseline
+        law included."""
         return self.select(
             mode="closed_loop",
             scenario=scenario,
-            settings=settings,
+            settings="default",
             units="scaled",
             steps_planned=self.full_steps(scenario),
         )

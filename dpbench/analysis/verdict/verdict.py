@@ -119,10 +119,6 @@ class Verdict:
         """How much slower a computer may be before the largest algorithmic step is too late."""
         return demand.deadline_ns / self.algo_max_ns
 
-    def raw_slowdown(self, demand: Demand) -> float:
-        """The same before the largest single sample, jitter of this machine included, is."""
-        return demand.deadline_ns / self.raw_max_ns
-
 
 @dataclass(frozen=True, eq=False)
 class Verdicts:

@@ -9,7 +9,7 @@ whoever reads it asks nobody. Steps are the columns of `step_columns.py`, or tho
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,8 +21,6 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Steps = Mapping[str, NDArray[Any]] | pd.DataFrame
 """Columns of steps by name: (N,) arrays, or a table."""
-Level = Literal["true", "true_1e4", "true_1e6"]
-"""Columns that say whether an answer is true: at 1e-3, 1e-4 and 1e-6."""
 
 WARM_UP = 0
 """The round of a replay that never counts."""
@@ -104,10 +102,10 @@ def failed_steps(steps: Steps) -> Flags:
     return failed & ~_among(steps, "certificate", (UNDECIDED,))
 
 
-def claimed_not_true(steps: Steps, level: Level = "true") -> Flags:
+def claimed_not_true(steps: Steps) -> Flags:
     """(N,) steps claimed solved that are not; where the right answer is not known, no claim is
     false."""
-    return _flags(steps, "claimed") & ~_flags(steps, level) & decided(steps)
+    return _flags(steps, "claimed") & ~_flags(steps, "true") & decided(steps)
 
 
 def true_not_claimed(steps: Steps) -> Flags:

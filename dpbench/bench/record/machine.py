@@ -34,10 +34,10 @@ def pin_threads() -> None:
         os.environ[variable] = "1"
 
 
-def clock_read_ns(samples: int = 20_000) -> tuple[float, int]:
+def clock_read_ns() -> tuple[float, int]:
     """Median cost of reading the clock and the smallest difference it shows [ns]."""
     clock = time.perf_counter_ns
-    reads = [clock() for _ in range(samples)]
+    reads = [clock() for _ in range(20_000)]
     steps = sorted(b - a for a, b in pairwise(reads))
     return float(steps[len(steps) // 2]), next((s for s in steps if s > 0), 0)
 

@@ -32,10 +32,10 @@ def checked_out(package: Path) -> Revision:
     return {"commit": commit, "clean": changes == ""}
 
 
-def installed(distribution: str = "dpbench") -> Revision:
-    """The commit that a distribution was installed from, as its installer noted it (PEP 610)."""
+def installed() -> Revision:
+    """The commit that dpbench was installed from, as its installer noted it (PEP 610)."""
     try:
-        noted = importlib.metadata.distribution(distribution).read_text("direct_url.json")
+        noted = importlib.metadata.distribution("dpbench").read_text("direct_url.json")
     except importlib.metadata.PackageNotFoundError:
         return {}
     commit = json.loads(noted or "{}").get("vcs_info", {}).get("commit_id")

@@ -43,7 +43,7 @@ def _outcome(deadline_ms: float, p99_ms: float) -> str:
     return f"datum.outcome == 'meets' || datum.outcome == 'open' ? ({later}) : datum.outcome"
 
 
-def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float, *, slow: float = 1.0) -> Any:
+def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
     """A row per solver: bar from p50 to p99, line on to the largest step, whisker to the largest
     sample, where that is the longer one.
 
@@ -56,7 +56,7 @@ def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float, *, slow: floa
     p99_ms : what the demand allows.
     """
     order = table["label"].tolist()
-    factor = alt.param(name="slow", value=slow)
+    factor = alt.param(name="slow", value=1.0)
     pick = picking("id")
     names = alt.Axis(labelLimit=260, labelExpr=f"narrow ? {_CLOSE} : datum.label")
     base = (
