@@ -39,13 +39,6 @@ class DelayedGroup:
     deadline_s: float
     configurations: tuple[DelayedConfiguration, ...]
 
-    @property
-    def slowdowns(self) -> list[float]:
-        """The slow-downs that were run, rising."""
-        return sorted(
-            {slowdown for configuration in self.configurations for slowdown in configuration.loops}
-        )
-
 
 def delayed_groups(records: Records) -> list[DelayedGroup]:
     """The loops on slow computers by scenario, configurations that survive most first."""
