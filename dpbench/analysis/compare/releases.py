@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ from dpbench.analysis.compare.times import REFERENCES, usualness
 from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
+from dpbench.bench.judge.rules import largest
 from dpbench.errors import InputError, UnknownNameError, one_of
 
 
@@ -44,17 +45,17 @@ class Release:
     @property
     def error_move(self) -> float:
         """The largest error of the first move."""
-        return largest(run.error_move_max for run in self.runs.values())
+        return largest([run.error_move_max for run in self.runs.values()])
 
     @property
     def claimed_not_true(self) -> float:
         """Most steps a round of a run that were claimed solved and are not."""
-        return largest(_per_round(run, run.claimed_not_true) for run in self.runs.values())
+        return largest([_per_round(run, run.claimed_not_true) for run in self.runs.values()])
 
     @property
     def failed_steps(self) -> float:
         """Most failed steps a round of a run."""
-        return largest(_per_round(run, run.failed_steps) for run in self.runs.values())
+        return largest([_per_round(run, run.failed_steps) for run in self.runs.values()])
 
     @property
     def outcome(self) -> str:
@@ -224,8 +225,3 @@ def _order(version: str) -> tuple[Any, ...]:
 
 def _mean(values: Sequence[float]) -> float:
     return float(np.exp(np.mean(np.log(values))))
-
-
-def largest(values: Iterable[float]) -> float:
-    """The largest of the values that are there; NaN where none is."""
-    return max((value for value in values if not math.isnan(value)), default=math.nan)

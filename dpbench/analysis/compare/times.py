@@ -34,6 +34,7 @@ from dpbench.analysis.statistics import (
     resampled_means,
 )
 from dpbench.analysis.times.machine import disturbed_sequences
+from dpbench.bench.judge.rules import median
 from dpbench.bench.record.configuration import settings_level
 from dpbench.errors import UnknownNameError, one_of
 
@@ -52,7 +53,6 @@ LOAD_WEIGHT, LOAD_WEIGHT_ERROR = 0.8, 0.3
 """What all configurations together feel of a change of the load kernel that the reference kernel
 does not show (0.76 to 0.82 in those runs, with a correlation of 0.98), and how far that may be
 off."""
-
 
 REFERENCES = ("paper_active_set", "daqp")
 """The reference solver between two machines: the first that both have timed. Both are small active
@@ -323,8 +323,7 @@ def _logs(timings: Sequence[Timing], column: str) -> Floats:
 def _machine(timings: Sequence[Timing]) -> _Machine:
     """The kernels of one sequence, timed in every worker; NaN where a folder does not tell."""
     columns = (_logs(timings, name) for name in ("reference_kernel_ns", "load_kernel_ns"))
-    known = (logs[np.isfinite(logs)] for logs in columns)
-    return _Machine(*(float(np.median(logs)) if len(logs) else math.nan for logs in known))
+    return _Machine(*(median(logs[np.isfinite(logs)]) for logs in columns))
 
 
 def _rounds(records: Records, run: RunRecord) -> pd.DataFrame | None:

@@ -22,7 +22,7 @@ from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.demand import Demand
-from dpbench.bench.judge.rules import percentile, supports
+from dpbench.bench.judge.rules import largest, percentile, supports
 from dpbench.bench.record.configuration import Configuration, settings_level
 from dpbench.solvers.record import POLICIES
 
@@ -236,8 +236,6 @@ def verdict_of(
     gaps = _gaps(runs, asked)
     kinds = len({run.mode for run in ran})
     whole = not (doubts or gaps) and kinds == 2
-    worst = np.array([run.error_move_max for run in ran])
-    known = worst[~np.isnan(worst)]
     return Verdict(
         configuration,
         "misses" if causes else "meets" if whole else "open",
@@ -247,7 +245,7 @@ def verdict_of(
         loops=len(ran) - len(replays),
         replays=len(replays),
         steps=sum(_evaluated_steps(run) for run in ran),
-        error_move=float(known.max()) if len(known) else math.nan,
+        error_move=largest([run.error_move_max for run in ran]),
         failed_steps=sum(_count(run.failed_steps) for run in ran),
         **timing,
     )

@@ -14,11 +14,12 @@ from dpbench.bench.judge.rules import (
     INFEASIBLE,
     UNDECIDED,
     Flags,
-    Floats,
     claimed_not_true,
     decided,
     errors,
     failed_steps,
+    largest,
+    median,
     true_not_claimed,
     unusable,
 )
@@ -136,29 +137,23 @@ def _accuracy(steps: StepColumns) -> dict[str, Any]:
         "claimed_not_true": int(claimed_not_true(steps).sum()),
         "true_not_claimed": int(true_not_claimed(steps).sum()),
         "error_move_p50": np.quantile(moves, 0.5, method="higher") if len(moves) else np.nan,
-        "error_move_max": _largest(moves),
-        "error_plan_max": _largest(charged["error_plan"]),
-        "primal_max": _largest(charged["primal"]),
-        "dual_max": _largest(charged["dual"]),
-        "optimum_bound_max": _largest(bounds[np.isfinite(bounds)]),
+        "error_move_max": largest(moves),
+        "error_plan_max": largest(charged["error_plan"]),
+        "primal_max": largest(charged["primal"]),
+        "dual_max": largest(charged["dual"]),
+        "optimum_bound_max": largest(bounds[np.isfinite(bounds)]),
         "uncertified": int((~known & ~undecided).sum()),
         "undecided_steps": int(undecided.sum()),
         "infeasible_steps": int((steps["certificate"] == INFEASIBLE).sum()),
         "failed_steps": int(failed_steps(steps).sum()),
-        "iterations_p50": np.median(iterations) if len(iterations) else np.nan,
-        "iterations_max": iterations.max() if len(iterations) else np.nan,
+        "iterations_p50": median(iterations),
+        "iterations_max": largest(iterations),
     }
 
 
 def _mean(flags: Flags) -> float:
     """Their share; NaN of none."""
     return float(flags.mean()) if len(flags) else float("nan")
-
-
-def _largest(values: Floats) -> float:
-    """The largest of those that are there; NaN where none is."""
-    known = values[~np.isnan(values)]
-    return float(known.max()) if len(known) else float("nan")
 
 
 def _failures(steps: StepColumns) -> dict[str, Any]:

@@ -8,7 +8,7 @@ whoever reads it asks nobody. Steps are the columns of `step_columns.py`, or tho
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -84,6 +84,23 @@ def percentile(values: Floats, percent: float) -> float:
     if not supports(len(values), percent):
         return float(np.nan)
     return float(np.percentile(values, percent))
+
+
+def median(values: Floats | Sequence[float]) -> float:
+    """The median of the values that are there; NaN where none is."""
+    known = _known(values)
+    return float(np.median(known)) if len(known) else float(np.nan)
+
+
+def largest(values: Floats | Sequence[float]) -> float:
+    """The largest of the values that are there; NaN where none is."""
+    known = _known(values)
+    return float(known.max()) if len(known) else float(np.nan)
+
+
+def _known(values: Floats | Sequence[float]) -> Floats:
+    array = np.asarray(values, dtype=np.float64)
+    return array[~np.isnan(array)]
 
 
 def decided(steps: Steps) -> Flags:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.bench.judge.closed_loop import OF_SECOND, Columns, Evaluated
-from dpbench.bench.judge.rules import WARM_UP, disturbed_rounds, percentile
+from dpbench.bench.judge.rules import WARM_UP, disturbed_rounds, median, percentile
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.schema import MISSING
 
@@ -36,7 +36,8 @@ def timing_metrics(cell: Cell, evaluated: Evaluated, counting: Steps) -> dict[st
     }
     if cell.mode == "closed_loop":
         for phase in ("emit", "overhead"):
-            timing[f"{phase}_p50_ns"] = _median_of_known(counting[f"{phase}_ns"])
+            times_ns = counting[f"{phase}_ns"]
+            timing[f"{phase}_p50_ns"] = median(times_ns[times_ns > MISSING])
         return timing | _parts(counting)
     rounds, by_round = _by_round(counting, raw)
     best = np.nanmin(by_round, axis=0)
@@ -67,11 +68,6 @@ def _by_round(counting: Steps, values: Floats) -> tuple[NDArray[np.int32], Float
     return rounds, by_round
 
 
-def _median_of_known(times_ns: NDArray[np.int64]) -> float:
-    known = times_ns[times_ns > MISSING]
-    return float(np.median(known)) if len(known) else float("nan")
-
-
 def _parts(counting: Steps) -> dict[str, float]:
     """The times of both QPs of a cascade by themselves; nothing of other loops."""
     if "allocation_ns" not in counting:
@@ -89,8 +85,7 @@ def reference_kernel_median(columns: Columns) -> float:
     """Median over rounds of the reference kernel, the better of its timings around a round [ns]."""
     kernel_ns = columns["reference_kernel_ns"].astype(np.float64)
     best = np.where(kernel_ns > 0, kernel_ns, np.inf).min(axis=1)
-    known = best[np.isfinite(best)]
-    return float(np.median(known)) if len(known) else np.nan
+    return median(best[np.isfinite(best)])
 
 
 def load_time(columns: Columns, counting: NDArray[np.int32]) -> float:

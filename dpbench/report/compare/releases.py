@@ -13,11 +13,11 @@ from dpbench.analysis.compare.releases import (
     History,
     Release,
     histories,
-    largest,
 )
 from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.verdict.demand import Demand
+from dpbench.bench.judge.rules import largest
 from dpbench.bench.record.result_folder import load_results
 from dpbench.errors import InputError
 from dpbench.report.formats import (

@@ -14,6 +14,7 @@ from dpbench.analysis.records.run_steps import MEASURES, Measure, RunSteps, hard
 from dpbench.analysis.times.pairs import paired_comparison
 from dpbench.analysis.verdict.fastest import best_of_each, fastest_first
 from dpbench.analysis.verdict.verdict import Verdict
+from dpbench.bench.judge.rules import median
 from dpbench.bench.record.configuration import Configuration
 from dpbench.errors import UnknownNameError, one_of
 from dpbench.report.documents.markdown import HEAD, cut, solver_row
@@ -117,8 +118,7 @@ def _worst_of(facts: Facts, run: RunRecord, measure: Measure) -> WorstStep | Non
     if not hard:
         return None
     values = steps.values(measure)
-    median = float(np.median(values[~np.isnan(values)]))
-    return WorstStep(measure, run, steps, hard[0].at, hard[0].value, median)
+    return WorstStep(measure, run, steps, hard[0].at, hard[0].value, median(values))
 
 
 def _sentence(facts: Facts, verdict: Verdict) -> str:

@@ -7,9 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import isfinite
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
@@ -17,7 +14,7 @@ from dpbench.analysis.statistics import Interval, paired_ratio
 from dpbench.analysis.times.pairs import paired
 from dpbench.analysis.times.routes import native_comparisons, route_comparisons
 from dpbench.analysis.verdict.demand import Demand, is_right
-from dpbench.bench.judge.rules import percentile
+from dpbench.bench.judge.rules import median, percentile
 from dpbench.bench.record.configuration import settings_level
 from dpbench.report.formats import and_list, plural, significant, time_text
 from dpbench.report.page.topic import SmallTable, Topic
@@ -45,7 +42,7 @@ def routes_topic(records: Records) -> Topic | None:
         return None
     said = (
         "How many times as fast a step becomes, median over solvers and sequences: "
-        + "; ".join(f"{change} {significant(_median(gain))}" for change, gain in gains.items())
+        + "; ".join(f"{change} {significant(median(gain))}" for change, gain in gains.items())
         + ".",
         "What calling a library natively saves, then keeping its workspace, then its last answer.",
     )
@@ -57,10 +54,6 @@ def _ratio_text(ratio: Interval) -> str:
     if not (isfinite(ratio.low) and isfinite(ratio.high)):
         return significant(ratio.value)
     return f"{significant(ratio.value)} ({significant(ratio.low)} to {significant(ratio.high)})"
-
-
-def _median(values: Sequence[float] | NDArray[np.float64]) -> float:
-    return float(np.median(values))
 
 
 def formulations_topic(records: Records, demand: Demand) -> Topic | None:
@@ -149,7 +142,7 @@ def race_topic(records: Records) -> Topic | None:
                 (
                     sequence,
                     options,
-                    *(time_text(_median(t.algo_ns)) for t in (here, there)),
+                    *(time_text(median(t.algo_ns)) for t in (here, there)),
                     *(time_text(percentile(t.algo_ns, 99)) for t in (here, there)),
                     _ratio_text(ratio),
                 )
@@ -198,7 +191,7 @@ def _fastest_forms(records: Records, demand: Demand) -> str:
         times = records.times(run) if run.mode == "replay" and not run.has_topic else None
         if times is not None and is_right(run, demand):
             case = run.sequence, run.units, run.configuration.in_common_formulation.label
-            by_case.setdefault(case, {})[run.formulation] = _median(times.algo_ns)
+            by_case.setdefault(case, {})[run.formulation] = median(times.algo_ns)
     cases = [forms for forms in by_case.values() if len(forms) > 1]
     wins = Counter(min(forms, key=lambda form: forms[form]) for forms in cases)
     said = ", ".join(f"{form.replace('_', ' ')} {count}" for form, count in wins.most_common())
@@ -213,5 +206,5 @@ def _median_text(records: Records, run: RunRecord | None, demand: Demand) -> str
     times = None if run is None else records.times(run)
     if run is None or times is None:
         return "–" if run is None else run.outcome.replace("_", " ")
-    text = time_text(_median(times.algo_ns))
+    text = time_text(median(times.algo_ns))
     return text if is_right(run, demand) else f"{text} (not right)"

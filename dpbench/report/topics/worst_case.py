@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.run_steps import RunSteps, run_steps
+from dpbench.bench.judge.rules import median
 from dpbench.report.formats import MISSING, count_text, error_text, time_text
 from dpbench.report.page.topic import SmallTable, Topic
 from dpbench.report.verdict_text import answer_text
@@ -49,15 +48,10 @@ def _row(run: RunRecord, steps: RunSteps, k: int) -> tuple[str, ...] | None:
         time_text(steps.time_ns[i]),
         time_text(float(np.median(steps.time_ns))),
         count_text(steps.iterations[i]),
-        count_text(_median(steps.iterations)),
+        count_text(median(steps.iterations)),
         error_text(float(steps.error[i])),
         answer_text(steps, i),
     )
-
-
-def _median(values: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
-    known = values[~np.isnan(values)]
-    return float(np.median(known)) if len(known) else math.nan
 
 
 def _said(row: tuple[str, ...], k: int) -> str:
