@@ -20,7 +20,7 @@ from dpbench.bench.record.result_folder import Results, write_results
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
 from dpbench.errors import SolverUnavailableError
 from dpbench.report.ending import ending
-from dpbench.report.write import Report
+from dpbench.report.report import Report
 from dpbench.scenario.scenario import Scenario, load_scenario
 
 # No test asserts how long something takes, and neither does the library that makes up its examples.

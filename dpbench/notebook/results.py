@@ -17,7 +17,7 @@ from dpbench.display import table_html
 from dpbench.report.formats import plural
 
 if TYPE_CHECKING:
-    from dpbench.report.write import Report
+    from dpbench.report.report import Report
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -84,7 +84,7 @@ class Results(result_folder.Results):
     @cached_property
     def _report(self) -> Report:
         # The report draws, and Altair takes its time.
-        from dpbench.report.write import Report
+        from dpbench.report.report import Report
 
         capability = load_capability(self.folder)
         return Report.of(self, load_designs(self.folder), capability=capability)

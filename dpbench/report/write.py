@@ -2,84 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-import pandas as pd
-
-from dpbench.analysis.records.records import Records
-from dpbench.analysis.verdict.demand import Demand
-from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.bench.capability.table import load_capability
-from dpbench.bench.design import Designs, load_designs
-from dpbench.bench.record.result_folder import Results, load_results
+from dpbench.bench.design import load_designs
+from dpbench.bench.record.result_folder import load_results
 from dpbench.errors import InputError
 from dpbench.report.charts.render import FORMATS, save
-from dpbench.report.csv_tables import tables_of, write_tables
+from dpbench.report.csv_tables import write_tables
 from dpbench.report.documents.comment import beside, worst_text
 from dpbench.report.documents.markdown import report_markdown
 from dpbench.report.documents.sent import PAGE, prepare
 from dpbench.report.documents.statement import write_statement
 from dpbench.report.ending import ending
-from dpbench.report.page.answer import Answer, answer_of
-from dpbench.report.page.facts import Facts
-from dpbench.report.page.topic import Topic
-from dpbench.report.page.write import DRAWN, charts_of, page_html
-from dpbench.report.topics.all import topics_of
-from dpbench.report.topics.trust import calling_ns
-
-
-@dataclass(frozen=True, eq=False)
-class Report:
-    """What a report is made of."""
-
-    results: Results
-    facts: Facts
-    answer: Answer
-    topics: Sequence[Topic]
-
-    @classmethod
-    def of(
-        cls,
-        results: Results,
-        designs: Designs | None = None,
-        baseline: str | None = None,
-        capability: pd.DataFrame | None = None,
-    ) -> Report:
-        """The report on some results, nothing written.
-
-        Parameters
-        ----------
-        designs, capability : what lies beside them, see `topics_of`; baseline : as in
-            `write_report`.
-        """
-        records, demand = Records(results), Demand.of(results.suite)
-        facts = Facts.of(records, demand, verdicts_of(records, demand))
-        named = results.suite.get("report", {}).get("baseline")
-        if named not in {v.configuration.solver for v in facts.verdicts.all if v.steps}:
-            named = None  # a part of the suite was run, without it
-        answer = answer_of(facts, results.machine, baseline or named)
-        topics = topics_of(records, facts.verdicts, designs, capability)
-        return cls(results, facts, answer, topics)
-
-    @cached_property
-    def charts(self) -> Mapping[str, Any]:
-        """The figures of the page that follow what is chosen there, by name."""
-        return charts_of(self.facts, calling_ns(self.facts.records))
-
-    @cached_property
-    def tables(self) -> Mapping[str, pd.DataFrame]:
-        """All tables, by name: see `csv_tables.tables_of`."""
-        return tables_of(self.results, self.facts, self.answer, self.topics)
-
-    @property
-    def figures(self) -> dict[str, Any]:
-        """The figures that stand alone, by name."""
-        own = {name: chart for name, chart in self.charts.items() if name in DRAWN}
-        return own | {f.name: f.chart for topic in self.topics for f in topic.figures}
+from dpbench.report.page.write import page_html
+from dpbench.report.report import Report
 
 
 def write_report(out: str | Path, *, baseline: str | None = None) -> Path:

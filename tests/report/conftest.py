@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from dpbench.bench.record.result_folder import Results, load_results
-from dpbench.report.write import Report, report_and_ending
+from dpbench.report.report import Report
+from dpbench.report.write import report_and_ending
 
 
 class Written:

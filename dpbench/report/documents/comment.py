@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,11 +19,9 @@ from dpbench.errors import UnknownNameError, one_of
 from dpbench.report.documents.markdown import HEAD, cut, solver_row
 from dpbench.report.formats import MISSING, and_list, count_text, error_text, time_text
 from dpbench.report.page.facts import Facts
+from dpbench.report.report import Report
 from dpbench.report.table import markdown
 from dpbench.report.verdict_text import answer_text, clauses, demand_text, paired_text
-
-if TYPE_CHECKING:
-    from dpbench.report.write import Report
 
 USUAL = ("osqp", "daqp")
 """Whom a solver is set beside, where nobody is named."""

@@ -9,8 +9,8 @@ from dpbench.analysis.times.work_precision import LevelPoint, default_route_leve
 from dpbench.analysis.verdict.demand import Demand, is_right
 from dpbench.analysis.verdict.fastest import fastest_of, podium, ranked
 from dpbench.analysis.verdict.verdict import Verdicts, verdicts_of
+from dpbench.report.report import Report
 from dpbench.report.verdict_text import judged_on
-from dpbench.report.write import Report
 
 DEMAND = Demand()
 

@@ -11,8 +11,8 @@ from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.fastest import fastest_first, recommend, why_not_aboard
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.report.page.answer import Answer
+from dpbench.report.report import Report
 from dpbench.report.verdict_text import clauses, counted, demand_text, paired_text
-from dpbench.report.write import Report
 
 DEMAND = Demand()
 

@@ -19,7 +19,7 @@ from dpbench.report.formats import error_text, rounded_down, time_text
 from dpbench.report.page.answer import Answer, answer_of
 from dpbench.report.page.facts import Facts
 from dpbench.report.page.tables import ladder_table, matrix_table
-from dpbench.report.write import Report
+from dpbench.report.report import Report
 
 
 def _facts(records: Any) -> Facts:

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
+from dpbench.report.report import Report
 from dpbench.report.topics.thrusters.conclusion import conclusion_topic
-from dpbench.report.write import Report
 
 WARM = {"route": "native", "policy": "warm"}
 
