@@ -24,7 +24,7 @@ def doctor_lines() -> list[str]:
     They run in this process, on the core that timed replays are pinned to.
     """
     machine = describe_machine()
-    found = calibrate()
+    harness = calibrate()
     loads = ", ".join(f"{load:.2f}" for load in machine["load_average"])
     facts = [
         *machine_facts(machine),
@@ -32,16 +32,16 @@ def doctor_lines() -> list[str]:
         ("system", f"{machine['kernel']}, {machine['python']}"),
         ("versions", ", ".join(f"{k} {v}" for k, v in machine["versions"].items())),
         ("load average", loads or MISSING),
-        *disturbance_facts(found.disturbance),
+        *disturbance_facts(harness.disturbance),
     ]
     return [
         *(wrapped(said, first=f"{what:<{_WIDTH}}", others=" " * _WIDTH) for what, said in facts),
         *(
             wrapped(said, others="  ")
             for said in (
-                f"machine: {verdict_text(found.disturbance)}",
+                f"machine: {verdict_text(harness.disturbance)}",
                 f"quiet means: {RULE}",
-                f"harness: {calibration_text(found.p50_ns)}",
+                f"harness: {calibration_text(harness.p50_ns)}",
             )
         ),
     ]

@@ -100,9 +100,9 @@ def _solvers() -> RenderableType:
 
 
 def _solver(name: str) -> str:
-    row, found = record(name), available(name)
-    installed = found.version or "" if found.ok else f"not installed: {found.reason}"
-    build = f", {found.build.text}" if found.build.text else ""
+    row, library = record(name), available(name)
+    installed = library.version or "" if library.ok else f"not installed: {library.reason}"
+    build = f", {library.build.text}" if library.build.text else ""
     policies = "; ".join(f"{route}: {', '.join(p)}" for route, p in row.policies.items())
     about = [row.method, f"form {row.form}; {policies}", *describe_levels(name).splitlines()]
     return entry(f"{name} {installed}{build}".rstrip(), about)

@@ -104,8 +104,8 @@ def _run(arguments: argparse.Namespace) -> int:
     with Bar(quiet=arguments.quiet or arguments.json) as bar:
         out = run_campaign(**_given(arguments, *HOW_TO_END), progress=bar)
         bar.advance(0, "writing the report")
-        found = report_and_ending(out)
-    say_ending(*found, arguments)
+        page_and_ending = report_and_ending(out)
+    say_ending(*page_and_ending, arguments)
     lost, remarks = accidents(out)
     for line in remarks:
         print(f"dpbench: {line}", file=sys.stderr)
@@ -208,9 +208,9 @@ def _worst_case(arguments: argparse.Namespace) -> int:
     from dpbench.cli.terminal import say
 
     with Bar() as bar:
-        found = find_worst_case(**_given(arguments), progress=bar)
-    say(found.lines)
-    return 130 if found.search.stopped == "interrupted" else 0
+        worst_case = find_worst_case(**_given(arguments), progress=bar)
+    say(worst_case.lines)
+    return 130 if worst_case.search.stopped == "interrupted" else 0
 
 
 def _paper(arguments: argparse.Namespace) -> int:
@@ -219,11 +219,11 @@ def _paper(arguments: argparse.Namespace) -> int:
     from dpbench.report.reproduce import reproduce_paper
 
     with Bar(transient=True) as bar:
-        found = reproduce_paper(arguments.out, progress=bar)
-    say(found.lines)
-    for line in found.remarks:
+        reproduction = reproduce_paper(arguments.out, progress=bar)
+    say(reproduction.lines)
+    for line in reproduction.remarks:
         print(f"dpbench: {line}", file=sys.stderr)
-    return 0 if found.complete else 1
+    return 0 if reproduction.complete else 1
 
 
 def _list(arguments: argparse.Namespace) -> int:

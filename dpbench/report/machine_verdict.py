@@ -20,9 +20,9 @@ from dpbench.report.formats import (
 )
 
 
-def verdict_text(found: Disturbance) -> str:
+def verdict_text(disturbance: Disturbance) -> str:
     """ "quiet", or "disturbed" and by what."""
-    complaints = found.complaints()
+    complaints = disturbance.complaints()
     return f"disturbed: {and_list(complaints)}" if complaints else "quiet"
 
 
@@ -54,14 +54,14 @@ def machine_facts(machine: dict[str, Any]) -> list[tuple[str, str]]:
     ]
 
 
-def disturbance_facts(found: Disturbance) -> list[tuple[str, str]]:
+def disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
     """What disturbed some replays, as the kernel shows it."""
-    disturbed = f"{count_text(found.disturbed)} of {plural(found.rounds, 'round')}"
-    throttled = count_text(found.throttled)
-    stolen = "not visible" if isnan(found.steal_share) else share_text(found.steal_share)
+    disturbed = f"{count_text(disturbance.disturbed)} of {plural(disturbance.rounds, 'round')}"
+    throttled, steal_share = count_text(disturbance.throttled), disturbance.steal_share
+    stolen = "not visible" if isnan(steal_share) else share_text(steal_share)
     return [
-        ("disturbed rounds left", f"{disturbed}; {count_text(found.rerun)} run again"),
-        ("involuntary context switches", f"{significant(found.switches_per_s, 2)} a second"),
+        ("disturbed rounds left", f"{disturbed}; {count_text(disturbance.rerun)} run again"),
+        ("involuntary context switches", f"{significant(disturbance.switches_per_s, 2)} a second"),
         ("time stolen by the host", stolen),
         ("throttle events", "not visible" if throttled == MISSING else throttled),
     ]

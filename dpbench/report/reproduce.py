@@ -89,12 +89,12 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
     _write_figures(folder, topic, laws_of(records), scenario)
     _frame(topic.tables[0]).to_csv(folder / "claims.csv", index=False)
     (folder / "claims.md").write_text(_document(topic, results), encoding="utf-8")
-    found = claims(records)
+    judged = claims(records)
     radius = linear_record(scenario).spectral_radius
     stable = (
         f"stability: largest |λ| {radius:.4f} (eq. 35); sway offset held: `dpbench check {PAPER}`"
     )
-    said = (f"{held_text(found)}.", *_contradicted(found), stable, *_places(folder))
+    said = (f"{held_text(judged)}.", *_contradicted(judged), stable, *_places(folder))
     return Reproduction(said, tuple(remarks), complete=lost == 0)
 
 
@@ -127,8 +127,8 @@ def _path(steps: pd.DataFrame, scenario: Scenario) -> Columns:
 
 def _errors(steps: pd.DataFrame, scenario: Scenario) -> Columns:
     units = {"north": "m", "east": "m", "heading": "deg", "radial": "m"}
-    found = errors(steps, scenario.reference)
-    return {f"{name}_{unit}": found[name] for name, unit in units.items()}
+    by_name = errors(steps, scenario.reference)
+    return {f"{name}_{unit}": by_name[name] for name, unit in units.items()}
 
 
 def _forces(steps: pd.DataFrame, scenario: Scenario) -> Columns:
@@ -182,9 +182,9 @@ def _document(topic: Topic, results: Results) -> str:
     return "\n\n".join(filter(None, parts)) + "\n"
 
 
-def _contradicted(found: Sequence[Claim]) -> list[str]:
+def _contradicted(judged: Sequence[Claim]) -> list[str]:
     """The claims that the runs contradict or say nothing of, at most `MOST_NAMED` of them."""
-    named = [f"{claim.state}: {claim.claim}" for claim in found if claim.state != "reproduced"]
+    named = [f"{claim.state}: {claim.claim}" for claim in judged if claim.state != "reproduced"]
     rest = len(named) - MOST_NAMED
     more = [f"and {plural(rest, 'other')}: see claims.md"] if rest > 0 else []
     return [line.replace("`", "") for line in named[:MOST_NAMED]] + more

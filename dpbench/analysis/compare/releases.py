@@ -135,11 +135,11 @@ def histories(folders: Mapping[str, Records], reference: str | None = None) -> H
         allowed = "folders of the same suite"
         raise InputError("--releases", "", "no cell that two of the folders have", allowed)
     units = {name: _units(records, solver) for name, records in folders.items()}
-    found = [_history(runs, units) for runs in common.values()]
-    found.sort(key=lambda h: (h.run.solver, h.run.mode != "replay", usualness(h.run)))
-    ratios = [ratio for history in found for ratio in _repeated(history, units)]
+    by_cell = [_history(runs, units) for runs in common.values()]
+    by_cell.sort(key=lambda h: (h.run.solver, h.run.mode != "replay", usualness(h.run)))
+    ratios = [ratio for history in by_cell for ratio in _repeated(history, units)]
     spread = max(ratios, default=math.nan)
-    return Histories(found, solver, spread, len(cells) - len(common), len(folders))
+    return Histories(by_cell, solver, spread, len(cells) - len(common), len(folders))
 
 
 def _cells(folders: Mapping[str, Records]) -> dict[str, dict[str, RunRecord]]:

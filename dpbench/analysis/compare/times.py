@@ -91,19 +91,19 @@ class Compared:
     @property
     def row(self) -> dict[str, Any]:
         """Identity, ratios, interval, adjusted p-values and verdict, for a table."""
-        timing, found = self.timing, self.assessment
+        timing, assessment = self.timing, self.assessment
         return key_of(timing.pair.a) | {
-            "raw": found.raw,
-            "machine": found.machine,
-            "ratio": found.ratio.value,
-            "low": found.ratio.low,
-            "high": found.ratio.high,
+            "raw": assessment.raw,
+            "machine": assessment.machine,
+            "ratio": assessment.ratio.value,
+            "low": assessment.ratio.low,
+            "high": assessment.ratio.high,
             "own": timing.own,
-            "p_differs": found.p_differs,
-            "p_equal": found.p_equal,
+            "p_differs": assessment.p_differs,
+            "p_equal": assessment.p_equal,
             "steps": timing.steps,
             "rounds": timing.rounds,
-            "verdict": found.verdict,
+            "verdict": assessment.verdict,
         }
 
 

@@ -56,8 +56,8 @@ class Answers:
 
 def answers_of(records: Records, runs: Sequence[RunRecord]) -> list[Answers]:
     """The answers of each run, most right ones first, then the fastest."""
-    found = [_answers(records, run) for run in runs if run.outcome != "refused"]
-    return sorted(found, key=lambda a: (a.wrong > 0, -a.right, a.wrong, a.p50_ns))
+    answers = [_answers(records, run) for run in runs if run.outcome != "refused"]
+    return sorted(answers, key=lambda a: (a.wrong > 0, -a.right, a.wrong, a.p50_ns))
 
 
 @dataclass(frozen=True, eq=False)

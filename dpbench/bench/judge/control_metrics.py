@@ -9,6 +9,7 @@ from dpbench.arrays import Matrix, Vector
 from dpbench.bench.record.schema import AXES, FORCES
 from dpbench.bench.run.exact_loop import ExactLoop
 from dpbench.scenario.scenario import Scenario
+from dpbench.ship.layout import POSE, VELOCITY
 
 AT_LIMIT = 1e-6
 """In units of the limit's own step: closer than this counts as being at the limit."""
@@ -34,9 +35,10 @@ def control_metrics(
     """
     K, tau = len(u), scenario.forces(u)
     dt = scenario.sample_s
-    error = state[:K, 3:] - reference[:K]
-    radius = np.hypot(error[:, 0], error[:, 1])
-    heading = np.degrees(np.abs(error[:, 2]))
+    error = state[:K, POSE] - reference[:K]
+    north, east, turn = error.T
+    radius = np.hypot(north, east)
+    heading = np.degrees(np.abs(turn))
     t = np.arange(K, dtype=np.float64) * dt
     before = np.vstack([np.zeros(3), tau[:-1]])
     change = tau - before
@@ -50,7 +52,7 @@ def control_metrics(
         "settle_s": _settling(t, (radius <= 1.0) & (heading <= 1.0), dt, hold_s=30.0),
         "settle_0p1m_s": _settling(t, radius <= 0.1, dt, hold_s=None),
         "share_1m": float(np.mean(radius <= 1.0)),
-        "pose_error": float(np.mean(radius + 0.75**radius * np.abs(error[:, 2]))),
+        "pose_error": float(np.mean(radius + 0.75**radius * np.abs(turn))),
         "closed_loop_cost": _cost(scenario, state[: K + 1], u, reference),
         "exact_cost": _cost(
             scenario, exact.state[: K + 1], _applied(scenario, exact)[:K], reference
@@ -60,7 +62,7 @@ def control_metrics(
         metrics
         | _watch_shares(radius, heading)
         | _of_axes(t, error, dt)
-        | _effort(scenario, state[:K, :3], tau, change)
+        | _effort(scenario, state[:K, VELOCITY], tau, change)
         | ({} if scenario.commanded else _limit_shares(scenario, tau, before, limits))
         | _deviation(state[:K], tau, exact)
     )
@@ -123,7 +125,7 @@ def _overshoot(error: Vector) -> float:
 
 def _cost(scenario: Scenario, state: Matrix, u: Matrix, reference: Matrix) -> float:
     """½ Σ eᵀQe + ½ Σ ΔuᵀRΔu, and ½ Σ uᵀWu of thrusters, over the K steps of u."""
-    error = state[1:, 3:] - reference[1 : len(state)]
+    error = state[1:, POSE] - reference[1 : len(state)]
     change = np.diff(u, axis=0, prepend=np.zeros((1, u.shape[1])))
     cost = np.einsum("ki,ij,kj->", error, scenario.Q, error)
     cost += np.einsum("ki,ij,kj->", change, scenario.R, change)
@@ -192,9 +194,9 @@ def _set_shares(
 
 def _deviation(state: Matrix, tau: Matrix, exact: ExactLoop) -> dict[str, float]:
     K = len(tau)
-    away = state - exact.state[:K]
-    position = np.hypot(away[:, 3], away[:, 4])
-    heading = np.degrees(np.abs(away[:, 5]))
+    north, east, turn = (state - exact.state[:K])[:, POSE].T
+    position = np.hypot(north, east)
+    heading = np.degrees(np.abs(turn))
     force = np.abs(tau[:, :2] - exact.tau[:K, :2]).max(axis=1)
     return {
         "dev_position_max_m": float(position.max()),

@@ -34,6 +34,9 @@ SPEED_REACH = np.array([1.0, 1.0, np.radians(1.0)])
 """Speeds that are looked at in any case [m/s, m/s, rad/s], at full size: those of a ship that comes
 to its station."""
 _PER_KN = 1e-3
+_START, _SPEED, _STEADY, _ON_TOP = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
+_WHEN, _FIRST_FAULT = 12, 13
+"""Where in a point each stands, see above."""
 
 
 class SearchSpace:
@@ -66,7 +69,7 @@ class SearchSpace:
     @property
     def dimensions(self) -> int:
         """d, the length of a point."""
-        return 13 if self._first_fault_s is None else 14
+        return _FIRST_FAULT if self._first_fault_s is None else _FIRST_FAULT + 1
 
     def scenario(self, point: Vector) -> Scenario:
         """The variant at a point (d,) of [−1, 1]^d."""
@@ -75,9 +78,9 @@ class SearchSpace:
         table = files["scenario"]
         sample_s = float(table["sample_s"])
         duration_s = self._steps * sample_s
-        closely = np.sign(point[:6]) * point[:6] ** 2
-        north_m, east_m, heading = self._reference + closely[:3] * self._reach
-        surge_mps, sway_mps, yaw_rate = closely[3:] * self._fastest
+        closely = np.sign(point) * point**2
+        north_m, east_m, heading = self._reference + closely[_START] * self._reach
+        surge_mps, sway_mps, yaw_rate = closely[_SPEED] * self._fastest
         table["duration_s"] = duration_s
         table["start"] = {
             "north_m": float(north_m),
@@ -90,18 +93,18 @@ class SearchSpace:
         weather = table["environment"]
         # A weather that builds up over a minute would not be there yet.
         weather["ramp_s"] = 0.0
-        weather["mean_kN"] = (point[6:9] * self._force_kN).tolist()
+        weather["mean_kN"] = (point[_STEADY] * self._force_kN).tolist()
         weather["squalls"].append(
             {
-                "start_s": _moment(point[12], duration_s, sample_s),
+                "start_s": _moment(point[_WHEN], duration_s, sample_s),
                 "rise_s": sample_s,
                 "hold_until_s": 2.0 * duration_s,
                 "decay_s": sample_s,
-                "force_kN": (2.0 * point[9:12] * self._force_kN).tolist(),
+                "force_kN": (2.0 * point[_ON_TOP] * self._force_kN).tolist(),
             }
         )
         if self._first_fault_s is not None:
-            later = _moment(point[13], duration_s, sample_s) - self._first_fault_s
+            later = _moment(point[_FIRST_FAULT], duration_s, sample_s) - self._first_fault_s
             for fault in table["faults"]:
                 fault["at_s"] = max(0.0, fault["at_s"] + later)
         return scenario_of(files, where=f"variant of {self._name}")

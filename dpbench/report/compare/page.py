@@ -204,12 +204,12 @@ def lead(comparison: Comparison) -> list[str]:
 
 def said(one: Compared) -> str:
     """The verdict on one configuration with its figures."""
-    found, timing = one.assessment, one.timing
+    assessment, timing = one.assessment, one.timing
+    interval = interval_text(assessment.ratio.low, assessment.ratio.high)
     return (
-        f"B takes {found.ratio.value:.3f} times as long as A, the machine's factor "
-        f"{found.machine:.3f} taken out (interval "
-        f"{interval_text(found.ratio.low, found.ratio.high)}, {plural(timing.steps, 'step')}, "
-        f"{plural(timing.rounds, 'round')}): {found.verdict}."
+        f"B takes {assessment.ratio.value:.3f} times as long as A, the machine's factor "
+        f"{assessment.machine:.3f} taken out (interval {interval}, {plural(timing.steps, 'step')}, "
+        f"{plural(timing.rounds, 'round')}): {assessment.verdict}."
     )
 
 

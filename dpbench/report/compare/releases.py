@@ -83,15 +83,15 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
     return Releases(over, _lead(over), _lines(over, records), _tables(over), demand)
 
 
-def _changed(found: Histories) -> dict[str, list[History]]:
+def _changed(histories: Histories) -> dict[str, list[History]]:
     """By solver, the histories of those with several versions."""
-    by_solver = grouped(found.all, lambda history: history.run.solver)
+    by_solver = grouped(histories.all, lambda history: history.run.solver)
     return {name: own for name, own in by_solver.items() if any(h.changed for h in own)}
 
 
-def _lead(found: Histories) -> list[str]:
+def _lead(histories: Histories) -> list[str]:
     """A sentence for each solver of several versions, from its most usual configuration."""
-    by_solver = _changed(found)
+    by_solver = _changed(histories)
     if not by_solver:
         return ["No solver has two versions in these folders."]
     return [_sentence(solver, own_histories) for solver, own_histories in by_solver.items()]
@@ -126,7 +126,7 @@ def _took(changed: Sequence[History]) -> str:
     )
 
 
-def _lines(found: Histories, records: Mapping[str, Records]) -> list[str]:
+def _lines(histories: Histories, records: Mapping[str, Records]) -> list[str]:
     lines = [
         f"{name}: {view.machine.get('cpu_model', 'an unnamed CPU')}, machine {view.machine['id']}, "
         f"{view.suite.get('started_utc', '')[:10] or 'no date'}"
@@ -136,23 +136,23 @@ def _lines(found: Histories, records: Mapping[str, Records]) -> list[str]:
     differ = {word: None for one in machines[1:] for word in differences(machines[0], one)}
     if differ:
         lines.append(f"the machines differ in {and_list(list(differ))}")
-    if found.reference:
+    if histories.reference:
         lines.append(
-            f"times are multiples of the p50 of {found.reference} in the same folder: ratios carry "
-            "from machine to machine, microseconds do not"
+            f"times are multiples of the p50 of {histories.reference} in the same folder: ratios "
+            "carry from machine to machine, microseconds do not"
         )
-    if math.isfinite(found.spread):
+    if math.isfinite(histories.spread):
         lines.append(
             "what did not change its version differs by a factor of up to "
-            f"{significant(found.spread)} between two folders: a smaller change says nothing"
+            f"{significant(histories.spread)} between two folders: a smaller change says nothing"
         )
-    if found.alone:
-        lines.append(f"{plural(found.alone, 'cell')} in one folder only, left out")
+    if histories.alone:
+        lines.append(f"{plural(histories.alone, 'cell')} in one folder only, left out")
     return lines
 
 
-def _tables(found: Histories) -> list[Table]:
-    changed = _changed(found)
+def _tables(histories: Histories) -> list[Table]:
+    changed = _changed(histories)
     note = (
         "To the one before: its p50 over that of the release above it, below 1 is faster; the load "
         "kernel, timed in the same rounds, tells what of that its neighbours on the machine did. "
@@ -162,15 +162,15 @@ def _tables(found: Histories) -> list[Table]:
         Table(
             f"{solver} over its releases",
             note,
-            *head_and_rows([row for history in own_histories for row in _rows(history, found)]),
+            *head_and_rows([row for history in own_histories for row in _rows(history, histories)]),
             text_columns=4,
         )
         for solver, own_histories in changed.items()
     ]
-    rest = [history for history in found.all if history.run.solver not in changed]
+    rest = [history for history in histories.all if history.run.solver not in changed]
     if rest:
         # With one version there is none before it.
-        rows = [{"solver": h.run.solver} | row for h in rest for row in _rows(h, found)]
+        rows = [{"solver": h.run.solver} | row for h in rest for row in _rows(h, histories)]
         kept = [{head: row[head] for head in row if head not in BEFORE} for row in rows]
         note = "For comparison: what these differ by is no change of a solver."
         title = "Of one version in all folders"
@@ -182,20 +182,20 @@ BEFORE = ("to the one before", "load kernel")
 """Columns about the release before."""
 
 
-def _rows(history: History, found: Histories) -> list[dict[str, str]]:
-    run, unit = history.run, f" [× {found.reference}]" if found.reference else ""
+def _rows(history: History, histories: Histories) -> list[dict[str, str]]:
+    run, unit = history.run, f" [× {histories.reference}]" if histories.reference else ""
     label = run.configuration.label.removeprefix(f"{run.solver} ").strip("()")
     return [
         {
             "configuration": label,
             "problem": f"{run.problem}, {run.mode.replace('_', ' ')}",
             "version": release.version,
-            "folders": _folders(release, found),
-            f"p50{unit}": _time(release.p50, found),
+            "folders": _folders(release, histories),
+            f"p50{unit}": _time(release.p50, histories),
             BEFORE[0]: significant(history.change(i)),
             BEFORE[1]: significant(history.load_change(i)),
-            f"p99{unit}": _time(release.p99, found),
-            f"largest step{unit}": _time(release.largest, found),
+            f"p99{unit}": _time(release.p99, histories),
+            f"largest step{unit}": _time(release.largest, histories),
             "largest error": error_text(release.error_move),
             "claimed, not true": _count(release.claimed_not_true),
             "failed steps": _count(release.failed_steps),
@@ -205,8 +205,8 @@ def _rows(history: History, found: Histories) -> list[dict[str, str]]:
     ]
 
 
-def _folders(release: Release, found: Histories) -> str:
-    return "all" if len(release.runs) == found.folders else and_list(list(release.runs))
+def _folders(release: Release, histories: Histories) -> str:
+    return "all" if len(release.runs) == histories.folders else and_list(list(release.runs))
 
 
 def _count(value: float) -> str:
@@ -214,5 +214,5 @@ def _count(value: float) -> str:
     return count_text(value) if math.isnan(value) or value == round(value) else f"{value:.1f}"
 
 
-def _time(value: float, found: Histories) -> str:
-    return significant(value) if found.reference else time_text(value)
+def _time(value: float, histories: Histories) -> str:
+    return significant(value) if histories.reference else time_text(value)

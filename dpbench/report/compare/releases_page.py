@@ -19,15 +19,15 @@ MOST_PANELS = 4
 """So many problems are drawn; all of them are in the tables."""
 
 
-def write_releases(path: Path, found: Releases) -> Path:
+def write_releases(path: Path, releases: Releases) -> Path:
     """Write the page: it needs no script and nothing beside it."""
-    table = _chart_table(found.histories)
-    unit = f"× {found.histories.reference}" if found.histories.reference else "µs"
+    table = _chart_table(releases.histories)
+    unit = f"× {releases.histories.reference}" if releases.histories.reference else "µs"
     charts = {
         "Point p50, bar to p99 where 1000 steps support one, line to the largest step; replays, "
         "the most usual configuration of each solver.": release_times(table, unit),
         "The same runs; dashed: what the demand allows. An error of exactly 0 has no point.": (
-            release_errors(table, found.demand.error_move)
+            release_errors(table, releases.demand.error_move)
         ),
     }
     text = (
@@ -35,14 +35,14 @@ def write_releases(path: Path, found: Releases) -> Path:
         .get_template("releases.html.j2")
         .render(
             css=Markup(own("page.css")),
-            lead=found.lead,
-            lines=found.lines,
+            lead=releases.lead,
+            lines=releases.lines,
             figures=[
                 (caption, Markup(follow(svg(chart, titled=False))))
                 for caption, chart in charts.items()
                 if len(table)
             ],
-            tables=[table for table in found.tables if table.rows],
+            tables=[table for table in releases.tables if table.rows],
             missing=MISSING,
         )
     )
@@ -50,14 +50,14 @@ def write_releases(path: Path, found: Releases) -> Path:
     return path
 
 
-def _chart_table(found: Histories) -> pd.DataFrame:
+def _chart_table(histories: Histories) -> pd.DataFrame:
     """Columns `COLUMNS`: of each solver its most usual configuration on each replayed problem."""
     drawn: dict[tuple[str, str], History] = {}
-    for history in sorted(found.all, key=lambda history: not history.changed):
+    for history in sorted(histories.all, key=lambda history: not history.changed):
         if history.run.mode == "replay" and math.isfinite(history.releases[0].p50):
             drawn.setdefault((history.run.problem, history.run.solver), history)
     problems = list(dict.fromkeys(problem for problem, _ in drawn))[:MOST_PANELS]
-    scale = 1.0 if found.reference else 1e-3
+    scale = 1.0 if histories.reference else 1e-3
     rows = [
         _chart_row(history, i, release, scale)
         for (problem, _), history in drawn.items()

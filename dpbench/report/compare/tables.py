@@ -102,18 +102,18 @@ def times_table(
 
 
 def _time_row(compared: Compared) -> tuple[str, ...]:
-    timing, found = compared.timing, compared.assessment
+    timing, assessment = compared.timing, compared.assessment
     return (
         timing.pair.label,
         timing.pair.a.problem,
         micro_text(timing.median_ns[0]),
         micro_text(timing.median_ns[1]),
-        f"{found.raw:.3f}",
-        f"{found.machine:.3f}",
-        f"{found.ratio.value:.3f}",
-        interval_text(found.ratio.low, found.ratio.high),
+        f"{assessment.raw:.3f}",
+        f"{assessment.machine:.3f}",
+        f"{assessment.ratio.value:.3f}",
+        interval_text(assessment.ratio.low, assessment.ratio.high),
         f"{count_text(timing.steps)} × {count_text(timing.rounds)}",
-        found.verdict,
+        assessment.verdict,
     )
 
 

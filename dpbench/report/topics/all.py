@@ -45,7 +45,7 @@ def topics_of(
     """
     demand = verdicts.demand
     replays, loops = (_only(records, mode) for mode in ("replay", "closed_loop"))
-    found = (
+    candidates = (
         conclusion_topic(records, verdicts),
         worst_case_topic(records),
         horizon_topic(records, demand),
@@ -63,7 +63,7 @@ def topics_of(
         paper_topic(records, designs),
         trust_topic(records),
     )
-    topics = [topic for topic in found if topic is not None]
+    topics = [topic for topic in candidates if topic is not None]
     question = _question(records, [topic.id for topic in topics])
     topics = [replace(topic, leads=topic.id == question) for topic in topics]
     hidden = ("loops", *(_CONTRASTS if replays else ()))

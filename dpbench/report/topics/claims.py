@@ -129,43 +129,43 @@ def _both(pair: Pair, claim: str, find: Callable[[RunRecord, RunRecord], Finding
 
 def _circle(row: RunRecord) -> Finding:
     tail, share = row.r_tail_max_m, row.share_1m
-    found = (
+    text = (
         f"{share_text(share)} of the run inside {CIRCLE_M:g} m; largest radial error in the "
         f"second half {significant(100 * tail)} cm"
     )
-    return found, _state(tail <= CIRCLE_M)
+    return text, _state(tail <= CIRCLE_M)
 
 
 def _stationary(row: RunRecord) -> Finding:
     tail = row.r_tail_max_m
-    found = f"largest radial error in the second half {significant(100 * tail)} cm"
-    return found, _state(tail < STEADY_M)
+    text = f"largest radial error in the second half {significant(100 * tail)} cm"
+    return text, _state(tail < STEADY_M)
 
 
 def _transient(row: RunRecord, law: RunRecord) -> Finding:
     constrained, clipped = row.overshoot_e, law.overshoot_e
-    found = (
+    text = (
         f"sway overshoot {significant(constrained)} m against {significant(clipped)} m clipped; "
         f"total variation of the force {significant(row.total_variation)} against "
         f"{significant(law.total_variation)}"
     )
-    return found, _less(constrained, clipped)
+    return text, _less(constrained, clipped)
 
 
 def _settling(row: RunRecord, law: RunRecord) -> Finding:
     constrained, clipped = row.settle_0p1m_s, law.settle_0p1m_s
-    found = (
+    text = (
         f"settles into 0.1 m after {seconds_text(constrained)} against {seconds_text(clipped)} "
         "clipped"
         if math.isfinite(constrained)
         else f"never settles into 0.1 m, against {seconds_text(clipped)} clipped"
     )
-    return found, _less(constrained, clipped)
+    return text, _less(constrained, clipped)
 
 
 def _steady(view: Records, row: RunRecord, law: RunRecord) -> Finding:
     constrained, clipped = row.r_tail_max_m, law.r_tail_max_m
-    found = (
+    text = (
         f"largest radial error in the second half {significant(100 * constrained)} cm against "
         f"{significant(100 * clipped)} cm clipped"
     )
@@ -174,18 +174,18 @@ def _steady(view: Records, row: RunRecord, law: RunRecord) -> Finding:
         abs(constrained - clipped) <= SAME * max(constrained, clipped)
         and not active[len(active) // 2 :].any()
     ):
-        found += ", equal within 1 %: no limit is active then"
+        text += ", equal within 1 %: no limit is active then"
     if math.isinf(law.settle_0p1m_s):
-        found += "; the clipped law never settles into 0.1 m"
-    return found, _less(constrained, clipped, SAME)
+        text += "; the clipped law never settles into 0.1 m"
+    return text, _less(constrained, clipped, SAME)
 
 
 def _heading(row: RunRecord, law: RunRecord) -> Finding:
     constrained, clipped = row.heading_max_deg, law.heading_max_deg
-    found = (
+    text = (
         f"largest heading error {significant(constrained)}° against {significant(clipped)}° clipped"
     )
-    return found, _less(constrained, clipped)
+    return text, _less(constrained, clipped)
 
 
 def _rates(row: RunRecord) -> Finding:

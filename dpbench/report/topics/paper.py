@@ -37,8 +37,8 @@ def laws_of(records: Records) -> list[Law]:
 def paper_topic(records: Records, designs: Designs | None = None) -> Topic | None:
     """The topic, None of records without the paper's own scenario."""
     laws, scenario = laws_of(records), records.scenario(PAPER)
-    found = claims(records)
-    measured = [claim for claim in found if claim.state != "not measured"]
+    judged = claims(records)
+    measured = [claim for claim in judged if claim.state != "not measured"]
     if scenario is None or not laws or not measured:
         return None
     return Topic(
@@ -52,7 +52,7 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
         tables=(
             SmallTable(
                 ("claim", "found", "state"),
-                tuple((claim.claim, claim.found, claim.state) for claim in found),
+                tuple((claim.claim, claim.found, claim.state) for claim in judged),
             ),
             SmallTable(
                 ("left open", "chosen"), tuple(choices(records)), "What the paper leaves open"
@@ -73,9 +73,9 @@ def _headline(measured: Sequence[Claim]) -> str:
     return "; ".join([held_text(measured), *said]) + "."
 
 
-def held_text(found: Sequence[Claim]) -> str:
+def held_text(judged: Sequence[Claim]) -> str:
     """How many of the claims that were measured are reproduced."""
-    states = [claim.state for claim in found if claim.state != "not measured"]
+    states = [claim.state for claim in judged if claim.state != "not measured"]
     held = states.count("reproduced")
     return f"{held} of {len(states)} claims of Xia, Liu, Pang & Xue are reproduced"
 

@@ -20,8 +20,8 @@ from dpbench.scenario.horizons import Horizons
 def horizon_topic(records: Records, demand: Demand) -> Topic | None:
     """How the step time grows with the horizon; None where it was not varied."""
     figures, tables = [], []
-    found = sweeps(records, demand)
-    for sweep in found:
+    all_sweeps = sweeps(records, demand)
+    for sweep in all_sweeps:
         rows, points = [], []
         for swept in sweep.best:
             name = swept.configuration.label
@@ -57,17 +57,17 @@ def horizon_topic(records: Records, demand: Demand) -> Topic | None:
     if not figures:
         return None
     said = (
-        *_longest_horizons(found, demand),
+        *_longest_horizons(all_sweeps, demand),
         "How the step time grows with the horizon, and the longest with right answers within the "
         "limit. ≥: no longer one has a p99; ?: the 95 % interval of a p99 holds the limit.",
     )
     return Topic("horizon", "Longer horizons", said, tuple(figures), tuple(tables))
 
 
-def _longest_horizons(found: Sequence[Sweep], demand: Demand) -> list[str]:
+def _longest_horizons(all_sweeps: Sequence[Sweep], demand: Demand) -> list[str]:
     """Who fits the longest horizon, a sentence for each scenario."""
     said = []
-    for sweep in found:
+    for sweep in all_sweeps:
         largest = {
             swept.configuration.label: fits
             for swept in sweep.best

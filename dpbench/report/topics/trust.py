@@ -66,17 +66,18 @@ def _waits_text(asked: Sequence[tuple[str, float, float]]) -> str:
     )
 
 
-def _quiet_text(found: Disturbance, machine: Mapping[str, Any]) -> str:
+def _quiet_text(disturbance: Disturbance, machine: Mapping[str, Any]) -> str:
     """Whether the machine did other things while replays were timed."""
-    if complaints := found.complaints():
+    if complaints := disturbance.complaints():
         return (
             f"Other work disturbed the machine: {and_list(complaints)}. Times may be too long; "
             "run again when it is idle."
         )
+    rounds = plural(disturbance.rounds, "round")
     return (
         "The machine was quiet by its kernel's counters: "
-        f"{count_text(found.disturbed)} of {plural(found.rounds, 'round')} disturbed even when run "
-        f"again, as {count_text(found.rerun)} were.{_unwatched(machine)}"
+        f"{count_text(disturbance.disturbed)} of {rounds} disturbed even when run again, as "
+        f"{count_text(disturbance.rerun)} were.{_unwatched(machine)}"
     )
 
 
@@ -90,13 +91,13 @@ def _unwatched(machine: Mapping[str, Any]) -> str:
 def trust_topic(records: Records) -> Topic | None:
     """The topic; None where nothing was timed."""
     timed = timed_runs(records) or delayed_runs(records)
-    found = disturbance_of(timed)
+    disturbance = disturbance_of(timed)
     asked = [
         (run.solver, WAITS_NS[run.solver] / 1e3, run.raw_p50_ns / 1e3)
         for run in records.calibration
         if run.solver in WAITS_NS and math.isfinite(run.raw_p50_ns)
     ]
-    if not found.seconds > 0 and not asked:
+    if not disturbance.seconds > 0 and not asked:
         return None
     lines = _spread(records)
     figures = []
@@ -107,11 +108,11 @@ def trust_topic(records: Records) -> Topic | None:
         )
         chart = dots(table, "Waits of known length", "asked [µs]", "p50 of samples [µs]")
         figures.append(Figure("calibration", chart, "Asked and measured."))
-    if found.seconds > 0:
-        lines.append(_quiet_text(found, records.machine))
+    if disturbance.seconds > 0:
+        lines.append(_quiet_text(disturbance, records.machine))
     facts = [
         *machine_facts(records.machine),
-        *(disturbance_facts(found) if found.seconds > 0 else ()),
+        *(disturbance_facts(disturbance) if disturbance.seconds > 0 else ()),
         *own_switches(timed),
     ]
     return Topic(
