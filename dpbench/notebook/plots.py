@@ -106,7 +106,7 @@ def _steps_of(steps: pd.DataFrame) -> pd.DataFrame:
 
 def _forces_of(run: Run) -> pd.DataFrame:
     """The forces of a closed loop as shares of their limits; no row of a replay."""
-    from dpbench.report.charts.strips import FORCES
+    from dpbench.bench.record.schema import FORCES
     from dpbench.report.page.steps import FORCES as COLUMNS
 
     if run.scenario is None:

@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix, Vector
+from dpbench.bench.judge.control_metrics import AT_LIMIT
 from dpbench.mpc.thruster_rows import Retreat
 from dpbench.scenario.commanded_thrusters import ThrusterControl
 from dpbench.scenario.scenario import Scenario
 
 PUSHING = 0.01
 """Share of its full thrust from which the direction of a thruster counts."""
-AT_LIMIT = 1e-6
-"""In rate-limit steps: closer than this counts as being at a limit."""
 
 
 def shares_of_full(scenario: Scenario, f: Matrix) -> dict[str, Vector]:

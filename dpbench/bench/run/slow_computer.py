@@ -38,7 +38,7 @@ from dpbench.qp.solution import Solution, Status
 
 Usage = Callable[[], tuple[int, int]]
 """Counts so far: how often the kernel took the processor away, and processor time used [ns]."""
-WARM_UP = 3
+WARM_UP_SOLVES = 3
 """Solves before the first step: what a library does once, when first called, is no latency."""
 NOT_RUN = (-1, -1, -1, -1)
 NO_STEP = QPStep(np.empty(0), np.empty(0), np.empty(0))
@@ -146,7 +146,7 @@ class SlowComputer:
     def prepare(self) -> int:
         """Set up as `TimedSolver.prepare`, then solve without a record until nothing is cold."""
         spent = self._solver.prepare()
-        self._solver.warm_up(WARM_UP)
+        self._solver.warm_up(WARM_UP_SOLVES)
         return spent
 
     def emit(self, k: int, x: Vector, u_prev: Vector) -> QPStep:

@@ -33,7 +33,7 @@ the 30° in which a linearised model is fine."""
 SPEED_REACH = np.array([1.0, 1.0, np.radians(1.0)])
 """Speeds that are looked at in any case [m/s, m/s, rad/s], at full size: those of a ship that comes
 to its station."""
-_PER_KN = 1e-3
+_KN_PER_N = 1e-3
 _START, _SPEED, _STEADY, _ON_TOP = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 _WHEN, _FIRST_FAULT = 12, 13
 """Where in a point each stands, see above."""
@@ -58,7 +58,7 @@ class SearchSpace:
         self._reach = np.maximum(REACH, np.abs(scenario.start - scenario.reference) / scale.pose)
         self._fastest = np.maximum(SPEED_REACH, np.abs(scenario.velocity) / scale.velocity)
         vessel = scenario.vessel
-        self._force_kN = _PER_KN * np.minimum(-vessel.tau_min, vessel.tau_max) / scale.force
+        self._force_kN = _KN_PER_N * np.minimum(-vessel.tau_min, vessel.tau_max) / scale.force
         self._first_fault_s = min((fault["at_s"] for fault in self._table["faults"]), default=None)
 
     @property

@@ -7,6 +7,7 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
+from dpbench.bench.record.schema import FORCES
 from dpbench.report.charts.style import (
     ACCENT,
     INK,
@@ -22,7 +23,6 @@ from dpbench.report.charts.style import (
 )
 
 COLUMNS = ("k", "time_us", "raw_us", "error", "iterations", "active", "failed")
-FORCES = ("surge", "sway", "yaw")
 NO_ANSWER = 1e9
 """What an infinite error is drawn as: JSON has no infinity, and the axis ends below."""
 _WIDTH = 620

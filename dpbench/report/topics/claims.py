@@ -15,6 +15,7 @@ from typing import Literal
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
+from dpbench.report.charts.ship import CIRCLE_M
 from dpbench.report.formats import count_text, plural, seconds_text, share_text, significant
 from dpbench.scenario.scenario import Scenario, load_scenario
 
@@ -28,8 +29,6 @@ STEADY_M = 0.05
 """A steady radial error below this counts as nearly stationary."""
 SAME = 0.01
 """Errors closer than this share of the larger one are equal."""
-CIRCLE_M = 1.0
-"""Radius of the paper's precision circle."""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.exact_loop import base_problem, solve_exactly
 from dpbench.bench.run.formulation import Box
 from dpbench.bench.run.qp_builder import QPBuilder
-from dpbench.bench.run.slow_computer import WARM_UP, ComputationalDelay, SlowComputer
+from dpbench.bench.run.slow_computer import WARM_UP_SOLVES, ComputationalDelay, SlowComputer
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.errors import InputError
 from dpbench.mpc.law import gains
@@ -43,7 +43,7 @@ class Timed(Workspace):
         self, samples: Latencies, status: Status = Status.SOLVED, plan: Sequence[float] = PLAN
     ) -> None:
         super().__init__("timed", "native", "reuse")
-        self.now_ns, self.asked, self.resets = 0, -WARM_UP, 0
+        self.now_ns, self.asked, self.resets = 0, -WARM_UP_SOLVES, 0
         self._samples, self._status, self._plan = samples, status, plan
 
     def clock(self) -> int:

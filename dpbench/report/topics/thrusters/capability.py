@@ -8,6 +8,7 @@ import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.capability import Answers, Plot, capability_plots
+from dpbench.bench.capability.frontier import INTACT
 from dpbench.report.charts.capability import (
     ANSWERS,
     NOTHING,
@@ -19,8 +20,6 @@ from dpbench.report.charts.capability import (
 )
 from dpbench.report.formats import and_list, plural, significant
 from dpbench.report.page.topic import Figure, Topic
-
-INTACT = "intact"
 
 
 def capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | None:
