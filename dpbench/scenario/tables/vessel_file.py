@@ -51,11 +51,11 @@ class WindageTable(FileModel):
     """Projected area above the water seen from ahead, A_F [m²]."""
     lateral_m2: Positive
     """Projected area above the water seen from abeam, A_L [m²]."""
-    c_x: NotNegative = 0.7
+    c_x: NotNegative = Windage.c_x
     """Coefficient of the force along the ship; Fossen (2021) gives 0.50 to 0.90."""
-    c_y: NotNegative = 0.9
+    c_y: NotNegative = Windage.c_y
     """Coefficient of the force across the ship; Fossen (2021) gives 0.70 to 0.95."""
-    c_n: NotNegative = 0.095
+    c_n: NotNegative = Windage.c_n
     """Coefficient of the moment; Fossen (2021) gives 0.05 to 0.20."""
 
 
@@ -64,11 +64,11 @@ class ReflectionTable(FileModel):
 
     breadth_m: Positive
     """Breadth at the waterline [m]."""
-    head: NotNegative = 0.42
+    head: NotNegative = WaveReflection.head
     """R₀², the share that short waves from ahead act with (DNV-ST-0111, bow of 22°)."""
-    beam: NotNegative = 0.72
+    beam: NotNegative = WaveReflection.beam
     """R₀² of short waves from abeam."""
-    yaw: NotNegative = 0.018
+    yaw: NotNegative = WaveReflection.yaw
     """R₀² of the moment of short waves from the quarters."""
 
 
