@@ -7,9 +7,8 @@ loses at most the cells in flight.
 from __future__ import annotations
 
 import json
-import os
 import time
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -18,14 +17,17 @@ import pandas as pd
 
 from dpbench.bench.capability.table import CAPABILITY_FILE, write_capability
 from dpbench.bench.design import Design, DesignStudy, plan_designs
+from dpbench.bench.engines.engine import Engine, by_source, longest
+from dpbench.bench.engines.opened import opened
+from dpbench.bench.engines.shards import WHOLE, Shard, ShardRecord
+from dpbench.bench.engines.sources import SourceFiles
+from dpbench.bench.plan.asked import Asked, Plan
 from dpbench.bench.plan.cells import PlannedCell
-from dpbench.bench.plan.choices import remarks_on, with_choices
-from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.suite import SuiteFile, load_suite, naming, sequence_suite
+from dpbench.bench.plan.choices import remarks_on
+from dpbench.bench.plan.suite import naming
 from dpbench.bench.progress import Progress, Silent
-from dpbench.bench.record.cell import HARNESS_VERSION, Cell, Outcome
+from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.cell_store import CellStore
-from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.record.result_folder import (
     claimed,
     load_descriptions,
@@ -34,158 +36,103 @@ from dpbench.bench.record.result_folder import (
 )
 from dpbench.bench.record.revision import Revision, revision, revisions
 from dpbench.bench.sequences.at_edge import capability_in
-from dpbench.bench.sequences.recording import read_sequence
-from dpbench.bench.sequences.source import is_at_edge, is_sound, is_untimed
+from dpbench.bench.sequences.source import is_at_edge, is_sound
 from dpbench.bench.tabulate import is_tabulated, tabulate
-from dpbench.bench.workers.child import template_context
-from dpbench.bench.workers.compiled import missing, needed
-from dpbench.bench.workers.executor import Bench, CellJob, work_of
-from dpbench.bench.workers.scratch import Scratch
+from dpbench.bench.workers.executor import CellJob, Result, work_of
 from dpbench.bench.workers.worker import make_source
-from dpbench.errors import InputError, ResultsError
-from dpbench.scenario.problem_files import sequence_path
-from dpbench.solvers.table import available, load_solver_module
-
-WAVE_STEPS = 100_000
-"""Steps of the sources that are kept at a time: some 2 kB each."""
-Run = Callable[[list[CellJob], dict[str, Path]], None]
-"""Runs cells, from the files behind their QPs."""
+from dpbench.errors import ResultsError
+from dpbench.solvers.table import available
 
 
 class Campaign:
-    """One run of a suite into a folder; see `run_campaign`."""
+    """One run of a plan into a folder; see `run_campaign`.
+
+    Parameters
+    ----------
+    machine : the one that cells run on, as `describe_machine` describes it.
+    shard : which part of the plan, and of how many.
+    """
 
     def __init__(
         self,
-        name: str,
-        suite: SuiteFile,
-        planned: list[PlannedCell],
-        designs: list[Design],
+        plan: Plan,
+        designs: Sequence[Design],
         out: Path,
-        jobs: int,
-        fresh: bool,
+        machine: dict[str, Any],
+        *,
+        fresh: bool = False,
+        shard: Shard = WHOLE,
     ) -> None:
-        self.machine = describe_machine()
-        self._name, self._suite, self._out, self._jobs = name, suite, out, jobs
-        self._store = CellStore(out)
-        self._designs = DesignStudy(designs, out / "cells", self.machine["id"], fresh=fresh)
-        solvers = {p.cell.solver for p in planned}
+        self.machine, self._plan, self._out, self._shard = machine, plan, out, shard
+        self.store = CellStore(out)
+        self.look_into(designs, machine["id"], fresh=fresh)
+        solvers = {p.cell.solver for p in plan.cells}
         self._libraries = {solver: available(solver) for solver in solvers}
-        self.work = [self._job(p) for p in planned]
+        self.work = shard.of_jobs([self._job(p) for p in plan.cells])
         self._fresh = fresh
-        self._at_edge: list[str] = []
         if fresh:
-            self._store.forget(job.run_id for job in self.work)
-            self._drop_sources()
+            self.store.forget(job.run_id for job in self.work)
+            SourceFiles(self.store.folder).drop()
         # Capability plots stand in the files that the QPs at their edge come from.
-        at_edge = [job.source_key for job in self.work if is_at_edge(job.cell)]
-        self._at_edge += dict.fromkeys(at_edge)
-        self._cores = sorted(os.sched_getaffinity(0))
+        self._at_edge = by_source([job for job in self.work if is_at_edge(job.cell)])
+        self.sources = SourceFiles(self.store.folder, self._at_edge)
+
+    def look_into(self, designs: Sequence[Design], machine_id: str, *, fresh: bool = False) -> None:
+        """Take designs of a machine along."""
+        cells = self.store.folder
+        self.designs = DesignStudy(designs, cells, machine_id, fresh=fresh)
 
     def _job(self, planned: PlannedCell) -> CellJob:
         library = self._libraries[planned.cell.solver]
         run_id = planned.cell.run_id(library.identity, self.machine["id"], HARNESS_VERSION)
-        return CellJob(planned, run_id, library)
+        return CellJob(planned, run_id, library, self.machine["id"])
 
-    def run(self, progress: Progress) -> Path:
+    def run(self, engine: Engine, progress: Progress) -> None:
         """Run what is not finished yet and write the tables."""
         started_utc, started_s = datetime.now(UTC), time.monotonic()
+        pending = self.pending()
+        work = sum(work_of(job.cell) for job in pending) + self.designs.work
+        progress.start(work)
+        if not work and self._is_written():
+            return
+        engine.prepare(self.sources, [job.cell.solver for job in pending], progress)
+        self._make_plots(engine, pending)
+        by_id = {job.run_id: job for job in pending}
+        for result in engine.run(pending):
+            self._keep(by_id[result.run_id], result)
+        self.sources.drop()
+        self.designs.run(engine, progress)
+        self.write(started_utc, time.monotonic() - started_s, engine.remarks)
+
+    def pending(self) -> list[CellJob]:
+        """What is not finished; the outcome of all else is known."""
         pending = []
         for job in self.work:
             if job.planned.refused:
                 job.outcome = Outcome("refused", job.planned.refused)
-            elif job.run_id in self._store.finished:
-                job.outcome = Outcome(self._store.finished[job.run_id], "")
+            elif job.run_id in self.store.finished:
+                job.outcome = Outcome(self.store.finished[job.run_id], "")
             else:
                 pending.append(job)
-        work = sum(work_of(job.cell) for job in pending)
-        progress.start(work + self._designs.work)
-        if not work + self._designs.work and self._is_written():
-            return self._out
-        solvers = [job.cell.solver for job in pending]
-        if missing(needed(solvers)):
-            progress.remark("compiling the kernels, once after an installation: up to a minute")
-        with Scratch(self._store.folder) as scratch:
-            context, slots = template_context(solvers), self._jobs
-            bench = Bench(
-                context, scratch, self._store, self._cores, slots, progress, self.machine["id"]
-            )
-            self._run_cells(bench, pending)
-            self._drop_sources()
-            self._designs.run(bench, self._out)
-        self._write(started_utc, time.monotonic() - started_s, scratch.remarks)
-        return self._out
+        return pending
 
-    def _run_cells(self, bench: Bench, pending: list[CellJob]) -> None:
-        """Run cells mode by mode, in waves of as many sources as are kept at a time."""
+    def _keep(self, job: CellJob, result: Result) -> None:
+        """Keep what became of a cell; where there is no room for it, it is lost."""
+        job.outcome = result.outcome
+        if not result.record:
+            return
+        try:
+            self.store.append(result.run_id, result.outcome.outcome, result.record)
+        except OSError as error:
+            job.outcome = Outcome("lost", f"it could not be kept: {error}")
 
-        def replay(jobs: list[CellJob], sources: dict[str, Path]) -> None:
-            for group in _groups(jobs):
-                bench.replays(group, sources)
-
-        def loop(jobs: list[CellJob], sources: dict[str, Path]) -> None:
-            bench.batches(jobs, sources, "closed loops")
-
-        def solve(jobs: list[CellJob], sources: dict[str, Path]) -> None:
-            bench.batches(jobs, sources, "problems without a deadline")
-
-        loops = [job for job in pending if job.cell.mode == "closed_loop"]
-        replays = [job for job in pending if job.cell.mode == "replay"]
-        timed = [job for job in replays if not is_untimed(job.cell)]
-        untimed = [job for job in replays if is_untimed(job.cell)]
-        for run, jobs in ((loop, loops), (replay, timed), (solve, untimed)):
-            for wave in _waves(jobs):
-                self._run_wave(bench, run, wave)
-                self._drop_sources({job.source_key for job in pending if job.outcome is None})
-
-    def _run_wave(self, bench: Bench, run: Run, jobs: list[CellJob]) -> None:
-        """Make the sources of cells and run them; once again what was lost by a source that was
-        damaged since it was looked at."""
-        for _ in range(2):
-            for job in jobs:
-                job.outcome = None
-            sources = self._sources(bench, jobs)
-            run([job for job in jobs if job.outcome is None], sources)
-            lost = [job for job in jobs if job.is_lost]
-            cells = {job.source_key: job.cell for job in lost}
-            sound = {key: is_sound(cell, self._source_path(key)) for key, cell in cells.items()}
-            jobs = [job for job in lost if not sound[job.source_key]]
-
-    def _source_path(self, key: str) -> Path:
-        return self._store.folder / f"exact-{key}.npz"
-
-    def _drop_sources(self, needed: Container[str] = ()) -> None:
-        """Remove what QPs are made from, but for what cells still need, and what holds plots."""
-        for path in self._store.folder.glob("exact-*.npz"):
-            key = path.stem.removeprefix("exact-")
-            if key not in needed and key not in self._at_edge:
-                path.unlink(missing_ok=True)
-
-    def _sources(self, bench: Bench, jobs: list[CellJob]) -> dict[str, Path]:
-        """What the QPs of cells are made from, by key: exactly solved loops and the like, each as
-        long as the longest of its cells asks for."""
-        of_key: dict[str, list[CellJob]] = {}
-        for job in jobs:
-            of_key.setdefault(job.source_key, []).append(job)
-        paths = {key: self._source_path(key) for key in of_key}
-        longest = {key: max((job.cell for job in some), key=_last) for key, some in of_key.items()}
-        unmade = {
-            paths[key]: cell.to_json()
-            for key, cell in longest.items()
-            if not is_sound(cell, paths[key])
-        }
-        by_path = {path: of_key[key] for key, path in paths.items()}
-        for errand in bench.make_files(make_source, unmade):
-            if errand.outcome.outcome != "finished":
-                self._without_source(by_path[errand.path], errand.outcome)
-        return paths
-
-    def _without_source(self, jobs: list[CellJob], outcome: Outcome) -> None:
-        """Cells whose QPs could not be made: by their nature, or by an accident of the harness."""
-        what = "exactly solved loop" if jobs[0].cell.scenario else "sequence"
-        became = "lost" if outcome.outcome == "lost" else "invalid"
-        for job in jobs:
-            job.outcome = Outcome(became, f"the {what} failed: {outcome.detail}")
+    def _make_plots(self, engine: Engine, pending: list[CellJob]) -> None:
+        """Make the files that hold capability plots; a cell whose file fails says so itself."""
+        wanted = {job.source_key for job in pending} & set(self._at_edge)
+        cells = {self.sources.path(key): longest(self._at_edge[key]) for key in wanted}
+        unmade = {path: cell.to_json() for path, cell in cells.items() if not is_sound(cell, path)}
+        for _ in engine.make_files(make_source, unmade):
+            pass
 
     def _is_written(self) -> bool:
         """Whether the folder says already what this campaign would write."""
@@ -197,11 +144,13 @@ class Campaign:
         same = all(found.get(key) == value for key, value in asked.items())
         if self._at_edge and not (self._out / CAPABILITY_FILE).is_file():
             return False
-        return same and is_tabulated(self.work, self._store, self.machine["id"])
+        return same and is_tabulated(self.work, self.store)
 
     def _document(self) -> dict[str, Any]:
         """What is asked of the campaign, as in `suite.json`."""
-        return {"name": self._name, **self._suite.model_dump(), "harness_version": HARNESS_VERSION}
+        document = self._plan.document.model_dump()
+        asked = {"name": self._plan.name, **document, "harness_version": HARNESS_VERSION}
+        return asked if self._shard == WHOLE else asked | {"shard": str(self._shard)}
 
     def _earlier_revisions(self) -> list[Revision]:
         """Those of the cells that an interrupted campaign left in the folder."""
@@ -211,11 +160,24 @@ class Campaign:
         earlier: list[Revision] = read_json(previous).get("revisions", [])
         return earlier
 
-    def _write(self, started: datetime, wall_s: float, remarks: Sequence[str]) -> None:
-        runs, step_rows = tabulate(self.work, self._store, self.machine["id"])
+    def write(
+        self,
+        started: datetime,
+        wall_s: float,
+        remarks: Sequence[str],
+        made_by: list[Revision] | None = None,
+    ) -> None:
+        """Write the tables of what is finished, and what is to be said of them.
+
+        Parameters
+        ----------
+        made_by : the revisions of dpbench that cells were run with, if not with this one.
+        """
+        self.designs.write(self._out)
+        runs, step_rows = tabulate(self.work, self.store)
         suite: dict[str, Any] = {
             **self._document(),
-            "revisions": revisions(self._earlier_revisions(), revision()),
+            "revisions": made_by or revisions(self._earlier_revisions(), revision()),
             "started_utc": started.isoformat(timespec="seconds"),
             "wall_s": round(wall_s, 1),
             **_accidents(runs, remarks),
@@ -227,7 +189,7 @@ class Campaign:
 
     def _write_capability(self) -> None:
         """The capability plots, out of the files that the QPs at their edge come from."""
-        tables = [capability_in(self._source_path(key)) for key in self._at_edge]
+        tables = [capability_in(self.sources.path(key)) for key in self._at_edge]
         made = [table for table in tables if table is not None]
         if made:
             write_capability(self._out, made)
@@ -252,47 +214,12 @@ def _accidents(runs: pd.DataFrame, remarks: Sequence[str]) -> dict[str, Any]:
     return {"lost_cells": len(causes), "remarks": [*remarks, line]}
 
 
-def _last(cell: Cell) -> int:
-    """The sample behind the last that a cell needs of its source."""
-    return cell.first + cell.steps
-
-
-def _waves(jobs: list[CellJob]) -> Iterator[list[CellJob]]:
-    """Jobs in groups whose sources have some `WAVE_STEPS` steps together."""
-    of_key: dict[str, list[CellJob]] = {}
-    for job in jobs:
-        of_key.setdefault(job.source_key, []).append(job)
-    wave: list[CellJob] = []
-    steps = 0
-    for some in of_key.values():
-        wave += some
-        steps += max(_last(job.cell) for job in some)
-        if steps >= WAVE_STEPS:
-            yield wave
-            wave, steps = [], 0
-    if wave:
-        yield wave
-
-
-def _groups(jobs: list[CellJob]) -> list[list[CellJob]]:
-    """Replay jobs that see the same QPs, interleaved with each other."""
-    groups: dict[str, list[CellJob]] = {}
-    for job in jobs:
-        groups.setdefault(job.cell.problem_key, []).append(job)
-    return list(groups.values())
-
-
-def _asked(suite: str | Path | None, sequence: str | Path | None) -> tuple[str, Path, SuiteFile]:
-    """Name, file and document of a suite, or of the one that replays a sequence."""
-    if suite is not None and sequence is None:
-        path, document = load_suite(suite)
-        return path.stem, path, document
-    if sequence is not None and suite is None:
-        meta = read_sequence(sequence_path(sequence)).sequence.meta
-        name = f"sequence-{Path(sequence).resolve().stem}"
-        return name, Path("suite"), sequence_suite(sequence, meta)
-    given = "neither" if suite is None else f"suite {suite} and --sequence {sequence}"
-    raise InputError("run", "", given, "a suite, or --sequence PATH")
+def designs_of(plan: Plan) -> list[Design]:
+    """The designs of a whole suite; a part of it is about its solvers and runs, on which none
+    depends."""
+    table = None if plan.part else plan.document.design
+    with naming(plan.path):
+        return plan_designs(table, plan.path.parent) if table else []
 
 
 def run_campaign(
@@ -307,6 +234,9 @@ def run_campaign(
     fresh: bool = False,
     solver_module: str | Path | None = None,
     sequence: str | Path | None = None,
+    engine: str = "local",
+    scheduler: str | None = None,
+    shard: str | None = None,
     progress: Progress | None = None,
 ) -> Path:
     """Run a suite and write `runs.parquet`, `steps.parquet`, `machine.json`, `suite.json`.
@@ -321,6 +251,10 @@ def run_campaign(
     steps : at most so many of each loop and replay.
     jobs : closed loops or random sequences at a time; all cores by default. Replays along a loop
         always run alone.
+    engine : who runs the cells: "local", the processes of this machine, or "dask", the workers of a
+        Dask cluster; without a `scheduler` so many as `jobs` on this machine.
+    scheduler : the address of a Dask scheduler.
+    shard : "i/n": only the i-th of n parts of about the same work, for `gather`.
     fresh : run every cell again, also those finished before.
     solver_module : a Python file with a plug-in, whose solver then has a name like any other.
     sequence : instead of a suite: a stored sequence by name, a `.npz` of `dpbench export` or a
@@ -333,25 +267,27 @@ def run_campaign(
 
     Raises
     ------
-    InputError : for a bad suite, scenario, solver or job count, before anything runs.
+    InputError : for a bad suite, scenario, solver, job count or engine, before anything runs.
     """
-    if solver_module is not None:
-        load_solver_module(solver_module)
-    name, path, document = _asked(suite, sequence)
-    # A part of a suite is about its solvers and runs; no design depends on them.
-    part = bool(solvers or scenarios or settings or steps is not None)
-    whole = document.design is not None and not part
-    document = with_choices(document, scenarios=scenarios, settings=settings, steps=steps)
-    with naming(path, chosen=bool(settings)):
-        planned = plan(document, solvers=solvers, scenarios=scenarios, beside=path.parent)
-        designs = plan_designs(document.design, path.parent) if document.design and whole else []
-    cores = len(os.sched_getaffinity(0))
-    if jobs is not None and not 1 <= jobs <= cores:
-        raise InputError("--jobs", "", jobs, f"a number from 1 to {cores}, the cores available")
-    folder = Path(out) if out is not None else Path("results") / f"{name}{'-part' * part}"
+    asked = Asked(
+        suite=None if suite is None else str(suite),
+        sequence=None if sequence is None else str(sequence),
+        solvers=solvers,
+        scenarios=scenarios,
+        settings=settings,
+        steps=steps,
+        solver_module=None if solver_module is None else str(solver_module),
+    )
+    plan, some = asked.plan(), Shard.of_text(shard)
+    designs = designs_of(plan) if some.index == 1 else []
+    folder = Path(out) if out is not None else Path("results") / f"{plan.name}{'-part' * plan.part}"
     progress = progress or Silent()
-    for remark in remarks_on(planned):
-        progress.remark(remark)
-    with claimed(folder, name):
-        campaign = Campaign(name, document, planned, designs, folder, jobs or cores, fresh)
-        return campaign.run(progress)
+    with opened(engine, jobs, scheduler) as crew, claimed(folder, plan.name):
+        for remark in remarks_on(plan.cells):
+            progress.remark(remark)
+        if shard is not None:
+            record = ShardRecord(asked.from_anywhere(), some, plan.digest, crew.machine)
+            record.write(folder)
+        campaign = Campaign(plan, designs, folder, crew.machine, fresh=fresh, shard=some)
+        campaign.run(crew, progress)
+    return folder

@@ -21,11 +21,12 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
+from dpbench.bench.engines.engine import Engine
 from dpbench.bench.plan.suite import DesignTable
+from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.result_folder import read_json, write_json
 from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.bench.workers.executor import Bench
 from dpbench.bench.workers.process_setup import leave_verdict, pin, settle
 from dpbench.errors import CertificateError, InputError, RenamedWarning, ResultsError
 from dpbench.mpc.law import closed_loop_eigenvalues, gains
@@ -293,6 +294,7 @@ class DesignStudy:
         for design in designs:
             key = hashlib.sha256((design.text + json.dumps(made_by)).encode()).hexdigest()[:16]
             self._designs[cells / f"design-{key}.json"] = design
+        self._reasons: dict[Path, str] = {}
         self._pending = [path for path in self._designs if fresh or _record(path) is None]
 
     @property
@@ -300,22 +302,25 @@ class DesignStudy:
         """What is left to do, for the progress bar."""
         return WORK * len(self._pending)
 
-    def run(self, bench: Bench, out: Path) -> None:
-        """Look into what is not finished, and write `design.json`; none leave no file."""
-        reasons: dict[Path, str] = {}
+    def run(self, engine: Engine, progress: Progress) -> None:
+        """Look into what is not finished."""
         for path in self._pending:
             # One that is looked into again must not leave its old record behind if it fails.
             path.unlink(missing_ok=True)
         texts = {path: self._designs[path].text for path in self._pending}
-        for errand in bench.make_files(run_design, texts, limit_s=LIMIT_S):
-            design, reasons[errand.path] = self._designs[errand.path], errand.outcome.detail
-            bench.progress.advance(WORK, f"design {design.controller} {design.vessel}")
+        for path, outcome in engine.make_files(run_design, texts, limit_s=LIMIT_S):
+            design, self._reasons[path] = self._designs[path], outcome.detail
+            progress.advance(WORK, f"design {design.controller} {design.vessel}")
+
+    def write(self, out: Path) -> None:
+        """Write `design.json`; no designs leave no file."""
         if not self._designs:
             (out / DESIGN_FILE).unlink(missing_ok=True)
             return
         records = {path: _record(path) for path in self._designs}
+        gone = "its record is gone"
         missing = [
-            MissingDesign(design.vessel, design.controller, reasons.get(path, "its record is gone"))
+            MissingDesign(design.vessel, design.controller, self._reasons.get(path, gone))
             for path, design in self._designs.items()
             if records[path] is None
         ]

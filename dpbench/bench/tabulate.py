@@ -23,15 +23,14 @@ class Wanted:
     A cell whose settings have no effect has rows under each of its names.
     """
 
-    def __init__(self, work: Sequence[CellJob], machine_id: str) -> None:
-        self._machine_id = machine_id
+    def __init__(self, work: Sequence[CellJob]) -> None:
         self.jobs: dict[str, tuple[CellJob, str]] = {}
         """By run_id: the job, and its settings' name."""
         for job in work:
             self.jobs[job.run_id] = job, job.cell.settings
             for settings in job.planned.alias_settings:
                 cell = job.cell.with_settings(settings)
-                run_id = cell.run_id(job.library.identity, machine_id, HARNESS_VERSION)
+                run_id = cell.run_id(job.library.identity, job.machine_id, HARNESS_VERSION)
                 self.jobs[run_id] = job, settings
 
     def rows(self, finished: pd.DataFrame) -> pd.DataFrame:
@@ -63,7 +62,7 @@ class Wanted:
         if outcome.outcome not in ("refused", "lost", "invalid"):
             outcome = Outcome("lost", "its record is damaged or gone")
         cell = job.cell.with_settings(settings)
-        return run_row(run_id, cell, outcome, job.library, self._machine_id, None, None)
+        return run_row(run_id, cell, outcome, job.library, job.machine_id, None, None)
 
     def aliases(self, finished: pd.DataFrame) -> dict[str, str]:
         """Of the rows that have to be made, what they are made of, by new run_id."""
@@ -74,16 +73,14 @@ class Wanted:
         }
 
 
-def is_tabulated(work: Sequence[CellJob], store: CellStore, machine_id: str) -> bool:
+def is_tabulated(work: Sequence[CellJob], store: CellStore) -> bool:
     """Whether the public tables are those that `tabulate` would make of what is there."""
-    wanted = list(Wanted(work, machine_id).jobs)
+    wanted = list(Wanted(work).jobs)
     public, *parts = (part.names() for part in store.parts())
     return wanted == public and not set(wanted) & {name for names in parts for name in names}
 
 
-def tabulate(
-    work: Sequence[CellJob], store: CellStore, machine_id: str
-) -> tuple[pd.DataFrame, int]:
+def tabulate(work: Sequence[CellJob], store: CellStore) -> tuple[pd.DataFrame, int]:
     """Make the public tables of a campaign; cells that it is not asked for stay in a part.
 
     Memory is that of two row groups, and of the rows of the runs.
@@ -93,7 +90,7 @@ def tabulate(
     The rows of `runs.parquet`, and how many `steps.parquet` has.
     """
     store.close()
-    wanted, finished, old = Wanted(work, machine_id), store.rows(), store.parts()[1:]
+    wanted, finished, old = Wanted(work), store.rows(), store.parts()[1:]
     public, aside = store.public, store.new_part()
     steps = StepFile(public.steps.with_suffix(".parquet.part"))
     others = StepFile(aside.steps.with_suffix(".part"))

@@ -34,6 +34,8 @@ def parser(
     )
     for add in (
         _run,
+        _cells,
+        _gather,
         _report,
         _compare,
         _export,
@@ -64,6 +66,15 @@ def _run(commands: Commands) -> None:
         epilog="Exit code: 0 done (a solver's failure is data); 1 cells were lost by the benchmark "
         "itself, give the same command again; 2 bad input.",
     )
+    run.add_argument("--out", help="result folder (default: results/<suite>)")
+    _what_to_run(run)
+    _option(run, "--engine", "E", "local (default), or dask", default="local")
+    _option(run, "--scheduler", "ADDRESS", "of Dask (default: --jobs workers on this machine)")
+    _how_to_end(run)
+
+
+def _what_to_run(run: Any) -> None:
+    """The suite, and what of it."""
     run.add_argument("suite", nargs="?", help="a suite by name, or a TOML file")
     _option(
         run,
@@ -71,7 +82,6 @@ def _run(commands: Commands) -> None:
         "S",
         "instead: a stored sequence, a .npz, or a folder of them by qpsolvers",
     )
-    run.add_argument("--out", help="result folder (default: results/<suite>)")
     _option(run, "--solver", "S", "only this solver; repeatable", action="append", dest="solvers")
     _option(
         run,
@@ -86,7 +96,33 @@ def _run(commands: Commands) -> None:
     _option(run, "--jobs", "J", "loops or random configurations at a time", type=int)
     _option(run, "--solver-module", "FILE.py", "a plug-in that brings a solver")
     run.add_argument("--fresh", action="store_true", help="run finished cells again too")
-    _how_to_end(run)
+
+
+def _cells(commands: Commands) -> None:
+    cells = commands.add_parser(
+        "cells",
+        help="run a shard of a suite, for `gather`",
+        description="For schedulers that know only commands: the cells of one of N shards, which "
+        "several machines may run at a time. Give the same command again after an interruption.",
+        epilog="Exit code: 0 done (a solver's failure is data); 1 cells were lost by the benchmark "
+        "itself, give the same command again; 2 bad input.",
+    )
+    _option(cells, "--shard", "I/N", "which one (1/1)", default="1/1")
+    _option(cells, "--out", "DIR", "a folder of its own", required=True)
+    _what_to_run(cells)
+
+
+def _gather(commands: Commands) -> None:
+    gather = commands.add_parser(
+        "gather",
+        help="put the shards of a suite together that `cells` ran, and write the report",
+        epilog="Exit code: 0 done; 1 cells are missing: `dpbench run` into the folder runs them on "
+        "this machine; 2 bad input.",
+    )
+    gather.add_argument("folders", metavar="DIR", nargs="+", help="a folder of each shard")
+    _option(gather, "--out", "DIR", "result folder", required=True)
+    _option(gather, "--suite", "FILE", "where the suite lies, if it lay elsewhere")
+    _how_to_end(gather)
 
 
 HOW_TO_END = ("open", "json", "quiet")

@@ -82,7 +82,8 @@ def _exit_code(arguments: argparse.Namespace) -> int:
         )
         return 2
     except KeyboardInterrupt:
-        kept = "; finished cells are kept, run again to go on" if arguments.call is _run else ""
+        resumes = arguments.call in (_run, _cells)
+        kept = "; finished cells are kept, run again to go on" if resumes else ""
         print(f"dpbench: interrupted{kept}", file=sys.stderr)
         return 130
     finally:
@@ -97,7 +98,6 @@ def _given(arguments: argparse.Namespace, *without: str) -> dict[str, Any]:
 
 def _run(arguments: argparse.Namespace) -> int:
     from dpbench.bench.campaign import run_campaign
-    from dpbench.bench.record.result_folder import accidents
     from dpbench.cli.progress_bar import Bar
     from dpbench.report.write import report_and_ending
 
@@ -106,10 +106,36 @@ def _run(arguments: argparse.Namespace) -> int:
         bar.advance(0, "writing the report")
         page_and_ending = report_and_ending(out)
     say_ending(*page_and_ending, arguments)
+    return _say_accidents(out)
+
+
+def _say_accidents(out: Path) -> int:
+    """What befell the benchmark itself, a line each; the exit code."""
+    from dpbench.bench.record.result_folder import accidents
+
     lost, remarks = accidents(out)
     for line in remarks:
         print(f"dpbench: {line}", file=sys.stderr)
     return int(lost > 0)
+
+
+def _cells(arguments: argparse.Namespace) -> int:
+    from dpbench.bench.campaign import run_campaign
+    from dpbench.cli.progress_bar import Bar
+
+    with Bar() as bar:
+        out = run_campaign(**_given(arguments), progress=bar)
+    print(f"shard {arguments.shard} is in {out}")
+    return _say_accidents(out)
+
+
+def _gather(arguments: argparse.Namespace) -> int:
+    from dpbench.bench.gather import gather
+    from dpbench.report.write import report_and_ending
+
+    out = gather(**_given(arguments, *HOW_TO_END))
+    say_ending(*report_and_ending(out), arguments)
+    return _say_accidents(out)
 
 
 def _report(arguments: argparse.Namespace) -> int:
@@ -270,6 +296,8 @@ def _check(arguments: argparse.Namespace) -> int:
 
 _CALLS = {
     "run": _run,
+    "cells": _cells,
+    "gather": _gather,
     "report": _report,
     "compare": _compare,
     "export": _export,

@@ -29,13 +29,11 @@ from dpbench.bench.design import (
     load_designs,
     plan_designs,
 )
+from dpbench.bench.engines.local import LocalEngine
+from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.plan.suite import DesignTable
 from dpbench.bench.progress import Silent
-from dpbench.bench.record.cell_store import CellStore
 from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.bench.workers.child import template_context
-from dpbench.bench.workers.executor import Bench
-from dpbench.bench.workers.scratch import Scratch
 from dpbench.errors import CertificateError, InputError, RenamedWarning, ResultsError
 from dpbench.qp.referee.referee import certify
 from dpbench.scenario.problem_files import problems_root
@@ -53,11 +51,11 @@ def study(designs: list[Design], out: Path, machine: str = "machine") -> DesignS
 
 def run(designs: list[Design], out: Path) -> Designs:
     """What `design.json` says after a run of such designs into a folder."""
-    cores = sorted(os.sched_getaffinity(0))
-    with Scratch(out) as scratch:
-        store = CellStore(out)
-        bench = Bench(template_context([]), scratch, store, cores, len(cores), Silent())
-        study(designs, out).run(bench, out)
+    with LocalEngine(len(os.sched_getaffinity(0))) as engine:
+        looked_into = study(designs, out)
+        engine.prepare(SourceFiles(out / "cells"), [], Silent())
+        looked_into.run(engine, Silent())
+        looked_into.write(out)
     designs_there = load_designs(out)
     assert designs_there is not None
     return designs_there

@@ -12,6 +12,7 @@ from dpbench.analysis.records.counting_rows import CountingRows, counting_of
 from dpbench.analysis.records.grouping import spans_of
 from dpbench.analysis.records.run_record import RunRecord, records_of
 from dpbench.analysis.records.step_times import StepTimes, step_times_of
+from dpbench.bench.judge.rules import is_ranked
 from dpbench.bench.record.configuration import COMMON
 from dpbench.bench.record.result_folder import Results
 from dpbench.scenario.scenario import Scenario, scenario_of
@@ -27,12 +28,14 @@ class Records:
     scenario at many points, or of another formulation than the common one of its problem; what is
     selected below is selected from `runs`, so that nothing mixes formulations, nor a solver's
     mistakes with a computer's. The harness's own configurations are no solvers: they are in
-    `calibration` and nowhere else.
+    `calibration` and nowhere else. A replay that must not be ranked has no times.
     """
 
     def __init__(self, results: Results) -> None:
         self.machine, self.suite = results.machine, results.suite
-        runs = records_of(results.runs)
+        runs = [
+            run if self.is_ranked(run) else run.without_times() for run in records_of(results.runs)
+        ]
         self.calibration = [run for run in runs if run.solver in CALIBRATION]
         runs = [run for run in runs if run.solver not in CALIBRATION]
         # What a solver is judged on is not for the random problems to say.
@@ -130,8 +133,15 @@ class Records:
         """Replays of a sequence in scaled units."""
         return self.select(mode="replay", sequence=sequence, units="scaled", **wanted)
 
+    def is_ranked(self, run: RunRecord) -> bool:
+        """Whether the times of a run may stand beside those of others; those of a loop never do."""
+        of_folder = str(self.machine["id"])
+        return run.mode != "replay" or is_ranked(run.concurrency, run.machine_id, of_folder)
+
     def times(self, run: RunRecord) -> StepTimes | None:
-        """Step times of a replay; None when no counting round left a step."""
+        """Step times of a replay; None when no counting round left a step, or it is not ranked."""
+        if not self.is_ranked(run):
+            return None
         if run.run_id not in self._times:
             self._times[run.run_id] = step_times_of(self.counting.of(run.run_id))
         return self._times[run.run_id]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -62,6 +62,8 @@ class RunRecord:
     replicate: Count
     outcome: str
     outcome_detail: str
+    machine_id: str
+    concurrency: Count
     steps_planned: int
     steps_done: int
     # accuracy: `ACCURACY_COLUMNS`
@@ -147,6 +149,13 @@ class RunRecord:
             at_edge_of=vessel,
             x=description.get("study", {}).get("x", {}),
         )
+
+    def without_times(self) -> RunRecord:
+        """The same run as if nothing of it had been timed."""
+        timed: dict[str, Any] = {
+            one.name: np.nan for one in fields(self) if one.name.endswith("_ns")
+        }
+        return replace(self, **timed)
 
     @property
     def configuration(self) -> Configuration:

@@ -36,6 +36,7 @@ Doubt = Literal[
     "ended",
     "uncertified",
     "remembered",
+    "not alone",
     "no step",
     "no p99",
     "no closed loop",
@@ -345,6 +346,9 @@ def _timing(
     for run in replays:
         if run.remembers:
             unsure.append(Finding("remembered", (run,)))
+        if not records.is_ranked(run):
+            unsure.append(Finding("not alone", (run,)))
+            continue
         times = records.times(run)
         if times is None:
             if run.outcome == "finished":

@@ -49,8 +49,15 @@ def run_row(
     machine_id: str,
     evaluated: Evaluated | None,
     steps: StepColumns | None,
+    *,
+    concurrency: int | None = None,
 ) -> dict[str, Any]:
-    """The row of `runs.parquet` of one cell; a cell without steps has its identity only."""
+    """The row of `runs.parquet` of one cell; a cell without steps has its identity only.
+
+    Parameters
+    ----------
+    concurrency : of a timed replay, the column of that name; None of every other cell.
+    """
     row: dict[str, Any] = {
         "run_id": run_id,
         "mode": cell.mode,
@@ -75,6 +82,7 @@ def run_row(
         "machine_id": machine_id,
         "schema": SCHEMA_VERSION,
         "cell": cell.to_json(),
+        "concurrency": pd.NA if concurrency is None else concurrency,
         "steps_planned": cell.steps,
         "steps_done": 0,
     }

@@ -38,6 +38,19 @@ NO_ANSWER_CLAIMS = ("PRIMAL_INFEASIBLE", "DUAL_INFEASIBLE")
 _NO_USE = tuple(status.name for status in Status if not status.usable)
 
 
+def is_ranked(concurrency: float, machine_id: str, of_folder: str) -> bool:
+    """Whether the times of a replay may stand beside those of others: taken with its machine to
+    itself, and on the machine of its result folder.
+
+    Parameters
+    ----------
+    concurrency : the column of that name; NaN where no times are compared, and in folders from
+        before it was recorded, when all were taken alone.
+    machine_id : of the run; of_folder : of `machine.json`.
+    """
+    return bool(np.isnan(concurrency)) or (concurrency <= 1.0 and machine_id == of_folder)
+
+
 def is_disturbed(reference_kernel_ns: Floats) -> Flags:
     """(R,) in which rounds the reference kernel was slowed by more than `DISTURBED_FACTOR`.
 

@@ -132,7 +132,8 @@ CHECKED_ROWS = 512
 _FINISHED = set(OUTCOMES) - {"lost", "invalid"}
 _CHECK = "steps_crc32"
 """What the metadata of a table of runs say of the file of its steps."""
-_DAMAGE = (OSError, ValueError, KeyError, pa.ArrowException)
+DAMAGE = (OSError, ValueError, KeyError, pa.ArrowException)
+"""What reading a damaged table raises."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +147,7 @@ class Part:
         """The rows of finished runs, by run_id; none where the table is damaged or not there."""
         try:
             rows = as_runs(pq.read_table(self.runs, page_checksum_verification=True).to_pandas())
-        except _DAMAGE:
+        except DAMAGE:
             rows = as_runs(pd.DataFrame())
         finished = rows["outcome"].isin(_FINISHED) & (rows["schema"] == SCHEMA_VERSION)
         return rows[finished].set_index("run_id", drop=False)
@@ -157,7 +158,7 @@ class Part:
             return [
                 str(n) for n in pq.read_table(self.runs, columns=["run_id"])["run_id"].to_pylist()
             ]
-        except _DAMAGE:
+        except DAMAGE:
             return []
 
     def groups(self) -> Iterator[pa.Table]:
@@ -166,11 +167,11 @@ class Part:
             file = pq.ParquetFile(
                 self.steps, read_dictionary=["run_id"], page_checksum_verification=True
             )
-        except _DAMAGE:
+        except DAMAGE:
             return
         with file:
             for i in range(file.num_row_groups):
-                with suppress(*_DAMAGE):
+                with suppress(*DAMAGE):
                     yield file.read_row_group(i).select(OF_FILE.names).cast(OF_FILE)
 
     def outcomes(self) -> dict[str, str]:
@@ -187,7 +188,7 @@ class Part:
                         for name, outcome, schema in zip(*key, strict=True)
                         if outcome in _FINISHED and schema == SCHEMA_VERSION
                     }
-        except _DAMAGE:
+        except DAMAGE:
             return {}
         if self._is_sound():
             return finished
@@ -199,7 +200,7 @@ class Part:
         """Whether the steps are, byte for byte, those that the runs were written beside."""
         try:
             said = (pq.read_metadata(self.runs).metadata or {}).get(_CHECK.encode())
-        except _DAMAGE:
+        except DAMAGE:
             return False
         return said == _check_sum(self.steps)
 
@@ -345,6 +346,27 @@ class CellStore:
         for path in self.folder.glob("steps-*.parquet"):
             if not path.with_name(path.name.replace("steps-", "runs-")).exists():
                 path.unlink(missing_ok=True)
+
+    def adopt(self, other: CellStore, rows: pd.DataFrame) -> None:
+        """Take over the finished cells of another store, as a part; what cannot be read is none.
+
+        Parameters
+        ----------
+        rows : those of the other store.
+        """
+        part, read = self.new_part(), set[str]()
+        file = StepFile(part.steps.with_suffix(".part"))
+        try:
+            for table in other.steps():
+                read |= set(pc.unique(table["run_id"]).to_pylist())
+                file.add(table)
+            file.close()
+            rows = rows[rows.index.isin(read) | (rows["steps_done"] == 0)]
+            if len(rows):
+                part.write_runs(rows, file.path)
+        finally:
+            file.close()
+            file.path.unlink(missing_ok=True)
 
     def rows(self) -> pd.DataFrame:
         """The rows of all finished cells, by run_id: of several the latest."""

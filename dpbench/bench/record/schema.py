@@ -142,6 +142,11 @@ IDENTITY_COLUMNS: Columns = {
     "machine_id": ("str", "hash of the machine description"),
     "schema": ("int64", "version of this schema"),
     "cell": ("str", "JSON that runs the cell again"),
+    "concurrency": (
+        "Int64",
+        "of a timed replay, cells at work on its machine at a time, at most: 1 where it had the "
+        "machine to itself, as a ranking demands; null where no times are compared",
+    ),
     "steps_planned": ("int64", "steps asked for"),
     "steps_done": ("int64", "steps recorded (in replay: of the counting rounds' fullest)"),
 }
@@ -341,6 +346,7 @@ ADDED = frozenset(
         "study",
         "study_point",
         "replicate",
+        "concurrency",
         "thrust_share",
         "power_share",
         "thrust_variation",

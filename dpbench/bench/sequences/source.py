@@ -139,6 +139,16 @@ def is_untimed(cell: Cell) -> bool:
     return cell.source.get("kind") in (RANDOM, CAPABILITY)
 
 
+def is_recorded(cell: Cell) -> bool:
+    """Whether its QPs come from a file that others recorded."""
+    return cell.source.get("kind") == RECORDED
+
+
+def is_timed(cell: Cell) -> bool:
+    """Whether the cell is a replay whose times are compared."""
+    return cell.mode == "replay" and not is_untimed(cell)
+
+
 def is_at_edge(cell: Cell) -> bool:
     """Whether its QPs are those at the edge of what thrusters hold."""
     return cell.source.get("kind") == CAPABILITY

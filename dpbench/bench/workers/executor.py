@@ -1,4 +1,4 @@
-"""Run cells in processes of their own, have them judged, and keep what is finished.
+"""Run cells in processes of their own on the cores of this machine, and have them judged.
 
 In one of two ways: batches side by side on the cores, for closed loops and random sequences, and
 replays that are timed, interleaved, one worker at a time.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
@@ -18,11 +18,11 @@ from dpbench.bench.judge.rows import run_row
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import HARNESS_VERSION, Cell, Outcome
-from dpbench.bench.record.cell_store import CellStore, packed
+from dpbench.bench.record.cell_store import packed
 from dpbench.bench.record.configuration import COLUMNS
 from dpbench.bench.record.raw_log import discard
 from dpbench.bench.record.step_table import no_steps
-from dpbench.bench.sequences.source import log_size, source_key
+from dpbench.bench.sequences.source import is_timed, log_size, source_key
 from dpbench.bench.workers.batch import CellBatch
 from dpbench.bench.workers.child import with_log
 from dpbench.bench.workers.interleaved import ReplayGroup
@@ -38,11 +38,15 @@ BATCH_CELLS, BATCH_BYTES = 32, 2**23
 
 @dataclass(eq=False)
 class CellJob:
-    """A planned cell on its way through the campaign."""
+    """A planned cell on its way through the campaign.
+
+    machine_id : of the machine that its `run_id` is of.
+    """
 
     planned: PlannedCell
     run_id: str
     library: Availability
+    machine_id: str
     outcome: Outcome | None = None
 
     @property
@@ -55,15 +59,32 @@ class CellJob:
         """Of the file behind its QPs."""
         return source_key(self.cell, HARNESS_VERSION)
 
+
+@dataclass(frozen=True)
+class Result:
+    """What became of a cell.
+
+    record : its row and its steps as `packed` makes them; empty where nothing is to be kept.
+    """
+
+    run_id: str
+    outcome: Outcome
+    record: bytes = b""
+
     @property
     def is_lost(self) -> bool:
         """Whether an accident of the harness cost it."""
-        return self.outcome is not None and self.outcome.outcome == "lost"
+        return self.outcome.outcome == "lost"
 
 
 def work_of(cell: Cell) -> int:
     """Steps a cell will take, for the progress bar."""
     return cell.steps * max(1, cell.rounds)
+
+
+def name_of(cell: Cell) -> str:
+    """What the progress bar calls a cell."""
+    return f"{cell.solver} {cell.scenario_name or cell.sequence}"
 
 
 @contextmanager
@@ -83,23 +104,27 @@ class Bench:
     Parameters
     ----------
     cores : those there are; slots : how many processes may work side by side, on as many cores.
-    machine_id : of `machine.json`, for the rows of the cells.
+    machine_id : of this machine, for the rows of the cells.
+    modules : where the files of plug-ins lie here, by where they lie for whoever planned the cells.
+    concurrency : of timed replays, see the column of that name.
     """
 
     def __init__(
         self,
         context: ForkServerContext,
         scratch: Scratch,
-        store: CellStore,
         cores: list[int],
         slots: int,
         progress: Progress,
         machine_id: str = "",
+        *,
+        modules: Mapping[str, str] | None = None,
+        concurrency: int = 1,
     ) -> None:
         self._context, self._scratch, self.progress = context, scratch, progress
-        self._store, self._cores, self._slots = store, cores, cores[:slots]
-        self._machine_id = machine_id
-        self._folder = store.folder  # that of the logs at hand, see `_with_room`
+        self._cores, self._slots = cores, cores[:slots]
+        self._machine_id, self._modules = machine_id, modules or {}
+        self._concurrency = concurrency
 
     def make_files(
         self,
@@ -121,54 +146,84 @@ class Bench:
         ]
         return in_slots(errands, self._slots)
 
-    def batches(self, jobs: Sequence[CellJob], sources: dict[str, Path], what: str) -> None:
+    def batches(
+        self,
+        jobs: Sequence[CellJob],
+        sources: Mapping[str, Path],
+        what: str,
+        *,
+        most: int | None = None,
+    ) -> Iterator[Result]:
         """Run closed loops, or random sequences, and judge each batch right after it ran.
 
-        Cells of one configuration share a process, one after the other.
+        Cells of one configuration share a process, one after the other: `most` of them, by default
+        as many as keep all slots busy to the end.
+
+        Yields
+        ------
+        The results of each batch when it is done.
         """
-        sizes = self._sizes(jobs, sources)
-        batches = _batches(sizes, len(self._slots))
+        sizes, lost = self._sizes(jobs, sources)
+        yield from lost
+        if not sizes:
+            return
+        batches = _batches(sizes, most or batch_cells(len(sizes), len(self._slots)))
         # A batch keeps the logs of all its cells until they are judged.
         needs = sorted(sum(sizes[job] for job in batch) for batch in batches)
-        if not sizes or not self._with_room(sizes, sum(needs[-len(self._slots) :]), what):
+        try:
+            folder = self._scratch.folder(sum(needs[-len(self._slots) :]), what)
+        except NoRoomError as error:
+            yield from (self._lost(job, str(error)) for job in sizes)
             return
         by_id = {job.run_id: job for job in sizes}
-        for outcomes in self._in_batches(batches, sources):
+        for outcomes in self._in_batches(batches, sources, folder):
             for run_id, outcome in outcomes.items():
-                job, cell = by_id[run_id], by_id[run_id].cell
-                job.outcome = outcome
-                self._put_away(job)
-                name = cell.scenario_name or cell.sequence
-                self.progress.advance(work_of(cell), f"{cell.solver} {name}")
+                job = by_id[run_id]
+                self.progress.advance(work_of(job.cell), name_of(job.cell))
+                yield self._result(job, outcome, folder)
 
-    def replays(self, jobs: Sequence[CellJob], sources: dict[str, Path]) -> None:
+    def replays(self, jobs: Sequence[CellJob], sources: Mapping[str, Path]) -> Iterator[Result]:
         """Replay one sequence through all its configurations, interleaved, then judge them all."""
         name, core = jobs[0].cell.sequence, self._cores[-1]
-        sizes = self._sizes(jobs, sources)
-        if not sizes or not self._with_room(sizes, sum(sizes.values()), f"the replays of {name}"):
+        sizes, lost = self._sizes(jobs, sources)
+        yield from lost
+        if not sizes:
             return
-        cells = [(job.run_id, job.cell) for job in sizes]
-        group = ReplayGroup(self._context, self._folder, _source(jobs[0], sources), core, cells)
+        try:
+            folder = self._scratch.folder(sum(sizes.values()), f"the replays of {name}")
+        except NoRoomError as error:
+            yield from (self._lost(job, str(error)) for job in sizes)
+            return
+        cells = [(job.run_id, self._here(job.cell)) for job in sizes]
+        group = ReplayGroup(self._context, folder, _source(jobs[0], sources), core, cells)
         rounds = max(cell.rounds for _, cell in cells)
         share = sum(work_of(cell) for _, cell in cells) // (rounds + 1)
         with _away_from(core):
             for r in group.run():
                 self.progress.advance(share, f"replay {name}, round {r}")
-        raws = {job: self._folder / f"{job.run_id}.raw" for job in sizes}
-        for job, raw in raws.items():
-            job.outcome = with_log(group.outcomes[job.run_id], raw)
-        stepped = [job for job, raw in raws.items() if raw.exists() and not job.is_lost]
+        raws = {job: folder / f"{job.run_id}.raw" for job in sizes}
+        outcomes = {
+            job.run_id: with_log(group.outcomes[job.run_id], raw) for job, raw in raws.items()
+        }
+        stepped = [
+            job
+            for job, raw in raws.items()
+            if raw.exists() and outcomes[job.run_id].outcome != "lost"
+        ]
         shares = [stepped[i :: len(self._cores)] for i in range(len(self._cores))]
         # Judged on every core, whatever the slots: nothing is timed any more.
-        evaluated = self._in_batches(filter(None, shares), sources, self._cores, to_run=False)
-        lost = {run_id: outcome for outcomes in evaluated for run_id, outcome in outcomes.items()}
+        ran = dict(outcomes)
+        for ended in self._in_batches(filter(None, shares), sources, folder, ran):
+            outcomes |= ended
         for job in sizes:
-            job.outcome = lost.get(job.run_id, job.outcome)
-            self._put_away(job)
+            yield self._result(job, outcomes[job.run_id], folder)
 
-    def _sizes(self, jobs: Sequence[CellJob], sources: dict[str, Path]) -> dict[CellJob, int]:
-        """What each log takes [B]; jobs whose source cannot be read are lost, and not in it."""
+    def _sizes(
+        self, jobs: Sequence[CellJob], sources: Mapping[str, Path]
+    ) -> tuple[dict[CellJob, int], list[Result]]:
+        """What each log takes [B]; jobs whose source cannot be read are not in it but lost."""
         sizes: dict[CellJob, int] = {}
+        lost: list[Result] = []
         known: dict[tuple[object, ...], int] = {}
         for job in jobs:
             cell = job.cell
@@ -178,88 +233,102 @@ class Bench:
                     known[alike] = log_size(cell, _source(job, sources))
                 sizes[job] = known[alike]
             except InputError as error:
-                self._lose(job, str(error))
-        return sizes
+                lost.append(self._lost(job, str(error)))
+        return sizes, lost
 
-    def _with_room(self, jobs: Iterable[CellJob], need: int, what: str) -> bool:
-        """Choose where the logs of `jobs` lie; without room for `need` bytes they are lost."""
-        try:
-            self._folder = self._scratch.folder(need, what)
-        except NoRoomError as error:
-            for job in jobs:
-                self._lose(job, str(error))
-            return False
-        return True
-
-    def _lose(self, job: CellJob, cause: str) -> None:
-        job.outcome = Outcome("lost", cause)
+    def _lost(self, job: CellJob, cause: str) -> Result:
         self.progress.advance(work_of(job.cell), "lost")
+        return Result(job.run_id, Outcome("lost", cause))
+
+    def _here(self, cell: Cell) -> Cell:
+        """The cell with its plug-in where that lies on this machine."""
+        module = self._modules.get(cell.solver_module)
+        return cell if module is None else replace(cell, solver_module=module)
 
     def _in_batches(
         self,
         batches: Iterable[Sequence[CellJob]],
-        sources: dict[str, Path],
-        cores: Sequence[int] | None = None,
-        *,
-        to_run: bool = True,
+        sources: Mapping[str, Path],
+        folder: Path,
+        ran: Mapping[str, Outcome] | None = None,
     ) -> Iterator[dict[str, Outcome]]:
-        """Run and judge batches side by side; the outcomes of each when it is done, by run_id."""
+        """Run and judge batches side by side; the outcomes of each when it is done, by run_id.
+
+        Parameters
+        ----------
+        ran : what became of cells that were run before, and are only judged, on all cores.
+        """
         tasks = []
         for jobs in batches:
-            cells = [
-                BatchCell(
-                    job.run_id,
-                    job.cell.to_json(),
-                    job.cell.limit_s,
-                    _source(job, sources),
-                    job.outcome,
-                    job.library,
-                    self._machine_id,
-                )
-                for job in jobs
-            ]
-            tasks.append(CellBatch(self._context, self._folder, cells, to_run=to_run))
-        for batch in in_slots(tasks, cores or self._slots):
+            cells = [self._batch_cell(job, sources, (ran or {}).get(job.run_id)) for job in jobs]
+            tasks.append(CellBatch(self._context, folder, cells, to_run=ran is None))
+        for batch in in_slots(tasks, self._slots if ran is None else self._cores):
             yield batch.outcomes
 
-    def _put_away(self, job: CellJob) -> None:
-        """Keep what became of a cell, unless it was lost, and drop what it left behind."""
-        outcome = job.outcome or Outcome("lost", "it was not run")
-        if outcome.outcome != "lost":
-            try:
-                self._store.append(job.run_id, outcome.outcome, self._record(job, outcome))
-            except OSError as error:
-                outcome = Outcome("lost", f"it could not be kept: {error}")
-        job.outcome = outcome
-        discard(self._folder / f"{job.run_id}.raw")
+    def _batch_cell(
+        self, job: CellJob, sources: Mapping[str, Path], outcome: Outcome | None
+    ) -> BatchCell:
+        return BatchCell(
+            job.run_id,
+            job.cell.to_json(),
+            job.cell.limit_s,
+            _source(job, sources),
+            outcome,
+            job.library,
+            self._machine_id,
+            self._modules.get(job.cell.solver_module, job.cell.solver_module),
+            self._concurrency_of(job.cell),
+        )
+
+    def _concurrency_of(self, cell: Cell) -> int | None:
+        """Of a replay that is timed, the column of that name; None of every other cell."""
+        return self._concurrency if is_timed(cell) else None
+
+    def _result(self, job: CellJob, outcome: Outcome, folder: Path) -> Result:
+        """The result of a cell, and nothing is left in `folder` of what it left there."""
+        lost = outcome.outcome == "lost"
+        record = b"" if lost else self._record(job, outcome, folder)
+        discard(folder / f"{job.run_id}.raw")
         for suffix in ("json", "judged", "evaluated.json", "noise"):
             # What stands in a file's place by somebody else's doing goes with the folder.
             with suppress(OSError):
-                (self._folder / f"{job.run_id}.{suffix}").unlink()
+                (folder / f"{job.run_id}.{suffix}").unlink()
+        return Result(job.run_id, outcome, record)
 
-    def _record(self, job: CellJob, outcome: Outcome) -> bytes:
+    def _record(self, job: CellJob, outcome: Outcome, folder: Path) -> bytes:
         """What the referee left of a cell; of one that left no steps its row."""
-        if (self._folder / f"{job.run_id}.evaluated.json").exists():
-            return (self._folder / f"{job.run_id}.judged").read_bytes()
+        if (folder / f"{job.run_id}.evaluated.json").exists():
+            return (folder / f"{job.run_id}.judged").read_bytes()
         about = job.run_id, job.cell, outcome, job.library, self._machine_id
-        return packed(run_row(*about, None, None), no_steps())
+        row = run_row(*about, None, None, concurrency=self._concurrency_of(job.cell))
+        return packed(row, no_steps())
 
 
-def _source(job: CellJob, sources: dict[str, Path]) -> Path:
+def _source(job: CellJob, sources: Mapping[str, Path]) -> Path:
     """The file behind the QPs of a job."""
     return sources[job.source_key]
 
 
-def _batches(sizes: Mapping[CellJob, int], slots: int) -> list[list[CellJob]]:
-    """Jobs that may share a process, by the sizes of their logs [B]: those of one configuration.
+def batch_cells(cells: int, slots: int) -> int:
+    """How many of so many cells share a process at most: as many as keep all slots busy to the
+    end."""
+    return min(BATCH_CELLS, max(1, cells // (4 * slots)))
 
-    No more than keep all slots busy to the end, and than the memory for logs has room for.
+
+def configuration_key(cell: Cell) -> tuple[str, ...]:
+    """Cells with the same key may share a process."""
+    return (cell.mode, *(getattr(cell, name) for name in COLUMNS))
+
+
+def _batches(sizes: Mapping[CellJob, int], most: int) -> list[list[CellJob]]:
+    """Jobs that share a process, by the sizes of their logs [B]: those of one configuration.
+
+    No more than `most`, and than the memory for logs has room for.
     """
-    most = min(BATCH_CELLS, max(1, len(sizes) // (4 * slots)))
     batches: dict[tuple[str, ...], list[list[CellJob]]] = {}
     room: dict[tuple[str, ...], int] = {}
     for job, size in sizes.items():
-        key = (job.cell.mode, *(getattr(job.cell, name) for name in COLUMNS))
+        key = configuration_key(job.cell)
         alike = batches.setdefault(key, [])
         looped = job.cell.mode == "closed_loop"
         if not alike or (looped and (len(alike[-1]) >= most or size > room[key])):

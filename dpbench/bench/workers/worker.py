@@ -47,7 +47,8 @@ from dpbench.solvers.table import Availability, load_solver_module
 class BatchCell:
     """A cell of a batch: its run_id and JSON, its own run time, the file behind its QPs.
 
-    outcome : what became of it, once it ran; library, machine_id : for its row.
+    outcome : what became of it, once it ran; library, machine_id, concurrency : for its row.
+    module : where the plug-in of its solver lies on this machine; "" for none.
     """
 
     name: str
@@ -57,6 +58,8 @@ class BatchCell:
     outcome: Outcome | None
     library: Availability
     machine_id: str
+    module: str = ""
+    concurrency: int | None = None
 
 
 def _opened(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Workspace:
@@ -98,7 +101,8 @@ def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
     pin(core)
     for i, batch_cell in enumerate(cells):
         post(AtWork.HARNESS, i)
-        cell, name = Cell.from_json(batch_cell.cell), batch_cell.name
+        name = batch_cell.name
+        cell = replace(Cell.from_json(batch_cell.cell), solver_module=batch_cell.module)
         workspace = _open(cell, folder, name, settled=i > 0)
         if workspace is None:
             continue
@@ -276,7 +280,8 @@ def _judged(batch_cell: BatchCell, log: RawLog) -> bytes:
     evaluated = _evaluate(cell, batch_cell.source, log)
     steps = step_columns(cell, evaluated)
     about = batch_cell.name, cell, outcome, batch_cell.library, batch_cell.machine_id
-    return packed(run_row(*about, evaluated, steps), step_batch(steps))
+    row = run_row(*about, evaluated, steps, concurrency=batch_cell.concurrency)
+    return packed(row, step_batch(steps))
 
 
 def _evaluate(cell: Cell, source: Path, log: RawLog) -> Evaluated:

@@ -7,7 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -17,6 +17,7 @@ import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.bench.campaign import Campaign
+from dpbench.bench.engines.local import LocalEngine
 from dpbench.bench.record.cell import HARNESS_VERSION, Cell
 from dpbench.bench.record.cell_store import CellStore, Journal
 from dpbench.bench.record.raw_log import RawLog, is_whole, replay_layout
@@ -25,6 +26,7 @@ from dpbench.bench.sequences.source import is_sound, source_key, source_of
 from dpbench.bench.workers import child as supervise
 from dpbench.bench.workers import interleaved as interleave
 from dpbench.bench.workers import scratch
+from dpbench.bench.workers.executor import CellJob, Result
 from dpbench.cli.main import main
 from dpbench.solvers import plugins
 
@@ -244,6 +246,7 @@ FILLED = """
 import sys
 from pathlib import Path
 from dpbench.bench.workers import scratch
+from dpbench.bench.workers.executor import CellJob, Result
 from dpbench.cli.main import main
 # The room was there when it was looked for, and is gone when a worker comes for it.
 Path("/dev/shm/filling").write_bytes(bytes(2**20))
@@ -372,18 +375,17 @@ def test_a_source_damaged_after_it_was_looked_at(
     times: int, copied: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its cells run again with a new one, once; if that is damaged too, they are lost."""
-    out, left, looked = copied / "out", [times], Campaign._sources
+    out, left, made = copied / "out", [times], LocalEngine._make_sources
     forget_cells(out)
 
-    def damaged(self: Campaign, *rest: object) -> dict[str, Path]:
-        paths: dict[str, Path] = looked(self, *rest)  # type: ignore[arg-type] # passed on
-        for path in paths.values() if left[0] > 0 else ():
+    def damaged(self: LocalEngine, jobs: list[CellJob]) -> Iterator[Result]:
+        yield from made(self, jobs)
+        for path in (out / "cells").glob("exact-*.npz") if left[0] > 0 else ():
             DAMAGE["flipped"](path)
         left[0] -= 1
-        return paths
 
     with monkeypatch.context() as patch:
-        patch.setattr(Campaign, "_sources", damaged)
+        patch.setattr(LocalEngine, "_make_sources", damaged)
         assert run(copied / "tiny.toml", out) == times - 1
     assert outcomes(out) == [["finished", "lost"][times - 1], "finished", "finished"]
     assert run(copied / "tiny.toml", out) == 0
@@ -430,7 +432,7 @@ def test_records_damaged_while_the_campaign_runs_are_lost(
     copied: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A finished cell without its record is no finished one; the next run has it again."""
-    out, write = copied / "out", Campaign._write
+    out, write = copied / "out", Campaign.write
     forget_cells(out)
 
     def late(self: Campaign, *rest: object) -> None:
@@ -438,7 +440,7 @@ def test_records_damaged_while_the_campaign_runs_are_lost(
         write(self, *rest)  # type: ignore[arg-type] # passed on
 
     with monkeypatch.context() as patch:
-        patch.setattr(Campaign, "_write", late)
+        patch.setattr(Campaign, "write", late)
         lost = run(copied / "tiny.toml", out)
     assert 1 <= lost <= 2 and outcomes(out) == ["finished"] * (3 - lost) + ["lost"] * lost
     assert run(copied / "tiny.toml", out) == 0

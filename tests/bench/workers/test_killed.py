@@ -6,13 +6,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pandas as pd
 import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.bench.record.cell_store import CellStore
-from dpbench.bench.record.result_folder import Results
-from dpbench.bench.record.schema import ACCURACY_COLUMNS, CONTROL_COLUMNS, STEP_COLUMNS
+from tests.bench.deterministic import assert_same
 
 pytestmark = pytest.mark.alone
 
@@ -37,8 +35,6 @@ steps = 5
 CELLS, ROWS = 10, 12
 """quadprog has no settings: its two loops and two random problems are cells, and its loops rows
 under two names; daqp has four loops."""
-OF_TIME = {"deadline_misses", "longest_miss_streak", "miss_recover_steps_max", "interrupted"}
-RUN = ["cell", "outcome", "steps_done", *ACCURACY_COLUMNS, *CONTROL_COLUMNS]
 KILLED = """
 import os, signal, sys
 from dpbench.bench.record import cell_store
@@ -70,16 +66,8 @@ def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def undisturbed(suite: Path) -> Results:
-    return load_results(run_campaign(suite, suite.parent / "undisturbed"))
-
-
-def deterministic(results: Results) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """What another run of the same cells has, bit for bit."""
-    runs = results.runs[[name for name in RUN if name not in OF_TIME and name[-3:] != "_ns"]]
-    steps = results.steps.sort_values(["run_id", "repeat", "k"], ignore_index=True)
-    timed = {name for name in STEP_COLUMNS if name.endswith("_ns")} | {"late", "disturbed"}
-    return runs, steps[[name for name in STEP_COLUMNS if name not in timed]]
+def undisturbed(suite: Path) -> Path:
+    return run_campaign(suite, suite.parent / "undisturbed")
 
 
 @pytest.mark.parametrize(
@@ -98,7 +86,7 @@ def deterministic(results: Results) -> tuple[pd.DataFrame, pd.DataFrame]:
     ],
 )
 def test_what_was_killed_goes_on_as_if_nothing_was(
-    moment: str, finished: int, suite: Path, undisturbed: Results, tmp_path: Path
+    moment: str, finished: int, suite: Path, undisturbed: Path, tmp_path: Path
 ) -> None:
     """One row a cell, equal in all that is no time; what was finished is not run again."""
     out = tmp_path / "out"
@@ -110,10 +98,7 @@ def test_what_was_killed_goes_on_as_if_nothing_was(
     times = before.rows()["raw_max_ns"].to_dict()
     run_campaign(suite, out)
     results = load_results(out)
-    assert results.runs["run_id"].is_unique
-    assert list(results.runs["run_id"]) == list(undisturbed.runs["run_id"])
+    assert_same(out, undisturbed)
     after = results.runs.set_index("run_id")["raw_max_ns"]
     assert {name: after[name] for name in times} == times
-    for found, wanted in zip(deterministic(results), deterministic(undisturbed), strict=True):
-        pd.testing.assert_frame_equal(found, wanted, check_exact=True)
     assert sorted(path.name for path in (out / "cells").iterdir()) == [".lock"]

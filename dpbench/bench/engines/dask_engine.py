@@ -1,0 +1,278 @@
+"""The engine of a cluster: batches of cells, and the sources of their QPs, as tasks of Dask.
+
+A source is made on a worker, as an exactly solved loop takes as long as all of its cells together;
+Dask hands its bytes to the workers whose cells need it, makes it anew where it was lost with its
+worker, and lets it go after the last cell. What lies in files of the campaign's machine, as
+recorded sequences do, is sent instead.
+
+Only some tasks more than there are slots are given away at a time: a batch that kills its worker
+takes few others with it, and no scheduler holds a whole campaign.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from itertools import chain, count, groupby
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+from distributed import CancelledError, Future, KilledWorker, as_completed
+
+from dpbench.bench.engines.dask_cluster import EXCLUSIVE, connected, fleet_of, own_cluster
+from dpbench.bench.engines.engine import (
+    Kind,
+    MadeFile,
+    Target,
+    by_source,
+    interleaved,
+    longest,
+    stages,
+    waves,
+)
+from dpbench.bench.engines.on_worker import Made, Order, given, make_file, run_cells
+from dpbench.bench.engines.sources import SourceFiles
+from dpbench.bench.progress import Progress
+from dpbench.bench.record.cell import Cell, Outcome
+from dpbench.bench.record.machine import describe_machine
+from dpbench.bench.sequences.source import is_recorded, is_sound, source_of
+from dpbench.bench.workers.executor import (
+    CellJob,
+    Result,
+    batch_cells,
+    configuration_key,
+    name_of,
+    work_of,
+)
+from dpbench.bench.workers.worker import make_source
+from dpbench.errors import CertificateError, InputError
+
+RETRIES = 2
+"""How often a task is run again that failed by an error of the harness."""
+AHEAD = 2
+"""Tasks given away at a time, for each slot."""
+NOT_ALONE = (
+    f"no worker offers the resource {EXCLUSIVE!r}: replays run beside others, and their times "
+    "enter no ranking"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Chunk:
+    """Cells that are one task."""
+
+    kind: Kind
+    jobs: list[CellJob]
+
+    @property
+    def keys(self) -> list[str]:
+        """Of the sources of their QPs."""
+        return [*by_source(self.jobs)]
+
+
+def dask_engine(scheduler: str | None, workers: int) -> DaskEngine:
+    """The engine of a scheduler's workers, or of so many on this machine."""
+    engine = DaskEngine(workers)
+    with ExitStack() as until_connected:
+        until_connected.push(engine)
+        if scheduler is not None:
+            engine.connect(scheduler)
+        until_connected.pop_all()
+    return engine
+
+
+class DaskEngine(ExitStack):
+    """Runs cells on the workers of a cluster; an `Engine`.
+
+    Parameters
+    ----------
+    workers : how many are started on this machine, unless it is connected to others.
+    """
+
+    def __init__(self, workers: int) -> None:
+        super().__init__()
+        self.machine = describe_machine()
+        self.remarks: list[str] = []
+        self._workers, self._where = workers, "on this machine"
+        self._client: Any = None
+        self._gone: Outcome | None = None
+        token = uuid4().hex[:8]
+        # Two campaigns may ask one scheduler for the same.
+        self._names = (f"{i}-{token}" for i in count())
+
+    def connect(self, scheduler: str) -> None:
+        """Take the workers of a scheduler; InputError where that cannot be."""
+        self._client, self._where = self.enter_context(connected(scheduler)), f"at {scheduler}"
+        self._fleet = fleet_of(self._client)
+        self.machine = self._fleet.machine
+
+    def prepare(self, sources: SourceFiles, solvers: Sequence[str], progress: Progress) -> None:
+        """Start workers, where none are there."""
+        self._sources, self._progress = sources, progress
+        self._order = Order(tuple(dict.fromkeys(solvers)))
+        if self._client is None:
+            self._client = self.enter_context(own_cluster(self._workers))
+            self._fleet = fleet_of(self._client)
+        if self._fleet.kinds > 1:
+            progress.remark(
+                f"workers on {self._fleet.kinds} kinds of machines: replays of one kind are ranked"
+            )
+
+    def run(self, jobs: Sequence[CellJob]) -> Iterator[Result]:
+        """Run cells kind by kind, so that nothing else runs while replays are timed."""
+        modules = {job.cell.solver_module for job in jobs} - {""}
+        texts = {path: Path(path).read_text(encoding="utf-8") for path in modules}
+        self._order = Order(self._order.solvers, texts)
+        self._of_key = by_source(jobs)
+        portions = [
+            (kind, self._chunks(kind, wave))
+            for kind, alike in stages(jobs)
+            for wave in waves(alike)
+        ]
+        self._uses = Counter(
+            key for _, chunks in portions for chunk in chunks for key in chunk.keys
+        )
+        self._kept: dict[str, Future] = {}
+        if not self._fleet.exclusive and any(kind == "replays" for kind, _ in portions):
+            self._progress.remark(NOT_ALONE)
+        for kind, of_kind in groupby(portions, lambda portion: portion[0]):
+            together = [chunks for _, chunks in of_kind]
+            # Where times are taken no source is made beside them.
+            for chunks in together if kind == "replays" else [[*chain.from_iterable(together)]]:
+                if kind == "replays":
+                    made = {key: self._source(key) for chunk in chunks for key in chunk.keys}
+                    deque(as_completed(made.values(), loop=self._client.loop), maxlen=0)
+                yield from self._in_flight(chunks)
+
+    def make_files(
+        self, target: Target, descriptions: Mapping[Path, str], *, limit_s: float | None = None
+    ) -> Iterator[MadeFile]:
+        """Have workers make files, and write them here."""
+        paths: dict[str, Path] = {}
+        futures = []
+        for path, text in descriptions.items():
+            futures.append(self._file(target, text, path.name, limit_s))
+            paths[futures[-1].key] = path
+        for future in as_completed(futures, loop=self._client.loop):
+            path, made = paths[future.key], self._answer(future)
+            if isinstance(made, Outcome):
+                made = Made(made)
+            if made.data:
+                part = path.with_name(f"{path.name}.part")
+                part.write_bytes(made.data)
+                part.replace(path)
+            yield path, made.outcome
+
+    def _chunks(self, kind: Kind, jobs: Sequence[CellJob]) -> list[Chunk]:
+        """Cells that are tasks: replays of one sequence, or a batch of one configuration."""
+        if kind == "replays":
+            return [Chunk(kind, group) for group in interleaved(jobs)]
+        most = batch_cells(len(jobs), self._fleet.slots)
+        alike: dict[tuple[str, ...], list[CellJob]] = {}
+        for job in jobs:
+            alike.setdefault(configuration_key(job.cell), []).append(job)
+        return [
+            Chunk(kind, some[first : first + most])
+            for some in alike.values()
+            for first in range(0, len(some), most)
+        ]
+
+    def _in_flight(self, chunks: Sequence[Chunk]) -> Iterator[Result]:
+        """Give chunks away, some at a time; yields the results of each when it has come back."""
+        waiting, away = deque(chunks), dict[str, Chunk]()
+        completed = as_completed(loop=self._client.loop)
+
+        def give_away(most: int) -> None:
+            for _ in range(0 if self._gone else min(most, len(waiting))):
+                chunk = waiting.popleft()
+                future = self._task(chunk)
+                away[future.key] = chunk
+                completed.add(future)
+
+        give_away(AHEAD * self._fleet.slots)
+        for future in completed:
+            chunk = away.pop(future.key)
+            yield from self._results(chunk, self._answer(future))
+            future.release()
+            give_away(1)
+        for chunk in waiting:
+            yield from self._results(chunk, self._gone)
+
+    def _results(self, chunk: Chunk, answer: Any) -> Iterator[Result]:
+        """The results of a chunk; the sources of which it was the last user are let go."""
+        for key in chunk.keys:
+            self._uses[key] -= 1
+            if not self._uses[key] and key in self._kept:
+                self._kept.pop(key).release()
+        cells = {job.run_id: job.cell for job in chunk.jobs}
+        if isinstance(answer, Outcome):
+            answer = [Result(run_id, answer) for run_id in cells]
+        for result in answer:
+            cell = cells[result.run_id]
+            self._progress.advance(work_of(cell), name_of(cell))
+            yield result
+
+    def _answer(self, future: Future) -> Any:
+        """What a task returned, or what became of it: its cells are lost, whoever failed."""
+        try:
+            return future.result()
+        except CancelledError:
+            # Nobody else lets a task go: it went with the scheduler.
+            self._gone = Outcome("lost", f"the scheduler {self._where} went away")
+            return self._gone
+        except KilledWorker as error:
+            times = error.allowed_failures + 1
+            return Outcome(
+                "lost", f"{times} workers that ran it died, the last {error.last_worker}"
+            )
+        except Exception as error:  # whatever a cluster raises costs these cells and no others
+            return Outcome("lost", f"its worker failed: {type(error).__name__}: {error}"[:300])
+
+    def _task(self, chunk: Chunk) -> Future:
+        """A chunk on its way."""
+        timed = chunk.kind == "replays"
+        alone = timed and self._fleet.exclusive
+        return self._client.submit(
+            run_cells,
+            self._order,
+            chunk.kind,
+            chunk.jobs,
+            {key: self._source(key) for key in chunk.keys},
+            alone=alone,
+            concurrency=1 if alone else self._fleet.concurrency,
+            resources={EXCLUSIVE: 1} if alone else None,
+            key=f"{chunk.kind.replace(' ', '_')}-{next(self._names)}",
+            retries=RETRIES,
+            pure=False,
+        )
+
+    def _source(self, key: str) -> Future:
+        """What cells of that key need, once for all of them, as long as the longest of them asks
+        for."""
+        if key not in self._kept:
+            cell, path = longest(self._of_key[key]), self._sources.path(key)
+            if is_recorded(cell) or is_sound(cell, path):
+                name = f"source-{next(self._names)}"
+                self._kept[key] = self._client.submit(given, _here(cell, path), key=name)
+            else:
+                self._kept[key] = self._file(make_source, cell.to_json(), path.name, None)
+        return self._kept[key]
+
+    def _file(self, target: Target, text: str, name: str, limit_s: float | None) -> Future:
+        """A file on its way."""
+        args = self._order, target, text, name, limit_s
+        key = f"{target.__name__}-{next(self._names)}"
+        return self._client.submit(make_file, *args, key=key, retries=RETRIES, pure=False)
+
+
+def _here(cell: Cell, path: Path) -> Made:
+    """The file behind the QPs of a cell, made on this machine where it is not there."""
+    if not is_sound(cell, path):
+        try:
+            source_of(cell).make(path)
+        except (CertificateError, InputError) as error:
+            return Made(Outcome("invalid", str(error)))
+    return Made(Outcome("finished", ""), path.read_bytes())

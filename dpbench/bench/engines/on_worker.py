@@ -1,0 +1,161 @@
+"""What a worker of a cluster does for a campaign that was started elsewhere.
+
+Cells run as on the campaign's own machine, in processes of their own that `Bench` starts; files lie
+in a scratch folder of the worker's machine and are gone when a task ends. What comes and goes over
+the network are bytes. Nothing here needs Dask.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from dpbench.bench.engines.engine import Kind, Target, by_source, without_source
+from dpbench.bench.engines.leased_core import leased_core
+from dpbench.bench.progress import Silent
+from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
+from dpbench.bench.record.machine import describe_machine
+from dpbench.bench.workers.child import template_context
+from dpbench.bench.workers.executor import BATCH_CELLS, Bench, CellJob, Result
+from dpbench.bench.workers.scratch import Scratch
+from dpbench.solvers.table import available
+
+
+@dataclass(frozen=True)
+class About:
+    """What a campaign wants to know of a worker before it gives it cells.
+
+    may_start : whether it may start processes, as one that is a daemon itself may not.
+    """
+
+    harness_version: str
+    may_start: bool
+    machine: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Order:
+    """What all tasks of a campaign have in common.
+
+    solvers : all that it runs; modules : the text of plug-ins, by the paths in the cells.
+    """
+
+    solvers: tuple[str, ...] = ()
+    modules: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Made:
+    """A file that was made: its bytes, none where it failed."""
+
+    outcome: Outcome
+    data: bytes = b""
+
+
+@cache
+def about() -> About:
+    """What is to be known of this process."""
+    may_start = not multiprocessing.current_process().daemon
+    return About(HARNESS_VERSION, may_start, describe_machine())
+
+
+def make_file(order: Order, target: Target, text: str, name: str, limit_s: float | None) -> Made:
+    """Make a file from its description in a process of its own, on a core of this machine."""
+    with leased_core() as core, _bench(order, [core]) as (bench, folder):
+        path = folder / name
+        (errand,) = bench.make_files(target, {path: text}, limit_s=limit_s)
+        finished = errand.outcome.outcome == "finished"
+        return Made(errand.outcome, path.read_bytes() if finished else b"")
+
+
+def given(made: Made) -> Made:
+    """A file that the campaign's machine had."""
+    return made
+
+
+def run_cells(
+    order: Order,
+    kind: Kind,
+    jobs: Sequence[CellJob],
+    sources: Mapping[str, Made],
+    *,
+    alone: bool,
+    concurrency: int,
+) -> list[Result]:
+    """Run cells of one configuration, or replay one sequence through several, and judge them.
+
+    Parameters
+    ----------
+    sources : what their QPs are made from, by key.
+    alone : whether they have all cores of this machine; one of them else.
+    concurrency : of timed replays, see the column of that name.
+    """
+    results = [*_of_other_libraries(jobs)]
+    for key, alike in by_source(_others(jobs, results)).items():
+        if sources[key].outcome.outcome != "finished":
+            results += without_source(alike, sources[key].outcome)
+    jobs = _others(jobs, results)
+    if not jobs:
+        return results
+    with ExitStack() as stack:
+        cores = sorted(os.sched_getaffinity(0)) if alone else [stack.enter_context(leased_core())]
+        bench, folder = stack.enter_context(_bench(order, cores, concurrency))
+        paths = {key: folder / f"exact-{key}.npz" for key in by_source(jobs)}
+        for key, path in paths.items():
+            path.write_bytes(sources[key].data)
+        if kind == "replays":
+            return [*results, *bench.replays(jobs, paths)]
+        return [*results, *bench.batches(jobs, paths, kind, most=BATCH_CELLS)]
+
+
+def _others(jobs: Sequence[CellJob], results: Sequence[Result]) -> list[CellJob]:
+    """The jobs that have no result yet."""
+    known = {result.run_id for result in results}
+    return [job for job in jobs if job.run_id not in known]
+
+
+def _of_other_libraries(jobs: Sequence[CellJob]) -> Iterator[Result]:
+    """Jobs whose solver is another one here than where the campaign was planned."""
+    for job in jobs:
+        wanted = job.library.identity
+        # A plug-in comes with the cells.
+        found = wanted if job.cell.solver_module else _identity(job.cell.solver)
+        if found != wanted:
+            where = f"{job.cell.solver} {found or 'missing'} on {os.uname().nodename}"
+            cause = Outcome("lost", f"{where}, {wanted} where the campaign was started")
+            yield Result(job.run_id, cause)
+
+
+@cache
+def _identity(solver: str) -> str:
+    return available(solver).identity
+
+
+@contextmanager
+def _bench(order: Order, cores: list[int], concurrency: int = 1) -> Iterator[tuple[Bench, Path]]:
+    """A bench with one slot on these cores, and a folder for the files it runs from."""
+    with ExitStack() as stack:
+        place = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dpbench-")))
+        modules = {}
+        for i, (path, text) in enumerate(order.modules.items()):
+            modules[path] = str(place / str(i) / Path(path).name)
+            Path(modules[path]).parent.mkdir()
+            Path(modules[path]).write_text(text, encoding="utf-8")
+        bench = Bench(
+            template_context(order.solvers),
+            stack.enter_context(Scratch(place)),
+            cores,
+            1,
+            Silent(),
+            about().machine["id"],
+            modules=modules,
+            concurrency=concurrency,
+        )
+        yield bench, place

@@ -1,0 +1,48 @@
+"""The engines there are, by name."""
+
+from __future__ import annotations
+
+import os
+from contextlib import AbstractContextManager
+
+from dpbench.bench.engines.engine import Engine
+from dpbench.bench.engines.local import LocalEngine
+from dpbench.errors import InputError
+
+ENGINES = ("local", "dask")
+
+
+def opened(
+    name: str, jobs: int | None = None, scheduler: str | None = None
+) -> AbstractContextManager[Engine]:
+    """The engine of that name, for one campaign.
+
+    Parameters
+    ----------
+    jobs : cells at a time; all cores of this machine by default.
+    scheduler : of engine dask: the address of its scheduler; None for workers on this machine.
+
+    Raises
+    ------
+    InputError : for an unknown engine or another count of jobs, for dask where it is not installed,
+        and for a scheduler that does not answer or whose workers cannot run cells.
+    """
+    if name not in ENGINES:
+        raise InputError("--engine", "", repr(name), " or ".join(ENGINES))
+    if name == "local" and scheduler is not None:
+        raise InputError("--scheduler", "", f"{scheduler} with engine local", "--engine dask")
+    cores = len(os.sched_getaffinity(0))
+    if scheduler is not None and jobs is not None:
+        found, allowed = f"{jobs} with --scheduler", "one of the two: its workers are there"
+        raise InputError("--jobs", "", found, allowed)
+    if jobs is not None and not 1 <= jobs <= cores:
+        raise InputError("--jobs", "", jobs, f"a number from 1 to {cores}, the cores available")
+    if name == "local":
+        return LocalEngine(jobs or cores)
+    try:
+        # What an extra installs is imported only where it is asked for.
+        from dpbench.bench.engines.dask_engine import dask_engine
+    except ModuleNotFoundError as error:
+        found, allowed = f"dask, without {error.name}", "pip install 'dpbench[cluster]', or local"
+        raise InputError("--engine", "", found, allowed) from error
+    return dask_engine(scheduler, jobs or cores)

@@ -1,0 +1,29 @@
+"""The files that QPs are made from, beside the results, each as long as a cell needs it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Container
+from pathlib import Path
+
+
+class SourceFiles:
+    """Those of one campaign.
+
+    Parameters
+    ----------
+    folder : where they lie; kept : keys of those that hold what the result folder shows.
+    """
+
+    def __init__(self, folder: Path, kept: Collection[str] = ()) -> None:
+        self.folder, self._kept = folder, set(kept)
+
+    def path(self, key: str) -> Path:
+        """Where the source of that key lies."""
+        return self.folder / f"exact-{key}.npz"
+
+    def drop(self, needed: Container[str] = ()) -> None:
+        """Remove all but those that cells still need, and those that are kept."""
+        for path in self.folder.glob("exact-*.npz"):
+            key = path.stem.removeprefix("exact-")
+            if key not in needed and key not in self._kept:
+                path.unlink(missing_ok=True)

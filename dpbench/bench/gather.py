@@ -1,0 +1,174 @@
+"""Put the shards of a suite together that were run apart, on one machine or on several.
+
+What is finished in their folders is copied into one, as if it had been run there; whatever of it
+is missing or damaged is a lost cell, which `dpbench run` into that folder runs.
+"""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from dpbench.bench.campaign import Campaign, designs_of
+from dpbench.bench.engines.shards import ShardRecord
+from dpbench.bench.plan.asked import Plan
+from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
+from dpbench.bench.record.cell_store import DAMAGE, CellStore
+from dpbench.bench.record.result_folder import claimed
+from dpbench.bench.workers.executor import CellJob
+from dpbench.errors import InputError
+from dpbench.solvers.record import Build
+from dpbench.solvers.table import Availability
+
+_WHERE = "gather"
+_BESIDE = ("design-*.json", "exact-*.npz")
+"""Files of a folder of cells that are shown too: designs, and capability plots with their QPs."""
+
+
+def gather(
+    folders: Sequence[str | Path], out: str | Path, *, suite: str | Path | None = None
+) -> Path:
+    """Write one result folder of those that `dpbench cells` wrote.
+
+    Parameters
+    ----------
+    folders : one of each shard; suite : where the suite lies now, if it lay elsewhere.
+
+    Returns
+    -------
+    `out`.
+
+    Raises
+    ------
+    InputError : for folders of different suites, plans or versions, one that is in use, or a suite
+        that has changed since.
+    """
+    started_utc, started_s = datetime.now(UTC), time.monotonic()
+    shards = {Path(folder): ShardRecord.read(Path(folder)) for folder in folders}
+    plan, records = _plan_of(shards, suite), list(shards.values())
+    designs, remarks = designs_of(plan), _missing(records)
+    with claimed(Path(out), plan.name):
+        finished = _collected(list(shards), Path(out), plan.name)
+        machine, others = _machines(records, finished)
+        if others:
+            remarks.append(
+                f"cells ran on {len(others) + 1} kinds of machines: times of replays are ranked "
+                f"on {machine['cpu_model']} ({machine['id']}) alone"
+            )
+        kept = machine | ({"others": others} if others else {})
+        campaign = Campaign(plan, designs, Path(out), kept)
+        for record in records:
+            if record.shard.index == 1:
+                campaign.look_into(designs, record.machine["id"])
+        said = {cell: outcome for folder in shards for cell, outcome in _unfinished(folder)}
+        _as_found(campaign.work, finished, said, machine["id"])
+        campaign.pending()
+        made_by = [record.revision for record in records if record.revision]
+        made_by = [one for i, one in enumerate(made_by) if one not in made_by[:i]]
+        campaign.write(started_utc, time.monotonic() - started_s, remarks, made_by)
+    return Path(out)
+
+
+def _plan_of(shards: Mapping[Path, ShardRecord], suite: str | Path | None) -> Plan:
+    """The plan that all shards are of; InputError where there is none."""
+    where, first = next(iter(shards.items()))
+    for folder, shard in shards.items():
+        if shard.harness_version != HARNESS_VERSION:
+            found = f"{folder} of dpbench {shard.harness_version}"
+            raise InputError(_WHERE, "", found, f"folders of {HARNESS_VERSION}, this version")
+        if (shard.asked, shard.digest) != (first.asked, first.digest):
+            found = f"{folder} of another suite, or another choice of it, than {where}"
+            raise InputError(_WHERE, "", found, "shards of one plan")
+    plan = (first.asked if suite is None else replace(first.asked, suite=str(suite))).plan()
+    if plan.digest != first.digest:
+        found = f"{plan.path} changed since {where} was run from it"
+        raise InputError(_WHERE, "", found, "the suite as it was, by --suite")
+    return plan
+
+
+def _missing(shards: Sequence[ShardRecord]) -> list[str]:
+    """A line on the shards that are not there."""
+    counts = {shard.shard.count for shard in shards}
+    if len(counts) > 1:
+        found = " and ".join(f"shards of {count}" for count in sorted(counts))
+        raise InputError(_WHERE, "", found, "shards of as many")
+    absent = set(range(1, counts.pop() + 1)) - {shard.shard.index for shard in shards}
+    named = ", ".join(str(replace(shards[0].shard, index=i)) for i in sorted(absent))
+    return [f"shards that are not among them: {named}"] if absent else []
+
+
+def _collected(folders: Sequence[Path], out: Path, name: str) -> pd.DataFrame:
+    """The rows of all finished cells, once they are copied into `out`."""
+    with ExitStack() as stack:
+        for folder in folders:
+            stack.enter_context(claimed(folder, name))
+        store, others = CellStore(out), [CellStore(folder) for folder in folders]
+        rows = [other.rows() for other in others]
+        _refuse_versions(pd.concat([store.rows(), *rows]))
+        for other, of_other in zip(others, rows, strict=True):
+            store.adopt(other, of_other)
+            for pattern in _BESIDE:
+                for path in other.folder.glob(pattern):
+                    shutil.copy2(path, store.folder / path.name)
+        return store.rows()
+
+
+def _refuse_versions(rows: pd.DataFrame) -> None:
+    """InputError for a solver of several versions or builds."""
+    versions = rows["solver_version"].str.cat(rows["build"], " ").str.strip()
+    for solver, alike in versions.groupby(rows["solver"]):
+        if alike.nunique() > 1:
+            found = " and ".join(sorted(alike.unique()))
+            raise InputError(_WHERE, str(solver), found, "one version of a solver")
+
+
+def _machines(
+    shards: Sequence[ShardRecord], finished: pd.DataFrame
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """The machine of most timed replays, or else of most cells; and the others."""
+    known = {shard.machine["id"]: shard.machine for shard in shards}
+    timed = finished.loc[finished["concurrency"].notna(), "machine_id"]
+    counts = Counter(timed if len(timed) else finished["machine_id"])
+    first = next(
+        (name for name, _ in counts.most_common() if name in known), shards[0].machine["id"]
+    )
+    return known.pop(first), list(known.values())
+
+
+def _unfinished(folder: Path) -> Iterator[tuple[str, Outcome]]:
+    """What a shard says of cells that it could not finish, by their descriptions."""
+    with suppress(*DAMAGE):
+        columns = ["cell", "outcome", "outcome_detail"]
+        rows = pd.read_parquet(folder / "runs.parquet", columns=columns)
+        for cell, outcome, detail in rows.itertuples(index=False):
+            if outcome in ("lost", "invalid"):
+                yield str(cell), Outcome(str(outcome), str(detail))
+
+
+def _as_found(
+    jobs: Sequence[CellJob],
+    finished: pd.DataFrame,
+    said: Mapping[str, Outcome],
+    machine_id: str,
+) -> None:
+    """Give jobs the names that their rows have, by the library and the machine that ran them."""
+    # Of a cell that ran on several machines, that on the machine of the folder.
+    there = finished.iloc[(finished["machine_id"] == machine_id).argsort(kind="stable")]
+    by_cell = dict(zip(there["cell"], there.index, strict=True))
+    for job in jobs:
+        text = job.cell.to_json()
+        job.outcome = said.get(text)
+        if text in by_cell:
+            row = finished.loc[by_cell[text]]
+            build = Build(str(row["build"]), bool(row["generic_build"]))
+            job.library = Availability(True, str(row["solver_version"]), build=build)
+            job.run_id, job.machine_id = str(row["run_id"]), str(row["machine_id"])

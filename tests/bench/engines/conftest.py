@@ -1,0 +1,46 @@
+"""A small suite with all kinds of cells, and its result on the engine of one machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dpbench import run_campaign
+
+SUITE = """
+title = "A suite for one test"
+solvers = ["quadprog", "daqp"]
+baseline_law = false
+cell_limit_s = 60.0
+rounds = 2
+warmup_steps = 0
+
+[[closed_loop]]
+scenarios = ["paper", "rough"]
+settings = ["default", "high"]
+steps = 6
+
+[[replay]]
+scenario = "paper"
+steps = 6
+
+[[random]]
+families = ["no_rows"]
+sizes = [[3, 0], [4, 0]]
+steps = 5
+"""
+
+
+@pytest.fixture(scope="session")
+def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Its file."""
+    path = tmp_path_factory.mktemp("engines") / "tiny.toml"
+    path.write_text(SUITE, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="session")
+def undisturbed(suite: Path) -> Path:
+    """What the engine of one machine makes of it."""
+    return run_campaign(suite, suite.parent / "undisturbed")

@@ -1,0 +1,220 @@
+"""A Dask cluster gives the same results as one machine, whatever of it dies."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from dpbench import load_results, run_campaign
+from dpbench.analysis.records.records import Records
+from dpbench.bench.record.cell_store import CellStore
+from dpbench.bench.record.result_folder import accidents
+from dpbench.cli.main import main
+from dpbench.solvers import plugins
+from tests.bench.deterministic import assert_same
+
+pytest.importorskip("distributed", reason="engine dask needs the extra `cluster`")
+dask = pytest.importorskip("dask", reason="engine dask needs the extra `cluster`")
+pytestmark = pytest.mark.alone
+
+PLUGIN = Path(__file__).parents[2] / "solvers" / "example_plugin.py"
+KILLER = """
+import os
+import pathlib
+import psutil
+
+opened = open
+
+
+def open(policy, options):
+    if not os.path.exists(MARKER):
+        if ONCE:
+            pathlib.Path(MARKER).touch()
+        process = psutil.Process()
+        while "spawn_main" not in " ".join(process.cmdline()):
+            process = process.parent()
+        process.kill()
+    return opened(policy, options)
+"""
+
+
+class Watching:
+    """A progress that keeps what was said, and calls something once, at a cell."""
+
+    def __init__(self, at: int, call: object) -> None:
+        self.said: list[str] = []
+        self._left, self._call = at, call
+
+    def start(self, work: int) -> None:
+        """Nothing."""
+
+    def advance(self, work: int, what: str) -> None:
+        """One cell less."""
+        self._left -= 1
+        if self._left == 0 and callable(self._call):
+            self._call()
+
+    def remark(self, text: str) -> None:
+        """Keep it."""
+        self.said.append(text)
+
+
+@contextmanager
+def scheduler_and_worker(
+    folder: Path, *words: str
+) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """The address of a scheduler with one worker that was started with `words`, and its process."""
+    file = folder / "scheduler.json"
+    environment = os.environ | {"DASK_DISTRIBUTED__WORKER__DAEMON": "False"}
+    scheduler = ["dask_scheduler", "--port", "0", "--scheduler-file", str(file)]
+    worker = ["dask_worker", "--scheduler-file", str(file), "--no-nanny", *words]
+    plain = ["--no-dashboard", "--dashboard-address", ":0"]
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-m", f"distributed.cli.{name}", *more, *plain],
+            env=environment,
+            cwd=folder,
+            stderr=subprocess.DEVNULL,
+        )
+        for name, *more in (scheduler, worker)
+    ]
+    try:
+        while not file.exists():
+            time.sleep(0.05)
+        yield json.loads(file.read_text(encoding="utf-8"))["address"], processes[0]
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+def test_a_cluster_of_this_machine_gives_the_same(
+    suite: Path, undisturbed: Path, tmp_path: Path
+) -> None:
+    """Loops, replays and random problems, to the last bit; the replays had the machine alone."""
+    out = run_campaign(suite, tmp_path / "out", engine="dask", jobs=2)
+    assert_same(out, undisturbed)
+    runs = load_results(out).runs
+    timed = (runs["mode"] == "replay") & (runs["scenario"] != "")
+    assert (runs.loc[timed, "concurrency"] == 1).all() and runs.loc[
+        ~timed, "concurrency"
+    ].isna().all()
+    assert sorted(path.name for path in (out / "cells").iterdir()) == [".lock"]
+
+
+@pytest.mark.parametrize("once", [True, False])
+def test_a_worker_that_is_killed_costs_no_cell_unless_its_cells_do_it_again(
+    once: bool, suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its batch runs elsewhere; one that kills every worker is lost, and blamed on no solver."""
+    monkeypatch.setattr(plugins, "_LOADED", {})
+    module = tmp_path / "killing.py"
+    killer = KILLER.replace("MARKER", repr(str(tmp_path / "marker"))).replace("ONCE", str(once))
+    module.write_text(PLUGIN.read_text(encoding="utf-8") + killer, encoding="utf-8")
+    path = tmp_path / "tiny.toml"
+    path.write_text(suite.read_text(encoding="utf-8").split("[[replay]]")[0], encoding="utf-8")
+    given = {"solver_module": module, "solvers": ["admm", "quadprog"], "engine": "dask", "jobs": 2}
+    with dask.config.set({"distributed.scheduler.allowed-failures": 3 if once else 0}):
+        out = run_campaign(path, tmp_path / "out", **given)
+    runs = load_results(out).runs
+    assert runs["run_id"].is_unique
+    outcomes = {name: set(some["outcome"]) for name, some in runs.groupby("solver")}
+    assert outcomes == {"admm": {"finished" if once else "lost"}, "quadprog": {"finished"}}
+    if not once:
+        details = runs.loc[runs["solver"] == "admm", "outcome_detail"]
+        assert details.str.contains("workers that ran it died").all(), set(details)
+
+
+KILLED = """
+import os, signal, sys
+from dpbench.bench.record.cell_store import CellStore
+from dpbench.cli.main import main
+
+append, left = CellStore.append, [5]
+def dying(*given):
+    append(*given)
+    left[0] -= 1
+    if not left[0]:
+        os.kill(os.getpid(), signal.SIGKILL)
+CellStore.append = dying
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))
+"""
+
+
+def test_a_client_that_is_killed_is_resumed_by_the_other_engine(
+    suite: Path, undisturbed: Path, tmp_path: Path
+) -> None:
+    """What was finished stands, and is not run again."""
+    script, out = tmp_path / "killed.py", tmp_path / "out"
+    script.write_text(KILLED, encoding="utf-8")
+    words = ["run", str(suite), "--out", str(out), "--quiet", "--engine", "dask", "--jobs", "2"]
+    done = subprocess.run([sys.executable, str(script), *words], check=False, capture_output=True)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    before = CellStore(out).rows()["raw_max_ns"].to_dict()
+    assert len(before) == 5
+    run_campaign(suite, out)
+    assert_same(out, undisturbed)
+    after = load_results(out).runs.set_index("run_id")["raw_max_ns"]
+    assert {name: after[name] for name in before} == before
+
+
+def test_without_its_scheduler_cells_are_lost_until_there_is_one(
+    suite: Path, undisturbed: Path, tmp_path: Path
+) -> None:
+    """The campaign ends with what it has; the same suite completes it, on whatever engine."""
+    out = tmp_path / "out"
+    worker = ("--nthreads", "1", "--resources", "exclusive=1")
+    with scheduler_and_worker(tmp_path, *worker) as (address, scheduler):
+        watching = Watching(3, scheduler.kill)
+        run_campaign(suite, out, engine="dask", scheduler=address, progress=watching)
+    lost, remarks = accidents(out)
+    runs = load_results(out).runs
+    assert (
+        set(runs["outcome"]) == {"finished", "lost"} and lost == (runs["outcome"] == "lost").sum()
+    )
+    assert any("went away" in line and "same command" in line for line in remarks), remarks
+    assert not any("exclusive" in text for text in watching.said)
+    run_campaign(suite, out)
+    assert_same(out, undisturbed)
+
+
+def test_replays_beside_others_enter_no_ranking(suite: Path, tmp_path: Path) -> None:
+    """No worker offers its machine alone: it is said before, it stands in the rows, and nobody
+    ranks their times."""
+    watching = Watching(0, None)
+    given = {"engine": "dask", "steps": 6, "progress": watching, "solvers": ["daqp", "quadprog"]}
+    with scheduler_and_worker(tmp_path, "--nthreads", "2") as (address, _):
+        out = run_campaign(suite, tmp_path / "out", scheduler=address, **given)
+    (line,) = [text for text in watching.said if "exclusive" in text]
+    assert "no ranking" in line
+    results = load_results(out)
+    records = Records(results)
+    replays = records.select(mode="replay")
+    assert replays and all(run.concurrency == 2.0 for run in replays)
+    assert (results.runs.loc[results.runs["mode"] == "replay", "raw_max_ns"] > 0).all()
+    assert all(records.times(run) is None for run in replays)
+    assert all(math.isnan(run.raw_max_ns) for run in replays)
+
+
+def test_a_scheduler_that_does_not_answer_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit 2 within seconds, and no result folder is begun."""
+    out = tmp_path / "out"
+    words = ["run", "smoke", "--out", str(out), "--engine", "dask", "--scheduler"]
+    for address in ("tcp://127.0.0.1:1", "nowhere://x"):
+        assert main([*words, address]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith(f"dpbench: --scheduler: found {address}")
+    assert not out.exists()

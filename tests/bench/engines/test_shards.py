@@ -1,0 +1,134 @@
+"""Shards of a suite, run apart and gathered, are the suite."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from dpbench import load_results, run_campaign
+from dpbench.bench.engines.shards import SHARD_FILE, Shard
+from dpbench.bench.gather import gather
+from dpbench.bench.record.cell_store import CellStore
+from dpbench.cli.main import main
+from dpbench.errors import InputError
+from tests.bench.deterministic import assert_same
+
+pytestmark = pytest.mark.alone
+
+
+@pytest.fixture(scope="module")
+def shards(suite: Path) -> list[Path]:
+    """The folders of three shards."""
+    folders = [suite.parent / f"shard{i}" for i in (1, 2, 3)]
+    for i, folder in enumerate(folders, 1):
+        words = ["cells", str(suite), "--shard", f"{i}/3", "--out", str(folder)]
+        assert main(words) == 0
+    return folders
+
+
+@pytest.fixture
+def copies(shards: list[Path], tmp_path: Path) -> list[Path]:
+    """The same folders, to be damaged."""
+    return [Path(shutil.copytree(folder, tmp_path / folder.name)) for folder in shards]
+
+
+def test_gathered_shards_are_one_run(
+    shards: list[Path], undisturbed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each cell is in one shard, some in each; gathered they are what one run leaves."""
+    cells = [set(load_results(folder).runs["run_id"]) for folder in shards]
+    assert all(cells) and not (cells[0] & cells[1] | cells[0] & cells[2] | cells[1] & cells[2])
+    out = tmp_path / "out"
+    assert main(["gather", *map(str, shards), "--out", str(out), "--quiet"]) == 0
+    assert capsys.readouterr().err == ""
+    assert_same(out, undisturbed)
+    assert (out / "report.html").is_file()
+
+
+def test_what_is_missing_or_damaged_is_lost_and_can_be_run(
+    copies: list[Path], suite: Path, undisturbed: Path, tmp_path: Path
+) -> None:
+    """A shard that is not there and one whose steps are damaged cost their cells, charged to no
+    solver; the suite run into the folder completes them."""
+    damaged = CellStore(copies[0]).public.steps
+    data = bytearray(damaged.read_bytes())
+    data[: len(data) // 2] = bytes(len(data) // 2)
+    damaged.write_bytes(data)
+    there = len(load_results(copies[1]).runs)
+    out = gather(copies[:2], tmp_path / "out")
+    results = load_results(out)
+    assert (results.runs["outcome"] == "finished").sum() == there
+    assert set(results.runs["outcome"]) == {"finished", "lost"}
+    assert "shards that are not among them: 3/3" in results.suite["remarks"]
+    run_campaign(suite, out)
+    assert_same(out, undisturbed)
+
+
+def test_a_shard_that_was_killed_gives_what_it_finished(
+    copies: list[Path], undisturbed: Path, tmp_path: Path
+) -> None:
+    """Without tables and descriptions of its own, with its cells in a part or in the journal."""
+    public = CellStore(copies[2]).public
+    public.runs.rename(copies[2] / "cells" / "runs-00001.parquet")
+    public.steps.rename(copies[2] / "cells" / "steps-00001.parquet")
+    (copies[2] / "suite.json").unlink()
+    (copies[2] / "machine.json").unlink()
+    assert_same(gather(copies, tmp_path / "out"), undisturbed)
+
+
+def changed(folder: Path, **entries: object) -> None:
+    """A shard that says something else of itself."""
+    path = folder / SHARD_FILE
+    document = json.loads(path.read_text(encoding="utf-8"))
+    path.write_text(json.dumps(document | entries), encoding="utf-8")
+
+
+def test_what_does_not_belong_together_is_refused(
+    copies: list[Path], suite: Path, tmp_path: Path
+) -> None:
+    """Another plan, another version, another division, no shard at all; nothing is written."""
+    out = tmp_path / "out"
+    changed(copies[0], harness_version="0.0.9")
+    with pytest.raises(InputError, match=r"shard1 of dpbench 0\.0\.9"):
+        gather(copies, out)
+    changed(
+        copies[0],
+        harness_version=json.loads((copies[1] / SHARD_FILE).read_text())["harness_version"],
+    )
+    changed(copies[0], digest="0" * 16)
+    with pytest.raises(InputError, match="another choice of it"):
+        gather(copies, out)
+    with pytest.raises(InputError, match="changed since"):
+        gather(copies[:1], out)
+    changed(copies[1], shard={"index": 1, "count": 4})
+    with pytest.raises(InputError, match="shards of 3 and shards of 4"):
+        gather(copies[1:], out)
+    with pytest.raises(InputError, match="without a shard"):
+        gather([suite.parent / "undisturbed"], out)
+    assert not out.exists()
+
+
+def test_another_machine_is_kept_for_each_cell(copies: list[Path], tmp_path: Path) -> None:
+    """Cells of two machines stand in one table, each with its own."""
+    other = "ffffffffffff"
+    machine = json.loads((copies[1] / SHARD_FILE).read_text())["machine"]
+    public = CellStore(copies[1]).public
+    rows = public.rows().assign(machine_id=other)
+    public.write_runs(rows, public.steps)
+    changed(copies[1], machine=machine | {"id": other})
+    results = load_results(gather(copies, tmp_path / "out"))
+    assert results.runs["run_id"].is_unique and set(results.runs["outcome"]) == {"finished"}
+    counts = results.runs["machine_id"].value_counts()
+    assert counts[other] == len(rows) and set(counts.index) == {other, machine["id"]}
+    assert {one["id"] for one in (results.machine, *results.machine["others"])} == set(counts.index)
+    assert "2 kinds of machines" in results.suite["remarks"][0]
+
+
+@pytest.mark.parametrize("text", ["0/3", "4/3", "1", "a/b", "1/0"])
+def test_what_is_no_shard_is_refused(text: str) -> None:
+    """In one line that shows how one is written."""
+    with pytest.raises(InputError, match="1/4, with i from 1 to n"):
+        Shard.of_text(text)
