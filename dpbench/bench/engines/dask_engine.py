@@ -62,15 +62,24 @@ NOT_ALONE = (
 
 @dataclass(frozen=True, eq=False)
 class Chunk:
-    """Cells that are one task."""
+    """Cells that are one task.
+
+    suspect : whether workers died that had it; it is run with no other beside it then.
+    """
 
     kind: Kind
     jobs: list[CellJob]
+    suspect: bool = False
 
     @property
     def keys(self) -> list[str]:
         """Of the sources of their QPs."""
         return [*by_source(self.jobs)]
+
+    def suspects(self) -> list[Chunk]:
+        """What is to be run apart once workers died: replays of one sequence, or each cell."""
+        apart = [self.jobs] if self.kind == "replays" else [[job] for job in self.jobs]
+        return [Chunk(self.kind, jobs, suspect=True) for jobs in apart]
 
 
 def dask_engine(scheduler: str | None, workers: int) -> DaskEngine:
@@ -98,7 +107,7 @@ class DaskEngine(ExitStack):
         self.remarks: list[str] = []
         self._workers, self._where = workers, "on this machine"
         self._client: Any = None
-        self._gone: Outcome | None = None
+        self._gone: object = None
         token = uuid4().hex[:8]
         # Two campaigns may ask one scheduler for the same.
         self._names = (f"{i}-{token}" for i in count())
@@ -158,8 +167,8 @@ class DaskEngine(ExitStack):
             paths[futures[-1].key] = path
         for future in as_completed(futures, loop=self._client.loop):
             path, made = paths[future.key], self._answer(future)
-            if isinstance(made, Outcome):
-                made = Made(made)
+            if not isinstance(made, Made):
+                made = Made(self._lost(made))
             if made.data:
                 part = path.with_name(f"{path.name}.part")
                 part.write_bytes(made.data)
@@ -181,24 +190,35 @@ class DaskEngine(ExitStack):
         ]
 
     def _in_flight(self, chunks: Sequence[Chunk]) -> Iterator[Result]:
-        """Give chunks away, some at a time; yields the results of each when it has come back."""
-        waiting, away = deque(chunks), dict[str, Chunk]()
+        """Give chunks away, some at a time; yields the results of each when it has come back.
+
+        Whoever was on its way to a worker that died is as suspect as what ran there, so that these
+        are run once more at the end, one by one: what kills then is known.
+        """
+        waiting, suspects, away = deque(chunks), deque[Chunk](), dict[str, Chunk]()
         completed = as_completed(loop=self._client.loop)
 
-        def give_away(most: int) -> None:
-            for _ in range(0 if self._gone else min(most, len(waiting))):
-                chunk = waiting.popleft()
+        def give_away() -> None:
+            while not self._gone and len(away) < AHEAD * self._fleet.slots:
+                if not waiting and (away or not suspects):
+                    return
+                chunk = (waiting or suspects).popleft()
                 future = self._task(chunk)
                 away[future.key] = chunk
                 completed.add(future)
 
-        give_away(AHEAD * self._fleet.slots)
+        give_away()
         for future in completed:
-            chunk = away.pop(future.key)
-            yield from self._results(chunk, self._answer(future))
+            chunk, answer = away.pop(future.key), self._answer(future)
+            if isinstance(answer, KilledWorker) and not chunk.suspect:
+                apart = chunk.suspects()
+                suspects += apart
+                self._uses.update(key for one in apart for key in one.keys)
+                answer = []
+            yield from self._results(chunk, answer)
             future.release()
-            give_away(1)
-        for chunk in waiting:
+            give_away()
+        for chunk in (*waiting, *suspects):
             yield from self._results(chunk, self._gone)
 
     def _results(self, chunk: Chunk, answer: Any) -> Iterator[Result]:
@@ -208,28 +228,32 @@ class DaskEngine(ExitStack):
             if not self._uses[key] and key in self._kept:
                 self._kept.pop(key).release()
         cells = {job.run_id: job.cell for job in chunk.jobs}
-        if isinstance(answer, Outcome):
-            answer = [Result(run_id, answer) for run_id in cells]
+        if not isinstance(answer, list):
+            lost = self._lost(answer)
+            answer = [Result(run_id, lost) for run_id in cells]
         for result in answer:
             cell = cells[result.run_id]
             self._progress.advance(work_of(cell), name_of(cell))
             yield result
 
     def _answer(self, future: Future) -> Any:
-        """What a task returned, or what became of it: its cells are lost, whoever failed."""
+        """What a task returned, or what it raised."""
         try:
             return future.result()
-        except CancelledError:
+        except CancelledError as error:
             # Nobody else lets a task go: it went with the scheduler.
-            self._gone = Outcome("lost", f"the scheduler {self._where} went away")
-            return self._gone
-        except KilledWorker as error:
-            times = error.allowed_failures + 1
-            return Outcome(
-                "lost", f"{times} workers that ran it died, the last {error.last_worker}"
-            )
+            self._gone = error
+            return error
         except Exception as error:  # whatever a cluster raises costs these cells and no others
-            return Outcome("lost", f"its worker failed: {type(error).__name__}: {error}"[:300])
+            return error
+
+    def _lost(self, error: object) -> Outcome:
+        """What became of cells that have no answer: they are lost, whoever failed."""
+        if isinstance(error, CancelledError):
+            return Outcome("lost", f"the scheduler {self._where} went away")
+        if isinstance(error, KilledWorker):
+            return Outcome("lost", "every worker that it was given to died")
+        return Outcome("lost", f"its worker failed: {type(error).__name__}: {error}"[:300])
 
     def _task(self, chunk: Chunk) -> Future:
         """A chunk on its way."""

@@ -132,7 +132,7 @@ def test_a_worker_that_is_killed_costs_no_cell_unless_its_cells_do_it_again(
     assert outcomes == {"admm": {"finished" if once else "lost"}, "quadprog": {"finished"}}
     if not once:
         details = runs.loc[runs["solver"] == "admm", "outcome_detail"]
-        assert details.str.contains("workers that ran it died").all(), set(details)
+        assert details.str.contains("every worker that it was given to died").all(), set(details)
 
 
 KILLED = """
