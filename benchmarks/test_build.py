@@ -13,6 +13,8 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from dpbench import load_scenario
+from dpbench.bench.run.exact_loop import base_problem
+from dpbench.bench.run.formulation import Box
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.mpc.condense import ControlProblem, affine_map, condense_matrices
 from dpbench.mpc.condensed_qp import CondensedQP
@@ -132,6 +134,14 @@ def test_emit(
     x, y_ref, u_prev = np.full(9, 0.1), np.zeros(3), np.ones(3)
     exactly(lambda: builder.emit(x, y_ref, u_prev), rows=builder.A.shape[0])
     benchmark(builder.emit, x, y_ref, u_prev)
+
+
+@pytest.mark.benchmark(group="emit one step")
+def test_emit_as_timed(benchmark: BenchmarkFixture, scenario: Scenario) -> None:
+    """What `emit_ns` is of: the QP of a step, in the formulation that the solver gets."""
+    builder = QPBuilder(scenario)
+    box, x, u_prev = Box(base_problem(builder.condensed)), np.full(9, 0.1), np.ones(3)
+    benchmark(lambda: box.step(builder.emit(0, x, u_prev)))
 
 
 @pytest.mark.benchmark(group="emit one step")
