@@ -22,7 +22,7 @@ from dpbench.solvers.calibration import CALIBRATION
 class Records:
     """The records of one result folder, asked by question.
 
-    `all_runs`: each row is one of `runs`, which are about the ship, of `slowed`, closed loops on a
+    `all_runs`: each row is one of `runs`, which are about the ship, of `delayed`, closed loops on a
     slow computer, of `random`, which have no ship, of `consequence`, which ask whether a loss could
     be held, of `at_edge`, static allocations around a capability plot, of `study`, which steer one
     scenario at many points, or of another formulation than the common one of its problem; what is
