@@ -3,15 +3,20 @@
 In memory where that can be, so that no write-back of a disk disturbs a step. A container has some
 64 MB of it where the replays of a suite can need 200, so the room is computed beforehand, and the
 next place is taken where it is short.
+
+A folder is locked (flock) as long as a process of its campaign lives. What a killed one has left is
+locked by nobody, and goes when the next one looks for room.
 """
 
 from __future__ import annotations
 
+import fcntl
 import os
+import shutil
 import sys
 import tempfile
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import psutil
@@ -22,22 +27,54 @@ MEMORY = Path("/dev/shm")
 """The file system in memory that every Linux has, of whatever size."""
 MARGIN_BYTES = 2**21
 """For what lies beside the logs: verdicts, and what libraries print."""
+PREFIX = "dpbench-scratch-"
+"""What names of scratch folders begin with, and no other."""
 
 
 class NoRoomError(DpbenchError):
     """No place has room enough."""
 
 
-def scratch_folder(place: Path | None = None) -> tempfile.TemporaryDirectory[str]:
+@contextmanager
+def scratch_folder(place: Path | None = None) -> Iterator[Path]:
     """A folder for what processes leave behind until it is kept; in memory where that can be."""
-    if place is None and os.access(MEMORY, os.W_OK):
-        place = MEMORY
-    return tempfile.TemporaryDirectory(
+    if place is None:
+        place = MEMORY if os.access(MEMORY, os.W_OK) else Path(tempfile.gettempdir())
+    clear_abandoned(place)
+    # Nobody looks for this name: it gets the other when it is locked.
+    made = Path(tempfile.mkdtemp(prefix=f".{PREFIX}", dir=place))
+    lock = _locked(made)
+    folder = made.rename(made.with_name(made.name.removeprefix(".")))
+    try:
+        yield folder
+    finally:
         # A worker that was interrupted as well may write its last file while the folder goes.
-        ignore_cleanup_errors=True,
-        prefix="dpbench-",
-        dir=place,
-    )
+        shutil.rmtree(folder, ignore_errors=True)
+        if lock is not None:
+            os.close(lock)
+
+
+def clear_abandoned(place: Path) -> None:
+    """Remove the scratch folders at a place whose campaign lives no more."""
+    for folder in place.glob(f"{PREFIX}*"):
+        lock = _locked(folder)
+        if lock is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+            os.close(lock)
+
+
+def _locked(folder: Path) -> int | None:
+    """The lock of a folder, held until it is closed or this process and its children end; None
+    where another holds it, where it is another user's, or where the disk knows no locks."""
+    with suppress(OSError):
+        lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(lock)
+            raise
+        return lock
+    return None
 
 
 def free_bytes(place: Path) -> int:
@@ -59,6 +96,8 @@ class Scratch(ExitStack):
     def __init__(self, beside: Path) -> None:
         super().__init__()
         self._places = _apart([MEMORY, Path(tempfile.gettempdir()), beside])
+        for place in self._places:
+            clear_abandoned(place)
         self._made: dict[Path, Path] = {}
         self._elsewhere: dict[Path, list[tuple[int, str]]] = {}
 
@@ -97,7 +136,7 @@ class Scratch(ExitStack):
 
     def _folder(self, place: Path) -> Path:
         if place not in self._made:
-            self._made[place] = Path(self.enter_context(scratch_folder(place)))
+            self._made[place] = self.enter_context(scratch_folder(place))
         return self._made[place]
 
 

@@ -142,7 +142,7 @@ def find_worst_case(
         context = template_context([solver])
         with (
             scratch_folder() as folder,
-            closing(SearchedSolver(context, Path(folder), cell)) as solver_process,
+            closing(SearchedSolver(context, folder, cell)) as solver_process,
         ):
             search = Search(solver_process, space, goal, budget, progress or Silent())
             search.run(base, seed)
