@@ -1,7 +1,7 @@
 """A result folder as it is sent to others: `results/community/`.
 
-The page without its scripts, the runs, machine and suite, and who ran them how. The steps stay at
-home: they are a hundred times as large.
+The page without its scripts, the runs, machine and suite, capability plots where there are any, and
+who ran them how. The steps stay at home: they are a hundred times as large.
 """
 
 from __future__ import annotations
@@ -14,15 +14,18 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, StringConstraints
 
+from dpbench.bench.capability.table import CAPABILITY_FILE, load_capability
 from dpbench.bench.record.result_folder import Results, load_results, read_json
 from dpbench.errors import InputError, ResultsError
 from dpbench.report.formats import and_list, plural
 from dpbench.scenario.problem_files import read_model
 
 COPIED = ("runs.parquet", "machine.json", "suite.json")
+WHERE_THERE = (CAPABILITY_FILE,)
+"""Copied of the suites that have it."""
 PAGE, SENDER = "report.html", "sender.toml"
 SENT = (PAGE, *COPIED, SENDER)
-"""All files of a folder that is sent."""
+"""The files of every folder that is sent."""
 MOST_BYTES = 1_000_000
 """Everybody who clones the repository gets every folder."""
 _Words = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
@@ -66,7 +69,9 @@ def prepare(folder: Path, target: Path) -> None:
     if strangers:
         raise InputError("--send", "", f"{target} with {strangers[0]}", allowed)
     target.mkdir(parents=True, exist_ok=True)
-    for name in COPIED:
+    for name in WHERE_THERE:
+        (target / name).unlink(missing_ok=True)
+    for name in _copied(folder):
         shutil.copyfile(folder / name, target / name)
     started = str(read_json(folder / "suite.json").get("started_utc", ""))[:10]
     if not (target / SENDER).exists():
@@ -86,11 +91,14 @@ def check_sent(folder: Path) -> str:
     where = str(folder)
     strangers = _strangers(folder)
     if strangers:
-        raise ResultsError(f"{where}/{strangers[0]}", "", "a file", f"only {and_list(list(SENT))}")
+        raise ResultsError(
+            f"{where}/{strangers[0]}", "", "a file", f"only {and_list([*SENT, *WHERE_THERE])}"
+        )
     sender = read_model(_there(folder / SENDER), Sender)
+    load_capability(folder)
     _check_runs(folder, results)
     _check_page(folder)
-    size = sum((folder / name).stat().st_size for name in SENT)
+    size = sum(path.stat().st_size for path in folder.iterdir())
     if size > MOST_BYTES:
         raise ResultsError(where, "", f"{size} bytes", f"at most {MOST_BYTES} in all")
     solvers = plural(results.runs["solver"].nunique(), "solver")
@@ -102,7 +110,13 @@ def check_sent(folder: Path) -> str:
 
 
 def _strangers(folder: Path) -> list[str]:
-    return sorted(path.name for path in folder.iterdir() if path.name not in SENT)
+    allowed = (*SENT, *WHERE_THERE)
+    return sorted(path.name for path in folder.iterdir() if path.name not in allowed)
+
+
+def _copied(folder: Path) -> list[str]:
+    """What of a folder goes along."""
+    return [*COPIED, *(name for name in WHERE_THERE if (folder / name).exists())]
 
 
 def _there(path: Path) -> Path:
@@ -129,7 +143,7 @@ def _check_runs(folder: Path, results: Results) -> None:
 def _check_page(folder: Path) -> None:
     """The page names the very files beside it, by their hashes."""
     page = _there(folder / PAGE).read_text(encoding="utf-8", errors="replace")
-    for name in COPIED:
+    for name in _copied(folder):
         if hashlib.sha256((folder / name).read_bytes()).hexdigest() not in page:
             allowed = "the page of these files: `dpbench report DIR --send FOLDER`"
             raise ResultsError(str(folder / PAGE), "", f"a page of another {name}", allowed)

@@ -11,7 +11,14 @@ from typing import Any
 import pandas as pd
 import pytest
 
+from dpbench.bench.capability.table import (
+    CAPABILITY_FILE,
+    COLUMNS,
+    load_capability,
+    write_capability,
+)
 from dpbench.cli.main import main
+from dpbench.errors import ResultsError
 from dpbench.report.documents.sent import MOST_BYTES, SENDER, SENT, check_sent
 
 COMMUNITY = Path(__file__).parents[3] / "results" / "community"
@@ -49,6 +56,26 @@ def test_what_is_sent_is_whole_and_small(sent: Path, capsys: Any) -> None:
     assert main(["check", str(sent)]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "4 runs of 2 solvers" in said and "by Ada, 2026-11-22" in said
+
+
+def test_capability_plots_go_along(records: Any, tmp_path: Path) -> None:
+    """The page names the file by its hash, and is written again from what was sent; another file in
+    its place, or none, is found out."""
+    records.loop("daqp", steps=20)
+    out, folder = records.write(tmp_path / "out"), tmp_path / "folder"
+    row = ("plot", 0, "psv", 8, "intact", "", 0.0, 20.0, True, 20.0, 7)
+    write_capability(out, [{name: [value] for name, value in zip(COLUMNS, row, strict=True)}])
+    assert main(["report", str(out), "--send", str(folder), "--quiet"]) == 0
+    (folder / SENDER).write_text(SIGNED, encoding="utf-8")
+    assert (folder / CAPABILITY_FILE).read_bytes() == (out / CAPABILITY_FILE).read_bytes()
+    assert 'id="capability"' in (folder / "report.html").read_text("utf-8")
+    check_sent(folder)
+    load_capability(folder).assign(wind_mps=30.0).to_parquet(folder / CAPABILITY_FILE)
+    with pytest.raises(ResultsError, match=r"a page of another capability\.parquet"):
+        check_sent(folder)
+    (out / CAPABILITY_FILE).unlink()
+    assert main(["report", str(out), "--send", str(folder), "--quiet"]) == 0
+    assert not (folder / CAPABILITY_FILE).exists()
 
 
 def test_sending_again_keeps_the_signature(written: Any, copy: Path, tmp_path: Path) -> None:
