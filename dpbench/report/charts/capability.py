@@ -8,6 +8,7 @@ from typing import Any
 import altair as alt
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from dpbench.report.charts.style import (
     GRID,
@@ -29,8 +30,10 @@ SIZE = 380
 _OUTER = max(wind for wind, *_ in DP_CONDITIONS.values())
 _RINGS = (3, 5, 6, 7, 8, 9, 10, 11)
 """DP capability numbers whose winds are drawn as rings; below they lie too close."""
-_LABELS_DEG = 75.0
-"""Direction along which the rings are named, between two spokes."""
+_BETWEEN_DEG = np.arange(15.0, 360.0, 30.0)
+"""Directions between two spokes: the rings are named along one of them."""
+_CLEAR_MPS = 1.8
+"""A line nearer than this to a ring touches its name."""
 
 
 def rose(table: pd.DataFrame, title: str) -> Any:
@@ -58,16 +61,17 @@ def rose(table: pd.DataFrame, title: str) -> Any:
         )
     )
     points = _points(closed, x, y)
-    web = [_rings(x, y), _spokes(x, y), _ring_names(x, y), _bearings(x, y)]
+    web = [_rings(x, y), _spokes(x, y), *_ring_names(x, y, closed), _bearings(x, y)]
     about = (
         "Largest wind held from each direction, intact and after each failure; rings: the winds of "
         "DP capability numbers."
     )
     layers = alt.layer(*web, lines, *points, width=SIZE, height=SIZE)
     chart = styled(layers, title, about)
-    chart.title.subtitle = (
-        "by where wind, waves and current come from; rings: DP capability numbers"
-    )
+    chart.title.subtitle = [
+        "by where wind, waves and current come from;",
+        "rings: DP capability numbers",
+    ]
     chart.title.subtitleColor = SOFT
     return chart
 
@@ -125,17 +129,36 @@ def _spokes(x: alt.X, y: alt.Y) -> Any:
     return chart.encode(x=x, y=y, detail="spoke:N")
 
 
-def _ring_names(x: alt.X, y: alt.Y) -> Any:
-    names = [{**_at(DP_CONDITIONS[n][0], _LABELS_DEG), "name": f"{n}"} for n in _RINGS]
-    chart = alt.Chart(pd.DataFrame(names)).mark_text(color=SOFT, fontSize=10)
-    return chart.encode(x=x, y=y, text="name:N")
+def _ring_names(x: alt.X, y: alt.Y, closed: pd.DataFrame) -> tuple[Any, Any]:
+    """The number of each ring, clear of the lines, on a patch of the paper."""
+    winds = [DP_CONDITIONS[n][0] for n in _RINGS]
+    places = zip(_RINGS, winds, _clear_deg(closed, np.array(winds)), strict=True)
+    names = [{**_at(wind, from_deg), "name": f"{n}"} for n, wind, from_deg in places]
+    text = alt.Chart(pd.DataFrame(names)).encode(x=x, y=y, text="name:N")
+    patch = text.mark_text(fontSize=12, stroke=PAPER, strokeWidth=4)
+    return patch, text.mark_text(fontSize=12, color=SOFT)
+
+
+def _clear_deg(closed: pd.DataFrame, winds: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where each ring (R,) is named: along the one direction between spokes in which the lines keep
+    off most rings, and a ring that they do not keep off there in the direction best for itself."""
+    held = np.array(
+        [
+            np.interp(_BETWEEN_DEG, case["from_deg"], case["wind_mps"], period=360.0)
+            for _, case in closed.groupby("case", sort=False)
+        ]
+    )
+    gaps = np.abs(held[:, :, None] - winds).min(axis=0)
+    common = np.argmax((gaps > _CLEAR_MPS).sum(axis=1))
+    own = np.where(gaps[common] > _CLEAR_MPS, common, np.argmax(gaps, axis=0))
+    return _BETWEEN_DEG[own]
 
 
 def _bearings(x: alt.X, y: alt.Y) -> Any:
     bearings = [
         {**_at(1.07 * _OUTER, from_deg), "name": f"{from_deg}°"} for from_deg in range(0, 360, 30)
     ]
-    chart = alt.Chart(pd.DataFrame(bearings)).mark_text(color=INK, fontSize=11)
+    chart = alt.Chart(pd.DataFrame(bearings)).mark_text(color=INK, fontSize=12)
     return chart.encode(x=x, y=y, text="name:N")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,20 @@ def test_ahead_is_up_and_starboard_to_the_right(chart: Any) -> None:
     }
     assert places == {0.0: (0, 30), 90.0: (15, 0), 180.0: (0, -25), 270.0: (-15, 0)}
     assert points[0]["x"] == points[4]["x"] and points[0]["y"] == points[4]["y"]
+
+
+def test_rings_are_named_where_no_line_runs(chart: Any) -> None:
+    """A line through one of the rings at each direction but one."""
+    clear, rows = 135.0, []
+    for from_deg in range(0, 360, 15):
+        wind = 32.6 if from_deg != clear else 30.5
+        rows.append(("intact", float(from_deg), wind, 7))
+    specification = rose(pd.DataFrame(rows, columns=list(COLUMNS)), "Some ship").to_dict()
+    tables = specification["datasets"].values()
+    names = next(
+        table for table in tables if set(table[0]) == {"x", "y", "name"} and table[0]["name"] == "3"
+    )
+    assert {round(math.degrees(math.atan2(row["x"], row["y"])), 6) for row in names} == {clear}
 
 
 def test_points_with_untrue_claims_are_hollow() -> None:
