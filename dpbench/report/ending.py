@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dpbench.analysis.times.machine import delayed_runs, disturbance_of, timed_runs
-from dpbench.report.machine_verdict import calibration_text, verdict_text
+from dpbench.report.machine_verdict import calibration_medians, calibration_text, verdict_text
 from dpbench.report.page.answer import Answer
 from dpbench.report.page.facts import Facts
 from dpbench.report.page.topic import Topic
@@ -32,7 +32,6 @@ def ending(facts: Facts, answer: Answer, topics: Sequence[Topic]) -> list[tuple[
     disturbance = disturbance_of(timed_runs(records) or delayed_runs(records))
     if disturbance.seconds > 0:
         rows.append(("machine", f"{verdict_text(disturbance)}."))
-    timed = {run.solver: run.raw_p50_ns for run in records.calibration if run.has_steps}
-    if timed:
-        rows.append(("harness", f"{calibration_text(timed)}."))
+    if medians := calibration_medians(records.calibration):
+        rows.append(("harness", f"{calibration_text(medians)}."))
     return rows

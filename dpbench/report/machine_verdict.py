@@ -26,6 +26,16 @@ def verdict_text(disturbance: Disturbance) -> str:
     return f"disturbed: {and_list(complaints)}" if complaints else "quiet"
 
 
+def calibration_medians(calibration: Sequence[RunRecord]) -> dict[str, float]:
+    """Of each of the harness's own solvers the median [ns] of the samples of the rounds that count,
+    the largest of its replays."""
+    medians: dict[str, float] = {}
+    for run in calibration:
+        if not isnan(run.raw_p50_ns):
+            medians[run.solver] = max(run.raw_p50_ns, medians.get(run.solver, 0.0))
+    return medians
+
+
 def calibration_text(p50_ns: dict[str, float]) -> str:
     """What the harness's own solvers say, from the median of each [ns]."""
     missed = [name for name, p50 in p50_ns.items() if within_bar(name, p50) is False]

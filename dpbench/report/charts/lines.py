@@ -74,7 +74,10 @@ def dots(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
     """
     low, high = 0.6 * table[["x", "y"]].min().min(), 1.6 * table[["x", "y"]].max().max()
     scale = log_scale(domain=[low, high])
-    line = alike(low, high, alt.X("x:Q", title=x, scale=scale), alt.Y("y:Q", title=y, scale=scale))
+    # Between decades the names of ticks would touch.
+    decades = alt.Axis(values=[10.0**e for e in range(-3, 7)], format="~g")
+    looks: dict[str, Any] = {"scale": scale, "axis": decades}
+    line = alike(low, high, alt.X("x:Q", title=x, **looks), alt.Y("y:Q", title=y, **looks))
     points = (
         alt.Chart(table)
         .mark_point(filled=True, size=70, color=PALETTE[0], opacity=1)

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.times.machine import delayed_runs, disturbance_of, round_spread, timed_runs
-from dpbench.bench.judge.calibration import within_bar
+from dpbench.bench.judge.calibration import off_by_ns, within_bar
 from dpbench.bench.record.disturbance import Disturbance
 from dpbench.report.charts.lines import dots
 from dpbench.report.formats import and_list, count_text, plural, share_text, significant
 from dpbench.report.machine_verdict import (
+    calibration_medians,
     disturbance_facts,
     machine_facts,
     own_switches,
@@ -50,19 +51,23 @@ def _spread(records: Records) -> list[str]:
     ]
 
 
-def _waits_text(asked: Sequence[tuple[str, float, float]]) -> str:
-    """Whether waits of known length [µs] were measured right, and what follows where not."""
-    known = {name: us for name, us, _ in asked}
-    longest = {name: max(p50 for n, _, p50 in asked if n == name) for name in known}
-    missed = [name for name in known if within_bar(name, 1e3 * longest[name]) is False]
-    below = f" Below {min(known.values()):g} µs, the shortest wait, nothing was checked."
+def _waits_text(measured: Mapping[str, float]) -> str:
+    """Whether waits of known length were measured right, and what follows where not.
+
+    Parameters
+    ----------
+    measured : median of each [ns].
+    """
+    shortest = min(WAITS_NS[name] for name in measured) / 1e3
+    below = f" Below {shortest:g} µs, the shortest wait, nothing was checked."
+    missed = {n: p50 for n, p50 in measured.items() if within_bar(n, p50) is False}
     if not missed:
         return f"Waits of known length were measured within 1 µs or 1 %.{below}"
-    said = [f"{known[name]:g} µs as {longest[name]:.1f} µs" for name in missed]
-    worst = max(abs(longest[name] / known[name] - 1.0) for name in missed)
+    said = [f"{WAITS_NS[n] / 1e3:g} µs as {p50 / 1e3:.1f} µs" for n, p50 in missed.items()]
+    worst = max(abs(off_by_ns(n, p50)) / WAITS_NS[n] for n, p50 in missed.items())
     return (
-        f"Waits of known length: {and_list(said)} (p50 of all samples), so absolute times of that "
-        f"length are known to {share_text(worst)}.{below}"
+        f"Waits of known length: {and_list(said)} (p50 of the samples that count, the largest of "
+        f"its replays), so absolute times of that length are known to {share_text(worst)}.{below}"
     )
 
 
@@ -92,20 +97,16 @@ def trust_topic(records: Records) -> Topic | None:
     """The topic; None where nothing was timed."""
     timed = timed_runs(records) or delayed_runs(records)
     disturbance = disturbance_of(timed)
-    asked = [
-        (run.solver, WAITS_NS[run.solver] / 1e3, run.raw_p50_ns / 1e3)
-        for run in records.calibration
-        if run.solver in WAITS_NS and math.isfinite(run.raw_p50_ns)
-    ]
-    if not disturbance.seconds > 0 and not asked:
+    medians = calibration_medians(records.calibration)
+    waits = {name: p50_ns for name, p50_ns in medians.items() if name in WAITS_NS}
+    if not disturbance.seconds > 0 and not waits:
         return None
     lines = _spread(records)
     figures = []
-    if asked:
-        lines.append(_waits_text(asked))
-        table = (
-            pd.DataFrame(asked, columns=["name", "x", "y"]).groupby("name", as_index=False).max()
-        )
+    if waits:
+        lines.append(_waits_text(waits))
+        asked = [(name, WAITS_NS[name] / 1e3, p50_ns / 1e3) for name, p50_ns in waits.items()]
+        table = pd.DataFrame(asked, columns=["name", "x", "y"])
         chart = dots(table, "Waits of known length", "asked [µs]", "p50 of samples [µs]")
         figures.append(Figure("calibration", chart, "Asked and measured."))
     if disturbance.seconds > 0:
