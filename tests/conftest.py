@@ -138,6 +138,7 @@ class MadeRecords:
             "generic_build": False,
             "scenario": scenario,
             "sequence": "",
+            "study": "",
             "route": "qpsolvers",
             "policy": "fresh",
             "settings": "default",
@@ -214,6 +215,17 @@ class MadeRecords:
         row = self._row("closed_loop", solver, scenario, figures | columns)
         if done:
             self._steps.append(self._loop_steps(row, done, error, tail_m))
+
+    def sea(
+        self, solver: str, point: int, replicate: int, x: Mapping[str, float], **columns: Any
+    ) -> None:
+        """A loop of the study `seas`, at a point with these values of its keys; `columns` and what
+        else `loop` takes."""
+        self.suite.setdefault("study", [{"base": "paper", "name": "seas", "radius_m": 1.0}])
+        of_study = {"name": "seas", "point": point, "replicate": replicate, "x": dict(x)}
+        cell = {"scenario": self.scenario("paper").files, "study": of_study}
+        named = {"study": "seas", "study_point": point, "replicate": replicate}
+        self.loop(solver, steps=40, cell=json.dumps(cell), **named, **columns)
 
     def _loop_steps(
         self, row: dict[str, Any], done: int, error: float, tail_m: float

@@ -25,7 +25,8 @@ TABLES = {
     "verdicts": "Every configuration, held against the demand over all its runs.",
     "places": "Every solver in every place at every settings level, in the way it is judged by: "
     "the tiles of the page.",
-    "hard_steps": "The five hardest steps of every run, by time, iterations and error.",
+    "hard_steps": "The five hardest steps of every run outside studies, by time, iterations and "
+    "error.",
     "ladder": "The best configuration of every solver that was timed, the fastest p99 first.",
     "paired_ratios": "How many times as long these take as the first of them, step by step.",
 }
@@ -154,8 +155,12 @@ def _verdicts(facts: Facts, answer: Answer) -> pd.DataFrame:
 
 
 def _hard_steps(facts: Facts) -> pd.DataFrame:
-    """The five hardest steps of every run by each measure."""
-    labels = {run.run_id: facts.configurations[c].label for (c, _), run in facts.runs.items()}
+    """The five hardest steps of every run outside studies by each measure."""
+    labels = {
+        run.run_id: facts.configurations[c].label
+        for (c, p), run in facts.runs.items()
+        if not facts.places[p].study
+    }
     rows = [
         {
             "run_id": run_id,

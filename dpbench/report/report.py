@@ -53,7 +53,7 @@ class Report:
         if named not in {v.configuration.solver for v in facts.verdicts.all if v.steps}:
             named = None  # a part of the suite was run, without it
         answer = answer_of(facts, results.machine, baseline or named)
-        topics = topics_of(records, facts.verdicts, designs, capability)
+        topics = topics_of(records, facts.verdicts, designs, capability, facts.studies)
         return cls(results, facts, answer, topics)
 
     @cached_property

@@ -9,6 +9,11 @@ import pytest
 from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.report.report import Report
 from dpbench.report.write import report_and_ending
+from tests.conftest import MadeRecords
+
+HEIGHTS, OFFSETS, SEAS = (1.0, 2.0, 3.5), (0.0, 3.0), 4
+LOOSE = "1e-1"
+"""The settings of osqp that lose a ship in the highest of those seas, in all but the first."""
 
 
 class Written:
@@ -27,3 +32,28 @@ class Written:
 def written(campaign: Path) -> Written:
     """The report of a campaign like the standard one."""
     return Written(campaign)
+
+
+def of_seas(records: MadeRecords) -> MadeRecords:
+    """A study over wave height and offset, three configurations in four seas at each point."""
+    for point, (hs, east) in enumerate((hs, east) for hs in HEIGHTS for east in OFFSETS):
+        for replicate in range(1, SEAS + 1):
+            sea_m = 0.1 * hs + 0.01 * replicate
+            for solver, settings, more in (
+                ("daqp", "default", 0.0),
+                ("osqp", "default", 2e-3 * replicate),
+                ("osqp", LOOSE, 0.02 * hs + 1e-3 * replicate),
+            ):
+                lost = settings == LOOSE and hs == max(HEIGHTS) and replicate > 1
+                records.sea(
+                    solver,
+                    point,
+                    replicate,
+                    {"waves.hs_m": hs, "start.east_m": east},
+                    settings=settings,
+                    r_95_m=sea_m + more,
+                    tail_m=1.5 if lost else 2.0 * (sea_m + more),
+                    closed_loop_cost=100.0 * (1.0 + more),
+                    exact_cost=100.0,
+                )
+    return records

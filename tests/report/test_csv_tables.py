@@ -12,8 +12,10 @@ import pytest
 
 from dpbench.analysis.records.counting_rows import counting_of
 from dpbench.analysis.records.run_steps import run_steps
-from dpbench.report.csv_tables import TABLES
+from dpbench.report.csv_tables import TABLES, tables_of
 from dpbench.report.page.answer import Answer
+from dpbench.report.page.topic import SmallTable, Topic
+from dpbench.report.report import Report
 from dpbench.report.write import write_report
 
 
@@ -79,6 +81,18 @@ def test_every_place_and_level_of_a_solver_has_a_row(written: Any) -> None:
     assert len(table) == solvers * levels * len(facts.places)
     for row in table.to_dict("records"):
         assert row["state"] == facts.state(int(row["id"]), int(row["place_id"]))
+
+
+def test_a_table_that_the_page_cuts_is_whole_in_its_file(records: Any, tmp_path: Path) -> None:
+    """Once, with every row; the page has the first of them."""
+    rows = tuple((str(i),) for i in range(9))
+    topic = Topic("some", "Some", tables=(SmallTable(("i",), rows, shown=4),))
+    records.loop("daqp", steps=20)
+    report = Report.of(records.results())
+    tables = tables_of(report.results, report.facts, report.answer, [topic])
+    assert tables["some"]["i"].tolist() == [row[0] for row in rows]
+    assert "some_2" not in tables
+    assert topic.tables[0].on_page.rows == rows[:4]
 
 
 @pytest.mark.slow

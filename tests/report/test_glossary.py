@@ -14,6 +14,7 @@ from rich.console import Console
 from dpbench.analysis.compare.answers import DONE, Answer
 from dpbench.analysis.compare.evidence import Verdict as Compared
 from dpbench.analysis.suites.consequence import BatchAnswers
+from dpbench.analysis.suites.study import studies
 from dpbench.analysis.verdict.verdict import Outcome as Verdict
 from dpbench.bench.plan.suite import FormulationName, RouteName
 from dpbench.bench.record.cell import OUTCOMES, Cell, Fallback, Formulation, Units
@@ -27,10 +28,13 @@ from dpbench.report.compare.tables import answers_table, solvers_table, times_ta
 from dpbench.report.ending import BESIDE, TERMINAL_NOTES
 from dpbench.report.glossary import as_markdown, meanings, topics
 from dpbench.report.table import Table
+from dpbench.report.topics.study import study_topic
 from dpbench.report.topics.thrusters.consequence import row_of
+from dpbench.report.topics.thrusters.thrusters import HEAD as THRUSTER_HEADS
 from dpbench.scenario.scenario import load_vessel
 from dpbench.solvers.record import POLICIES
 from dpbench.solvers.settings import LEVELS
+from tests.report.conftest import of_seas
 
 CHANGED = Answer(
     SimpleNamespace(label="daqp", a=SimpleNamespace(mode="replay", problem="paper")),
@@ -135,6 +139,15 @@ def test_every_head_of_a_consequence_analysis_is_explained() -> None:
     heads = set(row_of(answers, [True]))
     assert len(heads) == 9
     assert heads <= _spoken()
+
+
+def test_every_head_of_a_study_and_of_thrusters_is_explained(records: Any) -> None:
+    """Which the page above has not; without the unit."""
+    topic = study_topic(studies(of_seas(records).view()))
+    assert topic is not None
+    heads = {re.sub(r" \[.*\]$", "", head) for table in topic.tables for head in table.head}
+    assert len(heads) > 8
+    assert {*heads, *THRUSTER_HEADS} <= _spoken()
 
 
 def test_a_word_that_is_not_explained_would_be_found() -> None:

@@ -177,6 +177,7 @@ class Study:
         self.name, self.radius_m = name, radius_m
         rows = [
             {
+                "run_id": run.run_id,
                 "configuration": run.name,
                 "solver": run.solver,
                 "settings": run.settings,
@@ -185,6 +186,7 @@ class Study:
                 "finished": run.outcome == "finished",
                 "held": run.outcome == "finished" and run.r_tail_max_m <= radius_m,
                 "r_95_m": run.r_95_m,
+                "r_tail_max_m": run.r_tail_max_m,
                 "cost": run.closed_loop_cost,
                 "over_exact": run.closed_loop_cost / run.exact_cost - 1.0,
                 "baseline_law": run.is_baseline_law,
@@ -192,7 +194,8 @@ class Study:
             for run in runs
         ]
         self.runs = pd.DataFrame(rows)
-        """A row a run: configuration, point, replicate, whether it ended and held, its errors."""
+        """A row a run: run_id, configuration, point, replicate, whether it ended and held, its
+        errors."""
         points = {int(run.study_point): dict(run.x) for run in runs}
         self.points = pd.DataFrame.from_dict(points, orient="index").sort_index()
         """The values of the keys (columns) at each point (index)."""

@@ -14,12 +14,14 @@ from dpbench.report.charts.style import (
     LINE,
     OUTCOME_COLOURS,
     OUTCOME_SHAPES,
+    ROW_STEP,
     SOFT,
     coloured,
     log_scale,
     names_scale,
     narrow,
     picking,
+    row_names,
     styled,
     tip,
 )
@@ -28,10 +30,10 @@ COLUMNS = ("id", "solver", "label", "outcome", "p50_ms", "p99_ms", "max_ms", "ra
 """`share`: part of the median that calling the library costs, by the harness's own solver."""
 LOWEST_MS = 1e-3
 """Left end of the axis."""
-
-
-_CLOSE = "replace(replace(datum.label, ' (', ', '), ')', '')"
-"""A name that leaves the bars more room."""
+_JITTER = (
+    "slow <= 1 ? '' : narrow ? 'dashed: not scaled' : 'dashed: jitter of this machine, not scaled'"
+)
+"""What is said of the whiskers on a slower computer."""
 
 
 def _outcome(deadline_ms: float, p99_ms: float) -> str:
@@ -48,7 +50,8 @@ def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
     sample, where that is the longer one.
 
     The parameter `slow` of the chart scales all but that whisker, which is this machine's, and the
-    colours say what the demand finds then; with `narrow` names stand closer; clicking sets `pick`.
+    colours say what the demand finds then; with `narrow` names stand above their bars; clicking
+    sets `pick`.
 
     Parameters
     ----------
@@ -58,7 +61,6 @@ def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
     order = table["label"].tolist()
     factor = alt.param(name="slow", value=1.0)
     pick = picking("id")
-    names = alt.Axis(labelLimit=260, labelExpr=f"narrow ? {_CLOSE} : datum.label")
     base = (
         alt.Chart(table)
         .transform_calculate(
@@ -71,7 +73,7 @@ def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
             computer="'× ' + format(slow, '.3~g')",
             sample="slow > 1 ? 'not scaled' : format(datum.raw_max_ms, '.3~g')",
         )
-        .encode(y=alt.Y("label:N", sort=order, title=None, axis=names))
+        .encode(y=alt.Y("label:N", sort=order, title=None, axis=row_names()))
     )
     high = max(10.0 * deadline_ms, 1.0)
     x = alt.X(
@@ -99,11 +101,12 @@ def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
         ),
         alt.Tooltip("sample:N", title="largest sample [ms]"),
     ]
-    rows = base.mark_rule(strokeWidth=22, opacity=0.0).encode(
+    whole = alt.ExprRef(f"narrow ? {ROW_STEP['narrow']} : {ROW_STEP['wide']}")
+    rows = base.mark_rule(strokeWidth=whole, opacity=0.0).encode(
         x=alt.value(0), x2=alt.value("width"), tooltip=tips
     )
     rows = rows.add_params(factor, narrow(), pick)
-    chosen = base.mark_rule(strokeWidth=22, color=ACCENT).encode(
+    chosen = base.mark_rule(strokeWidth=whole, color=ACCENT).encode(
         x=alt.value(0),
         x2=alt.value("width"),
         opacity=alt.condition(pick, alt.value(0.25), alt.value(0.0)),
@@ -131,9 +134,15 @@ def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
         .mark_text(align="right", dx=-5, dy=4, baseline="top", color=INK, fontSize=12)
         .encode(x="deadline:Q", y=alt.value("height"), text="text:N")
     )
-    parts = (rows, chosen, calling, whisker, line, bar, point, deadline, named)
+    jitter = (
+        alt.Chart(limit)
+        .mark_text(align="left", dy=4, baseline="top", color=SOFT, fontSize=12)
+        .encode(x=alt.value(0), y=alt.value("height"), text="said:N")
+        .transform_calculate(said=_JITTER)
+    )
+    parts = (rows, chosen, calling, whisker, line, bar, point, deadline, named, jitter)
     return styled(
-        alt.layer(*parts, width=560, height=alt.Step(22)),
+        alt.layer(*parts, width=560, height=alt.Step(ROW_STEP["wide"])),
         "How close to the deadline",
         "Step times of each solver from median over p99 to the largest, against the deadline.",
     )

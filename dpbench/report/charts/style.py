@@ -65,6 +65,33 @@ def narrow() -> alt.Parameter:
     return alt.param(name="narrow", value=False)
 
 
+ROW_STEP = {"wide": 22, "narrow": 36}
+"""Height of a row with a name, by whether the name stands beside or above what is drawn [px]."""
+
+
+def row_names(limit: int = 260, **options: Any) -> alt.Axis:
+    """Names of rows: beside the figure, and where it is `narrow` above what is drawn for each.
+
+    Parameters
+    ----------
+    limit : of their length beside the figure [px].
+    options : as of `altair.Axis`.
+    """
+
+    def at(narrow: object, wide: object) -> alt.ExprRef:
+        return alt.ExprRef(f"narrow ? {narrow} : {wide}")
+
+    return alt.Axis(
+        labelLimit=at(340, limit),
+        labelAlign=at("'left'", "'right'"),
+        labelOffset=at(-12, 0),
+        labelPadding=at(-4, 3),
+        tickSize=at(0, 5),
+        zindex=1,  # a name above its bar is written on what marks the row
+        **options,
+    )
+
+
 def log_scale(**options: Any) -> alt.Scale:
     """A logarithmic scale; `options` as of `altair.Scale`."""
     return alt.Scale(type="log", **options)

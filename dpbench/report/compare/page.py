@@ -17,6 +17,7 @@ from dpbench.analysis.compare.times import Compared, Timing
 from dpbench.report.charts.pairs import COLUMNS as STEP_COLUMNS
 from dpbench.report.charts.pairs import pairs
 from dpbench.report.charts.render import svg, vega
+from dpbench.report.charts.style import ROW_STEP
 from dpbench.report.compare.comparison import Comparison
 from dpbench.report.compare.tables import answer_line, shared_line, times_table
 from dpbench.report.compare.times_chart import COLUMNS, both, ratios
@@ -159,6 +160,7 @@ def _block(order: Sequence[Compared], charts: dict[str, Any], times: dict[str, A
     document = {
         "compared": columns_of(rows),
         "heads": list(times["head"]),
+        "row_step": ROW_STEP,
         "charts": {name: json.loads(follow(json.dumps(vega(c)))) for name, c in charts.items()},
     }
     return block.text(document)

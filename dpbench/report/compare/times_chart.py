@@ -16,6 +16,7 @@ from dpbench.report.charts.style import (
     MEETS,
     MISSES,
     NOT_RUN,
+    ROW_STEP,
     SOFT,
     alike,
     coloured,
@@ -23,6 +24,7 @@ from dpbench.report.charts.style import (
     names_scale,
     narrow,
     picking,
+    row_names,
     styled,
     tip,
 )
@@ -40,14 +42,14 @@ def ratios(table: pd.DataFrame, margin: float) -> Any:
     ----------
     table : columns `COLUMNS`, the slowest first; margin : what is no difference.
     """
-    names = alt.Axis(labelLimit=alt.ExprRef("narrow ? 170 : 330"))
     base = alt.Chart(table).encode(
-        y=alt.Y("name:N", sort=table["name"].tolist(), title=None, axis=names),
+        y=alt.Y("name:N", sort=table["name"].tolist(), title=None, axis=row_names(330)),
         color=coloured("verdict", VERDICTS, _COLOURS, columns=2),
         tooltip=_tips(),
     )
     pick = picking("id")
-    rows = base.mark_rule(strokeWidth=16, color=ACCENT).encode(
+    whole = alt.ExprRef(f"narrow ? {ROW_STEP['narrow']} : 16")
+    rows = base.mark_rule(strokeWidth=whole, color=ACCENT).encode(
         x=alt.value(0),
         x2=alt.value("width"),
         color=alt.value(ACCENT),
@@ -58,7 +60,7 @@ def ratios(table: pd.DataFrame, margin: float) -> Any:
         "ratio:Q",
         title="B / A, machine factor taken out",
         scale=log_scale(),
-        axis=alt.Axis(orient="top", format="~g"),
+        axis=alt.Axis(orient="top", format="~g", labelOverlap="greedy"),
     )
     spans = base.mark_rule(strokeWidth=1.5).encode(x=alt.X("low:Q"), x2="high:Q")
     points = base.mark_point(filled=True, size=60, opacity=1).encode(x=x, shape=_shape())

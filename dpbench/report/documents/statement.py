@@ -147,7 +147,7 @@ def _ships(facts: Facts) -> str:
 
 def _places(facts: Facts, chosen: Verdict) -> str:
     c = facts.index(chosen.configuration)
-    held = [place.label for p, place in enumerate(facts.places) if facts.state(c, p) == "meets"]
+    held = [facts.places[p].label for p in facts.judged_places if facts.state(c, p) == "meets"]
     return ", ".join(held)
 
 

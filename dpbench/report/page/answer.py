@@ -176,13 +176,16 @@ def _chips(facts: Facts, first: Configuration | None) -> list[Chip]:
     if first is None:
         return []
     c = facts.index(first)
-    states = [facts.state(c, p) for p in range(len(facts.places))]
+    places = facts.judged_places
+    states = [facts.state(c, p) for p in places]
     counts = Counter(states)
     counted = {s for s in counts if len(states) > MOST_CHIPS and counts[s] > FEW}
     marks = {state: "none" if state == "not run" else state for state in states}
     named = [
-        Chip(f"{place.label}: {_otherwise(facts, first, p)}{_STATES[state]}", marks[state])
-        for p, (place, state) in enumerate(zip(facts.places, states, strict=True))
+        Chip(
+            f"{facts.places[p].label}: {_otherwise(facts, first, p)}{_STATES[state]}", marks[state]
+        )
+        for p, state in zip(places, states, strict=True)
         if state not in counted
     ]
     sums = [

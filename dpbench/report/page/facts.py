@@ -1,7 +1,8 @@
 """What the page knows of a result folder: configurations, places, cells, and their steps.
 
     configurations   one row each: solver, way, settings, outcome and its figures
-    places           scenarios steered through and sequences replayed, in the order of the suite
+    places           scenarios steered through and sequences replayed, in the order of the suite,
+                     then the seas of studies
     cells            a configuration in a place: its run, its state, its packed steps
 
 The page refers to a configuration and a place by their position in these lists.
@@ -21,38 +22,52 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, as_float
 from dpbench.analysis.records.run_steps import MEASURES, RunSteps, hardest, run_steps
 from dpbench.analysis.suites.slowdown import survived
+from dpbench.analysis.suites.study import Study, studies
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, verdict_of
 from dpbench.bench.record.configuration import Configuration, settings_level
 from dpbench.report.page.pack import Block
 from dpbench.report.page.steps import Room, Track, pack_steps, pack_track, track_of
+from dpbench.report.page.studies import MOST_LOOPS, opening, shown, study_document
+from dpbench.scenario.scenario import Scenario, scenario_of
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where configurations were run: a scenario in closed loop, or a sequence in replay."""
+    """Where configurations were run: a scenario in closed loop, or a sequence in replay.
+
+    study, point, replicate : of a sea of a study.
+    """
 
     mode: str
     name: str
     units: str
     slowdown: float = 0.0
     formulation: str = ""
+    study: str = ""
+    point: int = 0
+    replicate: int = 0
 
     @classmethod
     def of(cls, run: RunRecord, formulation: str = "") -> Place:
         """The place of a run; `formulation` where it is another than the common one there."""
+        if run.study:
+            study = run.study, int(run.study_point), int(run.replicate)
+            return cls(run.mode, run.scenario, run.units, 0.0, "", *study)
         name = run.sequence if run.mode == "replay" else run.scenario
         slowdown = run.slowdown if run.slowdown > 0.0 else 0.0
         return cls(run.mode, name, run.units, slowdown, formulation)
 
     @property
-    def order(self) -> tuple[bool, bool]:
-        """Sort key: loops before replays, SI units last."""
-        return self.mode == "replay", self.units == "si"
+    def order(self) -> tuple[bool, bool, bool]:
+        """Sort key: loops before replays, SI units after both, studies last."""
+        return self.study != "", self.mode == "replay", self.units == "si"
 
     @property
     def label(self) -> str:
         """As it is called on the page."""
+        if self.study:
+            return f"{self.study}: point {self.point}, sea {self.replicate}"
         extra = ["replay"] if self.mode == "replay" else []
         extra += ["in N and N·m"] if self.units == "si" else []
         extra += [f"computer × {self.slowdown:g}"] if self.slowdown > 0 else []
@@ -72,22 +87,24 @@ class Facts:
     places: list[Place] = field(default_factory=list)
     runs: dict[tuple[int, int], RunRecord] = field(default_factory=dict)
     states: dict[tuple[int, int], Verdict] = field(default_factory=dict)
+    _seas: dict[Place, Scenario | None] = field(default_factory=dict)
 
     @classmethod
     def of(cls, records: Records, demand: Demand, verdicts: Verdicts) -> Facts:
         """The facts of some records; of two runs of one configuration in one place the longer."""
         runs: dict[tuple[Configuration, Place], RunRecord] = {}
         common = {run.run_id for run in records.runs}
-        for run in records.all_runs:
-            if run.is_baseline_law or run.has_topic:
-                continue
+        ships = [r for r in records.all_runs if not (r.is_baseline_law or r.has_topic)]
+        studied = shown(records.study)
+        for run in [*ships, *studied[:MOST_LOOPS]]:
             usual = run.slowdown > 0.0 or run.run_id in common
             key = _numbered(run), Place.of(run, "" if usual else run.formulation)
             other = runs.get(key)
             if other is None or run.steps_planned > other.steps_planned:
                 runs[key] = run
-        configurations = list(dict.fromkeys(configuration for configuration, _ in runs))
-        places = sorted(dict.fromkeys(place for _, place in runs), key=lambda place: place.order)
+        configurations = list(dict.fromkeys([*(c for c, _ in runs), *map(_numbered, studied)]))
+        known = dict.fromkeys([*(place for _, place in runs), *map(Place.of, studied)])
+        places = sorted(known, key=lambda place: place.order)
         numbers = {place: p for p, place in enumerate(places)}
         facts = cls(records, demand, verdicts, Block(), configurations, places)
         for (configuration, place), run in runs.items():
@@ -107,8 +124,47 @@ class Facts:
 
     @property
     def levels(self) -> list[str]:
-        """The settings levels that were run, the most usual first."""
-        return sorted({c.settings for c in self.configurations}, key=settings_level)
+        """The settings levels that were run outside studies, the most usual first."""
+        run = [self.configurations[c] for c, p in self.runs if not self.places[p].study]
+        return sorted(dict.fromkeys(c.settings for c in run), key=settings_level)
+
+    @property
+    def judged_places(self) -> list[int]:
+        """The numbers of the places that enter verdicts: all but the seas of studies."""
+        return [p for p, place in enumerate(self.places) if not place.study]
+
+    @cached_property
+    def studies(self) -> list[Study]:
+        """All studies."""
+        return studies(self.records)
+
+    @cached_property
+    def study_documents(self) -> list[dict[str, Any]]:
+        """What the script of the page knows of each."""
+        runs = {run.run_id: run for run in shown(self.records.study)}
+        numbers = {run.name: self.index(_numbered(run)) for run in runs.values()}
+        return [study_document(study, runs, numbers) for study in self.studies]
+
+    @property
+    def opening(self) -> tuple[int, int] | None:
+        """Configuration and place that a page opens with on which nothing is judged but a study;
+        None of another."""
+        if self.judged_places or not self.studies:
+            return None
+        run = opening(self.studies[0], shown(self.records.study))
+        if run is None:
+            return None
+        return self.index(_numbered(run)), self.places.index(Place.of(run))
+
+    def scenario(self, run: RunRecord) -> Scenario | None:
+        """The scenario of a run, in a study that of its sea; None where its row carries none."""
+        if not run.study:
+            return self.records.scenario(run.scenario)
+        place = Place.of(run)
+        if place not in self._seas:
+            files = run.scenario_files
+            self._seas[place] = None if files is None else scenario_of(files)
+        return self._seas[place]
 
     @cached_property
     def steps(self) -> dict[str, RunSteps]:
@@ -155,6 +211,7 @@ class Facts:
             (self.places[p], run)
             for (c, p), run in self.runs.items()
             if self.configurations[c] == configuration
+            and not self.places[p].study
             and wanted(self.places[p])
             and not math.isnan(getattr(run, column))
         ]
@@ -168,7 +225,8 @@ class Facts:
     def cells(self) -> Iterator[dict[str, Any]]:
         """Every run with its packed steps and hardest steps."""
         references: dict[int, Track] = {}
-        room = Room.of([len(steps.k) for steps in self.steps.values()])
+        left = [self.steps[r.run_id] for r in self.runs.values() if r.run_id in self.steps]
+        room = Room.of([len(steps.k) for steps in left])
         order = sorted(self.runs, key=lambda key: (key[1], self._deviation(self.runs[key])))
         for c, p in order:
             run = self.runs[c, p]
@@ -202,7 +260,7 @@ class Facts:
         }
 
     def _limits(self, run: RunRecord) -> Any:
-        scenario = self.records.scenario(run.scenario)
+        scenario = self.scenario(run)
         if scenario is None:
             return None
         vessel = scenario.vessel

@@ -116,9 +116,12 @@ def _places(runs: pd.DataFrame) -> pd.Series[str]:
     """Where each run was, as the page calls it."""
     replayed = (runs["mode"] == "replay") | (runs["scenario"] == "")
     names = runs["sequence"].where(replayed, runs["scenario"])
+    numbers = (runs[column].fillna(0).astype(int) for column in ("study_point", "replicate"))
     labels = [
-        Place(str(mode), str(name), str(units)).label
-        for mode, name, units in zip(runs["mode"], names, runs["units"], strict=True)
+        Place(str(mode), str(name), str(units), study=str(study), point=p, replicate=sea).label
+        for mode, name, units, study, p, sea in zip(
+            runs["mode"], names, runs["units"], runs["study"], *numbers, strict=True
+        )
     ]
     return pd.Series(labels, index=runs.index)
 
@@ -163,8 +166,8 @@ def matrix_table(facts: Facts) -> pd.DataFrame:
         own = best.get(reference.solver, reference)
         for level in facts.levels:
             wanted = replace(own, settings=level)
-            for p, place in enumerate(facts.places):
-                rows.append(_tile(facts, wanted, p, place))
+            for p in facts.judged_places:
+                rows.append(_tile(facts, wanted, p, facts.places[p]))
     return pd.DataFrame(rows)
 
 

@@ -17,17 +17,21 @@ class Figure:
 
 @dataclass(frozen=True)
 class SmallTable:
-    """A table of a topic, of text alone; one that is `file_only` is no part of the page."""
+    """A table of a topic, of text alone.
+
+    Its file has all rows, the page the first `shown`: by default all, with 0 no table.
+    """
 
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     title: str = ""
-    file_only: bool = False
+    shown: int | None = None
 
     @property
-    def plain(self) -> SmallTable:
-        """The same without the marks of Markdown, which a page would show."""
-        return replace(self, rows=tuple(tuple(c.replace("`", "") for c in r) for r in self.rows))
+    def on_page(self) -> SmallTable:
+        """What is shown, without the marks of Markdown, which a page would show too."""
+        rows = self.rows[: self.shown]
+        return replace(self, rows=tuple(tuple(c.replace("`", "") for c in r) for r in rows))
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,9 @@ import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.step_times import StepTimes
+from dpbench.analysis.suites.study import SMALL_M
 from dpbench.analysis.times.pairs import common_ratio
 from dpbench.analysis.times.work_precision import (
     LevelPoint,
@@ -34,6 +36,7 @@ from dpbench.report.charts.pairs import pairs
 from dpbench.report.charts.render import FORMATS, svg, vega
 from dpbench.report.charts.strips import COLUMNS as STRIP_COLUMNS
 from dpbench.report.charts.strips import strips
+from dpbench.report.charts.study import behind_there, design, seas_there
 from dpbench.report.charts.style import (
     ACCENT,
     FAMILY_COLOURS,
@@ -43,15 +46,16 @@ from dpbench.report.charts.style import (
     LINE,
     OUTCOME_COLOURS,
     PAPER,
+    ROW_STEP,
     SOFT,
 )
-from dpbench.report.glossary import meanings
 from dpbench.report.glossary import topics as glossary
 from dpbench.report.page.answer import Answer
 from dpbench.report.page.cite import software
-from dpbench.report.page.facts import Facts, columns_of, number
+from dpbench.report.page.facts import Facts, Place, columns_of, number
 from dpbench.report.page.steps import FLAGS
 from dpbench.report.page.tables import GROUPS, ladder_table, matrix_table, runs_table
+from dpbench.report.page.terms import Terms
 from dpbench.report.page.topic import Topic
 from dpbench.report.page.vendored import script, vendored
 from dpbench.solvers.table import record
@@ -130,13 +134,13 @@ def page_html(
         lead=_markup(lead) if lead else None,
         judged=bool(facts.verdicts.of) and not (lead and lead.id == "loops"),
         runs=bool(facts.runs),
+        studies=len(facts.studies),
         topics=[_markup(topic) for topic in others],
         groups=list(GROUPS),
         files=_files(folder),
         kinds=[kind for kind in FORMATS[1:] if any((folder / "figures").glob(f"*.{kind}"))],
         cite=software(results),
-        words={term: meanings()[term] for term in WORDS}
-        | glossary()["Solvers and how they are run"],
+        terms=Terms([*WORDS, *glossary()["Solvers and how they are run"]]),
         footer=_footer(results),
         block=block,
         scripts=[
@@ -146,7 +150,7 @@ def page_html(
     )
 
 
-SCRIPTS = ("common", "selection", "figures", "one", "two", "table", "page")
+SCRIPTS = ("common", "selection", "figures", "study", "one", "two", "table", "page")
 """Of the page, in the order they are loaded; the last one starts."""
 WORDS = (
     *("demand", "closed loop", "replay", "sample", "step", "round", "p50, p95, p99", "move"),
@@ -182,6 +186,9 @@ def charts_of(facts: Facts, calling_ns: float) -> dict[str, Any]:
     if len(set(replayed)) > 1:
         # The axes are named by signals of these names, which the page adds.
         charts["pairs"] = pairs(pd.DataFrame(columns=list(PAIR_COLUMNS)), "first", "second")
+    if facts.studies:
+        charts |= {"design_tiles": design(tiles=True), "design_points": design(tiles=False)}
+        charts |= {"behind": behind_there(100 * SMALL_M), "seas": seas_there()}
     points = _points(facts)
     if len(points):
         charts["accuracy"] = accuracy(points, facts.demand.error_move)
@@ -239,12 +246,13 @@ def _document(
             }
         )
     return {
-        "solvers": {name: _solver(name) for name in {c.solver for c in facts.configurations}},
+        "solvers": {c.solver: _solver(c.solver) for c in facts.configurations},
         "configurations": columns_of(rows),
-        "places": [_place(facts, p) for p in range(len(facts.places))],
+        "places": _places(facts),
         "cells": columns_of(cells),
         "flags": FLAGS,
         "most_across": MOST_ACROSS,
+        "row_step": ROW_STEP,
         "demand": {
             "error_move": facts.demand.error_move,
             "deadline_ms": facts.demand.deadline_ms,
@@ -253,6 +261,7 @@ def _document(
         "charts": _specifications(charts),
         "answer": _opening(facts, results, answer),
         "paired": _paired(facts),
+        "studies": facts.study_documents,
         "table": runs_table(facts, results.runs),
     }
 
@@ -273,7 +282,13 @@ def _opening(facts: Facts, results: Results, answer: Answer) -> dict[str, int | 
         i for i, c in enumerate(facts.configurations) if c.label == report.get("configuration")
     ]
     first, second = (max(0, facts.index(c)) if c else None for c in (answer.first, answer.second))
-    return {"first": named[0] if named else first or 0, "second": second, "k": report.get("step")}
+    of_study, place = facts.opening or (None, None)
+    return {
+        "first": named[0] if named else first or of_study or 0,
+        "second": second,
+        "place": place,
+        "k": report.get("step"),
+    }
 
 
 def _paired(facts: Facts) -> dict[str, Any]:
@@ -292,25 +307,30 @@ def _paired(facts: Facts) -> dict[str, Any]:
     return {"c": list(timed), "reach": facts.block.log(reach)}
 
 
-def _place(facts: Facts, p: int) -> dict[str, Any]:
-    place = facts.places[p]
-    run = next(run for (_, q), run in facts.runs.items() if q == p)
-    scenario = facts.records.scenario(run.scenario) if run.scenario else None
-    known = (
-        {}
-        if scenario is None
-        else {
-            "reference": [float(x) for x in scenario.reference],
-            "length_m": float(scenario.vessel.length_m),
-        }
-    )
-    return {
-        "label": place.label,
-        "mode": place.mode,
-        "source": run.description.get("source", {}).get("path") or run.scenario or run.sequence,
-        "first": int(run.description.get("first", 0)),
-        **known,
-    }
+def _places(facts: Facts) -> list[dict[str, Any]]:
+    """What the page says of each place, from the first run there; the seas of a study whose loops
+    the page has no room for are places without one."""
+    first: dict[int, RunRecord] = {}
+    for (_, p), run in facts.runs.items():
+        first.setdefault(p, run)
+    return [_place(facts, place, first.get(p)) for p, place in enumerate(facts.places)]
+
+
+def _place(facts: Facts, place: Place, run: RunRecord | None) -> dict[str, Any]:
+    said: dict[str, Any] = {"label": place.label, "mode": place.mode}
+    if place.study:
+        said |= {"study": place.study, "point": place.point, "sea": place.replicate}
+    if run is None:
+        return said
+    if not place.study:
+        path = run.description.get("source", {}).get("path")
+        said["source"] = path or run.scenario or run.sequence
+        said["first"] = int(run.description.get("first", 0))
+    scenario = facts.scenario(run) if run.scenario else None
+    if scenario is not None:
+        said["reference"] = [float(x) for x in scenario.reference]
+        said["length_m"] = float(scenario.vessel.length_m)
+    return said
 
 
 def _solver(name: str) -> dict[str, str]:
@@ -353,7 +373,7 @@ def _markup(topic: Topic) -> dict[str, Any]:
         "title": topic.title,
         "lines": topic.lines,
         "figures": figures,
-        "tables": [t.plain for t in topic.tables if not t.file_only],
+        "tables": [t.on_page for t in topic.tables if t.shown != 0],
         "paste": topic.paste,
     }
 

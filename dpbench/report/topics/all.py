@@ -8,6 +8,7 @@ from dataclasses import replace
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.study import Study, studies
 from dpbench.analysis.verdict.verdict import Verdicts
 from dpbench.bench.design import Designs
 from dpbench.report.page.topic import Topic
@@ -35,6 +36,7 @@ def topics_of(
     verdicts: Verdicts,
     designs: Designs | None = None,
     capability: pd.DataFrame | None = None,
+    known: Sequence[Study] | None = None,
 ) -> list[Topic]:
     """Those that have something to say, the suite's own question first; what nobody asked for is
     not mentioned.
@@ -42,6 +44,7 @@ def topics_of(
     Parameters
     ----------
     designs, capability : what lies beside the runs: of `load_designs` and `load_capability`.
+    known : the studies of these records, where somebody has them already.
     """
     demand = verdicts.demand
     replays, loops = (_only(records, mode) for mode in ("replay", "closed_loop"))
@@ -50,7 +53,7 @@ def topics_of(
         worst_case_topic(records),
         horizon_topic(records, demand),
         slowdown_topic(records),
-        study_topic(records),
+        study_topic(studies(records) if known is None else known),
         random_topic(records),
         consequence_topic(records),
         capability_topic(records, capability),

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pandas as pd
 from pandas.api.types import is_numeric_dtype
 
-from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.study import (
     NOTHING_M,
     SMALL_COST,
@@ -16,7 +15,6 @@ from dpbench.analysis.suites.study import (
     PairedDifference,
     StudiedConfiguration,
     Study,
-    studies,
 )
 from dpbench.report.charts.study import behind, held_lines, held_maps
 from dpbench.report.formats import and_list, plural, significant
@@ -36,9 +34,8 @@ _HEAD = (
 )
 
 
-def study_topic(records: Records) -> Topic | None:
-    """The topic; None of records without a study."""
-    known = studies(records)
+def study_topic(known: Sequence[Study]) -> Topic | None:
+    """The topic; None without a study."""
     if not known:
         return None
     return Topic(

@@ -141,6 +141,28 @@ def test_letters_are_large_enough_on_a_phone(opened: Any) -> None:
     assert [text for text in texts if text["size"] < 11.5] == []
 
 
+@pytest.mark.slow
+def test_bars_have_the_width_of_a_phone(opened: Any) -> None:
+    """Names stand above them, each nearer to its own bar than to the next."""
+    page = opened(CHOSEN + "&slow=10", size=PHONE)
+    width = page.evaluate("views.ladder.then((view) => view.width())")
+    assert width > 300
+    names = page.locator("#figure-ladder .role-axis-label text")
+    rows = page.evaluate("rowsDrawn('ladder').values.map((row) => row.label)")
+    boxes = {
+        one.text_content(): one.bounding_box() for one in names.all() if one.text_content() in rows
+    }
+    assert list(boxes) == rows
+    marks = page.locator("#figure-ladder .mark-symbol.role-mark path[aria-label]").evaluate_all(
+        """(all) => all.map((one) => [one.getAttribute("aria-label"), one.getBoundingClientRect()])
+          .map(([label, box]) => [label, (box.top + box.bottom) / 2])"""
+    )
+    for label, middle in marks:
+        (name,) = [row for row in rows if f"configuration: {row};" in label]
+        box = boxes[name]
+        assert box["y"] < middle and middle - (box["y"] + box["height"]) < 8
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.slow
 def test_signs_of_the_tiles_can_be_read(opened: Any, scheme: str) -> None:

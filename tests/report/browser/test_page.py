@@ -187,7 +187,8 @@ def test_a_click_among_the_strips_opens_the_nearest_step(opened: Any) -> None:
     canvas.scroll_into_view_if_needed()
     box = canvas.bounding_box()
     wanted = page.evaluate(
-        """(x) => views.strips.then((view) => view.scale("x").invert(x - view.origin()[0]))""",
+        """(x) => views.strips.then((view) =>
+          view.scale("x").invert(x - view.origin()[0] - view.padding().left))""",
         0.6 * box["width"],
     )
     page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + 100)
@@ -346,6 +347,45 @@ def test_words_are_a_click_away(opened: Any) -> None:
     }
     assert {"rate-limit step", "certified optimum", "fallback"} <= {*terms}
     assert page.evaluate("document.activeElement.id") == "words"
+
+
+@pytest.mark.slow
+def test_a_term_says_what_it_means(opened: Any) -> None:
+    """To who comes by the keyboard in a box, gone with Escape; its link leads to the list, which
+    opens, and the selection stays."""
+    page = opened(CHOSEN)
+    before = selection(page)
+    term = page.locator("#answer .term").first
+    meaning = term.get_attribute("title")
+    page.focus("#slow-said")
+    for _ in range(60):
+        page.keyboard.press("Shift+Tab")
+        if page.evaluate("document.activeElement.className") == "term":
+            break
+    assert page.inner_text("#tip") == page.evaluate("document.activeElement.title")
+    page.keyboard.press("Escape")
+    assert not page.locator("#tip").is_visible()
+    term.click()
+    assert page.evaluate("document.activeElement.nextElementSibling.textContent") == meaning
+    assert page.locator("#words dd").first.is_visible()
+    assert selection(page) == before
+
+
+@pytest.mark.slow
+def test_the_keys_stay_in_the_table_at_its_end(opened: Any) -> None:
+    """At the last page the other button has them, and at the first again."""
+    page = opened()
+    page.select_option("#table-of", "all")
+    page.focus("#table-next")
+    for _ in range(40):
+        page.keyboard.press("Enter")
+        if page.is_disabled("#table-next"):
+            break
+    assert page.is_disabled("#table-next")
+    assert page.evaluate("document.activeElement.id") == "table-back"
+    while page.evaluate("document.activeElement.id") == "table-back":
+        page.keyboard.press("Enter")
+    assert page.evaluate("document.activeElement.id") == "table-next"
 
 
 @pytest.mark.slow
@@ -571,5 +611,8 @@ def test_the_largest_sample_is_never_scaled(opened: Any) -> None:
     page = opened()
     before = page.locator(whiskers).count()
     assert before > 3
+    said = page.locator("#figure-ladder text", has_text="not scaled")
+    assert said.count() == 0, "nothing is scaled there"
     page = opened("#slow=10000")
     assert page.locator(whiskers).count() < before
+    assert page.locator("#figure-ladder text", has_text="jitter of this machine").count() == 1

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import shutil
+import subprocess
+import sys
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -15,10 +18,12 @@ from markupsafe import escape
 from dpbench.report.page import cite
 from dpbench.report.page.write import SCRIPTS, own
 from dpbench.report.write import write_report
+from tests.report.conftest import of_seas
 from tests.report.page.test_pack import unpacked
 
 CITATION = Path(__file__).parents[3] / "CITATION.cff"
 VOID = {"meta", "img", "br", "link", "input", "hr"}
+WRITE = "import sys; from dpbench.report.write import write_report; write_report(sys.argv[1])"
 JS = "".join(own(f"scripts/{name}.js") for name in SCRIPTS)
 
 
@@ -74,11 +79,28 @@ def test_nothing_is_loaded_from_elsewhere(written: Any) -> None:
     assert not re.search(r"@import|url\(\s*['\"]?http|<link|<script[^>]*src", written.html)
 
 
-def test_the_script_asks_only_for_what_is_there(written: Any) -> None:
-    """Every `$("…")` of the script is an id of a page with all its parts."""
+@pytest.mark.slow
+def test_the_script_asks_only_for_what_is_there(written: Any, records: Any, tmp_path: Any) -> None:
+    """Every `$("…")` of the script is an id of a page with all its parts, or of a study's."""
     asked = set(re.findall(r'\$\("([\w-]+)"\)', JS))
     assert len(asked) > 20
-    assert asked <= set(checked(written.html).ids)
+    studied = write_report(of_seas(records).write(tmp_path)).read_text("utf-8")
+    assert asked <= {*checked(written.html).ids, *checked(studied).ids}
+
+
+@pytest.mark.slow
+def test_two_processes_write_the_same_bytes(campaign: Path, tmp_path: Path) -> None:
+    """Whatever order Python's sets happen to have in each: page, Markdown and tables."""
+    found = []
+    for seed in ("1", "2"):
+        folder = shutil.copytree(campaign, tmp_path / seed / "standard")
+        command = [sys.executable, "-c", WRITE, str(folder)]
+        subprocess.run(command, env=os.environ | {"PYTHONHASHSEED": seed}, check=True)
+        written = [folder / "report.html", folder / "report.md", *(folder / "tables").iterdir()]
+        found.append({path.name: path.read_bytes() for path in written})
+    assert len(found[0]) > 5
+    assert [name for name in found[0] if found[0][name] != found[1].get(name)] == []
+    assert found[0].keys() == found[1].keys()
 
 
 @pytest.mark.slow
@@ -118,11 +140,11 @@ def test_files_are_named_with_their_hashes(written: Any) -> None:
 
 
 def test_the_page_is_within_its_budget(written: Any) -> None:
-    """At most 5 MB, 3000 elements and 1500 words before a script has run."""
+    """At most 5 MB, 3000 elements and 1500 words as it opens, before a script has run."""
     assert len(written.html.encode()) <= 5e6
     body = re.sub(r"<(script|style)\b.*?</\1>", " ", written.html, flags=re.S)
     assert len(re.findall(r"<[a-z]", body)) <= 3000
-    prose = re.sub(r"<svg\b.*?</svg>", " ", body, flags=re.S)
+    prose = re.sub(r"<(svg|details)\b.*?</\1>", " ", body, flags=re.S)
     assert len(re.sub(r"<[^>]+>", " ", prose).split()) <= 1500
 
 

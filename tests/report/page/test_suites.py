@@ -143,6 +143,7 @@ KINDS: dict[str, tuple[Callable[[Any], None], str, set[str]]] = {
 def _words(html: str) -> str:
     """What stands on the page before a script runs."""
     body = re.sub(r"<(script|style|svg|details)\b.*?</\1>", " ", html, flags=re.S)
+    body = re.sub(r'<a class="term"[^>]*>(.*?)</a>', r"\1", body)
     return " ".join(re.sub(r"<[^>]+>", " ", body).split())
 
 

@@ -30,3 +30,15 @@ def test_what_the_machine_hides_is_said(records: Any) -> None:
     (quiet,) = (line for line in topic.lines if line.startswith("The machine was quiet"))
     assert "disturbed even when run again, as 2 were." in quiet
     assert quiet.endswith("Not watched, as the machine hides it: its frequency and throttling.")
+
+
+def test_a_wait_is_said_by_its_largest_replay(records: Any) -> None:
+    """The same on the page and at the end of a run, in whichever order the replays stand."""
+    for sequence, median_us in (("calm", 50.1), ("paper", 52.0), ("rough", 50.2)):
+        records.replay("busy_wait_50us", sequence, median_us=median_us, replay_s=1.0)
+    topic = trust_topic(records.view())
+    assert topic is not None
+    (waits,) = (line for line in topic.lines if line.startswith("Waits of known length"))
+    assert "50 µs as 52.0 µs (p50 of the samples that count, the largest of its replays)" in waits
+    assert "known to 4.0 %" in waits
+    assert "busy_wait_50us 52.0 µs" in records.ending()["harness"]

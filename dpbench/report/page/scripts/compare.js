@@ -30,7 +30,8 @@ function sized(name, width) {
   const spec = facts.charts[name], narrow = width < NARROW;
   const fit = { type: name === "ratios" ? "fit-x" : "fit", contains: "padding", resize: true };
   const square = Math.min(width, 460);
-  const signals = (spec.signals ?? []).map((s) => (s.name === "narrow" ? { ...s, value: narrow } : s));
+  const values = { narrow, ...(narrow ? { y_step: facts.row_step.narrow } : {}) };
+  const signals = (spec.signals ?? []).map((s) => (s.name in values ? { ...s, value: values[s.name] } : s));
   return name === "ratios" ? { ...spec, width, autosize: fit, signals }
     : { ...spec, width: square, height: square, autosize: fit };
 }

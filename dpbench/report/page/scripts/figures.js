@@ -4,7 +4,8 @@
 const NARROW = 640;  // A figure of less than this many pixels is drawn for a phone.
 const views = {}, forms = {};
 const HARD_ONLY = 64;  // Bit of a step that a thinned run keeps only since it is a hard one.
-const CANVAS = ["strips", "pairs"];
+const CANVAS = ["strips", "pairs", "behind", "seas"];
+const OF_STUDY = ["design", "behind", "seas"];
 
 async function figureOf(name) {
   const host = $(`figure-${name}`);
@@ -19,8 +20,9 @@ async function figureOf(name) {
   return views[name];
 }
 
-// A replay has no forces, so no strip of them.
+// A replay has no forces, so no strip of them; a design of many values is no table.
 function formOf(name) {
+  if (name === "design") return asTiles(studied()) ? "design_tiles" : "design_points";
   return name === "strips" && facts.places[state.p].mode === "replay" ? "strips_replay" : name;
 }
 
@@ -61,22 +63,29 @@ function sized(name, width) {
   if (name.startsWith("strips")) return { ...spec, width: width - 78, autosize: { type: "pad", resize: true } };
   const fit = { type: name === "pairs" ? "fit" : "fit-x", contains: "padding", resize: true };
   const square = Math.min(width, 460);
+  // On paper the ladder shares its sheet: names above its bars would take the matrix's place.
+  const above = narrow && (name !== "ladder" || innerWidth < NARROW);
+  if (name.startsWith("design")) return { ...named(spec), width, autosize: fit };
   return name === "pairs" ? { ...named(spec), width: square, height: square, autosize: fit }
-    : set({ ...spec, width, autosize: fit, marks: apart(spec.marks), axes: spec.axes.map(clickable) }, { narrow });
+    : set({ ...spec, width, autosize: fit, marks: apart(spec.marks), axes: spec.axes.map(clickable) },
+      above ? { narrow: true, y_step: facts.row_step.narrow } : { narrow: false });
 }
 
 // Names of rows take clicks.
 function clickable(axis) {
   const labels = axis.encode?.labels;
-  return axis.scale !== "y" || !labels ? axis : { ...axis, encode: { ...axis.encode,
-    labels: { ...labels, interactive: true, update: { ...labels.update, cursor: { value: "pointer" } } } } };
+  return axis.scale !== "y" || axis.labels === false ? axis : { ...axis, encode: { ...axis.encode,
+    labels: { ...labels, interactive: true, update: { ...labels?.update, cursor: { value: "pointer" } } } } };
 }
 
-// Axes called by the solvers that are compared: Vega-Lite cannot say so.
+// Axes called by what is compared, in signals of the first word of their titles: Vega-Lite cannot
+// say so.
 function named(spec) {
-  const called = (axis) => (axis.title ? { ...axis, title: { signal: axis.title.split(" ")[0] } } : axis);
+  const name = (axis) => axis.title.split(" ")[0];
+  const called = (axis) => (axis.title ? { ...axis, title: { signal: name(axis) } } : axis);
+  const names = unique(spec.axes.filter((axis) => axis.title).map(name));
   return { ...spec, axes: spec.axes.map(called),
-    signals: [...(spec.signals ?? []), { name: "first", value: "" }, { name: "second", value: "" }] };
+    signals: [...(spec.signals ?? []), ...names.map((one) => ({ name: one, value: "" }))] };
 }
 
 // Names keep off the points too.
@@ -106,7 +115,7 @@ async function redraw() {
 // The step nearest to a click anywhere among the strips.
 function nearestStep(view, event) {
   const x = event.clientX - view.container().querySelector("canvas").getBoundingClientRect().left;
-  const wanted = view.scale("x").invert(x - view.origin()[0]);
+  const wanted = view.scale("x").invert(x - view.origin()[0] - view.padding().left);
   const rows = rowsOf(cell(state.c, state.p));
   return rows.reduce((best, row) => (Math.abs(row.k - wanted) < Math.abs(best.k - wanted) ? row : best)).k;
 }
@@ -114,6 +123,7 @@ function nearestStep(view, event) {
 function picked(name, datum, view, event) {
   if (name === "strips") { select({ k: datum?.k ?? nearestStep(view, event) }); return; }
   if (!datum) return;
+  if (OF_STUDY.includes(name)) { pickedOfStudy(datum); return; }
   // A name at the axis stands for its row.
   if (name === "ladder" && datum.id === undefined)
     datum = rowsDrawn("ladder").values.find((row) => row.label === datum.value) ?? datum;

@@ -14,8 +14,11 @@ function drawChoice() {
   options("choose-way", unique(own.map(way)).map((w) => [w, w.replace("-", " ")]), way(c));
   options("choose-settings", unique(own.filter((i) => way(i) === way(c)).map((i) => C().settings[i]))
     .map((s) => [s, s]), C().settings[c]);
+  // Of a study only the seas of one point, or they were hundreds.
+  const { study, point } = facts.places[state.p];
+  const near = (place) => !place.study || (place.study === study && place.point === point);
   options("choose-place", facts.places.map((place, p) => [p, place.label])
-    .filter(([p]) => cell(c, p) || p === state.p), state.p);
+    .filter(([p]) => p === state.p || (near(facts.places[p]) && cell(c, p))), state.p);
 }
 
 function rowsOf(run) {
@@ -44,6 +47,15 @@ function referenceOf(p) {
   return i < 0 ? null : trackOf(cell(facts.cells.c[i], p));
 }
 
+// Of a study the page keeps the steps of some runs alone: where those of another are.
+function notKept() {
+  const { study, point, sea } = facts.places[state.p], runs = facts.studies.find((s) => s.name === study)?.runs;
+  const i = runs?.id.findIndex((_, j) => runs.point[j] === point && runs.sea[j] === sea
+    && studied().c[runs.of[j]] === state.c) ?? -1;
+  return i < 0 ? null : `This page keeps no steps of this run: pandas.read_parquet("steps.parquet", `
+    + `filters=[("run_id", "==", "${runs.id[i]}")]).`;
+}
+
 // On how many steps the first move is farther off than the demand allows.
 function over(run) {
   return run.t == null ? "–" : array(run.e).filter((e) => e > facts.demand.error_move).length;
@@ -55,22 +67,23 @@ async function drawOne() {
   drawChoice();
   $("one-title").textContent = label(state.c);
   if (!run) {
-    text.textContent = `Not run in ${facts.places[state.p].label}.`;
+    text.textContent = notKept() ?? `Not run in ${facts.places[state.p].label}.`;
     for (const id of ["hard", "figure-strips", "strips-said", "step", "ship"]) $(id).hidden = true;
     return;
   }
   $("hard").hidden = false;
   $("ship").hidden = !trackOf(run);
+  const place = facts.places[state.p], judged = C().outcome[state.c] !== "not judged";
+  const verdict = { meets: "Holds", misses: "Misses the demand" }[run.state] ?? "Open";
   text.textContent = [
-    `${run.state === "meets" ? "Holds" : run.state === "misses" ? "Misses the demand" : "Open"} in `
-    + `${facts.places[state.p].label}: ran ${run.steps} of ${run.planned} steps; first move beyond the `
-    + `demand on ${over(run)}, at most ${figure(run.error)}; claimed solved and not true on `
-    + `${figure(run.untrue)}; failed on ${figure(run.failed)}.`,
+    `${place.study ? "In" : `${verdict} in`} ${place.label}: ran ${run.steps} of ${run.planned} steps; `
+    + `first move beyond the demand on ${over(run)}, at most ${figure(run.error)}; claimed solved and not `
+    + `true on ${figure(run.untrue)}; failed on ${figure(run.failed)}.`,
     run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the exactly solved loop`
       + `${run.settle_s === null || run.settle_s === "inf" ? "." : ` and settled within 1 m and 1° at ${figure(run.settle_s)} s.`}`,
     run.infeasible > 0 ? `${run.infeasible} of the steps had no solution${run.all_true ? ", and it said so" : ""}.` : "",
     run.why && run.state !== "meets" ? `${run.outcome}: ${run.why}.` : "",
-    `Over the whole run: ${C().outcome[state.c]}${C().why[state.c] ? ` (${C().why[state.c]})` : ""}.`,
+    judged ? `Over the whole run: ${C().outcome[state.c]}${C().why[state.c] ? ` (${C().why[state.c]})` : ""}.` : "",
     solver.method ? `Method: ${solver.method}.` : "",
   ].filter(Boolean).join(" ").replaceAll("`", "");
   drawHard(run);
@@ -168,6 +181,8 @@ function drawStep(run) {
     + `claimed ${said(0) ? "solved" : `not solved${known ? ` (${known[2].toLowerCase()})` : ""}`}, `
     + `${said(1) ? "true" : "not true"}${flags.length ? `, ${flags.join(", ")}` : ""}. ${moved(run, k)}`;
   const place = facts.places[run.p];
+  // A sea of a study has no file of its own to export from.
+  $("step-export").parentElement.hidden = !place.source;
   $("step-export").textContent =
     `dpbench export ${place.source} --at ${k + (place.first ?? 0)} --out step-${k}.npz`;
   $("step-query").textContent =

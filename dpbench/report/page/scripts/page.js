@@ -35,7 +35,8 @@ async function draw(changed = ["slow", "c", "p", "b", "k"]) {
   const touched = (...parts) => parts.some((part) => changed.includes(part));
   const place = facts.places[state.p].label;
   const p99 = C().p99[state.c], timed = facts.places[C().timed_at[state.c]];
-  $("chosen").textContent = `${label(state.c)}: ${C().outcome[state.c]}`
+  const outcome = C().outcome[state.c] === "not judged" ? "" : `: ${C().outcome[state.c]}`;
+  $("chosen").textContent = `${label(state.c)}${outcome}`
     + `${p99 === null ? "" : `, p99 ${time(p99)} in ${timed?.label}`}${beside()}; shown in ${place}${
       state.k === null ? "" : `, k ${state.k}`}`;
   if (touched("c", "p")) glow($("chosen"));
@@ -51,6 +52,7 @@ async function draw(changed = ["slow", "c", "p", "b", "k"]) {
     await mark("accuracy", { id: String(state.c) });
     drawTable();
   }
+  if (touched("c", "p")) await drawStudy();
   if (touched("c", "p", "k")) await drawOne();
   if (touched("c", "b") && $("two")) await drawTwo();
 }
@@ -71,8 +73,8 @@ async function copy(button, text) {
 
 // To a section; the address keeps the selection.
 function go(id) {
-  const section = $(id);
-  if (section.tagName === "DETAILS") section.open = true;
+  const section = $(id), folded = section.closest("details");
+  if (folded) folded.open = true;
   section.tabIndex = -1;
   section.focus({ preventScroll: true });
   section.scrollIntoView();
@@ -88,6 +90,7 @@ function arrived() {
 
 function listen() {
   listenOne();
+  listenStudy();
   for (const name of ["ladder", "matrix"]) steerable(name);
   $("matrix-way")?.append(...unique(all().map(way)).map((w) => new Option(w.replace("-", " "), w)));
   $("matrix-way")?.addEventListener("change", drawMatrix);
@@ -129,12 +132,13 @@ function listenOne() {
 // The address, the width, links to sections.
 function listenPage() {
   addEventListener("popstate", arrived);
-  for (const link of document.querySelectorAll("[data-section]")) {
+  for (const link of document.querySelectorAll("[data-section], .term")) {
     link.addEventListener("click", (event) => {
       event.preventDefault();
       go(link.getAttribute("href").slice(1));
     });
   }
+  listenTerms();
   onNewLook(redraw);
   // Links within the page stop below the lines that stay, however many there are.
   new ResizeObserver(([bar]) => {
@@ -148,10 +152,28 @@ function listenPage() {
   }
 }
 
+// What a term means, for those who come to it by the keyboard: a mouse has its title.
+function listenTerms() {
+  const box = $("tip"), hide = () => { box.hidden = true; };
+  for (const term of document.querySelectorAll(".term")) {
+    term.addEventListener("focus", () => {
+      if (!term.matches(":focus-visible")) return;
+      box.textContent = term.title;
+      box.hidden = false;
+      const place = term.getBoundingClientRect();
+      box.style.left = `${Math.max(8, Math.min(place.left, innerWidth - box.offsetWidth - 8)) + scrollX}px`;
+      box.style.top = `${place.bottom + 6 + scrollY}px`;
+    });
+    term.addEventListener("blur", hide);
+    term.addEventListener("keydown", (event) => { if (event.key === "Escape") hide(); });
+  }
+}
+
 async function start() {
   await unpack();
   facts.index = new Map((facts.cells.c ?? []).map((c, i) => [`${c}/${facts.cells.p[i]}`, i]));
   for (const node of document.querySelectorAll("[data-live]")) node.hidden = false;
+  for (const node of document.querySelectorAll("[data-static]")) node.hidden = true;
   read();
   listen();
   const name = location.hash.slice(1);

@@ -2,7 +2,8 @@
 //
 //   #s=osqp&w=native-warm&set=high&sc=turn&k=74&slow=100&b=daqp~native-warm~default
 //
-// What the page says of configurations and cells is looked up here; `draw` (page.js) follows it.
+// Of a study the scenario is a sea: `sc=seas: point 3, sea 2`. What the page says of configurations
+// and cells is looked up here; `draw` (page.js) follows it.
 "use strict";
 
 const state = {};
@@ -53,9 +54,8 @@ function read() {
   const c = configuration(solver, asked.get("w") ?? (asked.has("s") ? null : way(first)),
     asked.get("set") ?? (asked.has("s") ? null : C().settings[first])) ?? first;
   let p = facts.places.findIndex((place) => place.label === asked.get("sc"));
-  if (p < 0) {
-    p = facts.places.findIndex((_, i) => cell(c, i)?.t != null);
-  }
+  if (p < 0 && !asked.has("s")) p = facts.answer.place ?? p;
+  if (p < 0) p = facts.places.findIndex((_, i) => cell(c, i)?.t != null);
   const [bs, bw, bset] = (asked.get("b") ?? "").split("~");
   const b = configuration(bs, bw, bset) ?? null;
   const slow = atMost(asked.get("slow"));

@@ -57,10 +57,17 @@ function drawTable() {
   $("table-body").replaceChildren(...body);
   $("table-said").textContent = `${rows.length ? from + 1 : 0} to ${Math.min(from + ROWS, rows.length)} of ${rows.length} rows${
     $("table-of").value === "all" ? "" : `, of ${table.rows} in all`}`;
-  $("table-back").disabled = from === 0;
-  $("table-next").disabled = from + ROWS >= rows.length;
+  turnable($("table-back"), from > 0, $("table-next"));
+  turnable($("table-next"), from + ROWS < rows.length, $("table-back"));
   state.rows = rows; state.shown = shown;
   drawQuery();
+}
+
+// Whether there are more rows that way; at the end of them the keys go over to the other button.
+function turnable(button, more, other) {
+  const had = document.activeElement === button;
+  button.disabled = !more;
+  if (had && !more) { other.disabled = false; other.focus(); }
 }
 
 // A number as it is shown: in the unit of its column's name there.

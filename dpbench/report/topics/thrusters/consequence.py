@@ -42,7 +42,8 @@ def consequence_topic(records: Records) -> Topic | None:
         ),
         figures=tuple(figure for analysis in analyses for figure in _figures(analysis)),
         tables=tuple(
-            SmallTable(*head_and_rows(rows), name, file_only=long) for rows, name in tables
+            SmallTable(*head_and_rows(rows), name, shown=0 if long else None)
+            for rows, name in tables
         ),
     )
 

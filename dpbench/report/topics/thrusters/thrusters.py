@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
@@ -54,13 +53,10 @@ def thrusters_topic(records: Records, demand: Demand) -> Topic | None:
         "is nearest to the exactly solved one; the largest of the scenarios that ran to their end. "
         "One configuration a solver, the one that is right most often."
     )
-    whole = SmallTable(HEAD, tuple(kept))
-    tables: tuple[SmallTable, ...] = (whole,)
     if len(kept) > MOST_ROWS:
         note += " All of them: tables/thrusters.csv."
-        shown = replace(whole, rows=tuple(kept[:MOST_ROWS]))
-        tables = replace(whole, file_only=True), shown
-    return Topic("thrusters", "Thrusters", (lead, note), (), tables)
+    table = SmallTable(HEAD, tuple(kept), shown=MOST_ROWS)
+    return Topic("thrusters", "Thrusters", (lead, note), (), (table,))
 
 
 def _nearest(right: Sequence[RunRecord], scenario: str) -> RunRecord:

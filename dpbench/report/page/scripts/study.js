@@ -1,0 +1,174 @@
+// A study: what is chosen of it is the configuration and the place, a sea at one of its points.
+"use strict";
+
+const MOST_TILES = 12;  // Values of a key that stand side by side as tiles.
+
+// The study of the chosen place; the first where that is of none.
+const studied = () => facts.studies.find((s) => s.name === facts.places[state.p]?.study) ?? facts.studies[0];
+
+// The chosen point and sea; of a page that shows another place, the study's first.
+function there(study) {
+  const place = facts.places[state.p];
+  return place.study === study.name ? place : { point: study.points[0], sea: study.runs.sea[0] };
+}
+
+// The number of a sea among the places; of a sea that is not there, of the point's first.
+function placeOf(study, point, sea) {
+  const of = (wanted) => facts.places.findIndex((place) => place.study === study.name
+    && place.point === point && (wanted === null || place.sea === wanted));
+  const p = of(sea);
+  return p < 0 ? of(null) : p;
+}
+
+// Which of the study's configurations is chosen; −1 for none of them.
+const whoOf = (study) => study.c.indexOf(state.c);
+
+// The runs of one configuration at one point, or at all of them.
+function runsOf(study, who, point = null) {
+  const { of, point: at } = study.runs;
+  return of.map((_, i) => i).filter((i) => of[i] === who && (point === null || at[i] === point));
+}
+
+// The values of a study's keys at a point, in words.
+function valuesAt(study, i) {
+  return study.keys.map((key, j) => `${lastOf(key)} ${told(study.values[j][i])}`).join(", ");
+}
+const lastOf = (key) => key.split(".").slice(/^\d+$/.test(key.split(".").at(-1)) ? -2 : -1).join(".");
+const told = (value) => (typeof value === "number" ? figure(value) : String(value ?? "–"));
+
+// The keys that the design is drawn over: those asked for; else the first, and the one that tells
+// most points apart beside it, which none does that changes together with it.
+function axesOf(study) {
+  const [across, up] = ["study-across", "study-up"].map((id) => $(id).value)
+    .map((value) => (value !== "" && Number(value) < study.keys.length ? Number(value) : null));
+  const first = across ?? 0;
+  const apart = (j) => unique(study.points.map((_, i) => `${study.values[first][i]}/${study.values[j][i]}`)).length;
+  const best = study.keys.map((_, j) => j).reduce((most, j) => (apart(j) > apart(most) ? j : most), 0);
+  return [first, up ?? best];
+}
+
+const asTiles = (study) => axesOf(study).every((j) => {
+  const own = unique(study.values[j]);
+  return own.length <= MOST_TILES || own.some((value) => typeof value !== "number");
+});
+
+// A row for each place in the plane of two keys: how many of its seas the chosen one holds.
+function designRows(study) {
+  const [across, up] = axesOf(study), { point } = there(study), who = Math.max(0, whoOf(study));
+  const groups = new Map();
+  study.points.forEach((id, i) => {
+    const x = study.values[across][i], y = across === up ? "" : study.values[up][i];
+    const at = `${x}/${y}`;
+    if (!groups.has(at)) groups.set(at, { x, y, points: [], held: 0, seas: 0 });
+    const group = groups.get(at), own = runsOf(study, who, id);
+    group.points.push([id, i]);
+    group.seas += own.length;
+    group.held += own.filter((j) => study.runs.held[j]).length;
+  });
+  return [...groups.values()].filter((group) => group.seas > 0).map((group) => {
+    const chosen = group.points.find(([id]) => id === point);
+    const [id, i] = chosen ?? group.points[0];
+    return { x: group.x, y: group.y, point: id, chosen: Boolean(chosen),
+      state: group.held === group.seas ? "all held" : group.held ? "some held" : "none held",
+      said: `${group.held}/${group.seas}`,
+      values: `${id}: ${valuesAt(study, i)}${group.points.length > 1 ? `, and ${group.points.length - 1} more` : ""}` };
+  });
+}
+
+// The seas of the chosen point, in the order of how far off the reference is in each.
+function seaRows(study) {
+  const { point, sea } = there(study), who = Math.max(0, whoOf(study));
+  const of = (which) => runsOf(study, which, point).map((i) => ({ i, sea: study.runs.sea[i], value: study.runs.tail_m[i] }))
+    .filter((row) => row.value !== null);
+  const reference = of(study.reference), own = of(who);
+  const order = unique([...[...reference].sort((a, b) => a.value - b.value), ...own].map((row) => row.sea));
+  const rows = (list, name) => list.map((row) => ({ order: order.indexOf(row.sea) + 1, value: row.value,
+    who: name, replicate: row.sea, chosen: row.sea === sea && name === "chosen" }));
+  return [...(who === study.reference ? [] : rows(reference, "reference")), ...rows(own, "chosen")];
+}
+
+function meanRows(study) {
+  return study.means.map((mean, i) => ({ ...mean, name: study.names[i], c: study.c[i], chosen: study.c[i] === state.c }));
+}
+
+function behindRows(study) {
+  const { point, sea } = there(study);
+  return study.runs.of.map((_, i) => i)
+    .filter((i) => study.runs.point[i] === point && study.runs.behind_cm[i] !== null && study.runs.of[i] !== study.reference)
+    .map((i) => ({ name: study.names[study.runs.of[i]], c: study.c[study.runs.of[i]], behind_cm: study.runs.behind_cm[i],
+      replicate: study.runs.sea[i], chosen: study.runs.sea[i] === sea && study.c[study.runs.of[i]] === state.c }));
+}
+
+// What is said of the chosen configuration, point and sea.
+function studySaid(study) {
+  const { point, sea } = there(study), who = whoOf(study), i = study.points.indexOf(point);
+  const at = `Point ${point} (${valuesAt(study, i)})`;
+  if (who < 0) return `${at}. ${label(state.c)} is not in this study.`;
+  const own = runsOf(study, who, point), all = runsOf(study, who), held = (list) => list.filter((j) => study.runs.held[j]).length;
+  const run = own.find((j) => study.runs.sea[j] === sea), behind = run === undefined ? null : study.runs.behind_cm[run];
+  const tail = run === undefined ? null : study.runs.tail_m[run];
+  const here = run === undefined ? "was not run" : tail === null ? "did not end"
+    : `${study.runs.held[run] ? "held" : "not held"}, at most ${figure(tail)} m off in the second half`
+      + (behind === null || who === study.reference ? "" : `, ${figure(behind)} cm behind ${study.names[study.reference]}`);
+  return `${at}: ${study.names[who]} stays within ${study.radius_m} m in ${held(own)} of ${own.length} seas, over all points in `
+    + `${held(all)} of ${all.length}. Sea ${sea}: ${here}.`;
+}
+
+function drawStudyChoice(study) {
+  const { point, sea } = there(study), axes = axesOf(study);
+  options("study-of", facts.studies.map((s) => [s.name, s.name]), study.name);
+  options("study-who", study.names.map((name, i) => [study.c[i], name]), state.c);
+  for (const [id, j] of [["study-across", axes[0]], ["study-up", axes[1]]])
+    options(id, study.keys.map((key, i) => [i, key]), j);
+  for (const node of document.querySelectorAll(".keys")) node.hidden = study.keys.length < 3;
+  const seas = runsOf(study, Math.max(0, whoOf(study)), point).map((i) => study.runs.sea[i]);
+  const bounds = { "study-point": [point, study.points], "study-sea": [sea, seas.length ? seas : [sea]] };
+  for (const [id, [value, known]] of Object.entries(bounds)) {
+    Object.assign($(id), { value, min: Math.min(...known), max: Math.max(...known) });
+  }
+}
+
+async function drawStudy() {
+  const study = studied();
+  if (!study || !$("study-live")) return;
+  drawStudyChoice(study);
+  $("study-said").textContent = studySaid(study);
+  const fill = async (name, tables, signals = {}) => {
+    const view = await figureOf(name);
+    if (!view) return;
+    for (const [key, value] of Object.entries(signals)) view.signal(key, value);
+    for (const [key, rows] of Object.entries(tables)) view.data(key, rows);
+    await view.runAsync();
+  };
+  const [across, up] = axesOf(study).map((j) => study.keys[j]);
+  $("figure-design").parentElement.hidden = !study.keys.length;
+  if (study.keys.length) await fill("design", { design: designRows(study) }, { across, up: across === up ? "" : up });
+  await fill("behind", { means: meanRows(study), seas: behindRows(study) });
+  await fill("seas", { there: seaRows(study), radius: [{ limit: study.radius_m }] });
+}
+
+// A point, a row, a dot: what it stands for is chosen, the rest of the selection stays.
+function pickedOfStudy(datum) {
+  const study = studied(), now = there(study);
+  const p = placeOf(study, datum.point ?? now.point, datum.replicate ?? now.sea);
+  select({ c: datum.c ?? state.c, p: p < 0 ? state.p : p, k: null });
+}
+
+function listenStudy() {
+  if (!$("study-live")) return;
+  const choose = (change) => {
+    const study = studied(), now = { ...there(study), ...change };
+    if (study.points.includes(now.point)) select({ p: placeOf(study, now.point, now.sea), k: null });
+    else drawStudyChoice(study);
+  };
+  const on = (id, act) => $(id).addEventListener("change", (event) => act(event.target.value));
+  on("study-of", (name) => {
+    const study = facts.studies.find((s) => s.name === name);
+    const p = placeOf(study, study.points[0], study.runs.sea[0]);
+    select({ c: study.c.includes(state.c) ? state.c : study.c[0], p, k: null });
+  });
+  on("study-who", (c) => select({ c: Number(c), k: null }));
+  on("study-point", (point) => choose({ point: Number(point) }));
+  on("study-sea", (sea) => choose({ sea: Number(sea) }));
+  for (const id of ["study-across", "study-up"]) on(id, drawStudy);
+}

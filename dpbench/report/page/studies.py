@@ -1,0 +1,110 @@
+"""Studies on the page: their points and seas, and the loops that it has room for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.suites.study import Study
+
+MOST_RUNS = 20_000
+"""So many runs of studies stand on the page with their errors; the rest is in the files."""
+MOST_LOOPS = 400
+"""So many of them with their steps."""
+
+
+def shown(runs: Iterable[RunRecord]) -> list[RunRecord]:
+    """The runs of studies that the page shows, the first sea of every point first; the first
+    `MOST_LOOPS` of them with their steps."""
+    solving = [run for run in runs if not run.is_baseline_law]
+    return sorted(solving, key=lambda run: run.replicate)[:MOST_RUNS]
+
+
+def study_document(
+    study: Study, runs: Mapping[str, RunRecord], number_of: Mapping[str, int]
+) -> dict[str, Any]:
+    """What the page's script draws of a study.
+
+    Parameters
+    ----------
+    runs : those that are shown, by run_id.
+    number_of : by the name of a configuration its number on the page.
+    """
+    rows = study.runs[study.runs["run_id"].isin(list(runs))]
+    names = [c.name for c in study.configurations if c.name in number_of]
+    rows = rows[rows["configuration"].isin(names)]
+    place = {name: i for i, name in enumerate(names)}
+    return {
+        "name": study.name,
+        "radius_m": study.radius_m,
+        "reference": place.get(study.reference, 0),
+        "keys": [str(key) for key in study.points],
+        "points": [int(point) for point in study.points.index],
+        "values": [[_plain(x) for x in study.points[key]] for key in study.points],
+        "names": names,
+        "c": [number_of[name] for name in names],
+        "means": [_mean(study, name) for name in names],
+        "runs": {
+            "of": [place[name] for name in rows["configuration"]],
+            "point": rows["point"].tolist(),
+            "sea": rows["replicate"].tolist(),
+            "held": [int(held) for held in rows["held"]],
+            "tail_m": _short(rows["r_tail_max_m"].where(rows["finished"])),
+            "behind_cm": _short(_behind_cm(study, rows)),
+            "id": rows["run_id"].tolist(),
+        },
+    }
+
+
+def opening(study: Study, shown_runs: Sequence[RunRecord]) -> RunRecord | None:
+    """The run that a page about a study opens with: of the configuration that holds fewest seas,
+    or else the one farthest from the exactly solved loop, a sea that it does not hold, or else the
+    one in which it is farthest off; None where nothing is shown."""
+    kept = {run.run_id: run for run in shown_runs[:MOST_LOOPS] if run.study == study.name}
+    rows = study.runs[study.runs["run_id"].isin(list(kept))]
+    if rows.empty:
+        return None
+    known = [c for c in study.configurations if (rows["configuration"] == c.name).any()]
+    worst = min(reversed(known), key=lambda c: c.held)
+    rows = rows[rows["configuration"] == worst.name]
+    share = rows.groupby("point")["held"].transform("mean")
+    order = rows.assign(share=share).sort_values(
+        ["share", "held", "r_tail_max_m"], ascending=[True, True, False], kind="stable"
+    )
+    return kept[str(order["run_id"].iloc[0])]
+
+
+def _behind_cm(study: Study, rows: pd.DataFrame) -> pd.Series[float]:
+    """How far each run is behind that of the reference in the same sea [cm]; NaN without one."""
+    reference = study.values(study.reference, "r_95_m")
+    sea = pd.MultiIndex.from_frame(rows[["point", "replicate"]])
+    other = pd.Series(reference.reindex(sea).to_numpy(), index=rows.index)
+    return (100.0 * (rows["r_95_m"] - other)).where(rows["finished"])
+
+
+def _mean(study: Study, name: str) -> dict[str, Any]:
+    """The mean over all seas with its interval [cm], and the share that is held."""
+    (found,) = (c for c in study.configurations if c.name == name)
+    known: dict[str, Any] = {"held": found.held, "pairs": 0}
+    if found.behind is None or found.behind.pairs == 0:
+        return known
+    mean = found.behind.mean
+    ends = (mean.low, mean.high) if np.isfinite(mean.low) else (mean.value, mean.value)
+    numbers = zip(("mean_cm", "low_cm", "high_cm"), (mean.value, *ends), strict=True)
+    return known | {n: 100.0 * x for n, x in numbers} | {"pairs": found.behind.pairs}
+
+
+def _short(values: Iterable[float]) -> list[float | None]:
+    """Four digits, as many as the page prints; None for what is missing."""
+    return [float(f"{x:.4g}") if math.isfinite(x) else None for x in values]
+
+
+def _plain(value: Any) -> Any:
+    """A number or text as JSON has it."""
+    plain = value.item() if isinstance(value, np.generic) else value
+    return None if isinstance(plain, float) and not math.isfinite(plain) else plain

@@ -1,0 +1,109 @@
+"""Terms in the texts of a page: each a link to the page's list of words, with its meaning to hover
+over."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from markupsafe import Markup, escape
+
+from dpbench.report.glossary import meanings, topics
+
+PHRASES = {
+    **{
+        name: name
+        for name in (
+            *("active limits", "certified optimum", "claimed", "closed loop", "deadline"),
+            *("demand", "disturbed", "exactly solved loop", "failed step", "fallback", "fresh"),
+            *("interval", "jitter", "native", "paired ratio", "qpsolvers", "radial error"),
+            *("rate limit", "rate-limit step", "referee", "region of attraction", "replay"),
+            *("reuse", "round", "settings", "warm", "way"),
+        )
+    },
+    "exactly solved": "exactly solved loop",
+    "first move": "error_move",
+    "largest single sample": "raw time",
+    "p50": "p50, p95, p99",
+    "p99": "p50, p95, p99",
+}
+"""What is looked for in a text, one or more of it, and the term of the glossary that it stands for.
+Words of everyday use such as *step* or *open* are not: every second one would be a link."""
+_FOUND = re.compile(
+    r"(?<![\w-])(?:" + "|".join(sorted(map(re.escape, PHRASES), key=len, reverse=True)) + r")s?\b",
+    re.IGNORECASE,
+)
+
+_OF_HEADS = {
+    term
+    for title in (
+        *("Solvers and how they are run", "Studies", "Thrusters steered"),
+        "The paper reproduced",
+    )
+    for term in topics()[title]
+}
+"""Elsewhere in the glossary a head may stand for another thing: *error* for a status."""
+
+
+@dataclass(frozen=True)
+class Word:
+    """A term in the list: the id of its place, itself and its meaning."""
+
+    id: str
+    term: str
+    meaning: str
+
+
+def word_of(term: str) -> Word:
+    """A term of the glossary."""
+    slug = re.sub(r"[^a-z0-9]+", "-", term.lower()).strip("-")
+    return Word(f"word-{slug}", term, meanings()[term])
+
+
+class Terms:
+    """Links the terms of one page, each once in a section, and lists those that were met.
+
+    Parameters
+    ----------
+    listed : terms of the list whether they are met or not, in its order.
+    """
+
+    def __init__(self, listed: Iterable[str]) -> None:
+        self._listed = dict.fromkeys(listed)
+        self._here: set[str] = set()
+
+    def section(self) -> str:
+        """Begin a section, where every term is new; writes nothing."""
+        self._here.clear()
+        return ""
+
+    def __call__(self, text: str) -> Markup:
+        """A text with its terms linked."""
+        parts, end = [], 0
+        for found in _FOUND.finditer(text):
+            phrase = found[0].lower()
+            term = PHRASES.get(phrase) or PHRASES[phrase.removesuffix("s")]
+            if term not in self._here:
+                parts += [escape(text[end : found.start()]), self._link(term, found[0])]
+                end = found.end()
+        return Markup("").join([*parts, escape(text[end:])])
+
+    def head(self, text: str) -> Markup:
+        """The head of a table: linked where it is a term, its unit aside."""
+        term = re.sub(r" \[.*\]$", "", text)
+        known = term in _OF_HEADS and term not in self._here
+        return self._link(term, text) if known else escape(text)
+
+    def _link(self, term: str, text: str) -> Markup:
+        self._here.add(term)
+        self._listed[term] = None
+        word = word_of(term)
+        return Markup('<a class="term" href="#{}" title="{}">{}</a>').format(
+            word.id, word.meaning, text
+        )
+
+    @property
+    def words(self) -> list[Word]:
+        """The list as it stands: what was asked for, then what was met beside."""
+        return [word_of(term) for term in self._listed]

@@ -1,0 +1,72 @@
+"""What the page carries of a study: every sea with its errors, the loops, and where it opens."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from dpbench.report.page import facts as facts_of_page
+from dpbench.report.report import Report
+from tests.report.conftest import HEIGHTS, LOOSE, OFFSETS, SEAS, of_seas
+
+
+def test_every_sea_has_its_errors(records: Any) -> None:
+    """Those of its run: how far off, whether held, and how far behind the reference there."""
+    made = of_seas(records)
+    facts = Report.of(made.results()).facts
+    (study,) = facts.study_documents
+    runs = made.results().runs.set_index("run_id")
+    own = study["runs"]
+    assert sorted(own["id"]) == sorted(runs.index)
+    assert study["names"][study["reference"]] == "daqp"
+    for i, run_id in enumerate(own["id"]):
+        run = runs.loc[run_id]
+        same = (runs["study_point"] == own["point"][i]) & (runs["replicate"] == own["sea"][i])
+        (reference,) = runs[same & (runs["solver"] == "daqp")]["r_95_m"]
+        assert own["tail_m"][i] == pytest.approx(run["r_tail_max_m"], rel=1e-3)
+        assert own["behind_cm"][i] == pytest.approx(100 * (run["r_95_m"] - reference), abs=1e-3)
+        assert own["held"][i] == (run["r_tail_max_m"] <= 1.0)
+        configuration = facts.configurations[study["c"][own["of"][i]]]
+        assert (configuration.solver, configuration.settings) == (run["solver"], run["settings"])
+
+
+def test_it_opens_where_least_is_held(records: Any) -> None:
+    """The configuration, a point and a sea in which the ship is lost."""
+    facts = Report.of(of_seas(records).results()).facts
+    assert facts.opening is not None
+    c, p = facts.opening
+    place = facts.places[p]
+    assert (facts.configurations[c].solver, facts.configurations[c].settings) == ("osqp", LOOSE)
+    assert place.point >= len(OFFSETS) * (len(HEIGHTS) - 1) and place.replicate == 2
+    assert place.label == f"seas: point {place.point}, sea {place.replicate}"
+    assert facts.runs[c, p].r_tail_max_m == 1.5
+
+
+def test_seas_enter_no_verdict(records: Any) -> None:
+    """Beside other runs they are places, but none of the answer or of the tiles."""
+    made = of_seas(records)
+    made.loop("daqp", "calm", steps=40)
+    made.replay("daqp", "calm")
+    report = Report.of(made.results())
+    assert [report.facts.places[p].label for p in report.facts.judged_places] == [
+        "calm",
+        "calm (replay)",
+    ]
+    assert report.facts.opening is None
+    assert not any("sea" in chip.text for chip in report.answer.chips)
+    assert set(report.tables["places"]["place"]) == {"calm", "calm (replay)"}
+    assert set(report.tables["places"]["settings"]) == {"default"}
+
+
+def test_a_page_keeps_the_first_seas_of_all_points(
+    records: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of more loops than it has room for; the others stand with their errors alone."""
+    room = 3 * len(HEIGHTS) * len(OFFSETS)
+    monkeypatch.setattr(facts_of_page, "MOST_LOOPS", room)
+    facts = Report.of(of_seas(records).results()).facts
+    assert len(facts.runs) == room
+    assert {facts.places[p].replicate for _, p in facts.runs} == {1}
+    assert len(facts.places) == len(HEIGHTS) * len(OFFSETS) * SEAS
+    assert len(facts.study_documents[0]["runs"]["id"]) == room * SEAS
