@@ -125,6 +125,36 @@ def test_numbers_choose_as_clicks_do(study_page: Opener) -> None:
     assert page.input_value("#study-point") == "1"
 
 
+@pytest.mark.parametrize(
+    ("keys", "values", "form", "heights"),
+    [
+        (("a", "twin", "b"), lambda i: (i % 10, 2.0 * (i % 10), i // 10), "design_tiles", {0, 1}),
+        (("a", "b"), lambda i: (0.1 * i, 0.3 * (7 * i % 20)), "design_points", None),
+        (("a",), lambda i: (0.5 * i,), "design_points", {100, 0}),
+    ],
+    ids=["zipped", "drawn", "one key"],
+)
+@pytest.mark.slow
+def test_a_design_is_drawn_over_what_tells_points_apart(
+    chromium: Any, tmp_path: Path, keys: Any, values: Any, form: str, heights: Any
+) -> None:
+    """A key that changes with the first is not set beside it; over one key the share is drawn."""
+    records = MadeRecords()
+    for point in range(20):
+        x = dict(zip(keys, values(point), strict=True))
+        for solver in ("daqp", "osqp"):
+            lost = solver == "osqp" and point == 3
+            records.sea(solver, point, 1, x, tail_m=2.0 if lost else 0.5, closed_loop_cost=100.0)
+    with opening(chromium, write_report(records.write(tmp_path / "drawn"))) as opener:
+        page = opener()
+        assert page.evaluate("forms.design") == form
+        rows = _rows(page, "design", "design")
+        assert len(rows) == 20
+        found = {row["y"] for row in rows}
+        assert found == heights if heights else len(found) > 10
+        assert [row["point"] for row in rows if row["state"] == "none held"] == [3]
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
 @pytest.mark.slow

@@ -36,26 +36,29 @@ function valuesAt(study, i) {
 const lastOf = (key) => key.split(".").slice(/^\d+$/.test(key.split(".").at(-1)) ? -2 : -1).join(".");
 const told = (value) => (typeof value === "number" ? figure(value) : String(value ?? "–"));
 
-// The keys that the design is drawn over: those asked for; else the first, and the one that tells
-// most points apart beside it, which none does that changes together with it.
+// The keys that the design is drawn over: those asked for; else the first, and of the others the one
+// that tells most points apart beside it, which none does that changes together with it. Of a single
+// key twice the same.
 function axesOf(study) {
   const [across, up] = ["study-across", "study-up"].map((id) => $(id).value)
     .map((value) => (value !== "" && Number(value) < study.keys.length ? Number(value) : null));
   const first = across ?? 0;
   const apart = (j) => unique(study.points.map((_, i) => `${study.values[first][i]}/${study.values[j][i]}`)).length;
-  const best = study.keys.map((_, j) => j).reduce((most, j) => (apart(j) > apart(most) ? j : most), 0);
-  return [first, up ?? best];
+  const others = study.keys.map((_, j) => j).filter((j) => j !== first);
+  return [first, up ?? others.reduce((most, j) => (apart(j) > apart(most) ? j : most), others[0] ?? first)];
 }
 
-const asTiles = (study) => axesOf(study).every((j) => {
-  const own = unique(study.values[j]);
-  return own.length <= MOST_TILES || own.some((value) => typeof value !== "number");
-});
+// Few values of two keys make a table; what is no number has no axis.
+function asTiles(study) {
+  const [across, up] = axesOf(study), own = [across, up].map((j) => unique(study.values[j]));
+  return own.flat().some((value) => typeof value !== "number")
+    || (across !== up && own.every((values) => values.length <= MOST_TILES));
+}
 
 // A row for each place in the plane of two keys: how many of its seas the chosen one holds.
 function designRows(study) {
   const [across, up] = axesOf(study), { point } = there(study), who = Math.max(0, whoOf(study));
-  const groups = new Map();
+  const groups = new Map(), tiles = asTiles(study);
   study.points.forEach((id, i) => {
     const x = study.values[across][i], y = across === up ? "" : study.values[up][i];
     const at = `${x}/${y}`;
@@ -68,7 +71,9 @@ function designRows(study) {
   return [...groups.values()].filter((group) => group.seas > 0).map((group) => {
     const chosen = group.points.find(([id]) => id === point);
     const [id, i] = chosen ?? group.points[0];
-    return { x: group.x, y: group.y, point: id, chosen: Boolean(chosen),
+    // Over one key the height is free: it is the share that is held.
+    const y = across === up && !tiles ? (100 * group.held) / group.seas : group.y;
+    return { x: group.x, y, point: id, chosen: Boolean(chosen),
       state: group.held === group.seas ? "all held" : group.held ? "some held" : "none held",
       said: `${group.held}/${group.seas}`,
       values: `${id}: ${valuesAt(study, i)}${group.points.length > 1 ? `, and ${group.points.length - 1} more` : ""}` };
@@ -140,9 +145,10 @@ async function drawStudy() {
     for (const [key, rows] of Object.entries(tables)) view.data(key, rows);
     await view.runAsync();
   };
-  const [across, up] = axesOf(study).map((j) => study.keys[j]);
+  const [across, other] = axesOf(study).map((j) => study.keys[j]);
+  const up = across !== other ? other : asTiles(study) ? "" : "seas held [%]";
   $("figure-design").parentElement.hidden = !study.keys.length;
-  if (study.keys.length) await fill("design", { design: designRows(study) }, { across, up: across === up ? "" : up });
+  if (study.keys.length) await fill("design", { design: designRows(study) }, { across, up });
   await fill("behind", { means: meanRows(study), seas: behindRows(study) });
   await fill("seas", { there: seaRows(study), radius: [{ limit: study.radius_m }] });
 }
