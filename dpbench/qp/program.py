@@ -127,6 +127,8 @@ class QuadraticProgram:
 
     def changed_by(self, step: QPStep) -> bool:
         """Whether a step has to be solved with other matrices than those of this problem."""
+        if step.P is step.A is step.lb is step.ub is None:
+            return False
         for name in CONSTANT:
             matrix, known = getattr(step, name), getattr(self, name)
             if matrix is not None and matrix is not known and not np.array_equal(matrix, known):

@@ -12,77 +12,91 @@ The gap is an upper bound of |primal − dual objective| (the identity is p − 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf, isnan
+from math import inf
+from typing import Generic, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from dpbench.arrays import Vector
+from dpbench.arrays import Matrix, Vector
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.solution import Solution
 
 OPPOSITE = 1e-6
 """How much nearer the other limit must be before a multiplier counts as on the wrong side: below
 it the two limits of an equality-like row cannot be told apart by a solver."""
+Number = TypeVar("Number", float, Vector)
 
 
 @dataclass(frozen=True, slots=True)
-class Residuals:
-    """How far an answer is from satisfying the optimality conditions, in the units of its QP."""
+class Residuals(Generic[Number]):
+    """How far an answer is from satisfying the optimality conditions, in the units of its QP; of
+    several answers (K,) each."""
 
-    primal: float
-    dual: float
-    complementarity: float
-    gap: float
-
-
-_NOTHING = Residuals(inf, inf, inf, inf)
+    primal: Number
+    dual: Number
+    complementarity: Number
+    gap: Number
 
 
-def residuals(qp: QuadraticProgram, solution: Solution) -> Residuals:
+def residuals(qp: QuadraticProgram, solution: Solution) -> Residuals[float]:
     """The residuals of `solution`; its status is not looked at.
 
     A multiplier whose sign names an infinite limit, or the far side of a row that is nearer its
     other limit, is an error of full size: its slack counts as at least 1. NaN or Inf in z makes
     everything inf; in the multipliers, everything but `primal`.
     """
-    z, y, y_box = solution.z, solution.y, solution.y_box
+    vectors = qp.q, qp.l, qp.u, solution.z, solution.y, solution.y_box
+    found = residuals_of_all(qp, *(vector[np.newaxis] for vector in vectors))
+    numbers = found.primal, found.dual, found.complementarity, found.gap
+    return Residuals(*(float(number[0]) for number in numbers))
+
+
+def residuals_of_all(
+    qp: QuadraticProgram,
+    q: Matrix,
+    l: Matrix,  # noqa: E741 - see QuadraticProgram.l
+    u: Matrix,
+    z: Matrix,
+    y: Matrix,
+    y_box: Matrix,
+) -> Residuals[Vector]:
+    """As `residuals`, of K answers z, y_box (K, n), y (K, m) to K QPs with the matrices and bounds
+    of `qp` and with q (K, n), l, u (K, m) of their own.
+
+    Summed without BLAS, so that no answer's last bits depend on how many others there are.
+    """
+    bounds = np.broadcast_to(qp.lb, z.shape), np.broadcast_to(qp.ub, z.shape)
     with np.errstate(all="ignore"):
-        # A sum is finite only if every term is (or it overflows: then the iterate is useless too).
-        if not abs(z.sum()) < inf:
-            return _NOTHING
-        value = np.concatenate((qp.A @ z, z))
-        lower, upper = qp.limits()
-        to_upper, to_lower = upper - value, value - lower
-        worst = np.minimum(to_upper, to_lower).min()
-        primal = 0.0 if worst >= 0.0 else _number(-worst)
-        multiplier = np.concatenate((y, y_box))
-        if not abs(multiplier.sum()) < inf:
-            return Residuals(primal, inf, inf, inf)
-        r = qp.P @ z
-        r += qp.q
-        r += y @ qp.A
-        r += y_box
-        size = np.abs(multiplier)
+        value = np.concatenate((np.einsum("kn,mn->km", z, qp.A), z), axis=1)
+        to_upper = np.concatenate((u, bounds[1]), axis=1) - value
+        to_lower = value - np.concatenate((l, bounds[0]), axis=1)
+        worst = np.minimum(to_upper, to_lower).min(axis=1)
+        primal = np.where(worst >= 0.0, 0.0, -worst)
+        multiplier = np.concatenate((y, y_box), axis=1)
+        r = np.einsum("kn,mn->km", z, qp.P) + q + np.einsum("km,mn->kn", y, qp.A) + y_box
         at_upper = multiplier > 0.0
         named = np.abs(np.where(at_upper, to_upper, to_lower))
         other = np.abs(np.where(at_upper, to_lower, to_upper))
         wrong = named > other + OPPOSITE
-        named[named == inf] = 1.0
-        product = size * np.where(wrong, np.maximum(named, 1.0), named)
         # A row free on both sides names an infinite limit by any sign: inf > inf is False above,
         # and the replaced slack of 1 makes it full size.
-        return Residuals(
-            primal,
-            _number(np.abs(r).max()),
-            _number(product.max()),
-            _number(product.sum() + abs(z @ r)),
-        )
+        named[named == inf] = 1.0
+        product = np.abs(multiplier) * np.where(wrong, np.maximum(named, 1.0), named)
+        gap = product.sum(axis=1) + np.abs(np.einsum("kn,kn->k", z, r))
+        of_multipliers = np.abs(r).max(axis=1), product.max(axis=1), gap
+        # A sum is finite only if every term is (or it overflows: then the iterate is useless too).
+        no_point = ~(np.abs(z.sum(axis=1)) < inf)
+        nothing = no_point | ~(np.abs(multiplier.sum(axis=1)) < inf)
+    return Residuals(
+        _sized(primal, no_point), *(_sized(number, nothing) for number in of_multipliers)
+    )
 
 
-def _number(value: float) -> float:
-    """The value as a float, with NaN as the error it is."""
-    return inf if isnan(value) else float(value)
+def _sized(numbers: Vector, lost: NDArray[np.bool_]) -> Vector:
+    """The numbers, with NaN as the error it is, and inf where all is lost."""
+    return np.where(lost | np.isnan(numbers), inf, numbers)
 
 
 def best_multipliers(qp: QuadraticProgram, z: Vector, tol: float) -> tuple[Vector, Vector]:
@@ -122,15 +136,25 @@ PLAN_TOL_FACTOR = 10.0
 
 
 def is_true(
-    qp: QuadraticProgram, residuals: Residuals, error_plan: float, tol: float = TRUE_TOL
+    qp: QuadraticProgram, residuals: Residuals[float], error_plan: float, tol: float = TRUE_TOL
 ) -> bool:
     """Whether an answer is true, whatever its solver claims.
 
     primal ≤ tol, dual ≤ tol·(1 + ‖q‖_∞) and error_plan ≤ 10·tol, all in scaled units; NaN in any
     of them is not true.
     """
-    return bool(
-        residuals.primal <= tol
-        and residuals.dual <= tol * (1.0 + np.abs(qp.q).max())
-        and error_plan <= PLAN_TOL_FACTOR * tol
+    primal, dual = np.array([residuals.primal]), np.array([residuals.dual])
+    at_once = Residuals(primal, dual, primal, dual)  # of which the last two are not looked at
+    return bool(are_true(qp.q[np.newaxis], at_once, np.array([error_plan]), tol)[0])
+
+
+def are_true(
+    q: Matrix, residuals: Residuals[Vector], error_plan: Vector, tol: float
+) -> NDArray[np.bool_]:
+    """As `is_true`, of K answers to QPs of q (K, n): (K,)."""
+    true: NDArray[np.bool_] = (
+        (residuals.primal <= tol)
+        & (residuals.dual <= tol * (1.0 + np.abs(q).max(axis=1)))
+        & (error_plan <= PLAN_TOL_FACTOR * tol)
     )
+    return true

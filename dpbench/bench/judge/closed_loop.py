@@ -6,13 +6,14 @@ the recorded θ; the residuals are given in the solver's own units too.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.bench.judge.control_metrics import control_metrics
 from dpbench.bench.judge.thruster_metrics import shares_of_full, thruster_metrics
 from dpbench.bench.record.cell import Cell
@@ -22,8 +23,15 @@ from dpbench.bench.run.assemble import as_run
 from dpbench.bench.run.exact_loop import ExactLoop, base_problem
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Units
-from dpbench.qp.referee.referee import ACTIVE_MULTIPLIER, Optimum, Referee, claim_is_true, error_of
-from dpbench.qp.residuals import TRUE_TOL, best_multipliers, is_true, residuals
+from dpbench.qp.referee.referee import (
+    ACTIVE_MULTIPLIER,
+    Optimum,
+    Referee,
+    claim_is_true,
+    errors_of,
+    referee_of,
+)
+from dpbench.qp.residuals import TRUE_TOL, are_true, best_multipliers, residuals_of_all
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario, scenario_once
 
@@ -48,6 +56,8 @@ EVALUATION = (
     "true_1e4",
     "true_1e6",
 )
+AT_ONCE = 128
+"""Answers that are judged at once, at most: some megabytes of them where n is 500."""
 _NO_ANSWER_CLAIMS = (Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE)
 CERTIFICATES = ("linear", "gap", "rational", "infeasible", "none", "undecided")
 _SOLVE = TIMES.index("solve")
@@ -62,7 +72,7 @@ class Evaluated:
 
 
 class StepEvaluator:
-    """Judges answers to the QPs of one base problem.
+    """Judges answers to the QPs of one base problem, many at once.
 
     Parameters
     ----------
@@ -74,10 +84,13 @@ class StepEvaluator:
         self._scaled, self._own, self._units = scaled, own, units
         self._same = own is scaled
         self._referee: Referee | None = None
+        self._waiting: list[tuple[QPStep, QPStep, Solution, Optimum]] = []
+        self._evaluated: list[Matrix] = []
 
     def follow(self, step: QPStep, own: QPStep) -> None:
         """Take over the matrices of a step where it brings other ones; they hold from now on."""
         if self._scaled.changed_by(step):
+            self._evaluate()
             self._scaled, self._own = self._scaled.at(step), self._own.at(own)
             self._referee = None
 
@@ -85,56 +98,68 @@ class StepEvaluator:
         """The certified optimum of a step in scaled units."""
         if self._referee is None:
             qp = self._scaled
-            self._referee = Referee(qp.P, qp.A, qp.lb, qp.ub)
+            self._referee = referee_of(qp.P, qp.A, qp.lb, qp.ub)
         return self._referee.certify(step.q, step.l, step.u)
 
-    def evaluate(
-        self, scaled: QPStep, own: QPStep, answer: Solution, optimum: Optimum
-    ) -> tuple[float, ...]:
-        """The numbers of `EVALUATION` for one answer in the solver's own units."""
-        own_qp = self._own.at(own)
-        whole = _with_multipliers(own_qp, answer)
-        in_own = residuals(own_qp, whole)
-        if self._same:
-            qp, mapped, in_scaled = own_qp, whole, in_own
-        else:
-            qp = self._scaled.at(scaled)
-            units = self._units
-            mapped = Solution(
-                whole.status, whole.z / units.z, whole.y * units.row, whole.y_box * units.z
-            )
-            in_scaled = residuals(qp, mapped)
-        move, plan = error_of(mapped.z, optimum, qp.block, qp.moves)
-        if answer.status in _NO_ANSWER_CLAIMS:
-            levels: tuple[bool, ...] = (claim_is_true(qp, mapped, optimum),) * 3
-        else:
-            levels = tuple(is_true(qp, in_scaled, plan, tol) for tol in (TRUE_TOL, 1e-4, 1e-6))
-        return (
-            in_scaled.primal,
-            in_scaled.dual,
-            in_scaled.complementarity,
-            in_scaled.gap,
-            in_own.primal,
-            in_own.dual,
-            move,
-            plan,
-            *_facts(optimum),
-            *map(float, levels),
-        )
+    def add(self, scaled: QPStep, own: QPStep, answer: Solution, optimum: Optimum) -> None:
+        """Judge an answer, in the solver's own units, to the QP of a step that was followed."""
+        self._waiting.append((scaled, own, answer, optimum))
+        if len(self._waiting) >= AT_ONCE:
+            self._evaluate()
+
+    def evaluations(self) -> Matrix:
+        """The numbers of `EVALUATION` for each answer that was added, in their order (K, …)."""
+        self._evaluate()
+        return np.concatenate([np.empty((0, len(EVALUATION))), *self._evaluated])
+
+    def _evaluate(self) -> None:
+        """Judge what waits: answers to QPs of the same matrices."""
+        if not self._waiting:
+            return
+        scaled, own, answers, optima = zip(*self._waiting, strict=True)
+        self._waiting = []
+        z, y, y_box = (_stacked(answers, part) for part in ("z", "y", "y_box"))
+        self._explain(own, z, y, y_box)
+        in_own = residuals_of_all(self._own, *_vectors(own), z, y, y_box)
+        q, l, u = _vectors(scaled)  # noqa: E741 - see QuadraticProgram.l
+        in_scaled, qp = in_own, self._scaled
+        if not self._same:
+            z, y, y_box = z / self._units.z, y * self._units.row, y_box * self._units.z
+            in_scaled = residuals_of_all(qp, q, l, u, z, y, y_box)
+        move, plan = errors_of(z, optima, qp.block, qp.moves)
+        levels = [are_true(q, in_scaled, plan, tol) for tol in (TRUE_TOL, 1e-4, 1e-6)]
+        for i, answer in enumerate(answers):
+            if answer.status in _NO_ANSWER_CLAIMS:
+                claim = Solution(answer.status, z[i], y[i], y_box[i])
+                is_so = claim_is_true(qp.at(scaled[i]), claim, optima[i])
+                for level in levels:
+                    level[i] = is_so
+        of_scaled = in_scaled.primal, in_scaled.dual, in_scaled.complementarity, in_scaled.gap
+        errors = in_own.primal, in_own.dual, move, plan
+        self._evaluated.append(np.column_stack((*of_scaled, *errors, *_facts(optima), *levels)))
+
+    def _explain(self, steps: Sequence[QPStep], z: Matrix, y: Matrix, y_box: Matrix) -> None:
+        """Give the best multipliers the referee finds to answers whose solver gave none."""
+        without = np.isnan(y).any(axis=1) & np.isfinite(z).all(axis=1)
+        for i in np.flatnonzero(without).tolist():
+            y[i], y_box[i] = best_multipliers(self._own.at(steps[i]), z[i], 1e-6)
 
 
-def _with_multipliers(qp: QuadraticProgram, answer: Solution) -> Solution:
-    """The answer with the best multipliers the referee finds, where the solver gave none."""
-    if np.isnan(answer.y).any() and np.isfinite(answer.z).all():
-        y, y_box = best_multipliers(qp, answer.z, 1e-6)
-        return Solution(answer.status, answer.z, y, y_box)
-    return answer
+def _stacked(parts: Sequence[object], name: str) -> Matrix:
+    """One array of theirs as rows."""
+    return np.array([getattr(part, name) for part in parts])
 
 
-def _facts(optimum: Optimum) -> tuple[float, float]:
-    active = np.count_nonzero(np.abs(optimum.y) > ACTIVE_MULTIPLIER)
-    active += np.count_nonzero(np.abs(optimum.y_box) > ACTIVE_MULTIPLIER)
-    return optimum.bound, float(active)
+def _vectors(steps: Sequence[QPStep]) -> tuple[Matrix, Matrix, Matrix]:
+    """q (K, n), l, u (K, m) of K steps."""
+    return _stacked(steps, "q"), _stacked(steps, "l"), _stacked(steps, "u")
+
+
+def _facts(optima: Sequence[Optimum]) -> tuple[Vector, Vector]:
+    """The bound of each optimum, and how many limits are active at it: (K,) each."""
+    bound = np.array([optimum.bound for optimum in optima])
+    multipliers = np.concatenate((_stacked(optima, "y"), _stacked(optima, "y_box")), axis=1)
+    return bound, (np.abs(multipliers) > ACTIVE_MULTIPLIER).sum(axis=1).astype(np.float64)
 
 
 def recorded_answer(log: AnswerLog, r: int, k: int) -> Solution:
@@ -233,9 +258,10 @@ def _evaluate_steps(
         step, step_own = rebuilt(k)
         evaluator.follow(step, step_own)
         optimum = evaluator.certify(step)
-        evaluations[k] = evaluator.evaluate(step, step_own, recorded_answer(answers, 0, k), optimum)
+        evaluator.add(step, step_own, recorded_answer(answers, 0, k), optimum)
         certificates[k] = CERTIFICATES.index(optimum.kind)
         matrix_steps += Refresh.MATRICES in step.refresh
+    evaluations[asked] = evaluator.evaluations()
     return common_columns(answers, [0], [len(asked)], evaluations, certificates), matrix_steps
 
 

@@ -72,13 +72,15 @@ def _evaluate_rounds(
     """Judge the answers of all rounds into the rows of `evaluations` and `certificates`."""
     scaled: QPSequence = own if own.scaled is None else own.scaled
     evaluator = StepEvaluator(scaled.base, own.base, units)
+    place = np.empty(len(evaluations), dtype=np.intp)  # of the evaluation of each row
+    judged_answers = 0
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(int)
     for k in range(max(counts, default=0)):
         step = scaled.step(k)
         step_own = step if own is scaled else own.step(k)
         evaluator.follow(step, step_own)
         optimum = evaluator.certify(step) if optima is None else optima[k]
-        seen: dict[bytes, tuple[float, ...]] = {}
+        seen: dict[bytes, int] = {}
         for r, start, count in zip(rounds, starts, counts, strict=True):
             if k >= count:
                 continue
@@ -86,6 +88,9 @@ def _evaluate_rounds(
             answer = recorded_answer(log, r, k)
             identity = answer.identity
             if identity not in seen:
-                seen[identity] = evaluator.evaluate(step, step_own, answer, optimum)
-            evaluations[start + k] = seen[identity]
+                evaluator.add(step, step_own, answer, optimum)
+                seen[identity] = judged_answers
+                judged_answers += 1
+            place[start + k] = seen[identity]
             certificates[start + k] = CERTIFICATES.index(optimum.kind)
+    evaluations[:] = evaluator.evaluations()[place]

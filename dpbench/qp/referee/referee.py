@@ -43,8 +43,11 @@ l ≤ z₁ + z₂ ≤ u beside them:
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from copy import copy
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from threading import get_ident
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
@@ -131,6 +134,16 @@ class Optimum:
         return f"z within {self.bound:.1e} of the exact one, {active} limits active"
 
 
+@dataclass(slots=True)
+class _Known:
+    """What follows from the matrices of a referee alone, made when it is first asked for."""
+
+    systems: OrderedDict[bytes, KKTSystem] = field(default_factory=OrderedDict)
+    inverse: Matrix | None = None
+    exact: ExactMatrices | None = None
+    last_resort: LastResort | None = None
+
+
 class Referee:
     """Certifies the QPs of one P, A, lb, ub; not to be shared between threads.
 
@@ -149,12 +162,9 @@ class Referee:
         self._A, self._lb, self._ub = A.copy(), lb.copy(), ub.copy()
         self._C = np.vstack((A, np.eye(n)))
         self._geometry = Geometry(self._C)
-        self._systems: OrderedDict[bytes, KKTSystem] = OrderedDict()
         self._last: Signs = np.zeros(self._m + n, dtype=np.int8)
         self._farkas: tuple[Vector, Vector] | None = None
-        self._inverse: Matrix | None = None
-        self._exact: ExactMatrices | None = None
-        self._last_resort: LastResort | None = None
+        self._known = _Known()
         self._finite = bool(np.isfinite(P).all() and np.isfinite(A).all())
         self._definite = self._finite and positive_definite(self._P)
         self._convex = self._definite or (self._finite and self._proven_convex())
@@ -165,6 +175,13 @@ class Referee:
         if len(later._last) == len(self._last):
             later._last = self._last
         return later
+
+    def anew(self) -> Referee:
+        """A referee of the same matrices that has seen no problem: it answers like a new one, and
+        shares with this one what follows from the matrices alone."""
+        other = copy(self)
+        other._last, other._farkas = np.zeros_like(self._last), None
+        return other
 
     def _proven_convex(self) -> bool:
         """Whether P is positive semidefinite: definite in other units, or exactly so by blocks."""
@@ -180,9 +197,9 @@ class Referee:
         return all(semidefinite(Dyadic.of(P[np.ix_(block, block)]).whole) for block in blocks)
 
     def _exactly(self) -> ExactMatrices:
-        if self._exact is None:
-            self._exact = ExactMatrices.of(self._P, self._C)
-        return self._exact
+        if self._known.exact is None:
+            self._known.exact = ExactMatrices.of(self._P, self._C)
+        return self._known.exact
 
     def certify(self, q: Vector, l: Vector, u: Vector) -> Optimum:  # noqa: E741 - as in QuadraticProgram
         """The optimum of the problem with these vectors; (n,), (m,), (m,)."""
@@ -241,9 +258,9 @@ class Referee:
             empty = self._infeasible(problem)
             if empty is not None:
                 return empty
-        if self._last_resort is None:
-            self._last_resort = LastResort(self._P, self._C, convex=self._convex)
-        closer = self._last_resort.certify(posed)
+        if self._known.last_resort is None:
+            self._known.last_resort = LastResort(self._P, self._C, convex=self._convex)
+        closer = self._known.last_resort.certify(posed)
         if closer is not None and (known is None or closer.bound < known.bound):
             return self._explained(problem, closer)
         if known is not None:
@@ -271,13 +288,13 @@ class Referee:
 
     def _system(self, signs: Signs) -> KKTSystem:
         key = signs.tobytes()
-        system = self._systems.get(key)
+        system = self._known.systems.get(key)
         if system is None:
-            system = self._systems[key] = KKTSystem(self._P, self._C, signs)
-            if len(self._systems) > REMEMBERED:
-                self._systems.popitem(last=False)
+            system = self._known.systems[key] = KKTSystem(self._P, self._C, signs)
+            if len(self._known.systems) > REMEMBERED:
+                self._known.systems.popitem(last=False)
         else:
-            self._systems.move_to_end(key)
+            self._known.systems.move_to_end(key)
         return system
 
     def _closer(self, problem: JointQP, tried: list[Signs], known: Proof | None) -> Proof | None:
@@ -304,11 +321,11 @@ class Referee:
         )
 
     def _gap(self, problem: JointQP, signs: Signs) -> Proof | None:
-        if self._inverse is None:
+        if self._known.inverse is None:
             free = self._system(np.zeros_like(signs))
             if not free.proven:
                 return None
-            self._inverse = free.inverse_bounds()
+            self._known.inverse = free.inverse_bounds()
         held = independent(self._C, signs, signs)
         system = self._system(held)
         if not system.proven:
@@ -318,7 +335,7 @@ class Referee:
         system = self._system(independent(self._C, np.where(held, held, touched), held))
         if not system.proven:
             return None
-        return gap_certificate(problem, self._exactly(), system, self._inverse)
+        return gap_certificate(problem, self._exactly(), system, self._known.inverse)
 
     def _optimum(self, proof: Proof) -> Optimum:
         y, y_box = proof.y[: self._m], proof.y[self._m :]
@@ -378,6 +395,20 @@ class Referee:
         )
 
 
+def referee_of(P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
+    """A referee that answers like a new one, and knows what was found out in this thread about the
+    same matrices before: runs of one controller in many seas have the same."""
+    parts = P.tobytes(), A.tobytes(), lb.tobytes(), ub.tobytes()
+    return _first_of(get_ident(), len(lb), *parts).anew()
+
+
+@lru_cache(maxsize=8)
+def _first_of(thread: int, n: int, P: bytes, A: bytes, lb: bytes, ub: bytes) -> Referee:
+    parts = (np.frombuffer(part) if part else np.zeros(0) for part in (P, A, lb, ub))
+    square, rows, *bounds = parts
+    return Referee(square.reshape(n, n), rows.reshape(-1, n), *bounds)
+
+
 def certify(qp: QuadraticProgram) -> Optimum:
     """The certified optimum of one problem; a `Referee` is faster for many that share P and A."""
     return Referee(qp.P, qp.A, qp.lb, qp.ub).certify(qp.q, qp.l, qp.u)
@@ -390,16 +421,22 @@ def error_of(z: Vector, optimum: Optimum, block: int, moves: int = 0) -> tuple[f
     All variables are one block if block is 0; inf where z is not finite; NaN where there is no
     certified optimum to compare with. The bound of the optimum is not added.
     """
-    if not np.isfinite(optimum.bound):
-        return np.nan, np.nan
-    if not np.isfinite(z).all():
-        return np.inf, np.inf
-    error = np.abs(z - optimum.z)
-    if moves:
-        error = error.reshape(-1, block or len(error))[:, :moves]
-        return float(error[0].max()), float(error.max())
-    plan = float(error.max())
-    return (float(error[:block].max()) if block else plan), plan
+    move, plan = errors_of(z[np.newaxis], [optimum], block, moves)
+    return float(move[0]), float(plan[0])
+
+
+def errors_of(
+    z: Matrix, optima: Sequence[Optimum], block: int, moves: int = 0
+) -> tuple[Vector, Vector]:
+    """As `error_of`, of K answers z (K, n) and their optima: (K,) each."""
+    size = block or z.shape[1]
+    error = np.abs(z - np.array([optimum.z for optimum in optima]))
+    by_block = error.reshape(len(z), -1, size)[:, :, : moves or size]
+    errors = by_block[:, 0].max(axis=1), by_block.max(axis=(1, 2))
+    lost = ~np.isfinite(z).all(axis=1)
+    unknown = ~np.isfinite([optimum.bound for optimum in optima])
+    move, plan = (np.where(unknown, np.nan, np.where(lost, np.inf, part)) for part in errors)
+    return move, plan
 
 
 def each_certified(sequence: QPSequence) -> Iterator[Optimum]:

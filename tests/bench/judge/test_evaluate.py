@@ -15,11 +15,15 @@ from dpbench.qp.solution import Solution, Status
 def judged(builder: CondensedQP, step: QPStep, answer: Solution) -> dict[str, float]:
     base = builder.problem(step)
     evaluator = StepEvaluator(base, base, builder.scale)
-    return dict(
-        zip(
-            EVALUATION, evaluator.evaluate(step, step, answer, evaluator.certify(step)), strict=True
-        )
-    )
+    return evaluated(evaluator, step, step, answer)
+
+
+def evaluated(
+    evaluator: StepEvaluator, step: QPStep, own: QPStep, answer: Solution
+) -> dict[str, float]:
+    """What is said of the last answer that was added."""
+    evaluator.add(step, own, answer, evaluator.certify(step))
+    return dict(zip(EVALUATION, evaluator.evaluations()[-1], strict=True))
 
 
 @pytest.fixture(scope="module")
@@ -106,13 +110,32 @@ def test_raw_units_are_judged_in_scaled_ones() -> None:
     best = evaluator.certify(step)
     scale = si.scale.z
     answer = Solution(Status.SOLVED, best.z * scale, best.y / scale, best.y_box / scale)
-    evaluations = dict(
-        zip(EVALUATION, evaluator.evaluate(step, step_si, answer, best), strict=True)
-    )
+    evaluations = evaluated(evaluator, step, step_si, answer)
     assert evaluations["true_1e6"] == 1.0
     assert evaluations["error_move"] < 1e-14
     answer.z[0] += 0.01 * scale[0]
-    evaluations = dict(
-        zip(EVALUATION, evaluator.evaluate(step, step_si, answer, best), strict=True)
-    )
+    evaluations = evaluated(evaluator, step, step_si, answer)
     assert evaluations["error_move"] == pytest.approx(0.01, rel=1e-9)
+
+
+def test_many_answers_are_judged_as_each_by_itself(
+    builder: CondensedQP, optimum: Solution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the last bit, however many are judged at once; missing and false ones among them."""
+    rng, cases = np.random.default_rng(1), list[tuple[QPStep, Solution]]()
+    for i in range(23):
+        x = np.append(np.zeros(6), rng.normal(size=3))
+        made = Solution(Status.SOLVED, *(rng.normal(size=15) for _ in range(3)))
+        if i % 5 == 1:
+            made.y[:], made.y_box[:] = np.nan, np.nan
+        if i % 5 == 2:
+            made = Solution.missing(15, 15, Status.PRIMAL_INFEASIBLE)
+        cases.append((builder.emit(x, np.zeros(3), np.zeros(3)), made if i % 5 else optimum))
+    one_by_one = [[*judged(builder, step, answer).values()] for step, answer in cases]
+    for most in (7, 128):
+        monkeypatch.setattr("dpbench.bench.judge.closed_loop.AT_ONCE", most)
+        base = builder.problem(cases[0][0])
+        evaluator = StepEvaluator(base, base, builder.scale)
+        for step, answer in cases:
+            evaluator.add(step, step, answer, evaluator.certify(step))
+        np.testing.assert_array_equal(evaluator.evaluations(), one_by_one)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 import quadprog
 
-from dpbench.qp.referee.referee import Referee
+from dpbench.qp.referee.referee import Optimum, Referee, referee_of
 from dpbench.qp.residuals import is_true, residuals
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import condense, load_scenario
@@ -42,3 +44,30 @@ def test_steps_of_a_scenario(name: str, drop: bool) -> None:
         wider = np.concatenate((step.l, qp.lb, -step.u, -qp.ub)) - 1e-9
         z = quadprog.solve_qp(qp.P, -step.q, C, wider)[0]
         assert np.abs(z - optimum.z).max() <= 1e-6
+
+
+def test_what_is_known_of_the_matrices_changes_no_answer() -> None:
+    """Two runs of one controller, in either order: each certified as if there were no other."""
+    builder = condense(load_scenario("rough"))
+    matrices = builder.P, builder.A, builder.lb, builder.ub
+    rng = np.random.default_rng(3)
+    runs = [
+        [
+            builder.emit(
+                1e-3 * rng.normal(size=9),
+                rng.normal(size=3) * [9.0, 9.0, 0.3],
+                builder.control.u_max * rng.uniform(-1.0, 1.0, 3),
+            )
+            for _ in range(30)
+        ]
+        for _ in range(2)
+    ]
+
+    def certified(referee: Referee, run: int) -> list[Optimum]:
+        return [referee.certify(step.q, step.l, step.u) for step in runs[run]]
+
+    alone = [certified(Referee(*matrices), run) for run in range(2)]
+    for run in (0, 1, 1, 0):
+        for found, wanted in zip(certified(referee_of(*matrices), run), alone[run], strict=True):
+            for part in fields(Optimum):
+                np.testing.assert_array_equal(getattr(found, part.name), getattr(wanted, part.name))
