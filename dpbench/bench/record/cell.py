@@ -96,6 +96,11 @@ class Cell:
         problem = (self.mode, made_of, self.units, self.first, self.steps)
         return _digest(problem)
 
+    @property
+    def key(self) -> str:
+        """Equal for equal cells, and for no others."""
+        return _digest(self._description())
+
     def _description(self) -> dict[str, Any]:
         """All fields, less those of `_OPTIONAL` that are not used: other cells keep their keys."""
         return {k: v for k, v in vars(self).items() if k not in _OPTIONAL or v}
