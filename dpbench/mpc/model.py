@@ -11,6 +11,7 @@ paper's u = τ + Rᵀb (eq. 7) differs from τ by a constant at low frequency, a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -120,8 +121,18 @@ def augment(discrete: StateSpace) -> StateSpace:
 
 
 def prediction_model(M: Matrix, D: Matrix, psi0_rad: float, sample_s: float) -> StateSpace:
-    """Eq. 5-11 in one go: the incremental model of a ship at heading ψ0."""
-    return augment(discretise(linearise(M, D, psi0_rad), sample_s))
+    """Eq. 5-11 in one go: the incremental model of a ship at heading ψ0.
+
+    Made once for all runs in a process that share it.
+    """
+    inertia, damping = (np.asarray(matrix, dtype=np.float64).tobytes() for matrix in (M, D))
+    return _model_of(inertia, damping, psi0_rad, sample_s)
+
+
+@lru_cache(maxsize=64)
+def _model_of(M: bytes, D: bytes, psi0_rad: float, sample_s: float) -> StateSpace:
+    inertia, damping = (np.frombuffer(part).reshape(AXES, AXES) for part in (M, D))
+    return augment(discretise(linearise(inertia, damping, psi0_rad), sample_s))
 
 
 def rotated(model: StateSpace, turn_rad: float) -> StateSpace:

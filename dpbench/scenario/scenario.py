@@ -308,8 +308,15 @@ def scenario_of(
 
 
 def scenario_once(files: dict[str, Any]) -> Scenario:
-    """As `scenario_of`, for documents of which many cells ask the same: made once a process."""
-    return _made(json.dumps(files, sort_keys=True))
+    """As `scenario_of`, for documents of which many cells ask the same: made once a process, in
+    whatever seas."""
+    weather = files["scenario"].get("environment", {})
+    if not isinstance(weather.get("seed"), int):
+        return _made(json.dumps(files, sort_keys=True))
+    calm = {**files, "scenario": {**files["scenario"], "environment": {**weather, "seed": 0}}}
+    scenario = _made(json.dumps(calm, sort_keys=True))
+    sea = replace(scenario.environment, seed=weather["seed"])
+    return replace(scenario, environment=sea, files=files)
 
 
 @lru_cache(maxsize=64)

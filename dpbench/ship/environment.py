@@ -37,6 +37,9 @@ from dpbench.ship.weather.squall import Squall
 from dpbench.ship.weather.waves import FirstOrderMotion, WaveDrift
 from dpbench.ship.weather.wind import Wind
 
+Drawn = dict[str, Matrix]
+"""Wind speed and wave height at the stage times, see `Environment.drawn`."""
+
 
 @dataclass(frozen=True, eq=False)
 class Environment:
@@ -87,30 +90,45 @@ class Environment:
             b += squall.at(t_s)
         return b
 
-    def stage_table(self, steps: int, sample_s: float, substeps: int) -> Matrix:
+    def drawn(self, steps: int, sample_s: float, substeps: int) -> Drawn:
+        """What of the stage table is summed up from harmonics, which takes most of its time: wind
+        speed and wave height, (steps, 2·substeps + 1) each; nothing of weather without them."""
+        start, offset = _stages(steps, sample_s, substeps)
+        drawn: Drawn = {}
+        if self.wind is not None:
+            drawn["wind"] = self.wind.speed(start, offset, self.seed)
+        if self.drift is not None:
+            drawn["waves"] = self.drift.envelope(start, offset, self.seed)
+        return drawn
+
+    def stage_table(
+        self, steps: int, sample_s: float, substeps: int, drawn: Drawn | None = None
+    ) -> Matrix:
         """The weather at the stage times of Runge-Kutta 4: (steps, 2·substeps + 1, 3 or 9).
 
         Entry [k, 2i] is the start of sub-step i of sample k, [k, 2i + 1] its middle, and the last
         entry the end of the sample. The columns are those of `layout`: b, and where wind, current
         or drift are present the velocities of air and water and the wave envelope
         [m/s, m/s, m].
+
+        Parameters
+        ----------
+        drawn : of as many steps or more, where it is known.
         """
-        start = sample_s * np.arange(steps, dtype=np.float64)
-        offset = np.linspace(0.0, sample_s, 2 * substeps + 1)
+        start, offset = _stages(steps, sample_s, substeps)
         t = start[:, np.newaxis] + offset
         b = np.ascontiguousarray(self.force(t))
         if not self.moves_with_the_ship:
             return b
+        drawn = self.drawn(steps, sample_s, substeps) if drawn is None else drawn
         table = np.zeros((*t.shape, LOADED))
         table[..., :PLAIN] = b
         if self.wind is not None:
-            speed = self.wind.speed(start, offset, self.seed)
-            table[..., AIR] = _along(speed, self.wind.to_rad)
+            table[..., AIR] = _along(drawn["wind"][:steps], self.wind.to_rad)
         if self.current is not None:
             table[..., WATER] = self.current.velocity
         if self.drift is not None:
-            height = self.drift.envelope(start, offset, self.seed)
-            table[..., WAVE] = _along(height, self.drift.sea.to_rad)
+            table[..., WAVE] = _along(drawn["waves"][:steps], self.drift.sea.to_rad)
         if self.ramp_s > 0:
             table[..., PLAIN:] *= np.minimum(t / self.ramp_s, 1.0)[..., np.newaxis]
         return table
@@ -153,6 +171,12 @@ class Environment:
         if self.noise is None:
             return np.zeros((samples, AXES))
         return self.noise.table(samples, self.seed)
+
+
+def _stages(steps: int, sample_s: float, substeps: int) -> tuple[Vector, Vector]:
+    """The times of samples (steps,), and those of stages from them on (2·substeps + 1,)."""
+    start = sample_s * np.arange(steps, dtype=np.float64)
+    return start, np.linspace(0.0, sample_s, 2 * substeps + 1)
 
 
 def _along(length: Matrix, to_rad: float) -> Matrix:

@@ -9,7 +9,7 @@ import pytest
 
 from dpbench.errors import InputError
 from dpbench.scenario.problem_files import problems_root
-from dpbench.scenario.scenario import load_scenario
+from dpbench.scenario.scenario import load_scenario, scenario_of, scenario_once
 from dpbench.scenario.variation import differ, value_of, varied
 
 
@@ -110,3 +110,15 @@ def test_weather_after_the_last_step_makes_no_difference() -> None:
     one, other = (varied(base, {key: start_s}, "test") for start_s in (10.0, 12.0))
     assert not differ(one, other, round(5.0 / base.sample_s))
     assert differ(one, other, round(20.0 / base.sample_s))
+
+
+@pytest.mark.parametrize("name", ["weather", "waves", "rough"])
+def test_a_scenario_that_is_made_once_is_made_for_all_seas(name: str) -> None:
+    """What was made for one seed serves another, and is what its own documents make."""
+    base = load_scenario(name)
+    for seed in (5, 0, 6):
+        files = varied(base, {"environment.seed": seed}, "test").files
+        once, alone = scenario_once(files), scenario_of(files)
+        assert once.files == files and once.environment.seed == seed
+        assert not differ(once, alone, 50)
+        assert differ(once, base, 50) == base.environment.draws

@@ -1,8 +1,17 @@
-"""Files of arrays (`.npz`) that hold no Python objects, and the same bytes for the same arrays."""
+"""Files of arrays (`.npz`) that hold no Python objects, and the same bytes for the same arrays.
+
+What a campaign keeps for itself, it keeps in one piece: a zip file of ten small arrays takes
+milliseconds to write or read, as much as a hundred steps of a loop.
+
+    mark, length of the header, CRC-32 of all behind it; the header, {name: [type, shape]} as JSON;
+    the arrays in this order, each from a multiple of `_ALIGN` bytes on
+"""
 
 from __future__ import annotations
 
 import io
+import json
+import math
 import struct
 import zipfile
 import zlib
@@ -19,6 +28,8 @@ from dpbench.errors import InputError, ResultsError
 Arrays = dict[str, NDArray[Any]]
 FIXED_DATE = (1980, 1, 1, 0, 0, 0)
 """The date of every member, the earliest a zip file knows; a real one would change the bytes."""
+_HEAD = struct.Struct("<8sQI")
+_MARK, _ALIGN = b"dpbench\1", 64
 LEVEL = 9
 """Of the deflate compression. The same zlib makes the same bytes of the same array at it."""
 DAMAGE = (
@@ -50,26 +61,54 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def keep(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write arrays into a result folder, where nobody compares bytes: whole or not at all."""
+    """Write arrays into a result folder, in one piece: whole or not at all."""
+    layout = {name: (array.dtype.str, array.shape) for name, array in arrays.items()}
+    parts = [json.dumps(layout).encode(), *(array.tobytes() for array in arrays.values())]
+    size = -(-(_HEAD.size + len(parts[0])) // _ALIGN) * _ALIGN - _HEAD.size
+    body = parts[0].ljust(size) + b"".join(_padded(array) for array in parts[1:])
     part = path.with_suffix(".part.npz")
     try:
-        np.savez(part, allow_pickle=False, **arrays)
+        part.write_bytes(_HEAD.pack(_MARK, size, zlib.crc32(body)) + body)
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
 
 
+def _padded(array: bytes) -> bytes:
+    return array.ljust(-(-len(array) // _ALIGN) * _ALIGN, b"\0")
+
+
+def _in_one_piece(data: NDArray[np.uint8]) -> Arrays:
+    """The arrays of a file that `keep` wrote, as parts of `data`."""
+    _, size, check = _HEAD.unpack_from(data.data)
+    if zlib.crc32(data[_HEAD.size :].data) != check:
+        raise ValueError("another check sum than it was written with")
+    at = _HEAD.size + size
+    arrays: Arrays = {}
+    for name, (dtype, shape) in json.loads(data[_HEAD.size : at].tobytes()).items():
+        length = math.prod(shape) * np.dtype(dtype).itemsize
+        arrays[name] = data[at : at + length].view(dtype).reshape(shape)
+        at += -(-length // _ALIGN) * _ALIGN
+    return arrays
+
+
 @contextmanager
 def kept(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
-    """The arrays that `keep` wrote, each read when it is asked for.
+    """The arrays that `keep` wrote, or those of a zip file, each read when it is asked for.
 
     Raises
     ------
     ResultsError : the file is damaged, or gone; also for what the block misses in it.
     """
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            yield arrays
+        with path.open("rb") as file:
+            is_own = file.read(len(_MARK)) == _MARK
+            file.seek(0)
+            if is_own:
+                yield _in_one_piece(np.fromfile(file, np.uint8))
+                return
+            with np.load(file, allow_pickle=False) as arrays:
+                yield arrays
     except (*DAMAGE, OSError, KeyError, IndexError) as error:
         words = f"a damaged file ({type(error).__name__}: {str(error)[:120]})"
         allowed = "what the campaign wrote there; run again"

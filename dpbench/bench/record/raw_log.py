@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import mmap
 import os
 from collections.abc import Iterable
@@ -164,7 +165,7 @@ class RawLog(AnswerLog):
         self._buffer = buffer
         self.allocation = AnswerLog() if f"{ALLOCATION}z" in layout else None
         for name, (dtype, shape) in layout.items():
-            count = int(np.prod(shape))
+            count = math.prod(shape)
             owner = self.allocation if name.startswith(ALLOCATION) else self
             array = np.frombuffer(buffer, dtype, count, offset).reshape(shape)
             setattr(owner, name.removeprefix(ALLOCATION), array)
@@ -198,7 +199,8 @@ class RawLog(AnswerLog):
     def open(cls, path: Path) -> RawLog:
         """The log at `path`, writable and shared with whoever else has it open."""
         layout = json.loads(path.with_suffix(".layout").read_text(encoding="ascii"))
-        return cls(layout, np.memmap(path, np.uint8, "r+"))
+        with path.open("r+b") as file:
+            return cls(layout, mmap.mmap(file.fileno(), 0))
 
     def touch(self) -> None:
         """Read a byte of every page, so that the kernel maps it into this process now."""
@@ -218,7 +220,7 @@ def spent_ns(phases_ns: Iterable[int]) -> int:
 
 def log_bytes(layout: Layout) -> int:
     """Size of a log of that layout."""
-    sizes = [int(np.prod(shape)) * np.dtype(dtype).itemsize for dtype, shape in layout.values()]
+    sizes = [math.prod(shape) * np.dtype(dtype).itemsize for dtype, shape in layout.values()]
     return sum(-(-size // _ALIGN) * _ALIGN for size in sizes)
 
 

@@ -26,6 +26,7 @@ from dpbench.bench.run.slow_computer import ComputationalDelay, SlowComputer, Us
 from dpbench.bench.run.timed_solver import UNFINISHED, Clock, TimedSolver, record_answer
 from dpbench.qp.program import QPStep
 from dpbench.scenario.scenario import Scenario
+from dpbench.ship.environment import Drawn
 from dpbench.ship.layout import AXES, POSE
 from dpbench.ship.measurement import Sensors
 from dpbench.ship.plant import SUBSTEPS, Plant
@@ -40,7 +41,7 @@ class ClosedLoopSetup:
     `fallback` acts without a usable answer; `limit_ns` of own run time end the run; `clock`
     tells nanoseconds. `delay` is that of a slow computer, whose answers come late; None where the
     ship waits for them; `usage` is what the kernel says of this process there. `allocating` is the
-    solver of a cascade's second QP.
+    solver of a cascade's second QP; `drawn` what is known of the weather beforehand.
     """
 
     scenario: Scenario
@@ -53,6 +54,7 @@ class ClosedLoopSetup:
     delay: ComputationalDelay | None = None
     usage: Usage = never_preempted
     allocating: TimedSolver | None = None
+    drawn: Drawn | None = None
 
 
 def closed_loop(setup: ClosedLoopSetup) -> bool:
@@ -66,7 +68,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     clock, limit_ns, steps = setup.clock, setup.limit_ns, scenario.steps
     plant = _plant(scenario)
     weather = scenario.environment
-    sea = weather.stage_table(steps, scenario.sample_s, SUBSTEPS)
+    sea = weather.stage_table(steps, scenario.sample_s, SUBSTEPS, setup.drawn)
     sensors, estimator = Sensors(weather, steps, scenario.sample_s), scenario.estimator()
     solver, law, emit = _steering(setup)
     formulate, answer, moves = solver.formulate, solver.answer, builder.condensed.moves

@@ -28,15 +28,18 @@ from dpbench.mpc.condense import UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, SparseEquivalent, Units
 from dpbench.qp.referee.joint import Kind
-from dpbench.qp.referee.referee import Optimum, Referee
+from dpbench.qp.referee.referee import Optimum, Referee, referee_of
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario
+from dpbench.ship.environment import Drawn
+from dpbench.ship.plant import SUBSTEPS
 from dpbench.solvers.contract import Workspace
 
 _OF_LOOP = ("theta", "state", "tau", "thrust", "z")
 _OF_OPTIMUM = ("z", "y", "y_box", "bound", "kind")
 ALLOCATED = "allocated"
 """What the names of the arrays begin with in which a stored loop keeps optima of allocations."""
+_DRAWN = "drawn_"
 Part = Literal["controller", "allocation"]
 """Which QPs of a loop: those of its controller, or the second ones of a cascade."""
 
@@ -56,7 +59,7 @@ class ExactWorkspace(Workspace):
         """Take the constant matrices."""
         self._base = qp
         matrices = qp.P, qp.A, qp.lb, qp.ub
-        self._referee = self._referee.after(*matrices) if self._referee else Referee(*matrices)
+        self._referee = self._referee.after(*matrices) if self._referee else referee_of(*matrices)
         self._step = QPStep(qp.q, qp.l, qp.u)
 
     def update(self, step: QPStep) -> None:
@@ -96,6 +99,7 @@ class ExactLoop:
         the same QP again for every one of its configurations.
     demand (K, 3) : of a cascade, the force asked of its thrusters; None else.
     allocated : of a cascade, the certified optima of its second QPs; none where it has no such.
+    drawn : what all runs in the same weather have in common, see `Environment.drawn`.
     """
 
     theta: Matrix
@@ -106,6 +110,7 @@ class ExactLoop:
     optima: list[Optimum]
     demand: Matrix | None = None
     allocated: list[Optimum] = field(default_factory=list)
+    drawn: Drawn = field(default_factory=dict)
 
     def save(self, path: Path) -> None:
         """Write to `path` (.npz)."""
@@ -115,11 +120,12 @@ class ExactLoop:
             arrays["demand"] = self.demand
         if self.allocated:
             arrays |= _arrays_of(self.allocated, ALLOCATED)
+        arrays |= {f"{_DRAWN}{name}": array for name, array in self.drawn.items()}
         keep(path, arrays)
 
     @classmethod
-    def load(cls, path: Path) -> ExactLoop:
-        """Read what `save` wrote.
+    def load(cls, path: Path, *, with_optima: bool = True) -> ExactLoop:
+        """Read what `save` wrote; the optima are not there without `with_optima`.
 
         Raises
         ------
@@ -127,10 +133,19 @@ class ExactLoop:
         """
         with kept(path) as stored:
             arrays = {name: stored[name] for name in _OF_LOOP}
-            demand = stored.get("demand")
-            second = _optima_of(stored, ALLOCATED) if f"{ALLOCATED}_z" in stored else []
-            optima = _optima_of(stored, "optimum")
-        return cls(**arrays, optima=optima, demand=demand, allocated=second)
+            demand, drawn = stored.get("demand"), drawn_of(stored)
+            names = ("optimum", ALLOCATED) if with_optima else ()
+            optima, second = (
+                _optima_of(stored, name) if name in names and f"{name}_z" in stored else []
+                for name in ("optimum", ALLOCATED)
+            )
+        return cls(**arrays, optima=optima, demand=demand, allocated=second, drawn=drawn)
+
+
+def drawn_of(stored: Mapping[str, NDArray[Any]]) -> Drawn:
+    """Of a stored loop, what is drawn of its weather."""
+    names = [name for name in stored if name.startswith(_DRAWN)]
+    return {name.removeprefix(_DRAWN): stored[name] for name in names}
 
 
 def allocation_sizes(stored: Mapping[str, NDArray[Any]]) -> tuple[int, int] | None:
@@ -175,7 +190,9 @@ def solve_exactly(scenario: Scenario) -> ExactLoop:
     workspace, second = ExactWorkspace(), ExactWorkspace()
     clock = time.perf_counter_ns
     timed_solver = TimedSolver(workspace, Box(base), clock)
+    drawn = scenario.environment.drawn(scenario.steps, scenario.sample_s, SUBSTEPS)
     setup = ClosedLoopSetup(scenario, builder, timed_solver, log, "shifted_plan", 2**62, clock)
+    setup.drawn = drawn
     if builder.allocation is not None:
         setup.allocating = TimedSolver(second, Box(builder.allocation.base()), clock)
     closed_loop(setup)
@@ -185,7 +202,7 @@ def solve_exactly(scenario: Scenario) -> ExactLoop:
         raise CertificateError(f"{scenario.name}: step {k} has no certified optimum")
     loop = log.theta, log.state, log.tau, log.thrust, log.z[0], workspace.optima
     demand = None if scenario.allocation is None else log.demand
-    return ExactLoop(*loop, demand, second.optima)
+    return ExactLoop(*loop, demand, second.optima, drawn)
 
 
 def base_problem(builder: CondensedQP) -> QuadraticProgram:

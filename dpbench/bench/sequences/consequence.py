@@ -18,7 +18,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.signal import lfilter
 
 from dpbench.arrays import Matrix
 from dpbench.errors import InputError
@@ -43,6 +42,9 @@ def steered_rows(scenario: Scenario) -> tuple[ThrusterSet, ThrusterRows]:
 
 def required_force(tau: Matrix, sample_s: float) -> Matrix:
     """τ̄ (K, 3), the mean of forces (K, 3) [N, N, N·m] over `AVERAGE_S`, known at each sample."""
+    # A campaign starts half a second sooner without: it brings scipy.stats along.
+    from scipy.signal import lfilter
+
     share = -math.expm1(-sample_s / AVERAGE_S)
     mean: Matrix = lfilter([share], [1.0, share - 1.0], tau, axis=0)
     return mean

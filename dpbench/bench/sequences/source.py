@@ -31,7 +31,7 @@ from dpbench.qp.random.recipe import RandomRecipe
 from dpbench.qp.random.sequence import random_sequence
 from dpbench.qp.referee.referee import Optimum, certified
 from dpbench.scenario.problem_files import is_stored, sequence_path
-from dpbench.scenario.scenario import scenario_of, scenario_once, vessel_of
+from dpbench.scenario.scenario import scenario_once, vessel_of
 from dpbench.ship.layout import AXES
 
 RANDOM = "random"
@@ -188,10 +188,10 @@ class _Loop:
     steps: int
 
     def make(self, path: Path) -> None:
-        solve_exactly(scenario_of(self.documents).first(self.steps)).save(path)
+        solve_exactly(scenario_once(self.documents).first(self.steps)).save(path)
 
     def load(self, cell: Cell, path: Path) -> Replayed:
-        scenario, exact = scenario_of(self.documents), ExactLoop.load(path)
+        scenario, exact = scenario_once(self.documents), ExactLoop.load(path)
         sequence = sequence_of(
             scenario, exact, units=cell.units, first=cell.first, count=cell.steps
         )

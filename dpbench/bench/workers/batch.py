@@ -10,64 +10,87 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
+from typing import Generic, Protocol, TypeVar
 
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.workers.child import Child, with_log
+from dpbench.bench.workers.notice import AtWork, post
 from dpbench.bench.workers.worker import BatchCell, evaluate_batch, run_batch
 
 EVALUATION_LIMIT_S = 600.0
+NOT_RUN = Outcome("lost", "it was not run")
 
 
-class _Run(Child):
-    """One process that goes through cells in order, each with a verdict of its own."""
+class Item(Protocol):
+    """What a process has several of to do, one after the other."""
+
+    @property
+    def name(self) -> str:
+        """Under which its verdict appears."""
+
+    @property
+    def limit_s(self) -> float | None:
+        """What it may take; None for any time."""
+
+
+AnyItem = TypeVar("AnyItem", bound=Item)
+
+
+class _Run(Child, Generic[AnyItem]):
+    """One process that goes through items in order, each with a verdict of its own."""
 
     def __init__(
         self,
         context: ForkServerContext,
         target: Callable[..., None],
-        cells: Sequence[BatchCell],
+        items: Sequence[AnyItem],
         folder: Path,
         core: int,
         *,
-        verdict: str,
+        verdict: str = "json",
+        logs: bool = True,
     ) -> None:
-        self._cells, self._suffix, self._at = list(cells), verdict, 0
-        args = (tuple(cells), folder, core)
-        for cell in cells:
-            (folder / f"{cell.name}.{verdict}").unlink(missing_ok=True)
-        first, limit_s = cells[0].name, cells[0].limit_s
-        super().__init__(context, target, args, folder, first, limit_s=limit_s, verdict=verdict)
+        self._items, self._suffix, self._at, self._logs = list(items), verdict, 0, logs
+        args = (tuple(items), folder, core)
+        for item in items:
+            (folder / f"{item.name}.{verdict}").unlink(missing_ok=True)
+        first, limit_s = items[0].name, items[0].limit_s
+        super().__init__(
+            context, target, args, folder, first, limit_s=limit_s, verdict=verdict, logs=logs
+        )
 
     def _advance(self) -> None:
-        """Watch the first cell that has no verdict yet."""
-        while self._at < len(self._cells) and self._verdict.exists():
+        """Watch the first item that has no verdict yet."""
+        while self._at < len(self._items) and self._verdict.exists():
             self._at += 1
-            if self._at < len(self._cells):
-                self.name = self._cells[self._at].name
-                self._limit_s = self._cells[self._at].limit_s
+            if self._at < len(self._items):
+                self.name = self._items[self._at].name
+                self._limit_s = self._items[self._at].limit_s
                 self._verdict = self.folder / f"{self.name}.{self._suffix}"
-                self._born, self._running_since = time.monotonic(), None
+                self._born = time.monotonic()
+                self._running_since = None if self._logs else self._born
 
     def overdue(self) -> bool:
         self._advance()
-        return self._at < len(self._cells) and super().overdue()
+        return self._at < len(self._items) and super().overdue()
 
-    def split(self) -> tuple[dict[str, Outcome], list[BatchCell]]:
-        """Once the process ended: what became of the cells it came to, and those still to do."""
+    def split(self) -> tuple[dict[str, Outcome], list[AnyItem]]:
+        """Once the process ended: what became of the items it came to, and those still to do."""
         self.process.join()
         self._advance()
         outcomes = {}
-        for cell in self._cells[: self._at]:
-            outcomes[cell.name] = self.verdict_of(self.folder / f"{cell.name}.{self._suffix}")
+        for item in self._items[: self._at]:
+            outcomes[item.name] = self.verdict_of(self.folder / f"{item.name}.{self._suffix}")
         # A library may bring its process down when it is let go, between two cells.
         not_begun = self._at > 0 and self.notice.place < self._at
-        if not_begun or self._at == len(self._cells):
-            return outcomes, self._cells[self._at :]
+        if not_begun or self._at == len(self._items):
+            return outcomes, self._items[self._at :]
         outcomes[self.name] = self.outcome()
-        return outcomes, self._cells[self._at + 1 :]
+        return outcomes, self._items[self._at + 1 :]
 
 
 class CellBatch:
@@ -125,3 +148,70 @@ class CellBatch:
             target, verdict = evaluate_batch, "evaluated.json"
             cells = [replace(cell, limit_s=EVALUATION_LIMIT_S) for cell in cells]
         return _Run(self._context, target, cells, self._folder, core, verdict=verdict)
+
+
+Target = Callable[[str, Path, str, int, Path], None]
+"""Makes a file in a process, called as target(description, folder, name, core, path)."""
+
+
+@dataclass(eq=False)
+class Errand:
+    """A file to be made.
+
+    Parameters
+    ----------
+    description, path : what it is made from, and where it appears.
+    limit_s : what that may take; None for any time.
+    outcome : what became of it.
+    """
+
+    description: str
+    path: Path
+    limit_s: float | None = None
+    outcome: Outcome = NOT_RUN
+
+    @property
+    def name(self) -> str:
+        """Under which its process leaves noise and verdict."""
+        return self.path.stem
+
+
+def make_in_turn(target: Target, errands: Sequence[Errand], folder: Path, core: int) -> None:
+    """Make files one after the other in this process."""
+    for i, errand in enumerate(errands):
+        post(AtWork.HARNESS, i)
+        target(errand.description, folder, errand.name, core, errand.path)
+
+
+class ErrandBatch:
+    """Files on their way, several in one process.
+
+    Parameters
+    ----------
+    target : makes one of them, and leaves its noise and its verdict in `folder`.
+    """
+
+    def __init__(
+        self, context: ForkServerContext, target: Target, errands: Sequence[Errand], folder: Path
+    ) -> None:
+        self._context, self._target, self._folder = context, target, folder
+        self.errands = list(errands)
+
+    def start(self, core: int) -> Child:
+        """The first process."""
+        return self._process(self.errands, core)
+
+    def follow(self, child: Child, core: int) -> Child | None:
+        """Take down what became of the process that ended; the next one, or None at the end."""
+        assert isinstance(child, _Run), "the processes of a batch are its own"
+        ended, rest = child.split()
+        for errand in self.errands:
+            errand.outcome = ended.get(errand.name, errand.outcome)
+        for name in ended:
+            for suffix in ("json", "noise"):
+                (self._folder / f"{name}.{suffix}").unlink(missing_ok=True)
+        return self._process(rest, core) if rest else None
+
+    def _process(self, errands: Sequence[Errand], core: int) -> Child:
+        target = partial(make_in_turn, self._target)
+        return _Run(self._context, target, errands, self._folder, core, logs=False)

@@ -8,11 +8,13 @@ import multiprocessing.forkserver
 import multiprocessing.resource_tracker
 import os
 import signal
+import sys
 import time
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from dpbench.bench.record.cell import Outcome
@@ -105,7 +107,8 @@ class Child:
         self.process: ForkServerProcess = context.Process(
             target=notice.run, args=(self.notice, target, args), daemon=True
         )
-        self.process.start()
+        with _without_main():
+            self.process.start()
         self.notice.handed_over()
 
     @property
@@ -242,6 +245,19 @@ class ServingChild(Child):
             self.kill("" if self.has_verdict else "did not end when asked to")
         self._orders.close()
         return self.outcome()
+
+
+@contextmanager
+def _without_main() -> Iterator[None]:
+    """Processes started in the block need nothing of the program that started the campaign, and
+    do not run it again: a script without `if __name__ == "__main__"` would start campaigns in all
+    of them."""
+    program = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = program
 
 
 def _signal_name(number: int) -> str:

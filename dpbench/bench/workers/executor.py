@@ -7,7 +7,7 @@ replays that are timed, interleaved, one worker at a time.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -23,11 +23,11 @@ from dpbench.bench.record.configuration import COLUMNS
 from dpbench.bench.record.raw_log import discard
 from dpbench.bench.record.step_table import no_steps
 from dpbench.bench.sequences.source import is_timed, log_size, source_key
-from dpbench.bench.workers.batch import CellBatch
+from dpbench.bench.workers.batch import CellBatch, Errand, ErrandBatch, Target
 from dpbench.bench.workers.child import with_log
 from dpbench.bench.workers.interleaved import ReplayGroup
 from dpbench.bench.workers.scratch import NoRoomError, Scratch
-from dpbench.bench.workers.slots import Errand, in_slots
+from dpbench.bench.workers.slots import in_slots
 from dpbench.bench.workers.worker import BatchCell
 from dpbench.errors import InputError
 from dpbench.solvers.table import Availability
@@ -128,23 +128,25 @@ class Bench:
 
     def make_files(
         self,
-        target: Callable[[str, Path, str, int, Path], None],
+        target: Target,
         descriptions: Mapping[Path, str],
         *,
         limit_s: float | None = None,
     ) -> Iterator[Errand]:
-        """Make files from their descriptions, each in a process of its own; as in `Errand`.
+        """Make files from their descriptions, several in one process; as in `Errand`.
 
         Yields
         ------
-        The errand of each file when its process has ended.
+        The errand of each file when those that shared its process are done.
         """
-        folder = self._scratch.folder()
-        errands = [
-            Errand(self._context, target, text, folder, path, limit_s=limit_s)
-            for path, text in descriptions.items()
+        folder, most = self._scratch.folder(), batch_cells(len(descriptions), len(self._slots))
+        errands = [Errand(text, path, limit_s) for path, text in descriptions.items()]
+        batches = [
+            ErrandBatch(self._context, target, errands[i : i + most], folder)
+            for i in range(0, len(errands), most)
         ]
-        return in_slots(errands, self._slots)
+        for batch in in_slots(batches, self._slots):
+            yield from batch.errands
 
     def batches(
         self,

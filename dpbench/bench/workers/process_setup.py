@@ -21,6 +21,8 @@ def settle(noise: Path) -> None:
         raise SystemExit from None
     os.dup2(sink, 1)
     os.dup2(sink, 2)
+    if sink > 2:
+        os.close(sink)
     warnings.simplefilter("ignore")
     gc.collect()
     gc.freeze()

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from multiprocessing.connection import wait
-from multiprocessing.context import ForkServerContext
-from pathlib import Path
 from typing import Protocol, TypeVar
 
-from dpbench.bench.record.cell import Outcome
 from dpbench.bench.workers.child import Child
 
-POLL_S = 0.02
+POLL_S = 0.1
+"""The end of a process is heard at once; this is for what takes too long."""
 
 
 class Task(Protocol):
@@ -52,42 +50,3 @@ def in_slots(tasks: Sequence[AnyTask], cores: Sequence[int]) -> Iterator[AnyTask
                 yield task
             else:
                 running.append((task, following, core))
-
-
-class Errand:
-    """A task of one process that makes one file, and leaves no log.
-
-    Parameters
-    ----------
-    target : called in the process as target(description, folder, name, core, path).
-    folder, name : where the process leaves its noise and its verdict.
-    path : the file it makes.
-    limit_s : what it may take; None for any time.
-    """
-
-    def __init__(
-        self,
-        context: ForkServerContext,
-        target: Callable[[str, Path, str, int, Path], None],
-        description: str,
-        folder: Path,
-        path: Path,
-        *,
-        limit_s: float | None = None,
-    ) -> None:
-        self._context, self._target, self._description = context, target, description
-        self._folder, self.path, self._limit_s = folder, path, limit_s
-        self.outcome = Outcome("lost", "it was not run")
-
-    def start(self, core: int) -> Child:
-        """Its process."""
-        name = self.path.stem
-        args = (self._description, self._folder, name, core, self.path)
-        limit_s = self._limit_s
-        return Child(
-            self._context, self._target, args, self._folder, name, limit_s=limit_s, logs=False
-        )
-
-    def follow(self, child: Child, core: int) -> None:
-        """Keep what became of it."""
-        self.outcome = child.outcome()

@@ -18,6 +18,7 @@ from dpbench.bench.workers.interrupts import forget_interrupts
 from dpbench.mpc.condense import ControlProblem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.model import prediction_model
+from dpbench.mpc.reference import nearest_pose
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.ship.plant import SUBSTEPS, Plant
@@ -33,6 +34,7 @@ def _prime() -> None:
         plant = Plant(ship, np.zeros(6), 0.1, loads=loads)
         plant.advance(three, np.zeros((2 * SUBSTEPS + 1, columns)))
     limit_move(three, three, three, -three, three, np.empty(3))
+    nearest_pose(three, three)
     model = prediction_model(ship.M, ship.D, 0.0, 0.1)
     CondensedQP(ControlProblem(model, 3, 2, np.eye(3), np.eye(3), -three, three, three))
     reference_kernel_ns(time.perf_counter_ns)

@@ -22,11 +22,12 @@ from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.cell_store import packed
 from dpbench.bench.record.disturbance import counters
+from dpbench.bench.record.npz import kept
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.record.step_table import step_batch
 from dpbench.bench.run.assemble import clock, closed_loop_setup, replay_parts
 from dpbench.bench.run.closed_loop import closed_loop
-from dpbench.bench.run.exact_loop import ExactLoop
+from dpbench.bench.run.exact_loop import ExactLoop, drawn_of
 from dpbench.bench.run.footprint import MemoryWatch, affordable_steps, measure_steps, threads
 from dpbench.bench.run.replay import PREROLL, ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver
@@ -108,7 +109,7 @@ def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
             continue
         raw = folder / f"{name}.raw"
         if cell.mode == "closed_loop":
-            verdict = _steer(cell, workspace, raw)
+            verdict = _steer(cell, workspace, raw, batch_cell.source)
         else:
             verdict = _replay_untimed(cell, workspace, raw, batch_cell.source)
         leave_verdict(folder / f"{name}.json", verdict)
@@ -117,11 +118,13 @@ def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
         gc.collect()
 
 
-def _steer(cell: Cell, workspace: Workspace, raw: Path) -> Outcome:
-    """Let the solver steer the ship; the verdict."""
+def _steer(cell: Cell, workspace: Workspace, raw: Path, source: Path) -> Outcome:
+    """Let the solver steer the ship, in the weather of the exactly solved loop; the verdict."""
     scenario = scenario_once(cell.scenario).first(cell.steps)
     limit_ns, new_log = round(cell.limit_s * 1e9), partial(RawLog.create, raw)
     setup = closed_loop_setup(cell, scenario, workspace, new_log, limit_ns)
+    with kept(source) as stored:
+        setup.drawn = drawn_of(stored)
     before = counters()
     post(AtWork.SOLVER)
     complete = closed_loop(setup)
@@ -293,5 +296,5 @@ def _evaluate(cell: Cell, source: Path, log: RawLog) -> Evaluated:
 
 @lru_cache(maxsize=1)
 def _exact_loop(path: Path) -> ExactLoop:
-    """That of many cells in a row, read once a process."""
-    return ExactLoop.load(path)
+    """The course of one that many cells in a row are set beside, read once a process."""
+    return ExactLoop.load(path, with_optima=False)

@@ -1,0 +1,105 @@
+"""Cells of one configuration in one process: whatever becomes of one, the others do not change."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from dpbench import load_results, run_campaign
+from dpbench.bench.record.result_folder import Results
+from dpbench.solvers import plugins
+from tests.bench.deterministic import deterministic
+
+pytestmark = pytest.mark.alone
+
+STEPS, CELLS, PER_PROCESS = 6, 24, 6
+"""A single slot shares cells out to four processes at least."""
+SUITE = f"""
+title = "A suite for one test"
+solvers = ["clipping"]
+baseline_law = false
+cell_limit_s = 60.0
+
+[[study]]
+base = "paper"
+steps = {STEPS}
+product = {{ "start.east_m" = {[0.5 * (i + 1) for i in range(CELLS)]} }}
+"""
+CLIPPING = """
+import os
+from itertools import count
+from pathlib import Path
+import numpy as np
+from dpbench.qp.solution import Solution, Status
+from dpbench.solvers.function import opener
+from dpbench.solvers.plugins import solver_record
+
+CALLS, FATE = count(), Path(__file__).with_name("fate")
+LEAVE = {"exit": lambda: os._exit(0), "abort": os.abort}
+
+def solve(qp):
+    call = next(CALLS)
+    if FATE.exists():
+        last, way = FATE.read_text().split()
+        if call == int(last):
+            FATE.unlink()
+            LEAVE[way]()
+    z = np.clip(-np.linalg.solve(qp.P, qp.q), qp.lb, qp.ub)
+    return Solution(Status.MAX_ITERATIONS, z, np.zeros(qp.m), np.zeros(qp.n))
+
+RECORD = solver_record("clipping", method="none", module="quadprog", distribution="quadprog")
+open = opener("clipping", solve)
+"""
+
+
+@pytest.fixture(scope="module")
+def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A suite beside the module that brings its solver."""
+    path = tmp_path_factory.mktemp("batch") / "tiny.toml"
+    path.write_text(SUITE, encoding="utf-8")
+    (path.parent / "clipping.py").write_text(CLIPPING, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def undisturbed(suite: Path) -> Results:
+    return run(suite, suite.parent / "undisturbed")
+
+
+def run(suite: Path, out: Path, fate: str = "") -> Results:
+    """A campaign; `fate` is the call at which the solver ends its process, once, and how."""
+    note = suite.with_name("fate")
+    if fate:
+        note.write_text(fate, encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plugins, "_LOADED", {})
+        run_campaign(suite, out, solver_module=suite.with_name("clipping.py"), jobs=1)
+    assert not note.exists()
+    return load_results(out)
+
+
+@pytest.mark.parametrize("way", ["exit", "abort"])
+@pytest.mark.parametrize(("cell", "step"), [(0, 0), (2, 3), (PER_PROCESS - 1, STEPS - 1)])
+def test_a_crash_in_the_midst_of_a_batch_costs_one_cell(
+    cell: int, step: int, way: str, suite: Path, undisturbed: Results, tmp_path: Path
+) -> None:
+    """One row a cell; the one that crashed keeps the steps before, and all others are equal."""
+    results = run(suite, tmp_path / "out", f"{cell * STEPS + step} {way}")
+    assert list(results.runs["run_id"]) == list(undisturbed.runs["run_id"])
+    assert list(undisturbed.runs["outcome"]) == ["finished"] * CELLS
+    crashed = results.runs.loc[results.runs["outcome"] != "finished"]
+    assert (crashed.index == [cell], list(crashed["outcome"])) == (True, ["crashed"])
+    assert list(crashed["steps_done"]) == [step]
+    (runs, steps), (all_runs, all_steps) = deterministic(results), deterministic(undisturbed)
+    others = runs["cell"] != runs["cell"].iloc[cell]
+    assert others.sum() == CELLS - 1
+    pd.testing.assert_frame_equal(runs[others], all_runs[others], check_exact=True)
+    name = crashed["run_id"].iloc[0]
+    found, wanted = (table[table["run_id"] != name] for table in (steps, all_steps))
+    found, wanted = (table.reset_index(drop=True) for table in (found, wanted))
+    pd.testing.assert_frame_equal(found, wanted, check_exact=True)
+    kept, first = (table[table["run_id"] == name] for table in (steps, all_steps))
+    kept, first = kept.reset_index(drop=True), first.head(step).reset_index(drop=True)
+    pd.testing.assert_frame_equal(kept, first, check_exact=True)
