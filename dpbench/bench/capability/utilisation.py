@@ -8,6 +8,7 @@ with a number of sides they are the polygons of the QPs.
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import import_module
 from typing import Any
 
@@ -20,10 +21,15 @@ from dpbench.ship.capability.shapes import Piece
 from dpbench.ship.layout import AXES
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
-clarabel: Any = import_module("clarabel")
-"""It ships no types."""
 _SOLVED = ("Solved", "AlmostSolved")
 _EMPTY = ("PrimalInfeasible", "AlmostPrimalInfeasible")
+
+
+@cache
+def _clarabel() -> Any:
+    """The library, which ships no types; processes of a campaign are forked without any solver's
+    library."""
+    return import_module("clarabel")
 
 
 class Utilisation:
@@ -38,7 +44,7 @@ class Utilisation:
         self._thrusters, self._sides = thrusters, sides
         self._balance, self._units = balance_matrix(thrusters), balance_units(thrusters)
         self._cones: dict[tuple[frozenset[int], tuple[int, ...]], _Cones] = {}
-        settings = clarabel.DefaultSettings()
+        settings = _clarabel().DefaultSettings()
         settings.verbose = False
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-10
         self._settings = settings
@@ -63,7 +69,7 @@ class Utilisation:
         A, b = cones.matrix(balance), cones.zeros.copy()
         b[:AXES] = -load / self._units
         problem = cones.quadratic, cones.cost, A, b, cones.kinds
-        solution = clarabel.DefaultSolver(*problem, self._settings).solve()
+        solution = _clarabel().DefaultSolver(*problem, self._settings).solve()
         status = str(solution.status)
         if status in _SOLVED:
             return float(solution.x[-1])
@@ -91,7 +97,7 @@ class _Cones:
         places = [np.arange(thrusters.n_f)[thrusters.places[i]] for i in alive]
         self.entries = np.concatenate([*places, np.zeros(0, dtype=np.intp)]).astype(np.intp)
         width = len(self.entries) + 1
-        blocks, kinds, first = [], [clarabel.ZeroConeT(AXES)], 0
+        blocks, kinds, first = [], [_clarabel().ZeroConeT(AXES)], 0
         for i, place in zip(alive, places, strict=True):
             rows, cones = _cone_rows(thrusters.thrusters[i], chosen[i], sides)
             wide = np.zeros((len(rows), width))
@@ -115,18 +121,18 @@ class _Cones:
 def _cone_rows(thruster: Thruster, piece: Piece, sides: int | None) -> tuple[Matrix, list[Any]]:
     """Rows (r, components + 1) over (f_i/T_i, u) and the cones they lie in."""
     if thruster.kind != "azimuth":
-        return np.array([[-1.0, 1.0], [1.0, thruster.astern]]), [clarabel.NonnegativeConeT(2)]
+        return np.array([[-1.0, 1.0], [1.0, thruster.astern]]), [_clarabel().NonnegativeConeT(2)]
     if sides is None:
         circle = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-        cones = [clarabel.SecondOrderConeT(3)]
+        cones = [_clarabel().SecondOrderConeT(3)]
     else:
         angle = (2.0 * np.arange(sides) + 1.0) * np.pi / sides
         most = np.full(sides, np.cos(np.pi / sides))
         circle = np.column_stack((-np.cos(angle), -np.sin(angle), most))
-        cones = [clarabel.NonnegativeConeT(sides)]
+        cones = [_clarabel().NonnegativeConeT(sides)]
     cuts = np.column_stack((-piece.chords[:, :2], piece.chords[:, 2:]))
     if piece.sector is not None:
         cuts = np.vstack([np.column_stack((sector_normals(*piece.sector), np.zeros(2))), cuts])
     if len(cuts):
-        cones.append(clarabel.NonnegativeConeT(len(cuts)))
+        cones.append(_clarabel().NonnegativeConeT(len(cuts)))
     return np.vstack([circle, cuts]), cones
