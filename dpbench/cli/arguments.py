@@ -70,6 +70,11 @@ def _run(commands: Commands) -> None:
     _what_to_run(run)
     _option(run, "--engine", "E", "local (default), or dask", default="local")
     _option(run, "--scheduler", "ADDRESS", "of Dask (default: --jobs workers on this machine)")
+    run.add_argument(
+        "--dry-run",
+        action="store_true",
+        help="say how many cells that is, how long and how large; run a few of them to know",
+    )
     _how_to_end(run)
 
 

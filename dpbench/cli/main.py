@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import atexit
+import json
 import os
 import sys
 import warnings
@@ -96,13 +97,32 @@ def _given(arguments: argparse.Namespace, *without: str) -> dict[str, Any]:
     return {name: value for name, value in vars(arguments).items() if name not in others}
 
 
+_NOT_DRY = ("dry_run", "out", "fresh", "scheduler")
+"""Arguments of a run that have no part in what it takes."""
+
+
+def _dry_run(arguments: argparse.Namespace) -> int:
+    from dpbench.bench.estimate import estimate_campaign
+    from dpbench.cli.progress_bar import Bar
+
+    with Bar(transient=True, quiet=arguments.quiet or arguments.json) as bar:
+        found = estimate_campaign(**_given(arguments, *_NOT_DRY, *HOW_TO_END), progress=bar)
+    if arguments.json:
+        print(json.dumps(vars(found), indent=2))
+    else:
+        print("\n".join(found.lines))
+    return 0
+
+
 def _run(arguments: argparse.Namespace) -> int:
+    if arguments.dry_run:
+        return _dry_run(arguments)
     from dpbench.bench.campaign import run_campaign
     from dpbench.cli.progress_bar import Bar
     from dpbench.report.write import report_and_ending
 
     with Bar(quiet=arguments.quiet or arguments.json) as bar:
-        out = run_campaign(**_given(arguments, *HOW_TO_END), progress=bar)
+        out = run_campaign(**_given(arguments, "dry_run", *HOW_TO_END), progress=bar)
         bar.advance(0, "writing the report")
         page_and_ending = report_and_ending(out)
     say_ending(*page_and_ending, arguments)
