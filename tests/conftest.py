@@ -16,6 +16,7 @@ import pytest
 
 from dpbench import open_workspace, run_closed_loop
 from dpbench.analysis.records.records import Records
+from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results, write_results
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
 from dpbench.errors import SolverUnavailableError
@@ -344,7 +345,8 @@ class MadeRecords:
         """The records so far."""
         steps = self._steps or [as_steps(pd.DataFrame({"run_id": pd.Series([], dtype="str")}))]
         runs = pd.DataFrame(self._runs or {"run_id": pd.Series([], dtype="str")})
-        return Results(as_runs(runs), pd.concat(steps, ignore_index=True), MACHINE, self.suite)
+        frame = pd.concat(steps, ignore_index=True)
+        return Results(as_runs(runs), StepsInMemory(frame), MACHINE, self.suite)
 
     def view(self) -> Records:
         """The view of the records so far."""

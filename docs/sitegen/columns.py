@@ -43,9 +43,10 @@ SELECT run_id, k, coalesce(cmd_x_N, tau_x_N) AS cmd_x_N,
 FROM 'steps.parquet'
 ```
 
-`dpbench.bench.record.result_folder.scan_steps(folder, columns, run_ids)` gives the columns that are
-asked for, derived ones too, some hundred thousand rows at a time, whatever the size of the file.
-Files of earlier schemas store all columns, and are read as well.
+`scan_steps(folder, columns, run_ids)` of `dpbench.bench.record.recorded_steps` gives the columns
+that are asked for, derived ones too, as Arrow tables of some hundred thousand rows, whatever the
+size of the file; `read_steps` gives them in one table. Files of earlier schemas store all columns,
+and are read as well.
 
 While a campaign runs, finished cells stand in `cells/`: in `open.cells`, and in parts of some
 hundred cells, `steps-00001.parquet` and `runs-00001.parquet`, of the same columns. A cell whose row

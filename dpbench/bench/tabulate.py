@@ -11,9 +11,8 @@ from dpbench.bench.judge.memory_of_answers import with_loop_ratio
 from dpbench.bench.judge.rows import run_row
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.cell_store import CellStore, StepFile
-from dpbench.bench.record.schema import RUN_COLUMNS, as_runs
+from dpbench.bench.record.schema import RUN_COLUMNS, as_runs, study_columns
 from dpbench.bench.record.step_table import of_runs, renamed_runs
-from dpbench.bench.record.study_columns import study_columns
 from dpbench.bench.workers.executor import CellJob
 
 

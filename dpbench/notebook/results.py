@@ -102,4 +102,4 @@ def load_results(out: str | Path) -> Results:
     ResultsError : naming the file, when one is missing, damaged or of another schema.
     """
     stored = result_folder.load_results(out)
-    return Results(stored.runs, stored.steps, stored.machine, stored.suite, Path(out))
+    return Results(stored.runs, stored.recorded, stored.machine, stored.suite, Path(out))

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pandas as pd
 
-from dpbench.analysis.records.run_steps import MEASURES, hardest
 from dpbench.analysis.times.pairs import paired_comparison
 from dpbench.analysis.verdict.fastest import best_of_each, fastest_first
 from dpbench.bench.record.result_folder import Results
@@ -162,21 +161,13 @@ def _hard_steps(facts: Facts) -> pd.DataFrame:
         if not facts.places[p].study
     }
     rows = [
-        {
-            "run_id": run_id,
-            "configuration": labels[run_id],
-            "by": measure,
-            "k": int(steps.k[hard.at]),
-            "value": hard.value / 1e3 if measure == "time" else hard.value,
-            "status": str(steps.status[hard.at]),
-            "claimed": bool(steps.claimed[hard.at]),
-            "true": bool(steps.true[hard.at]),
-            "n_active": int(steps.n_active[hard.at]),
-        }
-        for run_id, steps in facts.steps.items()
+        {"run_id": run_id, "configuration": labels[run_id], "by": measure}
+        | hard._asdict()
+        | ({"value": hard.value / 1e3} if measure == "time" else {})
+        for run_id, kept in facts.kept.items()
         if run_id in labels
-        for measure in MEASURES
-        for hard in hardest(steps, measure)
+        for measure, of_measure in kept.hard.items()
+        for hard in of_measure
     ]
     return pd.DataFrame(rows)
 

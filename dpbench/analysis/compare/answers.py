@@ -126,9 +126,15 @@ def _change(measure: Measure, a: Range, b: Range, margin: float) -> Change:
     return "same"
 
 
+_STEPS = (
+    *("repeat", "k", "error_move", "error_plan", "true"),
+    *("certificate", "fallback", "unconverged"),
+)
+
+
 def _accuracy(records: Records, run: RunRecord, common: int) -> dict[str, Range]:
     """Least and largest over the counting rounds of each figure, on the first `common` steps."""
-    steps = records.counting_steps(run)
+    steps = records.counting_steps(run, _STEPS)
     counting = steps[steps["k"] < common]
     if counting.empty:
         return {m.column: _point(getattr(run, m.column)) for m in ACCURACY}

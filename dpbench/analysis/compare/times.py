@@ -328,7 +328,7 @@ def _machine(timings: Sequence[Timing]) -> _Machine:
 
 def _rounds(records: Records, run: RunRecord) -> pd.DataFrame | None:
     """(rounds, steps) times [ns] of the rounds that count."""
-    counting = records.counting_steps(run)
+    counting = records.counting_steps(run, ("repeat", "k", "total_ns"))
     if counting.empty or not records.is_ranked(run):
         return None
     times = counting.assign(total_ns=counting["total_ns"].astype("float64"))

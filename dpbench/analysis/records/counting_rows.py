@@ -1,7 +1,7 @@
 """The rows of a step table that count, as plain arrays: where questions about steps start.
 
-A table is turned into arrays once, some tenths of a second for a million rows; a run is then a
-slice of them.
+A table of many runs is turned into arrays at once, some tenths of a second for a million rows; a
+run is then a slice of them.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from dpbench.analysis.records.grouping import spans_of
 from dpbench.bench.judge.rules import decided, failed_steps
+from dpbench.bench.record.recorded_steps import places_of
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -27,13 +27,12 @@ class CountingRows:
 
     Parameters
     ----------
-    rows : where each stands in the step table; run_id, repeat, k : run, round and step.
+    run_id, repeat, k : run, round and step.
     total_ns, iterations, error_move, n_active : as in the step table.
     known : whether the right answer is known; true : whether this one is, by the referee.
     failed : see `failed_steps`; claimed, late, fallback, clipped, status : as in the step table.
     """
 
-    rows: Ints
     run_id: NDArray[np.object_]
     repeat: Ints
     k: Ints
@@ -51,12 +50,12 @@ class CountingRows:
     status: NDArray[np.object_]
 
     def __len__(self) -> int:
-        return len(self.rows)
+        return len(self.k)
 
     @cached_property
     def bounds(self) -> dict[str, tuple[int, int]]:
         """First row of each run, and the one after its last."""
-        return spans_of(self.run_id)
+        return places_of(self.run_id)
 
     def of(self, run_id: str) -> CountingRows:
         """The rows of one run; none when it left none."""
@@ -66,13 +65,17 @@ class CountingRows:
 
 _FLAGS = ("true", "claimed", "late", "fallback", "clipped")
 _INTS = ("repeat", "k")
+COLUMNS = (
+    *("run_id", "repeat", "k", "counts", "total_ns", "iterations", "error_move", "n_active"),
+    *("certificate", "status", "fallback", "unconverged", *_FLAGS[:3], "clipped"),
+)
+"""What `counting_of` asks of a step table."""
 
 
 def counting_of(steps: pd.DataFrame) -> CountingRows:
     """The rows of a step table that count."""
     counts = steps["counts"].to_numpy(dtype=np.bool_)
     arrays: dict[str, NDArray[np.generic]] = {
-        "rows": np.flatnonzero(counts),
         "known": decided(steps)[counts],
         "failed": failed_steps(steps)[counts],
     }

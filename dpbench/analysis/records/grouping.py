@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import TypeVar
 
-import numpy as np
-import pandas as pd
-
 Item = TypeVar("Item")
 Key = TypeVar("Key")
 
@@ -26,10 +23,3 @@ def firsts(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, Item]
     for item in items:
         first.setdefault(key(item), item)
     return first
-
-
-def spans_of(labels: pd.Series[str] | np.ndarray) -> dict[str, tuple[int, int]]:
-    """Of labels (N,) that are ordered: the first place of each, and the one after its last."""
-    codes, names = pd.factorize(labels)
-    ends = np.append(np.flatnonzero(np.diff(codes)) + 1, len(codes)).tolist() if len(codes) else []
-    return dict(zip(map(str, names), zip([0, *ends], ends, strict=False), strict=True))

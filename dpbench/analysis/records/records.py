@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import pandas as pd
 
-from dpbench.analysis.records.counting_rows import CountingRows, counting_of
-from dpbench.analysis.records.grouping import spans_of
+from dpbench.analysis.records import counting_rows, step_times
+from dpbench.analysis.records.counting_rows import counting_of
 from dpbench.analysis.records.run_record import RunRecord, records_of
-from dpbench.analysis.records.step_times import StepTimes, step_times_of
+from dpbench.analysis.records.run_steps import RunSteps, run_steps
+from dpbench.analysis.records.step_times import StepTimes, times_by_run
 from dpbench.bench.judge.rules import is_ranked
 from dpbench.bench.record.configuration import COMMON
+from dpbench.bench.record.recorded_steps import ALL, places_of
 from dpbench.bench.record.result_folder import Results
 from dpbench.scenario.scenario import Scenario, scenario_of
 from dpbench.solvers.calibration import CALIBRATION
@@ -21,6 +24,9 @@ from dpbench.solvers.calibration import CALIBRATION
 
 class Records:
     """The records of one result folder, asked by question.
+
+    Runs are in memory, steps are read when a question is about them: those of many runs together
+    by `scan` and what is made of it, those of one by `steps`.
 
     `all_runs`: each row is one of `runs`, which are about the ship, of `delayed`, closed loops on a
     slow computer, of `random`, which have no ship, of `consequence`, which ask whether a loss could
@@ -51,34 +57,40 @@ class Records:
         self.study = [run for run in self.all_runs if run.study]
         undelayed = [run for run in self.all_runs if not run.slowdown > 0.0]
         self.runs = _commonly_formulated([run for run in undelayed if not run.has_topic])
-        self._steps = results.steps
+        self._steps = results.recorded
         self._times: dict[str, StepTimes | None] = {}
         self._scenarios: dict[str, Scenario | None] = {}
-
-    @cached_property
-    def _rows_of(self) -> dict[str, tuple[int, int]]:
-        """First and last row of each run in the step table, which is ordered by run."""
-        return spans_of(self._steps["run_id"])
 
     @property
     def has_steps(self) -> bool:
         """Whether the folder has the steps of its runs: what is sent to others has not."""
-        return len(self._steps) > 0
+        return self._steps.rows > 0
 
-    @cached_property
-    def counting(self) -> CountingRows:
-        """The rows of the step table that count, as arrays."""
-        return counting_of(self._steps)
+    def steps(self, run: RunRecord, columns: Sequence[str] = ALL) -> pd.DataFrame:
+        """The step rows of a run, with some of `STEP_COLUMNS`; empty when it left none."""
+        return self._steps.of(run.run_id, columns)
 
-    def steps(self, run: RunRecord) -> pd.DataFrame:
-        """The step rows of a run; empty when it left none."""
-        first, last = self._rows_of.get(run.run_id, (0, 0))
-        return self._steps.iloc[first:last]
-
-    def counting_steps(self, *runs: RunRecord) -> pd.DataFrame:
-        """The step rows of some runs that count."""
-        steps = pd.concat([self._steps.iloc[:0], *map(self.steps, runs)])
+    def counting_steps(self, run: RunRecord, columns: Sequence[str] = ALL) -> pd.DataFrame:
+        """The step rows of a run that count."""
+        steps = self.steps(run, tuple(dict.fromkeys([*columns, "counts"])))
         return steps[steps["counts"]]
+
+    def scan(self, runs: Sequence[RunRecord], columns: Sequence[str]) -> Iterator[pd.DataFrame]:
+        """The step rows of some runs in the order of the file, some hundred thousand at a time."""
+        wanted = {run.run_id for run in runs if run.has_steps}
+        return self._steps.scan(columns, wanted) if wanted else iter(())
+
+    def run_steps(
+        self, runs: Sequence[RunRecord], columns: Sequence[str] = ()
+    ) -> Iterator[tuple[str, RunSteps, pd.DataFrame]]:
+        """Of some runs that left a counting row, in the order of the file: id, steps, and rows with
+        the columns that are asked for."""
+        asked = tuple(dict.fromkeys([*counting_rows.COLUMNS, *columns]))
+        for table in self.scan(runs, asked):
+            rows, places = table[list(columns)], places_of(table["run_id"])
+            for run_id, steps in run_steps(counting_of(table)):
+                first, end = places[run_id]
+                yield run_id, steps, rows.iloc[first:end]
 
     def select(self, **wanted: object) -> list[RunRecord]:
         """Runs whose columns have the wanted values, or one of a tuple of values."""
@@ -139,18 +151,37 @@ class Records:
         return run.mode != "replay" or is_ranked(run.concurrency, run.machine_id, of_folder)
 
     def times(self, run: RunRecord) -> StepTimes | None:
-        """Step times of a replay; None when no counting round left a step, or it is not ranked."""
+        """Step times of a replay; None when no counting round left a step, or it is not ranked.
+
+        Those of all that are timed are read at once when the first is asked for.
+        """
         if not self.is_ranked(run):
             return None
+        if not self._times:
+            runs = (*self.calibration, *self.all_runs)
+            self._read_times([run for run in runs if run.mode == "replay" and not run.family])
         if run.run_id not in self._times:
-            self._times[run.run_id] = step_times_of(self.counting.of(run.run_id))
+            self._read_times([run])
         return self._times[run.run_id]
+
+    def _read_times(self, runs: Sequence[RunRecord]) -> None:
+        self._times |= dict.fromkeys(run.run_id for run in runs)
+        for table in self.scan(runs, step_times.COLUMNS):
+            self._times |= dict(times_by_run(table))
+
+    @cached_property
+    def _carried(self) -> dict[str, dict[str, Any]]:
+        """The first documents of each scenario that a run carries."""
+        carried: dict[str, dict[str, Any]] = {}
+        for run in self.runs:
+            if run.scenario not in carried and (files := run.scenario_files) is not None:
+                carried[run.scenario] = files
+        return carried
 
     def scenario(self, name: str) -> Scenario | None:
         """The scenario a run was made from; None when no row carries it."""
         if name not in self._scenarios:
-            files = (run.scenario_files for run in self.select(scenario=name))
-            carried = next(filter(None, files), None)
+            carried = self._carried.get(name)
             self._scenarios[name] = None if carried is None else scenario_of(carried)
         return self._scenarios[name]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
@@ -128,15 +128,8 @@ class RunRecord:
     own_switches_a_step: float = np.nan
 
     @classmethod
-    def of(cls, row: Mapping[str, Any]) -> RunRecord:
-        """The record of a row of `runs.parquet`."""
-        columns: dict[str, Any] = {
-            name: _READ[RUN_COLUMNS[name][0]](row[name])
-            for name in cls.__annotations__
-            if name in RUN_COLUMNS
-        }
-        cell = str(row["cell"])
-        description = json.loads(cell) if cell.startswith("{") else {}
+    def of(cls, columns: Mapping[str, Any], description: dict[str, Any]) -> RunRecord:
+        """The record of a row of `runs.parquet`: the columns that it has, read, and `cell`."""
         source = description.get("source", {})
         family = str(source["recipe"]["family"]) if source.get("kind") == "random" else ""
         group = str(source["group"]) if source.get("kind") == "consequence" else ""
@@ -236,7 +229,24 @@ class RunRecord:
 
 def records_of(runs: pd.DataFrame) -> list[RunRecord]:
     """The records of a table of runs."""
-    return [RunRecord.of({str(k): v for k, v in row.items()}) for row in runs.to_dict("records")]
+    names = [name for name in RunRecord.__annotations__ if name in RUN_COLUMNS]
+    values = [_READ[RUN_COLUMNS[name][0]](runs[name]) for name in names]
+    shared: dict[str, Any] = {}
+    return [
+        RunRecord.of(dict(zip(names, row, strict=True)), _described(str(cell), shared))
+        for *row, cell in zip(*values, runs["cell"], strict=True)
+    ]
+
+
+def _described(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
+    """What `cell` says. The runs of a campaign say nearly the same: a part that another run has too
+    is kept once, in `shared`."""
+    described: dict[str, Any] = json.loads(cell) if cell.startswith("{") else {}
+    for whole in (described, *(described.get("scenario") or {}).values()):
+        if isinstance(whole, dict):
+            for name, part in whole.items():
+                whole[name] = shared.setdefault(repr(part), part) if name != "scenario" else part
+    return described
 
 
 def as_float(value: object) -> float:
@@ -247,11 +257,15 @@ def as_float(value: object) -> float:
         return float(np.nan)
 
 
-_READ: Mapping[str, Any] = {
-    "str": str,
-    "bool": bool,
-    "int64": int,
-    "Int64": as_float,
-    "float64": float,
+def _floats(column: pd.Series[Any]) -> list[float]:
+    return column.to_numpy(dtype=np.float64, na_value=np.nan).tolist()
+
+
+_READ: Mapping[str, Callable[[pd.Series[Any]], list[Any]]] = {
+    "str": lambda column: [str(value) for value in column],
+    "bool": lambda column: [bool(value) for value in column],
+    "int64": lambda column: [int(value) for value in column],
+    "Int64": _floats,
+    "float64": _floats,
 }
 """How a column of each type is read; a null of a nullable integer becomes NaN."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
@@ -28,7 +28,7 @@ class RunSteps:
     claimed, true, failed, late, fallback, clipped : (K,) of the last round; an answer whose right
         one is not known is taken as true.
     status : (K,) what the solver said in the round of the largest error, else in the last.
-    rounds : how many there are; rows : (K,) the last row of each step in the step table.
+    rounds : how many there are.
     """
 
     k: Ints
@@ -45,11 +45,15 @@ class RunSteps:
     clipped: Flags
     status: NDArray[np.object_]
     rounds: int
-    rows: Ints
 
     def values(self, measure: Measure) -> Floats:
         """(K,) what makes a step hard by a measure."""
         return {"time": self.time_ns, "iterations": self.iterations, "error": self.error}[measure]
+
+    def at(self, places: Ints) -> RunSteps:
+        """Some of the steps alone."""
+        arrays = [f.name for f in fields(self) if f.name != "rounds"]
+        return RunSteps(**{n: getattr(self, n)[places] for n in arrays}, rounds=self.rounds)
 
 
 @dataclass(frozen=True)
@@ -89,7 +93,6 @@ def _one(rows: CountingRows) -> RunSteps:
         **flags,
         status=rows.status[said],
         rounds=len(np.unique(rows.repeat)),
-        rows=rows.rows[last],
     )
 
 

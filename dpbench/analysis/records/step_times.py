@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
-from dpbench.analysis.records.counting_rows import CountingRows
 from dpbench.analysis.statistics import Floats
+from dpbench.bench.record.recorded_steps import places_of
+
+COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns")
+"""What `times_by_run` asks of a step table."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,12 +34,20 @@ class StepTimes:
     rounds_ns: Floats
 
 
-def step_times_of(rows: CountingRows) -> StepTimes | None:
-    """Step times of the rows of one replay; None when no counting round left a step."""
-    if not len(rows):
-        return None
-    best = np.full(int(rows.k.max()) + 1, np.inf)
-    np.minimum.at(best, rows.k, rows.total_ns)
+def times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
+    """Those of every run of a table that left a counting row."""
+    counting = steps[steps["counts"]]
+    repeat, k = (counting[name].to_numpy(dtype=np.int64) for name in ("repeat", "k"))
+    total_ns = counting["total_ns"].to_numpy(dtype=np.float64, na_value=np.nan)
+    for run_id, (first, end) in places_of(counting["run_id"]).items():
+        own = slice(first, end)
+        yield run_id, step_times_of(repeat[own], k[own], total_ns[own])
+
+
+def step_times_of(repeat: NDArray[np.int64], k: NDArray[np.int64], total_ns: Floats) -> StepTimes:
+    """Step times of the rows (N,) of one replay that count: their round, step and time."""
+    best = np.full(int(k.max()) + 1, np.inf)
+    np.minimum.at(best, k, total_ns)
     done = np.flatnonzero(np.isfinite(best))
-    rounds = [float(np.median(rows.total_ns[rows.repeat == r])) for r in np.unique(rows.repeat)]
-    return StepTimes(done, best[done], float(rows.total_ns.max()), np.array(rounds))
+    rounds = [float(np.median(total_ns[repeat == r])) for r in np.unique(repeat)]
+    return StepTimes(done, best[done], float(total_ns.max()), np.array(rounds))

@@ -10,7 +10,7 @@ import pandas as pd
 from dpbench.analysis.records.grouping import firsts
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.suites.random_claims import claims_by_run, claims_of
+from dpbench.analysis.suites.random_claims import CLAIMS, claims_by_run, claims_of
 from dpbench.bench.judge.rules import INFEASIBLE
 
 
@@ -113,7 +113,7 @@ def _edges(records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]) ->
     """Columns `EDGES`, of the rows of one plot in `capability.parquet`."""
     liars: dict[int, set[str]] = {}
     for run in runs:
-        steps = records.counting_steps(run)
+        steps = records.counting_steps(run, ("k", *CLAIMS))
         claims = claims_of(steps)
         for k in steps["k"][claims["lies"] | claims["empty_wrong"]]:
             liars.setdefault(int(k), set()).add(run.solver)
@@ -127,7 +127,7 @@ def _edges(records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]) ->
 
 
 def _answers(records: Records, run: RunRecord) -> Answers:
-    steps = records.counting_steps(run)
+    steps = records.counting_steps(run, ("run_id", "total_ns", *CLAIMS))
     counts = claims_by_run(steps).reindex([run.run_id], fill_value=0).iloc[0]
     infeasible = int((steps["certificate"] == INFEASIBLE).sum())
     times: pd.Series[float] = steps["total_ns"].astype("float64")

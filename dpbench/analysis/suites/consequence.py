@@ -18,7 +18,7 @@ from dpbench.analysis.records.grouping import firsts, grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.statistics import Floats
-from dpbench.analysis.suites.random_claims import claims_of
+from dpbench.analysis.suites.random_claims import CLAIMS, claims_of
 from dpbench.bench.judge.rules import INFEASIBLE, UNCERTIFIED, UNDECIDED, percentile
 from dpbench.scenario.scenario import scenario_once
 
@@ -112,7 +112,11 @@ def _analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> Analysi
 
 def _spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
     """Columns `SPAN` of one group, neighbours of one state joined."""
-    steps = records.counting_steps(run).drop_duplicates("k").sort_values("k")
+    steps = (
+        records.counting_steps(run, ("k", "t_s", "certificate"))
+        .drop_duplicates("k")
+        .sort_values("k")
+    )
     certificate, t_s = steps["certificate"], steps["t_s"].to_numpy()
     known = np.where(certificate == INFEASIBLE, LOST, HELD)
     state = np.where(certificate.isin((UNCERTIFIED, UNDECIDED)), UNKNOWN, known)
@@ -126,7 +130,8 @@ def _answers(
     records: Records, runs: Sequence[RunRecord], groups: int, sample_s: float
 ) -> BatchAnswers:
     """The answers of one configuration, a run for each group."""
-    counts = pd.concat([_counts(records.counting_steps(run)) for run in runs], axis=1).sum(axis=1)
+    of_runs = [_counts(records.counting_steps(run, ("k", *CLAIMS))) for run in runs]
+    counts = pd.concat(of_runs, axis=1).sum(axis=1)
     batch_ns = _batch_ns(records, runs) if len(runs) == groups else np.zeros(0)
     shares = batch_ns / (1e9 * sample_s)
     return BatchAnswers(

@@ -9,8 +9,9 @@ Every certified step of a configuration counts once:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
+import numpy as np
 import pandas as pd
 
 from dpbench.analysis.records.grouping import grouped
@@ -62,7 +63,13 @@ class RandomClaims:
     def __init__(self, records: Records) -> None:
         self.runs = _once([run for run in records.random if run.outcome != "refused"])
         ids = [run.run_id for run in self.runs]
-        counts = claims_by_run(records.counting_steps(*self.runs)).reindex(ids, fill_value=0)
+        tables = [
+            claims_by_run(table[table["counts"]])
+            for table in records.scan(self.runs, ("run_id", "counts", *CLAIMS))
+        ]
+        names = [field.name for field in fields(Tally) if field.name != "missed"]
+        counts = pd.concat(tables) if tables else pd.DataFrame(columns=names, dtype=np.int64)
+        counts = counts.reindex(ids, fill_value=0)
         self._counts = counts.assign(missed=[r.steps_planned - r.steps_done for r in self.runs])
 
     def by(self, *names: str) -> dict[tuple[str, ...], Tally]:
@@ -86,6 +93,10 @@ def _once(runs: Sequence[RunRecord]) -> list[RunRecord]:
 def _figures(runs: Sequence[RunRecord]) -> str:
     """Times never repeat to the nanosecond, so equal ones are those of one run."""
     return repr(sorted((run.sequence, run.raw_max_ns, run.steps_done) for run in runs))
+
+
+CLAIMS = ("status", "certificate", "claimed", "true")
+"""What `claims_of` asks of steps."""
 
 
 def claims_by_run(steps: pd.DataFrame) -> pd.DataFrame:

@@ -24,6 +24,7 @@ from scipy.stats import t as student
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.statistics import TAILS, Interval
+from dpbench.analysis.verdict.fastest import known_record
 from dpbench.solvers.record import TOLERANCES
 from dpbench.solvers.settings import settings_matter, tolerance_of
 
@@ -150,8 +151,9 @@ class StudiedConfiguration:
 
     @property
     def tolerance(self) -> float | None:
-        """The tolerance of its settings; None of a library's own choice, or with none to set."""
-        if not settings_matter(self.solver):
+        """The tolerance of its settings; None of a library's own choice, with none to set, or of a
+        solver that this installation does not know."""
+        if known_record(self.solver) is None or not settings_matter(self.solver):
             return None
         return TOLERANCES.get(self.settings) or tolerance_of(self.settings)
 

@@ -4,49 +4,56 @@ from __future__ import annotations
 
 import fcntl
 import json
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
-import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from dpbench.bench.record.recorded_steps import (
+    StepsInMemory,
+    StepsOnDisk,
+    StepTable,
+    lacking,
+    of_another_type,
+    readable,
+)
 from dpbench.bench.record.schema import (
     ADDED,
     READABLE,
     RENAMED,
     RUN_COLUMNS,
     SCHEMA_VERSION,
-    STEP_COLUMNS,
     as_runs,
     as_steps,
 )
-from dpbench.bench.record.step_table import (
-    OF_CLOCK,
-    OF_FILE,
-    STORED,
-    is_complete,
-    needed_for,
-    of_runs,
-    with_derived,
-)
 from dpbench.errors import InputError, ResultsError, renamed
-
-TABLES = {"runs": RUN_COLUMNS, "steps": STEP_COLUMNS}
 
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """A result folder in memory; columns as in `schema.py`."""
+    """A result folder; columns as in `schema.py`.
+
+    Parameters
+    ----------
+    runs : the rows of `runs.parquet`; recorded : those of `steps.parquet`, asked for by run and
+        column.
+    machine, suite : `machine.json` and `suite.json`.
+    """
 
     runs: pd.DataFrame
-    steps: pd.DataFrame
+    recorded: StepTable
     machine: dict[str, Any]
     suite: dict[str, Any]
+
+    @cached_property
+    def steps(self) -> pd.DataFrame:
+        """All steps in memory, some 500 bytes each; of large folders ask `recorded`."""
+        return self.recorded.frame()
 
 
 @contextmanager
@@ -115,7 +122,7 @@ def accidents(out: Path) -> tuple[int, list[str]]:
 
 
 def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
-    """Read a result folder.
+    """Read a result folder: its runs, and of its steps what is asked for later.
 
     Parameters
     ----------
@@ -130,14 +137,13 @@ def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
     if not folder.is_dir():
         raise ResultsError(str(folder), "", "no such folder", "a folder written by `dpbench run`")
     no_steps = without_steps and not (folder / "steps.parquet").exists()
-    runs = _read_table(folder, "runs")
-    steps = as_steps(pd.DataFrame()) if no_steps else _read_table(folder, "steps")
+    runs = _read_runs(folder)
+    steps = StepsInMemory(as_steps(pd.DataFrame())) if no_steps else StepsOnDisk(folder)
     results = Results(runs, steps, *load_descriptions(folder))
-    tables = {"run_rows": results.runs} | ({} if no_steps else {"step_rows": results.steps})
-    for name, frame in tables.items():
+    for name, rows in {"run_rows": len(runs), "step_rows": steps.rows}.items():
         promised = results.suite.get(name)
-        if promised != len(frame):
-            found = f"{promised} where the table has {len(frame)} rows"
+        if promised != rows and not (no_steps and name == "step_rows"):
+            found = f"{promised} where the table has {rows} rows"
             raise ResultsError(str(folder / "suite.json"), name, found, "the same; run again")
     return results
 
@@ -151,86 +157,10 @@ def load_descriptions(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     return machine, suite
 
 
-def scan_steps(
-    out: str | Path, columns: Sequence[str], run_ids: Container[str] | None = None
-) -> Iterator[pa.Table]:
-    """The steps of a result folder, some hundred thousand rows of whole runs at a time.
-
-    Memory is that of one such table, whatever the number of runs; with `run_ids`, what holds none
-    of them is not read.
-
-    Parameters
-    ----------
-    columns : of `STEP_COLUMNS`; only what these are made from is read.
-    run_ids : only the steps of these runs; None for all.
-
-    Raises
-    ------
-    ResultsError : naming the file, when one is missing or damaged, or has no such column.
-    """
-    path = Path(out) / "steps.parquet"
-    with _readable(path):
-        clock = read_clock(Path(out)) if "t_s" in columns else pd.DataFrame()
-        with pq.ParquetFile(path, read_dictionary=["run_id"]) as file:
-            known = {RENAMED.get(name, name): name for name in file.schema_arrow.names}
-            complete = is_complete(known)
-            needed = list(columns) if complete else needed_for(columns)
-            named = {name: known[name] for name in {*needed, "run_id"}}
-            for i in range(file.num_row_groups):
-                if run_ids is not None:
-                    names = pc.unique(file.read_row_group(i, columns=["run_id"])["run_id"])
-                    if not any(name in run_ids for name in names.to_pylist()):
-                        continue
-                group = file.read_row_group(i, columns=list(named.values()))
-                group = group.select(list(named.values())).rename_columns(list(named))
-                some = group if run_ids is None else of_runs(group, run_ids)
-                yield some.select(columns) if complete else with_derived(some, columns, clock)
-
-
-def read_steps(
-    out: str | Path, columns: Sequence[str], run_ids: Container[str] | None = None
-) -> pa.Table:
-    """As `scan_steps`, in one table."""
-    tables = list(scan_steps(out, columns, run_ids))
-    if tables:
-        return pa.concat_tables(tables).unify_dictionaries()
-    return pa.table({name: pa.array([], OF_FILE.field(name).type) for name in columns})
-
-
-def read_clock(folder: Path) -> pd.DataFrame:
-    """The columns of `runs.parquet` that times of steps follow from, by run_id."""
+def _read_runs(folder: Path) -> pd.DataFrame:
     path = folder / "runs.parquet"
-    with _readable(path):
-        there = set(pq.read_schema(path).names)
-        wanted = [name for name in ("run_id", *OF_CLOCK) if name in there]
-        clock: pd.DataFrame = pq.read_table(path, columns=wanted).to_pandas()
-    return clock.set_index("run_id")
-
-
-@contextmanager
-def _readable(path: Path) -> Iterator[None]:
-    """What goes wrong as a table is read, as `ResultsError`."""
-    if not path.is_file():
-        raise ResultsError(str(path), "", "no such file", "a table written by `dpbench run`")
-    try:
-        yield
-    except (OSError, ValueError, KeyError, pa.ArrowException) as error:
-        if isinstance(error, ResultsError):
-            raise
-        raise ResultsError(
-            str(path), "", f"a damaged file ({str(error)[:120]})", "a parquet table; run again"
-        ) from error
-
-
-def _read_table(folder: Path, name: str) -> pd.DataFrame:
-    path = folder / f"{name}.parquet"
-    with _readable(path):
-        table = pq.read_table(path)
-        stored = set(table.column_names)
-        if name == "steps" and not is_complete(stored) and set(STORED) <= stored:
-            table = with_derived(table, list(STEP_COLUMNS), read_clock(folder))
-        whole = {pa.int64(): pd.Int64Dtype()} if name == "steps" else {}
-        frame = table.to_pandas(types_mapper=whole.get)
+    with readable(path):
+        frame = pq.read_table(path).to_pandas()
     if "schema" in frame:
         versions = set(frame["schema"].unique().tolist())
         if versions - READABLE:
@@ -241,15 +171,13 @@ def _read_table(folder: Path, name: str) -> pd.DataFrame:
     if old:
         renamed(str(path), f"column {', '.join(old)}", ", ".join(old.values()))
         frame = frame.rename(columns=old)
-    missing = sorted(set(TABLES[name]) - set(frame.columns) - ADDED)
+    missing = sorted(set(RUN_COLUMNS) - set(frame.columns) - ADDED)
     if missing:
-        named = ", ".join(missing[:3]) + (", …" if len(missing) > 3 else "")
-        raise ResultsError(str(path), named, "no such columns", "the columns of schema.py")
+        raise lacking(path, missing)
     try:
-        return as_runs(frame) if name == "runs" else as_steps(frame)
+        return as_runs(frame)
     except (ValueError, TypeError) as error:
-        found = f"a column of another type ({str(error)[:80]})"
-        raise ResultsError(str(path), "", found, "the types of schema.py") from error
+        raise of_another_type(path, str(error)[:80]) from error
 
 
 def read_json(path: Path) -> dict[str, Any]:

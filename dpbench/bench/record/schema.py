@@ -6,12 +6,11 @@ integer), never a made-up one.
 
 from __future__ import annotations
 
+import json
 from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
-
-from dpbench.bench.record.study_columns import PREFIX
 
 SCHEMA_VERSION = 6
 READABLE = frozenset({4, 5, 6})
@@ -29,6 +28,9 @@ RENAMED = {
 DType = Literal["str", "bool", "int32", "int64", "Int64", "float64"]
 Columns = dict[str, tuple[DType, str]]
 """Type and meaning by name."""
+
+PREFIX = "x_"
+"""Of the columns that hold the values of a study's keys, before the key's dotted name."""
 
 AXES = ("n", "e", "psi")
 FORCES = ("surge", "sway", "yaw")
@@ -393,7 +395,8 @@ def _missing(dtype: DType, rows: int) -> Any:
     return pd.Series(fillers.get(dtype, np.nan), index=range(rows), dtype=dtype).array
 
 
-def _conform(frame: pd.DataFrame, columns: Columns) -> pd.DataFrame:
+def as_columns(frame: pd.DataFrame, columns: Columns) -> pd.DataFrame:
+    """`frame` with exactly these columns of their types; absent ones are missing."""
     # Most runs lack most columns: what is absent is made once for each type, not for each column.
     types = {dtype for dtype, _ in columns.values()}
     absent = {dtype: _missing(dtype, len(frame)) for dtype in types}
@@ -406,7 +409,7 @@ def _conform(frame: pd.DataFrame, columns: Columns) -> pd.DataFrame:
 
 def as_steps(frame: pd.DataFrame) -> pd.DataFrame:
     """`frame` with exactly the columns and types of `steps.parquet`; absent ones are missing."""
-    return _conform(frame, STEP_COLUMNS)
+    return as_columns(frame, STEP_COLUMNS)
 
 
 def as_runs(frame: pd.DataFrame) -> pd.DataFrame:
@@ -414,6 +417,35 @@ def as_runs(frame: pd.DataFrame) -> pd.DataFrame:
 
     The keys of studies, columns x_<key>, stay as they are behind them.
     """
-    runs = _conform(frame, RUN_COLUMNS)
+    runs = as_columns(frame, RUN_COLUMNS)
     keys = [name for name in frame.columns if name.startswith(PREFIX)]
     return runs.join(frame[keys]) if keys else runs
+
+
+def study_columns(runs: pd.DataFrame) -> pd.DataFrame:
+    """The columns of a study, of runs (N) with a column `cell`; none where no run is of one.
+
+    `study`, `study_point` and `replicate` as in the schema; an `x_<key>` for each key, a number
+    where all its values are numbers and text else, missing in runs of other studies.
+    """
+    cells = runs["cell"].astype(str)
+    of_study = cells.str.contains('"study": {', regex=False)
+    if not of_study.any():
+        return pd.DataFrame(index=runs.index)
+    rows = {i: _columns_of(json.loads(cell)["study"]) for i, cell in cells[of_study].items()}
+    table = pd.DataFrame.from_dict(rows, orient="index").reindex(runs.index)
+    return table.assign(study=table["study"].fillna(""))
+
+
+def _columns_of(study: dict[str, Any]) -> dict[str, Any]:
+    values = {f"{PREFIX}{key}": _plain(value) for key, value in study["x"].items()}
+    return {
+        "study": study["name"],
+        "study_point": study["point"],
+        "replicate": study["replicate"],
+    } | values
+
+
+def _plain(value: object) -> object:
+    """What a cell of a table can hold: a list as text."""
+    return json.dumps(value) if isinstance(value, list) else value

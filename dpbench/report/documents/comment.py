@@ -37,20 +37,20 @@ class WorstStep:
 
     Parameters
     ----------
+    step : the step alone.
     value, median : of the measure, at the step and over its run: ns, iterations, or an error.
     """
 
     measure: Measure
     run: RunRecord
-    steps: RunSteps
-    at: int
+    step: RunSteps
     value: float
     median: float
 
     @property
     def k(self) -> int:
         """The step of the run."""
-        return int(self.steps.k[self.at])
+        return int(self.step.k[0])
 
     @property
     def export(self) -> str:
@@ -98,24 +98,29 @@ def beside(report: Report, solver: str, others: Sequence[str] = ()) -> tuple[str
 def worst_steps(facts: Facts, solver: str) -> list[WorstStep]:
     """The hardest step of a solver by error, time and iterations, each once; in its replays, whose
     QPs are those that `export` writes, or else in its loops."""
-    runs = [run for run in facts.records.runs if run.solver == solver]
-    timed = [run for run in runs if run.mode == "replay" and run.run_id in facts.steps]
-    known = timed or [run for run in runs if run.run_id in facts.steps]
+    runs = {run.run_id: run for run in facts.records.runs if run.solver == solver}
+    found = {
+        run_id: _worst_of(runs[run_id], steps)
+        for run_id, steps, _ in facts.records.run_steps(list(runs.values()))
+    }
+    stepped = [run_id for run_id in runs if run_id in found]
+    timed = [run_id for run_id in stepped if runs[run_id].mode == "replay"]
     worst: list[WorstStep] = []
     for measure in sorted(MEASURES, key=lambda name: name != "error"):
-        candidates = [step for run in known if (step := _worst_of(facts, run, measure))]
+        candidates = [found[id][measure] for id in timed or stepped if measure in found[id]]
         if candidates:
             worst.append(max(candidates, key=lambda step: step.value))
     return worst
 
 
-def _worst_of(facts: Facts, run: RunRecord, measure: Measure) -> WorstStep | None:
-    steps = facts.steps[run.run_id]
-    hard = hardest(steps, measure, 1)
-    if not hard:
-        return None
-    values = steps.values(measure)
-    return WorstStep(measure, run, steps, hard[0].at, hard[0].value, median(values))
+def _worst_of(run: RunRecord, steps: RunSteps) -> dict[Measure, WorstStep]:
+    """The hardest step of a run by each measure that it has."""
+    worst: dict[Measure, WorstStep] = {}
+    for measure in MEASURES:
+        for hard in hardest(steps, measure, 1):
+            alone, usual = steps.at(np.array([hard.at])), median(steps.values(measure))
+            worst[measure] = WorstStep(measure, run, alone, hard.value, usual)
+    return worst
 
 
 def _sentence(facts: Facts, verdict: Verdict) -> str:
@@ -147,7 +152,7 @@ def _worst_table(facts: Facts, worst: Sequence[WorstStep], others: Sequence[Verd
             step.run.configuration.options,
             _figure(step.measure, step.value),
             _figure(step.measure, step.median),
-            answer_text(step.steps, step.at),
+            answer_text(step.step, 0),
             *(_of_other(facts, step, verdict.configuration) for verdict in others),
         )
         for step in worst
@@ -160,12 +165,12 @@ def _of_other(facts: Facts, worst: WorstStep, configuration: Configuration) -> s
     place = worst.run.mode, worst.run.problem, worst.run.units
     for run in facts.records.runs:
         same = (run.mode, run.problem, run.units) == place
-        steps = facts.steps.get(run.run_id)
-        if steps is None or not same or run.configuration.in_common_formulation != configuration:
+        if not same or run.configuration.in_common_formulation != configuration:
             continue
-        at = np.flatnonzero(steps.k == worst.k)
-        if len(at):
-            return _figure(worst.measure, float(steps.values(worst.measure)[at[0]]))
+        for _, steps, _ in facts.records.run_steps([run]):
+            at = np.flatnonzero(steps.k == worst.k)
+            if len(at):
+                return _figure(worst.measure, float(steps.values(worst.measure)[at[0]]))
     return MISSING
 
 

@@ -20,14 +20,24 @@ import numpy as np
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, as_float
-from dpbench.analysis.records.run_steps import MEASURES, RunSteps, hardest, run_steps
+from dpbench.analysis.records.run_steps import MEASURES
 from dpbench.analysis.suites.slowdown import survived
 from dpbench.analysis.suites.study import Study, studies
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, verdict_of
 from dpbench.bench.record.configuration import Configuration, settings_level
 from dpbench.report.page.pack import Block
-from dpbench.report.page.steps import Room, Track, pack_steps, pack_track, track_of
+from dpbench.report.page.steps import (
+    FORCES,
+    MOST_HARD,
+    TRACK,
+    KeptRun,
+    Room,
+    Track,
+    pack_steps,
+    pack_track,
+    track_of,
+)
 from dpbench.report.page.studies import MOST_LOOPS, opening, shown, study_document
 from dpbench.scenario.scenario import Scenario, scenario_of
 
@@ -167,9 +177,24 @@ class Facts:
         return self._seas[place]
 
     @cached_property
-    def steps(self) -> dict[str, RunSteps]:
-        """Every run that left a counting step, by its id."""
-        return dict(run_steps(self.records.counting))
+    def kept(self) -> dict[str, KeptRun]:
+        """What the page keeps of every run that left a counting step, by its id; in the order of
+        the steps, which are read once."""
+        runs = {run.run_id: run for run in self.runs.values()}
+        room = Room.of([run.steps_done for run in runs.values() if run.has_steps])
+        kept: dict[str, KeptRun] = {}
+        read = self.records.run_steps(list(runs.values()), (*TRACK, *FORCES))
+        for run_id, steps, rows in read:
+            run = runs[run_id]
+            limits = self._limits(run) if run.mode == "closed_loop" else None
+            track = None if limits is None else track_of(rows, limits, room.points)
+            kept[run_id] = KeptRun.of(steps, room.steps, track)
+        return kept
+
+    @property
+    def thinned(self) -> int:
+        """Of how many runs the page keeps a part of the steps."""
+        return sum(not run.is_whole for run in self.kept.values())
 
     def _judged(self, configuration: Configuration, run: RunRecord) -> Verdict:
         place = "", ""
@@ -225,19 +250,17 @@ class Facts:
     def cells(self) -> Iterator[dict[str, Any]]:
         """Every run with its packed steps and hardest steps."""
         references: dict[int, Track] = {}
-        left = [self.steps[r.run_id] for r in self.runs.values() if r.run_id in self.steps]
-        room = Room.of([len(steps.k) for steps in left])
+        hard = max(1, min(5, MOST_HARD // max(1, len(MEASURES) * len(self.runs))))
         order = sorted(self.runs, key=lambda key: (key[1], self._deviation(self.runs[key])))
         for c, p in order:
             run = self.runs[c, p]
-            entry, steps = self._cell(c, p, run), self.steps.get(run.run_id)
-            if steps is not None:
-                entry |= pack_steps(self.block, steps, room.steps) | {"hard": _hard(steps)}
-                if run.mode == "closed_loop" and (limits := self._limits(run)) is not None:
-                    track = track_of(self.records.steps(run), limits, room.points)
-                    entry |= pack_track(self.block, track, references.get(p))
+            entry, kept = self._cell(c, p, run), self.kept.get(run.run_id)
+            if kept is not None:
+                entry |= pack_steps(self.block, kept) | {"hard": _hard(kept, hard)}
+                if kept.track is not None:
+                    entry |= pack_track(self.block, kept.track, references.get(p))
                     entry["reference"] = p not in references
-                    references.setdefault(p, track)
+                    references.setdefault(p, kept.track)
             yield entry
 
     def _cell(self, c: int, p: int, run: RunRecord) -> dict[str, Any]:
@@ -276,19 +299,12 @@ def _numbered(run: RunRecord) -> Configuration:
     return replace(run.configuration.in_common_formulation, units="scaled")
 
 
-def _hard(steps: RunSteps) -> list[list[list[Any]]]:
+def _hard(run: KeptRun, count: int) -> list[list[list[Any]]]:
     """The hardest steps by each measure: k, figure, status, claimed, true, active limits."""
     return [
         [
-            [
-                int(steps.k[hard.at]),
-                number(hard.value),
-                str(steps.status[hard.at]),
-                int(steps.claimed[hard.at]),
-                int(steps.true[hard.at]),
-                int(steps.n_active[hard.at]),
-            ]
-            for hard in hardest(steps, measure)
+            [row.k, number(row.value), row.status, int(row.claimed), int(row.true), row.n_active]
+            for row in run.hard[measure][:count]
         ]
         for measure in MEASURES
     ]

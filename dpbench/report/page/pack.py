@@ -1,13 +1,16 @@
 """Pack arrays into one compressed block of text that a page unpacks by itself.
 
     block  =  base64( zlib( head ‖ arrays ) ) head   =  length of the JSON as uint32, the JSON:
-    {"arrays": [[kind, start, count, scale], ...], ...}
+    {"arrays": [[kind, start, count, scale, places], ...], ...}
 
 Numbers become small integers first, since what is told apart on a screen needs no more:
 
     log     round(200·log10(x / 1e-16)) + 2 as uint16: 1.2 % apart; 0 missing, 1 zero, 65535
     infinite linear  round(x / scale) as int16; −32768 missing count   uint16, 65535 missing flag
-    uint8
+    uint8 place   rising, as uint16 differences from element to element, not modulo anything
+
+An array of a few elements of a long one has the number of the array of their `places` behind it,
+whose scale is the length of the long one; all other elements are missing, or 0 of a flag.
 
 The bytes of 16-bit arrays are stored plane by plane, low bytes first, and linear and count arrays
 as differences from element to element: both halve what zlib leaves.
@@ -24,7 +27,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Kind = Literal["log", "linear", "count", "flag"]
+Kind = Literal["log", "linear", "count", "flag", "place"]
 PER_DECADE = 200
 SMALLEST = 1e-16
 MISSING, ZERO, INFINITE = 0, 1, 65535
@@ -42,9 +45,9 @@ class Block:
         self._entries: list[list[Any]] = []
         self._size = 0
 
-    def log(self, values: ArrayLike) -> int:
+    def log(self, values: ArrayLike, places: int | None = None) -> int:
         """Positive numbers over many decades, such as times and errors."""
-        return self._add("log", log_codes(values), 1.0)
+        return self._add("log", log_codes(values), 1.0, places)
 
     def linear(self, values: ArrayLike, scale: float) -> int:
         """Numbers as multiples of `scale`, cut off at 32767 of them."""
@@ -53,19 +56,28 @@ class Block:
         codes[np.isnan(x)] = GAP
         return self._add("linear", _differences(codes.astype(np.int16).view(np.uint16)), scale)
 
-    def count(self, values: ArrayLike) -> int:
+    def count(self, values: ArrayLike, places: int | None = None) -> int:
         """Whole numbers from 0 to 65534; NaN and negative ones are missing."""
         x = np.asarray(values, dtype=np.float64)
         codes = np.where(np.isnan(x) | (x < 0), INFINITE, np.minimum(np.nan_to_num(x), 65534))
-        return self._add("count", _differences(codes.astype(np.uint16)), 1.0)
+        return self._add("count", _differences(codes.astype(np.uint16)), 1.0, places)
 
-    def flag(self, values: ArrayLike) -> int:
+    def flag(self, values: ArrayLike, places: int | None = None) -> int:
         """Bytes."""
-        return self._add("flag", np.asarray(values, dtype=np.uint8), 1.0)
+        return self._add("flag", np.asarray(values, dtype=np.uint8), 1.0, places)
 
-    def _add(self, kind: Kind, codes: NDArray[Any], scale: float) -> int:
+    def place(self, values: ArrayLike, length: int) -> int:
+        """Where elements stand in an array of that length, rising; ValueError where two are more
+        than 65535 apart."""
+        apart = np.diff(np.asarray(values, dtype=np.int64), prepend=0)
+        if apart.size and apart.max() > INFINITE:
+            raise ValueError(f"places {apart.max()} apart")
+        return self._add("place", apart.astype(np.uint16), length)
+
+    def _add(self, kind: Kind, codes: NDArray[Any], scale: float, places: int | None = None) -> int:
         raw = _planes(codes) if codes.dtype == np.uint16 else codes.tobytes()
-        self._entries.append([kind, self._size, len(codes), scale])
+        entry = [kind, self._size, len(codes), scale]
+        self._entries.append(entry if places is None else [*entry, places])
         self._parts.append(raw)
         self._size += len(raw)
         return len(self._entries) - 1

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.records.counting_rows import Floats
-from dpbench.analysis.records.run_steps import RunSteps
+from dpbench.analysis.records.counting_rows import Flags, Floats
+from dpbench.analysis.records.run_steps import MEASURES, Measure, RunSteps, hardest
 from dpbench.analysis.records.thinning import kept, share
 from dpbench.report.page.pack import Block
 
@@ -29,6 +29,11 @@ only since it is a hard one, so that it stands in no mean."""
 MOST_STEPS, MOST_POINTS = 480_000, 240_000
 """So many steps and points of tracks the page has room for, all runs together."""
 MOST_POINTS_EACH = 400
+MANY_RUNS, STEPS_A_RUN, POINTS_A_RUN = 1000, 25, 12
+"""Each run beyond so many takes the room of so many steps and points by being there."""
+MOST_HARD = 15_000
+"""So many hard steps the page lists, of all runs by all measures; five of each up to a thousand
+runs, one at least."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,37 +55,92 @@ class Room:
     @classmethod
     def of(cls, lengths: Sequence[int]) -> Room:
         """The room when runs of these lengths share the page; short ones stay whole."""
-        return cls(share(lengths, MOST_STEPS), min(MOST_POINTS_EACH, share(lengths, MOST_POINTS)))
+        more = max(0, len(lengths) - MANY_RUNS)
+        points = share(lengths, max(0, MOST_POINTS - POINTS_A_RUN * more))
+        steps = share(lengths, max(0, MOST_STEPS - STEPS_A_RUN * more))
+        return cls(steps, min(MOST_POINTS_EACH, points))
 
 
-def pack_steps(block: Block, run: RunSteps, most: int) -> dict[str, int]:
-    """The steps of a run, as numbers of arrays in `block`, element 0 for step `first`.
+class HardRow(NamedTuple):
+    """A hard step: what was said of it there, and `value`, what makes it hard."""
 
-    A run of more than `most` steps is thinned, see `kept`; what is left out packs to nothing.
+    k: int
+    value: float
+    status: str
+    claimed: bool
+    true: bool
+    n_active: int
+
+
+@dataclass(frozen=True, eq=False)
+class KeptRun:
+    """What is kept of the steps of a run, however many it has.
+
+    Parameters
+    ----------
+    steps : those that are kept; extra : (K,) which of them for being hard alone.
+    last : the last step of the run, kept or not; is_whole : whether all are kept.
+    hard : the hardest of all by each measure, the hardest first.
+    track : None without a ship.
     """
-    first, count = int(run.k[0]), int(run.k[-1] - run.k[0]) + 1
-    chosen, extra = kept(run, most)
 
-    def spread(values: Floats) -> Floats:
-        out = np.full(count, np.nan)
-        out[run.k[chosen] - first] = values[chosen]
+    steps: RunSteps
+    extra: Flags
+    last: int
+    is_whole: bool
+    hard: dict[Measure, list[HardRow]]
+    track: Track | None
+
+    @classmethod
+    def of(cls, run: RunSteps, most: int, track: Track | None = None) -> KeptRun:
+        """Of a run of more than `most` steps it is thinned, see `kept`."""
+        chosen, extra = kept(run, most)
+        hard = {measure: _hard(run, measure) for measure in MEASURES}
+        is_whole = len(chosen) == len(run.k)
+        return cls(run.at(chosen), extra, int(run.k[-1]), is_whole, hard, track)
+
+
+def _hard(run: RunSteps, measure: Measure) -> list[HardRow]:
+    return [
+        HardRow(
+            int(run.k[hard.at]),
+            hard.value,
+            str(run.status[hard.at]),
+            bool(run.claimed[hard.at]),
+            bool(run.true[hard.at]),
+            int(run.n_active[hard.at]),
+        )
+        for hard in hardest(run, measure)
+    ]
+
+
+def pack_steps(block: Block, run: KeptRun) -> dict[str, int]:
+    """The steps of a run, as numbers of arrays in `block`, element 0 for step `first`; elements of
+    steps that were not recorded, or not kept, are missing."""
+    steps, first = run.steps, int(run.steps.k[0])
+    count = run.last - first + 1
+    # Of a whole run the places follow from the missing ones, which pack to nothing.
+    at = None if run.is_whole else block.place(steps.k - first, count)
+
+    def spread(values: Floats, missing: float = np.nan) -> Floats:
+        if at is not None:
+            return values
+        out = np.full(count, missing)
+        out[steps.k - first] = values
         return out
 
-    bits = np.zeros(count, dtype=np.int64)
-    bits[run.k[chosen] - first] = extra.astype(np.int64) << len(FLAGS)
-    bits[run.k[chosen] - first] += sum(
-        (1 << bit) * getattr(run, name)[chosen].astype(np.int64) for bit, name in enumerate(FLAGS)
-    )
+    flags = enumerate((*(getattr(steps, name) for name in FLAGS), run.extra))
+    bits = np.sum([flag.astype(np.float64) * (1 << bit) for bit, flag in flags], axis=0)
     entry = {
         "first": first,
-        "t": block.log(spread(run.time_ns)),
-        "e": block.log(spread(run.error)),
-        "i": block.count(spread(run.iterations)),
-        "a": block.count(spread(run.n_active)),
-        "f": block.flag(bits),
+        "t": block.log(spread(steps.time_ns), at),
+        "e": block.log(spread(steps.error), at),
+        "i": block.count(spread(steps.iterations), at),
+        "a": block.count(spread(steps.n_active), at),
+        "f": block.flag(spread(bits, 0.0), at),
     }
-    if run.rounds > 1:
-        entry["r"] = block.log(spread(run.raw_ns))
+    if steps.rounds > 1:
+        entry["r"] = block.log(spread(steps.raw_ns), at)
     return entry
 
 

@@ -73,8 +73,10 @@ TIMES = {
     "raw_max_ns": "largest sample",
 }
 """Columns of times that the page has words for."""
+MOST_TILES = 1000
+"""So many tiles the page draws: each is two of the nodes that a browser has to keep."""
 MOST_ROWS = 3000
-"""A longer table is a file alone."""
+"""So many runs the page lists; all are in a file."""
 
 
 def runs_table(facts: Facts, runs: pd.DataFrame) -> dict[str, Any]:
@@ -169,6 +171,18 @@ def matrix_table(facts: Facts) -> pd.DataFrame:
             for p in facts.judged_places:
                 rows.append(_tile(facts, wanted, p, facts.places[p]))
     return pd.DataFrame(rows)
+
+
+def drawn_tiles(tiles: pd.DataFrame) -> pd.DataFrame:
+    """The tiles of as many places as the page has room for: of more those where the demand is
+    missed or open most often."""
+    if len(tiles) <= MOST_TILES:
+        return tiles
+    places = tiles.groupby("place", sort=False)["state"]
+    room = max(1, MOST_TILES * len(places) // len(tiles))
+    unmet = places.agg(lambda states: int((states != "meets").sum()))
+    kept = unmet.sort_values(ascending=False, kind="stable").index[:room]
+    return tiles[tiles["place"].isin(kept)]
 
 
 def _tile(facts: Facts, wanted: Configuration, p: int, place: Place) -> dict[str, Any]:

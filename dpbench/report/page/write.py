@@ -54,7 +54,14 @@ from dpbench.report.page.answer import Answer
 from dpbench.report.page.cite import software
 from dpbench.report.page.facts import Facts, Place, columns_of, number
 from dpbench.report.page.steps import FLAGS
-from dpbench.report.page.tables import GROUPS, ladder_table, matrix_table, runs_table
+from dpbench.report.page.tables import (
+    GROUPS,
+    MOST_ROWS,
+    drawn_tiles,
+    ladder_table,
+    matrix_table,
+    runs_table,
+)
 from dpbench.report.page.terms import Terms
 from dpbench.report.page.topic import Topic
 from dpbench.report.page.vendored import script, vendored
@@ -130,11 +137,14 @@ def page_html(
         sections=sections,
         answer=answer,
         figures=dict.fromkeys(charts, True) | pictures,
-        matrix_said=MATRIX,
+        matrix_said=_matrix_said(facts),
         lead=_markup(lead) if lead else None,
         judged=bool(facts.verdicts.of) and not (lead and lead.id == "loops"),
         runs=bool(facts.runs),
         studies=len(facts.studies),
+        thinned=0 if light else facts.thinned,
+        listed=MOST_ROWS if len(results.runs) > MOST_ROWS else 0,
+        run_count=len(results.runs),
         topics=[_markup(topic) for topic in others],
         groups=list(GROUPS),
         files=_files(folder),
@@ -173,7 +183,7 @@ def charts_of(facts: Facts, calling_ns: float) -> dict[str, Any]:
     timed = ladder_table(facts, calling_ns)
     if len(timed):
         charts["ladder"] = ladder(timed, facts.demand.deadline_ms, facts.demand.p99_ms)
-    tiles = matrix_table(facts)
+    tiles = drawn_tiles(matrix_table(facts))
     if len(tiles):
         charts["matrix"] = matrix(tiles)
         charts["matrix_narrow"] = matrix(tiles, stacked=True)
@@ -348,6 +358,17 @@ MATRIX = (
 )
 
 
+def _matrix_said(facts: Facts) -> str:
+    """What the tiles are; and how many places are left out, where there are too many."""
+    tiles = matrix_table(facts)
+    there, drawn = (t["place"].nunique() if len(t) else 0 for t in (tiles, drawn_tiles(tiles)))
+    if there == drawn:
+        return MATRIX
+    return (
+        f"{MATRIX} The {drawn} of {there} places that miss it most; all are in tables/places.csv."
+    )
+
+
 def follow(text: str) -> str:
     """A figure whose plain colours are those of the page."""
     for colour, variable in VARIABLES.items():
@@ -383,11 +404,16 @@ def _files(folder: Path) -> list[dict[str, str]]:
         {
             "name": name,
             "holds": holds,
-            "sha": hashlib.sha256((folder / name).read_bytes()).hexdigest(),
+            "sha": _sha256(folder / name),
         }
         for name, holds in FILES.items()
         if (folder / name).is_file()
     ]
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _footer(results: Results) -> str:

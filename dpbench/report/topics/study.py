@@ -22,6 +22,11 @@ from dpbench.report.page.topic import Figure, SmallTable, Topic
 
 MOST_MAPS = 6
 """The reference, and those that hold least, are mapped; more maps than these nobody compares."""
+MOST_POINTS, FIELDS = 300, 14
+"""A map of more points shows fields instead, so many along each key."""
+MOST_DOTS = 1500
+"""So many seas a figure draws: of more, some of each configuration at even ranks, the least and the
+largest among them."""
 _HEAD = (
     "configuration",
     "runs",
@@ -96,17 +101,22 @@ def _figures(study: Study) -> Iterator[Figure]:
     keys = [str(key) for key in study.points if is_numeric_dtype(study.points[key])]
     title = f"Held within {study.radius_m:g} m, {study.name}"
     if len(keys) > 1:
-        drawn = bool(study.points[keys[0]].nunique() > max(8, len(study.points) // 2))
+        own = study.points[keys[0]].nunique() > max(8, len(study.points) // 2)
+        drawn = bool(own) or not _fits(study)
         chart = held_maps(maps, title, keys[0], keys[1], drawn=drawn)
-        caption = "Share of seas at each point; a run that did not end is not held."
+        where = "at each point" if _fits(study) else f"in {FIELDS} × {FIELDS} fields"
+        caption = f"Share of seas {where}; a run that did not end is not held."
         yield Figure(f"study-held-{name}", chart, caption)
     elif keys:
         chart = held_lines(maps, title, keys[0])
         yield Figure(f"study-held-{name}", chart, "Share of seas at each value.")
-    table, seas = _behind(study)
+    table, seas, seas_all = _behind(study)
     if len(table):
         chart = behind(table, seas, f"Behind {study.reference}, {study.name}", 100 * SMALL_M)
-        caption = "A dot a sea, the mean with its 95 % interval; the band is 1 cm to either side."
+        of = "" if len(seas) == seas_all else f", {len(seas)} of {seas_all} at even ranks"
+        caption = (
+            f"A dot a sea{of}, the mean with its 95 % interval; the band: 1 cm to either side."
+        )
         yield Figure(f"study-behind-{name}", chart, caption)
 
 
@@ -119,6 +129,8 @@ def _maps(study: Study) -> pd.DataFrame:
         table = study.held_map(configuration.name)
         columns = dict(zip(numeric, ("x", "y"), strict=False))
         part = table.rename(columns=columns)[[*columns.values(), "held", "runs"]]
+        if not _fits(study):
+            part = part.assign(**{name: _fields(part[name]) for name in columns.values()})
         # Points that differ in a third key lie on one another: their seas are counted together.
         seas = part.assign(held=part["held"] * part["runs"])
         summed = seas.groupby(list(columns.values()), as_index=False).sum() if columns else seas
@@ -127,10 +139,24 @@ def _maps(study: Study) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def _behind(study: Study) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Means with their intervals, and every sea; both in cm."""
+def _fits(study: Study) -> bool:
+    """Whether every point has a place of its own on a map."""
+    return len(study.points) <= MOST_POINTS
+
+
+def _fields(values: pd.Series[float]) -> pd.Series[float]:
+    """The middle of the field that each value lies in."""
+    least, most = float(values.min()), float(values.max())
+    width = (most - least) / FIELDS or 1.0
+    number = ((values - least) / width).astype(int).clip(upper=FIELDS - 1)
+    return least + width * (number + 0.5)
+
+
+def _behind(study: Study) -> tuple[pd.DataFrame, pd.DataFrame, int]:
+    """Means with their intervals, and seas, both in cm; and how many seas there are."""
     reference = study.values(study.reference, "r_95_m")
-    rows, seas = [], []
+    most = max(2, MOST_DOTS // max(1, len(study.configurations) - 1))
+    rows, seas, count = [], [], 0
     for configuration in study.configurations:
         difference = configuration.behind
         if difference is None or difference.pairs == 0:
@@ -146,8 +172,11 @@ def _behind(study: Study) -> tuple[pd.DataFrame, pd.DataFrame]:
             }
         )
         each = 100 * (study.values(configuration.name, "r_95_m") - reference).dropna()
-        seas.append(each.rename("behind_cm").reset_index().assign(name=configuration.name))
-    return pd.DataFrame(rows), pd.concat(seas, ignore_index=True) if seas else pd.DataFrame()
+        count += len(each)
+        ranks = np.unique(np.linspace(0, len(each) - 1, min(most, len(each))).round().astype(int))
+        some = each.sort_values().iloc[ranks] if len(each) > most else each
+        seas.append(some.rename("behind_cm").reset_index().assign(name=configuration.name))
+    return pd.DataFrame(rows), pd.concat(seas, ignore_index=True) if seas else pd.DataFrame(), count
 
 
 def _tables(study: Study) -> Iterator[SmallTable]:

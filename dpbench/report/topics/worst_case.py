@@ -6,7 +6,7 @@ import numpy as np
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.records.run_steps import RunSteps, run_steps
+from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.bench.judge.rules import median
 from dpbench.report.formats import MISSING, count_text, error_text, time_text
 from dpbench.report.page.topic import SmallTable, Topic
@@ -19,9 +19,10 @@ def worst_case_topic(records: Records) -> Topic | None:
     k = asked.get("step")
     if k is None:
         return None
-    steps = dict(run_steps(records.counting))
-    here = [(run, steps[run.run_id]) for run in records.runs if run.run_id in steps]
-    rows = [row for run, of_run in here if (row := _row(run, of_run, k)) is not None]
+    runs = {run.run_id: run for run in records.runs}
+    steps = records.run_steps(records.runs)
+    found = {run_id: _row(runs[run_id], of_run, k) for run_id, of_run, _ in steps}
+    rows = [row for run_id in runs if (row := found.get(run_id)) is not None]
     if not rows:
         return None
     searched = str(asked.get("configuration") or "")

@@ -6,6 +6,7 @@ import numpy as np
 
 from dpbench.analysis.records.records import Records
 from dpbench.bench.judge.rules import counting_rows
+from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 
 
@@ -15,7 +16,7 @@ def _spoil(records: Any, rounds: list[int]) -> Records:
     steps["disturbed"] = steps["repeat"].isin(rounds)
     repeat, disturbed = (steps[name].to_numpy() for name in ("repeat", "disturbed"))
     steps["counts"] = counting_rows(repeat, disturbed)
-    return Records(Results(found.runs, steps, found.machine, found.suite))
+    return Records(Results(found.runs, StepsInMemory(steps), found.machine, found.suite))
 
 
 def test_algorithmic_time_is_the_minimum_over_rounds(records: Any) -> None:

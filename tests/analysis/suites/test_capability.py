@@ -10,6 +10,7 @@ import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.capability import Answers, answers_of, capability_plots
+from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import as_runs, as_steps
 from dpbench.report.topics.thrusters.capability import capability_topic
@@ -34,7 +35,7 @@ def results_of(records: Any, said: dict[str, list[dict[str, Any]]]) -> Results:
             {"run_id": run_id, "k": k, "total_ns": 1000 * (k + 1)} | usual | answer
             for k, answer in enumerate(answers)
         ]
-    return Results(records.results().runs, as_steps(pd.DataFrame(rows)), {}, {})
+    return Results(records.results().runs, StepsInMemory(as_steps(pd.DataFrame(rows))), {}, {})
 
 
 def asked(results: Results) -> list[Answers]:

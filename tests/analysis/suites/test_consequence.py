@@ -10,6 +10,7 @@ import pytest
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.consequence import HELD, LOST, UNKNOWN, consequence_analyses
+from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import as_steps
 from dpbench.report.topics.thrusters.consequence import consequence_topic
@@ -59,7 +60,9 @@ def view(records: Any, said: dict[str, dict[str, list[list[dict[str, Any]]]]]) -
                 for r, answers in enumerate(rounds, 1)
                 for k, answer in enumerate(answers)
             ]
-    return Records(Results(records.results().runs, as_steps(pd.DataFrame(rows)), {}, {}))
+    return Records(
+        Results(records.results().runs, StepsInMemory(as_steps(pd.DataFrame(rows))), {}, {})
+    )
 
 
 @pytest.fixture

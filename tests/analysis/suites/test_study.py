@@ -167,6 +167,15 @@ def test_the_loosest_tolerance_that_costs_little() -> None:
     assert loosest["osqp"] is not None and loosest["osqp"].settings == "1e-4"
 
 
+def test_a_solver_that_is_not_known_here_has_no_tolerance() -> None:
+    """A folder may come from an installation with another plug-in."""
+    runs = _runs({"daqp default": 0.0, "daqp 1e-4": 0.001})
+    for run in runs:
+        run.solver = "somebodys_own"
+    assert [c.tolerance for c in _study(runs).configurations] == [None, None]
+    assert _study(runs).loosest == {}
+
+
 def test_the_map_of_what_is_held() -> None:
     """At each point the share of seas whose radial error stays within the radius, by hand."""
     runs = _runs({"a": 0.0}, points=3, seas=8)

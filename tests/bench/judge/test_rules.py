@@ -9,8 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.analysis.records.counting_rows import counting_of
-from dpbench.analysis.records.step_times import step_times_of
+from dpbench.analysis.records.step_times import times_by_run
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
 from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.judge.rows import run_row, step_rows
@@ -79,8 +78,7 @@ def test_the_run_counts_the_rounds_that_the_report_counts(
     """Never the warm-up, no disturbed round; where all are disturbed, all but the warm-up, and it
     is said."""
     steps, run = _tables(_judged(_log([SLOWED if r in slowed else CALM for r in range(4)])))
-    shown = step_times_of(counting_of(steps))
-    assert shown is not None
+    (shown,) = dict(times_by_run(steps)).values()
     assert (run["rounds"], run["raw_samples"]) == (rounds, rounds * STEPS)
     assert shown.raw_max_ns == run["raw_max_ns"] and shown.algo_ns.max() == run["algo_max_ns"]
     assert (run["disturbed_rounds"], run["counting_disturbed"]) == (disturbed, counting_disturbed)
@@ -92,7 +90,7 @@ def test_a_replay_that_ended_in_its_warm_up_has_no_figures() -> None:
     log = _log([CALM] * 4)
     log.done[1:] = 0
     steps, run = _tables(_judged(log))
-    assert len(steps) == WARM_UP_STEPS and step_times_of(counting_of(steps)) is None
+    assert len(steps) == WARM_UP_STEPS and not dict(times_by_run(steps))
     assert run["steps_done"] == 0
     assert pd.isna(run["raw_samples"]) and np.isnan(run["error_move_max"])
 

@@ -16,7 +16,7 @@ from dpbench.bench.plan.choices import with_choices
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.study_points import StudyTable, points_of
 from dpbench.bench.plan.suite import SuiteFile
-from dpbench.bench.record.study_columns import study_columns
+from dpbench.bench.record.schema import study_columns
 from dpbench.errors import InputError
 from dpbench.scenario.problem_files import parse_model
 from dpbench.scenario.scenario import scenario_of

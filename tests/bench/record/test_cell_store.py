@@ -24,7 +24,7 @@ from dpbench.bench.record.cell_store import (
     records_in,
     unpacked,
 )
-from dpbench.bench.record.result_folder import read_steps, scan_steps
+from dpbench.bench.record.recorded_steps import read_steps, scan_steps
 from dpbench.bench.record.schema import (
     AXIS_FORCES,
     DERIVED,

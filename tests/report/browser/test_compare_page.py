@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results, load_results, write_results
 from dpbench.report.compare.comparison import compare
 from dpbench.report.compare.page import write_comparison
@@ -27,7 +28,7 @@ def comparison_file(campaign: Path, tmp_path_factory: pytest.TempPathFactory) ->
     steps = a.steps.copy()
     rows = steps["run_id"].isin(slow)
     steps.loc[rows, "total_ns"] = (steps.loc[rows, "total_ns"] * FACTOR).round().astype("Int64")
-    write_results(folder / "b", Results(a.runs, steps, a.machine, a.suite))
+    write_results(folder / "b", Results(a.runs, StepsInMemory(steps), a.machine, a.suite))
     return write_comparison(folder / "compare.html", compare(folder / "a", folder / "b"))
 
 

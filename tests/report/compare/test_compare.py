@@ -15,6 +15,7 @@ import pytest
 from dpbench import InputError, compare
 from dpbench.analysis.compare.pairs import Pair
 from dpbench.analysis.records.run_record import records_of
+from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results, write_results
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
 from dpbench.cli.main import main
@@ -110,7 +111,7 @@ def make(tmp_path: Path) -> Make:
             tmp_path / name,
             Results(
                 as_runs(pd.DataFrame(runs)),
-                as_steps(pd.concat(steps, ignore_index=True)),
+                StepsInMemory(as_steps(pd.concat(steps, ignore_index=True))),
                 described,
                 {"name": "synthetic"},
             ),
@@ -467,7 +468,7 @@ def test_settings_without_effect_are_one_piece_of_evidence(make: Make) -> None:
         runs, steps = (pd.read_parquet(folder / f"{t}.parquet") for t in ("runs", "steps"))
         twin = runs.iloc[:1].assign(run_id="twin", settings="high")
         rows = steps[steps["run_id"] == runs["run_id"][0]].assign(run_id="twin")
-        both = pd.concat([runs, twin]), pd.concat([steps, rows])
+        both = pd.concat([runs, twin]), StepsInMemory(pd.concat([steps, rows]))
         suite = {"name": "synthetic"}
         write_results(folder, Results(*both, {"id": "one"}, suite))
         folders.append(folder)

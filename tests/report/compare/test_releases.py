@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results, write_results
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
 from dpbench.cli.main import main
@@ -66,7 +67,8 @@ def make(tmp_path: Path) -> Make:
         folder = tmp_path / name
         runs, steps = as_runs(pd.DataFrame(rows)), as_steps(pd.DataFrame())
         machine_json = {"id": machine, "cpu_model": f"CPU {machine}"}
-        write_results(folder, Results(runs, steps, machine_json, {"name": "releases"}))
+        results = Results(runs, StepsInMemory(steps), machine_json, {"name": "releases"})
+        write_results(folder, results)
         (folder / "steps.parquet").unlink()
         return folder
 

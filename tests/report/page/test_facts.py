@@ -8,7 +8,10 @@ import pytest
 
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.verdict import verdict_of, verdicts_of
+from dpbench.report.page import tables
 from dpbench.report.page.facts import Facts, columns_of, number
+from dpbench.report.page.tables import drawn_tiles, matrix_table
+from dpbench.report.page.write import _matrix_said
 
 DEMAND = Demand()
 
@@ -131,3 +134,20 @@ def test_numbers_are_such_as_json_has(value: Any, said: Any) -> None:
 def test_rows_of_different_kinds_make_columns_of_one_length() -> None:
     """A row without a value has a hole."""
     assert columns_of([{"a": 1}, {"b": 2}]) == {"a": [1, None], "b": [None, 2]}
+
+
+def test_of_many_places_those_that_miss_most_are_drawn(
+    records: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As many as there is room for, in the order they had; the page says how many of how many."""
+    for i, scenario in enumerate(("calm", "rough", "paper", "turn")):
+        for solver in ("daqp", "osqp"):
+            wrong = solver == "osqp" and i in (1, 3)
+            records.loop(solver, scenario, steps=20, error=1.0 if wrong else 1e-9)
+    facts = _facts(records)
+    tiles = matrix_table(facts)
+    assert drawn_tiles(tiles).equals(tiles)
+    monkeypatch.setattr(tables, "MOST_TILES", 5)
+    drawn = drawn_tiles(tiles)
+    assert drawn["place"].unique().tolist() == ["rough", "turn"] and len(drawn) == 4
+    assert "The 2 of 4 places that miss it most" in _matrix_said(facts)

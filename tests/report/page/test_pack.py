@@ -30,7 +30,13 @@ def unpacked(text: str) -> tuple[dict[str, Any], list[list[float]]]:
     raw = zlib.decompress(base64.b64decode(text))
     (length,) = struct.unpack("<I", raw[:4])
     document = json.loads(raw[4 : 4 + length])
-    arrays = [_array(raw[4 + length :], *entry) for entry in document["arrays"]]
+    arrays = [_array(raw[4 + length :], *entry[:4]) for entry in document["arrays"]]
+    for i, (kind, _, _, _, *places) in enumerate(document["arrays"]):
+        for at in places:
+            whole = [0.0 if kind == "flag" else math.nan] * document["arrays"][at][3]
+            for place, value in zip(arrays[at], arrays[i], strict=True):
+                whole[int(place)] = value
+            arrays[i] = whole
     return document, arrays
 
 
@@ -42,9 +48,9 @@ def _array(raw: bytes, kind: str, start: int, count: int, scale: float) -> list[
     for a, b in zip(low, high, strict=True):
         code = a + 256 * b
         if kind != "log":
-            code = before = (before + code) % 65536
+            code = before = (before + code) % (2**32 if kind == "place" else 65536)
         codes.append(code)
-    return [_number(kind, code, scale) for code in codes]
+    return [float(c) if kind == "place" else _number(kind, c, scale) for c in codes]
 
 
 def _number(kind: str, code: int, scale: float) -> float:
@@ -117,6 +123,24 @@ def test_a_count_beyond_the_largest_is_the_largest() -> None:
     block = Block()
     block.count([70_000.0])
     assert _one(block) == [65534.0]
+
+
+@given(st.sets(st.integers(0, 300_000), min_size=1, max_size=20))
+def test_some_elements_of_a_long_array_stand_in_their_places(places: set[int]) -> None:
+    """All others are missing, whatever the length; places further apart than a code are refused."""
+    block, rising = Block(), sorted(places)
+    length = rising[-1] + 3
+    if max(np.diff(rising, prepend=0)) > 65535:
+        with pytest.raises(ValueError, match="apart"):
+            block.place(rising, length)
+        return
+    at = block.place(rising, length)
+    numbers = block.count(range(len(rising)), at), block.flag([7] * len(rising), at)
+    counts, flags = (unpacked(block.text({}))[1][number] for number in numbers)
+    assert len(counts) == len(flags) == length
+    assert [counts[place] for place in rising] == [float(i) for i in range(len(rising))]
+    assert sum(not math.isnan(count) for count in counts) == len(rising)
+    assert sum(flags) == 7 * len(rising)
 
 
 @given(st.lists(NUMBERS, min_size=1, max_size=5), st.lists(st.integers(0, 255), max_size=20))

@@ -13,10 +13,12 @@ from dpbench.analysis.records.run_steps import MEASURES, RunSteps, hardest
 from dpbench.analysis.records.thinning import extremes, kept
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.report.page import facts as facts_of_page
 from dpbench.report.page import steps as packing
 from dpbench.report.page.facts import Facts
 from dpbench.report.page.pack import Block
-from dpbench.report.page.steps import FLAGS, Room, pack_steps, track_of
+from dpbench.report.page.steps import FLAGS, KeptRun, Room, pack_steps, track_of
+from tests.report.page.test_pack import unpacked
 
 
 def _long(count: int, seed: int = 1) -> RunSteps:
@@ -33,7 +35,6 @@ def _long(count: int, seed: int = 1) -> RunSteps:
         **flags,
         status=np.full(count, "SOLVED", dtype=object),
         rounds=1,
-        rows=np.arange(count),
     )
 
 
@@ -70,8 +71,17 @@ def test_a_thinned_run_keeps_its_hardest_and_a_regular_part(most: int) -> None:
 def test_left_out_steps_are_missing_in_the_block() -> None:
     """Element j is step first + j still, and its size is that of what is kept."""
     run, whole, thin = _long(20_000), Block(), Block()
-    assert pack_steps(whole, run, 20_000)["first"] == pack_steps(thin, run, 600)["first"] == 7
-    assert len(thin.text({})) < 0.15 * len(whole.text({}))
+    of_whole = pack_steps(whole, KeptRun.of(run, 20_000))
+    of_thin = pack_steps(thin, KeptRun.of(run, 600))
+    assert of_whole["first"] == of_thin["first"] == 7
+    assert len(thin.text({})) < 0.1 * len(whole.text({}))
+    all_steps, some = (
+        unpacked(block.text({}))[1][entry["t"]]
+        for block, entry in ((whole, of_whole), (thin, of_thin))
+    )
+    kept_ones = ~np.isnan(some)
+    assert len(some) == len(all_steps) and 500 < kept_ones.sum() <= 601
+    np.testing.assert_array_equal(np.array(some)[kept_ones], np.array(all_steps)[kept_ones])
 
 
 def test_a_track_has_no_more_points_than_it_may() -> None:
@@ -110,3 +120,20 @@ def test_the_block_of_many_long_runs_stays_within_its_room(
     whole = size()
     monkeypatch.setattr(packing, "MOST_STEPS", 400)
     assert size() < whole / 3
+
+
+def test_of_many_runs_fewer_hard_steps_are_listed(
+    records: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Five of each run by each measure while there is room, one at least; the tables have all."""
+    for solver in ("daqp", "osqp", "quadprog"):
+        records.replay(solver, steps=30, rounds=1, spread=0.3)
+
+    def listed(most: int) -> set[int]:
+        monkeypatch.setattr(facts_of_page, "MOST_HARD", most)
+        view, demand = records.view(), Demand.of({})
+        facts = Facts.of(view, demand, verdicts_of(view, demand))
+        assert all(len(rows) == 5 for run in facts.kept.values() for rows in run.hard.values())
+        return {len(rows) for cell in facts.cells() for rows in cell["hard"]}
+
+    assert listed(45) == {5} and listed(20) == {2} and listed(1) == {1}

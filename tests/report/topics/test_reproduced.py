@@ -120,7 +120,7 @@ def _called_paper(records: Any, change: Callable[[dict[str, Any]], None]) -> Res
     files = json.loads(json.dumps(records.scenario("paper").files))
     change(files)
     runs = found.runs.assign(cell=json.dumps({"scenario": files}))
-    return Results(runs, found.steps, found.machine, found.suite)
+    return Results(runs, found.recorded, found.machine, found.suite)
 
 
 @pytest.mark.parametrize("part", ["sea", "ship"])

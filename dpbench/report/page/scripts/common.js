@@ -19,11 +19,13 @@ async function unpack() {
 function array(index) {
   if (index === undefined || index === null) return [];
   if (decoded.has(index)) return decoded.get(index);
-  const [kind, start, count, scale] = facts.arrays[index], at = base + start, out = new Array(count);
+  const [kind, start, count, scale, places] = facts.arrays[index];
+  const at = base + start, out = new Array(count);
   let before = 0;
   for (let i = 0; i < count; i++) {
     if (kind === "flag") { out[i] = bytes[at + i]; continue; }
     let code = bytes[at + i] | (bytes[at + count + i] << 8);
+    if (kind === "place") { out[i] = before += code; continue; }
     if (kind !== "log") before = code = (before + code) & 65535;
     if (kind === "log") {
       out[i] = code === 0 ? null : code === 1 ? 0 : code === 65535 ? Infinity
@@ -34,8 +36,16 @@ function array(index) {
       out[i] = signed === GAP ? null : signed * scale;
     }
   }
-  decoded.set(index, out);
-  return out;
+  const all = places === undefined ? out : spread(out, places, kind === "flag" ? 0 : null);
+  decoded.set(index, all);
+  return all;
+}
+
+// The long array of which some elements are there.
+function spread(some, places, missing) {
+  const all = new Array(facts.arrays[places][3]).fill(missing);
+  array(places).forEach((j, i) => { all[j] = some[i]; });
+  return all;
 }
 
 function figure(x, digits = 3) {

@@ -1,0 +1,66 @@
+"""The figures of a large study stay small, and say what they leave out."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dpbench.analysis.suites.study import studies
+from dpbench.report.charts.render import vega
+from dpbench.report.topics import study as topic
+
+WIND, EAST = "environment.wind.speed_mps", "start.east_m"
+
+
+def _fill(records: Any, points: int, seas: int) -> Any:
+    """Two solvers at points of two keys; one of them is 2 to 4 cm behind."""
+    rng = np.random.default_rng(1)
+    for point in range(points):
+        x = {WIND: float(rng.uniform(5, 18)), EAST: float(rng.uniform(0, 3))}
+        for sea in range(1, seas + 1):
+            for solver, behind in (("daqp", 0.0), ("osqp", rng.uniform(0.02, 0.04))):
+                study = {"name": "seas", "point": point, "replicate": sea, "x": x}
+                records.loop(
+                    solver,
+                    done=0,
+                    steps_done=5,
+                    cell=json.dumps({"study": study}),
+                    study="seas",
+                    study_point=point,
+                    replicate=sea,
+                    r_95_m=0.5 + behind,
+                    exact_cost=100.0 - (solver == "osqp"),
+                )
+    return topic.study_topic(studies(records.view()))
+
+
+def _drawn(figure: Any, column: str) -> list[float]:
+    """The values of a column in the data of a figure."""
+    sets = vega(figure.chart)["data"]
+    return [row[column] for data in sets for row in data.get("values", []) if column in row]
+
+
+def test_a_small_study_is_drawn_whole(records: Any) -> None:
+    """A dot a sea, a mark a point and configuration."""
+    found = _fill(records, points=5, seas=4)
+    held, behind = found.figures
+    assert len(_drawn(held, "held")) == 2 * 5 and "at each point" in held.caption
+    assert len(_drawn(behind, "behind_cm")) == 20 and "at even ranks" not in behind.caption
+
+
+def test_of_a_large_study_some_seas_are_drawn(
+    records: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The least and the largest among them; points become fields that hold all their seas."""
+    monkeypatch.setattr(topic, "MOST_DOTS", 9)
+    monkeypatch.setattr(topic, "MOST_POINTS", 20)
+    monkeypatch.setattr(topic, "FIELDS", 3)
+    found = _fill(records, points=60, seas=2)
+    held, behind = found.figures
+    assert "in 3 × 3 fields" in held.caption and "9 of 120 at even ranks" in behind.caption
+    assert len(_drawn(held, "held")) <= 2 * 9 and sum(_drawn(held, "runs")) == 2 * 120
+    dots = _drawn(behind, "behind_cm")
+    assert len(dots) == 9 and min(dots) < 2.1 and max(dots) > 3.9
