@@ -75,7 +75,13 @@ def own_cluster(workers: int) -> Iterator[Client]:
         # A worker that is a daemon could start no processes.
         dask.config.set({"distributed.worker.daemon": False}),
     ):
-        plain = {"nthreads": 1, "memory_limit": 0, "dashboard": False, "local_directory": folder}
+        plain = {
+            "nthreads": 1,
+            "memory_limit": 0,
+            "dashboard": False,
+            "local_directory": folder,
+            "silence_logs": logging.CRITICAL,
+        }
         spec = {
             i: {"cls": Nanny, "options": {**plain, "resources": {EXCLUSIVE: 1} if i == 0 else {}}}
             for i in range(workers)
