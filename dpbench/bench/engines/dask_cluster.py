@@ -24,6 +24,15 @@ EXCLUSIVE = "exclusive"
 ANSWER_S = 5.0
 """How long a scheduler may take to answer."""
 WHERE = "--scheduler"
+_OWN = {
+    # A worker that is a daemon could start no processes.
+    "distributed.worker.daemon": False,
+    # What a worker would look at itself for takes time from the cells beside it.
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "500ms",
+    "distributed.admin.system-monitor.interval": "10s",
+}
+"""Configuration of a cluster of this machine."""
 
 
 @dataclass(frozen=True)
@@ -72,8 +81,7 @@ def own_cluster(workers: int) -> Iterator[Client]:
     with (
         _quiet(),
         tempfile.TemporaryDirectory(prefix="dpbench-dask-", ignore_cleanup_errors=True) as folder,
-        # A worker that is a daemon could start no processes.
-        dask.config.set({"distributed.worker.daemon": False}),
+        dask.config.set(_OWN),
     ):
         plain = {
             "nthreads": 1,

@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import cache
+from multiprocessing.context import ForkServerContext
 from pathlib import Path
 from typing import Any
 
@@ -138,6 +139,12 @@ def _identity(solver: str) -> str:
     return available(solver).identity
 
 
+@cache
+def _context(solvers: tuple[str, ...]) -> ForkServerContext:
+    """Looking after kernels that were not compiled takes longer than a short cell."""
+    return template_context(solvers)
+
+
 @contextmanager
 def _bench(order: Order, cores: list[int], concurrency: int = 1) -> Iterator[tuple[Bench, Path]]:
     """A bench with one slot on these cores, and a folder for the files it runs from."""
@@ -149,7 +156,7 @@ def _bench(order: Order, cores: list[int], concurrency: int = 1) -> Iterator[tup
             Path(modules[path]).parent.mkdir()
             Path(modules[path]).write_text(text, encoding="utf-8")
         bench = Bench(
-            template_context(order.solvers),
+            _context(order.solvers),
             stack.enter_context(Scratch(place)),
             cores,
             1,
