@@ -3,7 +3,7 @@
 A source is made on a worker, as an exactly solved loop takes as long as all of its cells together;
 Dask hands its bytes to the workers whose cells need it, makes it anew where it was lost with its
 worker, and lets it go after the last cell. What lies in files of the campaign's machine, as
-recorded sequences do, is sent instead.
+recorded sequences do, is sent instead; what one task alone needs is made in that task.
 
 Only some tasks more than there are slots are given away at a time: a batch that kills its worker
 takes few others with it, and no scheduler holds a whole campaign.
@@ -38,7 +38,7 @@ from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.machine import describe_machine
-from dpbench.bench.sequences.source import is_recorded, is_sound, source_of
+from dpbench.bench.sequences.source import is_recorded, is_sound, is_timed, source_of
 from dpbench.bench.workers.executor import (
     CellJob,
     Result,
@@ -144,6 +144,7 @@ class DaskEngine(ExitStack):
         self._uses = Counter(
             key for _, chunks in portions for chunk in chunks for key in chunk.keys
         )
+        self._single = {key for key, uses in self._uses.items() if uses == 1 and self._is_made(key)}
         self._kept: dict[str, Future] = {}
         if not self._fleet.exclusive and any(kind == "replays" for kind, _ in portions):
             self._progress.remark(NOT_ALONE)
@@ -264,7 +265,12 @@ class DaskEngine(ExitStack):
             self._order,
             chunk.kind,
             chunk.jobs,
-            {key: self._source(key) for key in chunk.keys},
+            {key: self._source(key) for key in chunk.keys if key not in self._single},
+            unmade={
+                key: longest(self._of_key[key]).to_json()
+                for key in chunk.keys
+                if key in self._single
+            },
             alone=alone,
             concurrency=1 if alone else self._fleet.concurrency,
             resources={EXCLUSIVE: 1} if alone else None,
@@ -272,6 +278,12 @@ class DaskEngine(ExitStack):
             retries=RETRIES,
             pure=False,
         )
+
+    def _is_made(self, key: str) -> bool:
+        """Whether a source is made on a worker, at any time."""
+        cell = longest(self._of_key[key])
+        there = is_recorded(cell) or is_sound(cell, self._sources.path(key))
+        return not there and not any(is_timed(job.cell) for job in self._of_key[key])
 
     def _source(self, key: str) -> Future:
         """What cells of that key need, once for all of them, as long as the longest of them asks

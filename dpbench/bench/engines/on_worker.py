@@ -26,6 +26,7 @@ from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.workers.child import template_context
 from dpbench.bench.workers.executor import BATCH_CELLS, Bench, CellJob, Result
 from dpbench.bench.workers.scratch import Scratch
+from dpbench.bench.workers.worker import make_source
 from dpbench.solvers.table import available
 
 
@@ -87,6 +88,7 @@ def run_cells(
     jobs: Sequence[CellJob],
     sources: Mapping[str, Made],
     *,
+    unmade: Mapping[str, str],
     alone: bool,
     concurrency: int,
 ) -> list[Result]:
@@ -94,26 +96,39 @@ def run_cells(
 
     Parameters
     ----------
-    sources : what their QPs are made from, by key.
+    sources : what their QPs are made from, by key; unmade : what nobody else needs, to be made here
+        from its description.
     alone : whether they have all cores of this machine; one of them else.
     concurrency : of timed replays, see the column of that name.
     """
     results = [*_of_other_libraries(jobs)]
-    for key, alike in by_source(_others(jobs, results)).items():
-        if sources[key].outcome.outcome != "finished":
-            results += without_source(alike, sources[key].outcome)
-    jobs = _others(jobs, results)
-    if not jobs:
-        return results
     with ExitStack() as stack:
         cores = sorted(os.sched_getaffinity(0)) if alone else [stack.enter_context(leased_core())]
         bench, folder = stack.enter_context(_bench(order, cores, concurrency))
-        paths = {key: folder / f"exact-{key}.npz" for key in by_source(jobs)}
-        for key, path in paths.items():
-            path.write_bytes(sources[key].data)
+        of_key = by_source(_others(jobs, results))
+        paths = {key: folder / f"exact-{key}.npz" for key in of_key}
+        for key, outcome in _put(bench, paths, sources, unmade):
+            if outcome.outcome != "finished":
+                results += without_source(of_key[key], outcome)
+        jobs = _others(jobs, results)
+        if not jobs:
+            return results
         if kind == "replays":
             return [*results, *bench.replays(jobs, paths)]
         return [*results, *bench.batches(jobs, paths, kind, most=BATCH_CELLS)]
+
+
+def _put(
+    bench: Bench, paths: Mapping[str, Path], sources: Mapping[str, Made], unmade: Mapping[str, str]
+) -> Iterator[tuple[str, Outcome]]:
+    """Put the sources of keys at their paths; yields each key with what became of its file."""
+    for key in paths.keys() & sources.keys():
+        paths[key].write_bytes(sources[key].data)
+        yield key, sources[key].outcome
+    keys = {paths[key]: key for key in paths.keys() & unmade.keys()}
+    texts = {path: unmade[key] for path, key in keys.items()}
+    for errand in bench.make_files(make_source, texts):
+        yield keys[errand.path], errand.outcome
 
 
 def _others(jobs: Sequence[CellJob], results: Sequence[Result]) -> list[CellJob]:

@@ -29,6 +29,11 @@ steps = 6
 families = ["no_rows"]
 sizes = [[3, 0], [4, 0]]
 steps = 5
+
+[[closed_loop]]
+scenarios = ["calm"]
+solvers = ["daqp"]
+steps = 6
 """
 
 
