@@ -28,7 +28,8 @@ from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.configuration import COLUMNS
-from dpbench.bench.record.result_folder import claimed, read_steps
+from dpbench.bench.record.recorded_steps import read_steps
+from dpbench.bench.record.result_folder import claimed
 from dpbench.bench.sequences.source import is_at_edge, is_untimed
 from dpbench.errors import InputError
 
