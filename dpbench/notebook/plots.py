@@ -85,7 +85,7 @@ def _laws(runs: tuple[Run, ...]) -> list[Any]:
 
 
 def _steps_of(steps: pd.DataFrame) -> pd.DataFrame:
-    """The rows of `charts.strips`, one a step: times in µs, the largest sample of a replay."""
+    """The rows of `charts.strips`, one a step: times in µs, the largest timing of a replay."""
     from dpbench.analysis.records.counting_rows import counting_of
     from dpbench.analysis.records.run_steps import run_steps
     from dpbench.report.charts.strips import NO_ANSWER

@@ -40,7 +40,7 @@ COLUMNS = {
     "p50_us": "median over steps of the step time, the least over rounds",
     "p99_us": "the same, 99 %; empty below 1000 steps",
     "max_us": "the same, largest",
-    "raw_max_us": "largest single sample: the machine's jitter is in it",
+    "raw_max_us": "largest single timing: the machine's jitter is in it",
     "share": "part of the median that an empty call takes",
     "timed_on": "the sequence of these times",
     "place": "a scenario or a replay, as on the page",

@@ -27,7 +27,7 @@ def verdict_text(disturbance: Disturbance) -> str:
 
 
 def calibration_medians(calibration: Sequence[RunRecord]) -> dict[str, float]:
-    """Of each of the harness's own solvers the median [ns] of the samples of the rounds that count,
+    """Of each of the harness's own solvers the median [ns] of the timings of the rounds that count,
     the largest of its replays."""
     medians: dict[str, float] = {}
     for run in calibration:

@@ -136,7 +136,7 @@ def test_errors_are_those_of_the_steps(loop: Run) -> None:
 
 @pytest.mark.parametrize("kind", ["loop", "replayed"])
 def test_steps_are_those_of_the_run(kind: str, request: pytest.FixtureRequest) -> None:
-    """Times are the least over the rounds, the largest sample only that of a replay."""
+    """Times are the least over the rounds, the largest timing only that of a replay."""
     run: Run = request.getfixturevalue(kind)
     chart = run.plot.steps()
     chart.to_dict()

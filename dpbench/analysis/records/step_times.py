@@ -23,7 +23,7 @@ class StepTimes:
     Parameters
     ----------
     k : (K,) steps, rising; algo_ns : (K,) least over the rounds, the algorithmic time.
-    raw_max_ns : the largest single sample.
+    raw_max_ns : the largest single timing.
     rounds_ns : (R,) median of the samples of each round, in the order of the rounds: how far they
         lie apart is what the machine adds, whatever the solver.
     """

@@ -78,7 +78,7 @@ class Verdict:
     p50_ns, p99_ns : algorithmic step time on the sequence `timed_on`, that of the worst p99, or of
         the worst p50 where none supports a p99.
     rounds_ns : median of the fastest and of the slowest round there.
-    algo_max_ns, raw_max_ns : largest algorithmic step time and largest single sample of all
+    algo_max_ns, raw_max_ns : largest algorithmic step time and largest single timing of all
         sequences.
     """
 

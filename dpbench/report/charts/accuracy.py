@@ -15,18 +15,23 @@ from dpbench.report.charts.style import (
     coloured,
     limit_rule,
     log_scale,
+    names_scale,
     narrow,
     picking,
     styled,
     tip,
 )
 
-COLUMNS = ("id", "solver", "family", "settings", "route", "policy", "error", "p50_us", "p99_us")
+COLUMNS = (
+    *("id", "solver", "family", "settings", "route", "policy"),
+    *("error", "p50_us", "p99_us", "outcome"),
+)
 FLOOR = 1e-16
 
 
 def accuracy(table: pd.DataFrame, demand_error: float) -> Any:
-    """Points of time and largest error; lines join the settings of a solver. Clicking sets `pick`.
+    """Points of time and largest error, hollow where the demand is missed, if only elsewhere;
+    lines join the settings of a solver. Clicking sets `pick`.
 
     The parameter `percentile` chooses p50 or p99.
 
@@ -59,6 +64,7 @@ def accuracy(table: pd.DataFrame, demand_error: float) -> Any:
                 alt.Tooltip("settings:N"),
                 alt.Tooltip("route:N"),
                 alt.Tooltip("policy:N"),
+                alt.Tooltip("outcome:N", title="demand"),
                 tip("error:Q", digits=2),
                 tip("p50_us:Q", "p50 [µs]"),
                 tip("p99_us:Q", "p99 [µs]"),
@@ -66,7 +72,10 @@ def accuracy(table: pd.DataFrame, demand_error: float) -> Any:
         )
     )
     lines = base.mark_line(strokeWidth=1, opacity=0.45).add_params(percentile, narrow(), pick)
-    dots = base.mark_point(filled=True, opacity=0.95).encode(
+    hollow = alt.condition("datum.outcome == 'misses'", alt.value(0.0), alt.value(0.95))
+    dots = base.mark_point(filled=True, strokeWidth=1.5).encode(
+        stroke=alt.Stroke("family:N", scale=names_scale(families, families.values()), legend=None),
+        fillOpacity=hollow,
         shape=alt.Shape("settings:N", title=None, legend=below(symbolFillColor=INK)),
         size=alt.condition(pick, alt.value(190), alt.value(70)),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import Any
 
 import altair as alt
@@ -47,7 +48,7 @@ def _outcome(deadline_ms: float, p99_ms: float) -> str:
 
 def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
     """A row per solver: bar from p50 to p99, line on to the largest step, whisker to the largest
-    sample, where that is the longer one.
+    timing, where that is the longer one.
 
     The parameter `slow` of the chart scales all but that whisker, which is this machine's, and the
     colours say what the demand finds then; with `narrow` names stand above their bars; clicking
@@ -71,17 +72,18 @@ def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
             left=f"{LOWEST_MS}",
             now=_outcome(deadline_ms, p99_ms),
             computer="'× ' + format(slow, '.3~g')",
-            sample="slow > 1 ? 'not scaled' : format(datum.raw_max_ms, '.3~g')",
+            timing="slow > 1 ? 'not scaled' : format(datum.raw_max_ms, '.3~g')",
         )
         .encode(y=alt.Y("label:N", sort=order, title=None, axis=row_names()))
     )
-    high = max(10.0 * deadline_ms, 1.0)
+    high, slowest = max(10.0 * deadline_ms, 1.0), float(table["max_ms"].max())
+    highest = alt.ExprRef(f"max({high}, {1.5 * slowest if isfinite(slowest) else 0.0} * slow)")
     x = alt.X(
         "a:Q",
         title="step time [ms], log scale",
-        scale=log_scale(domain=[LOWEST_MS, high], clamp=True),
+        scale=log_scale(domainMin=LOWEST_MS, domainMax=highest, clamp=True),
         axis=alt.Axis(
-            values=[10.0**e for e in range(-3, 5)], format="~g", orient="top", labelOverlap="greedy"
+            values=[10.0**e for e in range(-3, 8)], format="~g", orient="top", labelOverlap="greedy"
         ),
     )
     columns = alt.ExprRef("narrow ? 2 : 4")
@@ -99,7 +101,7 @@ def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
                 ("m", "largest step"),
             )
         ),
-        alt.Tooltip("sample:N", title="largest sample [ms]"),
+        alt.Tooltip("timing:N", title="largest timing [ms]"),
     ]
     whole = alt.ExprRef(f"narrow ? {ROW_STEP['narrow']} : {ROW_STEP['wide']}")
     rows = base.mark_rule(strokeWidth=whole, opacity=0.0).encode(

@@ -18,7 +18,6 @@ from dpbench.report.charts.style import (
     coloured,
     picking,
     styled,
-    tip,
 )
 
 COLUMNS = (
@@ -65,11 +64,19 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
         alt.Tooltip("settings:N"),
         alt.Tooltip("place:N", title="in"),
         alt.Tooltip("state:N", title="demand"),
-        tip("error:Q", "largest error_move", 2),
-        alt.Tooltip("failed:Q", title="failed steps"),
-        alt.Tooltip("detail:N", title="why"),
+        alt.Tooltip("off:N", title="largest error_move"),
+        alt.Tooltip("fails:N", title="failed steps"),
+        alt.Tooltip("because:N", title="why"),
     ]
-    base = alt.Chart().encode(x=x, y=y, tooltip=tips)
+    base = (
+        alt.Chart()
+        .transform_calculate(
+            off="isValid(datum.error) ? format(datum.error, '.2~g') : '–'",
+            fails="isValid(datum.failed) ? datum.failed : '–'",
+            because="datum.detail || '–'",
+        )
+        .encode(x=x, y=y, tooltip=tips)
+    )
     tiles = base.mark_rect(strokeWidth=1.5).encode(
         color=coloured("state", OUTCOMES, FILLS, title="demand", symbolType="square"),
         stroke=alt.condition(pick, alt.value(ACCENT), alt.value(PAPER)),

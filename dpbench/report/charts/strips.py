@@ -34,7 +34,7 @@ def strips(table: pd.DataFrame, forces: pd.DataFrame | None, demand_error: float
 
     Parameters
     ----------
-    table : columns `COLUMNS`; `raw_us` the largest sample of a step, NaN in a closed loop.
+    table : columns `COLUMNS`; `raw_us` the largest timing of a step, NaN in a closed loop.
     forces : columns k, force (of `FORCES`) and share of its limit; None of a replay.
     demand_error : what the error of the first move may be.
     """
@@ -85,7 +85,7 @@ def _time(steps: alt.InlineData) -> tuple[Any, ...]:
         tooltip=[
             alt.Tooltip("k:Q"),
             tip("time_us:Q", "step time [µs]"),
-            tip("raw_us:Q", "largest sample [µs]"),
+            tip("raw_us:Q", "largest timing [µs]"),
         ],
     )
     y = alt.Y("time_us:Q", title="time [µs]", scale=log_scale(nice=False))

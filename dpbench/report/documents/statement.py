@@ -97,7 +97,7 @@ def _lines(folder: Path, results: Results, facts: Facts, chosen: Verdict) -> lis
             f"first move {error_text(chosen.error_move)} of a rate-limit step, "
             f"{plural(chosen.failed_steps, 'failed step')}; step time p50 "
             f"{time_text(chosen.p50_ns)}, p99 {time_text(chosen.p99_ns)}, largest step "
-            f"{time_text(chosen.algo_max_ns)}, largest single sample "
+            f"{time_text(chosen.algo_max_ns)}, largest single timing "
             f"{time_text(chosen.raw_max_ns)}."
         ),
         *_wrapped(slower_text(facts, chosen)),

@@ -145,16 +145,16 @@ def _notes(facts: Facts, found: Recommendation) -> Iterator[tuple[str, str]]:
 
 
 def slower_text(facts: Facts, chosen: Verdict) -> str:
-    """How slow a computer may be: by the largest sample of everything the configuration ran, then
+    """How slow a computer may be: by the largest timing of everything the configuration ran, then
     by the largest step of its replays."""
     by_step = rounded_down(chosen.slowdown(facts.demand))
-    largest = facts.longest_sample(chosen.configuration)
+    largest = facts.longest_timing(chosen.configuration)
     if largest is None:
         return f"Allow for a computer up to × {by_step}, by its largest replayed step."
     place, run = largest
     return (
         f"Allow for a computer up to × {rounded_down(facts.demand.deadline_ns / run.raw_max_ns)}: "
-        f"its largest single sample, {time_text(run.raw_max_ns)} in {place.label}; by its largest "
+        f"its largest single timing, {time_text(run.raw_max_ns)} in {place.label}; by its largest "
         f"replayed step × {by_step}."
     )
 
@@ -169,7 +169,7 @@ def _hardest(facts: Facts, chosen: Verdict) -> str:
     iterations = (
         "" if isnan(run.iterations_max) else f"up to {plural(run.iterations_max, 'iteration')}, "
     )
-    return f" (hardest loop: {place.label}, {iterations}median {time_text(run.raw_p50_ns)})"
+    return f"; in {place.label}, its hardest loop, {iterations}median {time_text(run.raw_p50_ns)}"
 
 
 def _chips(facts: Facts, first: Configuration | None) -> list[Chip]:
@@ -183,7 +183,7 @@ def _chips(facts: Facts, first: Configuration | None) -> list[Chip]:
     marks = {state: "none" if state == "not run" else state for state in states}
     named = [
         Chip(
-            f"{facts.places[p].label}: {_otherwise(facts, first, p)}{_STATES[state]}", marks[state]
+            f"{facts.places[p].label}: {_STATES[state]}{_otherwise(facts, first, p)}", marks[state]
         )
         for p, state in zip(places, states, strict=True)
         if state not in counted
@@ -208,11 +208,9 @@ def _otherwise(facts: Facts, chosen: Configuration, p: int) -> str:
         if (other.solver, other.settings) == (chosen.solver, chosen.settings):
             ways.setdefault(facts.state(c, p), []).append(f"{other.route} {other.policy}")
     others = [
-        f"{and_list(names)} {_STATES[state]}; "
-        for state, names in ways.items()
-        if state != "not run"
+        f"{and_list(names)} {_STATES[state]}" for state, names in ways.items() if state != "not run"
     ]
-    return "".join([*others, "this way "]) if others else ""
+    return f" this way ({'; '.join(others)})" if others else ""
 
 
 def _snippets(c: Configuration) -> Iterator[tuple[str, str]]:

@@ -218,13 +218,13 @@ class Facts:
         wanted = Place("replay", verdict.timed_on, "scaled")
         return self.places.index(wanted) if wanted in self.places else None
 
-    def longest_sample(self, configuration: Configuration) -> tuple[Place, RunRecord] | None:
-        """The run with its largest single sample, of everything it ran: loops and replays alike;
-        None where none left a sample."""
+    def longest_timing(self, configuration: Configuration) -> tuple[Place, RunRecord] | None:
+        """The run with its largest single timing, of everything it ran: loops and replays alike;
+        None where none left one."""
         return self._largest(configuration, "raw_max_ns", lambda _: True)
 
     def hardest_loop(self, configuration: Configuration) -> tuple[Place, RunRecord] | None:
-        """The judged closed loop with its largest median of samples; None where none left any."""
+        """The judged closed loop with its largest median of timings; None where none left any."""
         return self._largest(
             configuration, "raw_p50_ns", lambda p: p.mode == "closed_loop" and p.units == "scaled"
         )
@@ -274,6 +274,7 @@ class Facts:
             "infeasible": number(run.infeasible_steps),
             "all_true": run.true_share == 1.0,
             "steps": run.steps_done,
+            "answers": int(run.steps_done * max(1.0, run.rounds)),
             "planned": run.steps_planned,
             "error": number(run.error_move_max),
             "failed": number(run.failed_steps),

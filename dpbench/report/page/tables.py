@@ -69,8 +69,8 @@ TIMES = {
     "algo_p50_ns": "p50",
     "algo_p99_ns": "p99",
     "algo_max_ns": "largest step",
-    "raw_p50_ns": "p50 of samples",
-    "raw_max_ns": "largest sample",
+    "raw_p50_ns": "p50 of timings",
+    "raw_max_ns": "largest timing",
 }
 """Columns of times that the page has words for."""
 MOST_TILES = 1000

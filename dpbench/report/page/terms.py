@@ -24,7 +24,7 @@ PHRASES = {
     },
     "exactly solved": "exactly solved loop",
     "first move": "error_move",
-    "largest single sample": "raw time",
+    "largest single timing": "raw time",
     "p50": "p50, p95, p99",
     "p99": "p50, p95, p99",
 }

@@ -26,6 +26,8 @@ from dpbench.analysis.times.work_precision import (
     default_route_levels,
     native_route_levels,
 )
+from dpbench.analysis.verdict.fastest import best_of_each
+from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.revision import revision_text
 from dpbench.report.charts.accuracy import accuracy
@@ -209,8 +211,9 @@ def _points(facts: Facts) -> pd.DataFrame:
     """Work and precision of each solver: natively where it was run so, else by its default."""
     records, sequences = facts.records, facts.records.sequences
     levels = default_route_levels(records, sequences) | native_route_levels(records, sequences)
+    outcomes = {v.configuration: v.outcome for v in facts.verdicts.all}
     rows = [
-        _point(facts, point)
+        _point(facts, point, outcomes)
         for points in levels.values()
         for point in points
         if point.error_move < 1e3 and point.p50_ns == point.p50_ns
@@ -218,7 +221,9 @@ def _points(facts: Facts) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _point(facts: Facts, point: LevelPoint) -> dict[str, Any]:
+def _point(
+    facts: Facts, point: LevelPoint, outcomes: Mapping[Configuration, str]
+) -> dict[str, Any]:
     configuration = point.configuration
     names = ("solver", "route", "policy", "settings")
     return {name: getattr(configuration, name) for name in names} | {
@@ -227,6 +232,7 @@ def _point(facts: Facts, point: LevelPoint) -> dict[str, Any]:
         "error": point.error_move,
         "p50_us": point.p50_ns / 1e3,
         "p99_us": point.p99_ns / 1e3,
+        "outcome": outcomes.get(configuration.in_common_formulation, "not judged"),
     }
 
 
@@ -253,6 +259,7 @@ def _document(
                 "error": None if v is None else number(v.error_move),
                 "failed": None if v is None else v.failed_steps,
                 "timed_at": None if v is None else facts.timed_at(v),
+                **_longest(facts, c),
             }
         )
     return {
@@ -276,6 +283,14 @@ def _document(
     }
 
 
+def _longest(facts: Facts, c: Configuration) -> dict[str, Any]:
+    """The largest single timing of a configuration in all its places [ns], and the place."""
+    place, run = facts.longest_timing(c) or (None, None)
+    if place is None or run is None:
+        return {"longest": None, "longest_at": None}
+    return {"longest": number(run.raw_max_ns), "longest_at": facts.places.index(place)}
+
+
 def _specifications(charts: Mapping[str, Any]) -> dict[str, Any]:
     """The figures as Vega; the narrow matrix takes its tiles from the wide one."""
     made = {name: json.loads(follow(json.dumps(vega(c)))) for name, c in charts.items()}
@@ -285,8 +300,9 @@ def _specifications(charts: Mapping[str, Any]) -> dict[str, Any]:
     return made
 
 
-def _opening(facts: Facts, results: Results, answer: Answer) -> dict[str, int | None]:
-    """What the page opens with: two configurations, and the step that the suite is about."""
+def _opening(facts: Facts, results: Results, answer: Answer) -> dict[str, Any]:
+    """What the page opens with: two configurations, and the step that the suite is about; and of
+    each solver the configuration that the figures of the answer show."""
     report = results.suite.get("report", {})
     named = [
         i for i, c in enumerate(facts.configurations) if c.label == report.get("configuration")
@@ -296,6 +312,11 @@ def _opening(facts: Facts, results: Results, answer: Answer) -> dict[str, int | 
     return {
         "first": named[0] if named else first or of_study or 0,
         "second": second,
+        "best": {
+            v.configuration.solver: facts.index(v.configuration)
+            for v in best_of_each(facts.verdicts)
+            if facts.index(v.configuration) >= 0
+        },
         "place": place,
         "k": report.get("step"),
     }
@@ -327,7 +348,7 @@ def _places(facts: Facts) -> list[dict[str, Any]]:
 
 
 def _place(facts: Facts, place: Place, run: RunRecord | None) -> dict[str, Any]:
-    said: dict[str, Any] = {"label": place.label, "mode": place.mode}
+    said: dict[str, Any] = {"label": place.label, "mode": place.mode, "trial": place.units == "si"}
     if place.study:
         said |= {"study": place.study, "point": place.point, "sea": place.replicate}
     if run is None:
@@ -353,8 +374,9 @@ def _solver(name: str) -> dict[str, str]:
 
 
 MATRIX = (
-    "A tile is what that run alone says of the demand; open: not everything was run or could be "
-    "judged. N and N·m are a trial outside the verdict."
+    "A tile is what that place alone says of the demand. Closed loops judge answers; only replays "
+    "judge times. Open: not everything was run or could be judged. N and N·m are a trial outside "
+    "the verdict."
 )
 
 

@@ -45,7 +45,7 @@ def _spread(records: Records) -> list[str]:
         return []
     return [
         "Within this run two solvers differ where the 95 % interval of their pair leaves out 1; "
-        f"against another run or day count differences beyond × {significant(largest)} alone, the "
+        f"against another run or day only beyond × {significant(largest)}, the "
         f"most that two rounds of one replay differ here (median {significant(usual)}); for "
         "another machine compare two runs."
     ]
@@ -66,7 +66,7 @@ def _waits_text(measured: Mapping[str, float]) -> str:
     said = [f"{WAITS_NS[n] / 1e3:g} µs as {p50 / 1e3:.1f} µs" for n, p50 in missed.items()]
     worst = max(abs(off_by_ns(n, p50)) / WAITS_NS[n] for n, p50 in missed.items())
     return (
-        f"Waits of known length: {and_list(said)} (p50 of the samples that count, the largest of "
+        f"Waits of known length: {and_list(said)} (p50 of the timings that count, the largest of "
         f"its replays), so absolute times of that length are known to {share_text(worst)}.{below}"
     )
 
@@ -107,7 +107,7 @@ def trust_topic(records: Records) -> Topic | None:
         lines.append(_waits_text(waits))
         asked = [(name, WAITS_NS[name] / 1e3, p50_ns / 1e3) for name, p50_ns in waits.items()]
         table = pd.DataFrame(asked, columns=["name", "x", "y"])
-        chart = dots(table, "Waits of known length", "asked [µs]", "p50 of samples [µs]")
+        chart = dots(table, "Waits of known length", "asked [µs]", "p50 of timings [µs]")
         figures.append(Figure("calibration", chart, "Asked and measured."))
     if disturbance.seconds > 0:
         lines.append(_quiet_text(disturbance, records.machine))

@@ -167,4 +167,4 @@ def test_how_far_rounds_lie_apart_is_said(records: Any) -> None:
     assert round_spread(records.view()) == (2.0, 2.0)
     topic = trust_topic(records.view())
     assert topic is not None
-    assert "another run or day count differences beyond × 2.00 alone" in topic.lines[0]
+    assert "another run or day only beyond × 2.00" in topic.lines[0]

@@ -263,7 +263,7 @@ def test_loops_alone_under_a_policy_count_as_run(records: Any) -> None:
 
 
 def test_the_slowdown_is_by_the_largest_algorithmic_step(records: Any) -> None:
-    """Round 1 is the minimum of every step, 20 µs; the largest sample is a slower round's."""
+    """Round 1 is the minimum of every step, 20 µs; the largest timing is a slower round's."""
     records.loop("daqp")
     records.replay("daqp", median_us=20.0, spread=0.0)
     (verdict,) = verdicts_of(records.view(), DEMAND).references

@@ -201,7 +201,7 @@ def test_the_hardest_steps_begin_with_those_of_all_places(opened: Any) -> None:
     """The worst place first; a click goes there. Single samples of a loop come last."""
     page = opened("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper")
     heads = page.locator("#hard span").all_inner_texts()
-    assert heads[0].endswith(", all places") and heads[-1] == "single samples, slowest"
+    assert heads[0].endswith(", all places") and heads[-1] == "single timings, slowest"
     worst = page.evaluate("worstAnywhere().steps")
     assert worst == sorted(worst, key=lambda step: -step["value"])
     page.locator("#hard button").first.click()
@@ -274,7 +274,7 @@ def test_the_query_is_that_of_the_replay_behind_the_p99(opened: Any, campaign: P
 
 @pytest.mark.slow
 def test_the_slider_moves_the_ladder(opened: Any) -> None:
-    """Every bar moves to the right; the largest sample of this machine stays."""
+    """Every bar moves to the right; the largest timing of this machine stays."""
     page = opened()
     first = page.locator("#figure-ladder .mark-symbol path").first
     before = first.bounding_box()["x"]
@@ -313,7 +313,7 @@ def test_the_demand_is_that_of_the_slower_computer(opened: Any) -> None:
         if "demand there: meets" in label
     }
     assert met == {row["solver"] for row in meet}
-    assert all("largest sample [ms]: not scaled" in label for label in labels)
+    assert all("largest timing [ms]: not scaled" in label for label in labels)
     assert all("computer slower: × 100" in label for label in labels)
 
 

@@ -57,7 +57,7 @@ def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
         assert error_text(chosen.error_move) in said
         slowest = rounded_down(demand.deadline_ns / largest)
         assert f"Allow for a computer up to × {slowest}: " in said
-        assert f"its largest single sample, {time_text(largest)} in " in said
+        assert f"its largest single timing, {time_text(largest)} in " in said
         assert f"by its largest replayed step × {by_step}." in said
         assert f"hardest loop: {hardest['scenario']}, " in said
         assert f"median {time_text(hardest['raw_p50_ns'])})" in said
@@ -120,7 +120,7 @@ def test_a_chip_says_how_other_ways_did_where_the_first_was_not_run(records: Any
     assert answer.first is not None and answer.first.policy == "warm"
     said = next(chip for chip in answer.chips if "N·m" in chip.text)
     assert said.text == (
-        "paper (in N and N·m): qpsolvers fresh held; native reuse missed; this way not run"
+        "paper (in N and N·m): not run this way (qpsolvers fresh held; native reuse missed)"
     )
     assert said.mark == "none"
 

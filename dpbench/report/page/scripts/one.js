@@ -34,12 +34,13 @@ function rowsOf(run) {
 function trackOf(run) {
   if (!run || !run.x) return null;
   const own = run.x.map(array), force = run.u.map(array);
-  if (run.reference) return { every: run.every, x: own, u: force };
-  const other = referenceOf(run.p);
-  if (!other) return null;
+  const track = { first: run.first, every: run.every, x: own, u: force };
+  // Of equal steps the distance from the first of its place is kept, of others the track itself.
+  const other = run.reference ? null : referenceOf(run.p);
+  if (other?.every !== run.every) return track;
   const sum = (mine, theirs) => mine.map((values, i) =>
     values.map((v, j) => (v === null || theirs[i][j] == null ? null : v + theirs[i][j])));
-  return { every: run.every, x: sum(own, other.x), u: sum(force, other.u) };
+  return { ...track, x: sum(own, other.x), u: sum(force, other.u) };
 }
 
 function referenceOf(p) {
@@ -78,20 +79,20 @@ async function drawOne() {
   text.textContent = [
     `${place.study ? "In" : `${verdict} in`} ${place.label}: ran ${run.steps} of ${run.planned} steps; `
     + `first move beyond the demand on ${over(run)}, at most ${figure(run.error)}; claimed solved and not `
-    + `true on ${figure(run.untrue)}; failed on ${figure(run.failed)}.`,
+    + `true on ${figure(run.untrue)}${run.answers === run.steps ? "" : ` of ${run.answers} answers`}; failed on ${figure(run.failed)}.`,
     run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the exactly solved loop`
       + `${run.settle_s === null || run.settle_s === "inf" ? "." : ` and settled within 1 m and 1° at ${figure(run.settle_s)} s.`}`,
     run.infeasible > 0 ? `${run.infeasible} of the steps had no solution${run.all_true ? ", and it said so" : ""}.` : "",
     run.why && run.state !== "meets" ? `${run.outcome}: ${run.why}.` : "",
-    judged ? `Over the whole run: ${C().outcome[state.c]}${C().why[state.c] ? ` (${C().why[state.c]})` : ""}.` : "",
+    judged ? `Over all places: ${C().outcome[state.c]}${C().why[state.c] ? ` (${C().why[state.c]})` : ""}.` : "",
     solver.method ? `Method: ${solver.method}.` : "",
   ].filter(Boolean).join(" ").replaceAll("`", "");
   drawHard(run);
   const stepped = run.t !== undefined && run.t !== null;
   $("figure-strips").hidden = $("strips-said").hidden = !stepped;
   $("strips-time").textContent = facts.places[state.p].mode === "replay"
-    ? "Dot: the fastest counted round, grey up to the largest sample. A replay steers no ship."
-    : "Dot: one sample a step, not timed alone; only replays compare times.";
+    ? "Dot: the fastest counted round, grey up to the largest timing. A replay steers no ship."
+    : "Dot: one timing a step, not timed alone; only replays compare times.";
   if (!stepped) { drawShip(null); return; }
   const view = await figureOf("strips");
   if (view) {
@@ -109,14 +110,13 @@ async function drawOne() {
   drawShip(run);
 }
 
-// Of the chosen configuration the steps of most iterations over all places, the worst first; of a
-// solver whose iterations say nothing, those of the largest error.
-function worstAnywhere() {
-  const m = varies(state.c) ? 1 : 2;
-  const known = facts.places.flatMap((place, p) => (cell(state.c, p)?.hard?.[m] ?? [])
+// Of the chosen configuration the steps with the most iterations (m = 1) or the largest error
+// (m = 2) over all places that enter its verdict, the worst first.
+function worstAnywhere(m) {
+  const known = facts.places.flatMap((place, p) => (place.trial ? [] : cell(state.c, p)?.hard?.[m] ?? [])
     .map(([k, value]) => ({ p, k, value })));
   const rank = (x) => (x === "inf" ? Infinity : x);
-  return { m, steps: known.sort((a, b) => rank(b.value) - rank(a.value)).slice(0, 5) };
+  return known.sort((a, b) => rank(b.value) - rank(a.value)).slice(0, 5);
 }
 
 // Whether the iterations of a configuration differ from step to step.
@@ -127,9 +127,9 @@ function varies(c) {
 }
 
 function drawHard(run) {
-  const replayed = facts.places[state.p].mode === "replay", anywhere = worstAnywhere();
+  const replayed = facts.places[state.p].mode === "replay";
   const names = [
-    replayed ? "slowest" : "single samples, slowest", "most iterations", "largest error",
+    replayed ? "slowest" : "single timings, slowest", "most iterations", "largest error",
   ];
   const row = (name, steps) => {
     const line = document.createElement("p"), head = document.createElement("span");
@@ -145,12 +145,13 @@ function drawHard(run) {
   };
   const here = (run.hard ?? []).map((list, m) => row(names[m], list.map(([k, value]) =>
     ({ p: state.p, k, said: `k ${k}: ${m === 0 ? time(value) : figure(value)}` }))));
-  // Where a step is one sample its time is jitter as well: it comes last; iterations that are alike
+  // Where a step is one timing its time is jitter as well: it comes last; iterations that are alike
   // everywhere say nothing.
   const order = (replayed ? [0, 1, 2] : [1, 2, 0]).filter((m) => m !== 1 || varies(state.c));
-  const all = anywhere.steps.map(({ p, k, value }) =>
-    ({ p, k, said: `k ${k} in ${facts.places[p].label}: ${figure(value)}` }));
-  $("hard").replaceChildren(row(`${names[anywhere.m]}, all places`, all),
+  const said = ({ p, k, value }) => ({ p, k, said: `k ${k} in ${facts.places[p].label}: ${figure(value)}` });
+  const most = varies(state.c) ? [1] : [], worst = most.length && C().outcome[state.c] !== "misses" ? [] : [2];
+  $("hard").replaceChildren(
+    ...[...worst, ...most].map((m) => row(`${names[m]}, all places`, worstAnywhere(m).map(said))),
     ...order.map((m) => here[m]).filter((line) => line?.children.length > 1));
   drawStep(run);
 }
@@ -212,7 +213,12 @@ function drawShip(run) {
   const goal = place.reference, size = place.length_m;
   const all = [...N.map((n, i) => [n, E[i]]), ...(exact ? exact.x[0].map((n, i) => [n, exact.x[1][i]]) : [])]
     .filter(([n, e]) => n !== null && e !== null);
+  // The circle of 1 m too, unless it would hide the path.
   if (goal) all.push([goal[0], goal[1]]);
+  const reach = (i) => Math.max(...all.map((p) => p[i])) - Math.min(...all.map((p) => p[i]));
+  if (goal && Math.max(reach(0), reach(1)) > 0.5) {
+    for (const [n, e] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) all.push([goal[0] + n, goal[1] + e]);
+  }
   const low = [0, 1].map((i) => Math.min(...all.map((p) => p[i])));
   const high = [0, 1].map((i) => Math.max(...all.map((p) => p[i])));
   const span = Math.max(high[0] - low[0], high[1] - low[1], 1e-3), half = 0.62 * Math.max(span, 0.4);
@@ -239,7 +245,8 @@ function drawShip(run) {
   }
   if (exact) {
     shape("path", { d: path(exact.x[0], exact.x[1]), class: "exact" }, clip);
-    const j = Math.min(at, exact.x[0].length - 1);
+    const k = run.first + at * track.every;
+    const j = Math.max(0, Math.min(exact.x[0].length - 1, Math.round((k - exact.first) / exact.every)));
     hull(exact.x[0][j], exact.x[1][j], exact.x[2][j], { class: "hull-exact" });
   }
   shape("path", { d: path(N, E), class: "path" }, clip);

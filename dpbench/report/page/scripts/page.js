@@ -12,15 +12,24 @@ function kept() {
   const out = rows.filter((row) => !within.includes(row));
   const meet = within.filter((row) => row.outcome === "meets"
     && (row.p99_ms ?? row.max_ms) * state.slow <= p99_ms);
-  return `${within.length} of ${rows.length} keep ${deadline_ms} ms by their largest step${
+  return `${bounded()}${within.length} of ${rows.length} keep ${deadline_ms} ms by their largest replayed step${
     few(within) || (few(out) && ` (not${few(out)})`)}; ${meet.length} also the demand and its p99 of ${
     p99_ms} ms${few(meet)}`;
+}
+
+// Whether the chosen one's largest timing of all places makes the deadline on the slower computer.
+function bounded() {
+  const longest = C().longest[state.c];
+  if (longest === null) return "";
+  const most = (facts.demand.deadline_ms * 1e6) / longest, at = facts.places[C().longest_at[state.c]].label;
+  return `${C().solver[state.c]} ${most < state.slow ? `is beyond its × ${figure(most)}` : `holds up to × ${figure(most)}`} `
+    + `(largest single timing, in ${at}). `;
 }
 
 // How the chosen one's times compare with those of the answer.
 function beside() {
   const first = facts.answer.first, rows = first === state.c ? [] : together(first, state.c);
-  return rows.length ? `, ${figure(ratioOf(rows))} × ${unlike(first, state.c)}` : "";
+  return rows.length ? `; a step takes ${figure(ratioOf(rows))} × that of ${unlike(first, state.c)}` : "";
 }
 
 // Draws the eye to what has changed.
@@ -40,7 +49,7 @@ async function draw(changed = ["slow", "c", "p", "b", "k"]) {
     + `${p99 === null ? "" : `, p99 ${time(p99)} in ${timed?.label}`}${beside()}; shown in ${place}${
       state.k === null ? "" : `, k ${state.k}`}`;
   if (touched("c", "p")) glow($("chosen"));
-  if (touched("slow") && $("slow")) {
+  if (touched("slow", "c") && $("slow")) {
     $("slow-said").value = figure(state.slow);
     $("slow").value = String(Math.log10(state.slow));
     $("slow-kept").textContent = kept();

@@ -29,12 +29,15 @@ function configuration(solver, w, settings) {
     ?? own.find((c) => way(c) === w) ?? own.find((c) => C().settings[c] === settings) ?? own[0];
 }
 
-// Of a solver the configuration most like the wanted one that was run in the chosen place.
+// Of a solver the configuration that the figures of the answer show; of a way of running it the one
+// that was run in the chosen place, with the chosen settings if there is one.
 function nearest(solver, w, settings) {
-  const ran = (c) => cell(c, state.p)?.t != null, wanted = configuration(solver, w, settings);
-  const like = (c) => 4 * ran(c) + 2 * (way(c) === w) + (C().settings[c] === settings);
-  const own = all().filter((c) => C().solver[c] === solver);
-  return own.reduce((best, c) => (like(c) > like(best) ? c : best), wanted);
+  if (solver !== C().solver[state.c]) return facts.answer.best[solver] ?? configuration(solver, w, settings);
+  const ran = (c) => cell(c, state.p)?.t != null;
+  const like = (c) => 2 * ran(c) + (C().settings[c] === settings);
+  const own = all().filter((c) => C().solver[c] === solver && way(c) === w);
+  return settings !== C().settings[state.c] ? configuration(solver, w, settings)
+    : own.reduce((best, c) => (like(c) > like(best) ? c : best));
 }
 
 function cell(c, p) {
