@@ -18,7 +18,7 @@ def test_one_sentence_says_which_figure_applies_to_what(records: Any) -> None:
     usual, largest = round_spread(view)
     rule = topic.lines[0]
     assert "95 % interval of their pair" in rule
-    assert f"another run or day count differences beyond × {significant(largest)} alone" in rule
+    assert f"another run or day only beyond × {significant(largest)}," in rule
     assert f"(median {significant(usual)})" in rule
 
 
