@@ -60,7 +60,7 @@ def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
         assert f"its largest single timing, {time_text(largest)} in " in said
         assert f"by its largest replayed step × {by_step}." in said
         assert f"in {hardest['scenario']}, its hardest loop, " in said
-        assert f"median {time_text(hardest['raw_p50_ns'])})" in said
+        assert f"median {time_text(hardest['raw_p50_ns'])}" in said
     assert "native warm" not in terminal, "a way that was replayed alone is not recommended"
 
 
