@@ -39,6 +39,6 @@ def test_a_wait_is_said_by_its_largest_replay(records: Any) -> None:
     topic = trust_topic(records.view())
     assert topic is not None
     (waits,) = (line for line in topic.lines if line.startswith("Waits of known length"))
-    assert "50 µs as 52.0 µs (p50 of the samples that count, the largest of its replays)" in waits
+    assert "50 µs as 52.0 µs (p50 of the timings that count, the largest of its replays)" in waits
     assert "known to 4.0 %" in waits
     assert "busy_wait_50us 52.0 µs" in records.ending()["harness"]
