@@ -41,7 +41,7 @@ def test_names_resolve_from_a_wheel_in_an_empty_folder(tmp_path: Path) -> None:
     assert done.stdout.splitlines()[0].endswith(" 2000 30")
     assert "paper_tight" in done.stdout
     page = site / "dpbench" / "report" / "page"
-    scripts = ("scripts/page.js", "vendor/vega.min.js")
-    for part in ("page.html.j2", "compare.html.j2", "page.css", *scripts):
+    templates = ("templates/page.html.j2", "templates/compare.html.j2", "templates/page.css")
+    for part in (*templates, "scripts/page.js", "vendor/vega.min.js"):
         assert (page / part).stat().st_size > 0
     assert (page.parent / "glossary.toml").is_file()

@@ -43,7 +43,7 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
     times = _times(order, comparison) if order else None
     template = environment().get_template("compare.html.j2")
     text = template.render(
-        css=Markup(own("page.css")),
+        css=Markup(own("templates/page.css")),
         verdict="worse somewhere" if comparison.worse else "no regression shown",
         lead=lead(comparison),
         lines=[line.replace("`", "") for line in comparison.lines],

@@ -34,7 +34,7 @@ def write_releases(path: Path, releases: Releases) -> Path:
         environment()
         .get_template("releases.html.j2")
         .render(
-            css=Markup(own("page.css")),
+            css=Markup(own("templates/page.css")),
             lead=releases.lead,
             lines=releases.lines,
             figures=[

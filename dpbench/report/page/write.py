@@ -135,7 +135,7 @@ def page_html(
     return template.render(
         title=f"dpbench: {results.suite.get('name', folder.name)}",
         subtitle=str(results.suite.get("title", "")),
-        css=Markup(own("page.css")),
+        css=Markup(own("templates/page.css")),
         sections=sections,
         answer=answer,
         figures=dict.fromkeys(charts, True) | pictures,
@@ -401,7 +401,7 @@ def follow(text: str) -> str:
 def _picture(text: str) -> str:
     """The address of a picture within the page, one node there, in the colours of the page."""
     head, rest = follow(text).split(">", 1)
-    colours = own("page.css").split("* {", 1)[0]
+    colours = own("templates/page.css").split("* {", 1)[0]
     styled = f"{head}><style>{colours}</style>{rest}"
     return "data:image/svg+xml;base64," + base64.b64encode(styled.encode()).decode()
 
@@ -451,7 +451,7 @@ def _footer(results: Results) -> str:
 @cache
 def environment() -> Environment:
     return Environment(
-        loader=PackageLoader("dpbench.report", "page"),
+        loader=PackageLoader("dpbench.report.page", "templates"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
