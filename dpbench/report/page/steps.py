@@ -156,9 +156,10 @@ def track_of(steps: pd.DataFrame, limits: Floats, most: int) -> Track:
 
 
 def pack_track(block: Block, track: Track, reference: Track | None) -> dict[str, Any]:
-    """A track as numbers of arrays: as it is, or its distance from `reference` point by point."""
+    """A track as numbers of arrays: its distance from `reference` where both keep the same steps,
+    else as it is."""
     position, force = track.position.copy(), track.force.copy()
-    if reference is not None:
+    if reference is not None and reference.every == track.every:
         count = min(len(position), len(reference.position))
         position, force = position[:count], force[:count]
         position -= reference.position[:count]
