@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from math import isfinite
 from typing import Any
 
@@ -59,26 +60,45 @@ def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
     table : columns `COLUMNS`, the first row on top.
     p99_ms : what the demand allows.
     """
-    order = table["label"].tolist()
-    factor = alt.param(name="slow", value=1.0)
-    pick = picking("id")
-    base = (
-        alt.Chart(table)
-        .transform_calculate(
-            a="datum.p50_ms * slow",
-            c="isValid(datum.p99_ms) ? datum.p99_ms * slow : datum.p50_ms * slow",
-            m="datum.max_ms * slow",
-            called="datum.p50_ms * datum.share * slow",
-            left=f"{LOWEST_MS}",
-            now=_outcome(deadline_ms, p99_ms),
-            computer="'× ' + format(slow, '.3~g')",
-            timing="slow > 1 ? 'not scaled' : format(datum.raw_max_ms, '.3~g')",
-        )
-        .encode(y=alt.Y("label:N", sort=order, title=None, axis=row_names()))
+    base = _scaled(table, deadline_ms, p99_ms)
+    x = _axis(table, deadline_ms)
+    parts = (*_rows(base), *_times(base, x), *_deadline(deadline_ms))
+    return styled(
+        alt.layer(*parts, width=560, height=alt.Step(ROW_STEP["wide"])),
+        "How close to the deadline",
+        "Step times of each solver from median over p99 to the largest, against the deadline.",
     )
+
+
+def _scaled(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> alt.Chart:
+    """The rows with their times on the slower computer, and what is said of them there."""
+    scaled = alt.Chart(table).transform_calculate(
+        a="datum.p50_ms * slow",
+        c="isValid(datum.p99_ms) ? datum.p99_ms * slow : datum.p50_ms * slow",
+        m="datum.max_ms * slow",
+        called="datum.p50_ms * datum.share * slow",
+        left=f"{LOWEST_MS}",
+        now=_outcome(deadline_ms, p99_ms),
+        computer="'× ' + format(slow, '.3~g')",
+        timing="slow > 1 ? 'not scaled' : format(datum.raw_max_ms, '.3~g')",
+    )
+    times = (("a", "p50"), ("c", "p99"), ("m", "largest step"))
+    tips = [
+        alt.Tooltip("label:N", title="configuration"),
+        alt.Tooltip("computer:N", title="computer slower"),
+        alt.Tooltip("now:N", title="demand there"),
+        *(tip(f"{name}:Q", f"{title} [ms]", 3) for name, title in times),
+        alt.Tooltip("timing:N", title="largest timing [ms]"),
+    ]
+    y = alt.Y("label:N", sort=table["label"].tolist(), title=None, axis=row_names())
+    return scaled.encode(y=y, tooltip=tips)
+
+
+def _axis(table: pd.DataFrame, deadline_ms: float) -> alt.X:
+    """Times to ten times the deadline, or on to where the slowest is on the slower computer."""
     high, slowest = max(10.0 * deadline_ms, 1.0), float(table["max_ms"].max())
     highest = alt.ExprRef(f"max({high}, {1.5 * slowest if isfinite(slowest) else 0.0} * slow)")
-    x = alt.X(
+    return alt.X(
         "a:Q",
         title="step time [ms], log scale",
         scale=log_scale(domainMin=LOWEST_MS, domainMax=highest, clamp=True),
@@ -86,65 +106,50 @@ def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
             values=[10.0**e for e in range(-3, 8)], format="~g", orient="top", labelOverlap="greedy"
         ),
     )
+
+
+def _rows(base: alt.Chart) -> Iterator[Any]:
+    """What takes clicks all over a row, and the mark of the chosen one."""
+    pick = picking("id")
+    whole = alt.ExprRef(f"narrow ? {ROW_STEP['narrow']} : {ROW_STEP['wide']}")
+    across: dict[str, Any] = {"x": alt.value(0), "x2": alt.value("width")}
+    factor = alt.param(name="slow", value=1.0)
+    clicked = base.mark_rule(strokeWidth=whole, opacity=0.0).encode(**across)
+    yield clicked.add_params(factor, narrow(), pick)
+    yield base.mark_rule(strokeWidth=whole, color=ACCENT).encode(
+        **across, opacity=alt.condition(pick, alt.value(0.25), alt.value(0.0))
+    )
+
+
+def _times(base: alt.Chart, x: alt.X) -> Iterator[Any]:
+    """What calling costs, whisker, line, bar and marker of each row."""
     columns = alt.ExprRef("narrow ? 2 : 4")
     colour = coloured("now", OUTCOMES, OUTCOME_COLOURS, title="demand", columns=columns)
-    shape = alt.Shape("now:N", scale=names_scale(OUTCOMES, OUTCOME_SHAPES))
-    tips = [
-        alt.Tooltip("label:N", title="configuration"),
-        alt.Tooltip("computer:N", title="computer slower"),
-        alt.Tooltip("now:N", title="demand there"),
-        *(
-            tip(f"{name}:Q", f"{title} [ms]", 3)
-            for name, title in (
-                ("a", "p50"),
-                ("c", "p99"),
-                ("m", "largest step"),
-            )
-        ),
-        alt.Tooltip("timing:N", title="largest timing [ms]"),
-    ]
-    whole = alt.ExprRef(f"narrow ? {ROW_STEP['narrow']} : {ROW_STEP['wide']}")
-    rows = base.mark_rule(strokeWidth=whole, opacity=0.0).encode(
-        x=alt.value(0), x2=alt.value("width"), tooltip=tips
+    yield base.mark_rule(strokeWidth=9, color=LINE).encode(
+        x=alt.X("left:Q"), x2="called:Q", opacity=alt.value(0.7)
     )
-    rows = rows.add_params(factor, narrow(), pick)
-    chosen = base.mark_rule(strokeWidth=whole, color=ACCENT).encode(
-        x=alt.value(0),
-        x2=alt.value("width"),
-        opacity=alt.condition(pick, alt.value(0.25), alt.value(0.0)),
-        tooltip=tips,
-    )
-    whisker = (
+    yield (
         base.transform_filter("datum.raw_max_ms > datum.m")
         .mark_rule(strokeWidth=1, color=SOFT, strokeDash=[2, 2])
-        .encode(x=alt.X("m:Q"), x2="raw_max_ms:Q", tooltip=tips)
+        .encode(x=alt.X("m:Q"), x2="raw_max_ms:Q")
     )
-    line = base.mark_rule(strokeWidth=2).encode(x=x, x2="m:Q", color=colour, tooltip=tips)
-    bar = base.mark_rule(strokeWidth=9, strokeCap="butt").encode(
-        x=x, x2="c:Q", color=colour, tooltip=tips
-    )
-    calling = base.mark_rule(strokeWidth=9, color=LINE).encode(
-        x=alt.X("left:Q"), x2="called:Q", opacity=alt.value(0.7), tooltip=tips
-    )
-    point = base.mark_point(filled=True, size=70, opacity=1).encode(
-        x=x, color=colour, shape=shape, tooltip=tips
-    )
+    yield base.mark_rule(strokeWidth=2).encode(x=x, x2="m:Q", color=colour)
+    yield base.mark_rule(strokeWidth=9, strokeCap="butt").encode(x=x, x2="c:Q", color=colour)
+    shape = alt.Shape("now:N", scale=names_scale(OUTCOMES, OUTCOME_SHAPES))
+    yield base.mark_point(filled=True, size=70, opacity=1).encode(x=x, color=colour, shape=shape)
+
+
+def _deadline(deadline_ms: float) -> Iterator[Any]:
+    """The deadline with its name, and what is said of the whiskers."""
     limit = pd.DataFrame({"deadline": [deadline_ms], "text": [f"deadline {deadline_ms:g} ms"]})
-    deadline = alt.Chart(limit).mark_rule(color=INK, strokeWidth=1.5).encode(x="deadline:Q")
-    named = (
-        alt.Chart(limit)
-        .mark_text(align="right", dx=-5, dy=4, baseline="top", color=INK, fontSize=12)
-        .encode(x="deadline:Q", y=alt.value("height"), text="text:N")
+    chart = alt.Chart(limit)
+    yield chart.mark_rule(color=INK, strokeWidth=1.5).encode(x="deadline:Q")
+    words: dict[str, Any] = {"dy": 4, "baseline": "top", "fontSize": 12}
+    yield chart.mark_text(align="right", dx=-5, color=INK, **words).encode(
+        x="deadline:Q", y=alt.value("height"), text="text:N"
     )
-    jitter = (
-        alt.Chart(limit)
-        .mark_text(align="left", dy=4, baseline="top", color=SOFT, fontSize=12)
+    yield (
+        chart.mark_text(align="left", color=SOFT, **words)
         .encode(x=alt.value(0), y=alt.value("height"), text="said:N")
         .transform_calculate(said=_JITTER)
-    )
-    parts = (rows, chosen, calling, whisker, line, bar, point, deadline, named, jitter)
-    return styled(
-        alt.layer(*parts, width=560, height=alt.Step(ROW_STEP["wide"])),
-        "How close to the deadline",
-        "Step times of each solver from median over p99 to the largest, against the deadline.",
     )

@@ -117,26 +117,14 @@ def page_html(
         if name in DRAWN
     }
     block = "" if light else facts.block.text(_document(facts, results, answer, charts))
-    shown = {"answer": "Answer"} | {
-        name: title
-        for name, title in (
-            ("matrix", "Scenarios"),
-            ("one", "One solver"),
-            ("two", "Two solvers"),
-            ("accuracy", "Accuracy"),
-        )
-        if (facts.runs if name == "one" else _CHART_OF.get(name, name) in charts)
-        and not (light and name in LIVE)
-    }
     lead = next((topic for topic in topics if topic.leads), None)
     others = [topic for topic in topics if topic is not lead]
-    sections = [*shown.items(), *((t.id, t.short or t.title) for t in others), ("data", "Data")]
     template = environment().get_template("page.html.j2")
     return template.render(
         title=f"dpbench: {results.suite.get('name', folder.name)}",
         subtitle=str(results.suite.get("title", "")),
         css=Markup(own("templates/page.css")),
-        sections=sections,
+        sections=_sections(facts, charts, others, light),
         answer=answer,
         figures=dict.fromkeys(charts, True) | pictures,
         matrix_said=_matrix_said(facts),
@@ -162,6 +150,19 @@ def page_html(
     )
 
 
+def _sections(
+    facts: Facts, charts: Mapping[str, Any], topics: Sequence[Topic], light: bool
+) -> list[tuple[str, str]]:
+    """What the page has, in its order: the id of each section and its name."""
+    named = [*_SECTIONS.items(), *((topic.id, topic.short or topic.title) for topic in topics)]
+    has = {"answer", *charts, *(topic.id for topic in topics), *(["one"] if facts.runs else [])}
+    return [
+        (name, title)
+        for name, title in named
+        if _CHART_OF.get(name, name) in has and not (light and name in LIVE)
+    ] + [("data", "Data")]
+
+
 SCRIPTS = ("common", "selection", "figures", "study", "one", "two", "table", "page")
 """Of the page, in the order they are loaded; the last one starts."""
 WORDS = (
@@ -169,6 +170,14 @@ WORDS = (
     *("rate limit", "rate-limit step", "certified optimum", "fallback", "failed step", "interval"),
 )
 """Of the glossary what the page says of any solver, before the words on how they are run."""
+_SECTIONS = {
+    "answer": "Answer",
+    "matrix": "Scenarios",
+    "one": "One solver",
+    "two": "Two solvers",
+    "accuracy": "Accuracy",
+}
+"""Those that follow the selection."""
 _CHART_OF = {"two": "pairs"}
 LIVE = ("one", "two")
 """Sections that scripts alone can fill."""
