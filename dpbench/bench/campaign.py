@@ -37,7 +37,7 @@ from dpbench.bench.record.result_folder import (
 from dpbench.bench.record.revision import Revision, revision, revisions
 from dpbench.bench.sequences.at_edge import capability_in
 from dpbench.bench.sequences.source import is_at_edge, is_sound
-from dpbench.bench.tabulate import is_tabulated, tabulate
+from dpbench.bench.tabulate import Wanted, is_tabulated, tabulate
 from dpbench.bench.workers.executor import CellJob, Result, work_of
 from dpbench.bench.workers.worker import make_source
 from dpbench.errors import ResultsError
@@ -71,7 +71,7 @@ class Campaign:
         self.work = shard.of_jobs([self._job(p) for p in plan.cells])
         self._fresh = fresh
         if fresh:
-            self.store.forget(job.run_id for job in self.work)
+            self.store.forget(Wanted(self.work).jobs)
             SourceFiles(self.store.folder).drop()
         # Capability plots stand in the files that the QPs at their edge come from.
         self._at_edge = by_source([job for job in self.work if is_at_edge(job.cell)])

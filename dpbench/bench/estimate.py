@@ -117,7 +117,8 @@ def estimated(planned: Sequence[PlannedCell], slots: int, run: Run) -> Estimate:
     samples: list[tuple[_Sample, list[PlannedCell]]] = []
     with tempfile.TemporaryDirectory(prefix="dpbench-") as folder:
         # The first campaign of a process starts what all later ones find there.
-        run([_cut(p, FEW) for p in measured[:1]], Path(folder) / "first")
+        if measured:
+            run([_cut(p, FEW) for p in measured[:1]], Path(folder) / "first")
         for name, cells in groups.items():
             if cells:
                 at_a_time = 1 if name == "replays" else slots
@@ -157,7 +158,7 @@ class _Sample:
         some = [
             planned
             for alike in kinds.values()
-            for planned in alike[: max(1, min(MOST, len(alike) // SHARE))]
+            for planned in alike[:: max(SHARE, -(-len(alike) // MOST))]
         ]
         self.count, self._slots = len(some), slots
         steps, harness_s = [0, 0], [0.0, 0.0]

@@ -43,6 +43,8 @@ class Wanted:
         ]
         tables = [own, self._renamed(finished, aliases), as_runs(pd.DataFrame(others))]
         filled = [table.set_index("run_id", drop=False) for table in tables if len(table)]
+        if not filled:
+            return as_runs(pd.DataFrame())
         return pd.concat(filled).loc[list(self.jobs)].reset_index(drop=True)
 
     def _renamed(self, finished: pd.DataFrame, aliases: Mapping[str, str]) -> pd.DataFrame:

@@ -12,6 +12,7 @@ from dpbench.bench import estimate
 from dpbench.bench.estimate import estimated, recorded_steps
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results, write_results
 from dpbench.bench.record.schema import SCHEMA_VERSION
 from dpbench.cli.main import main
@@ -45,7 +46,7 @@ class Machine:
             runs.append({"run_id": f"{i}", "schema": SCHEMA_VERSION, **way})
             times = pd.DataFrame({"k": range(n), "total_ns": round(1e9 * solver_s)})
             steps.append(times.assign(run_id=f"{i}"))
-        write_results(folder, Results(pd.DataFrame(runs), pd.concat(steps), {}, {}))
+        write_results(folder, Results(pd.DataFrame(runs), StepsInMemory(pd.concat(steps)), {}, {}))
 
 
 @pytest.mark.parametrize("slots", [1, 2])
@@ -58,7 +59,7 @@ def test_time_goes_by_cells_steps_and_solvers(slots: int, monkeypatch: pytest.Mo
     of_loops = 120 * OF_CELL_S + 66_000 * OF_STEP_S + 36_000 * 1e-5 + 30_000 * 3e-5
     of_replays = 3 * (OF_CELL_S + 205 * (OF_STEP_S + 3e-5))
     assert found.time_s == pytest.approx(of_loops / slots + of_replays)
-    assert (found.cells, found.steps, found.sampled) == (123, 66_000 + 3 * 205, 4 + 1 + 1)
+    assert (found.cells, found.steps, found.sampled) == (123, 66_000 + 3 * 205, 5 + 2 + 1)
     assert found.took_s == pytest.approx(machine.now)
     assert max(planned.cell.steps for planned in machine.ran) == estimate.MANY
 
@@ -108,3 +109,17 @@ def test_a_dry_run_says_what_a_run_would_take_and_leaves_nothing(
     assert "s on this machine" in cost and "MB of tables" in cost
     assert "7 of the cells" in measured, "two of each 40, and each of three replays"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["tiny.toml"]
+
+
+def test_the_sample_is_taken_from_all_of_a_kind(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first of a study's points may be its cheapest: one of every twenty, not the first ones."""
+    machine = Machine(monkeypatch, 2)
+    estimated([cell("daqp", 50, scenario={"name": str(i)}) for i in range(60)], 2, machine.run)
+    assert {p.cell.scenario["name"] for p in machine.ran if p.cell.scenario} == {"0", "20", "40"}
+
+
+def test_nothing_to_run_takes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where every cell is refused there is nothing to measure."""
+    machine = Machine(monkeypatch, 2)
+    found = estimated([PlannedCell(cell("daqp", 5).cell, refused="no such route")], 2, machine.run)
+    assert (found.time_s, found.size_bytes, machine.ran) == (0.0, 0.0, [])

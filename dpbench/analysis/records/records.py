@@ -147,7 +147,7 @@ class Records:
 
     def is_ranked(self, run: RunRecord) -> bool:
         """Whether the times of a run may stand beside those of others; those of a loop never do."""
-        of_folder = str(self.machine["id"])
+        of_folder = str(self.machine.get("id", ""))
         return run.mode != "replay" or is_ranked(run.concurrency, run.machine_id, of_folder)
 
     def times(self, run: RunRecord) -> StepTimes | None:

@@ -118,8 +118,14 @@ def fleet_of(client: Client) -> Fleet:
     exclusive = [a for a, worker in workers.items() if worker["resources"].get(EXCLUSIVE, 0) >= 1]
     first = (exclusive or [*abouts])[0]
     on_host: dict[str, int] = {}
+    offers: dict[str, float] = {}
     for worker in workers.values():
-        on_host[worker["host"]] = on_host.get(worker["host"], 0) + int(worker["nthreads"])
+        host = worker["host"]
+        on_host[host] = on_host.get(host, 0) + int(worker["nthreads"])
+        offers[host] = offers.get(host, 0.0) + worker["resources"].get(EXCLUSIVE, 0)
+    if many := [host for host, count in offers.items() if count > 1]:
+        found = f"resource {EXCLUSIVE} {offers[many[0]]:g} times on {many[0]}"
+        raise InputError(WHERE, "", found, f"one worker of a machine with {EXCLUSIVE}=1")
     return Fleet(
         slots=max(1, sum(on_host.values())),
         concurrency=max(1, *on_host.values()),

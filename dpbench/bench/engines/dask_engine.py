@@ -121,7 +121,7 @@ class DaskEngine(ExitStack):
     def prepare(self, sources: SourceFiles, solvers: Sequence[str], progress: Progress) -> None:
         """Start workers, where none are there."""
         self._sources, self._progress = sources, progress
-        self._order = Order(tuple(dict.fromkeys(solvers)))
+        self._order = Order(solvers=tuple(dict.fromkeys(solvers)))
         if self._client is None:
             self._client = self.enter_context(own_cluster(self._workers))
             self._fleet = fleet_of(self._client)
@@ -134,7 +134,7 @@ class DaskEngine(ExitStack):
         """Run cells kind by kind, so that nothing else runs while replays are timed."""
         modules = {job.cell.solver_module for job in jobs} - {""}
         texts = {path: Path(path).read_text(encoding="utf-8") for path in modules}
-        self._order = Order(self._order.solvers, texts)
+        self._order = Order(solvers=self._order.solvers, modules=texts)
         self._of_key = by_source(jobs)
         portions = [
             (kind, self._chunks(kind, wave))
@@ -200,7 +200,9 @@ class DaskEngine(ExitStack):
         completed = as_completed(loop=self._client.loop)
 
         def give_away() -> None:
-            while not self._gone and len(away) < AHEAD * self._fleet.slots:
+            # Workers come and go.
+            slots = max(self._fleet.slots, sum(self._client.nthreads().values()))
+            while not self._gone and len(away) < AHEAD * slots:
                 if not waiting and (away or not suspects):
                     return
                 chunk = (waiting or suspects).popleft()
@@ -272,7 +274,8 @@ class DaskEngine(ExitStack):
                 if key in self._single
             },
             alone=alone,
-            concurrency=1 if alone else self._fleet.concurrency,
+            # What else runs on a machine that nobody has given over is not known.
+            concurrency=1 if alone else max(2, self._fleet.concurrency),
             resources={EXCLUSIVE: 1} if alone else None,
             key=f"{chunk.kind.replace(' ', '_')}-{next(self._names)}",
             retries=RETRIES,

@@ -25,7 +25,7 @@ from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.workers.child import template_context
 from dpbench.bench.workers.executor import BATCH_CELLS, Bench, CellJob, Result
-from dpbench.bench.workers.scratch import Scratch
+from dpbench.bench.workers.scratch import Scratch, scratch_folder
 from dpbench.bench.workers.worker import make_source
 from dpbench.solvers.table import available
 
@@ -46,9 +46,10 @@ class About:
 class Order:
     """What all tasks of a campaign have in common.
 
-    solvers : all that it runs; modules : the text of plug-ins, by the paths in the cells.
+    harness_version : of the campaign; solvers : all that it runs; modules : the text of plug-ins, by the paths in the cells.
     """
 
+    harness_version: str = HARNESS_VERSION
     solvers: tuple[str, ...] = ()
     modules: Mapping[str, str] = field(default_factory=dict)
 
@@ -101,7 +102,7 @@ def run_cells(
     alone : whether they have all cores of this machine; one of them else.
     concurrency : of timed replays, see the column of that name.
     """
-    results = [*_of_other_libraries(jobs)]
+    results = [*_of_other_versions(order, jobs)]
     with ExitStack() as stack:
         cores = sorted(os.sched_getaffinity(0)) if alone else [stack.enter_context(leased_core())]
         bench, folder = stack.enter_context(_bench(order, cores, concurrency))
@@ -137,14 +138,19 @@ def _others(jobs: Sequence[CellJob], results: Sequence[Result]) -> list[CellJob]
     return [job for job in jobs if job.run_id not in known]
 
 
-def _of_other_libraries(jobs: Sequence[CellJob]) -> Iterator[Result]:
-    """Jobs whose solver is another one here than where the campaign was planned."""
+def _of_other_versions(order: Order, jobs: Sequence[CellJob]) -> Iterator[Result]:
+    """Jobs whose solver, or dpbench, is another one here than where the campaign was planned."""
+    node = os.uname().nodename
     for job in jobs:
+        if order.harness_version != HARNESS_VERSION:
+            cause = f"dpbench {HARNESS_VERSION} on {node}, {order.harness_version} of the campaign"
+            yield Result(job.run_id, Outcome("lost", cause))
+            continue
         wanted = job.library.identity
         # A plug-in comes with the cells.
         found = wanted if job.cell.solver_module else _identity(job.cell.solver)
         if found != wanted:
-            where = f"{job.cell.solver} {found or 'missing'} on {os.uname().nodename}"
+            where = f"{job.cell.solver} {found or 'missing'} on {node}"
             cause = Outcome("lost", f"{where}, {wanted} where the campaign was started")
             yield Result(job.run_id, cause)
 
@@ -164,7 +170,7 @@ def _context(solvers: tuple[str, ...]) -> ForkServerContext:
 def _bench(order: Order, cores: list[int], concurrency: int = 1) -> Iterator[tuple[Bench, Path]]:
     """A bench with one slot on these cores, and a folder for the files it runs from."""
     with ExitStack() as stack:
-        place = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dpbench-")))
+        place = stack.enter_context(scratch_folder(Path(tempfile.gettempdir())))
         modules = {}
         for i, (path, text) in enumerate(order.modules.items()):
             modules[path] = str(place / str(i) / Path(path).name)

@@ -74,7 +74,8 @@ WHOLE = Shard(1, 1)
 
 
 def _work(job: CellJob) -> int:
-    return 0 if job.planned.refused else work_of(job.cell)
+    """What it takes where it can run: who divides it knows not what the others have installed."""
+    return work_of(job.cell)
 
 
 def _units(jobs: list[CellJob]) -> list[list[CellJob]]:

@@ -301,7 +301,7 @@ class CellStore:
             self.finished.pop(run_id, None)
 
     def append(self, run_id: str, outcome: str, record: bytes) -> None:
-        """Keep a finished cell, as `journal.packed` packs it; OSError where there is no room."""
+        """Keep a finished cell, as `packed` makes it; OSError where there is no room."""
         if self._journal is None:
             self._journal = Journal(self._journal_path)
         self._journal.append(record)
@@ -323,6 +323,8 @@ class CellStore:
         steps: dict[str, pa.RecordBatch] = {}
         for record in records_in(self._journal_path):
             row, batch = unpacked(record)
+            if row.get("schema") != SCHEMA_VERSION:
+                continue
             name = str(row["run_id"])
             rows[name], steps[name] = row, batch
         if rows:
@@ -383,6 +385,9 @@ class CellStore:
         owner: dict[str, Part] = {}
         for part in self.parts():
             owner |= dict.fromkeys(self._valid(part, part.rows())["run_id"], part)
-        for part in self.parts():
+        owned: dict[Part, set[str]] = {part: set() for part in self.parts()}
+        for name, part in owner.items():
+            owned[part].add(name)
+        for part, names in owned.items():
             for group in part.groups():
-                yield of_runs(group, {name for name, has in owner.items() if has == part})
+                yield of_runs(group, names)

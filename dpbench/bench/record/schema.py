@@ -386,7 +386,7 @@ DERIVED = {
     },
 }
 """Columns of steps that are in no file, and the formula by which every reader has them back, bit
-for bit (`derived.py`)."""
+for bit (`step_table`)."""
 
 
 def _missing(dtype: DType, rows: int) -> Any:

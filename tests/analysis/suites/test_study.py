@@ -104,6 +104,7 @@ def _runs(away: dict[str, float], *, points: int = 2, seas: int = 6, **odd: str)
     sea = draw.uniform(0.2, 2.0, size=(points, seas))
     return [
         SimpleNamespace(
+            run_id=f"{name} {settings} {p} {r}",
             name=f"{name} ({settings})" if settings else name,
             solver=name.partition(" ")[0],
             settings=settings or "default",

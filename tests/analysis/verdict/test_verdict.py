@@ -291,7 +291,7 @@ def test_the_recommendation_can_go_aboard(records: Any) -> None:
     answer = Report.of(records.results()).answer
     notes = dict(answer.notes)
     assert answer.sentence.startswith("Use daqp (qpsolvers, fresh, default): right on every step")
-    licence = "Licence: MIT; language: C, library-free; C code: yes, renders a workspace."
+    licence = "Licence: MIT; language: C, library-free; C code: yes, it writes its workspace as C."
     assert notes["aboard"] == licence
     assert (
         "is not the answer: own code of this benchmark (Python, compiled by Num" in notes["faster"]

@@ -74,12 +74,12 @@ class Watching:
 def scheduler(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
-    """The address of a scheduler with a worker of two threads, and its process."""
+    """The address of a scheduler with a worker of one thread, and its process."""
     folder = tmp_path_factory.mktemp("scheduler")
     file = folder / "scheduler.json"
     environment = os.environ | {"DASK_DISTRIBUTED__WORKER__DAEMON": "False"}
     of_scheduler = ["dask_scheduler", "--port", "0", "--scheduler-file", str(file)]
-    of_worker = ["dask_worker", "--scheduler-file", str(file), "--no-nanny", "--nthreads", "2"]
+    of_worker = ["dask_worker", "--scheduler-file", str(file), "--no-nanny", "--nthreads", "1"]
     plain = ["--no-dashboard", "--dashboard-address", ":0"]
     processes = [
         subprocess.Popen(

@@ -136,6 +136,16 @@ def test_only_the_runs_and_columns_that_are_asked_for(tmp_path: Path, monkeypatc
     assert len(read_steps(tmp_path, ["k"], {"nobody"})) == 0
 
 
+def test_what_another_schema_left_in_the_journal_is_not_finished(tmp_path: Path) -> None:
+    """Its columns are others: it is run again, and what stands beside it is kept."""
+    store = CellStore(tmp_path)
+    old = step_batch(steps_of(1)).select(["k", "repeat"])
+    store.append("old", "finished", packed(row_of("old", schema=SCHEMA_VERSION - 1), old))
+    store.append("new", "finished", record("new"))
+    again = CellStore(tmp_path)
+    assert again.finished == {"new": "finished"} and names_in(again) == ["new"]
+
+
 @pytest.mark.parametrize("lost", [1, 20, 5000])
 def test_a_journal_that_was_cut_off_has_all_whole_records(lost: int, tmp_path: Path) -> None:
     """Killed in the midst of a record, it costs that record."""
