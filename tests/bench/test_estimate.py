@@ -112,7 +112,7 @@ def test_a_dry_run_says_what_a_run_would_take_and_leaves_nothing(
 
 
 def test_the_sample_is_taken_from_all_of_a_kind(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first of a study's points may be its cheapest: one of every twenty, not the first ones."""
+    """The first of a study's points may be its cheapest: one of every twenty is taken."""
     machine = Machine(monkeypatch, 2)
     estimated([cell("daqp", 50, scenario={"name": str(i)}) for i in range(60)], 2, machine.run)
     assert {p.cell.scenario["name"] for p in machine.ran if p.cell.scenario} == {"0", "20", "40"}

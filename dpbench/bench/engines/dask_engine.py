@@ -200,9 +200,7 @@ class DaskEngine(ExitStack):
         completed = as_completed(loop=self._client.loop)
 
         def give_away() -> None:
-            # Workers come and go.
-            slots = max(self._fleet.slots, sum(self._client.nthreads().values()))
-            while not self._gone and len(away) < AHEAD * slots:
+            while not self._gone and len(away) < AHEAD * self._fleet.slots:
                 if not waiting and (away or not suspects):
                     return
                 chunk = (waiting or suspects).popleft()

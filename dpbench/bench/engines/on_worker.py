@@ -25,7 +25,7 @@ from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.workers.child import template_context
 from dpbench.bench.workers.executor import BATCH_CELLS, Bench, CellJob, Result
-from dpbench.bench.workers.scratch import Scratch, scratch_folder
+from dpbench.bench.workers.scratch import Scratch
 from dpbench.bench.workers.worker import make_source
 from dpbench.solvers.table import available
 
@@ -46,7 +46,8 @@ class About:
 class Order:
     """What all tasks of a campaign have in common.
 
-    harness_version : of the campaign; solvers : all that it runs; modules : the text of plug-ins, by the paths in the cells.
+    harness_version : of the campaign; solvers : all that it runs.
+    modules : the text of plug-ins, by the paths in the cells.
     """
 
     harness_version: str = HARNESS_VERSION
@@ -143,8 +144,8 @@ def _of_other_versions(order: Order, jobs: Sequence[CellJob]) -> Iterator[Result
     node = os.uname().nodename
     for job in jobs:
         if order.harness_version != HARNESS_VERSION:
-            cause = f"dpbench {HARNESS_VERSION} on {node}, {order.harness_version} of the campaign"
-            yield Result(job.run_id, Outcome("lost", cause))
+            other = f"dpbench {HARNESS_VERSION} on {node}, {order.harness_version} of the campaign"
+            yield Result(job.run_id, Outcome("lost", other))
             continue
         wanted = job.library.identity
         # A plug-in comes with the cells.
@@ -170,7 +171,7 @@ def _context(solvers: tuple[str, ...]) -> ForkServerContext:
 def _bench(order: Order, cores: list[int], concurrency: int = 1) -> Iterator[tuple[Bench, Path]]:
     """A bench with one slot on these cores, and a folder for the files it runs from."""
     with ExitStack() as stack:
-        place = stack.enter_context(scratch_folder(Path(tempfile.gettempdir())))
+        place = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dpbench-")))
         modules = {}
         for i, (path, text) in enumerate(order.modules.items()):
             modules[path] = str(place / str(i) / Path(path).name)

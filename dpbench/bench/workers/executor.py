@@ -288,8 +288,6 @@ class Bench:
 
     def _result(self, job: CellJob, outcome: Outcome, folder: Path) -> Result:
         """The result of a cell, and nothing is left in `folder` of what it left there."""
-        if outcome.outcome == "finished" and not (folder / f"{job.run_id}.judged").exists():
-            outcome = Outcome("lost", "what it left went away before it was kept")
         lost = outcome.outcome == "lost"
         record = b"" if lost else self._record(job, outcome, folder)
         discard(folder / f"{job.run_id}.raw")
