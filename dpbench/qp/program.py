@@ -158,7 +158,7 @@ class QPStep:
     """
 
     q: Vector
-    l: Vector  # noqa: E741 - see QuadraticProgram.l
+    l: Vector  # noqa: E741 - l ≤ Az ≤ u, the name of the field
     u: Vector
     P: Matrix | None = None
     A: Matrix | None = None
@@ -211,7 +211,7 @@ class QPSequence:
     name: str
     base: QuadraticProgram
     q: Matrix
-    l: Matrix  # noqa: E741 - see QuadraticProgram.l
+    l: Matrix  # noqa: E741 - l ≤ Az ≤ u, the name of the field
     u: Matrix
     units: Units | None = None
     scaled: QPSequence | None = None

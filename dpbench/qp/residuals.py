@@ -56,7 +56,7 @@ def residuals(qp: QuadraticProgram, solution: Solution) -> Residuals[float]:
 def residuals_of_all(
     qp: QuadraticProgram,
     q: Matrix,
-    l: Matrix,  # noqa: E741 - see QuadraticProgram.l
+    l: Matrix,  # noqa: E741 - l ≤ Az ≤ u, the name of the field
     u: Matrix,
     z: Matrix,
     y: Matrix,

@@ -113,7 +113,7 @@ class OneSidedForm:
         self.A: Any = _as_form(A, form) if b.size else None
         self.h, self.b = h if h.size else None, b if b.size else None
 
-    def fits(self, l: Vector, u: Vector) -> bool:  # noqa: E741 - see QuadraticProgram.l
+    def fits(self, l: Vector, u: Vector) -> bool:  # noqa: E741 - l ≤ Az ≤ u, the name of the field
         """Whether limits of the rows have the pattern this form was built for."""
         return self._sides.same(l, u)
 

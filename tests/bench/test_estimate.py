@@ -23,7 +23,7 @@ OF_CELL_S, OF_STEP_S, SOLVER_S = 0.5, 0.004, {"daqp": 1e-5, "osqp": 3e-5}
 def cell(solver: str, steps: int, **more: object) -> PlannedCell:
     of_cell = {"mode": "closed_loop", "scenario": {"name": "x"}, "formulation": "condensed_box"}
     way = {"route": "native", "policy": "fresh", "settings": "default", "solver": solver}
-    return PlannedCell(Cell(**{**of_cell, **way, "steps": steps, **more}))  # type: ignore[arg-type] # as given
+    return PlannedCell(Cell(**{**of_cell, **way, "steps": steps, **more}))  # type: ignore[arg-type] # mypy cannot type ** of mixed values
 
 
 class Machine:

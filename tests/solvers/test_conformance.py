@@ -20,7 +20,7 @@ PAGES = 64 * 4096  # what an allocator may take at once
 TWO = 2.0 * np.eye(2)
 
 
-def problem(P, q, A, l, u, lb, ub):  # noqa: E741 - see QuadraticProgram.l
+def problem(P, q, A, l, u, lb, ub):  # noqa: E741 - l ≤ Az ≤ u, the name of the field
     """A problem from nested lists."""
     rows = np.reshape(np.asarray(A, dtype=float), (-1, len(q)))
     return QuadraticProgram(P, q, rows, l, u, lb, ub)

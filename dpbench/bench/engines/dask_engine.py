@@ -245,7 +245,7 @@ class DaskEngine(ExitStack):
             # Nobody else lets a task go: it went with the scheduler.
             self._gone = error
             return error
-        except Exception as error:  # whatever a cluster raises costs these cells and no others
+        except Exception as error:  # kept by `_lost` in the rows of its cells; others go on
             return error
 
     def _lost(self, error: object) -> Outcome:

@@ -121,7 +121,7 @@ class StepEvaluator:
         z, y, y_box = (_stacked(answers, part) for part in ("z", "y", "y_box"))
         self._explain(own, z, y, y_box)
         in_own = residuals_of_all(self._own, *_vectors(own), z, y, y_box)
-        q, l, u = _vectors(scaled)  # noqa: E741 - see QuadraticProgram.l
+        q, l, u = _vectors(scaled)  # noqa: E741 - l ≤ Az ≤ u, the name of the field
         in_scaled, qp = in_own, self._scaled
         if not self._same:
             z, y, y_box = z / self._units.z, y * self._units.row, y_box * self._units.z

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +21,10 @@ ARRAYS = {
 
 
 @pytest.mark.parametrize("write", [keep, write_npz])
-def test_arrays_come_back_bit_for_bit(write: object, tmp_path: Path) -> None:
+def test_arrays_come_back_bit_for_bit(write: Callable[..., None], tmp_path: Path) -> None:
     """Of every type and shape, in one piece or in a zip file, and nothing else is left."""
     path = tmp_path / "a.npz"
-    write(path, ARRAYS)  # type: ignore[operator] # one of the two
+    write(path, ARRAYS)
     with kept(path) as stored:
         assert list(stored) == list(ARRAYS)
         for name, array in ARRAYS.items():

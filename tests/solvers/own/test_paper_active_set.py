@@ -60,7 +60,7 @@ def from_optimum(seed):
     z = rng.integers(-2, 3, n) * 1.0
     y = np.where(rng.random(m) < 0.4, rng.normal(size=m) * 10.0 ** rng.uniform(-1, 2), 0.0)
     y_box = np.where(rng.random(n) < 0.4, 10.0 * rng.normal(size=n), 0.0)
-    l, u = limits(rng, A @ z, y)  # noqa: E741 - see QuadraticProgram.l
+    l, u = limits(rng, A @ z, y)  # noqa: E741 - l ≤ Az ≤ u, the name of the field
     lb, ub = limits(rng, z, y_box)
     q = -(P @ z + A.T @ y + y_box)
     return QuadraticProgram(P, q, A, l, u, lb, ub), z

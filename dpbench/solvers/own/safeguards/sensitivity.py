@@ -86,7 +86,7 @@ def _answer(
         return S[layout.Z, : qp.n]
     if ending == layout.UNDECIDED:
         low, high = S[layout.LOW, columns], S[layout.HIGH, columns]
-        l, lb = low[: qp.m], low[qp.m :]  # noqa: E741 - see QuadraticProgram.l
+        l, lb = low[: qp.m], low[qp.m :]  # noqa: E741 - l ≤ Az ≤ u, the name of the field
         u, ub = high[: qp.m], high[qp.m :]
         moved = QuadraticProgram(qp.P, S[layout.Q, : qp.n].copy(), qp.A, l, u, lb, ub)
         return solve_carefully(moved, start=start).z
