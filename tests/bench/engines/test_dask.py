@@ -36,17 +36,17 @@ opened = open
 
 
 def open(policy, options):
-    once = options.get("tolerance", 1e-4) > 1e-6
-    if not (once and os.path.exists(MARKER)):
-        if once:
-            pathlib.Path(MARKER).touch()
+    always = options.get("tolerance", 1e-4) <= 1e-6
+    if always or not os.path.exists(MARKER):
+        pathlib.Path(MARKER).touch()
         process = psutil.Process()
         while "spawn_main" not in " ".join(process.cmdline()):
             process = process.parent()
         process.kill()
     return opened(policy, options)
 """
-"""A solver that takes its worker along: at a loose tolerance once, at a tight one always."""
+"""A solver that takes its worker along: at a tight tolerance always, at a loose one if none was
+taken yet, as Dask may start either first."""
 
 
 class Watching:
@@ -131,10 +131,10 @@ def test_a_worker_that_is_killed_costs_no_cell_unless_its_cell_does_it_again(
     with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
         runs = load_results(run_campaign(path, tmp_path / "out", **given)).runs
     assert runs["run_id"].is_unique
-    outcomes = runs.set_index(["solver", "settings"])["outcome"].to_dict()
-    assert outcomes.pop(("admm", "high")) == "lost" and set(outcomes.values()) == {"finished"}
-    (detail,) = runs.loc[runs["outcome"] == "lost", "outcome_detail"]
-    assert "every worker that it was given to died" in detail
+    runs = runs.set_index(["solver", "settings"])
+    others = runs.loc[runs["outcome"] != "finished", ["outcome", "outcome_detail"]]
+    died = ["lost", "every worker that it was given to died"]
+    assert others.T.to_dict("list") == {("admm", "high"): died}
 
 
 KILLED = """
