@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Group, RenderableType
 
 from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.suite import load_suite, naming
+from dpbench.bench.plan.suite import SuiteFile, load_suite, naming
 from dpbench.bench.progress import Progress
 from dpbench.bench.sequences.sequence_file import active_set, load_recorded
 from dpbench.bench.sequences.verify import verify_sequence
@@ -121,9 +121,10 @@ def check_file(asked: str, progress: Progress | None = None) -> str:
     """
     if is_stored(asked):
         return verify_sequence(sequence_path(asked), progress)
-    for kind in KINDS:
-        if asked in problem_names(kind):
-            return _check_document(problem_path(kind, asked), progress)
+    # A scenario and a suite may have one name.
+    paths = [problem_path(kind, asked) for kind in KINDS if asked in problem_names(kind)]
+    if paths:
+        return "\n".join(_check_document(path, progress) for path in paths)
     if any(os.path.isfile(os.path.join(asked, name)) for name in (SENDER, "runs.parquet")):
         return check_sent(Path(asked))
     # Unlike Path.exists, these are False for a name that is too long to exist.
@@ -154,7 +155,8 @@ def _check_document(file: Path, progress: Progress | None) -> str:
         return vessel_text(file, load_vessel(file), progress)
     if "controller" in document or "environment" in document:
         return scenario_text(file, load_scenario(file), progress)
-    if any(table in document for table in ("closed_loop", "replay", "recorded", "random")):
+    of_suite = SuiteFile.tables_of_cells()
+    if any(table in document for table in of_suite):
         suite_path, suite = load_suite(file)
         with naming(suite_path):
             return f"{file}: a suite of {len(plan(suite, beside=suite_path.parent))} cells"
@@ -163,5 +165,5 @@ def _check_document(file: Path, progress: Progress | None) -> str:
         "",
         f"tables {', '.join(document) or '(none)'}",
         "[limits] or [[thrusters]] (a vessel), [controller] and [environment] (a scenario), "
-        "or [[closed_loop]], [[replay]], [[recorded]] and [[random]] (a suite)",
+        f"or {', '.join(f'[[{table}]]' for table in of_suite)} (a suite)",
     )

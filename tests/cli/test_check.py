@@ -12,7 +12,7 @@ from qpsolvers import Problem
 from dpbench.bench.sequences.recording import read_sequence
 from dpbench.cli import ship_text
 from dpbench.cli.main import main
-from dpbench.scenario.problem_files import problem_path
+from dpbench.scenario.problem_files import problem_names, problem_path
 
 
 def save(path: Path, *, q: float = -3.0, u: float = 1.0) -> None:
@@ -63,6 +63,23 @@ def test_check_takes_what_run_takes(
     assert main(["check", asked]) == 0
     first, *_ = capsys.readouterr().out.splitlines()
     assert said in first
+
+
+@pytest.mark.parametrize("suite", problem_names("suites"))
+def test_check_takes_every_suite(suite: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Whichever tables it has, as one of studies alone; beside a scenario of that name."""
+    assert main(["check", suite]) == 0
+    *_, line = capsys.readouterr().out.splitlines()
+    about, cells = line.removesuffix(" cells").split(": a suite of ")
+    assert about.endswith(f"{suite}.toml") and int(cells) > 0
+
+
+def test_the_tables_of_a_suite_are_named(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Where a file has none of them."""
+    (place / "else.toml").write_text('title = "x"', encoding="utf-8")
+    assert main(["check", "else.toml"]) == 2
+    tables = "[[study]], [[replay]], [[recorded]], [[random]], [[capability]]"
+    assert tables in capsys.readouterr().err
 
 
 def spoil(name: str, **arrays: object) -> Callable[[Path], None]:

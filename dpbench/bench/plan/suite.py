@@ -256,6 +256,11 @@ class SuiteFile(FileModel):
     capability: list[CapabilityTable] = []
     """Capability plots, and the QPs at their edge through every solver."""
 
+    @classmethod
+    def tables_of_cells(cls) -> list[str]:
+        """The names of the tables of which a suite has several, each a group of its cells."""
+        return [name for name, field in cls.model_fields.items() if field.default == []]
+
     @property
     def scenario_names(self) -> list[str]:
         """All scenarios that it names, once each."""
