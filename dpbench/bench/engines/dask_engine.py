@@ -2,7 +2,8 @@
 
 A source is made on a worker, as an exactly solved loop takes as long as all of its cells together;
 Dask hands its bytes to the workers whose cells need it, makes it anew where it was lost with its
-worker, and lets it go after the last cell. What lies in files of the campaign's machine, as
+worker, and lets it go after the last cell. Those that are needed next are made in one task, as a
+process for each would take longer than the loop. What lies in files of the campaign's machine, as
 recorded sequences do, is sent instead; what one task alone needs is made in that task.
 
 Only some tasks more than there are slots are given away at a time: a batch that kills its worker
@@ -16,6 +17,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import chain, count, groupby
+from operator import getitem
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -33,7 +35,7 @@ from dpbench.bench.engines.engine import (
     stages,
     waves,
 )
-from dpbench.bench.engines.on_worker import Made, Order, given, make_file, run_cells
+from dpbench.bench.engines.on_worker import Made, Order, given, make_files, run_cells
 from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome
@@ -146,6 +148,7 @@ class DaskEngine(ExitStack):
         )
         self._single = {key for key, uses in self._uses.items() if uses == 1 and self._is_made(key)}
         self._kept: dict[str, Future] = {}
+        self._together = self._made_together()
         if not self._fleet.exclusive and any(kind == "replays" for kind, _ in portions):
             self._progress.remark(NOT_ALONE)
         for kind, of_kind in groupby(portions, lambda portion: portion[0]):
@@ -164,12 +167,11 @@ class DaskEngine(ExitStack):
         paths: dict[str, Path] = {}
         futures = []
         for path, text in descriptions.items():
-            futures.append(self._file(target, text, path.name, limit_s))
+            futures.append(self._files(target, {path.name: text}, limit_s))
             paths[futures[-1].key] = path
         for future in as_completed(futures, loop=self._client.loop):
-            path, made = paths[future.key], self._answer(future)
-            if not isinstance(made, Made):
-                made = Made(self._lost(made))
+            path, answer = paths[future.key], self._answer(future)
+            (made,) = answer if isinstance(answer, list) else [Made(self._lost(answer))]
             if made.data:
                 part = path.with_name(f"{path.name}.part")
                 part.write_bytes(made.data)
@@ -286,23 +288,51 @@ class DaskEngine(ExitStack):
         there = is_recorded(cell) or is_sound(cell, self._sources.path(key))
         return not there and not any(is_timed(job.cell) for job in self._of_key[key])
 
+    def _made_together(self) -> dict[str, list[str]]:
+        """By the key of a source that several tasks need, those that are made with it."""
+        shared = [key for key in self._uses if key not in self._single]
+        most = batch_cells(len(shared), self._fleet.slots)
+        parts = [shared[first : first + most] for first in range(0, len(shared), most)]
+        return {key: part for part in parts for key in part}
+
     def _source(self, key: str) -> Future:
         """What cells of that key need, once for all of them, as long as the longest of them asks
         for."""
         if key not in self._kept:
-            cell, path = longest(self._of_key[key]), self._sources.path(key)
-            if is_recorded(cell) or is_sound(cell, path):
-                name = f"source-{next(self._names)}"
-                self._kept[key] = self._client.submit(given, _here(cell, path), key=name)
-            else:
-                self._kept[key] = self._file(make_source, cell.to_json(), path.name, None)
+            alike = [other for other in self._together[key] if other not in self._kept]
+            self._kept |= self._given(alike)
+            self._kept |= self._made([other for other in alike if other not in self._kept])
+        elif self._kept[key].status == "error":
+            # Whichever of those that were made with it took their worker along.
+            self._kept |= self._made([key])
         return self._kept[key]
 
-    def _file(self, target: Target, text: str, name: str, limit_s: float | None) -> Future:
-        """A file on its way."""
-        args = self._order, target, text, name, limit_s
+    def _given(self, keys: Sequence[str]) -> dict[str, Future]:
+        """Those of the sources that lie on this machine, or are made from what does."""
+        cells = {key: (longest(self._of_key[key]), self._sources.path(key)) for key in keys}
+        return {
+            key: self._client.submit(given, _here(cell, path), key=f"source-{next(self._names)}")
+            for key, (cell, path) in cells.items()
+            if is_recorded(cell) or is_sound(cell, path)
+        }
+
+    def _made(self, keys: Sequence[str]) -> dict[str, Future]:
+        """Sources that are on their way to be made, in one task."""
+        if not keys:
+            return {}
+        names = {key: self._sources.path(key).name for key in keys}
+        texts = {name: longest(self._of_key[key]).to_json() for key, name in names.items()}
+        together = self._files(make_source, texts, None)
+        return {
+            key: self._client.submit(getitem, together, i, key=f"source-{next(self._names)}")
+            for i, key in enumerate(keys)
+        }
+
+    def _files(self, target: Target, texts: Mapping[str, str], limit_s: float | None) -> Future:
+        """Files on their way, by their names."""
+        args = self._order, target, texts, limit_s
         key = f"{target.__name__}-{next(self._names)}"
-        return self._client.submit(make_file, *args, key=key, retries=RETRIES, pure=False)
+        return self._client.submit(make_files, *args, key=key, retries=RETRIES, pure=False)
 
 
 def _here(cell: Cell, path: Path) -> Made:

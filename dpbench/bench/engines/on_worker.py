@@ -70,13 +70,19 @@ def about() -> About:
     return About(HARNESS_VERSION, may_start, describe_machine())
 
 
-def make_file(order: Order, target: Target, text: str, name: str, limit_s: float | None) -> Made:
-    """Make a file from its description in a process of its own, on a core of this machine."""
+def make_files(
+    order: Order, target: Target, texts: Mapping[str, str], limit_s: float | None
+) -> list[Made]:
+    """Make files from their descriptions by name, on a core of this machine; as in `Errand`."""
     with leased_core() as core, _bench(order, [core]) as (bench, folder):
-        path = folder / name
-        (errand,) = bench.make_files(target, {path: text}, limit_s=limit_s)
-        finished = errand.outcome.outcome == "finished"
-        return Made(errand.outcome, path.read_bytes() if finished else b"")
+        paths = {folder / name: text for name, text in texts.items()}
+        errands = bench.make_files(target, paths, limit_s=limit_s)
+        became = {errand.path: errand.outcome for errand in errands}
+        return [_made(path, became[path]) for path in paths]
+
+
+def _made(path: Path, outcome: Outcome) -> Made:
+    return Made(outcome, path.read_bytes() if outcome.outcome == "finished" else b"")
 
 
 def given(made: Made) -> Made:
