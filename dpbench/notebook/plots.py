@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
@@ -10,8 +10,21 @@ import pandas as pd
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import Scenario
 
-if TYPE_CHECKING:
-    from dpbench.notebook.runs import Run
+
+class JudgedRun(Protocol):
+    """What is drawn of a run; the fields of `runs.Run`."""
+
+    @property
+    def label(self) -> str:
+        """The solver, and the way it was called."""
+
+    @property
+    def steps(self) -> pd.DataFrame:
+        """A row for each answer, with the columns of steps.parquet."""
+
+    @property
+    def scenario(self) -> Scenario | None:
+        """What the ship was steered through; None of a replay."""
 
 
 class RunPlots:
@@ -21,7 +34,7 @@ class RunPlots:
     `save` for PNG, SVG, PDF and HTML.
     """
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: JudgedRun) -> None:
         self._run = run
 
     def __repr__(self) -> str:
@@ -35,7 +48,7 @@ class RunPlots:
         run = self._run
         return strips(_steps_of(run.steps), _forces_of(run), Demand().error_move)
 
-    def ship(self, *others: Run) -> Any:
+    def ship(self, *others: JudgedRun) -> Any:
         """The ship's path in the north-east plane with the 1 m circle (Fig. 4 of the paper).
 
         Raises
@@ -47,7 +60,7 @@ class RunPlots:
         scenario = self._scenario(others)
         return path(_laws((self._run, *others)), scenario)
 
-    def errors(self, *others: Run) -> Any:
+    def errors(self, *others: JudgedRun) -> Any:
         """North, east, heading and radial error of the ship against time (Fig. 5 of the paper).
 
         Raises
@@ -59,7 +72,7 @@ class RunPlots:
         scenario = self._scenario(others)
         return precision(_laws((self._run, *others)), scenario)
 
-    def _scenario(self, others: tuple[Run, ...]) -> Scenario:
+    def _scenario(self, others: tuple[JudgedRun, ...]) -> Scenario:
         """The scenario of this run and of all others, which may differ in length."""
         scenario = self._run.scenario
         for run in (self._run, *others):
@@ -72,7 +85,7 @@ class RunPlots:
         return scenario
 
 
-def _laws(runs: tuple[Run, ...]) -> list[Any]:
+def _laws(runs: tuple[JudgedRun, ...]) -> list[Any]:
     """The runs as laws of a figure, those of one name numbered."""
     from dpbench.report.charts.ship import Law
 
@@ -104,7 +117,7 @@ def _steps_of(steps: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def _forces_of(run: Run) -> pd.DataFrame:
+def _forces_of(run: JudgedRun) -> pd.DataFrame:
     """The forces of a closed loop as shares of their limits; no row of a replay."""
     from dpbench.bench.record.schema import FORCES
     from dpbench.report.page.steps import FORCES as COLUMNS
