@@ -19,7 +19,7 @@ from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.sequences.source import source_of
 from dpbench.errors import InputError
-from dpbench.qp.random.recipe import FAMILIES, RandomRecipe
+from dpbench.qp.random_recipe import FAMILIES, RandomRecipe
 from dpbench.report.write import write_report
 from dpbench.solvers import plugins
 

@@ -21,7 +21,7 @@ from dpbench.bench.record.cell import OUTCOMES, Cell, Fallback, Formulation, Uni
 from dpbench.cli.doctor import doctor_lines
 from dpbench.cli.listing import listing
 from dpbench.cli.ship_text import ship_lines
-from dpbench.qp.random.recipe import FAMILIES
+from dpbench.qp.random_recipe import FAMILIES
 from dpbench.qp.referee.joint import Kind
 from dpbench.qp.solution import Status
 from dpbench.report.compare.tables import answers_table, solvers_table, times_table

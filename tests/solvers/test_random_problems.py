@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from dpbench.qp.program import QuadraticProgram
-from dpbench.qp.random.recipe import FAMILIES, RandomRecipe
-from dpbench.qp.random.sequence import Planted, planted
+from dpbench.qp.random_recipe import FAMILIES, RandomRecipe
+from dpbench.qp.random_sequence import Planted, planted
 from dpbench.qp.referee.feasibility.farkas import farkas_valid
 from dpbench.qp.residuals import is_true, residuals
 from dpbench.qp.solution import Solution, Status

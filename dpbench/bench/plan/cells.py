@@ -33,7 +33,7 @@ from dpbench.bench.sequences.source import (
     recorded_source,
 )
 from dpbench.errors import InputError
-from dpbench.qp.random.recipe import FAMILIES, RandomRecipe
+from dpbench.qp.random_recipe import FAMILIES, RandomRecipe
 from dpbench.qp.referee.kkt import positive_definite
 from dpbench.scenario.problem_files import sequence_path
 from dpbench.scenario.scenario import vessel_files, vessel_of

@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Field
 from dpbench.bench.plan.study_points import RouteName, RunsTable, StudyTable
 from dpbench.bench.record.cell import SLOWEST, Fallback, Units
 from dpbench.errors import InputError
-from dpbench.qp.random.recipe import RandomRecipe
+from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.scenario.horizons import Horizons, different_horizons, parse_horizons
 from dpbench.scenario.problem_files import FileModel, parse_model, problem_path, read_toml
 from dpbench.solvers.contract import Policy

@@ -27,8 +27,8 @@ from dpbench.bench.sequences.recording import digest, read_sequence
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.errors import InputError, ResultsError
 from dpbench.qp.program import QPSequence
-from dpbench.qp.random.recipe import RandomRecipe
-from dpbench.qp.random.sequence import random_sequence
+from dpbench.qp.random_recipe import RandomRecipe
+from dpbench.qp.random_sequence import random_sequence
 from dpbench.qp.referee.referee import Optimum, certified
 from dpbench.scenario.problem_files import is_stored, sequence_path
 from dpbench.scenario.scenario import scenario_once, vessel_of

@@ -12,7 +12,7 @@ from dpbench.analysis.suites.random_claims import RandomClaims
 from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import as_steps
-from dpbench.qp.random.recipe import RandomRecipe
+from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.report.topics.random import random_topic
 
 INF, NAN = float("inf"), float("nan")

@@ -17,8 +17,8 @@ from dpbench.bench.sequences.qpbenchmark_files import save_qpbenchmark
 from dpbench.bench.sequences.recording import record
 from dpbench.bench.sequences.sequence_file import Recorded, certified, load_recorded
 from dpbench.qp.program import QPSequence, QuadraticProgram
-from dpbench.qp.random.recipe import RandomRecipe
-from dpbench.qp.random.sequence import random_sequence
+from dpbench.qp.random_recipe import RandomRecipe
+from dpbench.qp.random_sequence import random_sequence
 
 SOLVERS = ("daqp", "osqp")
 RTOL = 1e-9

@@ -15,8 +15,8 @@ from dpbench.bench.sequences.sequence_file import save_sequence
 from dpbench.errors import ShapeError
 from dpbench.qp.own_units import in_own_units
 from dpbench.qp.program import Units
-from dpbench.qp.random.recipe import RandomRecipe
-from dpbench.qp.random.sequence import random_sequence
+from dpbench.qp.random_recipe import RandomRecipe
+from dpbench.qp.random_sequence import random_sequence
 
 ARRAYS = ("P", "q", "A", "l", "u", "lb", "ub")
 

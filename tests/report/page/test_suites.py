@@ -15,7 +15,7 @@ import pytest
 from dpbench.bench.record.result_folder import load_results
 from dpbench.cli.main import main
 from dpbench.errors import InputError
-from dpbench.qp.random.recipe import RandomRecipe
+from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.report.report import Report
 from dpbench.report.write import report_and_ending, write_report
 from dpbench.solvers.calibration import CALIBRATION, WAITS_NS

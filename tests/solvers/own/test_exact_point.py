@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from dpbench.bench.sequences.sequence_file import load_recorded
 from dpbench.qp.program import QuadraticProgram
-from dpbench.qp.random.recipe import RandomRecipe
-from dpbench.qp.random.sequence import planted
+from dpbench.qp.random_recipe import RandomRecipe
+from dpbench.qp.random_sequence import planted
 from dpbench.qp.referee.joint import JointQP
 from dpbench.qp.referee.referee import certify
 from dpbench.scenario.problem_files import sequence_path

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.qp.program import QPSequence, QuadraticProgram
-from dpbench.qp.random.recipe import FAMILIES, MARGIN, NEAR, Family, RandomRecipe
+from dpbench.qp.random_recipe import FAMILIES, MARGIN, NEAR, Family, RandomRecipe
 
 POINT = 2.0**-10
 """Grid of z, of multipliers and of slacks."""

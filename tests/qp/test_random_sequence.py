@@ -10,8 +10,8 @@ import pytest
 from scipy.optimize import linprog
 
 from dpbench.errors import InputError
-from dpbench.qp.random.recipe import FAMILIES, MARGIN, NEAR, RandomRecipe
-from dpbench.qp.random.sequence import Planted, planted, random_sequence
+from dpbench.qp.random_recipe import FAMILIES, MARGIN, NEAR, RandomRecipe
+from dpbench.qp.random_sequence import Planted, planted, random_sequence
 from dpbench.qp.referee.referee import Referee
 
 INF = np.inf

@@ -1,1 +1,0 @@
-"""Random QPs with a planted optimum."""
