@@ -14,7 +14,7 @@ from dpbench.bench.plan.suite import SuiteFile, load_suite, naming
 from dpbench.bench.progress import Progress
 from dpbench.bench.sequences.sequence_file import active_set, load_recorded
 from dpbench.bench.sequences.verify import verify_sequence
-from dpbench.cli.ship_text import scenario_text, vessel_text
+from dpbench.cli.check import scenario_text, vessel_text
 from dpbench.cli.terminal import entry, plain, small_table
 from dpbench.errors import InputError
 from dpbench.report.documents.sent import SENDER, check_sent

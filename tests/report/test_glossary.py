@@ -18,9 +18,9 @@ from dpbench.analysis.suites.study import studies
 from dpbench.analysis.verdict.verdict import Outcome as Verdict
 from dpbench.bench.plan.suite import FormulationName, RouteName
 from dpbench.bench.record.cell import OUTCOMES, Cell, Fallback, Formulation, Units
+from dpbench.cli.check import ship_lines
 from dpbench.cli.doctor import doctor_lines
 from dpbench.cli.listing import listing
-from dpbench.cli.ship_text import ship_lines
 from dpbench.qp.random_recipe import FAMILIES
 from dpbench.qp.referee.joint import Kind
 from dpbench.qp.solution import Status
