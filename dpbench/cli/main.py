@@ -304,7 +304,7 @@ def _doctor(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    from dpbench.cli.listing import check_file
+    from dpbench.cli.check import check_file
     from dpbench.cli.progress_bar import Bar
     from dpbench.cli.terminal import say
 

@@ -17,7 +17,7 @@ from dpbench.bench.plan.suite import (
     load_suite,
 )
 from dpbench.bench.record.cell import Cell
-from dpbench.cli.listing import check_file
+from dpbench.cli.check import check_file
 from dpbench.errors import InputError, UnknownNameError
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.table import record
