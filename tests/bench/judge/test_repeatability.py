@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dpbench.bench.judge.repeatability import repeatability
+from dpbench.bench.judge.replay import repeatability
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 
 ONES = np.ones(2)
