@@ -1,20 +1,38 @@
-"""Solvers over their releases as a page: one file without a script."""
+"""Solvers over their releases as a page: one file without a script.
+
+What a step takes with each version, and how wrong it is.
+"""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
+import altair as alt
 import pandas as pd
 from markupsafe import Markup
 
 from dpbench.analysis.compare.releases import Histories, History, Release
 from dpbench.report.charts.render import svg
+from dpbench.report.charts.style import (
+    ACCENT,
+    MISSES,
+    NOT_RUN,
+    coloured,
+    log_scale,
+    names_scale,
+    styled,
+    tip,
+)
 from dpbench.report.compare.releases import Releases
-from dpbench.report.compare.releases_chart import AGES, COLUMNS, release_errors, release_times
 from dpbench.report.formats import MISSING
 from dpbench.report.page.write import environment, follow, own
 
+COLUMNS = ("label", "age", "problem", "p50", "p99", "largest", "error")
+AGES = ("newest release", "earlier release")
+_WIDTH = 260
+"""Narrow enough for a telephone, names included."""
 MOST_PANELS = 4
 """So many problems are drawn; all of them are in the tables."""
 
@@ -72,3 +90,66 @@ def _chart_row(history: History, i: int, release: Release, scale: float) -> tupl
     times = (scale * time for time in (release.p50, release.p99, release.largest))
     label = f"{history.run.solver} {release.version}"
     return label, age, history.run.problem, *times, release.error_move
+
+
+def release_times(table: pd.DataFrame, unit: str) -> Any:
+    """A row per version: point p50, bar to p99, line to the largest step; a panel per problem.
+
+    Parameters
+    ----------
+    table : columns `COLUMNS`, the first row on top; unit : of the times.
+    """
+    base = _base(table)
+    x = alt.X("p50:Q", title=f"step time [{unit}]", scale=log_scale(), axis=_axis("~g"))
+    line = base.mark_rule(strokeWidth=2).encode(x=x, x2="largest:Q")
+    bar = (
+        base.transform_filter("isValid(datum.p99)").mark_rule(strokeWidth=8).encode(x=x, x2="p99:Q")
+    )
+    point = base.mark_point(filled=True, size=60, opacity=1).encode(x=x)
+    chart = alt.layer(line, bar, point, width=_WIDTH, height=alt.Step(20))
+    return _panels(chart, "Step time", "Step times of each solver, version by version.")
+
+
+def release_errors(table: pd.DataFrame, allowed: float) -> Any:
+    """A row per version: the largest error of the first move, against what the demand allows.
+
+    Parameters
+    ----------
+    table : as of `release_times`; an error of 0 or none at all has no point.
+    """
+    x = alt.X(
+        "error:Q",
+        title="largest error of the first move [rate-limit steps]",
+        scale=log_scale(),
+        axis=_axis(".0e"),
+    )
+    base = _base(table)
+    drawn = base.transform_filter("isFinite(datum.error) && datum.error > 0")
+    point = drawn.mark_point(filled=True, size=60, opacity=1).encode(x=x)
+    limit = alt.Chart(table).transform_calculate(limit=f"{allowed}")
+    rule = limit.mark_rule(strokeDash=[4, 3], color=MISSES).encode(x="limit:Q")
+    chart = alt.layer(rule, point, width=_WIDTH, height=alt.Step(20))
+    return _panels(chart, "Error", "Largest error of each solver, version by version.")
+
+
+def _axis(form: str) -> alt.Axis:
+    return alt.Axis(format=form, tickCount=5, labelOverlap="greedy", labelSeparation=6)
+
+
+def _base(table: pd.DataFrame) -> Any:
+    names = alt.Axis(labelLimit=170)
+    shape = alt.Shape("age:N", scale=names_scale(AGES, ("circle", "diamond")))
+    order = list(dict.fromkeys(table["label"]))
+    tips = [alt.Tooltip("label:N"), *(tip(f"{name}:Q") for name in COLUMNS[3:])]
+    return alt.Chart(table).encode(
+        y=alt.Y("label:N", sort=order, title=None, axis=names),
+        color=coloured("age", AGES, (ACCENT, NOT_RUN)),
+        shape=shape,
+        tooltip=tips,
+    )
+
+
+def _panels(chart: Any, title: str, description: str) -> Any:
+    header = alt.Header(title=None, labelAnchor="start", labelOrient="top", labelFontSize=12)
+    row = alt.Row("problem:N", title=None, header=header, sort=None)
+    return styled(chart.facet(row=row).resolve_scale(y="independent"), title, description)
