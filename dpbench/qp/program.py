@@ -9,9 +9,9 @@ data that the solvers must face and the referee must find.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Flag, auto
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -248,6 +248,48 @@ class QPSequence:
     def problem(self, k: int) -> QuadraticProgram:
         """The whole problem of step k."""
         return self.base.at(self.step(k))
+
+
+def in_own_units(scaled: QPSequence, units: Units) -> QPSequence:
+    """The same QPs in the units `units` stands for, with `scaled` as their scaled form.
+
+        P_own = U⁻¹ P U⁻¹,  q_own = U⁻¹ q,  A_own = W A U⁻¹,  l_own = W l,  lb_own = U lb
+
+    with U = diag(units.z) and W = diag(units.row).
+
+    Parameters
+    ----------
+    scaled : a sequence in scaled units.
+    units : z (n,) and row (m,), what 1 of a variable and of a row is in the other units.
+
+    Raises
+    ------
+    ShapeError : for units of another size than the QPs.
+    """
+    base = scaled.base
+    for name, factors, size in (("z", units.z, base.n), ("row", units.row, base.m)):
+        if factors.shape != (size,):
+            raise ShapeError.of("Units", name, factors.shape, f"shape {(size,)}")
+    z, row = units.z, units.row
+    factor: dict[str, Any] = {
+        "P": 1.0 / np.outer(z, z),
+        "q": 1.0 / z,
+        "A": np.outer(row, 1.0 / z),
+        "l": row,
+        "u": row,
+        "lb": z,
+        "ub": z,
+    }
+    own = {name: getattr(base, name) * by for name, by in factor.items()}
+    problem = QuadraticProgram(**own, block=base.block, moves=base.moves)
+    # The same factors for all steps: they are those of the last axes.
+    steps = {name: getattr(scaled, name) * factor[name] for name in ("q", "l", "u")}
+    for name in CONSTANT:
+        matrices = getattr(scaled, name)
+        steps[name] = None if matrices is None else matrices * factor[name]
+    return replace(
+        scaled, base=problem, units=units, scaled=scaled, sparse_equivalent=None, **steps
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,8 +33,7 @@ from numpy.typing import NDArray
 from dpbench.bench.record.npz import Arrays, count_of, float_array, read_npz, text_of, write_npz
 from dpbench.errors import InputError
 from dpbench.mpc.condense import UnitSystem
-from dpbench.qp.own_units import in_own_units
-from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram, Units
+from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram, Units, in_own_units
 from dpbench.qp.referee.joint import Kind
 from dpbench.qp.referee.referee import ACTIVE_MULTIPLIER, Optimum, certified
 from dpbench.scenario.problem_files import sequence_path

@@ -13,8 +13,7 @@ from dpbench import InputError, QPSequence, load_scenario, load_sequence, record
 from dpbench.bench.sequences.recording import record
 from dpbench.bench.sequences.sequence_file import save_sequence
 from dpbench.errors import ShapeError
-from dpbench.qp.own_units import in_own_units
-from dpbench.qp.program import Units
+from dpbench.qp.program import Units, in_own_units
 from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.qp.random_sequence import random_sequence
 
