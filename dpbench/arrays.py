@@ -1,4 +1,4 @@
-"""Arrays of float64, as every room names them."""
+"""Arrays, as every room names them; their shapes stand where they are used."""
 
 from __future__ import annotations
 
@@ -9,3 +9,11 @@ Vector = NDArray[np.float64]
 """One axis; its length stands where it is used."""
 Matrix = NDArray[np.float64]
 """Two axes."""
+Floats = NDArray[np.float64]
+"""Any number of axes, or a list of numbers that is no vector."""
+Ints = NDArray[np.int64]
+"""Whole numbers, times in nanoseconds among them."""
+Flags = NDArray[np.bool_]
+"""Yes or no of each entry."""
+Indices = NDArray[np.intp]
+"""Places in another array."""

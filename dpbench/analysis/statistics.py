@@ -12,12 +12,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from dpbench.arrays import Floats, Indices
 from dpbench.bench.judge.rules import supports
-
-Floats = NDArray[np.float64]
 
 BLOCK_STEPS = 20
 """Length of a bootstrap block: 6 s of the ship, longer than the control horizon of 1.5 or 3 s."""
@@ -99,14 +97,14 @@ def pooled_mean(logs: Sequence[Floats]) -> Interval:
     return Interval(float(np.exp(middle)), low, high)
 
 
-def _block_starts(count: int, block: int, resamples: int, seed: int) -> NDArray[np.intp]:
+def _block_starts(count: int, block: int, resamples: int, seed: int) -> Indices:
     """(resamples, blocks) first steps of as many blocks as cover `count` steps."""
     blocks = -(-count // block)
     return np.random.default_rng(seed).integers(0, count, size=(resamples, blocks))
 
 
 @lru_cache(maxsize=4)
-def block_indices(count: int, block: int, resamples: int, seed: int) -> NDArray[np.intp]:
+def block_indices(count: int, block: int, resamples: int, seed: int) -> Indices:
     """(resamples, count) indices in circular blocks of consecutive steps."""
     block = max(1, min(block, count))
     starts = _block_starts(count, block, resamples, seed)

@@ -27,9 +27,8 @@ from typing import Literal
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
-from numpy.typing import NDArray
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Floats, Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.mpc.kernels import condense_blocks, map_blocks
 from dpbench.mpc.model import StateSpace, rotated
@@ -102,7 +101,7 @@ class ControlProblem:
         return replace(self, model=rotated(self.model, turn_rad))
 
 
-def toeplitz(h: NDArray[np.float64], N_c: int) -> Matrix:
+def toeplitz(h: Floats, N_c: int) -> Matrix:
     """Φ (N_p·n_y, N_c·n_u) of eq. 15, the block-Toeplitz matrix of h (N_p, n_y, n_u)."""
     N_p, n_y, n_u = h.shape
     padded = np.zeros((N_c - 1 + N_p, n_y, n_u))
@@ -152,7 +151,7 @@ class CondensedMatrices:
     F_x: Matrix
     F_held: Matrix
     F: Matrix
-    h: NDArray[np.float64]
+    h: Floats
     Q: Matrix
     F_u: Matrix
     end: TerminalCost | None = None

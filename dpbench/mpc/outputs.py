@@ -14,9 +14,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dpbench.arrays import Matrix
+from dpbench.arrays import Floats, Indices, Matrix
 from dpbench.errors import ShapeError
 from dpbench.mpc.condense import CondensedMatrices, ControlProblem
 from dpbench.mpc.model import HORIZONTAL, ThetaLayout
@@ -53,7 +52,7 @@ class OutputBounds:
         return float(np.cos(np.pi / self.sides))
 
 
-def instants(N_p: int, N_c: int) -> NDArray[np.intp]:
+def instants(N_p: int, N_c: int) -> Indices:
     """The N_c steps i ≤ N_p at which outputs are bounded, spread evenly; the last is N_p."""
     return np.arange(1, N_c + 1) * N_p // N_c
 
@@ -85,8 +84,8 @@ def output_layers(
 def _polygon(
     problem: ControlProblem,
     bounds: OutputBounds,
-    free: NDArray[np.float64],
-    moved: NDArray[np.float64],
+    free: Floats,
+    moved: Floats,
     radius: float,
     rho: float,
 ) -> Layer:

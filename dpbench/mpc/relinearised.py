@@ -19,9 +19,8 @@ from functools import cached_property
 from typing import TypeVar, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.mpc.condense import CondensedMatrices, ControlProblem, condense_matrices
 from dpbench.mpc.condensed_qp import CondensedQP, Form
@@ -49,7 +48,7 @@ class HeadingSeries:
     entry(δ) = c_0 + c_1 cos δ + c_2 sin δ + c_3 cos 2δ + c_4 sin 2δ.
     """
 
-    varying: NDArray[np.intp]
+    varying: Indices
     constant: Vector
     terms: list[tuple[int, Vector]]
 

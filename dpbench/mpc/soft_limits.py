@@ -17,9 +17,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Floats, Matrix, Vector
 from dpbench.mpc.condense import ControlProblem, scaled_rows, summed_rows
 from dpbench.qp.program import Units
 
@@ -74,16 +73,16 @@ class Layer:
     rho : (s,) penalties.
     """
 
-    A_moves: NDArray[np.float64]
+    A_moves: Floats
     A_slack: Matrix
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
+    low: Floats
+    high: Floats
     row_unit: Vector
     slack_unit: Vector
     rho: Vector
 
 
-def unlimited(like: NDArray[np.float64], sign: float) -> NDArray[np.float64]:
+def unlimited(like: Floats, sign: float) -> Floats:
     """The map of limits that are infinite whatever θ is."""
     rows = np.zeros_like(like)
     rows[..., -1] = sign * np.inf

@@ -18,9 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
 
@@ -38,8 +37,8 @@ class ThrusterRows:
     G: Matrix
     low: Vector
     high: Vector
-    thruster: NDArray[np.intp]
-    entry: NDArray[np.intp]
+    thruster: Indices
+    entry: Indices
 
     def units(self, df_max: Vector) -> Vector:
         """(r,) the change of G f by a full step df_max (n_f,) along each row: its unit."""

@@ -39,9 +39,8 @@ from enum import Enum
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Indices, Matrix, Vector
 
 # A row counts as violated beyond this many roundings of the quantities it is computed from.
 VIOLATED = 1e-14
@@ -87,7 +86,7 @@ class Outcome:
     """
 
     ending: Ending
-    active: NDArray[np.intp]
+    active: Indices
     side: Vector
     multipliers: Vector
     iterations: int

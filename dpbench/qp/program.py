@@ -14,9 +14,8 @@ from enum import Flag, auto
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Floats, Matrix, Vector
 from dpbench.errors import ShapeError
 
 if TYPE_CHECKING:
@@ -43,7 +42,7 @@ def rows_per_block(n: int, m: int, block: int) -> int:
     return m * block // n
 
 
-def shaped(where: str, name: str, value: object, shape: tuple[int, ...]) -> NDArray[np.float64]:
+def shaped(where: str, name: str, value: object, shape: tuple[int, ...]) -> Floats:
     """`value` as a contiguous float64 array; ShapeError naming where and name unless of `shape`."""
     array = np.ascontiguousarray(value, dtype=np.float64)
     if array.shape != shape:
@@ -216,8 +215,8 @@ class QPSequence:
     units: Units | None = None
     scaled: QPSequence | None = None
     meta: dict[str, str | float | int] = field(default_factory=dict)
-    P: NDArray[np.float64] | None = None
-    A: NDArray[np.float64] | None = None
+    P: Floats | None = None
+    A: Floats | None = None
     lb: Matrix | None = None
     ub: Matrix | None = None
     sparse_equivalent: Callable[[], SparseEquivalent] | None = None

@@ -18,9 +18,8 @@ import zlib
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.random_recipe import FAMILIES, MARGIN, NEAR, Family, RandomRecipe
 
@@ -66,7 +65,6 @@ def unit_rows(rng: np.random.Generator, m: int, n: int) -> Matrix:
 
 
 JUMPS = 2
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +79,7 @@ class Planted:
     """
 
     sequence: QPSequence
-    feasible: NDArray[np.bool_]
+    feasible: Flags
     z: Matrix
     y: Matrix
     y_box: Matrix
@@ -133,10 +131,10 @@ class _Frame:
     lo: Vector
     hi: Vector
     half: Vector
-    above: Mask
-    below: Mask
-    equal: Mask
-    twin: NDArray[np.intp]
+    above: Flags
+    below: Flags
+    equal: Flags
+    twin: Indices
     sign: Vector
 
     @property
@@ -206,7 +204,7 @@ def _signals(rng: np.random.Generator, K: int, N: int) -> Matrix:
     return size * np.sin(2.0 * np.pi * turns)
 
 
-def _met(frame: _Frame, family: Family, s: Vector, count: int) -> tuple[Vector, Vector, Mask]:
+def _met(frame: _Frame, family: Family, s: Vector, count: int) -> tuple[Vector, Vector, Flags]:
     """Which limits are met: side (N,) in {−1, 0, 1}, multipliers (N,) and the mask of near misses.
 
     The `count` strongest signals carry a multiplier, the next ones touch without one.

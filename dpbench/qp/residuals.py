@@ -16,10 +16,9 @@ from math import inf
 from typing import Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Flags, Matrix, Vector
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.solution import Solution
 
@@ -94,7 +93,7 @@ def residuals_of_all(
     )
 
 
-def _sized(numbers: Vector, lost: NDArray[np.bool_]) -> Vector:
+def _sized(numbers: Vector, lost: Flags) -> Vector:
     """The numbers, with NaN as the error it is, and inf where all is lost."""
     return np.where(lost | np.isnan(numbers), inf, numbers)
 
@@ -148,11 +147,9 @@ def is_true(
     return bool(are_true(qp.q[np.newaxis], at_once, np.array([error_plan]), tol)[0])
 
 
-def are_true(
-    q: Matrix, residuals: Residuals[Vector], error_plan: Vector, tol: float
-) -> NDArray[np.bool_]:
+def are_true(q: Matrix, residuals: Residuals[Vector], error_plan: Vector, tol: float) -> Flags:
     """As `is_true`, of K answers to QPs of q (K, n): (K,)."""
-    true: NDArray[np.bool_] = (
+    true: Flags = (
         (residuals.primal <= tol)
         & (residuals.dual <= tol * (1.0 + np.abs(q).max(axis=1)))
         & (error_plan <= PLAN_TOL_FACTOR * tol)

@@ -12,14 +12,12 @@ from typing import Any, Literal
 
 import numpy as np
 import scipy.sparse
-from numpy.typing import NDArray
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.qp.program import QuadraticProgram
 from dpbench.solvers.contract import Form
 
 Box = Literal["native", "rows"]
-Indices = NDArray[np.intp]
 
 
 class Sides:
@@ -37,7 +35,7 @@ class Sides:
     @staticmethod
     def pattern(low: Vector, high: Vector) -> bytes:
         """Equal for limits of the same pattern; comparing bytes is the cheapest way to know."""
-        parts: tuple[NDArray[np.bool_], ...] = (low == high, high == np.inf, low == -np.inf)
+        parts: tuple[Flags, ...] = (low == high, high == np.inf, low == -np.inf)
         return b"".join(part.tobytes() for part in parts)
 
     def same(self, low: Vector, high: Vector) -> bool:

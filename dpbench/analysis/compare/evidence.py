@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from dpbench.analysis.statistics import Floats, Interval
+from dpbench.analysis.statistics import Interval
+from dpbench.arrays import Floats, Ints
 
 Verdict = Literal["slower", "faster", "equivalent", "no difference shown"]
 
@@ -140,7 +141,7 @@ def gather_against(
     logs: Floats,
     own: Floats,
     groups: Sequence[str],
-    reference: NDArray[np.int64],
+    reference: Ints,
     own_share: float = 1.0,
 ) -> Evidence:
     """As `gather`, each ratio held against that of a reference solver in the same group.

@@ -25,15 +25,9 @@ from dpbench.analysis.compare.pairs import Pair, key_of
 from dpbench.analysis.records.grouping import firsts, grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.statistics import (
-    BLOCK_STEPS,
-    RESAMPLES,
-    SEED,
-    Floats,
-    enough,
-    resampled_means,
-)
+from dpbench.analysis.statistics import BLOCK_STEPS, RESAMPLES, SEED, enough, resampled_means
 from dpbench.analysis.times.machine import disturbed_sequences
+from dpbench.arrays import Floats, Ints
 from dpbench.bench.judge.rules import median
 from dpbench.bench.record.configuration import settings_level
 from dpbench.errors import UnknownNameError, one_of
@@ -71,7 +65,7 @@ class Timing:
     steps: int
     rounds: int
     median_ns: tuple[float, float]
-    k: NDArray[np.int64]
+    k: Ints
     a_ns: Floats
     b_ns: Floats
 
@@ -181,7 +175,7 @@ def reference_solver(timings: Sequence[Timing], asked: str | None) -> str:
     return asked or next(iter([*known, *most]), "")
 
 
-def reference_rows(timings: Sequence[Timing], solver: str) -> NDArray[np.int64]:
+def reference_rows(timings: Sequence[Timing], solver: str) -> Ints:
     """(N,) where the timing of the reference solver on the same sequence stands; −1 for none.
 
     Of several the most usual: default settings, each step from nothing, in scaled units.
@@ -200,7 +194,7 @@ def usualness(run: RunRecord) -> tuple[Any, ...]:
 
 
 def compare_to_reference(
-    timings: Sequence[Timing], margin: float, alpha: float, rows: NDArray[np.int64]
+    timings: Sequence[Timing], margin: float, alpha: float, rows: Ints
 ) -> list[Compared]:
     """Verdicts on the ratios to a reference solver, which says what the machine did to all.
 

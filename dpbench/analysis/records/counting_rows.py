@@ -13,12 +13,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from dpbench.arrays import Flags, Floats, Ints
 from dpbench.bench.judge.rules import decided, failed_steps
 from dpbench.bench.record.recorded_steps import places_of
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.analysis.records.counting_rows import CountingRows, Flags, Floats, Ints
+from dpbench.analysis.records.counting_rows import CountingRows
+from dpbench.arrays import Flags, Floats, Ints
 
 Measure = Literal["time", "iterations", "error"]
 MEASURES: tuple[Measure, ...] = ("time", "iterations", "error")

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from dpbench.analysis.statistics import Floats
+from dpbench.arrays import Floats, Ints
 from dpbench.bench.record.recorded_steps import places_of
 
 COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns")
@@ -28,7 +27,7 @@ class StepTimes:
         lie apart is what the machine adds, whatever the solver.
     """
 
-    k: NDArray[np.int64]
+    k: Ints
     algo_ns: Floats
     raw_max_ns: float
     rounds_ns: Floats
@@ -44,7 +43,7 @@ def times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
         yield run_id, step_times_of(repeat[own], k[own], total_ns[own])
 
 
-def step_times_of(repeat: NDArray[np.int64], k: NDArray[np.int64], total_ns: Floats) -> StepTimes:
+def step_times_of(repeat: Ints, k: Ints, total_ns: Floats) -> StepTimes:
     """Step times of the rows (N,) of one replay that count: their round, step and time."""
     best = np.full(int(k.max()) + 1, np.inf)
     np.minimum.at(best, k, total_ns)

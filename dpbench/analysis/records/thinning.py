@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from dpbench.analysis.records.counting_rows import Flags, Floats, Ints
 from dpbench.analysis.records.run_steps import MEASURES, RunSteps, hardest
+from dpbench.arrays import Flags, Floats, Ints
 
 WORST = 200
 """So many hard steps of a thinned run are kept, at most a third of what is kept of it."""

@@ -17,8 +17,8 @@ import pandas as pd
 from dpbench.analysis.records.grouping import firsts, grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.statistics import Floats
 from dpbench.analysis.suites.random_claims import CLAIMS, claims_of
+from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import INFEASIBLE, UNCERTIFIED, UNDECIDED, percentile
 from dpbench.scenario.scenario import scenario_once
 

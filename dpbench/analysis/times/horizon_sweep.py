@@ -15,8 +15,9 @@ from dpbench.analysis.records.grouping import firsts, grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.step_times import StepTimes
-from dpbench.analysis.statistics import UNKNOWN, Floats, Interval, percentile_interval
+from dpbench.analysis.statistics import UNKNOWN, Interval, percentile_interval
 from dpbench.analysis.verdict.demand import Demand, is_right
+from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import percentile
 from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.record.schema import FORCES

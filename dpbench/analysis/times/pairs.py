@@ -10,8 +10,9 @@ import numpy as np
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.step_times import StepTimes
-from dpbench.analysis.statistics import UNKNOWN, Floats, Interval, pooled_mean
+from dpbench.analysis.statistics import UNKNOWN, Interval, pooled_mean
 from dpbench.analysis.verdict.verdict import Verdict
+from dpbench.arrays import Floats
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Flags, Floats, Matrix, Vector
 from dpbench.bench.judge.control_metrics import control_metrics
 from dpbench.bench.judge.thruster_metrics import shares_of_full, thruster_metrics
 from dpbench.bench.record.cell import Cell
@@ -243,7 +243,7 @@ def _allocation(scenario: Scenario, scaled: QPBuilder, own: QPBuilder, log: RawL
 
 
 def _evaluate_steps(
-    answers: AnswerLog, evaluator: StepEvaluator, rebuilt: Rebuilt, asked: NDArray[np.bool_]
+    answers: AnswerLog, evaluator: StepEvaluator, rebuilt: Rebuilt, asked: Flags
 ) -> tuple[Columns, int]:
     """The columns of the steps of a loop, those `asked` (K,) with their answers judged.
 
@@ -269,7 +269,7 @@ def common_columns(
     log: AnswerLog,
     rounds: list[int],
     counts: list[int],
-    evaluations: NDArray[np.float64],
+    evaluations: Floats,
     certificates: NDArray[np.int8],
 ) -> Columns:
     """The columns of both modes: `counts` recorded steps of each of `rounds`, and their

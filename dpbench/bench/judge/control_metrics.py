@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Flags, Floats, Matrix, Vector
 from dpbench.bench.record.schema import AXES, FORCES
 from dpbench.bench.run.exact_loop import ExactLoop
 from dpbench.scenario.scenario import Scenario
@@ -96,11 +95,11 @@ def _of_axes(t: Vector, error: Matrix, dt: float) -> dict[str, float]:
     return metrics
 
 
-def _rms(values: NDArray[np.float64]) -> float:
+def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _settling(t: Vector, inside: NDArray[np.bool_], dt: float, hold_s: float | None) -> float:
+def _settling(t: Vector, inside: Flags, dt: float, hold_s: float | None) -> float:
     """First time from which `inside` holds for hold_s (None: to the end); inf if it never does."""
     if hold_s is None:
         outside = np.flatnonzero(~inside)
@@ -172,7 +171,7 @@ def _set_shares(
     tau: Matrix,
     u_before: Matrix,
     limits: tuple[Matrix, Matrix],
-    too_fast: NDArray[np.bool_],
+    too_fast: Flags,
 ) -> dict[str, float]:
     """The same of a force that is limited as a whole, by what its thrusters give together."""
     problem = scenario.control_problem()

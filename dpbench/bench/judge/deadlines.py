@@ -9,14 +9,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from dpbench.arrays import Flags, Floats, Ints
 from dpbench.bench.record.schema import MISSING
 from dpbench.bench.run.slow_computer import ComputationalDelay
 
-Flags = NDArray[np.bool_]
-
 
 def late_columns(
-    delay: ComputationalDelay, latency_ns: NDArray[np.int64], total_ns: NDArray[np.int64]
+    delay: ComputationalDelay, latency_ns: Ints, total_ns: Ints
 ) -> dict[str, NDArray[Any]]:
     """`late` and, on a slow computer, `latency_ns` of the steps of a loop.
 
@@ -48,7 +47,7 @@ def steps_to_recover(bad: Flags, good: Flags) -> int | None:
     return int((good_at[after] - starts).max())
 
 
-def _runs(flags: Flags) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _runs(flags: Flags) -> tuple[Ints, Ints]:
     """First entries of the runs of true ones, and the entries after their last."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
     return edges[::2], edges[1::2]
@@ -73,6 +72,6 @@ def deadline_metrics(steps: Mapping[str, NDArray[Any]], slowdown: float) -> dict
     return metrics
 
 
-def _there(times_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+def _there(times_ns: Ints) -> Floats:
     """Those of the times that are not missing."""
     return times_ns[times_ns > MISSING].astype(np.float64)

@@ -19,8 +19,8 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from dpbench.arrays import Floats, Ints
 from dpbench.bench.record.configuration import COLUMNS
 from dpbench.bench.record.raw_log import RawLog, step_ns
 
@@ -61,7 +61,7 @@ def memory_metrics(log: RawLog) -> dict[str, float]:
     return {"first_visit_ratio": np.nan}
 
 
-def _shortest_later(log: RawLog, total: NDArray[np.int64], r: int) -> NDArray[np.float64]:
+def _shortest_later(log: RawLog, total: Ints, r: int) -> Floats:
     """The shortest visit of each step after its first one in round r; inf where there is none."""
     # A round that was run again holds its last attempt, which is a later visit too.
     rounds = range(r if log.attempts[r] > 1 else r + 1, len(log.done))

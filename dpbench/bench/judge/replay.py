@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from dpbench.arrays import Floats
 from dpbench.bench.judge.closed_loop import (
     CERTIFICATES,
     EVALUATION,
@@ -65,7 +66,7 @@ def _evaluate_rounds(
     optima: Sequence[Optimum] | None,
     rounds: list[int],
     counts: list[int],
-    evaluations: NDArray[np.float64],
+    evaluations: Floats,
     certificates: NDArray[np.int8],
 ) -> None:
     """Judge the answers of all rounds into the rows of `evaluations` and `certificates`."""
@@ -95,7 +96,7 @@ def _evaluate_rounds(
     evaluations[:] = evaluator.evaluations()[place]
 
 
-def repeatability(log: RawLog, own_per_scaled: NDArray[np.float64]) -> dict[str, float]:
+def repeatability(log: RawLog, own_per_scaled: Floats) -> dict[str, float]:
     """The columns on how a replay repeats itself, over all rounds, the warm-up and disturbed ones
     too.
 

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from dpbench.arrays import Flags
 from dpbench.bench.judge.closed_loop import Evaluated
 from dpbench.bench.judge.deadlines import deadline_metrics, longest_streak, steps_to_recover
 from dpbench.bench.judge.rules import (
     INFEASIBLE,
     UNDECIDED,
-    Flags,
     claimed_not_true,
     decided,
     errors,

@@ -15,10 +15,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from dpbench.arrays import Flags, Floats
 from dpbench.qp.solution import Status
 
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 Steps = Mapping[str, NDArray[Any]] | pd.DataFrame
 """Columns of steps by name: (N,) arrays, or a table."""
 

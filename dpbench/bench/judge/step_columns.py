@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dpbench.arrays import Flags, Ints
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, OF_SECOND, Columns, Evaluated
 from dpbench.bench.judge.deadlines import late_columns
 from dpbench.bench.judge.rules import (
@@ -66,12 +67,12 @@ def step_columns(cell: Cell, evaluated: Evaluated) -> StepColumns:
     return steps | _of_ship(columns)
 
 
-def chosen(steps: StepColumns, rows: NDArray[np.bool_]) -> StepColumns:
+def chosen(steps: StepColumns, rows: Flags) -> StepColumns:
     """Some of the rows."""
     return {name: column[rows] for name, column in steps.items()}
 
 
-def _of_qps(columns: Columns, asked: NDArray[np.bool_] | None) -> StepColumns:
+def _of_qps(columns: Columns, asked: Flags | None) -> StepColumns:
     """What is said of each answer to a QP; `asked` (K,) in which steps there is one, None for
     all."""
     status, times = _STATUS_NAMES[columns["status"].astype(int)], columns["times"]
@@ -117,7 +118,7 @@ def joined(first: StepColumns, second: StepColumns) -> StepColumns:
     return both
 
 
-def _whole(values: NDArray[Any]) -> NDArray[np.int64]:
+def _whole(values: NDArray[Any]) -> Ints:
     """Whole numbers, each that is not there as `MISSING`."""
     return np.maximum(values.astype(np.int64), MISSING)
 

@@ -7,9 +7,8 @@ by how much its thrust varies and how far its azimuth travels.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Flags, Matrix, Vector
 from dpbench.bench.judge.control_metrics import AT_LIMIT
 from dpbench.mpc.thruster_rows import Retreat
 from dpbench.scenario.commanded_thrusters import ThrusterControl
@@ -99,7 +98,7 @@ def _at_limits(
     # A thruster that was lost is at nothing, not at a limit.
     at_limit = (((along >= high - near) | (along <= low + near)) & (low < high)).any(axis=1)
     beyond = (along > high + 1e-9 * unit) | (along < low - 1e-9 * unit)
-    too_fast: NDArray[np.bool_] = np.any(np.abs(f - before) > step_max * (1.0 + 1e-12), axis=1)
+    too_fast: Flags = np.any(np.abs(f - before) > step_max * (1.0 + 1e-12), axis=1)
     if control.turning is not None:
         for k in np.flatnonzero(~too_fast).tolist():
             kept = control.turning.kept(before[k], f[k] - before[k], step_max)

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dpbench.arrays import Floats
 from dpbench.bench.judge.closed_loop import OF_SECOND, Columns, Evaluated
 from dpbench.bench.judge.rules import WARM_UP, disturbed_rounds, median, percentile
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.schema import MISSING
 
 Steps = Mapping[str, NDArray[Any]]
-Floats = NDArray[np.float64]
 
 
 def timing_metrics(cell: Cell, evaluated: Evaluated, counting: Steps) -> dict[str, Any]:

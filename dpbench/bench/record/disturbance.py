@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dpbench.arrays import Floats
 from dpbench.bench.record.raw_log import COUNTERS, RawLog
 
 _STEAL = 8
@@ -37,7 +37,7 @@ RULE = (
 )
 
 
-def counters() -> NDArray[np.float64]:
+def counters() -> Floats:
     """(5,) the counters of `COUNTERS` now, since any moment: only differences mean something.
 
     Clock [s], context switches of this process, steal time [s] and throttle events of the core it

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dpbench.arrays import Floats
 from dpbench.errors import InputError, ResultsError
 
 Arrays = dict[str, NDArray[Any]]
@@ -172,7 +173,7 @@ def float_array(
     *,
     infinite: str = "",
     nan: bool = False,
-) -> NDArray[np.float64]:
+) -> Floats:
     """The array `name` as float64.
 
     Parameters

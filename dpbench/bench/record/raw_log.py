@@ -18,6 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dpbench.arrays import Floats, Ints
+
 Layout = dict[str, tuple[str, tuple[int, ...]]]
 """Type and shape of each array of a log, in their order."""
 _ALIGN = 64
@@ -118,17 +120,17 @@ def _answers(rounds: int, steps: int, n: int, m: int) -> Layout:
 class AnswerLog:
     """Answers to the QPs of a run: arrays over (rounds, steps), with the times they took."""
 
-    done: NDArray[np.int64]
-    started: NDArray[np.int64]
-    setup_once_ns: NDArray[np.int64]
-    matrix_updates: NDArray[np.int64]
-    times: NDArray[np.int64]
-    status: NDArray[np.int64]
-    iterations: NDArray[np.int64]
-    reported_ns: NDArray[np.int64]
-    z: NDArray[np.float64]
-    y: NDArray[np.float64]
-    y_box: NDArray[np.float64]
+    done: Ints
+    started: Ints
+    setup_once_ns: Ints
+    matrix_updates: Ints
+    times: Ints
+    status: Ints
+    iterations: Ints
+    reported_ns: Ints
+    z: Floats
+    y: Floats
+    y_box: Floats
 
 
 class RawLog(AnswerLog):
@@ -144,21 +146,21 @@ class RawLog(AnswerLog):
     second QP, None where there is none.
     """
 
-    theta: NDArray[np.float64]
-    state: NDArray[np.float64]
-    tau: NDArray[np.float64]
-    thrust: NDArray[np.float64]
-    demand: NDArray[np.float64]
-    command: NDArray[np.float64]
+    theta: Floats
+    state: Floats
+    tau: Floats
+    thrust: Floats
+    demand: Floats
+    command: Floats
     flags: NDArray[np.uint8]
-    latency_ns: NDArray[np.int64]
-    reference_kernel_ns: NDArray[np.float64]
-    load_kernel_ns: NDArray[np.float64]
-    attempts: NDArray[np.int64]
-    first_ns: NDArray[np.int64]
-    first_reference_kernel_ns: NDArray[np.float64]
-    counters: NDArray[np.float64]
-    footprint: NDArray[np.float64]
+    latency_ns: Ints
+    reference_kernel_ns: Floats
+    load_kernel_ns: Floats
+    attempts: Ints
+    first_ns: Ints
+    first_reference_kernel_ns: Floats
+    counters: Floats
+    footprint: Floats
 
     def __init__(self, layout: Layout, buffer: Any) -> None:
         offset = 0
@@ -207,9 +209,9 @@ class RawLog(AnswerLog):
         np.frombuffer(self._buffer, np.uint8)[:: mmap.PAGESIZE].max(initial=0)
 
 
-def step_ns(times: NDArray[np.int64]) -> NDArray[np.int64]:
+def step_ns(times: Ints) -> Ints:
     """(...) what steps took [ns], of their phases (..., `TIMES`)."""
-    total: NDArray[np.int64] = np.maximum(times[..., _OWN], 0).sum(axis=-1)
+    total: Ints = np.maximum(times[..., _OWN], 0).sum(axis=-1)
     return total
 
 

@@ -17,6 +17,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from dpbench.arrays import Floats, Ints
 from dpbench.bench.record.raw_log import OF_SOLVER
 from dpbench.bench.record.schema import (
     DERIVED,
@@ -207,12 +208,12 @@ def _column(table: pa.Table, name: str, clock: pd.DataFrame) -> pa.ChunkedArray 
     return pa.array(change_of(applied, k), from_pandas=True)
 
 
-def _integers(column: pa.ChunkedArray) -> NDArray[np.int64]:
-    whole: NDArray[np.int64] = column.cast(pa.int64()).fill_null(MISSING).to_numpy()
+def _integers(column: pa.ChunkedArray) -> Ints:
+    whole: Ints = column.cast(pa.int64()).fill_null(MISSING).to_numpy()
     return whole
 
 
-def _times(names: pa.ChunkedArray, k: NDArray[Any], clock: pd.DataFrame) -> NDArray[np.float64]:
+def _times(names: pa.ChunkedArray, k: NDArray[Any], clock: pd.DataFrame) -> Floats:
     """The times of steps (N,) of the runs `names` (N,)."""
     coded = names.combine_chunks()
     coded = coded if pa.types.is_dictionary(coded.type) else coded.dictionary_encode()
@@ -226,7 +227,7 @@ def _times(names: pa.ChunkedArray, k: NDArray[Any], clock: pd.DataFrame) -> NDAr
     return times_of(k, starts, strides, np.where(known, sample_s, np.nan)[codes])
 
 
-def total_of(steps: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
+def total_of(steps: Mapping[str, NDArray[Any]]) -> Ints:
     """(N,) the time of each step: of its phases, and of the second QP of a cascade.
 
     Each (N,) of whole nanoseconds, `MISSING` where there is none; so is their sum where no phase
@@ -241,20 +242,20 @@ def total_of(steps: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
     return total
 
 
-def change_of(values: NDArray[np.float64], k: NDArray[Any]) -> NDArray[np.float64]:
+def change_of(values: Floats, k: NDArray[Any]) -> Floats:
     """(N,) change against the row before; against zero where a run begins, at k = 0."""
     before = np.roll(values, 1)
     before[k == 0] = 0.0
-    change: NDArray[np.float64] = values - before
+    change: Floats = values - before
     return change
 
 
 def times_of(
     k: NDArray[Any],
-    first: NDArray[np.int64] | int,
-    every: NDArray[np.int64] | int,
-    sample_s: NDArray[np.float64] | float,
-) -> NDArray[np.float64]:
+    first: Ints | int,
+    every: Ints | int,
+    sample_s: Floats | float,
+) -> Floats:
     """(N,) time of each step k (N,) [s]: (first + every·k)·sample_s."""
-    t_s: NDArray[np.float64] = (first + every * k) * sample_s
+    t_s: Floats = (first + every * k) * sample_s
     return t_s

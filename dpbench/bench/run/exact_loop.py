@@ -16,7 +16,7 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.arrays import Matrix
+from dpbench.arrays import Floats, Matrix
 from dpbench.bench.record.npz import keep, kept
 from dpbench.bench.record.raw_log import RawLog, loop_layout
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
@@ -289,7 +289,7 @@ def _vectors(steps: Sequence[QPStep]) -> dict[str, Any]:
     return {name: np.array([getattr(step, name) for step in steps]) for name in ("q", "l", "u")}
 
 
-def _stack(matrices: list[Matrix | None]) -> NDArray[np.float64] | None:
+def _stack(matrices: list[Matrix | None]) -> Floats | None:
     """The matrices of all steps, None where the steps bring none; none or all of them do."""
     brought = [matrix for matrix in matrices if matrix is not None]
     return np.array(brought) if brought else None

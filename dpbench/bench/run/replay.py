@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from dpbench.arrays import Floats
 from dpbench.bench.record.disturbance import counters
 from dpbench.bench.record.raw_log import RawLog, spent_ns
 from dpbench.bench.run.timed_solver import Clock, TimedSolver, record_answer
@@ -60,7 +60,7 @@ def _load_kernel() -> None:
     np.linalg.inv(_LOAD_MATRIX)
 
 
-def reference_kernel_ns(clock: Clock, load_kernel_ns: NDArray[np.float64] | None = None) -> int:
+def reference_kernel_ns(clock: Clock, load_kernel_ns: Floats | None = None) -> int:
     """The smallest of a few timings of the reference kernel [ns].
 
     By turns with it the load kernel is timed, once for each place of `load_kernel_ns` [ns].

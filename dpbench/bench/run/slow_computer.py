@@ -24,9 +24,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Ints, Matrix, Vector
 from dpbench.bench.record.cell import SLOWEST, Cell
 from dpbench.bench.record.raw_log import spent_ns
 from dpbench.bench.run.fallback import FallbackLaw
@@ -118,7 +117,7 @@ class SlowComputer:
         solver: TimedSolver,
         builder: QPBuilder,
         law: FallbackLaw,
-        latency_ns: NDArray[np.int64],
+        latency_ns: Ints,
         usage: Usage,
     ) -> None:
         self._delay, self._solver, self._builder, self._law = delay, solver, builder, law

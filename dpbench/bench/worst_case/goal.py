@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dpbench.arrays import Floats
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
 from dpbench.bench.judge.rules import INFEASIBLE, UNCERTIFIED, UNDECIDED, WARM_UP
 from dpbench.qp.solution import Status
@@ -94,7 +94,7 @@ def worst_of(evaluated: Evaluated, goal: Goal) -> Worst | None:
     )
 
 
-def _objective_of_errors(evaluated: Evaluated) -> NDArray[np.float64]:
+def _objective_of_errors(evaluated: Evaluated) -> Floats:
     columns = evaluated.columns
     status = columns["status"]
     error, true = (columns["evaluations"][:, EVALUATION.index(x)] for x in ("error_plan", "true"))

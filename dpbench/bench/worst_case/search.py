@@ -13,10 +13,10 @@ from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import Bounds, differential_evolution
 from scipy.stats import qmc
 
+from dpbench.arrays import Floats
 from dpbench.bench.judge.closed_loop import Evaluated
 from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.progress import Progress
@@ -193,7 +193,7 @@ class Search:
                 seed=rng,
             )
 
-    def _cost(self, point: NDArray[np.float64]) -> float:
+    def _cost(self, point: Floats) -> float:
         """Minus the score of a point; infinite where it has none."""
         if self.evaluations == self._budget:
             raise _BudgetError
@@ -203,7 +203,7 @@ class Search:
         self._progress.advance(1, "nothing yet" if known is None else known.figure(self._goal))
         return np.inf if worst is None else -worst.score
 
-    def _try(self, point: NDArray[np.float64]) -> Worst | None:
+    def _try(self, point: Floats) -> Worst | None:
         try:
             scenario = self._space.scenario(point)
             sequence = record_sequence(scenario)

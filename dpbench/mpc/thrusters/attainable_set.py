@@ -17,9 +17,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.mpc.thruster_rows import ThrusterRows
 from dpbench.ship.layout import AXES
@@ -54,8 +53,8 @@ class AttainableSet:
 
     def rows(self) -> ThrusterRows:
         """As rows of the force, which is limited as a whole: one group of rows and entries."""
-        together: NDArray[np.intp] = np.zeros(len(self.normals), dtype=np.intp)
-        entries: NDArray[np.intp] = np.zeros(AXES, dtype=np.intp)
+        together: Indices = np.zeros(len(self.normals), dtype=np.intp)
+        entries: Indices = np.zeros(AXES, dtype=np.intp)
         return ThrusterRows(self.normals, *self.limits(set()), together, entries)
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.arrays import Vector
+from dpbench.arrays import Flags, Floats, Indices, Vector
 
 Whole = NDArray[np.object_]
 _SHIFT = 53
@@ -28,7 +28,7 @@ class Dyadic:
     exponent: int
 
     @classmethod
-    def of(cls, array: NDArray[np.float64]) -> Dyadic:
+    def of(cls, array: Floats) -> Dyadic:
         """The exact value of a finite float64 array."""
         mantissa, power = np.frexp(array)
         digits = np.ldexp(mantissa, _SHIFT).astype(np.int64)
@@ -44,7 +44,7 @@ class Dyadic:
         """Transpose."""
         return Dyadic(self.whole.T, self.exponent)
 
-    def __getitem__(self, index: slice | NDArray[np.intp] | NDArray[np.bool_]) -> Dyadic:
+    def __getitem__(self, index: slice | Indices | Flags) -> Dyadic:
         return Dyadic(self.whole[index], self.exponent)
 
     def at(self, exponent: int) -> Whole:

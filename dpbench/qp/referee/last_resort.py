@@ -38,10 +38,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linprog, nnls
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.qp.referee.dyadic import Dyadic
 from dpbench.qp.referee.equilibrated import Scales, safe
 from dpbench.qp.referee.feasibility.implied import with_implied, without_empty
@@ -65,10 +64,6 @@ WEIGHT = 4.0
 """w of every row, of the largest diagonal entry of P."""
 AMOUNT_BITS = 20
 """Inward amounts are multiples of 2^−AMOUNT_BITS·τ."""
-
-
-Among = NDArray[np.bool_]
-Rows = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,7 +167,7 @@ def _distance(C: Matrix, B: Matrix, residual: Vector) -> Vector | None:
     return e
 
 
-def _inside(problem: JointQP, value: Dyadic, doubt: Vector, rows: Among) -> bool:
+def _inside(problem: JointQP, value: Dyadic, doubt: Vector, rows: Flags) -> bool:
     """Whether the values of these rows of C satisfy their limits with slacks of at least doubt."""
     for limit, sign in ((problem.U, 1), (problem.L, -1)):
         there = np.flatnonzero(rows & np.isfinite(limit))
@@ -198,7 +193,7 @@ def _raised(P: Matrix, C: Matrix) -> Matrix:
     return np.asarray(M - (2.0 * lost + UNIT * np.abs(M).max()) * np.eye(len(P)), dtype=np.float64)
 
 
-def _inverse(problem: JointQP, support: Rows, equal: Rows, *, convex: bool) -> Matrix | None:
+def _inverse(problem: JointQP, support: Indices, equal: Indices, *, convex: bool) -> Matrix | None:
     """Entrywise upper bounds of |M⁻¹| with the rows `support` in M, if all is proven of it."""
     P, C = problem.P, problem.C
     if not convex and not positive_definite(_raised(P, C[equal])):

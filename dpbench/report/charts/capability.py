@@ -8,8 +8,8 @@ from typing import Any
 import altair as alt
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from dpbench.arrays import Floats
 from dpbench.report.charts.style import (
     GRID,
     INK,
@@ -139,7 +139,7 @@ def _ring_names(x: alt.X, y: alt.Y, closed: pd.DataFrame) -> tuple[Any, Any]:
     return patch, text.mark_text(fontSize=12, color=SOFT)
 
 
-def _clear_deg(closed: pd.DataFrame, winds: NDArray[np.float64]) -> NDArray[np.float64]:
+def _clear_deg(closed: pd.DataFrame, winds: Floats) -> Floats:
     """Where each ring (R,) is named: along the one direction between spokes in which the lines keep
     off most rings, and a ring that they do not keep off there in the direction best for itself."""
     held = np.array(

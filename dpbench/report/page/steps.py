@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.records.counting_rows import Flags, Floats
 from dpbench.analysis.records.run_steps import MEASURES, Measure, RunSteps, hardest
 from dpbench.analysis.records.thinning import kept, share
+from dpbench.arrays import Flags, Floats
 from dpbench.report.page.pack import Block
 
 TRACK = {"n_m": 1e-3, "e_m": 1e-3, "psi_rad": 1e-4}

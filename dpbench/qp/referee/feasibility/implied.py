@@ -19,10 +19,9 @@ active set beyond doubt.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.qp.referee.dyadic import Dyadic
 from dpbench.qp.referee.feasibility.farkas import in_integers
 from dpbench.qp.referee.gap import independent
@@ -58,7 +57,7 @@ def fix_forced(problem: JointQP) -> JointQP | None:
     return JointQP(problem.P, problem.q, problem.C, L, U)
 
 
-def _forcing(A: Matrix, lb: Vector, ub: Vector, u: Vector) -> NDArray[np.intp]:
+def _forcing(A: Matrix, lb: Vector, ub: Vector, u: Vector) -> Indices:
     """Rows whose smallest value over the bounds is exactly their upper limit."""
     positive, negative = np.maximum(A, 0.0), np.minimum(A, 0.0)
     low, high = (np.isfinite(bound) for bound in (lb, ub))
@@ -72,7 +71,7 @@ def _forcing(A: Matrix, lb: Vector, ub: Vector, u: Vector) -> NDArray[np.intp]:
     if not len(rows):
         return rows
     exact = Dyadic.of(positive[rows]) @ Dyadic.of(lb) + Dyadic.of(negative[rows]) @ Dyadic.of(ub)
-    forcing: NDArray[np.intp] = rows[(exact - Dyadic.of(u[rows])).signs() == 0]
+    forcing: Indices = rows[(exact - Dyadic.of(u[rows])).signs() == 0]
     return forcing
 
 
@@ -114,9 +113,7 @@ def with_implied(problem: JointQP, touched: Signs) -> JointQP | None:
     return _independent_equalities(JointQP(problem.P, problem.q, problem.C, L, U))
 
 
-def _weights(
-    problem: JointQP, rows: NDArray[np.intp], side: Signs, equal: NDArray[np.intp]
-) -> Vector | None:
+def _weights(problem: JointQP, rows: Indices, side: Signs, equal: Indices) -> Vector | None:
     """v·s (N,) of as many rows as possible: the multipliers of a direction leading inside all."""
     n, k = problem.C.shape[1], len(rows)
     G = side[:, np.newaxis] * problem.C[rows]

@@ -30,10 +30,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.dyadic import Dyadic
 from dpbench.qp.referee.feasibility.farkas import first_valid
@@ -129,7 +128,7 @@ def _least(problem: JointQP, y: Vector, upper: Vector, lower: Vector) -> float:
     return short / total / OUTWARD if short > 0.0 and total > 0.0 else 0.0
 
 
-def _named(problem: JointQP, y: Vector) -> tuple[NDArray[np.intp], Dyadic]:
+def _named(problem: JointQP, y: Vector) -> tuple[Indices, Dyadic]:
     """The rows of a Farkas vector and their weights, with the exact −Aᵀy for its part of bounds."""
     m = len(problem.L) - len(problem.q)
     used = np.flatnonzero(y)

@@ -31,10 +31,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.solvers.libraries.hpipm.library import Structures, pointer
 
-Indices = NDArray[np.intp]
 Couplings = list[list[tuple[int, int]]]
 """For each variable: the variables it is coupled with, and how many stages behind it they are."""
 
@@ -61,7 +60,7 @@ class Stage:
         return np.concatenate([self.inputs, self.states])
 
 
-def find_stages(P: Matrix, A: Matrix, equal: NDArray[np.bool_]) -> list[Stage]:
+def find_stages(P: Matrix, A: Matrix, equal: Flags) -> list[Stage]:
     """The stages of a QP, in order; one stage if it has no others.
 
     Parameters
@@ -77,7 +76,7 @@ def find_stages(P: Matrix, A: Matrix, equal: NDArray[np.bool_]) -> list[Stage]:
     return _collected(members, defines, stage_of)
 
 
-def _definitions(members: list[Indices], equal: NDArray[np.bool_]) -> dict[int, int]:
+def _definitions(members: list[Indices], equal: Flags) -> dict[int, int]:
     """Which variable a row may define: {row: variable}, no variable twice."""
     last = {int(row): int(members[row].max()) for row in np.flatnonzero(equal) if members[row].size}
     taken: set[int] = set()
@@ -128,9 +127,7 @@ def _potentials(couplings: Couplings, states: set[int]) -> Indices | None:
     return stage_of if consistent else None
 
 
-def _walk(
-    start: int, couplings: Couplings, stage_of: Indices, seen: NDArray[np.bool_]
-) -> Iterator[int]:
+def _walk(start: int, couplings: Couplings, stage_of: Indices, seen: Flags) -> Iterator[int]:
     """All variables connected with one, each given a stage on the way."""
     seen[start] = True
     waiting = deque([start])

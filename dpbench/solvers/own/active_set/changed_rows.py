@@ -14,9 +14,8 @@ from __future__ import annotations
 from math import inf, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Ints, Matrix, Vector
 from dpbench.solvers.own.active_set.factor import CLOSE
 from dpbench.solvers.own.active_set.layout import (
     BEFORE,
@@ -36,7 +35,6 @@ from dpbench.solvers.own.active_set.layout import (
     width_of,
 )
 
-Indices = NDArray[np.int64]
 MANY = 8
 """Entries of changed rows a variable from which on to make everything anew takes no longer."""
 
@@ -65,7 +63,7 @@ def list_changed(S: Matrix, A: int, new: Matrix) -> tuple[int, int]:
 
 
 @compiled
-def gather(S: Matrix, A: int, new: Matrix, count: int, row: Indices, share: Vector) -> Indices:
+def gather(S: Matrix, A: int, new: Matrix, count: int, row: Ints, share: Vector) -> Ints:
     """Where the entries of each changed row begin in `row` and `share`, which are written to."""
     n, first = int(S[HEAD, N]), np.empty(count + 1, np.int64)
     first[0] = 0
@@ -96,7 +94,7 @@ def write(S: Matrix, P: int, A: int, new: Matrix, count: int) -> bool:
 
 
 @compiled
-def columns(S: Matrix, block: int, rows: int, first: Indices, row: Indices, share: Vector) -> bool:
+def columns(S: Matrix, block: int, rows: int, first: Ints, row: Ints, share: Vector) -> bool:
     """The columns of changed rows in a block of K or H; whether any entry was zero before."""
     n_pad, grown = int(S[HEAD, N_PAD]) & MASK, False
     for r in range(block, block + rows):
@@ -111,7 +109,7 @@ def columns(S: Matrix, block: int, rows: int, first: Indices, row: Indices, shar
 
 
 @compiled
-def rows_of(S: Matrix, block: int, width: int, first: Indices, row: Indices, share: Vector) -> None:
+def rows_of(S: Matrix, block: int, width: int, first: Ints, row: Ints, share: Vector) -> None:
     """The changed rows of H or J."""
     n_pad = int(S[HEAD, N_PAD]) & MASK
     for c in range(len(first) - 1):
@@ -125,7 +123,7 @@ def rows_of(S: Matrix, block: int, width: int, first: Indices, row: Indices, sha
 
 
 @compiled
-def lengths(S: Matrix, H: int, first: Indices, row: Indices, share: Vector) -> bool:
+def lengths(S: Matrix, H: int, first: Ints, row: Ints, share: Vector) -> bool:
     """UNIT of the changed rows; False if the factors of P have to tell what they cancel to."""
     n_pad, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
     for c in range(len(first) - 1):

@@ -11,9 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.qp.dual_active_set import CONTRADICTION, Ending, Outcome, Projection
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.solution import Solution, Status
@@ -85,9 +84,7 @@ class _Problem:
             lam[W[wrong]] = 0.0
             W = W[~wrong]
 
-    def _on_set(
-        self, W: NDArray[np.intp], side: Vector, z: Vector, lam: Vector
-    ) -> tuple[Vector, Vector]:
+    def _on_set(self, W: Indices, side: Vector, z: Vector, lam: Vector) -> tuple[Vector, Vector]:
         """Refinement of (z, λ) on W in the problem's own data, residuals in long double."""
         L, M, qp = self.projection.L, self.M.astype(np.longdouble), self.qp
         P, q = qp.P.astype(np.longdouble), qp.q.astype(np.longdouble)

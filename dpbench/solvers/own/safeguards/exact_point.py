@@ -45,9 +45,8 @@ from math import inf, nan
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.qp.referee.dyadic import Dyadic, Whole, solve_integer
 from dpbench.qp.referee.gap import independent, met
 from dpbench.qp.referee.joint import JointQP
@@ -98,15 +97,13 @@ class _Moved:
 
     problem: JointQP
     z: Dyadic
-    columns: NDArray[np.intp]
+    columns: Indices
     step: Whole
     denominator: int
     exponent: int
 
     @classmethod
-    def onto(
-        cls, problem: JointQP, z: Vector, held: NDArray[np.intp], limit: Vector
-    ) -> _Moved | None:
+    def onto(cls, problem: JointQP, z: Vector, held: Indices, limit: Vector) -> _Moved | None:
         """The nearest z′ along some variables with C_B z′ = limits on the rows B `held`."""
         start, columns = Dyadic.of(z), _pivots(problem.C[held])
         held = held[_row_order(problem.C[np.ix_(held, columns)])]
@@ -132,7 +129,7 @@ class _Moved:
         unit = Fraction(2) ** (C.exponent + self.exponent) / self.denominator
         return float(value + int(along) * unit)
 
-    def feasible(self, rows: NDArray[np.intp]) -> bool:
+    def feasible(self, rows: Indices) -> bool:
         """Whether z′ satisfies both limits of each of `rows`."""
         L, U = self.problem.L, self.problem.U
         for i in rows:
@@ -143,7 +140,7 @@ class _Moved:
         return True
 
 
-def _pivots(C: Matrix) -> NDArray[np.intp]:
+def _pivots(C: Matrix) -> Indices:
     """As many columns as rows, on which the rows are independent."""
     if not len(C):
         return np.array([], dtype=np.intp)
@@ -151,7 +148,7 @@ def _pivots(C: Matrix) -> NDArray[np.intp]:
     return np.asarray(order[: len(C)], dtype=np.intp)
 
 
-def _row_order(square: Matrix) -> NDArray[np.intp]:
+def _row_order(square: Matrix) -> Indices:
     """The order of rows in which elimination meets no zero pivot."""
     if not len(square):
         return np.array([], dtype=np.intp)

@@ -12,9 +12,8 @@ moved out.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.joint import JointQP
 from dpbench.solvers.own.active_set import layout as layout
@@ -79,7 +78,7 @@ def unit_of(qp: QuadraticProgram) -> Vector:
 
 
 def _answer(
-    S: Matrix, qp: QuadraticProgram, columns: NDArray[np.intp], ending: int, start: Vector
+    S: Matrix, qp: QuadraticProgram, columns: Indices, ending: int, start: Vector
 ) -> Vector:
     """The answer to the problem in S, on which `solve_step` ended so; NaN where there is none."""
     if ending >= 0 or ending == layout.DOUBTFUL:
