@@ -82,6 +82,11 @@ def share_text(share: float) -> str:
     return f"{min(max(percent, 0.1), 99.9):.1f} %"
 
 
+def of_sample_text(share: float) -> str:
+    """A time as a share of the sample in percent, two significant digits; it may exceed 100 %."""
+    return f"{significant(100.0 * share, 2)} %" if math.isfinite(share) else MISSING
+
+
 def count_text(value: object) -> str:
     """A count with thin spaces between thousands; a missing one is a dash."""
     number = as_float(value)

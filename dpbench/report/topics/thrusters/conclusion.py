@@ -23,7 +23,7 @@ from dpbench.analysis.verdict.steering import (
     steering_of,
 )
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
-from dpbench.report.formats import and_list, plural, rounded_up, significant
+from dpbench.report.formats import and_list, of_sample_text, plural, rounded_up
 from dpbench.report.page.topic import Topic
 
 
@@ -45,7 +45,7 @@ def _use(chosen: Verdict | None, demand: Demand) -> str:
     """Which solver, and how far from the deadline it stays."""
     if chosen is None:
         return "No solver can be recommended for a controller that steers thrusters."
-    share = _share(chosen.algo_max_ns / demand.deadline_ns)
+    share = of_sample_text(chosen.algo_max_ns / demand.deadline_ns)
     if chosen.outcome != "meets":
         label = chosen.configuration.label
         return f"Nothing contradicts {label}; its largest step takes {share} of the sample."
@@ -128,9 +128,8 @@ def _consequence(records: Records, chosen: Verdict | None) -> Iterator[str]:
     said = ["nobody answers all of that rightly"]
     if timed:
         best = min(timed, key=lambda name: timed[name])
-        said = [
-            f"to know so at every sample takes {best} at most {_share(timed[best])} of a sample"
-        ]
+        share = of_sample_text(timed[best])
+        said = [f"to know so at every sample takes {best} at most {share} of a sample"]
     label = "" if chosen is None else _of_batches(chosen, own)
     if label and label not in right:
         wrong = sum(a.asked - a.held - a.refused for a in own[label])
@@ -176,7 +175,3 @@ def _end(analysis: Analysis) -> str:
     where, losses = analysis.name.split("[")[0], "losses" if len(last) > 1 else "loss"
     at_s = f"{last['to_s'].max():.0f} s"
     return f"at {at_s} of {where} {count} of {len(last)} {losses} could be held"
-
-
-def _share(share: float) -> str:
-    return f"{significant(100.0 * share, 2)} %"

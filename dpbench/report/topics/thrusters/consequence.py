@@ -16,7 +16,7 @@ from dpbench.analysis.suites.consequence import (
     consequence_analyses,
 )
 from dpbench.report.charts.consequence import shares, spans
-from dpbench.report.formats import and_list, plural, significant
+from dpbench.report.formats import and_list, of_sample_text, plural
 from dpbench.report.page.topic import Figure, SmallTable, Topic
 from dpbench.report.table import head_and_rows
 
@@ -106,9 +106,8 @@ def _who(analysis: Analysis) -> str:
     timed = [a for a in right if not isnan(a.largest)]
     if timed:
         best = min(timed, key=lambda a: a.largest)
-        batch = plural(len(analysis.groups), "QP")
-        head += f", the fastest {best.name} with at most {_share(best.largest)} of the sample for "
-        head += f"its {batch}"
+        share, batch = of_sample_text(best.largest), plural(len(analysis.groups), "QP")
+        head += f", the fastest {best.name} with at most {share} of the sample for its {batch}"
     silent = sum(1 for a in answers if a.silent)
     leave = "leaves" if silent == 1 else "leave"
     unanswered = f"; {silent} {leave} some without an answer" if silent else ""
@@ -135,8 +134,8 @@ def row_of(best: BatchAnswers, ways: Sequence[bool]) -> dict[str, str]:
     right."""
     return {
         "configuration": best.name,
-        "p99 share": _share(best.p99),
-        "largest share": _share(best.largest),
+        "p99 share": of_sample_text(best.p99),
+        "largest share": of_sample_text(best.largest),
         "held": f"{best.held} of {best.feasible}",
         "not held": f"{best.refused} of {best.infeasible}",
         "missed alarms": str(best.missed),
@@ -144,7 +143,3 @@ def row_of(best: BatchAnswers, ways: Sequence[bool]) -> dict[str, str]:
         "no answer": str(best.silent),
         "ways all right": f"{sum(ways)} of {len(ways)}",
     }
-
-
-def _share(share: float) -> str:
-    return "–" if isnan(share) else f"{significant(100.0 * share, 2)} %"
