@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Floats, Ints
-from dpbench.bench.record.schema import MISSING
+from dpbench.bench.record.schema import ABSENT
 from dpbench.bench.run.slow_computer import ComputationalDelay
 
 
@@ -27,7 +27,7 @@ def late_columns(
         return {"late": total_ns > delay.budget_ns}
     idle = latency_ns < 0
     late = idle | (latency_ns > delay.budget_ns)
-    return {"late": late, "latency_ns": np.maximum(latency_ns, MISSING)}
+    return {"late": late, "latency_ns": np.maximum(latency_ns, ABSENT)}
 
 
 def longest_streak(flags: Flags) -> int:
@@ -74,4 +74,4 @@ def deadline_metrics(steps: Mapping[str, NDArray[Any]], slowdown: float) -> dict
 
 def _there(times_ns: Ints) -> Floats:
     """Those of the times that are not missing."""
-    return times_ns[times_ns > MISSING].astype(np.float64)
+    return times_ns[times_ns > ABSENT].astype(np.float64)

@@ -26,7 +26,7 @@ from dpbench.bench.judge.rules import (
 from dpbench.bench.judge.step_columns import StepColumns, chosen
 from dpbench.bench.judge.timing import timing_metrics
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.schema import MISSING, SCHEMA_VERSION, STEP_COLUMNS, as_steps
+from dpbench.bench.record.schema import ABSENT, SCHEMA_VERSION, STEP_COLUMNS, as_steps
 from dpbench.scenario.scenario import scenario_once
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.table import Availability
@@ -37,7 +37,7 @@ def step_rows(run_id: str, steps: StepColumns) -> pd.DataFrame:
     columns: dict[str, Any] = {"run_id": np.full(len(steps["k"]), run_id, dtype=object)}
     for name, column in steps.items():
         whole = STEP_COLUMNS[name][0] == "Int64"
-        columns[name] = pd.arrays.IntegerArray(column, column == MISSING) if whole else column
+        columns[name] = pd.arrays.IntegerArray(column, column == ABSENT) if whole else column
     return as_steps(pd.DataFrame(columns))
 
 
@@ -126,7 +126,7 @@ def _evaluated(cell: Cell, steps: StepColumns) -> StepColumns:
     """The steps with an answer to judge; a late one is not for that reason a failed one."""
     if cell.slowdown == 0.0:
         return steps
-    asked = chosen(steps, steps["total_ns"] > MISSING)
+    asked = chosen(steps, steps["total_ns"] > ABSENT)
     return asked | {"fallback": unusable(asked)}
 
 
@@ -135,7 +135,7 @@ def _accuracy(steps: StepColumns) -> dict[str, Any]:
     charged = chosen(steps, ~undecided)
     moves = errors(charged)
     moves = moves[~np.isnan(moves)]
-    iterations = steps["iterations"][steps["iterations"] > MISSING]
+    iterations = steps["iterations"][steps["iterations"] > ABSENT]
     bounds = steps["optimum_bound"]
     return {
         "claimed_share": _mean(steps["claimed"]),

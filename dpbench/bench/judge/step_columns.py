@@ -1,7 +1,7 @@
 """Judged columns of a cell → the columns of its steps: one array for each of `steps.parquet`.
 
 Plain arrays, as a cell of a hundred steps would spend ten times its loop in data frames. A column
-that a run has not is left out; a whole number that is missing is `MISSING`.
+that a run has not is left out; a whole number that is missing is `ABSENT`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from dpbench.bench.judge.rules import (
 from dpbench.bench.judge.timing import disturbed_rounds_of
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import TIMES
-from dpbench.bench.record.schema import AXIS_FORCES, MISSING
+from dpbench.bench.record.schema import ABSENT, AXIS_FORCES
 from dpbench.bench.record.step_table import INSIDE, change_of, total_of
 from dpbench.bench.run.slow_computer import delay_of
 from dpbench.qp.solution import Status
@@ -78,7 +78,7 @@ def _of_qps(columns: Columns, asked: Flags | None) -> StepColumns:
     status, times = _STATUS_NAMES[columns["status"].astype(int)], columns["times"]
     if asked is not None:
         status = np.where(asked, status, "")
-        times = np.where(asked[:, None] | (np.array(TIMES) == "overhead"), times, MISSING)
+        times = np.where(asked[:, None] | (np.array(TIMES) == "overhead"), times, ABSENT)
     steps: StepColumns = {
         "repeat": columns["repeat"],
         "k": columns["k"],
@@ -119,8 +119,8 @@ def joined(first: StepColumns, second: StepColumns) -> StepColumns:
 
 
 def _whole(values: NDArray[Any]) -> Ints:
-    """Whole numbers, each that is not there as `MISSING`."""
-    return np.maximum(values.astype(np.int64), MISSING)
+    """Whole numbers, each that is not there as `ABSENT`."""
+    return np.maximum(values.astype(np.int64), ABSENT)
 
 
 def _of_ship(columns: Columns) -> StepColumns:

@@ -12,7 +12,7 @@ from dpbench.arrays import Floats
 from dpbench.bench.judge.closed_loop import OF_SECOND, Columns, Evaluated
 from dpbench.bench.judge.rules import WARM_UP, disturbed_rounds, median, percentile
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.schema import MISSING
+from dpbench.bench.record.schema import ABSENT
 
 Steps = Mapping[str, NDArray[Any]]
 
@@ -37,7 +37,7 @@ def timing_metrics(cell: Cell, evaluated: Evaluated, counting: Steps) -> dict[st
     if cell.mode == "closed_loop":
         for phase in ("emit", "overhead"):
             times_ns = counting[f"{phase}_ns"]
-            timing[f"{phase}_p50_ns"] = median(times_ns[times_ns > MISSING])
+            timing[f"{phase}_p50_ns"] = median(times_ns[times_ns > ABSENT])
         return timing | _parts(counting)
     rounds, by_round = _by_round(counting, raw)
     best = np.nanmin(by_round, axis=0)

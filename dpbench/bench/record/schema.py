@@ -35,7 +35,7 @@ PREFIX = "x_"
 AXES = ("n", "e", "psi")
 FORCES = ("surge", "sway", "yaw")
 AXIS_FORCES = ("x_N", "y_N", "n_Nm")
-MISSING = -1
+ABSENT = -1
 """A whole number that is not there, in arrays that cannot say null."""
 
 STEP_COLUMNS: Columns = {

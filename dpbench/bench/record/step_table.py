@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from dpbench.arrays import Floats, Ints
 from dpbench.bench.record.raw_log import OF_SOLVER
 from dpbench.bench.record.schema import (
+    ABSENT,
     DERIVED,
-    MISSING,
     RUN_COLUMNS,
     SAME_AS,
     STEP_COLUMNS,
@@ -64,7 +64,7 @@ def step_batch(steps: Mapping[str, NDArray[Any]]) -> pa.RecordBatch:
     Parameters
     ----------
     steps : (N,) arrays by the names of `STEP_COLUMNS`; whole numbers that are missing are
-        `MISSING`, and a column that is not there has no value in any row.
+        `ABSENT`, and a column that is not there has no value in any row.
     """
     rows = len(steps["k"])
     arrays = [_array(name, steps, rows) for name in STORED[1:]]
@@ -84,7 +84,7 @@ def _array(name: str, steps: Mapping[str, NDArray[Any]], rows: int) -> pa.Array:
         )
     values = steps[name]
     if dtype == "Int64":
-        return pa.array(values, pa.int64(), mask=values == MISSING)
+        return pa.array(values, pa.int64(), mask=values == ABSENT)
     if dtype != "float64":
         return pa.array(values, ARROW[dtype])
     numbers = np.ascontiguousarray(values, dtype=np.float64)
@@ -200,7 +200,7 @@ def _column(table: pa.Table, name: str, clock: pd.DataFrame) -> pa.ChunkedArray 
         return pc.coalesce(stored, table[SAME_AS[name]]) if name in SAME_AS else stored
     if name == "total_ns":
         total = total_of({n: _integers(table[n]) for n in (*INSIDE, "allocation_ns")})
-        return pa.array(total, mask=total == MISSING)
+        return pa.array(total, mask=total == ABSENT)
     k = table["k"].to_numpy()
     if name == "t_s":
         return pa.array(_times(table["run_id"], k, clock), from_pandas=True)
@@ -209,7 +209,7 @@ def _column(table: pa.Table, name: str, clock: pd.DataFrame) -> pa.ChunkedArray 
 
 
 def _integers(column: pa.ChunkedArray) -> Ints:
-    whole: Ints = column.cast(pa.int64()).fill_null(MISSING).to_numpy()
+    whole: Ints = column.cast(pa.int64()).fill_null(ABSENT).to_numpy()
     return whole
 
 
@@ -230,7 +230,7 @@ def _times(names: pa.ChunkedArray, k: NDArray[Any], clock: pd.DataFrame) -> Floa
 def total_of(steps: Mapping[str, NDArray[Any]]) -> Ints:
     """(N,) the time of each step: of its phases, and of the second QP of a cascade.
 
-    Each (N,) of whole nanoseconds, `MISSING` where there is none; so is their sum where no phase
+    Each (N,) of whole nanoseconds, `ABSENT` where there is none; so is their sum where no phase
     is there.
     """
     phases = [steps[phase] for phase in INSIDE]
@@ -238,7 +238,7 @@ def total_of(steps: Mapping[str, NDArray[Any]]) -> Ints:
     total = np.zeros(len(phases[0]), dtype=np.int64)
     for part in parts:
         total += np.maximum(part, 0)
-    total[np.maximum.reduce(phases) < 0] = MISSING
+    total[np.maximum.reduce(phases) < 0] = ABSENT
     return total
 
 

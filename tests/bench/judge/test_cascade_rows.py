@@ -16,7 +16,7 @@ from dpbench.bench.judge.rules import errors, failed_steps
 from dpbench.bench.judge.step_columns import StepColumns, joined, step_columns
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.record.schema import MISSING
+from dpbench.bench.record.schema import ABSENT
 from dpbench.bench.record.step_table import total_of
 from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup
 from dpbench.bench.run.closed_loop import closed_loop
@@ -123,8 +123,8 @@ def answers(**changes: list[Any]) -> StepColumns:
         "true_1e6": [True] * 5,
         "status": ["SOLVED"] * 5,
         "certificate": ["linear"] * 5,
-        "setup_ns": [MISSING] * 5,
-        "update_ns": [MISSING] * 5,
+        "setup_ns": [ABSENT] * 5,
+        "update_ns": [ABSENT] * 5,
         "solve_ns": [7] * 5,
         "read_ns": [3] * 5,
         "error_move": [0.1] * 5,

@@ -26,9 +26,9 @@ from dpbench.bench.record.cell_store import (
 )
 from dpbench.bench.record.recorded_steps import read_steps, scan_steps
 from dpbench.bench.record.schema import (
+    ABSENT,
     AXIS_FORCES,
     DERIVED,
-    MISSING,
     SCHEMA_VERSION,
     STEP_COLUMNS,
     as_runs,
@@ -54,7 +54,7 @@ def steps_of(seed: int, count: int = 7) -> StepColumns:
     steps: StepColumns = {}
     for name, (dtype, _) in STEP_COLUMNS.items():
         if dtype == "Int64":
-            steps[name] = rng.integers(MISSING, 10**6, count)
+            steps[name] = rng.integers(ABSENT, 10**6, count)
         elif dtype == "float64":
             steps[name] = rng.normal(size=count)
         elif dtype == "bool":
