@@ -13,9 +13,10 @@ from dpbench.bench.estimate import estimated, recorded_steps
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.recorded_steps import StepsInMemory
-from dpbench.bench.record.result_folder import Results, write_results
+from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import SCHEMA_VERSION
 from dpbench.cli.main import main
+from tests.result_folder import write_results
 
 OF_CELL_S, OF_STEP_S, SOLVER_S = 0.5, 0.004, {"daqp": 1e-5, "osqp": 3e-5}
 

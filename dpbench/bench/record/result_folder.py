@@ -91,18 +91,6 @@ def claimed(folder: Path, suite: str) -> Iterator[None]:
         yield
 
 
-def write_results(out: Path, results: Results) -> None:
-    """Write the four files of a result folder, each whole or not at all."""
-    out.mkdir(parents=True, exist_ok=True)
-    for name, frame in (("runs", as_runs(results.runs)), ("steps", as_steps(results.steps))):
-        part = out / f"{name}.parquet.part"
-        frame.to_parquet(part, index=False, compression="zstd")
-        part.replace(out / f"{name}.parquet")
-    rows = {"run_rows": len(results.runs), "step_rows": len(results.steps)}
-    write_json(out / "machine.json", results.machine)
-    write_json(out / "suite.json", results.suite | rows)
-
-
 def write_json(path: Path, document: dict[str, Any]) -> None:
     """Write `document` to `path`, whole or not at all."""
     part = path.with_suffix(".part")

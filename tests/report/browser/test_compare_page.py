@@ -10,10 +10,11 @@ from typing import Any
 import pytest
 
 from dpbench.bench.record.recorded_steps import StepsInMemory
-from dpbench.bench.record.result_folder import Results, load_results, write_results
+from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.report.compare.comparison import compare
 from dpbench.report.compare.page import write_comparison
 from tests.report.browser.conftest import Opener, opening
+from tests.result_folder import write_results
 
 PHONE = (390, 844)
 SLOWER, FACTOR = "piqp", 1.5

@@ -16,11 +16,12 @@ from dpbench import InputError, compare
 from dpbench.analysis.compare.pairs import Pair
 from dpbench.analysis.records.run_record import records_of
 from dpbench.bench.record.recorded_steps import StepsInMemory
-from dpbench.bench.record.result_folder import Results, write_results
+from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
 from dpbench.cli.main import main
 from dpbench.report.compare.page import write_comparison
 from dpbench.report.compare.tables import _together
+from tests.result_folder import write_results
 
 STEPS, ROUNDS = 100, 8
 ARMS = ("daqp", "quadprog", "piqp", "proxqp", "osqp", "qpalm", "scs", "clarabel")

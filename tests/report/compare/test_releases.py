@@ -12,12 +12,13 @@ import pandas as pd
 import pytest
 
 from dpbench.bench.record.recorded_steps import StepsInMemory
-from dpbench.bench.record.result_folder import Results, write_results
+from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.report.compare.releases import releases
 from dpbench.report.compare.releases_page import write_releases
+from tests.result_folder import write_results
 
 Make = Callable[..., Path]
 OLD, NEW = {"piqp": "0.6.4"}, {"piqp": "0.10.0"}
