@@ -107,7 +107,7 @@ def estimated(planned: Sequence[PlannedCell], slots: int, run: Run) -> Estimate:
     ----------
     slots : closed loops at a time; replays along a loop run one after the other.
     """
-    began = time.monotonic()
+    started = time.monotonic()
     to_run = [p for p in planned if not p.refused]
     measured = [p for p in to_run if not is_at_edge(p.cell)]
     groups: dict[str, list[PlannedCell]] = {"loops": [], "replays": [], "untimed": []}
@@ -132,7 +132,7 @@ def estimated(planned: Sequence[PlannedCell], slots: int, run: Run) -> Estimate:
         sum(sample.size_bytes(cells) for sample, cells in samples),
         slots,
         sum(sample.count for sample, _ in samples),
-        time.monotonic() - began,
+        time.monotonic() - started,
     )
 
 
@@ -163,14 +163,14 @@ class _Sample:
         self.count, self._slots = len(some), slots
         steps, harness_s = [0, 0], [0.0, 0.0]
         for i, most in enumerate((FEW, MANY)):
-            began = time.monotonic()
+            started = time.monotonic()
             run([_cut(planned, most) for planned in some], folder / str(most))
-            wall_s = time.monotonic() - began
+            wall_s = time.monotonic() - started
             of_kind = _solver_times(folder / str(most))
             steps[i] = int(of_kind["size"].sum())
             harness_s[i] = max(0.0, slots * wall_s - 1e-9 * float(of_kind["sum"].sum()))
-        more = steps[1] - steps[0]
-        self._of_step_s = max(0.0, harness_s[1] - harness_s[0]) / more if more else 0.0
+        added = steps[1] - steps[0]
+        self._of_step_s = max(0.0, harness_s[1] - harness_s[0]) / added if added else 0.0
         self._of_cell_s = max(0.0, harness_s[1] - self._of_step_s * steps[1]) / len(some)
         self._solver_s = (1e-9 * of_kind["sum"] / of_kind["size"].clip(lower=1)).to_dict()
         tables = (folder / str(MANY) / f"{name}.parquet" for name in ("runs", "steps"))
@@ -193,8 +193,8 @@ def _solver_times(folder: Path) -> pd.DataFrame:
     steps = read_steps(folder, ["run_id", "total_ns"]).to_pandas()
     by_run = steps.groupby("run_id", observed=True)["total_ns"].agg(["sum", "size"])
     runs = pq.read_table(folder / "runs.parquet", columns=["run_id", *_KIND]).to_pandas()
-    found = runs.join(by_run, on="run_id").fillna({"sum": 0.0, "size": 0})
-    of_kind: pd.DataFrame = found.groupby(_KIND)[["sum", "size"]].sum()
+    timed_runs = runs.join(by_run, on="run_id").fillna({"sum": 0.0, "size": 0})
+    of_kind: pd.DataFrame = timed_runs.groupby(_KIND)[["sum", "size"]].sum()
     return of_kind
 
 

@@ -54,9 +54,9 @@ def parser(
     return whole
 
 
-def _option(command: Any, name: str, value: str, meaning: str, **more: Any) -> None:
-    """An option that takes a value; `more` as of `add_argument`."""
-    command.add_argument(name, metavar=value, help=meaning, **more)
+def _option(command: Any, name: str, value: str, meaning: str, **keywords: Any) -> None:
+    """An option that takes a value; `keywords` as of `add_argument`."""
+    command.add_argument(name, metavar=value, help=meaning, **keywords)
 
 
 def _run(commands: Commands) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
@@ -136,8 +137,8 @@ def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
 
 
 def _cell(held: Held) -> str:
-    more = "+" if holds_most(held) else " "
-    return f"  {held.wind_mps:5.1f}{more} {held.number:>2}".ljust(_CELL)
+    beyond = "+" if holds_most(held) else " "
+    return f"  {held.wind_mps:5.1f}{beyond} {held.number:>2}".ljust(_CELL)
 
 
 def _verdict(capability: Capability) -> list[str]:
@@ -210,4 +211,7 @@ def as_document(
 
 def _without_nan(fields: dict[str, Any]) -> dict[str, Any]:
     """JSON has no NaN."""
-    return {key: None if value != value else value for key, value in fields.items()}
+    return {
+        key: None if isinstance(value, float) and math.isnan(value) else value
+        for key, value in fields.items()
+    }

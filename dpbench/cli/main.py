@@ -106,11 +106,11 @@ def _dry_run(arguments: argparse.Namespace) -> int:
     from dpbench.cli.progress_bar import Bar
 
     with Bar(transient=True, quiet=arguments.quiet or arguments.json) as bar:
-        found = estimate_campaign(**_given(arguments, *_NOT_DRY, *HOW_TO_END), progress=bar)
+        estimate = estimate_campaign(**_given(arguments, *_NOT_DRY, *HOW_TO_END), progress=bar)
     if arguments.json:
-        print(json.dumps(vars(found), indent=2))
+        print(json.dumps(vars(estimate), indent=2))
     else:
-        print("\n".join(found.lines))
+        print("\n".join(estimate.lines))
     return 0
 
 

@@ -97,7 +97,7 @@ def _hull_comments(ship: OwnShip) -> list[str]:
         "displacement."
     )
     forms = ", ".join(
-        f"{what} {mine:.2f} (there {theirs:.2f})" for what, mine, theirs in _forms(ship)
+        f"{what} {own:.2f} (there {library:.2f})" for what, own, library in _forms(ship)
     )
     valid = (
         "Valid for station keeping, that is slow motion through the water, of a ship of one hull "
@@ -121,7 +121,7 @@ def cautions(ship: OwnShip) -> list[str]:
     if ship.hull is not None:
         return ship.hull.remarks
     others = [
-        what for what, mine, theirs in _forms(ship) if abs(mine / theirs - 1.0) > FORM_DIFFERS
+        what for what, own, library in _forms(ship) if abs(own / library - 1.0) > FORM_DIFFERS
     ]
     if not others:
         return []

@@ -47,8 +47,8 @@ def residuals(qp: QuadraticProgram, solution: Solution) -> Residuals[float]:
     everything inf; in the multipliers, everything but `primal`.
     """
     vectors = qp.q, qp.l, qp.u, solution.z, solution.y, solution.y_box
-    found = residuals_of_all(qp, *(vector[np.newaxis] for vector in vectors))
-    numbers = found.primal, found.dual, found.complementarity, found.gap
+    of_all = residuals_of_all(qp, *(vector[np.newaxis] for vector in vectors))
+    numbers = of_all.primal, of_all.dual, of_all.complementarity, of_all.gap
     return Residuals(*(float(number[0]) for number in numbers))
 
 

@@ -186,8 +186,8 @@ def _contradicted(judged: Sequence[Claim]) -> list[str]:
     """The claims that the runs contradict or say nothing of, at most `MOST_NAMED` of them."""
     named = [f"{claim.state}: {claim.claim}" for claim in judged if claim.state != "reproduced"]
     rest = len(named) - MOST_NAMED
-    more = [f"and {plural(rest, 'other')}: see claims.md"] if rest > 0 else []
-    return [line.replace("`", "") for line in named[:MOST_NAMED]] + more
+    unnamed = [f"and {plural(rest, 'other')}: see claims.md"] if rest > 0 else []
+    return [line.replace("`", "") for line in named[:MOST_NAMED]] + unnamed
 
 
 def _places(folder: Path) -> list[str]:

@@ -92,12 +92,12 @@ def aboard(solver: str) -> str:
     )
 
 
-def why_nothing(view: Records, verdicts: Verdicts, found: Recommendation) -> str:
+def why_nothing(view: Records, verdicts: Verdicts, recommendation: Recommendation) -> str:
     """Why nothing is recommended."""
-    if found.faster is not None:
+    if recommendation.faster is not None:
         return (
             "Nothing that can go aboard meets the demand; "
-            f"{found.faster.configuration.label} does: {found.because}."
+            f"{recommendation.faster.configuration.label} does: {recommendation.because}."
         )
     if not any(row.has_steps for row in view.select(mode="replay", units="scaled")):
         return "Nothing is recommended, as no replay left a step, so nothing is timed."
@@ -114,17 +114,17 @@ def usual_time(verdict: Verdict) -> str:
     return f"p99 {time_text(verdict.p99_ns)} in the replay of {verdict.timed_on}"
 
 
-def paired_text(found: PairedComparison) -> str:
+def paired_text(compared: PairedComparison) -> str:
     """How many times as long the second takes, and whether the two can be told apart at all."""
-    if found.steps == 0:
+    if compared.steps == 0:
         return "no step was replayed by both"
-    said = f"{significant(found.ratio.value)} times as long a step"
-    if not math.isfinite(found.ratio.high):
+    said = f"{significant(compared.ratio.value)} times as long a step"
+    if not math.isfinite(compared.ratio.high):
         return f"{said}, on too few steps to tell the two apart"
-    said += f" ({significant(found.ratio.low)} to {significant(found.ratio.high)})"
-    if found.tied:
+    said += f" ({significant(compared.ratio.low)} to {significant(compared.ratio.high)})"
+    if compared.tied:
         return f"{said}: the two cannot be told apart"
-    if found.unstable:
+    if compared.unstable:
         return f"{said}; which is faster depends on the yardstick"
     return said
 

@@ -197,10 +197,10 @@ class ThrusterSet:
     @cached_property
     def groups(self) -> dict[str, tuple[int, ...]]:
         """Numbers of the thrusters of each failure group; one without a group is its own."""
-        found: dict[str, list[int]] = {}
+        members: dict[str, list[int]] = {}
         for i, thruster in enumerate(self.thrusters):
-            found.setdefault(thruster.group or thruster.name, []).append(i)
-        return {name: tuple(numbers) for name, numbers in found.items()}
+            members.setdefault(thruster.group or thruster.name, []).append(i)
+        return {name: tuple(numbers) for name, numbers in members.items()}
 
     def numbers(self, names: Sequence[str], where: str, key: str) -> set[int]:
         """The numbers of thrusters, or of whole failure groups, by name.

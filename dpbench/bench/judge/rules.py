@@ -169,5 +169,5 @@ def _among(steps: Steps, name: str, values: tuple[str, ...]) -> Flags:
     column = steps[name]
     if isinstance(column, pd.Series):
         return column.isin(values).to_numpy(dtype=np.bool_)
-    found: Flags = np.isin(column, values)
-    return found
+    among: Flags = np.isin(column, values)
+    return among

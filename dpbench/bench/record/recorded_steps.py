@@ -338,7 +338,7 @@ def _as_frame(table: pa.Table, columns: Sequence[str]) -> pd.DataFrame:
     return frame.astype({n: t for n, t in types.items() if frame[n].dtype != t})
 
 
-def _fits(found: pa.DataType, name: str) -> bool:
+def _fits(stored: pa.DataType, name: str) -> bool:
     """Whether a stored type can be that of a column; whole numbers of which some are missing may
     have become others in a program that has no such type."""
     number = (pa.types.is_integer, pa.types.is_floating)
@@ -347,4 +347,4 @@ def _fits(found: pa.DataType, name: str) -> bool:
         "bool": (pa.types.is_boolean,),
     }
     known = kinds.get(STEP_COLUMNS[name][0], number)
-    return pa.types.is_null(found) or any(fits(found) for fits in known)
+    return pa.types.is_null(stored) or any(fits(stored) for fits in known)

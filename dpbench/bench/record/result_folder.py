@@ -70,10 +70,10 @@ def claimed(folder: Path, suite: str) -> Iterator[None]:
         raise InputError(where, "", "the current folder", "a folder of its own")
     previous = folder / "suite.json"
     if previous.is_file():
-        found = read_json(previous).get("name")
-        if found != suite:
+        stored = read_json(previous).get("name")
+        if stored != suite:
             allowed = "another folder, or remove this one"
-            raise InputError(where, "", f"{folder} with results of suite {found!r}", allowed)
+            raise InputError(where, "", f"{folder} with results of suite {stored!r}", allowed)
     elif folder.is_dir() and any(folder.iterdir()) and not (folder / "cells").is_dir():
         raise InputError(where, "", f"{folder} with other files", "a new or an empty folder")
     try:

@@ -115,12 +115,12 @@ def _recorded(
     if horizons is not None:
         found = f"{horizons[0]}/{horizons[1]} for a recorded sequence"
         raise InputError("--horizons", "", found, "a scenario: a sequence has the horizons it has")
-    found_there = read_sequence(sequence_path(what))
+    stored = read_sequence(sequence_path(what))
     if at is not None:
-        return _only(found_there, at)
-    sequence = thinned(found_there.sequence, steps, every)
+        return _only(stored, at)
+    sequence = thinned(stored.sequence, steps, every)
     # What the file says of its optima is not believed.
-    return replace(found_there, sequence=sequence, optima=certified(sequence))
+    return replace(stored, sequence=sequence, optima=certified(sequence))
 
 
 def _only(recorded: Recorded, k: int) -> Recorded:

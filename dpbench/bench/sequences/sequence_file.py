@@ -157,8 +157,8 @@ def load_recorded(path: str | Path) -> Recorded:
     texts = {name: text_of(arrays, where, name) for name in _TEXTS}
     if texts["format"] != FORMAT:
         raise InputError(where, "format", repr(texts["format"]), repr(FORMAT))
-    if (found := count_of(arrays, where, "version")) != FORMAT_VERSION:
-        raise InputError(where, "version", found, f"{FORMAT_VERSION}; or a newer dpbench")
+    if (version := count_of(arrays, where, "version")) != FORMAT_VERSION:
+        raise InputError(where, "version", version, f"{FORMAT_VERSION}; or a newer dpbench")
     q, A = _two_axes(arrays, where, "q"), _two_axes(arrays, where, "A")
     sizes = q.shape[0], q.shape[1], A.shape[0]
     sequence = _sequence(arrays, where, sizes, texts["name"], _meta(where, texts))

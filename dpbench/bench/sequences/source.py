@@ -199,9 +199,9 @@ class _Loop:
         return Replayed(sequence, scenario.sample_s, exact.optima[cell.first : last])
 
     def check(self, path: Path) -> None:
-        found = len(ExactLoop.load(path).theta)
-        if found < self.steps:
-            raise ResultsError(str(path), "theta", f"{found} steps", f"{self.steps} of them")
+        stored_steps = len(ExactLoop.load(path).theta)
+        if stored_steps < self.steps:
+            raise ResultsError(str(path), "theta", f"{stored_steps} steps", f"{self.steps} of them")
 
     def size(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
         return stored["z"].shape[1], stored["optimum_y"].shape[1]
@@ -277,9 +277,9 @@ class _Recorded(_Stored):
 
     def make(self, path: Path) -> None:
         place = sequence_path(self.described["path"])
-        found, wanted = digest(place), self.described["sha256"]
-        if found != wanted:
-            allowed = f"the file the cell was planned with, SHA-256 {wanted[:12]}…"
-            raise InputError(str(place), "", f"SHA-256 {found[:12]}…", allowed)
+        actual, planned = digest(place), self.described["sha256"]
+        if actual != planned:
+            allowed = f"the file the cell was planned with, SHA-256 {planned[:12]}…"
+            raise InputError(str(place), "", f"SHA-256 {actual[:12]}…", allowed)
         recorded = read_sequence(place)
         save_sequence(path, recorded.sequence, units=recorded.units, documents=recorded.documents)

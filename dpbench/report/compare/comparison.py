@@ -43,7 +43,7 @@ class Comparison:
     Parameters
     ----------
     compared : step times with their verdicts; shared : what all configurations of a sequence share.
-    found : every figure of accuracy and control; pairs : which cells were compared.
+    figures : every figure of accuracy and control; pairs : which cells were compared.
     lines : the verdict in a few lines of text; tables : the rest; margin : what is no difference;
     alpha : the family-wise error of the claims; reference : the solver that step times are held
     against, "" where all configurations of a machine are.
@@ -51,7 +51,7 @@ class Comparison:
 
     compared: list[Compared]
     shared: list[Shared]
-    found: list[Answer]
+    figures: list[Answer]
     pairs: Pairs
     lines: list[str]
     tables: list[Table]
@@ -75,7 +75,7 @@ class Comparison:
         slow = any(
             j.verdict == "slower" for j in [*(c.assessment for c in self.compared), *together]
         )
-        return slow or any(answer.change == "worse" for answer in self.found)
+        return slow or any(answer.change == "worse" for answer in self.figures)
 
     @property
     def times(self) -> pd.DataFrame:
@@ -86,7 +86,7 @@ class Comparison:
     @property
     def answers(self) -> pd.DataFrame:
         """One row per configuration, experiment and figure: identity, ranges in A and B, change."""
-        return pd.DataFrame([answer.row for answer in self.found])
+        return pd.DataFrame([answer.row for answer in self.figures])
 
     def markdown(self) -> str:
         """The comparison as a Markdown document."""
@@ -129,15 +129,15 @@ def compare(
     timings = time_pairs(*views, pairs.pairs)
     solver = reference_solver(timings, reference) if differ or reference else ""
     compared, shared, said = _compare_times(views, timings, solver, margin, alpha)
-    found = compare_answers(*views, pairs.pairs, margin)
+    figures = compare_answers(*views, pairs.pairs, margin)
     lines = [f"A: {a}{_machine(views[0])}", f"B: {b}{_machine(views[1])}"]
     lines += [f"another machine: they differ in {and_list(differ)}"] if differ else []
-    lines += [*said, *_lines(compared, shared, found, pairs)]
-    changed = answers_table(found, margin)
-    tables = [solvers_table(compared, found)] if compared or found else []
+    lines += [*said, *_lines(compared, shared, figures, pairs)]
+    changed = answers_table(figures, margin)
+    tables = [solvers_table(compared, figures)] if compared or figures else []
     tables += [times_table(compared, margin, alpha, reference=solver)] if compared else []
     tables += [changed] if changed is not None else []
-    return Comparison(compared, shared, found, pairs, lines, tables, margin, alpha, solver)
+    return Comparison(compared, shared, figures, pairs, lines, tables, margin, alpha, solver)
 
 
 def _compare_times(
@@ -168,20 +168,20 @@ def _compare_times(
 def _machine(view: Records) -> str:
     """On what a folder was measured, and how quiet that was while replays were timed."""
     said = f", {view.machine.get('cpu_model', 'an unnamed CPU')}"
-    found = disturbance_of(timed_runs(view))
-    return f"{said}, {verdict_text(found)}" if found.seconds > 0 else said
+    disturbance = disturbance_of(timed_runs(view))
+    return f"{said}, {verdict_text(disturbance)}" if disturbance.seconds > 0 else said
 
 
 def _lines(
-    compared: list[Compared], shared: list[Shared], found: list[Answer], pairs: Pairs
+    compared: list[Compared], shared: list[Shared], figures: list[Answer], pairs: Pairs
 ) -> list[str]:
     lines = [f"{plural(len(pairs.pairs), 'cell')} compared"]
     verdicts = Counter(c.assessment.verdict for c in compared)
     if compared:
         lines.append("step times: " + ", ".join(f"{n} {v}" for v, n in verdicts.most_common()))
     lines += [shared_line(one) for one in shared]
-    changes = Counter(answer.change for answer in found)
-    if found:
+    changes = Counter(answer.change for answer in figures)
+    if figures:
         counts = ", ".join(f"{n} {change}" for change, n in changes.most_common())
         lines.append(f"figures of accuracy and control: {counts}")
     for what, cells in (
@@ -191,6 +191,6 @@ def _lines(
         ("lost by the harness", pairs.lost),
     ):
         if cells:
-            more = f" and {len(cells) - LISTED} more" if len(cells) > LISTED else ""
-            lines.append(f"{what}, not compared: {'; '.join(cells[:LISTED])}{more}")
+            unlisted = f" and {len(cells) - LISTED} more" if len(cells) > LISTED else ""
+            lines.append(f"{what}, not compared: {'; '.join(cells[:LISTED])}{unlisted}")
     return lines

@@ -233,8 +233,8 @@ def _slower(comparison: Comparison) -> str:
 
 
 def _worse(comparison: Comparison) -> str:
-    worse = [answer for answer in comparison.found if answer.change == "worse"]
-    count = len(comparison.found)
+    worse = [answer for answer in comparison.figures if answer.change == "worse"]
+    count = len(comparison.figures)
     if not worse:
         return f"No figure of accuracy or control of {count} is worse." if count else ""
     return f"Worse: {len(worse)} of {plural(count, 'figure')}, first {answer_line(worse[0])}."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 
@@ -123,9 +124,9 @@ def shared_line(shared: Shared) -> str:
     said = f"`{shared.sequence}`: step times of "
     said += f"{plural(shared.configurations, 'configuration')} {moved} together "
     said += f"by a factor {shared.factor:.3f}"
-    if shared.kernel == shared.kernel:
+    if not math.isnan(shared.kernel):
         said += f", by {shared.kernel:.3f} the reference kernel"
-    if shared.load == shared.load:
+    if not math.isnan(shared.load):
         said += f", by {shared.load:.3f} the load kernel"
     if shared.assessment is None:
         return f"{said}; {shared.unjudged}, so this is not judged"

@@ -99,15 +99,16 @@ def worst_steps(facts: Facts, solver: str) -> list[WorstStep]:
     """The hardest step of a solver by error, time and iterations, each once; in its replays, whose
     QPs are those that `export` writes, or else in its loops."""
     runs = {run.run_id: run for run in facts.records.runs if run.solver == solver}
-    found = {
+    worst_of_run = {
         run_id: _worst_of(runs[run_id], steps)
         for run_id, steps, _ in facts.records.run_steps(list(runs.values()))
     }
-    stepped = [run_id for run_id in runs if run_id in found]
+    stepped = [run_id for run_id in runs if run_id in worst_of_run]
     timed = [run_id for run_id in stepped if runs[run_id].mode == "replay"]
     worst: list[WorstStep] = []
     for measure in sorted(MEASURES, key=lambda name: name != "error"):
-        candidates = [found[id][measure] for id in timed or stepped if measure in found[id]]
+        of_runs = [worst_of_run[run_id] for run_id in timed or stepped]
+        candidates = [of_run[measure] for of_run in of_runs if measure in of_run]
         if candidates:
             worst.append(max(candidates, key=lambda step: step.value))
     return worst

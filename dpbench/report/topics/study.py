@@ -76,12 +76,12 @@ def _separated(study: Study) -> str:
     worse = [c for c in others if c.behind is not None and c.behind.mean.low > NOTHING_M]
     worse.sort(key=lambda c: -_mean(c))
     said = [f"{c.name} by {_cm(_mean(c))} cm" for c in worse[:3]]
-    more = f" and {len(worse) - 3} more" if len(worse) > 3 else ""
+    unnamed = f" and {len(worse) - 3} more" if len(worse) > 3 else ""
     if not worse:
         return f"nobody is shown to be behind {study.reference} in the same sea."
     same = len(others) - len(worse)
     rest = f"; {same} {'is' if same == 1 else 'are'} not shown to be" if same else ""
-    return f"behind {study.reference} in the same sea: {', '.join(said)}{more}{rest}."
+    return f"behind {study.reference} in the same sea: {', '.join(said)}{unnamed}{rest}."
 
 
 def _loosest(study: Study) -> str:

@@ -21,8 +21,8 @@ def worst_case_topic(records: Records) -> Topic | None:
         return None
     runs = {run.run_id: run for run in records.runs}
     steps = records.run_steps(records.runs)
-    found = {run_id: _row(runs[run_id], of_run, k) for run_id, of_run, _ in steps}
-    rows = [row for run_id in runs if (row := found.get(run_id)) is not None]
+    row_of = {run_id: _row(runs[run_id], of_run, k) for run_id, of_run, _ in steps}
+    rows = [row for run_id in runs if (row := row_of.get(run_id)) is not None]
     if not rows:
         return None
     searched = str(asked.get("configuration") or "")

@@ -58,10 +58,10 @@ def pieces(
     edge = _Edge(dead, skegs)
     if sector is None and not zones and not edge.kinks:
         return [Piece()]
-    found: list[Piece] = []
+    allowed: list[Piece] = []
     for start, end in _allowed(sector, zones, edge):
-        found += edge.cut(start, end, step_rad)
-    return found
+        allowed += edge.cut(start, end, step_rad)
+    return allowed
 
 
 class _Edge:
