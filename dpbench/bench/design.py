@@ -34,6 +34,7 @@ from dpbench.scenario.problem_files import problem_path
 from dpbench.scenario.scenario import Scenario, load_scenario, scenario_of
 from dpbench.ship.characteristics import has_mirror_symmetry
 from dpbench.ship.froude import Froude
+from dpbench.ship.layout import AXES, HEADING, NORTH, YAW
 
 DESIGN_FILE = "design.json"
 DESIGN_SCHEMA = 2
@@ -190,10 +191,10 @@ def is_held(scenario: Scenario, offset_m: float, sides: Sequence[float] = SIDES)
     for sign in sides:
         start = np.array([0.0, sign * offset_m * scale.length, 0.0])
         try:
-            state = solve_exactly(replace(scenario, start=start, velocity=np.zeros(3))).state
+            state = solve_exactly(replace(scenario, start=start, velocity=np.zeros(AXES))).state
         except CertificateError:
             return False
-        away = np.hypot(*(state[-tail - 1 :, 3:5] - scenario.reference[:2]).T)
+        away = np.hypot(*(state[-tail - 1 :, NORTH:HEADING] - scenario.reference[:YAW]).T)
         # NaN stays outside.
         if not (away <= TOLERANCE_M * scale.length).all():
             return False

@@ -9,6 +9,7 @@ from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import load_suite
 from dpbench.bench.sequences.sequence_file import active_set, load_recorded
 from dpbench.cli.terminal import entry, plain, small_table
+from dpbench.report.formats import MISSING
 from dpbench.scenario.problem_files import SEQUENCES, problem_names, sequence_path
 from dpbench.scenario.scenario import load_scenario, load_vessel
 from dpbench.solvers.settings import describe_levels
@@ -66,7 +67,7 @@ def _sequences() -> RenderableType:
         table.add_row(
             name,
             *(str(count) for count in (base.n, base.m, len(sequence))),
-            f"{np.count_nonzero(sets) / np.size(sets):.1%}" if sets else "–",
+            f"{np.count_nonzero(sets) / np.size(sets):.1%}" if sets else MISSING,
             "constant" if sequence.P is None else "each step's",
             "each" if every == 1 else f"each {every}th",
         )

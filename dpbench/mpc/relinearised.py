@@ -27,8 +27,10 @@ from dpbench.mpc.condensed_qp import CondensedQP, Form
 from dpbench.mpc.model import HEADING
 from dpbench.qp.program import QPStep
 
-_TURNS = 2.0 * np.pi * np.arange(5) / 5
-"""Where the polynomials are sampled: five points determine degree 2."""
+_POINTS = 5
+"""So many determine a trigonometric polynomial of degree 2."""
+_TURNS = 2.0 * np.pi * np.arange(_POINTS) / _POINTS
+"""Where the polynomials are sampled."""
 _CHECKED_TURN = 1.0
 """A heading apart from all samples, where every polynomial must give what condensing gives."""
 _NOISE = 1e-13

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from dpbench.arrays import Flags, Floats, Matrix, Vector
-from dpbench.bench.record.schema import AXES, FORCES
+from dpbench.bench.record.schema import FORCES, POSE_AXES
 from dpbench.bench.run.exact_loop import ExactLoop
 from dpbench.scenario.scenario import Scenario
-from dpbench.ship.layout import POSE, VELOCITY
+from dpbench.ship.layout import AXES, POSE, VELOCITY
 
 AT_LIMIT = 1e-6
 """In units of the limit's own step: closer than this counts as being at the limit."""
@@ -39,7 +39,7 @@ def control_metrics(
     radius = np.hypot(north, east)
     heading = np.degrees(np.abs(turn))
     t = np.arange(K, dtype=np.float64) * dt
-    before = np.vstack([np.zeros(3), tau[:-1]])
+    before = np.vstack([np.zeros(AXES), tau[:-1]])
     change = tau - before
     metrics = {
         "r_rms_m": _rms(radius),
@@ -86,7 +86,7 @@ def _watch_shares(radius: Vector, heading: Vector) -> dict[str, float]:
 def _of_axes(t: Vector, error: Matrix, dt: float) -> dict[str, float]:
     """Integrals of the error of each axis, and its overshoot."""
     metrics = {}
-    for i, axis in enumerate(AXES):
+    for i, axis in enumerate(POSE_AXES):
         size = np.abs(error[:, i])
         metrics[f"iae_{axis}"] = float(size.sum() * dt)
         metrics[f"ise_{axis}"] = float((size**2).sum() * dt)

@@ -10,7 +10,7 @@ import os
 import resource
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -106,7 +106,7 @@ class Disturbance:
     @classmethod
     def total(cls, parts: Sequence[Disturbance]) -> Disturbance:
         """Of several replays together; what some did not see is the sum over the others."""
-        rows = np.array([list(vars(part).values()) for part in parts]).reshape(-1, 7)
+        rows = np.array([list(vars(part).values()) for part in parts]).reshape(-1, len(fields(cls)))
         seen = np.isfinite(rows).any(axis=0)
         return cls(*np.where(seen, np.nansum(rows, axis=0), np.nan).tolist())
 

@@ -32,7 +32,7 @@ Columns = dict[str, tuple[DType, str]]
 PREFIX = "x_"
 """Of the columns that hold the values of a study's keys, before the key's dotted name."""
 
-AXES = ("n", "e", "psi")
+POSE_AXES = ("n", "e", "psi")
 FORCES = ("surge", "sway", "yaw")
 AXIS_FORCES = ("x_N", "y_N", "n_Nm")
 ABSENT = -1
@@ -301,12 +301,12 @@ CONTROL_COLUMNS: Columns = {
     "r_tail_max_m": ("float64", "largest radial error in the second half of the run"),
     "heading_rms_deg": ("float64", "heading error, root mean square"),
     "heading_max_deg": ("float64", "heading error, largest"),
-    **{f"iae_{a}": ("float64", "integral of the absolute error [m·s, rad·s]") for a in AXES},
-    **{f"ise_{a}": ("float64", "integral of the squared error") for a in AXES},
-    **{f"itae_{a}": ("float64", "integral of time times absolute error") for a in AXES},
+    **{f"iae_{a}": ("float64", "integral of the absolute error [m·s, rad·s]") for a in POSE_AXES},
+    **{f"ise_{a}": ("float64", "integral of the squared error") for a in POSE_AXES},
+    **{f"itae_{a}": ("float64", "integral of time times absolute error") for a in POSE_AXES},
     "settle_s": ("float64", "time after which 1 m and 1° hold for 30 s; inf if never"),
     "settle_0p1m_s": ("float64", "time after which 0.1 m holds to the end; inf if never"),
-    **{f"overshoot_{a}": ("float64", "furthest excursion beyond the reference") for a in AXES},
+    **{f"overshoot_{a}": ("float64", "furthest excursion beyond the reference") for a in POSE_AXES},
     "share_1m": ("float64", "share of time inside the paper's 1 m circle"),
     "share_green": ("float64", "share of time within 3 m and 3° (IMCA M 220 example)"),
     "share_yellow": ("float64", "share of time between green and red"),

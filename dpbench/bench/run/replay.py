@@ -34,9 +34,11 @@ def _reference_kernel(v):  # type: ignore[no-untyped-def] # compiled by numba
 
 
 _KERNEL_DATA = np.linspace(0.0, 1.0, 256)
-_LOAD_MATRIX = np.eye(40) + 0.01
-_LOAD_VECTOR = np.linspace(0.0, 1.0, 40)
-_LOAD_RESULT = np.empty(40)
+_LOAD_SIZE = 40
+"""Of the small arrays, as of a condensed QP."""
+_LOAD_MATRIX = np.eye(_LOAD_SIZE) + 0.01
+_LOAD_VECTOR = np.linspace(0.0, 1.0, _LOAD_SIZE)
+_LOAD_RESULT = np.empty(_LOAD_SIZE)
 
 
 def _next(value: int) -> int:

@@ -28,6 +28,8 @@ from dpbench.ship.capability.conditions import DP_CONDITIONS
 COLUMNS = ("case", "from_deg", "wind_mps", "number")
 SIZE = 380
 _OUTER = max(wind for wind, *_ in DP_CONDITIONS.values())
+_RING_CORNERS = 91
+"""Of the polygon that is drawn as a ring: every 4°, the first again at the end."""
 _RINGS = (3, 5, 6, 7, 8, 9, 10, 11)
 """DP capability numbers whose winds are drawn as rings; below they lie too close."""
 _BETWEEN_DEG = np.arange(15.0, 360.0, 30.0)
@@ -111,7 +113,7 @@ def _closed(case: pd.DataFrame) -> pd.DataFrame:
 
 
 def _rings(x: alt.X, y: alt.Y) -> Any:
-    turn = np.linspace(0.0, 360.0, 91)
+    turn = np.linspace(0.0, 360.0, _RING_CORNERS)
     rings = [
         pd.DataFrame({**_at(DP_CONDITIONS[n][0], turn), "i": range(len(turn)), "n": n})
         for n in _RINGS

@@ -26,7 +26,9 @@ from dpbench.scenario.scenario import Scenario
 
 CIRCLE_M = 1.0
 """Radius of the paper's precision circle."""
-AXES = (
+CORNERS = 73
+"""Of the polygon that is drawn as a circle: every 5°, the first again at the end."""
+DRAWN_FORCES = (
     ("surge", "x", "N", 1e3, "kN"),
     ("sway", "y", "N", 1e3, "kN"),
     ("yaw", "n", "Nm", 1e6, "MN·m"),
@@ -53,9 +55,9 @@ def path(laws: Sequence[Law], scenario: Scenario) -> Any:
         tables.append(pd.DataFrame({"law": law.label, **places}))
     table = pd.concat(tables)
     north, east = (float(x) for x in scenario.reference[:2])
-    angle = np.linspace(0.0, 2.0 * np.pi, 73)
+    angle = np.linspace(0.0, 2.0 * np.pi, CORNERS)
     n, e = north + CIRCLE_M * np.cos(angle), east + CIRCLE_M * np.sin(angle)
-    circle = pd.DataFrame({"i": range(73), "n": n, "e": e})
+    circle = pd.DataFrame({"i": range(CORNERS), "n": n, "e": e})
     starts = [*map(float, scenario.start[:2])]
     kinds = ["start", "reference"]
     points = pd.DataFrame([starts, [north, east]], columns=["n", "e"]).assign(what=kinds)
@@ -126,7 +128,9 @@ def _of_axes(laws: Sequence[Law], column: str, sign: str, low: Vector, high: Vec
     return _stack(
         [
             _force(laws, f"{column}_{key}_{unit}", scale, f"{sign}{name} [{shown}]", limits)
-            for (name, key, unit, scale, shown), *limits in zip(AXES, low, high, strict=True)
+            for (name, key, unit, scale, shown), *limits in zip(
+                DRAWN_FORCES, low, high, strict=True
+            )
         ]
     )
 

@@ -16,7 +16,7 @@ from dpbench.analysis.times.routes import native_comparisons, route_comparisons
 from dpbench.analysis.verdict.demand import Demand, is_right
 from dpbench.bench.judge.rules import median, percentile
 from dpbench.bench.record.configuration import settings_level
-from dpbench.report.formats import and_list, plural, significant, time_text
+from dpbench.report.formats import MISSING, and_list, plural, significant, time_text
 from dpbench.report.page.topic import SmallTable, Topic
 
 
@@ -205,6 +205,6 @@ def _median_text(records: Records, run: RunRecord | None, demand: Demand) -> str
     """Median step time of a replay; how it ended where it left no step."""
     times = None if run is None else records.times(run)
     if run is None or times is None:
-        return "–" if run is None else run.outcome.replace("_", " ")
+        return MISSING if run is None else run.outcome.replace("_", " ")
     text = time_text(median(times.algo_ns))
     return text if is_right(run, demand) else f"{text} (not right)"

@@ -17,7 +17,7 @@ from dpbench.analysis.suites.study import (
     Study,
 )
 from dpbench.report.charts.study import behind, held_lines, held_maps
-from dpbench.report.formats import and_list, plural, significant
+from dpbench.report.formats import MISSING, and_list, plural, significant
 from dpbench.report.page.topic import Figure, SmallTable, Topic
 
 MOST_MAPS = 6
@@ -200,7 +200,7 @@ def _row(configuration: StudiedConfiguration) -> tuple[str, ...]:
         "reference" if behind_cm is None else _interval(behind_cm, 100.0),
         "" if dearer is None else f"{_interval(dearer, 100.0)} %",
         "" if behind_cm is None else ("yes" if behind_cm.shown else "no"),
-        "" if behind_cm is None else str(behind_cm.replicates_for(SMALL_M) or "–"),
+        "" if behind_cm is None else str(behind_cm.replicates_for(SMALL_M) or MISSING),
     )
 
 

@@ -12,7 +12,7 @@ from dpbench.analysis.suites.slowdown import MARGIN, DelayedGroup, cost_ratio, d
 from dpbench.analysis.times.horizon_sweep import Sweep, SweptConfiguration, moves_of, sweeps
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.report.charts.lines import lines
-from dpbench.report.formats import and_list, significant, time_text
+from dpbench.report.formats import MISSING, and_list, significant, time_text
 from dpbench.report.page.topic import Figure, SmallTable, Topic
 from dpbench.scenario.horizons import Horizons
 
@@ -33,7 +33,7 @@ def horizon_topic(records: Records, demand: Demand) -> Topic | None:
             rows.append(
                 (
                     name,
-                    "–" if growth is None else significant(growth, 2),
+                    MISSING if growth is None else significant(growth, 2),
                     _longest(sweep, swept, demand.p99_ns),
                 )
             )
@@ -124,7 +124,7 @@ def _longest(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> str:
         fits = _fits(sweep, swept, limit_ns)
         return "none" if fits is None else f"{fits[0]}/{fits[1]}"
     if not any(math.isfinite(point.p99_ns) for point in swept.timed.values()):
-        return "–"
+        return MISSING
     largest = swept.largest_within(limit_ns)
     doubt = "" if swept.settled(limit_ns) else " ?"
     if largest is None:
@@ -163,7 +163,7 @@ def slowdown_topic(records: Records) -> Topic | None:
         rows = tuple(
             (
                 delayed.configuration.label,
-                "–" if math.isnan(delayed.survives) else f"{delayed.survives:g}",
+                MISSING if math.isnan(delayed.survives) else f"{delayed.survives:g}",
                 time_text(
                     max((r.latency_max_ns for r in delayed.loops.values()), default=math.nan)
                 ),

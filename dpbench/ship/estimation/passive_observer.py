@@ -86,7 +86,7 @@ class PassiveTuning:
         omega0 = waves.omega0_radps
         return cls(
             waves,
-            np.ones(3),
+            np.ones(AXES),
             CUTOFF_RATIO * omega0,
             np.diag(ship.M) * (STIFFNESS_RATIO * omega0) ** 2,
             BIAS_RATIO * omega0,

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dpbench.arrays import Vector
+from dpbench.ship.layout import AXES
 
 JONSWAP_DAMPING = 0.1
 """λ that fits a JONSWAP spectrum of γ = 3.3; 0.26 fits Pierson-Moskowitz (Fossen 2021)."""
@@ -38,7 +39,7 @@ class WaveModel:
     @classmethod
     def of_sea(cls, peak_period_s: float, std: Vector) -> WaveModel:
         """The same peak and JONSWAP's damping in every axis."""
-        return cls(np.full(3, peak_period_s), np.full(3, JONSWAP_DAMPING), std)
+        return cls(np.full(AXES, peak_period_s), np.full(AXES, JONSWAP_DAMPING), std)
 
     @property
     def omega0_radps(self) -> Vector:
