@@ -43,6 +43,11 @@ class Status(IntEnum):
         """
         return self in _USABLE
 
+    @property
+    def denies_optimum(self) -> bool:
+        """Whether it is the claim that there is no optimum."""
+        return self in (Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE)
+
 
 _SENTENCES = {
     Status.SOLVED: "The solver claims an optimum within its tolerances.",

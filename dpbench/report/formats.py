@@ -117,3 +117,8 @@ def and_list(words: list[str]) -> str:
     if len(words) < 2:
         return "".join(words)
     return f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def unmarked(text: str) -> str:
+    """Without the marks of Markdown, which a page and a terminal would show."""
+    return text.replace("**", "").replace("`", "")

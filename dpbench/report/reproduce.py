@@ -16,9 +16,10 @@ from dpbench.bench.design import Designs, linear_record
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.result_folder import Results, accidents, load_results
 from dpbench.bench.record.revision import revision_text
+from dpbench.bench.record.schema import AXIS_FORCES
 from dpbench.report.charts.render import save
 from dpbench.report.charts.ship import Law, errors
-from dpbench.report.formats import plural
+from dpbench.report.formats import plural, unmarked
 from dpbench.report.page.topic import SmallTable, Topic
 from dpbench.report.table import markdown
 from dpbench.report.topics.claims import Claim, claims
@@ -31,7 +32,6 @@ RUNS = "runs"
 FORMATS = ("pdf", "svg")
 MOST_NAMED = 4
 """So many claims that are not reproduced are named on the terminal."""
-_AXES = ("x_N", "y_N", "n_Nm")
 Columns = Mapping[str, Any]
 
 
@@ -142,8 +142,8 @@ def _increments(steps: pd.DataFrame, scenario: Scenario) -> Columns:
 
 def _with_limits(steps: pd.DataFrame, what: str, low: np.ndarray, high: np.ndarray) -> Columns:
     """A force or increment in each axis, then its limits."""
-    columns: dict[str, Any] = {f"{what}_{axis}": steps[f"{what}_{axis}"] for axis in _AXES}
-    for i, axis in enumerate(_AXES):
+    columns: dict[str, Any] = {f"{what}_{axis}": steps[f"{what}_{axis}"] for axis in AXIS_FORCES}
+    for i, axis in enumerate(AXIS_FORCES):
         columns |= {f"{what}_min_{axis}": low[i], f"{what}_max_{axis}": high[i]}
     return columns
 
@@ -187,7 +187,7 @@ def _contradicted(judged: Sequence[Claim]) -> list[str]:
     named = [f"{claim.state}: {claim.claim}" for claim in judged if claim.state != "reproduced"]
     rest = len(named) - MOST_NAMED
     unnamed = [f"and {plural(rest, 'other')}: see claims.md"] if rest > 0 else []
-    return [line.replace("`", "") for line in named[:MOST_NAMED]] + unnamed
+    return [unmarked(line) for line in named[:MOST_NAMED]] + unnamed
 
 
 def _places(folder: Path) -> list[str]:

@@ -58,7 +58,6 @@ EVALUATION = (
 )
 AT_ONCE = 128
 """Answers that are judged at once, at most: some megabytes of them where n is 500."""
-_NO_ANSWER_CLAIMS = (Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE)
 CERTIFICATES = ("linear", "gap", "rational", "infeasible", "none", "undecided")
 _SOLVE = TIMES.index("solve")
 
@@ -129,7 +128,7 @@ class StepEvaluator:
         move, plan = errors_of(z, optima, qp.block, qp.moves)
         levels = [are_true(q, in_scaled, plan, tol) for tol in (TRUE_TOL, 1e-4, 1e-6)]
         for i, answer in enumerate(answers):
-            if answer.status in _NO_ANSWER_CLAIMS:
+            if answer.status.denies_optimum:
                 claim = Solution(answer.status, z[i], y[i], y_box[i])
                 is_so = claim_is_true(qp.at(scaled[i]), claim, optima[i])
                 for level in levels:

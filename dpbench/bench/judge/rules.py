@@ -32,7 +32,7 @@ BEYOND = 10
 INFEASIBLE, UNDECIDED, UNCERTIFIED = "infeasible", "undecided", "none"
 """Certificates of steps without an optimum: proven to have no feasible point; feasible or not only
 by rounding, which is charged to nobody; nothing is proven."""
-NO_ANSWER_CLAIMS = ("PRIMAL_INFEASIBLE", "DUAL_INFEASIBLE")
+NO_ANSWER_CLAIMS = tuple(status.name for status in Status if status.denies_optimum)
 """Status names of the claims that there is no optimum."""
 _NO_USE = tuple(status.name for status in Status if not status.usable)
 

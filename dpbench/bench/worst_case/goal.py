@@ -19,7 +19,7 @@ DECLINED = 1e-2
 _ROUNDING = 1e-18
 """An error of zero has no logarithm; no certificate sees one below this."""
 _LARGEST = 1e300
-_INFEASIBLE_CLAIMS = (Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE)
+_NO_ANSWER_CLAIMS = [status for status in Status if status.denies_optimum]
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def _objective_of_errors(evaluated: Evaluated) -> Floats:
     columns = evaluated.columns
     status = columns["status"]
     error, true = (columns["evaluations"][:, EVALUATION.index(x)] for x in ("error_plan", "true"))
-    solved, empty = status == Status.SOLVED, np.isin(status, _INFEASIBLE_CLAIMS)
+    solved, empty = status == Status.SOLVED, np.isin(status, _NO_ANSWER_CLAIMS)
     certificate = np.array(CERTIFICATES)[columns["certificate"]]
     objective = np.where(solved, error, np.minimum(error, DECLINED))
     objective[(empty & (true != 1.0)) | (solved & (certificate == INFEASIBLE))] = np.inf

@@ -21,7 +21,7 @@ from dpbench.report.charts.style import ROW_STEP
 from dpbench.report.compare.comparison import Comparison
 from dpbench.report.compare.tables import answer_line, shared_line, times_table
 from dpbench.report.compare.times_chart import COLUMNS, both, ratios
-from dpbench.report.formats import interval_text, plural
+from dpbench.report.formats import interval_text, plural, unmarked
 from dpbench.report.page.facts import columns_of
 from dpbench.report.page.pack import Block
 from dpbench.report.page.vendored import script, vendored
@@ -46,7 +46,7 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
         css=Markup(own("templates/page.css")),
         verdict="worse somewhere" if comparison.worse else "no regression shown",
         lead=lead(comparison),
-        lines=[line.replace("`", "") for line in comparison.lines],
+        lines=[unmarked(line) for line in comparison.lines],
         figures={
             name: Markup(follow(svg(chart, titled=False)))
             for name, chart in charts.items()
@@ -134,7 +134,7 @@ def _times(order: Sequence[Compared], comparison: Comparison) -> dict[str, Any]:
 
 
 def _small(table: Table) -> dict[str, Any]:
-    rows = [[cell.replace("`", "") for cell in row] for row in table.rows]
+    rows = [[unmarked(cell) for cell in row] for row in table.rows]
     return {"title": table.title, "note": table.note, "head": table.heads, "rows": rows}
 
 
@@ -197,11 +197,11 @@ def _addresses(order: Sequence[Compared]) -> list[str]:
 def lead(comparison: Comparison) -> list[str]:
     """One sentence on times and accuracy, then what all configurations became slower by."""
     together = [
-        f"All together: {shared_line(shared)}.".replace("`", "")
+        unmarked(f"All together: {shared_line(shared)}.")
         for shared in comparison.shared
         if shared.assessment is not None and shared.assessment.verdict == "slower"
     ]
-    return [f"{_slower(comparison)} {_worse(comparison)}".replace("`", ""), *together]
+    return [unmarked(f"{_slower(comparison)} {_worse(comparison)}"), *together]
 
 
 def said(one: Compared) -> str:

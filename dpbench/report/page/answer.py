@@ -13,7 +13,14 @@ from dpbench.analysis.verdict.fastest import Recommendation, fastest_of, known_r
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
 from dpbench.errors import InputError
-from dpbench.report.formats import and_list, error_text, plural, rounded_down, time_text
+from dpbench.report.formats import (
+    and_list,
+    error_text,
+    plural,
+    rounded_down,
+    time_text,
+    unmarked,
+)
 from dpbench.report.page.facts import Facts
 from dpbench.report.verdict_text import (
     NOBODY,
@@ -60,7 +67,7 @@ class Answer:
             return verdict.refusal
         if verdict.outcome == "meets":
             return ""
-        return _plain(clauses(verdict.causes or verdict.missing))
+        return unmarked(clauses(verdict.causes or verdict.missing))
 
 
 def answer_of(facts: Facts, machine: Mapping[str, Any], baseline: str | None = None) -> Answer:
@@ -105,7 +112,7 @@ def _sentence(facts: Facts, found: Recommendation) -> str:
         return _nothing(facts, found)
     c = chosen.configuration
     head = "Use" if chosen.outcome == "meets" else "Nothing contradicts"
-    left_open = "" if chosen.outcome == "meets" else f"; {_plain(clauses(chosen.missing))}"
+    left_open = "" if chosen.outcome == "meets" else f"; {unmarked(clauses(chosen.missing))}"
     return (
         f"{head} {c.solver} ({c.route}, {c.policy}, {c.settings}): right on every step of "
         f"{judged_on(chosen)}, {usual_time(chosen)}{_hardest(facts, chosen)}, largest error of the "
@@ -117,15 +124,10 @@ def _nothing(facts: Facts, found: Recommendation) -> str:
     """Why nothing is recommended; empty where nobody asked for a recommendation."""
     records = facts.records
     if any(not run.is_baseline_law for run in records.runs):
-        return _plain(why_nothing(records, facts.verdicts, found))
+        return unmarked(why_nothing(records, facts.verdicts, found))
     topics = records.random or records.consequence or records.at_edge or records.study
     other = topics or records.delayed or records.calibration
     return "" if other else NOBODY
-
-
-def _plain(text: str) -> str:
-    """Without the marks of Markdown, which a page would show."""
-    return text.replace("**", "").replace("`", "")
 
 
 def _notes(facts: Facts, found: Recommendation) -> Iterator[tuple[str, str]]:

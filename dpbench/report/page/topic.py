@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+from dpbench.report.formats import unmarked
+
 
 @dataclass(frozen=True)
 class Figure:
@@ -31,7 +33,7 @@ class SmallTable:
     def on_page(self) -> SmallTable:
         """What is shown, without the marks of Markdown, which a page would show too."""
         rows = self.rows[: self.shown]
-        return replace(self, rows=tuple(tuple(c.replace("`", "") for c in r) for r in rows))
+        return replace(self, rows=tuple(tuple(unmarked(c) for c in r) for r in rows))
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import Literal
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
+from dpbench.display import numbers_text
 from dpbench.report.charts.ship import CIRCLE_M
 from dpbench.report.formats import count_text, plural, seconds_text, share_text, significant
 from dpbench.scenario.scenario import Scenario, load_scenario
@@ -209,11 +210,11 @@ def choices(view: Records) -> list[tuple[str, str]]:
     vessel = scenario.vessel
     return [
         ("M and D", f"{vessel.title} (`{vessel.id}`; {vessel.source.rstrip('.')})"),
-        ("Q", f"diag({_list(scenario.Q.diagonal())}) in 1/m², 1/m², 1/rad²"),
-        ("R", f"diag({_list(scenario.R.diagonal())}) in 1/N², 1/N², 1/(N·m)²"),
-        ("disturbance, mean", f"{_list(sea['mean_kN'])} (kN, kN, kN·m; north, east, yaw)"),
-        ("disturbance, amplitude", f"{_list(sea['amplitude_kN'])} (kN, kN, kN·m)"),
-        ("disturbance, period", f"{_list(sea['period_s'])} s"),
+        ("Q", f"diag({numbers_text(scenario.Q.diagonal())}) in 1/m², 1/m², 1/rad²"),
+        ("R", f"diag({numbers_text(scenario.R.diagonal())}) in 1/N², 1/N², 1/(N·m)²"),
+        ("disturbance, mean", f"{numbers_text(sea['mean_kN'])} (kN, kN, kN·m; north, east, yaw)"),
+        ("disturbance, amplitude", f"{numbers_text(sea['amplitude_kN'])} (kN, kN, kN·m)"),
+        ("disturbance, period", f"{numbers_text(sea['period_s'])} s"),
         ("duration", f"{significant(scenario.steps * scenario.sample_s)} s"),
         (
             "baseline",
@@ -222,10 +223,6 @@ def choices(view: Records) -> list[tuple[str, str]]:
         ),
         ("estimator", "none: the state is known without noise"),
     ]
-
-
-def _list(numbers: Iterable[float]) -> str:
-    return ", ".join(f"{number:.4g}" for number in numbers)
 
 
 def is_of_paper(view: Records, name: str) -> bool:

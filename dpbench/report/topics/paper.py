@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dpbench.analysis.records.records import Records
 from dpbench.bench.design import STILL, WEATHER, Bracket, Designs
 from dpbench.report.charts.ship import Law, forces, increments, path, precision
-from dpbench.report.formats import MISSING, rounded_down, rounded_up
+from dpbench.report.formats import MISSING, rounded_down, rounded_up, unmarked
 from dpbench.report.page import cite
 from dpbench.report.page.topic import Figure, SmallTable, Topic
 from dpbench.report.topics.claims import Claim, choices, claims, pair_of
@@ -66,7 +66,7 @@ def _headline(measured: Sequence[Claim]) -> str:
     """How many claims are reproduced, and which are not."""
     others = {"not": "not reproduced", "the opposite": "opposite"}
     named = {
-        word: [claim.claim.replace("`", "") for claim in measured if claim.state == state]
+        word: [unmarked(claim.claim) for claim in measured if claim.state == state]
         for word, state in others.items()
     }
     said = [f"{word}: “{'”, “'.join(names)}”" for word, names in named.items() if names]
