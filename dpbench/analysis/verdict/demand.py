@@ -48,3 +48,8 @@ def is_right(run: RunRecord, demand: Demand) -> bool:
         and run.error_move_max <= demand.error_move
         and run.failed_steps <= demand.failed_steps
     )
+
+
+def is_right_to_the_end(run: RunRecord, demand: Demand) -> bool:
+    """Whether it is right, and nothing stopped it: what a closed loop has to be."""
+    return run.outcome == "finished" and is_right(run, demand)

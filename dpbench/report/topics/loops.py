@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.verdict.demand import Demand, is_right
+from dpbench.analysis.verdict.demand import Demand, is_right_to_the_end
 from dpbench.report.formats import MISSING, and_list, count_text, plural, significant
 from dpbench.report.page.topic import SmallTable, Topic
 
@@ -23,7 +23,7 @@ def loops_topic(records: Records, demand: Demand) -> Topic | None:
     if not by_name:
         return None
     whole = {
-        name: sum(run.outcome == "finished" and is_right(run, demand) for run in runs)
+        name: sum(is_right_to_the_end(run, demand) for run in runs)
         for name, runs in by_name.items()
     }
     most = max(len(runs) for runs in by_name.values())

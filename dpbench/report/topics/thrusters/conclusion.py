@@ -13,7 +13,7 @@ from dpbench.analysis.suites.consequence import (
     BatchAnswers,
     consequence_analyses,
 )
-from dpbench.analysis.verdict.demand import Demand, is_right
+from dpbench.analysis.verdict.demand import Demand, is_right_to_the_end
 from dpbench.analysis.verdict.fastest import recommend
 from dpbench.analysis.verdict.steering import (
     Fault,
@@ -95,8 +95,7 @@ def _after_a_loss(records: Records, chosen: Verdict | None, demand: Demand) -> I
     """How far off the ship is once thrusters are lost, where the answers are right."""
     for run in _loops_of(records, chosen):
         lost = lost_late(run)
-        whole = run.outcome == "finished" and isfinite(run.r_tail_max_m)
-        if lost and whole and is_right(run, demand):
+        if lost and isfinite(run.r_tail_max_m) and is_right_to_the_end(run, demand):
             yield (
                 f"After the loss of {and_list(lost)} ({run.scenario}) the ship it steers stays "
                 f"within {rounded_up(run.r_tail_max_m, 2)} m."

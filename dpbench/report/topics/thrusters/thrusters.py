@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.verdict.demand import Demand, is_right
+from dpbench.analysis.verdict.demand import Demand, is_right_to_the_end
 from dpbench.analysis.verdict.steering import is_about_thrusters
 from dpbench.report.formats import MISSING, and_list, plural, significant
 from dpbench.report.page.topic import SmallTable, Topic
@@ -30,7 +30,7 @@ def thrusters_topic(records: Records, demand: Demand) -> Topic | None:
         for run in records.select(mode="closed_loop")
         if math.isfinite(run.power_share) and not run.is_baseline_law and not run.slowdown > 0.0
     ]
-    right = [run for run in runs if run.outcome == "finished" and is_right(run, demand)]
+    right = [run for run in runs if is_right_to_the_end(run, demand)]
     if not right:
         return None
     best = {name: _nearest(right, name) for name in sorted({run.scenario for run in right})}
@@ -70,8 +70,7 @@ def _lead(
     """How hard the thrusters work, and how many configurations keep up."""
     hardest = max(best.values(), key=lambda run: run.at_limit_thrusters)
     whole = sum(
-        {run.scenario for run in runs if run.outcome == "finished" and is_right(run, demand)}
-        == set(best)
+        {run.scenario for run in runs if is_right_to_the_end(run, demand)} == set(best)
         for runs in configurations.values()
     )
     return (
@@ -86,7 +85,7 @@ def _row(
     name: str, runs: Sequence[RunRecord], best: dict[str, RunRecord], demand: Demand
 ) -> tuple[str, ...]:
     ended = [run for run in runs if run.steps_done == best[run.scenario].steps_done]
-    right = sum(run.outcome == "finished" and is_right(run, demand) for run in runs)
+    right = sum(is_right_to_the_end(run, demand) for run in runs)
     columns = ("power_share", "thrust_variation", "azimuth_travel_deg")
     ratios = [_ratio(ended, best, column) for column in columns]
     off = [run.dev_position_max_m for run in ended if math.isfinite(run.dev_position_max_m)]
