@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import dask
@@ -17,6 +18,7 @@ from distributed.comm.registry import get_backend
 
 from dpbench.bench.engines.on_worker import About, about
 from dpbench.bench.record.cell import HARNESS_VERSION
+from dpbench.bench.workers.scratch import scratch_folder
 from dpbench.errors import InputError
 
 EXCLUSIVE = "exclusive"
@@ -80,14 +82,14 @@ def own_cluster(workers: int) -> Iterator[Client]:
     """A client of so many workers on this machine, one of which times replays."""
     with (
         _quiet(),
-        tempfile.TemporaryDirectory(prefix="dpbench-dask-", ignore_cleanup_errors=True) as folder,
+        scratch_folder(Path(tempfile.gettempdir())) as folder,
         dask.config.set(_OWN),
     ):
         plain = {
             "nthreads": 1,
             "memory_limit": 0,
             "dashboard": False,
-            "local_directory": folder,
+            "local_directory": str(folder),
             "silence_logs": logging.CRITICAL,
         }
         spec = {

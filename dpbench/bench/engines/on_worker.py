@@ -19,13 +19,13 @@ from pathlib import Path
 from typing import Any
 
 from dpbench.bench.engines.engine import Kind, Target, by_source, without_source
-from dpbench.bench.engines.leased_core import leased_core
 from dpbench.bench.progress import Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.workers.child import template_context
 from dpbench.bench.workers.executor import BATCH_CELLS, Bench, CellJob, Result
-from dpbench.bench.workers.scratch import Scratch
+from dpbench.bench.workers.leases import leased_core
+from dpbench.bench.workers.scratch import Scratch, scratch_folder
 from dpbench.bench.workers.worker import make_source
 from dpbench.solvers.table import available
 
@@ -177,7 +177,7 @@ def _context(solvers: tuple[str, ...]) -> ForkServerContext:
 def _bench(order: Order, cores: list[int], concurrency: int = 1) -> Iterator[tuple[Bench, Path]]:
     """A bench with one slot on these cores, and a folder for the files it runs from."""
     with ExitStack() as stack:
-        place = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dpbench-")))
+        place = stack.enter_context(scratch_folder(Path(tempfile.gettempdir())))
         modules = {}
         for i, (path, text) in enumerate(order.modules.items()):
             modules[path] = str(place / str(i) / Path(path).name)

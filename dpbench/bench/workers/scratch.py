@@ -4,23 +4,23 @@ In memory where that can be, so that no write-back of a disk disturbs a step. A 
 64 MB of it where the replays of a suite can need 200, so the room is computed beforehand, and the
 next place is taken where it is short.
 
-A folder is locked (flock) as long as a process of its campaign lives. What a killed one has left is
-locked by nobody, and goes when the next one looks for room.
+A folder is leased (`leases.py`) as long as the process of its campaign lives. What a killed one has
+left is locked by nobody, and goes when the next one looks for room.
 """
 
 from __future__ import annotations
 
-import fcntl
 import os
 import shutil
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import psutil
 
+from dpbench.bench.workers.leases import FOLDER, lease
 from dpbench.errors import DpbenchError
 
 MEMORY = Path("/dev/shm")
@@ -43,38 +43,21 @@ def scratch_folder(place: Path | None = None) -> Iterator[Path]:
     clear_abandoned(place)
     # Nobody looks for this name: it gets the other when it is locked.
     made = Path(tempfile.mkdtemp(prefix=f".{PREFIX}", dir=place))
-    lock = _locked(made)
-    folder = made.rename(made.with_name(made.name.removeprefix(".")))
-    try:
-        yield folder
-    finally:
-        # A worker that was interrupted as well may write its last file while the folder goes.
-        shutil.rmtree(folder, ignore_errors=True)
-        if lock is not None:
-            os.close(lock)
+    with lease(made, FOLDER):
+        folder = made.rename(made.with_name(made.name.removeprefix(".")))
+        try:
+            yield folder
+        finally:
+            # A worker that was interrupted as well may write its last file while the folder goes.
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def clear_abandoned(place: Path) -> None:
     """Remove the scratch folders at a place whose campaign lives no more."""
     for folder in place.glob(f"{PREFIX}*"):
-        lock = _locked(folder)
-        if lock is not None:
-            shutil.rmtree(folder, ignore_errors=True)
-            os.close(lock)
-
-
-def _locked(folder: Path) -> int | None:
-    """The lock of a folder, held until it is closed or this process and its children end; None
-    where another holds it, where it is another user's, or where the disk knows no locks."""
-    with suppress(OSError):
-        lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            os.close(lock)
-            raise
-        return lock
-    return None
+        with lease(folder, FOLDER) as abandoned:
+            if abandoned:
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 def free_bytes(place: Path) -> int:

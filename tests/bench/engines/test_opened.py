@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
-import tempfile
 from pathlib import Path
 
 import pytest
 
-from dpbench.bench.engines.leased_core import leased_core
 from dpbench.cli.main import main
 
 
@@ -42,28 +38,3 @@ def test_without_the_extra_the_line_names_it(
         monkeypatch.delitem(sys.modules, f"dpbench.bench.engines.{name}", raising=False)
     line = refused(["--engine", "dask"], tmp_path, capsys)
     assert line.startswith("dpbench: --engine: found dask") and "dpbench[cluster]" in line
-
-
-HOLDING = "from dpbench.bench.engines.leased_core import leased_core\n"
-HOLDING += "with leased_core() as core:\n    print(core, flush=True)\n    input()\n"
-
-
-def test_a_core_is_leased_to_one_process_at_a_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Others get others, as long as there are some; one that is killed gives its core back."""
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    monkeypatch.setattr(tempfile, "tempdir", None)
-    cores = sorted(os.sched_getaffinity(0))
-    command = [sys.executable, "-c", HOLDING]
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    with subprocess.Popen(command, text=True, **pipes) as holder:
-        assert holder.stdout is not None
-        taken = int(holder.stdout.readline())
-        with leased_core() as first, leased_core() as second:
-            assert taken in cores and (first != taken or len(cores) == 1)
-            # More work than cores: one of them has two.
-            assert second in cores
-        holder.kill()
-    with leased_core() as core:
-        assert core == taken == cores[0]
