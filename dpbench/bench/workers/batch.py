@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
 from dpbench.bench.record.cell import Outcome
-from dpbench.bench.workers.child import Child, with_log
+from dpbench.bench.workers.child import Child
 from dpbench.bench.workers.notice import AtWork, post
 from dpbench.bench.workers.worker import BatchCell, evaluate_batch, run_batch
 
@@ -100,6 +100,10 @@ class CellBatch:
     ----------
     cells : what the worker needs of each cell, in order.
     to_run : whether they are to be run; where not, they were before, and left steps.
+
+    Attributes
+    ----------
+    outcomes : what became of them; records : of those that left steps what is to be kept.
     """
 
     def __init__(
@@ -113,6 +117,7 @@ class CellBatch:
         self._context, self._folder, self._cells = context, folder, list(cells)
         self._to_run = to_run
         self.outcomes: dict[str, Outcome] = {}
+        self.records: dict[str, bytes] = {}
 
     def start(self, core: int) -> Child:
         """The first process."""
@@ -130,16 +135,24 @@ class CellBatch:
                 rest = [replace(cell, outcome=self.outcomes[cell.name]) for cell in ran]
         else:
             for name, verdict in ended.items():
-                if verdict.outcome != "finished":
-                    detail = f"the referee failed on it: {verdict.detail}"
-                    self.outcomes[name] = Outcome("lost", detail)
+                self._take_record(name, verdict)
         return self._process(rest, core) if rest else None
 
+    def _take_record(self, name: str, verdict: Outcome) -> None:
+        """Take what the referee left of a cell; without it the cell is lost."""
+        try:
+            if verdict.outcome == "finished":
+                self.records[name] = (self._folder / f"{name}.judged").read_bytes()
+                return
+            detail = f"the referee failed on it: {verdict.detail}"
+        except OSError as error:
+            detail = f"its record went away before it was kept: {error}"
+        self.outcomes[name] = Outcome("lost", detail)
+
     def _left_steps(self, cell: BatchCell) -> bool:
-        """Whether there is something to judge; a log that went away costs its cell."""
-        raw = self._folder / f"{cell.name}.raw"
-        outcome = self.outcomes[cell.name] = with_log(self.outcomes[cell.name], raw)
-        return outcome.outcome != "lost" and raw.exists()
+        """Whether there is something to judge."""
+        lost = self.outcomes[cell.name].outcome == "lost"
+        return not lost and (self._folder / f"{cell.name}.raw").exists()
 
     def _process(self, cells: Sequence[BatchCell], core: int) -> Child:
         """A process that runs cells, or judges them when all are run."""

@@ -32,13 +32,6 @@ GRACE_S = 3.0
 _BY_MEMORY = "killed by SIGKILL, as by the out-of-memory killer"
 
 
-def with_log(outcome: Outcome, raw: Path) -> Outcome:
-    """The outcome of a cell; one that made its steps and whose log is gone was lost."""
-    if outcome.outcome in ("finished", "timed_out") and not raw.exists():
-        return Outcome("lost", "its log went away before it was judged")
-    return outcome
-
-
 def template_context(solvers: Iterable[str]) -> ForkServerContext:
     """The context whose processes are forked from the template (`template.py`), threads pinned.
 

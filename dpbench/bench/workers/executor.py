@@ -24,7 +24,6 @@ from dpbench.bench.record.raw_log import discard
 from dpbench.bench.record.step_table import no_steps
 from dpbench.bench.sequences.source import is_timed, log_size, source_key
 from dpbench.bench.workers.batch import CellBatch, Errand, ErrandBatch, Target
-from dpbench.bench.workers.child import with_log
 from dpbench.bench.workers.interleaved import ReplayGroup
 from dpbench.bench.workers.scratch import NoRoomError, Scratch
 from dpbench.bench.workers.slots import in_slots
@@ -178,47 +177,50 @@ class Bench:
             yield from (self._lost(job, str(error)) for job in sizes)
             return
         by_id = {job.run_id: job for job in sizes}
-        for outcomes in self._in_batches(batches, sources, folder):
-            for run_id, outcome in outcomes.items():
+        for batch in self._in_batches(batches, sources, folder):
+            for run_id, outcome in batch.outcomes.items():
                 job = by_id[run_id]
                 self.progress.advance(work_of(job.cell), name_of(job.cell))
-                yield self._result(job, outcome, folder)
+                yield self._result(job, outcome, batch.records.get(run_id), folder)
 
     def replays(self, jobs: Sequence[CellJob], sources: Mapping[str, Path]) -> Iterator[Result]:
         """Replay one sequence through all its configurations, interleaved, then judge them all."""
-        name, core = jobs[0].cell.sequence, self._cores[-1]
         sizes, lost = self._sizes(jobs, sources)
         yield from lost
         if not sizes:
             return
+        what = f"the replays of {jobs[0].cell.sequence}"
         try:
-            folder = self._scratch.folder(sum(sizes.values()), f"the replays of {name}")
+            folder = self._scratch.folder(sum(sizes.values()), what)
         except NoRoomError as error:
             yield from (self._lost(job, str(error)) for job in sizes)
             return
-        cells = [(job.run_id, self._here(job.cell)) for job in sizes]
-        group = ReplayGroup(self._context, folder, _source(jobs[0], sources), core, cells)
-        rounds = max(cell.rounds for _, cell in cells)
-        share = sum(work_of(cell) for _, cell in cells) // (rounds + 1)
-        with _away_from(core):
-            for r in group.run():
-                self.progress.advance(share, f"replay {name}, round {r}")
-        raws = {job: folder / f"{job.run_id}.raw" for job in sizes}
-        outcomes = {
-            job.run_id: with_log(group.outcomes[job.run_id], raw) for job, raw in raws.items()
-        }
+        outcomes = self._by_turns([*sizes], _source(jobs[0], sources), folder)
         stepped = [
             job
-            for job, raw in raws.items()
-            if raw.exists() and outcomes[job.run_id].outcome != "lost"
+            for job in sizes
+            if outcomes[job.run_id].outcome != "lost" and (folder / f"{job.run_id}.raw").exists()
         ]
         shares = [stepped[i :: len(self._cores)] for i in range(len(self._cores))]
         # Judged on every core, whatever the slots: nothing is timed any more.
-        ran = dict(outcomes)
-        for ended in self._in_batches(filter(None, shares), sources, folder, ran):
-            outcomes |= ended
+        ran, records = dict(outcomes), dict[str, bytes]()
+        for batch in self._in_batches(filter(None, shares), sources, folder, ran):
+            outcomes |= batch.outcomes
+            records |= batch.records
         for job in sizes:
-            yield self._result(job, outcomes[job.run_id], folder)
+            yield self._result(job, outcomes[job.run_id], records.get(job.run_id), folder)
+
+    def _by_turns(self, jobs: Sequence[CellJob], source: Path, folder: Path) -> dict[str, Outcome]:
+        """What became of replays that took turns, by run_id."""
+        cells = [(job.run_id, self._here(job.cell)) for job in jobs]
+        name, core = jobs[0].cell.sequence, self._cores[-1]
+        rounds = max(cell.rounds for _, cell in cells)
+        share = sum(work_of(cell) for _, cell in cells) // (rounds + 1)
+        group = ReplayGroup(self._context, folder, source, core, cells)
+        with _away_from(core):
+            for r in group.run():
+                self.progress.advance(share, f"replay {name}, round {r}")
+        return group.outcomes
 
     def _sizes(
         self, jobs: Sequence[CellJob], sources: Mapping[str, Path]
@@ -253,8 +255,8 @@ class Bench:
         sources: Mapping[str, Path],
         folder: Path,
         ran: Mapping[str, Outcome] | None = None,
-    ) -> Iterator[dict[str, Outcome]]:
-        """Run and judge batches side by side; the outcomes of each when it is done, by run_id.
+    ) -> Iterator[CellBatch]:
+        """Run and judge batches side by side; each when it is done.
 
         Parameters
         ----------
@@ -264,8 +266,7 @@ class Bench:
         for jobs in batches:
             cells = [self._batch_cell(job, sources, (ran or {}).get(job.run_id)) for job in jobs]
             tasks.append(CellBatch(self._context, folder, cells, to_run=ran is None))
-        for batch in in_slots(tasks, self._slots if ran is None else self._cores):
-            yield batch.outcomes
+        yield from in_slots(tasks, self._slots if ran is None else self._cores)
 
     def _batch_cell(
         self, job: CellJob, sources: Mapping[str, Path], outcome: Outcome | None
@@ -286,24 +287,27 @@ class Bench:
         """Of a replay that is timed, the column of that name; None of every other cell."""
         return self._concurrency if is_timed(cell) else None
 
-    def _result(self, job: CellJob, outcome: Outcome, folder: Path) -> Result:
-        """The result of a cell, and nothing is left in `folder` of what it left there."""
-        lost = outcome.outcome == "lost"
-        record = b"" if lost else self._record(job, outcome, folder)
+    def _result(self, job: CellJob, outcome: Outcome, record: bytes | None, folder: Path) -> Result:
+        """The result of a cell, and nothing is left in `folder` of what it left there.
+
+        Parameters
+        ----------
+        record : what the referee made of its steps; None of a cell that left none.
+        """
+        if record is None and outcome.outcome in ("finished", "timed_out"):
+            outcome = Outcome("lost", "the steps it made went away before they were kept")
+        if outcome.outcome == "lost":
+            record = b""
+        elif record is None:
+            about = job.run_id, job.cell, outcome, job.library, self._machine_id
+            row = run_row(*about, None, None, concurrency=self._concurrency_of(job.cell))
+            record = packed(row, no_steps())
         discard(folder / f"{job.run_id}.raw")
         for suffix in ("json", "judged", "evaluated.json", "noise"):
             # What stands in a file's place by somebody else's doing goes with the folder.
             with suppress(OSError):
                 (folder / f"{job.run_id}.{suffix}").unlink()
         return Result(job.run_id, outcome, record)
-
-    def _record(self, job: CellJob, outcome: Outcome, folder: Path) -> bytes:
-        """What the referee left of a cell; of one that left no steps its row."""
-        if (folder / f"{job.run_id}.evaluated.json").exists():
-            return (folder / f"{job.run_id}.judged").read_bytes()
-        about = job.run_id, job.cell, outcome, job.library, self._machine_id
-        row = run_row(*about, None, None, concurrency=self._concurrency_of(job.cell))
-        return packed(row, no_steps())
 
 
 def _source(job: CellJob, sources: Mapping[str, Path]) -> Path:
