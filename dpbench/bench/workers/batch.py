@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
 from dpbench.bench.record.cell import Outcome
+from dpbench.bench.record.raw_log import discard
 from dpbench.bench.workers.child import Child
 from dpbench.bench.workers.notice import AtWork, post
 from dpbench.bench.workers.worker import BatchCell, evaluate_batch, run_batch
@@ -41,7 +42,12 @@ AnyItem = TypeVar("AnyItem", bound=Item)
 
 
 class _Run(Child, Generic[AnyItem]):
-    """One process that goes through items in order, each with a verdict of its own."""
+    """One process that goes through items in order, each with a verdict of its own.
+
+    Parameters
+    ----------
+    again : the item at work when the template of an earlier process died; it has no third time.
+    """
 
     def __init__(
         self,
@@ -53,8 +59,10 @@ class _Run(Child, Generic[AnyItem]):
         *,
         verdict: str = "json",
         logs: bool = True,
+        again: str = "",
     ) -> None:
         self._items, self._suffix, self._at, self._logs = list(items), verdict, 0, logs
+        self._again = again
         args = (tuple(items), folder, core)
         for item in items:
             (folder / f"{item.name}.{verdict}").unlink(missing_ok=True)
@@ -80,14 +88,15 @@ class _Run(Child, Generic[AnyItem]):
 
     def split(self) -> tuple[dict[str, Outcome], list[AnyItem]]:
         """Once the process ended: what became of the items it came to, and those still to do."""
-        self.process.join()
+        self.join()
         self._advance()
         outcomes = {}
         for item in self._items[: self._at]:
             outcomes[item.name] = self.verdict_of(self.folder / f"{item.name}.{self._suffix}")
         # A library may bring its process down when it is let go, between two cells.
         not_begun = self._at > 0 and self.notice.place < self._at
-        if not_begun or self._at == len(self._items):
+        once_more = self.orphaned and self.name != self._again
+        if not_begun or once_more or self._at == len(self._items):
             return outcomes, self._items[self._at :]
         outcomes[self.name] = self.outcome()
         return outcomes, self._items[self._at + 1 :]
@@ -127,8 +136,11 @@ class CellBatch:
         """Take down what became of the process that ended; the next one, or None at the end."""
         assert isinstance(child, _Run), "the processes of a batch are its own"
         ended, rest = child.split()
+        again = child.name if child.orphaned else ""
         if self._to_run:
             self.outcomes |= ended
+            if again:
+                discard(self._folder / f"{again}.raw")
             if not rest:
                 self._to_run = False
                 ran = [cell for cell in self._cells if self._left_steps(cell)]
@@ -136,7 +148,7 @@ class CellBatch:
         else:
             for name, verdict in ended.items():
                 self._take_record(name, verdict)
-        return self._process(rest, core) if rest else None
+        return self._process(rest, core, again) if rest else None
 
     def _take_record(self, name: str, verdict: Outcome) -> None:
         """Take what the referee left of a cell; without it the cell is lost."""
@@ -154,13 +166,13 @@ class CellBatch:
         lost = self.outcomes[cell.name].outcome == "lost"
         return not lost and (self._folder / f"{cell.name}.raw").exists()
 
-    def _process(self, cells: Sequence[BatchCell], core: int) -> Child:
-        """A process that runs cells, or judges them when all are run."""
+    def _process(self, cells: Sequence[BatchCell], core: int, again: str = "") -> Child:
+        """A process that runs cells, or judges them when all are run; `again` as in `_Run`."""
         target, verdict = run_batch, "json"
         if not self._to_run:
             target, verdict = evaluate_batch, "evaluated.json"
             cells = [replace(cell, limit_s=EVALUATION_LIMIT_S) for cell in cells]
-        return _Run(self._context, target, cells, self._folder, core, verdict=verdict)
+        return _Run(self._context, target, cells, self._folder, core, verdict=verdict, again=again)
 
 
 Target = Callable[[str, Path, str, int, Path], None]
@@ -223,8 +235,9 @@ class ErrandBatch:
         for name in ended:
             for suffix in ("json", "noise"):
                 (self._folder / f"{name}.{suffix}").unlink(missing_ok=True)
-        return self._process(rest, core) if rest else None
+        again = child.name if child.orphaned else ""
+        return self._process(rest, core, again) if rest else None
 
-    def _process(self, errands: Sequence[Errand], core: int) -> Child:
+    def _process(self, errands: Sequence[Errand], core: int, again: str = "") -> Child:
         target = partial(make_in_turn, self._target)
-        return _Run(self._context, target, errands, self._folder, core, logs=False)
+        return _Run(self._context, target, errands, self._folder, core, logs=False, again=again)

@@ -9,9 +9,11 @@ import multiprocessing.resource_tracker
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from multiprocessing.connection import wait
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
 from types import ModuleType
@@ -24,12 +26,26 @@ from dpbench.bench.workers import notice
 from dpbench.bench.workers.compiled import OWN, compile_in_processes, missing, needed
 from dpbench.bench.workers.interrupts import interrupts_wait
 from dpbench.bench.workers.notice import AtWork, Notice
+from dpbench.errors import DpbenchError
 
 START_ALLOWANCE_S = 60.0
 """For importing a library; after it a cell that has not started its loop is killed."""
 GRACE_S = 3.0
 """Beyond a cell's own limit, for one call that does not return."""
 _BY_MEMORY = "killed by SIGKILL, as by the out-of-memory killer"
+WITHOUT_TEMPLATE = Outcome(
+    "lost", "the template of its process was killed, as by the out-of-memory killer"
+)
+_UNHEARD = 255
+"""The exit code that `multiprocessing` gives a process whose template died."""
+_DYING_S = 1.0
+"""For a process of which it is known that it was killed, until it is gone."""
+_STARTING = threading.Lock()
+"""Held while a process starts: what that changes for the moment is seen all over this one."""
+
+
+class NoProcessError(DpbenchError):
+    """No process can be started any more."""
 
 
 def template_context(solvers: Iterable[str]) -> ForkServerContext:
@@ -45,21 +61,30 @@ def template_context(solvers: Iterable[str]) -> ForkServerContext:
         compile_in_processes(absent)
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(modules)
-    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
-    pin_threads()
-    try:
-        # This lets Ctrl-C through when it starts its own process, and does nothing the second time.
-        multiprocessing.resource_tracker.ensure_running()
-        # Until it has loaded, Ctrl-C would end the template with a traceback of its own.
-        with interrupts_wait():
-            multiprocessing.forkserver.ensure_running()
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-    return context
+    with _template():
+        return context
+
+
+@contextmanager
+def _template() -> Iterator[None]:
+    """The template runs, started anew if it died, and processes may be forked in the block."""
+    with _STARTING:
+        before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+        pin_threads()
+        try:
+            # This lets Ctrl-C through when it starts its own process, and does nothing the second
+            # time.
+            multiprocessing.resource_tracker.ensure_running()
+            # Until it has loaded, Ctrl-C would end the template with a traceback of its own.
+            with interrupts_wait():
+                multiprocessing.forkserver.ensure_running()
+            yield
+        finally:
+            for name, value in before.items():
+                if value is None:
+                    os.environ.pop(name, None)
+                else:
+                    os.environ[name] = value
 
 
 class Child:
@@ -73,6 +98,14 @@ class Child:
     folder, name : where its raw log, noise and verdict appear.
     limit_s : own run time allowed once its log says it started; None for none.
     logs : whether it leaves a raw log; the time of one that leaves none runs from its start.
+
+    Attributes
+    ----------
+    orphaned : whether its template died before it, so that nobody hears of its end.
+
+    Raises
+    ------
+    NoProcessError : the system starts no process, nor a new template.
     """
 
     def __init__(
@@ -95,13 +128,12 @@ class Child:
         self._limit_s = limit_s
         self._born, self._memory_kills = time.monotonic(), _memory_kills()
         self._running_since = None if logs else self._born
-        self._killed_for = ""
+        self._killed_for, self.orphaned = "", False
         self.notice = Notice()
         self.process: ForkServerProcess = context.Process(
             target=notice.run, args=(self.notice, target, args), daemon=True
         )
-        with _without_main():
-            self.process.start()
+        _start(self.process)
         self.notice.handed_over()
 
     @property
@@ -133,6 +165,17 @@ class Child:
         self.process.join()
         return True
 
+    def join(self) -> None:
+        """Wait for its end; one whose template died is ended, as that would have ended it."""
+        self.process.join()
+        if self.orphaned or self.process.exitcode != _UNHEARD:
+            return
+        self.orphaned = _ends(self.notice.template)
+        if self.orphaned and self.process.pid is not None:
+            with suppress(ProcessLookupError):
+                os.kill(self.process.pid, signal.SIGKILL)
+            _ends(self.process.pid)
+
     def _has_started(self) -> bool:
         try:
             return bool(RawLog.open(self.raw_path).started[0])
@@ -141,9 +184,11 @@ class Child:
 
     def outcome(self) -> Outcome:
         """What became of it, once it ended."""
-        self.process.join()
+        self.join()
         if self.has_verdict:
             return self.verdict_of(self._verdict)
+        if self.orphaned:
+            return WITHOUT_TEMPLATE
         by_solver = self.notice.who.blames_solver
         if self._killed_for:
             return Outcome("hung" if by_solver else "lost", self._killed_for)
@@ -238,6 +283,32 @@ class ServingChild(Child):
             self.kill("" if self.has_verdict else "did not end when asked to")
         self._orders.close()
         return self.outcome()
+
+
+def _start(process: ForkServerProcess) -> None:
+    """Start a process, once more where its template dies meanwhile; NoProcessError if that too
+    fails."""
+    for attempt in range(2):
+        try:
+            with _template(), _without_main():
+                process.start()
+            return
+        except (OSError, EOFError) as error:
+            if attempt:
+                why = f"no process can be started any more ({error!r})"
+                raise NoProcessError(f"{why}; finished cells are kept") from error
+
+
+def _ends(pid: int) -> bool:
+    """Whether a process is gone, or will be at once."""
+    try:
+        process = os.pidfd_open(pid)
+    except OSError:
+        return True
+    try:
+        return bool(wait([process], _DYING_S))
+    finally:
+        os.close(process)
 
 
 @contextmanager

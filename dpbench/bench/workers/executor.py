@@ -24,6 +24,7 @@ from dpbench.bench.record.raw_log import discard
 from dpbench.bench.record.step_table import no_steps
 from dpbench.bench.sequences.source import is_timed, log_size, source_key
 from dpbench.bench.workers.batch import CellBatch, Errand, ErrandBatch, Target
+from dpbench.bench.workers.child import WITHOUT_TEMPLATE
 from dpbench.bench.workers.interleaved import ReplayGroup
 from dpbench.bench.workers.scratch import NoRoomError, Scratch
 from dpbench.bench.workers.slots import in_slots
@@ -211,16 +212,25 @@ class Bench:
             yield self._result(job, outcomes[job.run_id], records.get(job.run_id), folder)
 
     def _by_turns(self, jobs: Sequence[CellJob], source: Path, folder: Path) -> dict[str, Outcome]:
-        """What became of replays that took turns, by run_id."""
+        """What became of replays that took turns, by run_id; of those whose template died, the
+        second time."""
+        outcomes: dict[str, Outcome] = {}
         cells = [(job.run_id, self._here(job.cell)) for job in jobs]
         name, core = jobs[0].cell.sequence, self._cores[-1]
         rounds = max(cell.rounds for _, cell in cells)
         share = sum(work_of(cell) for _, cell in cells) // (rounds + 1)
-        group = ReplayGroup(self._context, folder, source, core, cells)
-        with _away_from(core):
-            for r in group.run():
-                self.progress.advance(share, f"replay {name}, round {r}")
-        return group.outcomes
+        for _ in range(2):
+            for run_id, _ in cells:
+                discard(folder / f"{run_id}.raw")
+            group = ReplayGroup(self._context, folder, source, core, cells)
+            with _away_from(core):
+                for r in group.run():
+                    self.progress.advance(share, f"replay {name}, round {r}")
+            outcomes |= group.outcomes
+            cells = [entry for entry in cells if outcomes[entry[0]] == WITHOUT_TEMPLATE]
+            if not cells:
+                break
+        return outcomes
 
     def _sizes(
         self, jobs: Sequence[CellJob], sources: Mapping[str, Path]

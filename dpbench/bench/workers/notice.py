@@ -18,7 +18,9 @@ from typing import Any
 
 _HEAD = struct.Struct("iiI")
 """Who is at work, on which of its cells, and the bytes of the words behind it."""
-_ROOM = mmap.PAGESIZE - _HEAD.size
+_TEMPLATE = struct.Struct("i")
+"""What the process was forked from, behind the head."""
+_WORDS = _HEAD.size + _TEMPLATE.size
 _PACKAGE = Path(__file__).parents[2]
 _BY_SOLVERS = (
     f"{_PACKAGE / 'solvers'}{os.sep}",
@@ -58,6 +60,11 @@ class Notice:
         """The process has it; the descriptor is needed no more."""
         os.close(self._descriptor)
 
+    def begin(self) -> None:
+        """Say what this process was forked from, and that the harness is at work."""
+        _TEMPLATE.pack_into(self._page, _HEAD.size, os.getppid())
+        self.post(AtWork.HARNESS)
+
     def post(self, who: AtWork, place: int | None = None) -> None:
         """Say who is at work from now on, and on which cell of several."""
         at = self.place if place is None else place
@@ -65,8 +72,8 @@ class Notice:
 
     def leave(self, who: AtWork, words: str) -> None:
         """Say by whose doing the process ends, and why."""
-        text = " ".join(words.split()).encode()[:_ROOM]
-        self._page[_HEAD.size : _HEAD.size + len(text)] = text
+        text = " ".join(words.split()).encode()[: mmap.PAGESIZE - _WORDS]
+        self._page[_WORDS : _WORDS + len(text)] = text
         _HEAD.pack_into(self._page, 0, who, self.place, len(text))
 
     @property
@@ -80,10 +87,15 @@ class Notice:
         return int(_HEAD.unpack_from(self._page)[1])
 
     @property
+    def template(self) -> int:
+        """The process that this one was forked from; 0 before it began."""
+        return int(_TEMPLATE.unpack_from(self._page, _HEAD.size)[0])
+
+    @property
     def words(self) -> str:
         """Why the process ended, in its own words; "" where it had none."""
         length = _HEAD.unpack_from(self._page)[2]
-        text = bytes(self._page[_HEAD.size : _HEAD.size + length])
+        text = bytes(self._page[_WORDS : _WORDS + length])
         return text.decode(errors="replace")
 
 
@@ -108,7 +120,7 @@ def post(who: AtWork, place: int | None = None) -> None:
 def run(notice: Notice, target: Callable[..., None], args: tuple[Any, ...]) -> None:
     """Run a process's target; what it raises ends the process, and is said on its notice."""
     _here[:] = [notice]
-    notice.post(AtWork.HARNESS)
+    notice.begin()
     try:
         target(*args)
     except BaseException as error:  # SystemExit and a panic of Rust, too, are said and end here

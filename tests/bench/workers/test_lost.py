@@ -1,15 +1,22 @@
-"""What befalls the harness beside its cells: they are lost, and blame nobody."""
+"""What befalls the harness beside its cells: they are lost or run once more, and blame nobody."""
 
 from __future__ import annotations
 
+import errno
+import os
+from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.bench.record.result_folder import accidents
 from dpbench.bench.workers import batch, scratch
+from dpbench.bench.workers.child import WITHOUT_TEMPLATE
+from dpbench.cli.main import main
+from dpbench.solvers import plugins
 
 pytestmark = pytest.mark.alone
 
@@ -33,6 +40,27 @@ REPLAYS = f"""
 scenario = "paper"
 steps = {STEPS}
 """
+PLUGIN = Path(__file__).parents[2] / "solvers" / "example_plugin.py"
+KILLER = """
+import os
+import pathlib
+import signal
+import time
+
+opened = open
+
+
+def open(policy, options):
+    always = options.get("tolerance", 1e-4) <= 1e-6
+    marker = pathlib.Path(MARKER)
+    if always or not marker.exists():
+        marker.write_text(str(os.getpid()))
+        os.kill(os.getppid(), signal.SIGKILL)
+        time.sleep(WAIT_S)
+    return opened(policy, options)
+"""
+"""A solver whose process kills what it was forked from: at a tight tolerance always, at a loose one
+if nobody did yet."""
 
 
 @pytest.fixture
@@ -76,3 +104,67 @@ def test_rows_of_further_names_are_lost_with_their_cell(
     monkeypatch.setattr(scratch, "free_bytes", lambda place: 1000)
     run_campaign(suite, out, fresh=True)
     assert load_results(out).runs["outcome"].tolist() == ["lost"] * 3
+
+
+def with_killer(folder: Path, text: str, wait_s: float) -> tuple[Path, dict[str, Any]]:
+    """A suite, and the arguments that run it with the solver that kills."""
+    path, module = folder / "tiny.toml", folder / "killing.py"
+    path.write_text(HEAD + text, encoding="utf-8")
+    killer = KILLER.replace("MARKER", repr(str(folder / "marker")))
+    killer = killer.replace("WAIT_S", str(wait_s))
+    module.write_text(PLUGIN.read_text(encoding="utf-8") + killer, encoding="utf-8")
+    return path, {"solver_module": module, "solvers": ["admm", "quadprog"]}
+
+
+def test_cells_whose_template_is_killed_run_once_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From a new one; what takes that along too is lost, and its process is ended."""
+    monkeypatch.setattr(plugins, "_LOADED", {})
+    path, arguments = with_killer(tmp_path, LOOPS, 600.0)
+    out = run_campaign(path, tmp_path / "out", jobs=1, **arguments)
+    runs = load_results(out).runs.set_index(["solver", "settings"])
+    lost = runs.loc[runs["outcome"] != "finished", ["outcome", "outcome_detail"]]
+    died = [WITHOUT_TEMPLATE.outcome, WITHOUT_TEMPLATE.detail]
+    assert lost.T.to_dict("list") == {("admm", "high"): died}
+    assert not is_running(int((tmp_path / "marker").read_text()))
+    arguments["solver_module"].write_text(PLUGIN.read_text(encoding="utf-8"), encoding="utf-8")
+    assert accidents(run_campaign(path, out, **arguments))[0] == 0
+
+
+def is_running(pid: int) -> bool:
+    """Whether there is such a process, and it is not dead."""
+    try:
+        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+def test_replays_whose_template_is_killed_run_once_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whether they came to their end without it or not."""
+    monkeypatch.setattr(plugins, "_LOADED", {})
+    path, arguments = with_killer(tmp_path, REPLAYS, 0.0)
+    out = run_campaign(path, tmp_path / "out", **arguments)
+    runs = load_results(out).runs
+    assert (tmp_path / "marker").exists()
+    assert runs["outcome"].tolist() == ["finished"] * 2, runs["outcome_detail"].tolist()
+    assert set(runs["steps_done"]) == {STEPS}
+
+
+def test_without_any_process_the_command_ends_in_one_line(
+    suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit 1, and the same command goes on when there are some."""
+
+    def none_left(process: object) -> None:
+        raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+    command = ["run", str(suite), "--out", str(tmp_path / "out"), "--quiet"]
+    with monkeypatch.context() as patch:
+        patch.setattr(ForkServerProcess, "start", none_left)
+        assert main(command) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("dpbench: no process can be started any more") and "kept" in line
+    assert main(command) == 0

@@ -8,12 +8,13 @@ from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.workers import child as supervise
-from dpbench.bench.workers.child import Child, template_context
+from dpbench.bench.workers.child import WITHOUT_TEMPLATE, Child, template_context
 from dpbench.bench.workers.process_setup import leave_verdict
 
 pytestmark = pytest.mark.alone
@@ -179,3 +180,20 @@ def test_the_template_pins_threads_and_leaves_the_caller_alone(
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     template_context([])
     assert os.environ["OMP_NUM_THREADS"] == "7"
+
+
+def test_a_template_that_is_killed_is_no_solver(
+    context: ForkServerContext, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever runs then is ended and lost, and the next one has a template with pinned threads;
+    its exit code by itself says nothing."""
+    code = SOLVER + "os.kill(os.getppid(), signal.SIGKILL)\ntime.sleep(600.0)"
+    child = Child(context, exec, (code,), tmp_path, "cell", limit_s=5.0)
+    wait(child)
+    assert child.outcome() == WITHOUT_TEMPLATE and child.orphaned
+    pid = child.process.pid
+    assert not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    left = "its process left with exit code 255: no output"
+    code = SOLVER + "os._exit(255 if os.environ['OMP_NUM_THREADS'] == '1' else 1)"
+    assert ended(context, tmp_path, code) == ("crashed", left)
