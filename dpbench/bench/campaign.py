@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections import Counter
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -180,7 +181,7 @@ class Campaign:
             "revisions": made_by or revisions(self._earlier_revisions(), revision()),
             "started_utc": started.isoformat(timespec="seconds"),
             "wall_s": round(wall_s, 1),
-            **_accidents(runs, remarks),
+            **_accidents(runs, self.designs, remarks),
         }
         rows = {"run_rows": len(runs), "step_rows": step_rows}
         write_json(self._out / "machine.json", self.machine)
@@ -197,21 +198,34 @@ class Campaign:
             (self._out / CAPABILITY_FILE).unlink(missing_ok=True)
 
 
-def _accidents(runs: pd.DataFrame, remarks: Sequence[str]) -> dict[str, Any]:
+def _accidents(runs: pd.DataFrame, designs: DesignStudy, remarks: Sequence[str]) -> dict[str, Any]:
     """What of `suite.json` is about the harness's own accidents.
 
-    `lost_cells` counts rows; `remarks` are lines for whoever gave the command.
+    `lost_cells` counts rows, `lost_designs` designs; `remarks` are lines for whoever gave the
+    command.
     """
-    causes = runs.loc[runs["outcome"] == "lost", "outcome_detail"]
-    if causes.empty:
-        return {"lost_cells": 0, "remarks": [*remarks]}
-    counts = causes.value_counts()
-    rest = f" ({len(causes) - counts.iloc[0]} by something else)" if len(counts) > 1 else ""
-    line = (
-        f"{len(causes)} of {len(runs)} cells were lost by the benchmark, not by their solvers: "
-        f"{counts.index[0]}{rest}; when that is mended, the same command runs them again"
+    causes = runs.loc[runs["outcome"] == "lost", "outcome_detail"].tolist()
+    lines = [
+        _lost_line(causes, f"{len(runs)} cells", ", not by their solvers"),
+        _lost_line(designs.lost, f"{len(designs)} designs"),
+    ]
+    return {
+        "lost_cells": len(causes),
+        "lost_designs": len(designs.lost),
+        "remarks": [*remarks, *filter(None, lines)],
+    }
+
+
+def _lost_line(causes: Sequence[str], of: str, beside: str = "") -> str:
+    """How many of what was lost, and why; "" where nothing was."""
+    if not causes:
+        return ""
+    (cause, count), *others = Counter(causes).most_common()
+    rest = f" ({len(causes) - count} by something else)" if others else ""
+    return (
+        f"{len(causes)} of {of} were lost by the benchmark{beside}: {cause}{rest}; when that is "
+        "mended, the same command runs them again"
     )
-    return {"lost_cells": len(causes), "remarks": [*remarks, line]}
 
 
 def designs_of(plan: Plan) -> list[Design]:

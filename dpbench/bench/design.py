@@ -284,6 +284,10 @@ class DesignStudy:
     Parameters
     ----------
     designs : of `plan_designs`; cells : the folder; fresh : whether finished ones run again.
+
+    Attributes
+    ----------
+    lost : of each design that an accident of the benchmark cost, the cause.
     """
 
     def __init__(
@@ -296,7 +300,11 @@ class DesignStudy:
             key = hashlib.sha256((design.text + json.dumps(made_by)).encode()).hexdigest()[:16]
             self._designs[cells / f"design-{key}.json"] = design
         self._reasons: dict[Path, str] = {}
+        self.lost: list[str] = []
         self._pending = [path for path in self._designs if fresh or _record(path) is None]
+
+    def __len__(self) -> int:
+        return len(self._designs)
 
     @property
     def work(self) -> int:
@@ -311,6 +319,8 @@ class DesignStudy:
         texts = {path: self._designs[path].text for path in self._pending}
         for path, outcome in engine.make_files(run_design, texts, limit_s=LIMIT_S):
             design, self._reasons[path] = self._designs[path], outcome.detail
+            if outcome.outcome == "lost":
+                self.lost.append(outcome.detail)
             progress.advance(WORK, f"design {design.controller} {design.vessel}")
 
     def write(self, out: Path) -> None:

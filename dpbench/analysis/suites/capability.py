@@ -88,17 +88,19 @@ wind held, the DP capability number, and how many solvers made an untrue claim o
 
 
 def capability_plots(records: Records, table: pd.DataFrame | None) -> list[Plot]:
-    """The plots of a result folder, in the order of its suite.
+    """The plots of a result folder, in the order of its suite; of one that could not be made there
+    is none.
 
     Parameters
     ----------
     table : of `load_capability`; None where the folder has none.
     """
-    names = dict.fromkeys(run.sequence for run in records.at_edge)
+    at_edge = [run for run in records.at_edge if run.has_steps]
+    names = dict.fromkeys(run.sequence for run in at_edge)
     known = {} if table is None else dict(iter(table.groupby("sequence", sort=False)))
     plots = []
     for name in {**names, **dict.fromkeys(map(str, known))}:
-        runs = [run for run in records.at_edge if run.sequence == name and run.has_steps]
+        runs = [run for run in at_edge if run.sequence == name]
         answers = firsts(answers_of(records, runs), lambda of_solver: of_solver.solver)
         source = runs[0].description["source"] if runs else {}
         own = known.get(name)

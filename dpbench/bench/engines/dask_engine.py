@@ -13,8 +13,8 @@ takes few others with it, and no scheduler holds a whole campaign.
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from itertools import chain, count, groupby
 from operator import getitem
@@ -109,7 +109,7 @@ class DaskEngine(ExitStack):
         self.remarks: list[str] = []
         self._workers, self._where = workers, "on this machine"
         self._client: Any = None
-        self._gone: object = None
+        self._gone: CancelledError | None = None
         token = uuid4().hex[:8]
         # Two campaigns may ask one scheduler for the same.
         self._names = (f"{i}-{token}" for i in count())
@@ -156,20 +156,25 @@ class DaskEngine(ExitStack):
             # Where times are taken no source is made beside them.
             for chunks in together if kind == "replays" else [[*chain.from_iterable(together)]]:
                 if kind == "replays":
-                    made = {key: self._source(key) for chunk in chunks for key in chunk.keys}
-                    deque(as_completed(made.values(), loop=self._client.loop), maxlen=0)
+                    self._make_sources(chunks)
                 yield from self._in_flight(chunks)
+
+    def _make_sources(self, chunks: Sequence[Chunk]) -> None:
+        """Make all that these need, and wait for it."""
+        with suppress(CancelledError):
+            made = {key: self._source(key) for chunk in chunks for key in chunk.keys}
+            deque(as_completed(made.values(), loop=self._client.loop), maxlen=0)
 
     def make_files(
         self, target: Target, descriptions: Mapping[Path, str], *, limit_s: float | None = None
     ) -> Iterator[MadeFile]:
         """Have workers make files, and write them here."""
-        paths: dict[str, Path] = {}
-        futures = []
-        for path, text in descriptions.items():
-            futures.append(self._files(target, {path.name: text}, limit_s))
-            paths[futures[-1].key] = path
-        for future in as_completed(futures, loop=self._client.loop):
+        futures: dict[Path, Future] = {}
+        with suppress(CancelledError):
+            for path, text in descriptions.items():
+                futures[path] = self._files(target, {path.name: text}, limit_s)
+        paths = {future.key: path for path, future in futures.items()}
+        for future in as_completed(futures.values(), loop=self._client.loop):
             path, answer = paths[future.key], self._answer(future)
             (made,) = answer if isinstance(answer, list) else [Made(self._lost(answer))]
             if made.data:
@@ -177,6 +182,8 @@ class DaskEngine(ExitStack):
                 part.write_bytes(made.data)
                 part.replace(path)
             yield path, made.outcome
+        for path in descriptions.keys() - futures.keys():
+            yield path, self._lost(self._gone)
 
     def _chunks(self, kind: Kind, jobs: Sequence[CellJob]) -> list[Chunk]:
         """Cells that are tasks: replays of one sequence, or a batch of one configuration."""
@@ -202,13 +209,13 @@ class DaskEngine(ExitStack):
         completed = as_completed(loop=self._client.loop)
 
         def give_away() -> None:
-            while not self._gone and len(away) < AHEAD * self._fleet.slots:
-                if not waiting and (away or not suspects):
-                    return
-                chunk = (waiting or suspects).popleft()
-                future = self._task(chunk)
-                away[future.key] = chunk
-                completed.add(future)
+            most = AHEAD * self._fleet.slots
+            with suppress(CancelledError):
+                while len(away) < most and (waiting or (suspects and not away)):
+                    queue = waiting or suspects
+                    future = self._task(queue[0])
+                    away[future.key] = queue.popleft()
+                    completed.add(future)
 
         give_away()
         for future in completed:
@@ -262,7 +269,7 @@ class DaskEngine(ExitStack):
         """A chunk on its way."""
         timed = chunk.kind == "replays"
         alone = timed and self._fleet.exclusive
-        return self._client.submit(
+        return self._submit(
             run_cells,
             self._order,
             chunk.kind,
@@ -277,10 +284,19 @@ class DaskEngine(ExitStack):
             # What else runs on a machine that nobody has given over is not known.
             concurrency=1 if alone else max(2, self._fleet.concurrency),
             resources={EXCLUSIVE: 1} if alone else None,
-            key=f"{chunk.kind.replace(' ', '_')}-{next(self._names)}",
+            name=chunk.kind.replace(" ", "_"),
             retries=RETRIES,
-            pure=False,
         )
+
+    def _submit(self, function: Callable[..., Any], *args: Any, name: str, **how: Any) -> Future:
+        """A task on its way; CancelledError where the scheduler went away, with all that there was
+        of tasks."""
+        if self._gone is None and self._client.status != "running":
+            self._gone = CancelledError()
+        if self._gone is not None:
+            raise self._gone
+        key = f"{name}-{next(self._names)}"
+        return self._client.submit(function, *args, key=key, pure=False, **how)
 
     def _is_made(self, key: str) -> bool:
         """Whether a source is made on a worker, at any time."""
@@ -311,7 +327,7 @@ class DaskEngine(ExitStack):
         """Those of the sources that lie on this machine, or are made from what does."""
         cells = {key: (longest(self._of_key[key]), self._sources.path(key)) for key in keys}
         return {
-            key: self._client.submit(given, _here(cell, path), key=f"source-{next(self._names)}")
+            key: self._submit(given, _here(cell, path), name="source")
             for key, (cell, path) in cells.items()
             if is_recorded(cell) or is_sound(cell, path)
         }
@@ -324,15 +340,13 @@ class DaskEngine(ExitStack):
         texts = {name: longest(self._of_key[key]).to_json() for key, name in names.items()}
         together = self._files(make_source, texts, None)
         return {
-            key: self._client.submit(getitem, together, i, key=f"source-{next(self._names)}")
-            for i, key in enumerate(keys)
+            key: self._submit(getitem, together, i, name="source") for i, key in enumerate(keys)
         }
 
     def _files(self, target: Target, texts: Mapping[str, str], limit_s: float | None) -> Future:
         """Files on their way, by their names."""
         args = self._order, target, texts, limit_s
-        key = f"{target.__name__}-{next(self._names)}"
-        return self._client.submit(make_files, *args, key=key, retries=RETRIES, pure=False)
+        return self._submit(make_files, *args, name=target.__name__, retries=RETRIES)
 
 
 def _here(cell: Cell, path: Path) -> Made:

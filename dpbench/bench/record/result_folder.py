@@ -99,14 +99,16 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
 
 
 def accidents(out: Path) -> tuple[int, list[str]]:
-    """How many cells of a result folder the benchmark lost itself, and what is to be said of it.
+    """How many cells and designs of a result folder the benchmark lost itself, and what is to be
+    said of it.
 
     Raises
     ------
     ResultsError : `suite.json` is missing or damaged.
     """
     suite = read_json(out / "suite.json")
-    return int(suite.get("lost_cells", 0)), [str(line) for line in suite.get("remarks", [])]
+    lost = int(suite.get("lost_cells", 0)) + int(suite.get("lost_designs", 0))
+    return lost, [str(line) for line in suite.get("remarks", [])]
 
 
 def load_results(out: str | Path, *, without_steps: bool = False) -> Results:

@@ -9,8 +9,10 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -18,12 +20,15 @@ from dpbench import load_results, run_campaign
 from dpbench.analysis.records.records import Records
 from dpbench.bench.record.cell_store import CellStore
 from dpbench.bench.record.result_folder import accidents
+from dpbench.bench.workers.worker import make_source
 from dpbench.cli.main import main
 from dpbench.solvers import plugins
 from tests.bench.deterministic import assert_same
 
-pytest.importorskip("distributed", reason="engine dask needs the extra `cluster`")
-dask = pytest.importorskip("dask", reason="engine dask needs the extra `cluster`")
+WHY = "engine dask needs the extra `cluster`"
+dask = pytest.importorskip("dask", reason=WHY)
+dask_engine = pytest.importorskip("dpbench.bench.engines.dask_engine", reason=WHY)
+DaskEngine = dask_engine.DaskEngine
 pytestmark = pytest.mark.alone
 
 PLUGIN = Path(__file__).parents[2] / "solvers" / "example_plugin.py"
@@ -70,34 +75,51 @@ class Watching:
         self.said.append(text)
 
 
-@pytest.fixture(scope="module")
-def scheduler(
-    tmp_path_factory: pytest.TempPathFactory,
-) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
-    """The address of a scheduler with a worker of one thread, and its process."""
-    folder = tmp_path_factory.mktemp("scheduler")
-    file = folder / "scheduler.json"
-    environment = os.environ | {"DASK_DISTRIBUTED__WORKER__DAEMON": "False"}
-    of_scheduler = ["dask_scheduler", "--port", "0", "--scheduler-file", str(file)]
-    of_worker = ["dask_worker", "--scheduler-file", str(file), "--no-nanny", "--nthreads", "1"]
+def started(folder: Path, *words: str) -> subprocess.Popen[bytes]:
+    """A process of Dask: a scheduler, or a worker of one thread."""
     plain = ["--no-dashboard", "--dashboard-address", ":0"]
-    processes = [
-        subprocess.Popen(
-            [sys.executable, "-m", f"distributed.cli.{name}", *words, *plain],
-            env=environment,
-            cwd=folder,
-            stderr=subprocess.DEVNULL,
-        )
-        for name, *words in (of_scheduler, of_worker)
-    ]
+    environment = os.environ | {"DASK_DISTRIBUTED__WORKER__DAEMON": "False"}
+    return subprocess.Popen(
+        [sys.executable, "-m", *words, "--scheduler-file", str(folder / FILE), *plain],
+        env=environment,
+        cwd=folder,
+        stderr=subprocess.DEVNULL,
+    )
+
+
+FILE = "scheduler.json"
+SCHEDULER = ("distributed.cli.dask_scheduler", "--port", "0")
+WORKER = ("distributed.cli.dask_worker", "--no-nanny", "--nthreads", "1")
+Cluster = tuple[str, subprocess.Popen[bytes]]
+"""The address of a scheduler with a worker, and its process."""
+
+
+@contextmanager
+def cluster_in(folder: Path) -> Iterator[Cluster]:
+    """One as long as the block lasts."""
+    processes = [started(folder, *SCHEDULER), started(folder, *WORKER)]
     try:
-        while not file.exists():
+        while not (folder / FILE).exists():
             time.sleep(0.05)
-        yield json.loads(file.read_text(encoding="utf-8"))["address"], processes[0]
+        document = json.loads((folder / FILE).read_text(encoding="utf-8"))
+        yield document["address"], processes[0]
     finally:
         for process in processes:
             process.kill()
             process.wait()
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the file of the scheduler lies."""
+    return tmp_path_factory.mktemp("scheduler")
+
+
+@pytest.fixture(scope="module")
+def scheduler(place: Path) -> Iterator[Cluster]:
+    """The one of most tests here; the last of them kills it."""
+    with cluster_in(place) as cluster:
+        yield cluster
 
 
 def test_a_cluster_of_this_machine_gives_the_same(
@@ -172,7 +194,7 @@ def test_a_client_that_is_killed_is_resumed_by_the_other_engine(
 
 
 def test_replays_beside_others_enter_no_ranking(
-    suite: Path, tmp_path: Path, scheduler: tuple[str, subprocess.Popen[bytes]]
+    suite: Path, tmp_path: Path, scheduler: Cluster
 ) -> None:
     """No worker offers its machine alone: it is said before, it stands in the rows, and nobody
     ranks their times."""
@@ -194,7 +216,7 @@ def test_without_its_scheduler_cells_are_lost_until_there_is_one(
     suite: Path,
     undisturbed: Path,
     tmp_path: Path,
-    scheduler: tuple[str, subprocess.Popen[bytes]],
+    scheduler: Cluster,
 ) -> None:
     """The campaign ends with what it has; the same suite completes it, on whatever engine."""
     out = tmp_path / "out"
@@ -209,6 +231,82 @@ def test_without_its_scheduler_cells_are_lost_until_there_is_one(
     assert any("went away" in line and "same command" in line for line in remarks), remarks
     run_campaign(suite, out)
     assert_same(out, undisturbed)
+
+
+DESIGN = """
+title = "A suite for one test"
+solvers = ["daqp"]
+baseline_law = false
+
+[design]
+controllers = ["paper"]
+vessels = ["supply_fs99"]
+
+[[closed_loop]]
+scenarios = ["calm"]
+steps = 6
+"""
+CAPABILITY = """
+title = "A suite for one test"
+solvers = ["daqp"]
+baseline_law = false
+
+[[capability]]
+vessel = "osv"
+sides = 4
+"""
+
+
+def _dies_with_the_task(kill: Callable[[], None], patch: pytest.MonkeyPatch) -> None:
+    """The scheduler has been given what makes the file."""
+    ask = DaskEngine._files
+
+    def asked(self: Any, target: Any, texts: Any, limit_s: Any) -> Any:
+        future = ask(self, target, texts, limit_s)
+        if target is not make_source or '"kind": "capability"' in str(texts):
+            kill()
+        return future
+
+    patch.setattr(DaskEngine, "_files", asked)
+
+
+def _gone_before(kill: Callable[[], None], patch: pytest.MonkeyPatch) -> None:
+    """Nobody tries to reach the scheduler any more when files are asked for."""
+    make = DaskEngine.make_files
+
+    def made(self: Any, target: Any, descriptions: Any, **more: Any) -> Any:
+        if descriptions:
+            kill()
+            while self._client.status != "closed":
+                time.sleep(0.05)
+        return make(self, target, descriptions, **more)
+
+    patch.setattr(DaskEngine, "make_files", made)
+
+
+@pytest.mark.parametrize("dies", [_dies_with_the_task, _gone_before])
+@pytest.mark.parametrize("text", [DESIGN, CAPABILITY])
+def test_a_scheduler_that_dies_as_files_are_made_is_one_line(
+    dies: Callable[[Callable[[], None], pytest.MonkeyPatch], None],
+    text: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Designs and capability plots: exit 1, what was finished stands, the same command goes on."""
+    path, out = tmp_path / "tiny.toml", tmp_path / "out"
+    path.write_text(text, encoding="utf-8")
+    words = ["run", str(path), "--out", str(out), "--quiet"]
+    with cluster_in(tmp_path) as (address, process), monkeypatch.context() as patch:
+        dies(process.kill, patch)
+        assert main([*words, "--engine", "dask", "--scheduler", address]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "went away" in line and "same command" in line
+    became = "finished" if text == DESIGN else "lost"
+    assert set(load_results(out).runs["outcome"]) == {became}
+    assert main(words) == 0
+    assert set(load_results(out).runs["outcome"]) == {"finished"}
+    assert (out / ("design.json" if text == DESIGN else "capability.parquet")).is_file()
 
 
 def test_a_scheduler_that_does_not_answer_is_one_line(
