@@ -5,9 +5,10 @@ from __future__ import annotations
 import logging
 import socket
 import tempfile
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,11 +40,11 @@ _OWN = {
 
 @dataclass(frozen=True)
 class Fleet:
-    """The workers of a cluster, as they were when a campaign began.
+    """The workers of a cluster.
 
-    slots : tasks at a time; concurrency : the most of them on one machine.
-    exclusive : whether one of them offers `EXCLUSIVE`.
-    machine : that of the one that times replays; kinds : how many kinds of machines there are.
+    slots : tasks at a time; concurrency : the most of them on one machine so far.
+    exclusive : whether one of them offered `EXCLUSIVE` when the campaign began.
+    machine : that of the one that times replays; kinds : how many kinds of machines there were.
     """
 
     slots: int
@@ -119,15 +120,13 @@ def fleet_of(client: Client) -> Fleet:
     workers = {address: offered[address] for address in abouts if address in offered}
     exclusive = [a for a, worker in workers.items() if worker["resources"].get(EXCLUSIVE, 0) >= 1]
     first = (exclusive or [*abouts])[0]
-    on_host: dict[str, int] = {}
-    offers: dict[str, float] = {}
+    offers: Counter[str] = Counter()
     for worker in workers.values():
-        host = worker["host"]
-        on_host[host] = on_host.get(host, 0) + int(worker["nthreads"])
-        offers[host] = offers.get(host, 0.0) + worker["resources"].get(EXCLUSIVE, 0)
+        offers[worker["host"]] += worker["resources"].get(EXCLUSIVE, 0)
     if many := [host for host, count in offers.items() if count > 1]:
         found = f"resource {EXCLUSIVE} {offers[many[0]]:g} times on {many[0]}"
         raise InputError(WHERE, "", found, f"one worker of a machine with {EXCLUSIVE}=1")
+    on_host = _threads(workers)
     return Fleet(
         slots=max(1, sum(on_host.values())),
         concurrency=max(1, *on_host.values()),
@@ -135,6 +134,26 @@ def fleet_of(client: Client) -> Fleet:
         machine=abouts[first].machine,
         kinds=len({one.machine["id"] for one in abouts.values()}),
     )
+
+
+def counted_anew(client: Client, fleet: Fleet) -> Fleet:
+    """The fleet with the threads of the workers that are there now; as it was, where the scheduler
+    does not tell or has none."""
+    if client.status != "running":
+        return fleet
+    on_host = _threads(client.scheduler_info(n_workers=-1)["workers"])
+    if not on_host:
+        return fleet
+    most = max(fleet.concurrency, *on_host.values())
+    return replace(fleet, slots=sum(on_host.values()), concurrency=most)
+
+
+def _threads(workers: Mapping[str, Any]) -> Counter[str]:
+    """How many threads the workers of each machine have together."""
+    on_host: Counter[str] = Counter()
+    for worker in workers.values():
+        on_host[worker["host"]] += int(worker["nthreads"])
+    return on_host
 
 
 def _checked(address: str, answer: object) -> About:

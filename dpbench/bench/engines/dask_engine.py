@@ -12,6 +12,7 @@ takes few others with it, and no scheduler holds a whole campaign.
 
 from __future__ import annotations
 
+import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
@@ -24,7 +25,13 @@ from uuid import uuid4
 
 from distributed import CancelledError, Future, KilledWorker, as_completed
 
-from dpbench.bench.engines.dask_cluster import EXCLUSIVE, connected, fleet_of, own_cluster
+from dpbench.bench.engines.dask_cluster import (
+    EXCLUSIVE,
+    connected,
+    counted_anew,
+    fleet_of,
+    own_cluster,
+)
 from dpbench.bench.engines.engine import (
     Kind,
     MadeFile,
@@ -56,6 +63,8 @@ RETRIES = 2
 """How often a task is run again that failed by an error of the harness."""
 AHEAD = 2
 """Tasks given away at a time, for each slot."""
+RECOUNT_S = 5.0
+"""How long the count of the slots holds: workers come and go."""
 NOT_ALONE = (
     f"no worker offers the resource {EXCLUSIVE!r}: replays run beside others, and their times "
     "enter no ranking"
@@ -109,6 +118,7 @@ class DaskEngine(ExitStack):
         self.remarks: list[str] = []
         self._workers, self._where = workers, "on this machine"
         self._client: Any = None
+        self._counted_s = time.monotonic()
         self._gone: CancelledError | None = None
         token = uuid4().hex[:8]
         # Two campaigns may ask one scheduler for the same.
@@ -209,7 +219,7 @@ class DaskEngine(ExitStack):
         completed = as_completed(loop=self._client.loop)
 
         def give_away() -> None:
-            most = AHEAD * self._fleet.slots
+            most = AHEAD * self._slots()
             with suppress(CancelledError):
                 while len(away) < most and (waiting or (suspects and not away)):
                     queue = waiting or suspects
@@ -230,6 +240,13 @@ class DaskEngine(ExitStack):
             give_away()
         for chunk in (*waiting, *suspects):
             yield from self._results(chunk, self._gone)
+
+    def _slots(self) -> int:
+        """Tasks that the workers run at a time, counted now and then."""
+        if time.monotonic() - self._counted_s >= RECOUNT_S:
+            self._fleet = counted_anew(self._client, self._fleet)
+            self._counted_s = time.monotonic()
+        return self._fleet.slots
 
     def _results(self, chunk: Chunk, answer: Any) -> Iterator[Result]:
         """The results of a chunk; the sources of which it was the last user are let go."""

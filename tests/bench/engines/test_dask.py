@@ -26,9 +26,10 @@ from dpbench.solvers import plugins
 from tests.bench.deterministic import assert_same
 
 WHY = "engine dask needs the extra `cluster`"
+distributed = pytest.importorskip("distributed", reason=WHY)
 dask = pytest.importorskip("dask", reason=WHY)
 dask_engine = pytest.importorskip("dpbench.bench.engines.dask_engine", reason=WHY)
-DaskEngine = dask_engine.DaskEngine
+DaskEngine, AHEAD = dask_engine.DaskEngine, dask_engine.AHEAD
 pytestmark = pytest.mark.alone
 
 PLUGIN = Path(__file__).parents[2] / "solvers" / "example_plugin.py"
@@ -212,13 +213,56 @@ def test_replays_beside_others_enter_no_ranking(
     assert all(math.isnan(run.raw_max_ns) for run in replays)
 
 
+def test_workers_that_join_late_are_given_tasks(
+    suite: Path,
+    undisturbed: Path,
+    place: Path,
+    tmp_path: Path,
+    scheduler: Cluster,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As many as those that were there from the beginning."""
+    monkeypatch.setattr(dask_engine, "RECOUNT_S", 0.0)
+    task, results, away = DaskEngine._task, DaskEngine._results, [0, 0]
+
+    def counted(self: Any, chunk: Any) -> Any:
+        away[0] += 1
+        away[1] = max(away)
+        return task(self, chunk)
+
+    def counted_back(self: Any, chunk: Any, answer: Any) -> Any:
+        away[0] -= 1
+        return results(self, chunk, answer)
+
+    def join() -> None:
+        assert away[1] <= AHEAD
+        late.append(started(place, *WORKER))
+        with distributed.Client(scheduler[0], set_as_default=False) as client:
+            client.wait_for_workers(2)
+
+    late: list[subprocess.Popen[bytes]] = []
+    monkeypatch.setattr(DaskEngine, "_task", counted)
+    monkeypatch.setattr(DaskEngine, "_results", counted_back)
+    try:
+        given = {"engine": "dask", "scheduler": scheduler[0], "progress": Watching(1, join)}
+        out = run_campaign(suite, tmp_path / "out", **given)
+    finally:
+        for process in late:
+            process.kill()
+            process.wait()
+    assert away == [0, 2 * AHEAD]
+    assert set(load_results(out).runs["outcome"]) == {"finished"}
+
+
 def test_without_its_scheduler_cells_are_lost_until_there_is_one(
     suite: Path,
     undisturbed: Path,
     tmp_path: Path,
     scheduler: Cluster,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The campaign ends with what it has; the same suite completes it, on whatever engine."""
+    monkeypatch.setattr(dask_engine, "RECOUNT_S", 0.0)
     out = tmp_path / "out"
     address, process = scheduler
     watching = Watching(3, process.kill)

@@ -1,4 +1,4 @@
-"""What a worker of a cluster does by itself: it leaves nothing behind."""
+"""What a worker of a cluster does by itself: it looks at versions, and leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -6,11 +6,17 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from dpbench.bench.engines.on_worker import Order, run_cells
+from dpbench.bench.plan.asked import Asked
+from dpbench.bench.record.cell import HARNESS_VERSION
+from dpbench.bench.workers.executor import CellJob, Result
 from dpbench.bench.workers.scratch import scratch_folder
+from dpbench.solvers.table import available
 
 pytestmark = pytest.mark.alone
 
@@ -40,3 +46,33 @@ def test_what_a_killed_worker_left_goes_with_the_next_task(tmp_path: Path) -> No
     assert left, "nobody tidied up"
     with scratch_folder(tmp_path) as folder:
         assert {path.name for path in tmp_path.glob("dpbench-*")} == {leases, folder.name}
+
+
+@pytest.fixture
+def jobs(suite: Path) -> list[CellJob]:
+    """Cells of daqp."""
+    planned = Asked(suite=str(suite), solvers=["daqp"]).plan().cells
+    return [CellJob(p, p.cell.key, available("daqp"), "machine") for p in planned]
+
+
+def results_of(order: Order, jobs: list[CellJob]) -> list[Result]:
+    given = {"unmade": {}, "alone": False, "concurrency": 1}
+    return run_cells(order, "closed loops", jobs, {}, **given)
+
+
+def test_a_worker_of_another_version_runs_nothing(jobs: list[CellJob]) -> None:
+    """As one that joined late may be: its cells are lost, and the cause names both versions."""
+    results = results_of(Order(harness_version="0.0.9"), jobs)
+    assert [result.run_id for result in results] == [job.run_id for job in jobs]
+    (cause,) = {result.outcome.detail for result in results}
+    assert all(result.is_lost for result in results)
+    assert cause.startswith(f"dpbench {HARNESS_VERSION} on ") and "0.0.9 of the campaign" in cause
+
+
+def test_a_worker_with_another_solver_does_not_run_it(jobs: list[CellJob]) -> None:
+    """Nor one that has none."""
+    for job in jobs:
+        job.library = replace(job.library, version="0.0.1")
+    results = results_of(Order(), jobs)
+    assert all(result.is_lost for result in results) and len(results) == len(jobs)
+    assert {"0.0.1 where the campaign was started" in r.outcome.detail for r in results} == {True}
