@@ -85,10 +85,15 @@ def _plan_of(shards: Mapping[Path, ShardRecord], suite: str | Path | None) -> Pl
         if shard.harness_version != HARNESS_VERSION:
             found = f"{folder} of dpbench {shard.harness_version}"
             raise InputError(_WHERE, "", found, f"folders of {HARNESS_VERSION}, this version")
-        if (shard.asked, shard.digest) != (first.asked, first.digest):
+        if shard.digest != first.digest:
             found = f"{folder} of another suite, or another choice of it, than {where}"
             raise InputError(_WHERE, "", found, "shards of one plan")
-    plan = (first.asked if suite is None else replace(first.asked, suite=str(suite))).plan()
+    # The same suite may lie elsewhere on each of their machines.
+    asked = next((one.asked for one in shards.values() if one.asked.is_here), first.asked)
+    asked = asked if suite is None else replace(asked, suite=str(suite))
+    if not asked.is_here:
+        raise InputError(_WHERE, "", f"no file {asked.suite}", "the suite's, by --suite")
+    plan = asked.plan()
     if plan.digest != first.digest:
         found = f"{plan.path} changed since {where} was run from it"
         raise InputError(_WHERE, "", found, "the suite as it was, by --suite")

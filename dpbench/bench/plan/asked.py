@@ -67,10 +67,21 @@ class Asked:
         part = bool(self.solvers or self.scenarios or self.settings or self.steps is not None)
         return Plan(name, path, document, cells, part)
 
+    @property
+    def _file(self) -> Path | None:
+        """The file of the suite; None where it has a name, or is none."""
+        named = self.suite is None or not self.suite.endswith(".toml")
+        return None if named else Path(str(self.suite))
+
+    @property
+    def is_here(self) -> bool:
+        """Whether the suite can be read on this machine."""
+        return self._file is None or self._file.is_file()
+
     def from_anywhere(self) -> Asked:
         """The same, with the file of the suite as it is found from every folder."""
-        file = self.suite is not None and self.suite.endswith(".toml")
-        return replace(self, suite=str(Path(str(self.suite)).resolve())) if file else self
+        file = self._file
+        return self if file is None else replace(self, suite=str(file.resolve()))
 
     def _suite(self) -> tuple[str, Path, SuiteFile]:
         """Name, file and document of the suite, or of the one that replays a sequence."""

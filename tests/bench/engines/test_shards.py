@@ -111,6 +111,20 @@ def test_what_does_not_belong_together_is_refused(
     assert not out.exists()
 
 
+def test_where_each_host_had_the_suite_does_not_matter(
+    copies: list[Path], suite: Path, undisturbed: Path, tmp_path: Path
+) -> None:
+    """What the suite says does: it is read where one of them has it, or where one says."""
+    asked = json.loads((copies[0] / SHARD_FILE).read_text())["asked"]
+    for i, folder in enumerate(copies[:2]):
+        changed(folder, asked=asked | {"suite": f"/on/host{i}/tiny.toml"})
+    assert_same(gather(copies, tmp_path / "out"), undisturbed)
+    with pytest.raises(InputError, match=r"no file /on/host0/tiny\.toml.*--suite"):
+        gather(copies[:2], tmp_path / "other")
+    changed(copies[2], asked=asked | {"suite": "/on/host2/tiny.toml"})
+    assert_same(gather(copies, tmp_path / "other", suite=suite), undisturbed)
+
+
 def test_another_machine_is_kept_for_each_cell(copies: list[Path], tmp_path: Path) -> None:
     """Cells of two machines stand in one table, each with its own."""
     other = "ffffffffffff"
