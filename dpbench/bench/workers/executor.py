@@ -26,14 +26,18 @@ from dpbench.bench.sequences.source import is_timed, log_size, source_key
 from dpbench.bench.workers.batch import CellBatch, Errand, ErrandBatch, Target
 from dpbench.bench.workers.child import WITHOUT_TEMPLATE
 from dpbench.bench.workers.interleaved import ReplayGroup
+from dpbench.bench.workers.leases import ALONE, TOGETHER, leased_machine
 from dpbench.bench.workers.scratch import NoRoomError, Scratch
-from dpbench.bench.workers.slots import in_slots
+from dpbench.bench.workers.slots import AnyTask, in_slots
 from dpbench.bench.workers.worker import BatchCell
 from dpbench.errors import InputError
 from dpbench.solvers.table import Availability
 
 BATCH_CELLS, BATCH_BYTES = 32, 2**23
 """Closed loops that share a process, and the bytes of their logs, at most."""
+WAITING = (
+    "waiting for another campaign on this machine: while one times replays, no other runs cells"
+)
 
 
 @dataclass(eq=False)
@@ -124,7 +128,7 @@ class Bench:
         self._context, self._scratch, self.progress = context, scratch, progress
         self._cores, self._slots = cores, cores[:slots]
         self._machine_id, self._modules = machine_id, modules or {}
-        self._concurrency = concurrency
+        self._concurrency, self._waited = concurrency, False
 
     def make_files(
         self,
@@ -145,7 +149,7 @@ class Bench:
             ErrandBatch(self._context, target, errands[i : i + most], folder)
             for i in range(0, len(errands), most)
         ]
-        for batch in in_slots(batches, self._slots):
+        for batch in self._in_slots(batches, self._slots):
             yield from batch.errands
 
     def batches(
@@ -223,9 +227,12 @@ class Bench:
             for run_id, _ in cells:
                 discard(folder / f"{run_id}.raw")
             group = ReplayGroup(self._context, folder, source, core, cells)
-            with _away_from(core):
+            how = ALONE if self._concurrency == 1 else TOGETHER
+            with leased_machine(how, self._say_waiting) as held, _away_from(core):
                 for r in group.run():
                     self.progress.advance(share, f"replay {name}, round {r}")
+            if not held:
+                self._concurrency = max(2, self._concurrency)
             outcomes |= group.outcomes
             cells = [entry for entry in cells if outcomes[entry[0]] == WITHOUT_TEMPLATE]
             if not cells:
@@ -276,7 +283,18 @@ class Bench:
         for jobs in batches:
             cells = [self._batch_cell(job, sources, (ran or {}).get(job.run_id)) for job in jobs]
             tasks.append(CellBatch(self._context, folder, cells, to_run=ran is None))
-        yield from in_slots(tasks, self._slots if ran is None else self._cores)
+        yield from self._in_slots(tasks, self._slots if ran is None else self._cores)
+
+    def _in_slots(self, tasks: Sequence[AnyTask], cores: Sequence[int]) -> Iterator[AnyTask]:
+        """As `in_slots`, while nobody times replays on this machine."""
+        if tasks:
+            with leased_machine(TOGETHER, self._say_waiting):
+                yield from in_slots(tasks, cores)
+
+    def _say_waiting(self) -> None:
+        if not self._waited:
+            self.progress.remark(WAITING)
+        self._waited = True
 
     def _batch_cell(
         self, job: CellJob, sources: Mapping[str, Path], outcome: Outcome | None

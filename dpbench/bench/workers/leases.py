@@ -9,17 +9,18 @@ from __future__ import annotations
 import fcntl
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
 FILE = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
 """How what is locked is opened."""
+ALONE, TOGETHER = fcntl.LOCK_EX, fcntl.LOCK_SH
 
 
 @contextmanager
-def lease(path: Path, opened_as: int, how: int = fcntl.LOCK_EX | fcntl.LOCK_NB) -> Iterator[bool]:
+def lease(path: Path, opened_as: int, how: int = ALONE | fcntl.LOCK_NB) -> Iterator[bool]:
     """A lock as long as the block lasts; false where another holds it, where it is another user's,
     or where the disk knows no locks."""
     with ExitStack() as stack:
@@ -53,3 +54,22 @@ def leased_core() -> Iterator[int]:
                 yield core
                 return
     yield cores[0]
+
+
+@contextmanager
+def leased_machine(how: int, say_waiting: Callable[[], None]) -> Iterator[bool]:
+    """This machine, for whoever times on it ALONE, or TOGETHER with all who do not; false where
+    there is no knowing of others.
+
+    Parameters
+    ----------
+    say_waiting : called once where others have it.
+    """
+    path = _of_user("machine")
+    with lease(path, FILE, how | fcntl.LOCK_NB) as held:
+        if held:
+            yield True
+            return
+    say_waiting()
+    with lease(path, FILE, how) as held:
+        yield held
