@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import tempfile
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,7 +26,6 @@ from dpbench.report.report import Report
 from dpbench.scenario.scenario import Scenario, load_scenario
 from tests.result_folder import write_results
 
-# No test asserts how long something takes, and neither does the library that makes up its examples.
 # No test asserts how long something takes: beside others an example may be drawn slowly.
 hypothesis.settings.register_profile(
     "dpbench", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
@@ -97,7 +97,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Compile before the workers of pytest-xdist start, and give each of those its own core.
+    """Compile before the workers of pytest-xdist start, and give each of those its own core and
+    its own folder for what processes of a machine share.
 
     Two that compile at once would write one cache; two whose campaigns pin their processes would
     meet on one core.
@@ -106,6 +107,10 @@ def pytest_configure(config: pytest.Config) -> None:
     if worker:
         cores = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {cores[int(worker.removeprefix("gw")) % len(cores)]})
+        # Who times replays waits for whoever else runs cells on the machine, known by this folder.
+        place = Path(tempfile.gettempdir()) / f"dpbench-tests-{os.getuid()}-{worker}"
+        place.mkdir(exist_ok=True)
+        tempfile.tempdir = os.environ["TMPDIR"] = str(place)
     elif config.getoption("numprocesses", None):
         paper = load_scenario("paper").first(3)
         for solver in ("paper_active_set", "hildreth"):
