@@ -22,7 +22,7 @@ from dpbench.solvers.contract import Workspace, check_step, not_set_up
 from dpbench.solvers.record import NOT_STATED, RouteRecord, SolverRecord
 
 NO_OP, COPY_ONLY = "no_op", "copy_only"
-WAITS_NS = {f"busy_wait_{wait}us": 1000 * wait for wait in (20, 50, 200, 1000)}
+WAITS_NS = {f"busy_wait_{wait}us": 1000 * wait for wait in (5, 20, 50, 200, 1000)}
 """What each that waits does so for [ns]."""
 
 # Waiting is the only work on this floor that takes a clock. Where there is one that nobody
