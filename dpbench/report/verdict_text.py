@@ -118,10 +118,11 @@ def paired_text(compared: PairedComparison) -> str:
     """How many times as long the second takes, and whether the two can be told apart at all."""
     if compared.steps == 0:
         return "no step was replayed by both"
-    said = f"{significant(compared.ratio.value)} times as long a step"
+    said = f"{significant(compared.ratio.value)} times as long over the same steps"
     if not math.isfinite(compared.ratio.high):
-        return f"{said}, on too few steps to tell the two apart"
-    said += f" ({significant(compared.ratio.low)} to {significant(compared.ratio.high)})"
+        return f"{said}, too few to tell the two apart"
+    interval = f"{significant(compared.ratio.low)} to {significant(compared.ratio.high)}"
+    said += f" (geometric mean, {interval})"
     if compared.tied:
         return f"{said}: the two cannot be told apart"
     if compared.unstable:

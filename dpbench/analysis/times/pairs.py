@@ -11,7 +11,7 @@ import numpy as np
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.statistics import UNKNOWN, Interval, pooled_mean
-from dpbench.analysis.verdict.verdict import Verdict
+from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.arrays import Floats
 
 
@@ -73,6 +73,19 @@ def paired_comparison(records: Records, first: Verdict, second: Verdict) -> Pair
         return PairedComparison(*names, UNKNOWN, 0, {})
     leaders["p99" if math.isfinite(first.p99_ns) else "largest step"] = names[0]
     return PairedComparison(*names, pooled_mean(logs), sum(map(len, logs)), leaders)
+
+
+def faster_but_open(records: Records, verdicts: Verdicts, chosen: Verdict) -> list[Verdict]:
+    """Of each solver the configuration that takes least time beside `chosen`, where that is surely
+    less and nothing contradicts the demand, but it is open whether it meets it; the fastest first.
+    """
+    unsettled = [v for v in verdicts.all if v.outcome == "open" and v.timed_on]
+    ratios = [paired_comparison(records, chosen, verdict).ratio for verdict in unsettled]
+    faster = [pair for pair in zip(ratios, unsettled, strict=True) if pair[0].high < 1.0]
+    first: dict[str, Verdict] = {}
+    for _, verdict in sorted(faster, key=lambda pair: pair[0].value):
+        first.setdefault(verdict.configuration.solver, verdict)
+    return list(first.values())
 
 
 def _times(records: Records, sequence: str, verdict: Verdict) -> StepTimes | None:

@@ -9,10 +9,16 @@ from typing import Literal
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.demand import Demand
-from dpbench.analysis.verdict.verdict import OUTCOMES, Outcome, Verdict, Verdicts, verdicts_of
+from dpbench.analysis.verdict.verdict import (
+    LATE,
+    OUTCOMES,
+    Outcome,
+    Verdict,
+    Verdicts,
+    verdicts_of,
+)
 
 Fault = Literal["too late", "wrong", "too late or wrong"]
-_LATE = {"p99 late", "p95 late", "hung"}
 
 
 @dataclass(frozen=True)
@@ -103,6 +109,6 @@ def _outcome(own: Sequence[Verdict]) -> Outcome:
 def _fault(own: Sequence[Verdict]) -> Fault:
     """What contradicts the demand in every configuration that was run."""
     causes = [{finding.kind for finding in v.causes} for v in own if v.outcome != "not run"]
-    if all(kinds & _LATE for kinds in causes):
+    if all(kinds & {*LATE} for kinds in causes):
         return "too late"
-    return "wrong" if all(kinds - _LATE for kinds in causes) else "too late or wrong"
+    return "wrong" if all(kinds - {*LATE} for kinds in causes) else "too late or wrong"

@@ -43,6 +43,11 @@ Doubt = Literal[
     "no replay",
 ]
 Gap = Literal["absent", "refused", "short"]
+LATE: tuple[Cause, ...] = ("p99 late", "p95 late", "hung")
+"""Causes that say that right answers came too late, or never; all others that one was wrong."""
+State = Literal["meets", "open", "late", "wrong", "not run"]
+STATES: tuple[State, ...] = get_args(State)
+"""The outcomes, with what misses told apart by its causes."""
 _OWN_DOING: tuple[Cause, ...] = ("crashed", "hung")
 """Outcomes that are the solver's own doing, and contradict any demand."""
 
@@ -99,6 +104,13 @@ class Verdict:
     rounds_ns: tuple[float, float] = (math.nan, math.nan)
     algo_max_ns: float = math.nan
     raw_max_ns: float = math.nan
+
+    @property
+    def state(self) -> State:
+        """The outcome; of one that misses, whether it is late alone or an answer is wrong."""
+        if self.outcome != "misses":
+            return self.outcome
+        return "late" if all(cause.kind in LATE for cause in self.causes) else "wrong"
 
     @property
     def ranks(self) -> bool:

@@ -61,6 +61,29 @@ def test_each_cause_has_its_sentence(
     assert clause in _why(verdict)
 
 
+@pytest.mark.parametrize(
+    ("loop", "replay", "state"),
+    [
+        ({}, {}, "meets"),
+        ({}, {"median_us": 4000.0}, "late"),
+        ({"outcome": "hung", "done": 0}, {}, "late"),
+        ({"error": 0.4}, {"median_us": 4000.0}, "wrong"),
+        ({"outcome": "crashed", "done": 0}, {}, "wrong"),
+        ({"failed": 3}, {}, "wrong"),
+        ({"outcome": "timed_out", "done": 40}, {}, "open"),
+    ],
+)
+def test_a_miss_is_late_or_wrong(
+    records: Any, loop: dict[str, Any], replay: dict[str, Any], state: str
+) -> None:
+    """Late where time alone contradicts the demand; with an answer that does it is wrong."""
+    records.loop("daqp", **loop)
+    records.replay("daqp", **replay)
+    verdict = _verdict(records, "daqp")
+    assert verdict.state == state
+    assert (verdict.outcome == "misses") == (state in ("late", "wrong"))
+
+
 DOUBTS = [
     ({"outcome": "timed_out", "done": 40}, "`paper` was stopped at its time limit (40 of 120"),
     (
@@ -357,7 +380,8 @@ def test_a_clear_lead_is_called_so(records: Any) -> None:
     found = _duel(records, 40.0)
     assert found.ratio.value == pytest.approx(2.0, rel=0.02)
     assert not found.tied
-    assert re.fullmatch(r"[\d.]+ times as long a step \([\d.]+ to [\d.]+\)", paired_text(found))
+    said = r"[\d.]+ times as long over the same steps \(geometric mean, [\d.]+ to [\d.]+\)"
+    assert re.fullmatch(said, paired_text(found))
 
 
 def test_a_tie_is_called_a_tie(records: Any) -> None:
