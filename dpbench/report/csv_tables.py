@@ -44,7 +44,8 @@ COLUMNS = {
     "share": "part of the median that an empty call takes",
     "timed_on": "the sequence of these times",
     "place": "a scenario or a replay, as on the page",
-    "state": "what the run alone says of the demand",
+    "state": "against the demand: meets, open, late, wrong or not run; of a place, what its run "
+    "alone says",
     "error": "largest error of the first move there, in rate-limit steps",
     "failed": "failed steps there",
     "id": "number of the configuration within this page; -1: not run",

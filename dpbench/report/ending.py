@@ -11,7 +11,7 @@ from dpbench.report.page.facts import Facts
 from dpbench.report.page.topic import Topic
 from dpbench.report.verdict_text import counted
 
-TERMINAL_NOTES = ("slower", "faster", "next")
+TERMINAL_NOTES = ("slower", "faster", "open", "next")
 """The notes of the answer that are worth a line there."""
 BESIDE = ("slowdown", "random", "consequence")
 """Topics that have a line of their own where they are not the answer."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isnan
+from math import isnan, nan
 from typing import Any
 
 from dpbench.analysis.records.run_record import RunRecord
@@ -18,6 +18,7 @@ from dpbench.report.formats import (
     significant,
     time_text,
 )
+from dpbench.solvers.calibration import WAITS_NS
 
 
 def verdict_text(disturbance: Disturbance) -> str:
@@ -34,6 +35,12 @@ def calibration_medians(calibration: Sequence[RunRecord]) -> dict[str, float]:
         if not isnan(run.raw_p50_ns):
             medians[run.solver] = max(run.raw_p50_ns, medians.get(run.solver, 0.0))
     return medians
+
+
+def shortest_wait_ns(calibration: Sequence[RunRecord]) -> float:
+    """The shortest wait of known length that was measured [ns]; NaN for none."""
+    waits = (WAITS_NS[name] for name in calibration_medians(calibration) if name in WAITS_NS)
+    return float(min(waits, default=nan))
 
 
 def calibration_text(p50_ns: dict[str, float]) -> str:

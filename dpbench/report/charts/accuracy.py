@@ -10,7 +10,9 @@ import pandas as pd
 from dpbench.report.charts.style import (
     FAMILY_COLOURS,
     INK,
+    LINE,
     NAMES,
+    PAPER,
     below,
     coloured,
     limit_rule,
@@ -24,14 +26,20 @@ from dpbench.report.charts.style import (
 
 COLUMNS = (
     *("id", "solver", "family", "settings", "route", "policy"),
-    *("error", "p50_us", "p99_us", "outcome"),
+    *("error", "p50_us", "p99_us", "state"),
 )
 FLOOR = 1e-16
+FULL = {"meets": 0.95, "open": 0.3, "late": 0.0, "wrong": 0.0}
+"""How full a point is, by what is said of its configuration."""
+_LEGEND = {"meets": INK, "open": LINE, "misses": PAPER}
+_COLUMNS = alt.ExprRef("narrow ? 1 : 3")
+"""Of each legend: three of them stand side by side on a phone."""
 
 
 def accuracy(table: pd.DataFrame, demand_error: float) -> Any:
-    """Points of time and largest error, hollow where the demand is missed, if only elsewhere;
-    lines join the settings of a solver. Clicking sets `pick`.
+    """Points of time and largest error, filled where the demand is met, pale where that is open and
+    hollow where it is missed, if only elsewhere; lines join the settings of a solver. Clicking sets
+    `pick`.
 
     The parameter `percentile` chooses p50 or p99.
 
@@ -39,12 +47,14 @@ def accuracy(table: pd.DataFrame, demand_error: float) -> Any:
     ----------
     table : columns `COLUMNS`, errors finite; demand_error : drawn as a line.
     """
-    table = table.assign(shown=table["error"].clip(lower=FLOOR))
+    table = table.assign(
+        shown=table["error"].clip(lower=FLOOR),
+        full=[FULL.get(state, FULL["open"]) for state in table["state"]],
+    )
     percentile = alt.param(name="percentile", value="p50")
     pick = picking("id")
     families = {f: hue for f, hue in FAMILY_COLOURS.items() if f in set(table["family"])}
-    columns = alt.ExprRef("narrow ? 1 : 3")
-    colour = coloured("family", families, families.values(), columns=columns)
+    colour = coloured("family", families, families.values(), columns=_COLUMNS, symbolOpacity=1.0)
     base = (
         alt.Chart(table)
         .transform_calculate(time="percentile == 'p99' ? datum.p99_us : datum.p50_us")
@@ -64,7 +74,7 @@ def accuracy(table: pd.DataFrame, demand_error: float) -> Any:
                 alt.Tooltip("settings:N"),
                 alt.Tooltip("route:N"),
                 alt.Tooltip("policy:N"),
-                alt.Tooltip("outcome:N", title="demand"),
+                alt.Tooltip("state:N", title="demand"),
                 tip("error:Q", digits=2),
                 tip("p50_us:Q", "p50 [µs]"),
                 tip("p99_us:Q", "p99 [µs]"),
@@ -72,11 +82,14 @@ def accuracy(table: pd.DataFrame, demand_error: float) -> Any:
         )
     )
     lines = base.mark_line(strokeWidth=1, opacity=0.45).add_params(percentile, narrow(), pick)
-    hollow = alt.condition("datum.outcome == 'misses'", alt.value(0.0), alt.value(0.95))
     dots = base.mark_point(filled=True, strokeWidth=1.5).encode(
         stroke=alt.Stroke("family:N", scale=names_scale(families, families.values()), legend=None),
-        fillOpacity=hollow,
-        shape=alt.Shape("settings:N", title=None, legend=below(symbolFillColor=INK)),
+        fillOpacity=alt.FillOpacity("full:Q", scale=None, legend=None),
+        shape=alt.Shape(
+            "settings:N",
+            title=None,
+            legend=below(columns=_COLUMNS, symbolFillColor=INK, symbolOpacity=1.0),
+        ),
         size=alt.condition(pick, alt.value(190), alt.value(70)),
     )
     named = (
@@ -86,7 +99,20 @@ def accuracy(table: pd.DataFrame, demand_error: float) -> Any:
         .properties(name=NAMES)
     )
     return styled(
-        alt.layer(lines, limit_rule(demand_error), dots, named, width=620, height=360),
+        alt.layer(lines, limit_rule(demand_error), dots, named, _fullness(), width=620, height=360),
         "Accuracy against time",
         "Largest error of the first move against step time, a point for each settings level.",
+    )
+
+
+def _fullness() -> Any:
+    """The legend of how full a point is, of points that are not seen: Vega has none of its own."""
+    looks = alt.InlineData(values=[{"look": look} for look in _LEGEND])
+    scale = names_scale(_LEGEND, _LEGEND.values())
+    looks_of: dict[str, Any] = {"symbolType": "circle", "symbolStrokeColor": INK}
+    legend = below(columns=_COLUMNS, symbolStrokeWidth=1.5, **looks_of)
+    return (
+        alt.Chart(looks)
+        .mark_point(filled=True, size=0, opacity=0, aria=False)
+        .encode(fill=alt.Fill("look:N", scale=scale, title="demand", legend=legend))
     )

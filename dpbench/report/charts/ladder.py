@@ -9,15 +9,16 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
-from dpbench.analysis.verdict.verdict import OUTCOMES
+from dpbench.analysis.verdict.verdict import STATES
 from dpbench.report.charts.style import (
     ACCENT,
     INK,
+    LATE,
     LINE,
-    OUTCOME_COLOURS,
-    OUTCOME_SHAPES,
     ROW_STEP,
     SOFT,
+    STATE_COLOURS,
+    STATE_SHAPES,
     coloured,
     log_scale,
     names_scale,
@@ -28,23 +29,23 @@ from dpbench.report.charts.style import (
     tip,
 )
 
-COLUMNS = ("id", "solver", "label", "outcome", "p50_ms", "p99_ms", "max_ms", "raw_max_ms", "share")
+COLUMNS = ("id", "solver", "label", "state", "p50_ms", "p99_ms", "max_ms", "raw_max_ms", "share")
 """`share`: part of the median that calling the library costs, by the harness's own solver."""
 LOWEST_MS = 1e-3
 """Left end of the axis."""
-_JITTER = (
-    "slow <= 1 ? '' : narrow ? 'dashed: not scaled' : 'dashed: jitter of this machine, not scaled'"
-)
+ROOM = 300
+"""A figure of so many pixels has room for the limits in full."""
+_JITTER = "slow <= 1 ? '' : 'dashed: ' + (narrow ? '' : 'jitter of this machine, ') + 'as measured'"
 """What is said of the whiskers on a slower computer."""
 
 
-def _outcome(deadline_ms: float, p99_ms: float) -> str:
+def _state(deadline_ms: float, p99_ms: float) -> str:
     """What the demand finds on the slower computer, as an expression: a largest step beyond the
-    deadline or a p99 beyond its limit misses; without a p99 it is open."""
+    deadline or a p99 beyond its limit is late; without a p99 it is open."""
     late = f"datum.max_ms * slow > {deadline_ms} || datum.p99_ms * slow > {p99_ms}"
     unknown = f"!isValid(datum.p99_ms) && datum.max_ms * slow > {p99_ms} && slow > 1"
-    later = f"({late}) ? 'misses' : ({unknown}) ? 'open' : datum.outcome"
-    return f"datum.outcome == 'meets' || datum.outcome == 'open' ? ({later}) : datum.outcome"
+    later = f"({late}) ? 'late' : ({unknown}) ? 'open' : datum.state"
+    return f"datum.state == 'meets' || datum.state == 'open' ? ({later}) : datum.state"
 
 
 def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
@@ -62,7 +63,7 @@ def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
     """
     base = _scaled(table, deadline_ms, p99_ms)
     x = _axis(table, deadline_ms)
-    parts = (*_rows(base), *_times(base, x), *_deadline(deadline_ms))
+    parts = (*_rows(base), *_times(base, x), *_limits(deadline_ms, p99_ms))
     return styled(
         alt.layer(*parts, width=560, height=alt.Step(ROW_STEP["wide"])),
         "How close to the deadline",
@@ -78,9 +79,9 @@ def _scaled(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> alt.Chart
         m="datum.max_ms * slow",
         called="datum.p50_ms * datum.share * slow",
         left=f"{LOWEST_MS}",
-        now=_outcome(deadline_ms, p99_ms),
+        now=_state(deadline_ms, p99_ms),
         computer="'× ' + format(slow, '.3~g')",
-        timing="slow > 1 ? 'not scaled' : format(datum.raw_max_ms, '.3~g')",
+        timing="slow > 1 ? 'drawn as measured' : format(datum.raw_max_ms, '.3~g')",
     )
     times = (("a", "p50"), ("c", "p99"), ("m", "largest step"))
     tips = [
@@ -103,7 +104,11 @@ def _axis(table: pd.DataFrame, deadline_ms: float) -> alt.X:
         title="step time [ms], log scale",
         scale=log_scale(domainMin=LOWEST_MS, domainMax=highest, clamp=True),
         axis=alt.Axis(
-            values=[10.0**e for e in range(-3, 8)], format="~g", orient="top", labelOverlap="greedy"
+            values=[10.0**e for e in range(-3, 8)],
+            format="~g",
+            orient="top",
+            labelOverlap="greedy",
+            offset=alt.ExprRef("narrow ? 8 : 0"),  # off the name above the first bar
         ),
     )
 
@@ -123,8 +128,9 @@ def _rows(base: alt.Chart) -> Iterator[Any]:
 
 def _times(base: alt.Chart, x: alt.X) -> Iterator[Any]:
     """What calling costs, whisker, line, bar and marker of each row."""
-    columns = alt.ExprRef("narrow ? 2 : 4")
-    colour = coloured("now", OUTCOMES, OUTCOME_COLOURS, title="demand", columns=columns)
+    columns = alt.ExprRef("width < 200 ? 2 : narrow || width < 400 ? 3 : 5")
+    looks: dict[str, Any] = {"columns": columns, "offset": 40}  # below what is said of the limits
+    colour = coloured("now", STATES, STATE_COLOURS, title="demand", **looks)
     yield base.mark_rule(strokeWidth=9, color=LINE).encode(
         x=alt.X("left:Q"), x2="called:Q", opacity=alt.value(0.7)
     )
@@ -135,21 +141,36 @@ def _times(base: alt.Chart, x: alt.X) -> Iterator[Any]:
     )
     yield base.mark_rule(strokeWidth=2).encode(x=x, x2="m:Q", color=colour)
     yield base.mark_rule(strokeWidth=9, strokeCap="butt").encode(x=x, x2="c:Q", color=colour)
-    shape = alt.Shape("now:N", scale=names_scale(OUTCOMES, OUTCOME_SHAPES))
+    shape = alt.Shape("now:N", scale=names_scale(STATES, STATE_SHAPES))
     yield base.mark_point(filled=True, size=70, opacity=1).encode(x=x, color=colour, shape=shape)
 
 
-def _deadline(deadline_ms: float) -> Iterator[Any]:
-    """The deadline with its name, and what is said of the whiskers."""
-    limit = pd.DataFrame({"deadline": [deadline_ms], "text": [f"deadline {deadline_ms:g} ms"]})
-    chart = alt.Chart(limit)
-    yield chart.mark_rule(color=INK, strokeWidth=1.5).encode(x="deadline:Q")
-    words: dict[str, Any] = {"dy": 4, "baseline": "top", "fontSize": 12}
-    yield chart.mark_text(align="right", dx=-5, color=INK, **words).encode(
-        x="deadline:Q", y=alt.value("height"), text="text:N"
+def _limits(deadline_ms: float, p99_ms: float) -> Iterator[Any]:
+    """The deadline and, thinner, what the demand allows of a p99, with their names; below them what
+    is said of the whiskers."""
+    words: dict[str, Any] = {"baseline": "top", "fontSize": 12}
+    limits = (
+        ("p99", p99_ms, f"p99 limit {p99_ms:g} ms", 0.75, LATE),
+        ("deadline", deadline_ms, f"deadline {deadline_ms:g} ms", 1.5, INK),
     )
+    for name, at_ms, text, thick, colour in limits:
+        # On paper there is room for the first word alone.
+        said = f"width < {ROOM} ? '{name}' : '{text}'"
+        chart = alt.Chart(pd.DataFrame({name: [at_ms]})).transform_calculate(text=said)
+        yield chart.mark_rule(color=colour, strokeWidth=thick).encode(x=f"{name}:Q")
+        # Left of its line; the deadline's, to keep off that, right of it, or below where it is near
+        # the end of the axis.
+        right, near = name == "deadline", f"scale('x', {at_ms}) + 110 > width"
+        aside: dict[str, Any] = {"align": "right", "dx": -5}
+        if right:
+            aside["align"] = alt.ExprRef(f"{near} ? 'center' : 'left'")
+            aside["dx"] = alt.ExprRef(f"{near} ? 0 : 5")
+        yield chart.mark_text(dy=4, color=colour, **aside, **words).encode(
+            x=f"{name}:Q", y=alt.value("height"), text="text:N"
+        )
     yield (
-        chart.mark_text(align="left", color=SOFT, **words)
+        alt.Chart(alt.InlineData(values=[{}]))
+        .mark_text(align="left", dy=20, color=SOFT, **words)
         .encode(x=alt.value(0), y=alt.value("height"), text="said:N")
         .transform_calculate(said=_JITTER)
     )

@@ -105,7 +105,7 @@ def tiles(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
         tooltip=[alt.Tooltip("y:N", title=y), alt.Tooltip("x:N", title=x), alt.Tooltip("count:Q")],
     )
     squares = base.mark_rect(stroke="white").encode(
-        color=alt.condition("datum.count > 0", alt.value(FILLS[2]), alt.value(FILLS[0]))
+        color=alt.condition("datum.count > 0", alt.value(FILLS[3]), alt.value(FILLS[0]))
     )
     numbers = base.mark_text(fontSize=12).encode(
         text="count:Q",

@@ -1,4 +1,4 @@
-"""Solver × place × settings: where the demand is met, missed, open or was never asked."""
+"""Solver × place × settings: where the demand is met, open, missed (late, wrong), never asked."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
-from dpbench.analysis.verdict.verdict import OUTCOMES
+from dpbench.analysis.verdict.verdict import STATES
 from dpbench.report.charts.style import (
     ACCENT,
     FILLS,
     INK,
-    OUTCOME_COLOURS,
     PAPER,
+    STATE_COLOURS,
     coloured,
     picking,
     styled,
@@ -24,7 +24,8 @@ COLUMNS = (
     *("solver", "place", "settings", "way", "state"),
     *("error", "failed", "id", "place_id", "detail"),
 )
-MARKS = ("✓", "?", "✕", "–")
+MARKS = ("✓", "?", "▸", "✕", "–")
+"""Of the states."""
 MOST_ACROSS = 30
 """Places side by side; more would leave no room for a name."""
 
@@ -45,8 +46,8 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     solvers, places = table["solver"].unique().tolist(), table["place"].unique().tolist()
     levels = table["settings"].unique().tolist()
     # Worked out in the figure, so that the page can hand it other rows.
-    signs = json.dumps(dict(zip(OUTCOMES, MARKS, strict=True)), ensure_ascii=False)
-    inks = json.dumps(dict(zip(OUTCOMES, OUTCOME_COLOURS, strict=True)))
+    signs = json.dumps(dict(zip(STATES, MARKS, strict=True)), ensure_ascii=False)
+    inks = json.dumps(dict(zip(STATES, STATE_COLOURS, strict=True)))
     pick = picking("id", "place_id")
     long = len(places) > MOST_ACROSS
     across, down = ("solver", "place") if long else ("place", "solver")
@@ -77,8 +78,10 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
         )
         .encode(x=x, y=y, tooltip=tips)
     )
+    # One below the other the tiles are narrower than five words side by side.
+    legend: dict[str, Any] = {"symbolType": "square"} | ({"columns": 3} if stacked else {})
     tiles = base.mark_rect(strokeWidth=1.5).encode(
-        color=coloured("state", OUTCOMES, FILLS, title="demand", symbolType="square"),
+        color=coloured("state", STATES, FILLS, title="demand", **legend),
         stroke=alt.condition(pick, alt.value(ACCENT), alt.value(PAPER)),
         strokeWidth=alt.condition(pick, alt.value(3), alt.value(1.5)),
     )
@@ -108,5 +111,6 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     return styled(
         chart,
         "Where each solver holds",
-        "Tiles of solver by scenario: meets, open, misses or not run, for each settings level.",
+        "Tiles of solver by scenario: meets, open, late, wrong or not run, for each settings "
+        "level.",
     )

@@ -99,7 +99,8 @@ def precision(laws: Sequence[Law], scenario: Scenario) -> Any:
         if log:
             panel = alt.layer(panel, _limits((CIRCLE_M,)))
         panels.append(panel)
-    return styled(_stack(panels), "Errors", "North, east, heading and radial error against time.")
+    said = "North, east, heading and radial error against time."
+    return styled(_stack(panels), "Errors of position and heading", said)
 
 
 def errors(steps: pd.DataFrame, reference: np.ndarray) -> dict[str, np.ndarray]:

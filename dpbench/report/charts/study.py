@@ -7,6 +7,7 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
+from dpbench.analysis.verdict.verdict import STATES
 from dpbench.report.charts.style import (
     ACCENT,
     FILLS,
@@ -14,11 +15,11 @@ from dpbench.report.charts.style import (
     INK,
     MEETS,
     MISSES,
-    OUTCOME_COLOURS,
-    OUTCOME_SHAPES,
     PAPER,
     ROW_STEP,
     SOFT,
+    STATE_COLOURS,
+    STATE_SHAPES,
     coloured,
     names_scale,
     narrow,
@@ -32,6 +33,8 @@ BEHIND_COLUMNS = ("name", "mean_cm", "low_cm", "high_cm", "pairs")
 SEA_COLUMNS = ("name", "behind_cm", "point", "replicate")
 HELD = ("all held", "some held", "none held")
 """What is said of the seas at a point."""
+_LOOKS = [STATES.index(state) for state in ("meets", "open", "wrong")]
+"""The states whose looks these have."""
 _SIDE = 110
 
 
@@ -168,14 +171,16 @@ def design(*, tiles: bool) -> Any:
     thick = alt.condition("datum.chosen", alt.value(3), alt.value(1))
     height = 220
     if not tiles:
-        look = coloured("state", HELD, OUTCOME_COLOURS[:3], title=title)
-        shape = alt.Shape("state:N", scale=names_scale(HELD, OUTCOME_SHAPES[:3]))
+        look = coloured("state", HELD, [STATE_COLOURS[i] for i in _LOOKS], title=title)
+        shapes = names_scale(HELD, [STATE_SHAPES[i] for i in _LOOKS])
+        shape = alt.Shape("state:N", scale=shapes)
         marks = base.mark_point(filled=True, size=90, opacity=1).encode(
             color=look, shape=shape, stroke=ring, strokeWidth=thick
         )
         chart = alt.layer(marks, width=300, height=height)
     else:
-        look = coloured("state", HELD, FILLS[:3], title=title, symbolType="square")
+        fills = [FILLS[i] for i in _LOOKS]
+        look = coloured("state", HELD, fills, title=title, symbolType="square")
         marks = base.mark_rect().encode(color=look, stroke=ring, strokeWidth=thick)
         counts = base.mark_text(fontSize=12, color=INK).encode(text="said:N")
         chart = alt.layer(marks, counts, width=300, height=height)

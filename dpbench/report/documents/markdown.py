@@ -55,7 +55,7 @@ def solver_row(verdict: Verdict) -> tuple[str, ...]:
     return (
         verdict.configuration.solver,
         verdict.configuration.options,
-        verdict.outcome,
+        verdict.state,
         time_text(verdict.p50_ns),
         time_text(verdict.p99_ns),
         time_text(verdict.algo_max_ns),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import isnan
 from typing import Any
 
-from dpbench.analysis.times.pairs import paired_comparison
+from dpbench.analysis.times.pairs import faster_but_open, paired_comparison
 from dpbench.analysis.verdict.fastest import Recommendation, fastest_of, known_record, recommend
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
@@ -21,6 +21,7 @@ from dpbench.report.formats import (
     time_text,
     unmarked,
 )
+from dpbench.report.machine_verdict import shortest_wait_ns
 from dpbench.report.page.facts import Facts
 from dpbench.report.verdict_text import (
     NOBODY,
@@ -32,19 +33,28 @@ from dpbench.report.verdict_text import (
     usual_time,
     why_nothing,
 )
-from dpbench.solvers.settings import level_options
+from dpbench.solvers.settings import has_setting, level_options
 
 MOST_CHIPS = 16
 """More places than these are counted by state, and named only where they are at most `FEW`."""
 FEW = 5
+MOST_OPEN = 2
+"""So many faster configurations are named that are open."""
 
 
 @dataclass(frozen=True)
 class Chip:
-    """A place, and whether the answer holds there."""
+    """Whether the answer holds in a place, of number `place`; or in how many, without one."""
 
-    text: str
+    said: str
     mark: str
+    name: str = ""
+    place: int | None = None
+
+    @property
+    def text(self) -> str:
+        """As it is written where there is no page."""
+        return f"{self.name}: {self.said}" if self.name else self.said
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,9 +125,17 @@ def _sentence(facts: Facts, found: Recommendation) -> str:
     left_open = "" if chosen.outcome == "meets" else f"; {unmarked(clauses(chosen.missing))}"
     return (
         f"{head} {c.solver} ({c.route}, {c.policy}, {c.settings}): right on every step of "
-        f"{judged_on(chosen)}, {usual_time(chosen)}{_hardest(facts, chosen)}, largest error of the "
-        f"first move {error_text(chosen.error_move)}{left_open}."
+        f"{judged_on(chosen)}{_no_solution(facts, c)}, {usual_time(chosen)}"
+        f"{_hardest(facts, chosen)}, largest error of the first move "
+        f"{error_text(chosen.error_move)}{left_open}."
     )
+
+
+def _no_solution(facts: Facts, c: Configuration) -> str:
+    """Steps on which right means to say that there is no answer."""
+    steps, told = facts.without_solution(c)
+    said = ", and it said so" if told else ""
+    return f" ({plural(steps, 'step')} had no solution{said})" if steps else ""
 
 
 def _nothing(facts: Facts, found: Recommendation) -> str:
@@ -137,13 +155,34 @@ def _notes(facts: Facts, found: Recommendation) -> Iterator[tuple[str, str]]:
         return
     yield "aboard", aboard(chosen.configuration.solver)
     yield "slower", slower_text(facts, chosen)
+    shortest_ns = shortest_wait_ns(facts.records.calibration)
+    if chosen.p50_ns < shortest_ns:
+        p50, shortest = time_text(chosen.p50_ns), time_text(shortest_ns)
+        yield "checked", f"Its p50, {p50}, lies below the shortest wait checked, {shortest}."
     if found.faster is not None:
         label = found.faster.configuration.label
         yield "faster", f"{label} is faster, and is not the answer: {found.because}."
+    yield from _open_notes(facts, found)
     if found.runner_up is not None:
         beside = paired_text(paired_comparison(facts.records, chosen, found.runner_up))
         label, time = found.runner_up.configuration.label, usual_time(found.runner_up)
         yield "next", f"Next: {label}, {time}, {beside}."
+
+
+def _open_notes(facts: Facts, found: Recommendation) -> Iterator[tuple[str, str]]:
+    """What would be faster than the answer, were it not open; of who is no answer anyway nothing
+    more."""
+    if found.chosen is None or found.chosen.outcome != "meets":
+        return
+    known = None if found.faster is None else found.faster.configuration.solver
+    others = [
+        verdict
+        for verdict in faster_but_open(facts.records, facts.verdicts, found.chosen)
+        if verdict.configuration.solver != known
+    ]
+    for verdict in others[:MOST_OPEN]:
+        why = "not run in closed loop" if not verdict.loops else unmarked(clauses(verdict.missing))
+        yield "open", f"{verdict.configuration.label} is faster in the replays, and open: {why}."
 
 
 def slower_text(facts: Facts, chosen: Verdict) -> str:
@@ -156,8 +195,8 @@ def slower_text(facts: Facts, chosen: Verdict) -> str:
     place, run = largest
     return (
         f"Allow for a computer up to × {rounded_down(facts.demand.deadline_ns / run.raw_max_ns)}: "
-        f"its largest single timing, {time_text(run.raw_max_ns)} in {place.label}; by its largest "
-        f"replayed step × {by_step}."
+        f"its largest single timing, {time_text(run.raw_max_ns)} in {place.label}. Go by this; × "
+        f"{by_step}, by its largest replayed step, leaves out hard loops and jitter."
     )
 
 
@@ -184,21 +223,24 @@ def _chips(facts: Facts, first: Configuration | None) -> list[Chip]:
     counted = {s for s in counts if len(states) > MOST_CHIPS and counts[s] > FEW}
     marks = {state: "none" if state == "not run" else state for state in states}
     named = [
-        Chip(
-            f"{facts.places[p].label}: {_STATES[state]}{_otherwise(facts, first, p)}", marks[state]
-        )
+        Chip(f"{_said(state)}{_otherwise(facts, first, p)}", marks[state], facts.places[p].label, p)
         for p, state in zip(places, states, strict=True)
         if state not in counted
     ]
     sums = [
-        Chip(f"{_STATES[state]} in {counts[state]} of {len(states)}", marks[state])
+        Chip(f"{_said(state)} in {counts[state]} of {len(states)}", marks[state])
         for state in counts
         if state in counted
     ]
     return [*sums, *named]
 
 
-_STATES = {"meets": "held", "misses": "missed", "open": "open", "not run": "not run"}
+_STATES = {"meets": "held"}
+"""Of the states, those that a chip has another word for."""
+
+
+def _said(state: str) -> str:
+    return _STATES.get(state, state)
 
 
 def _otherwise(facts: Facts, chosen: Configuration, p: int) -> str:
@@ -210,22 +252,30 @@ def _otherwise(facts: Facts, chosen: Configuration, p: int) -> str:
         if (other.solver, other.settings) == (chosen.solver, chosen.settings):
             ways.setdefault(facts.state(c, p), []).append(f"{other.route} {other.policy}")
     others = [
-        f"{and_list(names)} {_STATES[state]}" for state, names in ways.items() if state != "not run"
+        f"{and_list(names)} {_said(state)}" for state, names in ways.items() if state != "not run"
     ]
     return f" this way ({'; '.join(others)})" if others else ""
 
 
-def _snippets(c: Configuration) -> Iterator[tuple[str, str]]:
-    """What to paste: each language with its text; C where the solver's record says how."""
-    options = level_options(c.settings, c.solver)
-    keys = ", ".join(f"{key}={value!r}" for key, value in options.items())
-    yield (
-        "Python",
+def call_text(c: Configuration) -> str:
+    """The call that opens a configuration, and its settings in numbers; of a solver or settings
+    that this installation does not know the call alone."""
+    call = (
         "import dpbench\n"
         f'solver = dpbench.open_workspace("{c.solver}", route="{c.route}", policy="{c.policy}", '
-        f'settings="{c.settings}")\n'
-        f"# that is, {keys or 'as the library has them'}",
+        f'settings="{c.settings}")'
     )
+    if known_record(c.solver) is None or not has_setting(c.solver, c.settings):
+        return call
+    options = level_options(c.settings, c.solver)
+    keys = ", ".join(f"{key}={value!r}" for key, value in options.items())
+    return f"{call}\n# that is, {keys or 'as the library has them'}"
+
+
+def _snippets(c: Configuration) -> Iterator[tuple[str, str]]:
+    """What to paste: each language with its text; C where the solver's record says how."""
+    yield "Python", call_text(c)
+    options = level_options(c.settings, c.solver)
     known = known_record(c.solver)
     names = known.project.c_settings if known else None
     if names is None:

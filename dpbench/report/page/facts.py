@@ -201,17 +201,20 @@ class Facts:
         return verdict_of(self.records, configuration, {place: run}, [], self.demand)
 
     def state(self, c: int, p: int) -> str:
-        """What a run alone says of the demand: meets, misses, open or not run.
+        """What a run alone says of the demand: meets, late, wrong, open or not run.
 
-        On a slower computer the ship has to be held, too: see `analysis.suites.slowdown`.
+        On a slower computer the ship has to be held, too, or the answers were late: see
+        `analysis.suites.slowdown`.
         """
         verdict = self.states.get((c, p))
         if verdict is None or verdict.outcome == "not run":
             return "not run"
         run = self.runs[c, p]
+        if verdict.causes:
+            return verdict.state
         if run.slowdown > 0.0 and not survived(run):
-            return "misses"
-        return "misses" if verdict.causes else "open" if verdict.doubts else "meets"
+            return "late"
+        return "open" if verdict.doubts else "meets"
 
     def timed_at(self, verdict: Verdict) -> int | None:
         """The number of the replay behind the p99 of a verdict; None where nothing was timed."""
@@ -228,6 +231,20 @@ class Facts:
         return self._largest(
             configuration, "raw_p50_ns", lambda p: p.mode == "closed_loop" and p.units == "scaled"
         )
+
+    def without_solution(self, configuration: Configuration) -> tuple[int, bool]:
+        """How many steps of its judged runs had no solution, and whether it said so of all."""
+        known = [
+            run
+            for (c, p), run in self.runs.items()
+            if self.configurations[c] == configuration
+            and self.places[p].units == "scaled"
+            and not self.places[p].study
+            and run.infeasible_steps > 0
+        ]
+        # A replay counts a step in each of its rounds.
+        steps = sum(round(run.infeasible_steps / max(1.0, run.rounds)) for run in known)
+        return steps, all(run.true_share == 1.0 for run in known)
 
     def _largest(
         self, configuration: Configuration, column: str, wanted: Callable[[Place], bool]

@@ -146,7 +146,7 @@ def ladder_table(facts: Facts, calling_ns: float) -> pd.DataFrame:
             "id": str(facts.index(verdict.configuration)),
             "solver": verdict.configuration.solver,
             "label": verdict.configuration.label,
-            "outcome": verdict.outcome,
+            "state": verdict.state,
             "p50_ms": verdict.p50_ns / 1e6,
             "p99_ms": verdict.p99_ns / 1e6,
             "max_ms": verdict.algo_max_ns / 1e6,

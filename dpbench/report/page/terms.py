@@ -98,7 +98,11 @@ class Terms:
     def _link(self, term: str, text: str) -> Markup:
         self._here.add(term)
         self._listed[term] = None
-        word = word_of(term)
+        return self.link(word_of(term), text)
+
+    @staticmethod
+    def link(word: Word, text: str) -> Markup:
+        """A text linked to a word of the page's lists."""
         return Markup('<a class="term" href="#{}" title="{}">{}</a>').format(
             word.id, word.meaning, text
         )

@@ -21,13 +21,15 @@ class Figure:
 class SmallTable:
     """A table of a topic, of text alone.
 
-    Its file has all rows, the page the first `shown`: by default all, with 0 no table.
+    Its file has all rows, the page the first `shown`: by default all, with 0 no table. One that is
+    `folded` opens with a click.
     """
 
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     title: str = ""
     shown: int | None = None
+    folded: bool = False
 
     @property
     def on_page(self) -> SmallTable:

@@ -46,15 +46,16 @@ from dpbench.report.charts.style import (
     GRID,
     INK,
     LINE,
-    OUTCOME_COLOURS,
     PAPER,
     ROW_STEP,
     SOFT,
+    STATE_COLOURS,
 )
 from dpbench.report.glossary import topics as glossary
-from dpbench.report.page.answer import Answer
+from dpbench.report.page.answer import Answer, call_text
 from dpbench.report.page.cite import software
 from dpbench.report.page.facts import Facts, Place, columns_of, number
+from dpbench.report.page.places import place_words
 from dpbench.report.page.steps import FLAGS
 from dpbench.report.page.tables import (
     GROUPS,
@@ -64,13 +65,13 @@ from dpbench.report.page.tables import (
     matrix_table,
     runs_table,
 )
-from dpbench.report.page.terms import Terms
+from dpbench.report.page.terms import Terms, Word
 from dpbench.report.page.topic import Topic
 from dpbench.report.page.vendored import script, vendored
 from dpbench.solvers.table import record
 
-_STATES = ("var(--good)", "var(--warn)", "var(--bad)", "var(--none)")
-_HUES = [hue for hue in FAMILY_COLOURS.values() if hue not in OUTCOME_COLOURS]
+_STATES = ("var(--good)", "var(--warn)", "var(--late)", "var(--bad)", "var(--none)")
+_HUES = [hue for hue in FAMILY_COLOURS.values() if hue not in STATE_COLOURS]
 FILES = {
     "runs.parquet": "one row a run",
     "steps.parquet": "one row a step",
@@ -86,7 +87,7 @@ VARIABLES = {
     GRID: "var(--grid)",
     PAPER: "var(--paper)",
     ACCENT: "var(--accent)",
-    **dict(zip(OUTCOME_COLOURS, _STATES, strict=True)),
+    **dict(zip(STATE_COLOURS, _STATES, strict=True)),
     **dict(zip(FILLS, (f"{state[:-1]}-fill)" for state in _STATES), strict=True)),
     **dict(zip(_HUES, (f"var(--hue-{letter})" for letter in "abcdef"), strict=True)),
 }
@@ -116,9 +117,10 @@ def page_html(
         for name, chart in charts.items()
         if name in DRAWN
     }
-    block = "" if light else facts.block.text(_document(facts, results, answer, charts))
     lead = next((topic for topic in topics if topic.leads), None)
     others = [topic for topic in topics if topic is not lead]
+    places = place_words(facts)
+    block = "" if light else facts.block.text(_document(facts, results, answer, charts, places))
     template = environment().get_template("page.html.j2")
     return template.render(
         title=f"dpbench: {results.suite.get('name', folder.name)}",
@@ -140,6 +142,7 @@ def page_html(
         files=_files(folder),
         kinds=[kind for kind in FORMATS[1:] if any((folder / "figures").glob(f"*.{kind}"))],
         cite=software(results),
+        places=places,
         terms=Terms([*WORDS, *glossary()["Solvers and how they are run"]]),
         footer=_footer(results),
         block=block,
@@ -168,6 +171,7 @@ SCRIPTS = ("common", "selection", "figures", "study", "one", "two", "table", "pa
 WORDS = (
     *("demand", "closed loop", "replay", "sample", "step", "round", "p50, p95, p99", "move"),
     *("rate limit", "rate-limit step", "certified optimum", "fallback", "failed step", "interval"),
+    *("meets", "open", "late", "wrong", "not run"),
 )
 """Of the glossary what the page says of any solver, before the words on how they are run."""
 _SECTIONS = {
@@ -220,9 +224,9 @@ def _points(facts: Facts) -> pd.DataFrame:
     """Work and precision of each solver: natively where it was run so, else by its default."""
     records, sequences = facts.records, facts.records.sequences
     levels = default_route_levels(records, sequences) | native_route_levels(records, sequences)
-    outcomes = {v.configuration: v.outcome for v in facts.verdicts.all}
+    states = {v.configuration: v.state for v in facts.verdicts.all}
     rows = [
-        _point(facts, point, outcomes)
+        _point(facts, point, states)
         for points in levels.values()
         for point in points
         if point.error_move < 1e3 and point.p50_ns == point.p50_ns
@@ -230,9 +234,7 @@ def _points(facts: Facts) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _point(
-    facts: Facts, point: LevelPoint, outcomes: Mapping[Configuration, str]
-) -> dict[str, Any]:
+def _point(facts: Facts, point: LevelPoint, states: Mapping[Configuration, str]) -> dict[str, Any]:
     configuration = point.configuration
     names = ("solver", "route", "policy", "settings")
     return {name: getattr(configuration, name) for name in names} | {
@@ -241,12 +243,16 @@ def _point(
         "error": point.error_move,
         "p50_us": point.p50_ns / 1e3,
         "p99_us": point.p99_ns / 1e3,
-        "outcome": outcomes.get(configuration.in_common_formulation, "not judged"),
+        "state": states.get(configuration.in_common_formulation, "not judged"),
     }
 
 
 def _document(
-    facts: Facts, results: Results, answer: Answer, charts: Mapping[str, Any]
+    facts: Facts,
+    results: Results,
+    answer: Answer,
+    charts: Mapping[str, Any],
+    places: Mapping[int, Word],
 ) -> dict[str, Any]:
     cells = list(facts.cells())
     verdicts = {v.configuration: v for v in facts.verdicts.all}
@@ -259,7 +265,7 @@ def _document(
                 "route": c.route,
                 "policy": c.policy,
                 "settings": c.settings,
-                "outcome": "not judged" if v is None else v.outcome,
+                "outcome": "not judged" if v is None else v.state,
                 "why": "" if v is None else answer.why(v),
                 "p50": None if v is None else number(v.p50_ns),
                 "p99": None if v is None else number(v.p99_ns),
@@ -268,13 +274,14 @@ def _document(
                 "error": None if v is None else number(v.error_move),
                 "failed": None if v is None else v.failed_steps,
                 "timed_at": None if v is None else facts.timed_at(v),
+                "call": call_text(c),
                 **_longest(facts, c),
             }
         )
     return {
         "solvers": {c.solver: _solver(c.solver) for c in facts.configurations},
         "configurations": columns_of(rows),
-        "places": _places(facts),
+        "places": _places(facts, places),
         "cells": columns_of(cells),
         "flags": FLAGS,
         "most_across": MOST_ACROSS,
@@ -347,13 +354,16 @@ def _paired(facts: Facts) -> dict[str, Any]:
     return {"c": list(timed), "reach": facts.block.log(reach)}
 
 
-def _places(facts: Facts) -> list[dict[str, Any]]:
+def _places(facts: Facts, words: Mapping[int, Word]) -> list[dict[str, Any]]:
     """What the page says of each place, from the first run there; the seas of a study whose loops
     the page has no room for are places without one."""
     first: dict[int, RunRecord] = {}
     for (_, p), run in facts.runs.items():
         first.setdefault(p, run)
-    return [_place(facts, place, first.get(p)) for p, place in enumerate(facts.places)]
+    return [
+        _place(facts, place, first.get(p)) | ({"shows": words[p].meaning} if p in words else {})
+        for p, place in enumerate(facts.places)
+    ]
 
 
 def _place(facts: Facts, place: Place, run: RunRecord | None) -> dict[str, Any]:
@@ -383,9 +393,8 @@ def _solver(name: str) -> dict[str, str]:
 
 
 MATRIX = (
-    "A tile is what that place alone says of the demand. Closed loops judge answers; only replays "
-    "judge times. Open: not everything was run or could be judged. N and N·m are a trial outside "
-    "the verdict."
+    "A tile is what that place alone says of the demand. Wrong: an answer beyond it, or none. "
+    "Late: right, but its p99 beyond it; only replays judge times. Open: not all of it was judged."
 )
 
 
@@ -393,11 +402,13 @@ def _matrix_said(facts: Facts) -> str:
     """What the tiles are; and how many places are left out, where there are too many."""
     tiles = matrix_table(facts)
     there, drawn = (t["place"].nunique() if len(t) else 0 for t in (tiles, drawn_tiles(tiles)))
-    if there == drawn:
-        return MATRIX
-    return (
-        f"{MATRIX} The {drawn} of {there} places that miss it most; all are in tables/places.csv."
-    )
+    said = [MATRIX]
+    if any(facts.places[p].units == "si" for p in facts.judged_places):
+        said.append("In N and N·m is an extra, in no verdict.")
+    if there != drawn:
+        most = f"The {drawn} of {there} places that miss it most"
+        said.append(f"{most}; all are in tables/places.csv.")
+    return " ".join(said)
 
 
 def follow(text: str) -> str:

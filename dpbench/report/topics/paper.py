@@ -51,11 +51,14 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
         ),
         tables=(
             SmallTable(
-                ("claim", "found", "state"),
+                ("claim", "measured here", "state"),
                 tuple((claim.claim, claim.found, claim.state) for claim in judged),
             ),
             SmallTable(
-                ("left open", "chosen"), tuple(choices(records)), "What the paper leaves open"
+                ("left open", "chosen"),
+                tuple(choices(records)),
+                "What the paper leaves open",
+                folded=True,
             ),
             *([_stability(designs)] if designs is not None else ()),
         ),

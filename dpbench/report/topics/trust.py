@@ -19,6 +19,7 @@ from dpbench.report.machine_verdict import (
     disturbance_facts,
     machine_facts,
     own_switches,
+    shortest_wait_ns,
 )
 from dpbench.report.page.topic import Figure, SmallTable, Topic
 from dpbench.solvers.calibration import COPY_ONLY, WAITS_NS
@@ -26,8 +27,8 @@ from dpbench.solvers.calibration import COPY_ONLY, WAITS_NS
 UNSEEN = "not visible"
 """Of the machine, what its kernel does not show."""
 COVERED = (
-    "Not covered at all: other ships, weather and tunings; times on an embedded target; the worst "
-    "step that was never met.",
+    "Not covered at all: other ships, weather and tunings than these; times on an embedded target; "
+    "the worst step that was never met.",
 )
 
 
@@ -51,15 +52,14 @@ def _spread(records: Records) -> list[str]:
     ]
 
 
-def _waits_text(measured: Mapping[str, float]) -> str:
+def _waits_text(measured: Mapping[str, float], shortest_ns: float) -> str:
     """Whether waits of known length were measured right, and what follows where not.
 
     Parameters
     ----------
-    measured : median of each [ns].
+    measured : median of each [ns]; shortest_ns : the shortest wait.
     """
-    shortest = min(WAITS_NS[name] for name in measured) / 1e3
-    below = f" Below {shortest:g} µs, the shortest wait, nothing was checked."
+    below = f" Below {shortest_ns / 1e3:g} µs, the shortest wait, nothing was checked."
     missed = {n: p50 for n, p50 in measured.items() if within_bar(n, p50) is False}
     if not missed:
         return f"Waits of known length were measured within 1 µs or 1 %.{below}"
@@ -104,7 +104,7 @@ def trust_topic(records: Records) -> Topic | None:
     lines = _spread(records)
     figures = []
     if waits:
-        lines.append(_waits_text(waits))
+        lines.append(_waits_text(waits, shortest_wait_ns(records.calibration)))
         asked = [(name, WAITS_NS[name] / 1e3, p50_ns / 1e3) for name, p50_ns in waits.items()]
         table = pd.DataFrame(asked, columns=["name", "x", "y"])
         chart = dots(table, "Waits of known length", "asked [µs]", "p50 of timings [µs]")

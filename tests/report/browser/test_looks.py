@@ -69,6 +69,27 @@ def test_axe_has_nothing_to_say(opened: Any, size: tuple[int, int], scheme: str)
     assert said == []
 
 
+@pytest.mark.slow
+def test_who_has_no_name_among_the_points_is_named_below_when_chosen(opened: Any) -> None:
+    """A phone has no room for every name; a touch on a point says whose it is."""
+    page = opened(CHOSEN, size=PHONE)
+    assert "the chosen one: osqp (" in page.inner_text("#accuracy figcaption")
+    points = page.locator("#figure-accuracy .mark-symbol path[aria-label*='solver: quadprog']")
+    points.first.scroll_into_view_if_needed()
+    box = points.first.bounding_box()
+    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.wait_for_function("location.hash.includes('s=')")
+    page.wait_for_timeout(300)
+    chosen = page.evaluate("label(state.c)")
+    assert f"the chosen one: {chosen}." in page.inner_text("#accuracy figcaption")
+    page.evaluate(
+        """() => select({ c: all().find((c) => !rowsDrawn("accuracy").values
+          .some((row) => Number(row.id) === c)) })"""
+    )
+    page.wait_for_timeout(300)
+    assert "has no point here" in page.inner_text("#accuracy figcaption")
+
+
 @pytest.mark.parametrize("width", [320, 390, 768, 1400])
 @pytest.mark.slow
 def test_nothing_scrolls_sideways(opened: Any, width: int) -> None:
@@ -95,9 +116,10 @@ def test_sections_and_places_stay_on_a_phone(opened: Any) -> None:
     assert page.locator("#slow").bounding_box()["y"] < PHONE[1]
     page.evaluate("scrollTo(0, document.documentElement.scrollHeight)")
     line = page.locator(".top").bounding_box()
-    assert line["y"] == 0 and line["height"] < 100
+    assert line["y"] == 0 and line["height"] < 125
     for link in page.locator("nav a").all():
         box = link.bounding_box()
+        assert box["height"] >= 24, "as high as a finger needs"
         assert box["x"] >= 0 and box["x"] + box["width"] <= PHONE[0] and box["y"] >= 0
     page.locator("nav a").last.click()
     assert page.evaluate("document.activeElement.id") == "data"
@@ -163,14 +185,31 @@ def test_bars_have_the_width_of_a_phone(opened: Any) -> None:
         assert box["y"] < middle and middle - (box["y"] + box["height"]) < 8
 
 
+@pytest.mark.slow
+def test_a_point_that_is_open_is_not_filled_like_one_that_meets(opened: Any) -> None:
+    """Three looks, as the legend of the figure and its caption say."""
+    page = opened()
+    dots = page.locator(
+        "#figure-accuracy .mark-symbol path[aria-label*='demand: '][fill-opacity]"
+    ).all()
+    opacity: dict[str, set[str]] = {}
+    for dot in dots:
+        state = str(dot.get_attribute("aria-label")).split("demand: ")[1].split(";")[0]
+        opacity.setdefault(state, set()).add(str(dot.get_attribute("fill-opacity")))
+    assert opacity["meets"] == {"0.95"} and opacity["wrong"] == {"0"}
+    assert opacity["open"] == {"0.3"}
+    legend = page.locator("#figure-accuracy .role-legend-label").all_text_contents()
+    assert {"meets", "open", "misses"} <= {*legend}
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.slow
 def test_signs_of_the_tiles_can_be_read(opened: Any, scheme: str) -> None:
     """Contrast of each sign to its tile, and of a figure's letters to the page: 4.5 to 1."""
     page = opened(scheme=scheme)
     style = page.evaluate(
-        """() => Object.fromEntries(["good", "bad", "warn", "none", "ink", "soft", "paper",
-          "good-fill", "bad-fill", "warn-fill", "none-fill"].map((name) => [name,
+        """() => Object.fromEntries(["good", "bad", "warn", "late", "none", "ink", "soft", "paper",
+          "good-fill", "bad-fill", "warn-fill", "late-fill", "none-fill"].map((name) => [name,
             getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim()]))"""
     )
 
@@ -183,7 +222,7 @@ def test_signs_of_the_tiles_can_be_read(opened: Any, scheme: str) -> None:
         low, high = sorted((luminance(style[a]), luminance(style[b])))
         return (high + 0.05) / (low + 0.05)
 
-    for state in ("good", "bad", "warn", "none"):
+    for state in ("good", "bad", "warn", "late", "none"):
         assert contrast(state, f"{state}-fill") >= 4.5
         assert contrast(state, "paper") >= 4.5
     assert min(contrast("ink", "paper"), contrast("soft", "paper")) >= 4.5

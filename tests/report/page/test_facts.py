@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import pytest
@@ -10,6 +11,7 @@ from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.verdict import verdict_of, verdicts_of
 from dpbench.report.page import tables
 from dpbench.report.page.facts import Facts, columns_of, number
+from dpbench.report.page.places import place_words
 from dpbench.report.page.tables import drawn_tiles, matrix_table
 from dpbench.report.page.write import _matrix_said
 
@@ -52,13 +54,13 @@ def test_states_are_those_of_the_verdict_on_each_run_alone(records: Any) -> None
     records.replay("daqp", median_us=4000.0)
     facts = _facts(records)
     states = {s: _state(facts, s, "paper") for s in ("daqp", "osqp", "scs", "qpax")}
-    assert states == {"daqp": "meets", "osqp": "misses", "scs": "open", "qpax": "not run"}
-    assert _state(facts, "daqp", "paper (replay)") == "misses", "its p99 is 4 ms"
+    assert states == {"daqp": "meets", "osqp": "wrong", "scs": "open", "qpax": "not run"}
+    assert _state(facts, "daqp", "paper (replay)") == "late", "its p99 is 4 ms"
     assert _state(facts, "osqp", "paper (replay)") == "not run", "there is no such run"
     for (c, p), run in facts.runs.items():
         place = ("", "")
         alone = verdict_of(facts.records, facts.configurations[c], {place: run}, [], DEMAND)
-        assert (facts.state(c, p) == "misses") == bool(alone.causes)
+        assert (facts.state(c, p) in ("late", "wrong")) == bool(alone.causes)
         assert (facts.state(c, p) == "not run") == (alone.outcome == "not run")
 
 
@@ -69,7 +71,7 @@ def test_si_units_are_a_place_and_no_configuration(records: Any) -> None:
     facts = _facts(records)
     assert len(facts.configurations) == 1
     assert _state(facts, "daqp", "paper") == "meets"
-    assert _state(facts, "daqp", "paper (in N and N·m)") == "misses"
+    assert _state(facts, "daqp", "paper (in N and N·m)") == "wrong"
 
 
 def test_of_two_runs_in_one_place_the_longer_counts(records: Any) -> None:
@@ -136,6 +138,29 @@ def test_rows_of_different_kinds_make_columns_of_one_length() -> None:
     assert columns_of([{"a": 1}, {"b": 2}]) == {"a": [1, None], "b": [None, 2]}
 
 
+def test_a_place_is_said_in_the_words_of_its_scenario(records: Any) -> None:
+    """Title and first sentence; of a replay its window and how many of the steps have active
+    limits, of an extra that it counts in no verdict; without a scenario nothing."""
+    records.loop("daqp", "rough")
+    records.loop("daqp", "rough", units="si")
+    records.replay("daqp", "rough[900:1400]", steps=500, cell=_of_window(records))
+    records._scenarios["robot"] = records.scenario("rough")
+    records.replay("daqp", "robot", steps=30, scenario="", cell="{}")
+    facts = _facts(records)
+    said = {word.term: word.meaning for word in place_words(facts).values()}
+    start = "Rough sea: sway thrust at its limit. Mean and slowly varying forces of about DP number"
+    assert said["rough"] == f"{start} 6-7."
+    assert said["rough (in N and N·m)"].startswith(start)
+    assert said["rough (in N and N·m)"].endswith("an extra that no verdict counts.")
+    window = "Here steps 900 to 1400 of its exactly solved loop, replayed: limits are active in 0 %"
+    assert window in said["rough[900:1400] (replay)"]
+    assert list(said) == [p.label for p in facts.places if p.name != "robot"]
+
+
+def _of_window(records: Any) -> str:
+    return json.dumps({"scenario": records.scenario("rough").files, "first": 900})
+
+
 def test_of_many_places_those_that_miss_most_are_drawn(
     records: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -150,4 +175,7 @@ def test_of_many_places_those_that_miss_most_are_drawn(
     monkeypatch.setattr(tables, "MOST_TILES", 5)
     drawn = drawn_tiles(tiles)
     assert drawn["place"].unique().tolist() == ["rough", "turn"] and len(drawn) == 4
-    assert "The 2 of 4 places that miss it most" in _matrix_said(facts)
+    said = _matrix_said(facts)
+    assert "The 2 of 4 places that miss it most" in said and "N·m" not in said
+    records.loop("daqp", units="si")
+    assert "In N and N·m is an extra" in _matrix_said(_facts(records))

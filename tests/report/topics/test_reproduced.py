@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from dpbench.analysis.records.records import Records
+from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.topics.claims import choices, claims
 from dpbench.report.topics.paper import paper_topic
@@ -75,6 +76,26 @@ def test_claims_on_one_law_follow_its_row(
     """A claim on the constrained law stands and falls with its row."""
     records.loop("daqp", steps=WHOLE, **columns)
     assert _states(records)[claim] == "not reproduced"
+
+
+@pytest.mark.parametrize(
+    ("outside", "says"),
+    [
+        (range(0), "within 1 m from the start ("),
+        (range(34), "enters 1 m at 10.2 s and stays (95.0 % of the run inside)"),
+        ([0, 3, 500], "enters 1 m at 150 s and stays ("),
+        ([0, WHOLE - 1], "outside 1 m at the end ("),
+    ],
+)
+def test_held_is_to_enter_and_to_stay(records: Any, outside: Any, says: str) -> None:
+    """From the step after the last one outside, which carries the claim as its share does not."""
+    records.loop("daqp", steps=WHOLE)
+    found = records.results()
+    steps = found.steps.copy()
+    steps[["n_m", "e_m"]] = 0.0
+    steps.loc[steps["k"].isin(list(outside)), "n_m"] = 1.5
+    view = Records(Results(found.runs, StepsInMemory(steps), found.machine, found.suite))
+    assert claims(view)[0].found.startswith(says)
 
 
 def test_without_the_paper_nothing_is_claimed(records: Any) -> None:

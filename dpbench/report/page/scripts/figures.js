@@ -58,7 +58,7 @@ function sized(name, width) {
     const labels = 14 + 7 * Math.max(...of(tiles[1]).map((text) => text.length));
     const levels = narrow ? 1 : of("settings").length, slant = narrow ? 0 : 90;
     const step = (width - labels - slant - 16 * levels) / (levels * of(tiles[0]).length);
-    return set(at, { x_step: Math.max(14, Math.min(46, step)) });
+    return set({ ...at, marks: explained(at.marks) }, { x_step: Math.max(14, Math.min(46, step)) });
   }
   if (name.startsWith("strips")) return { ...spec, width: width - 78, autosize: { type: "pad", resize: true } };
   const fit = { type: name === "pairs" ? "fit" : "fit-x", contains: "padding", resize: true };
@@ -69,6 +69,21 @@ function sized(name, width) {
   return name === "pairs" ? { ...named(spec), width: square, height: square, autosize: fit }
     : set({ ...spec, width, autosize: fit, marks: apart(spec.marks), axes: spec.axes.map(clickable) },
       above ? { narrow: true, y_step: facts.row_step.narrow } : { narrow: false });
+}
+
+// Names of places say what they are to who points at one, wherever among these marks an axis is.
+function explained(node) {
+  if (Array.isArray(node)) return node.map(explained);
+  if (node === null || typeof node !== "object") return node;
+  return Object.fromEntries(Object.entries(node).map(([name, part]) =>
+    [name, name === "axes" ? part.map(withTips) : explained(part)]));
+}
+
+function withTips(axis) {
+  const says = Object.fromEntries(facts.places.filter((place) => place.shows).map((place) => [place.label, place.shows]));
+  const known = `${JSON.stringify(says)}[datum.value]`, labels = axis.encode?.labels;
+  return axis.labels === false ? axis : { ...axis, encode: { ...axis.encode, labels: { ...labels, interactive: true,
+    update: { ...labels?.update, tooltip: { signal: `${known} ? {'in': datum.value, 'is': ${known}} : null` } } } } };
 }
 
 // Names of rows take clicks.

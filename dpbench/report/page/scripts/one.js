@@ -67,6 +67,9 @@ async function drawOne() {
   const solver = facts.solvers[C().solver[state.c]] ?? {};
   drawChoice();
   $("one-title").textContent = label(state.c);
+  $("one-call").textContent = C().call[state.c];
+  // That of the answer stands there.
+  $("one-call").parentElement.hidden = $("one-call").textContent === $("paste-1")?.textContent;
   if (!run) {
     text.textContent = notKept() ?? `Not run in ${facts.places[state.p].label}.`;
     for (const id of ["hard", "figure-strips", "strips-said", "step", "ship"]) $(id).hidden = true;
@@ -75,11 +78,11 @@ async function drawOne() {
   $("hard").hidden = false;
   $("ship").hidden = !trackOf(run);
   const place = facts.places[state.p], judged = C().outcome[state.c] !== "not judged";
-  const verdict = { meets: "Holds", misses: "Misses the demand" }[run.state] ?? "Open";
+  const verdict = { meets: "Holds", late: "Late", wrong: "Wrong" }[run.state] ?? "Open";
   text.textContent = [
     `${place.study ? "In" : `${verdict} in`} ${place.label}: ran ${run.steps} of ${run.planned} steps; `
-    + `first move beyond the demand on ${over(run)}, at most ${figure(run.error)}; claimed solved and not `
-    + `true on ${figure(run.untrue)}${run.answers === run.steps ? "" : ` of ${run.answers} answers`}; failed on ${figure(run.failed)}.`,
+    + `first move beyond the demand on ${over(run)}, at most ${figure(run.error)}; said “solved” `
+    + `where it was not on ${figure(run.untrue)}${run.answers === run.steps ? "" : ` of ${run.answers} answers`}; failed on ${figure(run.failed)}.`,
     run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the exactly solved loop`
       + `${run.settle_s === null || run.settle_s === "inf" ? "." : ` and settled within 1 m and 1° at ${figure(run.settle_s)} s.`}`,
     run.infeasible > 0 ? `${run.infeasible} of the steps had no solution${run.all_true ? ", and it said so" : ""}.` : "",
@@ -110,8 +113,8 @@ async function drawOne() {
   drawShip(run);
 }
 
-// Of the chosen configuration the steps with the most iterations (m = 1) or the largest error
-// (m = 2) over all places that enter its verdict, the worst first.
+// Of the chosen configuration the steps that took longest (m = 0), with the most iterations (1) or
+// the largest error (2) over all places that enter its verdict, the worst first.
 function worstAnywhere(m) {
   const known = facts.places.flatMap((place, p) => (place.trial ? [] : cell(state.c, p)?.hard?.[m] ?? [])
     .map(([k, value]) => ({ p, k, value })));
@@ -148,10 +151,14 @@ function drawHard(run) {
   // Where a step is one timing its time is jitter as well: it comes last; iterations that are alike
   // everywhere say nothing.
   const order = (replayed ? [0, 1, 2] : [1, 2, 0]).filter((m) => m !== 1 || varies(state.c));
-  const said = ({ p, k, value }) => ({ p, k, said: `k ${k} in ${facts.places[p].label}: ${figure(value)}` });
-  const most = varies(state.c) ? [1] : [], worst = most.length && C().outcome[state.c] !== "misses" ? [] : [2];
+  const said = (m) => ({ p, k, value }) => ({ p, k,
+    said: `${facts.places[p].label}, k ${k}: ${m === 0 ? time(value) : figure(value)}` });
+  // Of a single place its own lines say it.
+  const several = facts.places.filter((_, p) => cell(state.c, p)?.hard).length > 1;
+  const most = varies(state.c) ? [1] : [], worst = most.length && !["late", "wrong"].includes(C().outcome[state.c]) ? [] : [2];
   $("hard").replaceChildren(
-    ...[...worst, ...most].map((m) => row(`${names[m]}, all places`, worstAnywhere(m).map(said))),
+    ...(several ? [0, ...worst, ...most] : []).map((m) => row(m === 0 ? "slowest, all places" : `${names[m]}, all places`,
+      worstAnywhere(m).map(said(m)))).filter((line) => line.children.length > 1),
     ...order.map((m) => here[m]).filter((line) => line?.children.length > 1));
   drawStep(run);
 }

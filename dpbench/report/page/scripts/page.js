@@ -4,17 +4,19 @@
 // A few names; of many none.
 const few = (rows) => (rows.length && rows.length <= 6 ? `: ${rows.map((row) => row.solver).join(", ")}` : "");
 
-// How many of the ladder still make the deadline on the slower computer, by their largest step, and
-// how many of those meet the whole demand there.
+// How many of the ladder still make the deadline on the slower computer: by the measure of the chosen
+// one, then by the weaker one of their largest replayed step, and how many of these meet the whole
+// demand there.
 function kept() {
   const rows = rowsDrawn("ladder").values, { deadline_ms, p99_ms } = facts.demand;
-  const within = rows.filter((row) => row.max_ms * state.slow <= deadline_ms);
-  const out = rows.filter((row) => !within.includes(row));
-  const meet = within.filter((row) => row.outcome === "meets"
+  const within = (ms) => rows.filter((row) => ms(row) * state.slow <= deadline_ms);
+  const safe = within((row) => (C().longest[Number(row.id)] ?? row.max_ms * 1e6) / 1e6);
+  const replayed = within((row) => row.max_ms), out = rows.filter((row) => !safe.includes(row));
+  const meet = replayed.filter((row) => row.state === "meets"
     && (row.p99_ms ?? row.max_ms) * state.slow <= p99_ms);
-  return `${bounded()}${within.length} of ${rows.length} keep ${deadline_ms} ms by their largest replayed step${
-    few(within) || (few(out) && ` (not${few(out)})`)}; ${meet.length} also the demand and its p99 of ${
-    p99_ms} ms${few(meet)}`;
+  return `${bounded() || "By the largest single timing of all: "}${safe.length} of ${rows.length} keep ${deadline_ms} ms${
+    few(safe) || (few(out) && ` (not${few(out)})`)}. Weaker, by replays alone: ${replayed.length}; ${
+    meet.length} of them with the demand's p99 of ${p99_ms} ms${few(meet)}`;
 }
 
 // Whether the chosen one's largest timing of all places makes the deadline on the slower computer.
@@ -23,13 +25,36 @@ function bounded() {
   if (longest === null) return "";
   const most = (facts.demand.deadline_ms * 1e6) / longest, at = facts.places[C().longest_at[state.c]].label;
   return `${C().solver[state.c]} ${most < state.slow ? `is beyond its × ${figure(most)}` : `holds up to × ${figure(most)}`} `
-    + `(largest single timing, in ${at}). `;
+    + `(largest single timing, in ${at}). By this measure `;
 }
+
+// Where the slider stops: 1, 2 and 5 of each decade.
+const notch = (i) => [1, 2, 5][i % 3] * 10 ** Math.floor(i / 3);
 
 // How the chosen one's times compare with those of the answer.
 function beside() {
   const first = facts.answer.first, rows = first === state.c ? [] : together(first, state.c);
-  return rows.length ? `; a step takes ${figure(ratioOf(rows))} × that of ${unlike(first, state.c)}` : "";
+  return rows.length
+    ? `, ${figure(ratioOf(rows))} × the time of ${unlike(first, state.c)} (geometric mean of the same steps)` : "";
+}
+
+// The line that stays: the chosen one with its times and where it is shown; on a phone without what
+// stands elsewhere too.
+function drawChosen() {
+  const c = state.c, times = [["p50", "p50"], ["p99", "p99"], ["largest step", "max"], ["largest timing", "longest"]]
+    .filter(([, column]) => C()[column][c] !== null).map(([name, column]) => `${name} ${time(C()[column][c])}`);
+  const outcome = C().outcome[c] === "not judged" ? "" : `: ${C().outcome[c]}`;
+  const timed = facts.places[C().timed_at[c]], wide = document.createElement("span");
+  wide.className = "wide-only";
+  wide.textContent = `${timed ? `, timed in ${timed.label}` : ""}${beside()}`;
+  $("chosen").replaceChildren([`${label(c)}${outcome}`, ...times].join(", "), wide,
+    `; shown in ${facts.places[state.p].label}${state.k === null ? "" : `, k ${state.k}`}`);
+}
+
+// Whose point is the large one, as a phone has no room for every name.
+function pointed() {
+  const own = rowsDrawn("accuracy").values.find((row) => Number(row.id) === state.c);
+  return own ? `Largest point, the chosen one: ${label(state.c)}.` : `${label(state.c)} has no point here.`;
 }
 
 // Draws the eye to what has changed.
@@ -42,16 +67,12 @@ function glow(node) {
 async function draw(changed = ["slow", "c", "p", "b", "k"]) {
   if (!count()) { drawTable(); return; }
   const touched = (...parts) => parts.some((part) => changed.includes(part));
-  const place = facts.places[state.p].label;
-  const p99 = C().p99[state.c], timed = facts.places[C().timed_at[state.c]];
-  const outcome = C().outcome[state.c] === "not judged" ? "" : `: ${C().outcome[state.c]}`;
-  $("chosen").textContent = `${label(state.c)}${outcome}`
-    + `${p99 === null ? "" : `, p99 ${time(p99)} in ${timed?.label}`}${beside()}; shown in ${place}${
-      state.k === null ? "" : `, k ${state.k}`}`;
+  drawChosen();
   if (touched("c", "p")) glow($("chosen"));
   if (touched("slow", "c") && $("slow")) {
     $("slow-said").value = figure(state.slow);
-    $("slow").value = String(Math.log10(state.slow));
+    $("slow").value = String(Math.round(3 * Math.log10(state.slow)));
+    $("slow").setAttribute("aria-valuetext", `× ${figure(state.slow)}`);
     $("slow-kept").textContent = kept();
     await signal("ladder", { slow: state.slow });
   }
@@ -59,6 +80,7 @@ async function draw(changed = ["slow", "c", "p", "b", "k"]) {
     await mark("ladder", { id: String(state.c) });
     await mark("matrix", { id: String(state.c), place_id: String(state.p) });
     await mark("accuracy", { id: String(state.c) });
+    if ($("accuracy-chosen")) $("accuracy-chosen").textContent = pointed();
     drawTable();
   }
   if (touched("c", "p")) await drawStudy();
@@ -104,7 +126,7 @@ function listen() {
   $("matrix-way")?.append(...unique(all().map(way)).map((w) => new Option(w.replace("-", " "), w)));
   $("matrix-way")?.addEventListener("change", drawMatrix);
   $("choose-other")?.addEventListener("change", (e) => select({ b: Number(e.target.value) }));
-  $("slow")?.addEventListener("input", (e) => select({ slow: 10 ** Number(e.target.value) }));
+  $("slow")?.addEventListener("input", (e) => select({ slow: notch(Number(e.target.value)) }));
   $("slow-said")?.addEventListener("change", (e) => select({ slow: atMost(e.target.value) }));
   $("percentile")?.addEventListener("change", (e) => signal("accuracy", { percentile: e.target.value }));
   for (const button of document.querySelectorAll("[data-copy]")) {
