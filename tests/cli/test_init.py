@@ -72,6 +72,7 @@ def test_the_vessel_file_says_how_it_was_made() -> None:
     assert "supply_tmr: L/B and L/volume^(1/3) differ by more than 20%" in text
 
 
+@pytest.mark.slow
 @given(
     length_m=st.floats(10.0, 500.0),
     slender=st.floats(2.5, 9.0),

@@ -68,6 +68,7 @@ def test_no_change_is_no_claim(count: int) -> None:
     assert false <= stats.binom.ppf(0.999, 300, 0.05)
 
 
+@pytest.mark.slow
 def test_a_change_at_the_margin_is_the_hardest_no_claim() -> None:
     """Known errors, every true ratio at the margin itself, half of them below: the error is 5 %.
 
@@ -84,6 +85,7 @@ def test_a_change_at_the_margin_is_the_hardest_no_claim() -> None:
     assert stats.binom.ppf(0.001, 400, 0.025) <= false <= stats.binom.ppf(0.999, 400, 0.05)
 
 
+@pytest.mark.slow
 def test_equivalence_at_the_margin_is_not_claimed() -> None:
     """The same for the two one-sided tests: a true ratio at the margin is not called equivalent."""
     rng, false = np.random.default_rng(5), 0
@@ -113,6 +115,7 @@ def test_a_planted_change_is_found_and_no_other_configuration_pays_for_it() -> N
     assert false <= stats.binom.ppf(0.999, 200, 0.05)
 
 
+@pytest.mark.slow
 def test_a_noisy_machine_is_noticed() -> None:
     """Configurations that scatter by 8 % hide a change of 15 %, which the prior alone would have
     claimed."""
@@ -169,6 +172,7 @@ def test_a_machine_that_nothing_tells_leaves_no_verdict() -> None:
     assert [(one.ratio.low, one.ratio.high) for one in found] == [(0.0, np.inf)] * 2
 
 
+@pytest.mark.slow
 def test_false_claims_against_a_reference_are_rare() -> None:
     """Two machines whose solvers scatter by 10 %, each ratio held against the first one: of 400
     tables at most 5 % have a false claim, and a planted factor of 3 is found in nearly all."""

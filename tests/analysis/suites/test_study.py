@@ -25,6 +25,7 @@ def _values(table: np.ndarray) -> pd.Series:
     return pd.Series(table.ravel(), index=index)
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 2**32 - 1), replicates=st.integers(4, 30))
 def test_at_one_point_it_is_the_paired_t_test(seed: int, replicates: int) -> None:
     """The interval is that of scipy's paired t-test."""
@@ -35,6 +36,7 @@ def test_at_one_point_it_is_the_paired_t_test(seed: int, replicates: int) -> Non
     assert difference.mean.high == pytest.approx(expected.high, rel=1e-9, abs=1e-12)
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 2**32 - 1), points=st.integers(4, 40))
 def test_points_without_replicates_are_the_sample(seed: int, points: int) -> None:
     """With one sea a point the interval is that of the t-test over points."""
@@ -44,6 +46,7 @@ def test_points_without_replicates_are_the_sample(seed: int, points: int) -> Non
     assert difference.mean.low == pytest.approx(expected.low, rel=1e-9, abs=1e-12)
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_sea_drops_out(seed: int) -> None:
     """What both have of a sea, however large, changes neither mean nor interval."""
@@ -57,6 +60,7 @@ def test_the_sea_drops_out(seed: int) -> None:
     assert together.unpaired > 5.0 * alone.unpaired
 
 
+@pytest.mark.slow
 def test_the_interval_holds_the_truth_as_often_as_it_says() -> None:
     """Points of other means, counts and spreads: 95 % of 600 intervals hold the true mean."""
     draw = np.random.default_rng(7)

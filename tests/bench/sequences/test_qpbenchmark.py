@@ -61,6 +61,7 @@ def qpbenchmark() -> Any:
     return pytest.importorskip("qpbenchmark", reason="qpbenchmark is not installed")
 
 
+@pytest.mark.slow
 # qpsolvers leaves out an argument whose default osqp is going to change; raised as an error, the
 # warning would count as a failure of the solver.
 @pytest.mark.filterwarnings("ignore:The default value of raise_error:PendingDeprecationWarning")

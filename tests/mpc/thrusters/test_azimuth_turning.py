@@ -80,6 +80,7 @@ def test_both_units_have_one_optimum(case: Scenario) -> None:
     assert arcs(case, f, scaled.moves(exact.z)[0])[1].max() == pytest.approx(1.0, abs=1e-9)
 
 
+@pytest.mark.slow
 @settings(derandomize=True, max_examples=200)
 @given(st.lists(part, min_size=8, max_size=8), st.lists(part, min_size=8, max_size=8))
 def test_what_is_cut_keeps_to_everything_and_what_keeps_to_it_is_not_cut(

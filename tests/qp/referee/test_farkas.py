@@ -226,6 +226,7 @@ def test_an_earlier_vector_changes_no_verdict(excess: float) -> None:
     assert np.array_equal(later.z, known.z, equal_nan=True) or later.bound < 1e-9
 
 
+@pytest.mark.slow
 @settings(max_examples=60, derandomize=True, deadline=None)
 @given(seeds, st.integers(1, 5), st.integers(2, 6), st.booleans())
 def test_an_earlier_vector_proves_no_other_problem(seed: int, n: int, m: int, boxed: bool) -> None:

@@ -14,6 +14,8 @@ from tests.conftest import MadeRecords
 from tests.report.browser.conftest import DESK, PHONE, Opener, opening
 from tests.report.conftest import LOOSE, of_seas
 
+pytestmark = pytest.mark.slow
+
 MIDDLE = """async ([name, wanted]) => {
   // The middle of the first symbol or rectangle whose row has what is wanted, on the screen.
   const view = await views[name], test = new Function("row", `return ${wanted}`), found = [];

@@ -50,6 +50,7 @@ def test_other_names_and_names_of_nobody(written: Any) -> None:
         beside(written.report, "piqp", ["nobody"])
 
 
+@pytest.mark.slow
 def test_the_command_writes_it_and_the_step_can_be_exported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -47,6 +47,7 @@ def copy(sent: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(sent, tmp_path / "sent"))
 
 
+@pytest.mark.slow
 def test_what_is_sent_is_whole_and_small(sent: Path, capsys: Any) -> None:
     """Five files, no script, far below the limit; the check says what it is."""
     assert sorted(path.name for path in sent.iterdir()) == sorted(SENT)
@@ -58,6 +59,7 @@ def test_what_is_sent_is_whole_and_small(sent: Path, capsys: Any) -> None:
     assert "4 runs of 2 solvers" in said and "by Ada, 2026-11-22" in said
 
 
+@pytest.mark.slow
 def test_capability_plots_go_along(records: Any, tmp_path: Path) -> None:
     """The page names the file by its hash, and is written again from what was sent; another file in
     its place, or none, is found out."""

@@ -10,6 +10,8 @@ from dpbench.report.page import facts as facts_of_page
 from dpbench.report.report import Report
 from tests.report.conftest import HEIGHTS, LOOSE, OFFSETS, SEAS, of_seas
 
+pytestmark = pytest.mark.slow
+
 
 def test_every_sea_has_its_errors(records: Any) -> None:
     """Those of its run: how far off, whether held, and how far behind the reference there."""
