@@ -1,0 +1,118 @@
+"""Sources that are needed next are made in one task, and apart when their worker died."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dpbench import load_results, run_campaign
+from dpbench.bench.engines.on_worker import make_files
+from dpbench.bench.record.machine import describe_machine
+
+WHY = "engine dask needs the extra `cluster`"
+distributed = pytest.importorskip("distributed", reason=WHY)
+dask_engine = pytest.importorskip("dpbench.bench.engines.dask_engine", reason=WHY)
+dask_cluster = pytest.importorskip("dpbench.bench.engines.dask_cluster", reason=WHY)
+
+STUDY = """
+title = "Eight seas"
+solvers = ["daqp"]
+baseline_law = false
+cell_limit_s = 60.0
+
+[[study]]
+base = "weather"
+steps = 3
+settings = ["default", "high"]
+replicates = { key = "environment.seed", count = 8 }
+"""
+
+
+class Done:
+    """A future whose task has ended."""
+
+    def __init__(self, key: str, task: Callable[[], object]) -> None:
+        self.key, self.status = key, "finished"
+        try:
+            self._value = task()
+        except distributed.KilledWorker as error:
+            self.status, self._value = "error", error
+
+    def result(self) -> object:
+        """What the task returned, or what became of it."""
+        if isinstance(self._value, Exception):
+            raise self._value
+        return self._value
+
+    def release(self) -> None:
+        """It holds nothing."""
+
+
+class Completed:
+    """Futures as they complete: in order."""
+
+    def __init__(self, futures: Iterable[Done] = (), loop: object = None) -> None:
+        self._waiting = [*futures]
+
+    def add(self, future: Done) -> None:
+        """One more."""
+        self._waiting.append(future)
+
+    def __iter__(self) -> Iterator[Done]:
+        while self._waiting:
+            yield self._waiting.pop(0)
+
+
+class Client:
+    """Runs tasks as they are submitted; workers die of whatever makes several sources."""
+
+    status, loop = "running", None
+
+    def __init__(self) -> None:
+        self.together: list[int] = []
+
+    def submit(self, function: Callable[..., object], *args: Any, key: str, **how: Any) -> Done:
+        """Its future."""
+        told = {name: how[name] for name in ("unmade", "alone", "concurrency") if name in how}
+
+        def task() -> object:
+            if function is make_files:
+                self.together.append(len(args[2]))
+                if len(args[2]) > 1:
+                    raise distributed.KilledWorker(key, None, 0)
+            return function(*(_known(arg) for arg in args), **told)
+
+        return Done(key, task)
+
+
+def _known(arg: object) -> object:
+    """An argument of a task, with what the tasks before it returned."""
+    if isinstance(arg, dict):
+        return {name: _known(value) for name, value in arg.items()}
+    return arg.result() if isinstance(arg, Done) else arg
+
+
+def test_sources_of_a_task_whose_worker_died_are_made_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No cell is lost for another's source."""
+    client = Client()
+
+    @contextmanager
+    def cluster(workers: int) -> Iterator[Client]:
+        yield client
+
+    fleet = dask_cluster.Fleet(1, 1, False, describe_machine(), 1)
+    monkeypatch.setattr(dask_engine, "own_cluster", cluster)
+    monkeypatch.setattr(dask_engine, "fleet_of", lambda client: fleet)
+    monkeypatch.setattr(dask_engine, "counted_anew", lambda client, fleet: fleet)
+    monkeypatch.setattr(dask_engine, "as_completed", Completed)
+    (tmp_path / "seas.toml").write_text(STUDY, encoding="utf-8")
+    out = run_campaign(tmp_path / "seas.toml", tmp_path / "out", engine="dask", jobs=1)
+    assert set(load_results(out).runs["outcome"]) == {"finished"}
+    several, apart = client.together[0], client.together[1:]
+    assert several > 1 and 1 in apart
