@@ -13,6 +13,7 @@ import pytest
 
 from dpbench.analysis.times.pairs import paired_comparison
 from dpbench.bench.record.configuration import Configuration
+from dpbench.report.formats import rounded_down
 from dpbench.report.page.answer import call_text
 from dpbench.scenario.scenario import load_scenario
 
@@ -331,7 +332,7 @@ def test_the_demand_is_that_of_the_slower_computer(written: Any, opened: Any) ->
     own = runs[(runs["solver"] == "daqp") & (runs["route"] == "qpsolvers")]
     most = 3e8 / own.loc[own["settings"] == "default", "raw_max_ns"].max()
     verb = "holds up to" if most >= 100 else "is beyond its"
-    assert said.startswith(f"daqp {verb} × {page.evaluate(f'figure({most})')} ")
+    assert said.startswith(f"daqp {verb} × {rounded_down(most)} "), "as the answer rounds it"
     names = ", ".join(row["solver"] for row in meet)
     assert said.endswith(f"{len(meet)} of them with the demand's p99 of 3 ms: {names}")
     labels = page.locator("#figure-ladder .mark-symbol path[aria-label]").evaluate_all(
@@ -345,6 +346,13 @@ def test_the_demand_is_that_of_the_slower_computer(written: Any, opened: Any) ->
     assert met == {row["solver"] for row in meet}
     assert all("largest timing [ms]: drawn as measured" in label for label in labels)
     assert all("computer slower: × 100" in label for label in labels)
+
+
+def test_a_bound_is_never_rounded_up(opened: Any) -> None:
+    """On the slider as in the answer."""
+    page = opened()
+    for value in (245.9, 246.0, 29.96, 1234.9, 1.0049, 0.4567, 99_950.0):
+        assert page.evaluate(f"Number(roundedDown({value}))") == float(rounded_down(value))
 
 
 @pytest.mark.slow

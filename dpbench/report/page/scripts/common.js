@@ -55,6 +55,12 @@ function figure(x, digits = 3) {
     ? Number(x).toExponential(Math.max(1, digits - 2)) : String(Number(Number(x).toPrecision(digits)));
 }
 
+// As `figure`, but never more than x: what still holds when it is believed.
+function roundedDown(x, digits = 3) {
+  const near = Number(x.toPrecision(digits));
+  return figure(near > x ? near - 10 ** (Math.floor(Math.log10(x)) - digits + 1) : near, digits);
+}
+
 // A canvas knows no variables of the style sheet: it gets the colours they have now.
 function inked(spec) {
   const style = getComputedStyle(document.documentElement);

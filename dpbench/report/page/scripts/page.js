@@ -24,7 +24,8 @@ function bounded() {
   const longest = C().longest[state.c];
   if (longest === null) return "";
   const most = (facts.demand.deadline_ms * 1e6) / longest, at = facts.places[C().longest_at[state.c]].label;
-  return `${C().solver[state.c]} ${most < state.slow ? `is beyond its × ${figure(most)}` : `holds up to × ${figure(most)}`} `
+  return `${C().solver[state.c]} ${most < state.slow ? `is beyond its × ${roundedDown(most)}`
+    : `holds up to × ${roundedDown(most)}`} `
     + `(largest single timing, in ${at}). By this measure `;
 }
 
