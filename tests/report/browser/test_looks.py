@@ -96,6 +96,9 @@ def test_nothing_scrolls_sideways(opened: Any, width: int) -> None:
     """Neither the page nor a box within it."""
     page = opened(CHOSEN, size=(width, 844))
     assert page.evaluate("document.documentElement.scrollWidth") <= width
+    named = "new Option('a long name '.repeat(20))"
+    page.evaluate(f"document.querySelector('#choose-place').add({named})")
+    assert page.evaluate("document.documentElement.scrollWidth") <= width, "by a name in a menu"
     boxes = page.evaluate(
         """() => [...document.querySelectorAll("body *")].filter((node) => {
           const style = getComputedStyle(node);
