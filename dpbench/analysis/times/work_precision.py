@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,38 +34,27 @@ class LevelPoint:
     failed: int
 
 
-def default_route_levels(records: Records, sequences: Sequence[str]) -> dict[str, list[LevelPoint]]:
-    """Per solver its points on the default route with policy fresh."""
-    return _levels(records, sequences, lambda run: run.default_route and run.policy == "fresh")
-
-
-def native_route_levels(records: Records, sequences: Sequence[str]) -> dict[str, list[LevelPoint]]:
-    """Per solver its points on route native, all with one policy: a line joins settings alone.
-
-    It is the policy of least p50 at the most usual settings.
-    """
-    return _levels(records, sequences, lambda run: run.route == "native")
-
-
-def _levels(
-    records: Records, sequences: Sequence[str], wanted: Callable[[RunRecord], bool]
+def level_points(
+    records: Records, sequences: Sequence[str], ways: Mapping[str, tuple[str, str]]
 ) -> dict[str, list[LevelPoint]]:
+    """Per solver its points in one way, so that a line joins settings alone, the most usual first.
+
+    Parameters
+    ----------
+    sequences : all of which a configuration was replayed on, or it has no point.
+    ways : of each solver route and policy; one that is not in it has no points.
+    """
     replays = records.select(mode="replay", units="scaled", sequence=tuple(sequences))
-    configurations = grouped(
-        filter(wanted, replays), lambda run: run.configuration.in_common_formulation
-    )
+    wanted = [run for run in replays if (run.route, run.policy) == ways.get(run.solver)]
+    configurations = grouped(wanted, lambda run: run.configuration.in_common_formulation)
     points = [
         point
         for configuration, runs in configurations.items()
         if len({run.sequence for run in runs}) == len(sequences)
         and (point := _level_point(records, configuration, runs)) is not None
     ]
-    # The first of a solver has its policy: that of least p50 at the most usual settings.
-    points.sort(key=lambda point: (settings_level(point.configuration.settings), point.p50_ns))
-    return {
-        solver: [p for p in own if p.configuration.policy == own[0].configuration.policy]
-        for solver, own in grouped(points, lambda point: point.configuration.solver).items()
-    }
+    points.sort(key=lambda point: settings_level(point.configuration.settings))
+    return grouped(points, lambda point: point.configuration.solver)
 
 
 def _level_point(

@@ -60,11 +60,12 @@ def accuracy(table: pd.DataFrame, demand_error: float) -> Any:
         .transform_calculate(time="percentile == 'p99' ? datum.p99_us : datum.p50_us")
         .transform_filter("isValid(datum.time)")
         .encode(
-            x=alt.X("time:Q", title="step time [µs], log scale", scale=log_scale()),
+            # Room for the name of a point in the corner.
+            x=alt.X("time:Q", title="step time [µs], log scale", scale=log_scale(padding=12)),
             y=alt.Y(
                 "shown:Q",
                 title="largest error_move",
-                scale=log_scale(),
+                scale=log_scale(padding=12),
                 axis=alt.Axis(format=".0e"),
             ),
             color=colour,

@@ -79,12 +79,16 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
         .encode(x=x, y=y, tooltip=tips)
     )
     # One below the other the tiles are narrower than five words side by side.
-    legend: dict[str, Any] = {"symbolType": "square"} | ({"columns": 3} if stacked else {})
-    tiles = base.mark_rect(strokeWidth=1.5).encode(
-        color=coloured("state", STATES, FILLS, title="demand", **legend),
-        stroke=alt.condition(pick, alt.value(ACCENT), alt.value(PAPER)),
-        strokeWidth=alt.condition(pick, alt.value(3), alt.value(1.5)),
+    legend: dict[str, Any] = {
+        "symbolType": "square",
+        "labelExpr": f"{signs}[datum.label] + ' ' + datum.label",
+    }
+    legend |= {"columns": 3} if stacked else {}
+    tiles = base.mark_rect(strokeWidth=1.5, stroke=PAPER).encode(
+        color=coloured("state", STATES, FILLS, title="demand", **legend)
     )
+    # Above all tiles, or those beside it would cover half of its frame.
+    chosen = base.transform_filter(pick).mark_rect(filled=False, stroke=ACCENT, strokeWidth=3)
     signed = base.transform_calculate(sign=f"{signs}[datum.state]", ink=f"{inks}[datum.state]")
     text = signed.mark_text(fontSize=12, fontWeight=600).encode(
         text="sign:N",
@@ -100,7 +104,7 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     )
     tiles = tiles.add_params(pick)
     placed = alt.layer(
-        tiles, text, data=table, width=alt.Step(30), height=alt.Step(15 if long else 22)
+        tiles, text, chosen, data=table, width=alt.Step(30), height=alt.Step(15 if long else 22)
     )
     own: dict[str, Any] = {"sort": levels, "title": None, "header": header}
     if stacked:

@@ -80,13 +80,20 @@ def _x(*, last: bool = False) -> alt.X:
 
 
 def _time(steps: alt.InlineData) -> tuple[Any, ...]:
-    base = alt.Chart(steps).encode(
-        x=_x(),
-        tooltip=[
-            alt.Tooltip("k:Q"),
-            tip("time_us:Q", "step time [µs]"),
-            tip("raw_us:Q", "largest timing [µs]"),
-        ],
+    base = (
+        alt.Chart(steps)
+        # Of a closed loop there is one timing a step.
+        .transform_calculate(
+            raw="isValid(datum.raw_us) ? format(datum.raw_us, '.3~g') : 'the same'"
+        )
+        .encode(
+            x=_x(),
+            tooltip=[
+                alt.Tooltip("k:Q"),
+                tip("time_us:Q", "step time [µs]"),
+                alt.Tooltip("raw:N", title="largest timing [µs]"),
+            ],
+        )
     )
     y = alt.Y("time_us:Q", title="time [µs]", scale=log_scale(nice=False))
     span = base.mark_rule(color=LINE, strokeWidth=1).encode(y=y, y2="raw_us:Q")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from math import isnan
 from typing import Any
 
+from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.times.pairs import faster_but_open, paired_comparison
 from dpbench.analysis.verdict.fastest import Recommendation, fastest_of, known_record, recommend
 from dpbench.analysis.verdict.verdict import Verdict
@@ -186,18 +187,34 @@ def _open_notes(facts: Facts, found: Recommendation) -> Iterator[tuple[str, str]
 
 
 def slower_text(facts: Facts, chosen: Verdict) -> str:
-    """How slow a computer may be: by the largest timing of everything the configuration ran, then
-    by the largest step of its replays."""
-    by_step = rounded_down(chosen.slowdown(facts.demand))
+    """How slow a computer may be: until the largest timing of everything the configuration ran
+    takes the whole sample, and until the median of its hardest loop passes the demand's p99."""
     largest = facts.longest_timing(chosen.configuration)
     if largest is None:
-        return f"Allow for a computer up to × {by_step}, by its largest replayed step."
+        by_step = rounded_down(chosen.slowdown(facts.demand))
+        return f"Allow for a computer up to × {by_step} slower, by its largest replayed step."
     place, run = largest
-    return (
-        f"Allow for a computer up to × {rounded_down(facts.demand.deadline_ns / run.raw_max_ns)}: "
-        f"its largest single timing, {time_text(run.raw_max_ns)} in {place.label}. Go by this; × "
-        f"{by_step}, by its largest replayed step, leaves out hard loops and jitter."
+    said = (
+        f"Allow for a computer up to × {rounded_down(facts.demand.deadline_ns / run.raw_max_ns)} "
+        f"slower: there its largest single timing, {time_text(run.raw_max_ns)} in "
+        f"{place.label}{_step_text(facts, run)}, takes the whole sample."
     )
+    hardest = facts.hardest_loop(chosen.configuration)
+    if hardest is None:
+        return said
+    most = rounded_down(facts.demand.p99_ms * 1e6 / hardest[1].raw_p50_ns)
+    return f"{said} Up to × {most} the median of its hardest loop keeps {facts.demand.p99_ms:g} ms."
+
+
+def _step_text(facts: Facts, run: RunRecord) -> str:
+    """At which step a run has its largest timing, and how much work that is: whoever reads of one
+    iteration and no active limit knows it for jitter."""
+    step = facts.longest_step(run)
+    if step is None:
+        return ""
+    k, iterations, active = step
+    work = "" if isnan(iterations) else f"{plural(iterations, 'iteration')}, "
+    return f" (k {k}: {work}{plural(active, 'active limit')})"
 
 
 def _hardest(facts: Facts, chosen: Verdict) -> str:

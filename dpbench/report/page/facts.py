@@ -222,9 +222,21 @@ class Facts:
         return self.places.index(wanted) if wanted in self.places else None
 
     def longest_timing(self, configuration: Configuration) -> tuple[Place, RunRecord] | None:
-        """The run with its largest single timing, of everything it ran: loops and replays alike;
-        None where none left one."""
-        return self._largest(configuration, "raw_max_ns", lambda _: True)
+        """The run with its largest single timing, of everything judged that it ran: loops and
+        replays alike; None where none left one."""
+        return self._largest(configuration, "raw_max_ns", lambda place: place.units == "scaled")
+
+    def longest_step(self, run: RunRecord) -> tuple[int, float, float] | None:
+        """The step of a run with its largest single timing: k, its iterations and active limits;
+        None where the page does not keep that step."""
+        kept = self.kept.get(run.run_id)
+        if kept is None:
+            return None
+        steps = kept.steps
+        at = int(np.nanargmax(steps.raw_ns))
+        if steps.raw_ns[at] != run.raw_max_ns:
+            return None
+        return int(steps.k[at]), float(steps.iterations[at]), float(steps.n_active[at])
 
     def hardest_loop(self, configuration: Configuration) -> tuple[Place, RunRecord] | None:
         """The judged closed loop with its largest median of timings; None where none left any."""

@@ -14,7 +14,7 @@ from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.report.charts.ladder import COLUMNS as LADDER_COLUMNS
 from dpbench.report.page.facts import Facts, Place, number
 
-ALWAYS = ("solver", "way", "settings", "where", "outcome")
+ALWAYS = ("solver", "way", "settings", "where", "outcome", "demand")
 GROUPS: dict[str, tuple[str, ...]] = {
     "times": (
         "algo_p50_ns",
@@ -82,12 +82,16 @@ MOST_ROWS = 3000
 def runs_table(facts: Facts, runs: pd.DataFrame) -> dict[str, Any]:
     """The runs as columns of text and numbers; those without any value are left out."""
     runs = runs.iloc[:MOST_ROWS]
+    by_id = {run.run_id: key for key, run in facts.runs.items()}
+    keys = [by_id.get(str(run_id)) for run_id in runs["run_id"]]
+    demand = [_demand(facts, key) for key in keys]
     made = {
         "solver": runs["solver"],
         "way": runs["route"] + " " + runs["policy"],
         "settings": runs["settings"],
         "where": _places(runs),
         "outcome": runs["outcome"],
+        "demand": pd.Series(demand, dtype=object),
     }
     columns: list[dict[str, Any]] = [
         {"name": n, "label": n, "meaning": "", "group": "", "text": True} for n in ALWAYS
@@ -103,8 +107,6 @@ def runs_table(facts: Facts, runs: pd.DataFrame) -> dict[str, Any]:
             columns.append({"name": name, "meaning": meaning, "group": group, "text": text})
             columns[-1] |= _shown(name)
             values.append(cells)
-    by_id = {run.run_id: key for key, run in facts.runs.items()}
-    keys = [by_id.get(str(run_id)) for run_id in runs["run_id"]]
     return {
         "rows": len(runs),
         "columns": columns,
@@ -112,6 +114,11 @@ def runs_table(facts: Facts, runs: pd.DataFrame) -> dict[str, Any]:
         "c": [None if key is None else key[0] for key in keys],
         "p": [None if key is None else key[1] for key in keys],
     }
+
+
+def _demand(facts: Facts, key: tuple[int, int] | None) -> str:
+    """What a run alone says of the demand; "" of one that is not judged by it."""
+    return "" if key is None or facts.places[key[1]].study else facts.state(*key)
 
 
 def _places(runs: pd.DataFrame) -> pd.Series[str]:

@@ -21,11 +21,7 @@ from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.suites.study import SMALL_M
 from dpbench.analysis.times.pairs import common_ratio
-from dpbench.analysis.times.work_precision import (
-    LevelPoint,
-    default_route_levels,
-    native_route_levels,
-)
+from dpbench.analysis.times.work_precision import LevelPoint, level_points
 from dpbench.analysis.verdict.fastest import best_of_each
 from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.record.result_folder import Results
@@ -70,6 +66,9 @@ from dpbench.report.page.topic import Topic
 from dpbench.report.page.vendored import script, vendored
 from dpbench.solvers.table import record
 
+ABOUT = (
+    "Quadratic-programming solvers in the predictive controller of a dynamically positioned ship"
+)
 _STATES = ("var(--good)", "var(--warn)", "var(--late)", "var(--bad)", "var(--none)")
 _HUES = [hue for hue in FAMILY_COLOURS.values() if hue not in STATE_COLOURS]
 FILES = {
@@ -125,6 +124,7 @@ def page_html(
     return template.render(
         title=f"dpbench: {results.suite.get('name', folder.name)}",
         subtitle=str(results.suite.get("title", "")),
+        about=ABOUT,
         css=Markup(own("templates/page.css")),
         sections=_sections(facts, charts, others, light),
         answer=answer,
@@ -221,9 +221,10 @@ def charts_of(facts: Facts, calling_ns: float) -> dict[str, Any]:
 
 
 def _points(facts: Facts) -> pd.DataFrame:
-    """Work and precision of each solver: natively where it was run so, else by its default."""
-    records, sequences = facts.records, facts.records.sequences
-    levels = default_route_levels(records, sequences) | native_route_levels(records, sequences)
+    """Work and precision of each solver, in the way that the figures of the answer show."""
+    best = (v.configuration for v in best_of_each(facts.verdicts))
+    ways = {c.solver: (c.route, c.policy) for c in best}
+    levels = level_points(facts.records, facts.records.sequences, ways)
     states = {v.configuration: v.state for v in facts.verdicts.all}
     rows = [
         _point(facts, point, states)

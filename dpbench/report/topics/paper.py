@@ -100,7 +100,8 @@ def _stability(designs: Designs) -> SmallTable:
             )
             for record in designs.records
         ),
-        "Stability, whatever the solver",
+        "Stability, whatever the solver: stable where |λ| < 1; farthest start that was held, and "
+        "nearest that was not",
     )
 
 

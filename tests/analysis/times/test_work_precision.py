@@ -5,20 +5,21 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.times.work_precision import default_route_levels, native_route_levels
+from dpbench.analysis.times.work_precision import level_points
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import load_suite
 from dpbench.solvers.settings import setting_names, settings_matter
 from dpbench.solvers.table import record
 
 BOTH = ("paper", "rough[900:1400]")
+USUAL = dict.fromkeys(("osqp", "whole", "half"), ("qpsolvers", "fresh"))
 
 
 def test_a_point_is_the_worst_of_its_sequences(records: Any) -> None:
     """Worst p50 and p99, largest error, of two sequences long enough for a p99."""
     records.replay("osqp", BOTH[0], median_us=10.0, spread=0.0, error=1e-5)
     records.replay("osqp", BOTH[1], median_us=30.0, spread=0.0, error=1e-3)
-    (point,) = default_route_levels(records.view(), BOTH)["osqp"]
+    (point,) = level_points(records.view(), BOTH, USUAL)["osqp"]
     assert (point.p50_ns, point.p99_ns, point.error_move) == (30e3, 30e3, 1e-3)
 
 
@@ -26,9 +27,9 @@ def test_both_times_of_a_point_are_of_the_same_steps(records: Any) -> None:
     """A sequence too short for a p99 gives no p50 either, or that would exceed the p99."""
     records.replay("osqp", BOTH[0], median_us=10.0, spread=0.0, error=1e-5)
     records.replay("osqp", BOTH[1], steps=500, median_us=30.0, spread=0.0, error=1e-3)
-    (point,) = default_route_levels(records.view(), BOTH)["osqp"]
+    (point,) = level_points(records.view(), BOTH, USUAL)["osqp"]
     assert (point.p50_ns, point.p99_ns, point.error_move) == (10e3, 10e3, 1e-3)
-    (short,) = default_route_levels(records.view(), BOTH[1:])["osqp"]
+    (short,) = level_points(records.view(), BOTH[1:], USUAL)["osqp"]
     assert short.p50_ns == 30e3 and math.isnan(short.p99_ns)
 
 
@@ -37,25 +38,26 @@ def test_the_points_have_their_levels_in_order_and_leaves_out_other_ways(records
     for settings in ("high", "default", "low", "mid"):
         records.replay("osqp", settings=settings)
     records.replay("osqp", settings="mid", policy="warm", median_us=1.0)
-    (points,) = default_route_levels(records.view(), BOTH[:1]).values()
+    (points,) = level_points(records.view(), BOTH[:1], USUAL).values()
     assert [point.configuration.settings for point in points] == ["default", "low", "mid", "high"]
     assert {point.configuration.policy for point in points} == {"fresh"}
 
 
-def test_a_native_route_takes_the_fastest_policy(records: Any) -> None:
-    """One policy for the whole line, that of least p50 at the most usual settings."""
+def test_all_points_of_a_solver_are_of_the_way_that_is_asked_for(records: Any) -> None:
+    """No other policy or route joins the line, however fast; a solver without a way has none."""
     for policy, us in (("fresh", 20.0), ("warm", 5.0), ("reuse", 8.0)):
         records.replay("osqp", route="native", policy=policy, median_us=us, spread=0.0)
     for policy, us in (("fresh", 30.0), ("warm", 60.0)):
         way = {"route": "native", "policy": policy, "settings": "high"}
         records.replay("osqp", **way, median_us=us, spread=0.0)
     records.replay("osqp", median_us=1.0)
-    (points,) = native_route_levels(records.view(), BOTH[:1]).values()
-    found = [
-        (point.configuration.policy, point.configuration.settings, point.p50_ns) for point in points
-    ]
-    assert found == [("warm", "default", 5e3), ("warm", "high", 60e3)]
-    assert {point.configuration.route for point in points} == {"native"}
+    records.replay("daqp", route="native", policy="warm")
+    levels = level_points(records.view(), BOTH[:1], {"osqp": ("native", "warm")})
+    found = {
+        solver: [(p.configuration.settings, p.p50_ns) for p in points]
+        for solver, points in levels.items()
+    }
+    assert found == {"osqp": [("default", 5e3), ("high", 60e3)]}
 
 
 def test_a_solver_on_one_sequence_of_two_has_no_point(records: Any) -> None:
@@ -63,7 +65,7 @@ def test_a_solver_on_one_sequence_of_two_has_no_point(records: Any) -> None:
     records.replay("whole", BOTH[0])
     records.replay("whole", BOTH[1])
     records.replay("half", BOTH[0])
-    assert list(default_route_levels(records.view(), BOTH)) == ["whole"]
+    assert list(level_points(records.view(), BOTH, USUAL)) == ["whole"]
 
 
 @pytest.mark.parametrize("sequence", ["paper", "rough"])

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.times.work_precision import LevelPoint, default_route_levels
+from dpbench.analysis.times.work_precision import LevelPoint, level_points
 from dpbench.analysis.verdict.demand import Demand, is_right
 from dpbench.analysis.verdict.fastest import fastest_of, podium, ranked
 from dpbench.analysis.verdict.verdict import Verdicts, verdicts_of
@@ -163,7 +163,8 @@ def test_a_headline_that_cannot_be_told_apart_carries_caution(records: Any) -> N
 
 def _levels(records: Any) -> list[LevelPoint]:
     view = records.view()
-    return [p for points in default_route_levels(view, view.sequences).values() for p in points]
+    ways = {run.solver: ("qpsolvers", "fresh") for run in view.runs}
+    return [p for points in level_points(view, view.sequences, ways).values() for p in points]
 
 
 def _reaching(records: Any, error_move: float) -> list[str]:

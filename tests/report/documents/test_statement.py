@@ -13,7 +13,7 @@ import pytest
 
 from dpbench.cli.main import main
 from dpbench.report.documents.statement import HEIGHT, MARGIN, WIDTH, statement_svg
-from dpbench.report.formats import error_text, rounded_down, time_text
+from dpbench.report.formats import error_text, time_text
 from dpbench.report.page.answer import slower_text
 
 
@@ -87,7 +87,6 @@ def test_its_numbers_are_those_of_the_verdict(drawn: str, written: Any) -> None:
         error_text(verdict.error_move),
         time_text(verdict.p99_ns),
         time_text(verdict.algo_max_ns),
-        rounded_down(verdict.slowdown(facts.demand)),
         slower_text(facts, verdict).split(":")[0],
         "Synthetic CPU",
         "0123456789ab",

@@ -55,6 +55,9 @@ function figure(x, digits = 3) {
     ? Number(x).toExponential(Math.max(1, digits - 2)) : String(Number(Number(x).toPrecision(digits)));
 }
 
+// So many of what has a plural in s.
+const many = (x, word) => `${figure(x)} ${word}${x === 1 ? "" : "s"}`;
+
 // As `figure`, but never more than x: what still holds when it is believed.
 function roundedDown(x, digits = 3) {
   const near = Number(x.toPrecision(digits));

@@ -91,12 +91,12 @@ async function drawOne() {
     solver.method ? `Method: ${solver.method}.` : "",
   ].filter(Boolean).join(" ").replaceAll("`", "");
   drawHard(run);
-  const stepped = run.t !== undefined && run.t !== null;
-  $("figure-strips").hidden = $("strips-said").hidden = !stepped;
+  const drawn = run.t !== undefined && run.t !== null;
+  $("figure-strips").hidden = $("strips-said").hidden = !drawn;
   $("strips-time").textContent = facts.places[state.p].mode === "replay"
     ? "Dot: the fastest counted round, grey up to the largest timing. A replay steers no ship."
     : "Dot: one timing a step, not timed alone; only replays compare times.";
-  if (!stepped) { drawShip(null); return; }
+  if (!drawn) { drawShip(null); return; }
   const view = await figureOf("strips");
   if (view) {
     const track = trackOf(run), forces = [];
@@ -176,18 +176,21 @@ function moved(run, k) {
     + `${force.join(", ")} of the force there is.`;
 }
 
+// Whether a run has a step k, and the page its numbers.
+const stepped = (run, k) => k !== null && typeof array(run.t)[k - run.first] === "number";
+
 function drawStep(run) {
   const box = $("step"), k = state.k, j = k === null ? -1 : k - run.first;
   const t = array(run.t);
-  if (k === null || t[j] === undefined || t[j] === null) { box.hidden = true; return; }
+  if (!stepped(run, k)) { box.hidden = true; return; }
   const f = array(run.f)[j] ?? 0, said = (bit) => Boolean(f & (1 << bit));
   const known = (run.hard ?? []).flat().find((hard) => hard[0] === k);
   const flags = facts.flags.filter((_, bit) => bit > 1 && said(bit));
   const exact = run.hard?.[0].find((hard) => hard[0] === k);
-  $("step-said").textContent = `Step ${k}: ${time(exact ? exact[1] : t[j])}, ${figure(array(run.i)[j])} iterations, `
-    + `${figure(array(run.a)[j])} active limits, error of the first move ${figure(array(run.e)[j])}; `
-    + `claimed ${said(0) ? "solved" : `not solved${known ? ` (${known[2].toLowerCase()})` : ""}`}, `
-    + `${said(1) ? "true" : "not true"}${flags.length ? `, ${flags.join(", ")}` : ""}. ${moved(run, k)}`;
+  $("step-said").textContent = `Step ${k}: ${time(exact ? exact[1] : t[j])}, ${many(array(run.i)[j], "iteration")}, `
+    + `${many(array(run.a)[j], "active limit")}, error of the first move ${figure(array(run.e)[j])}; `
+    + `it ${said(0) ? "said “solved”" : `did not say “solved”${known ? ` (${known[2].toLowerCase()})` : ""}`}; `
+    + `its answer is ${said(1) ? "right" : "not right"}${flags.length ? `; ${flags.join(", ")}` : ""}. ${moved(run, k)}`;
   const place = facts.places[run.p];
   // A sea of a study has no file of its own to export from.
   $("step-export").parentElement.hidden = !place.source;

@@ -1,22 +1,21 @@
 // What follows from a change of the selection, what listens to the reader, and the start.
 "use strict";
 
-// A few names; of many none.
-const few = (rows) => (rows.length && rows.length <= 6 ? `: ${rows.map((row) => row.solver).join(", ")}` : "");
+// Names, of many only where the computer is slower.
+const listed = (rows, say = (row) => row.solver) => (rows.length && (rows.length <= 6 || state.slow > 1)
+  ? `: ${rows.map(say).join(", ")}` : "");
 
-// How many of the ladder still make the deadline on the slower computer: by the measure of the chosen
-// one, then by the weaker one of their largest replayed step, and how many of these meet the whole
-// demand there.
+// Of the solvers that meet the demand here, who still makes the deadline on the slower computer, by
+// the measure of the chosen one, and up to which; and whose p99 stays within the demand.
 function kept() {
-  const rows = rowsDrawn("ladder").values, { deadline_ms, p99_ms } = facts.demand;
-  const within = (ms) => rows.filter((row) => ms(row) * state.slow <= deadline_ms);
-  const safe = within((row) => (C().longest[Number(row.id)] ?? row.max_ms * 1e6) / 1e6);
-  const replayed = within((row) => row.max_ms), out = rows.filter((row) => !safe.includes(row));
-  const meet = replayed.filter((row) => row.state === "meets"
-    && (row.p99_ms ?? row.max_ms) * state.slow <= p99_ms);
-  return `${bounded() || "By the largest single timing of all: "}${safe.length} of ${rows.length} keep ${deadline_ms} ms${
-    few(safe) || (few(out) && ` (not${few(out)})`)}. Weaker, by replays alone: ${replayed.length}; ${
-    meet.length} of them with the demand's p99 of ${p99_ms} ms${few(meet)}`;
+  const { deadline_ms, p99_ms } = facts.demand;
+  const right = rowsDrawn("ladder").values.filter((row) => row.state === "meets");
+  const most = (row) => (deadline_ms * 1e6) / (C().longest[Number(row.id)] ?? row.max_ms * 1e6);
+  const safe = right.filter((row) => most(row) >= state.slow).sort((a, b) => most(b) - most(a));
+  const quick = right.filter((row) => (row.p99_ms ?? row.max_ms) * state.slow <= p99_ms);
+  return `${bounded() || "By the largest single timing of all: "}${safe.length} of the ${right.length} that meet the demand here keep ${
+    deadline_ms} ms${listed(safe, (row) => `${row.solver} (× ${roundedDown(most(row))})`)}. A p99 within ${
+    p99_ms} ms in the replays: ${quick.length}${listed(quick)}`;
 }
 
 // Whether the chosen one's largest timing of all places makes the deadline on the slower computer.
@@ -42,13 +41,18 @@ function beside() {
 // The line that stays: the chosen one with its times and where it is shown; on a phone without what
 // stands elsewhere too.
 function drawChosen() {
-  const c = state.c, times = [["p50", "p50"], ["p99", "p99"], ["largest step", "max"], ["largest timing", "longest"]]
-    .filter(([, column]) => C()[column][c] !== null).map(([name, column]) => `${name} ${time(C()[column][c])}`);
+  const c = state.c, timed = facts.places[C().timed_at[c]]?.label, longest = facts.places[C().longest_at[c]]?.label;
+  const wide = (text) => {
+    const span = document.createElement("span");
+    span.className = "wide-only"; span.textContent = text;
+    return span;
+  };
+  const times = [["p50", "p50"], ["p99", "p99", timed && ` in ${timed}`], ["largest step", "max", " of all replays"],
+    ["largest timing", "longest", longest && ` in ${longest}`]]
+    .filter(([, column]) => C()[column][c] !== null)
+    .flatMap(([name, column, where]) => [`, ${name} ${time(C()[column][c])}`, wide(where ?? "")]);
   const outcome = C().outcome[c] === "not judged" ? "" : `: ${C().outcome[c]}`;
-  const timed = facts.places[C().timed_at[c]], wide = document.createElement("span");
-  wide.className = "wide-only";
-  wide.textContent = `${timed ? `, timed in ${timed.label}` : ""}${beside()}`;
-  $("chosen").replaceChildren([`${label(c)}${outcome}`, ...times].join(", "), wide,
+  $("chosen").replaceChildren(`${label(c)}${outcome}`, ...times, wide(beside()),
     `; shown in ${facts.places[state.p].label}${state.k === null ? "" : `, k ${state.k}`}`);
 }
 
@@ -148,7 +152,9 @@ function listenOne() {
   const choose = (change) => {
     const solver = change.solver ?? C().solver[state.c];
     const c = nearest(solver, change.way ?? way(state.c), change.settings ?? C().settings[state.c]);
-    select({ c, p: cell(c, state.p) ? state.p : Math.max(0, facts.places.findIndex((_, p) => cell(c, p))), k: null });
+    const p = cell(c, state.p) ? state.p : Math.max(0, facts.places.findIndex((_, i) => cell(c, i)));
+    // The same step of another solver, where that has it.
+    select({ c, p, k: p === state.p && stepped(cell(c, p), state.k) ? state.k : null });
   };
   $("choose-solver").addEventListener("change", (e) => choose({ solver: e.target.value }));
   $("choose-way").addEventListener("change", (e) => choose({ way: e.target.value }));
@@ -167,7 +173,11 @@ function listenPage() {
   for (const link of document.querySelectorAll("[data-section], .term")) {
     link.addEventListener("click", (event) => {
       event.preventDefault();
-      go(link.getAttribute("href").slice(1));
+      // The way back leads here again.
+      history.pushState(null, "", location.hash || location.pathname);
+      const id = link.getAttribute("href").slice(1);
+      go(id);
+      if (link.className === "term") glow($(id));
     });
   }
   listenTerms();

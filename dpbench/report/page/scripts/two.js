@@ -46,7 +46,8 @@ function commonSteps(rows) {
 }
 
 async function drawTwo() {
-  const others = all().filter((c) => c !== state.c && C().p50[c] !== null);
+  const others = all().filter((c) => c !== state.c && C().p50[c] !== null)
+    .sort((a, b) => label(a).localeCompare(label(b)));
   // Unless one was asked for: the answer, and beside the answer the next.
   const second = [state.b, facts.answer.first, facts.answer.second, others[0]]
     .find((c) => others.includes(c));

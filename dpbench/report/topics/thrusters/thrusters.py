@@ -75,7 +75,8 @@ def _lead(
     )
     return (
         f"In {hardest.scenario} a thruster is at its limit in "
-        f"{hardest.at_limit_thrusters:.0%} of the steps; {whole} of "
+        f"{100.0 * hardest.at_limit_thrusters:.0f} % of the "
+        f"{plural(hardest.steps_done, 'step')} run; {whole} of "
         f"{plural(len(configurations), 'configuration')} {'is' if whole == 1 else 'are'} right on "
         f"every step of {and_list(sorted(best))}."
     )
