@@ -88,7 +88,8 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
         color=coloured("state", STATES, FILLS, title="demand", **legend)
     )
     # Above all tiles, or those beside it would cover half of its frame.
-    chosen = base.transform_filter(pick).mark_rect(filled=False, stroke=ACCENT, strokeWidth=3)
+    frame: dict[str, Any] = {"filled": False, "stroke": ACCENT, "strokeWidth": 3, "aria": False}
+    chosen = base.transform_filter(pick).mark_rect(**frame)
     signed = base.transform_calculate(sign=f"{signs}[datum.state]", ink=f"{inks}[datum.state]")
     text = signed.mark_text(fontSize=12, fontWeight=600).encode(
         text="sign:N",
