@@ -95,7 +95,7 @@ def _time(steps: alt.InlineData) -> tuple[Any, ...]:
             ],
         )
     )
-    y = alt.Y("time_us:Q", title="time [µs]", scale=log_scale(nice=False))
+    y = alt.Y("time_us:Q", title="time [µs]", scale=log_scale(nice=False, padding=5))
     span = base.mark_rule(color=LINE, strokeWidth=1).encode(y=y, y2="raw_us:Q")
     return span, base.mark_circle(size=9, opacity=0.9, color=ACCENT).encode(y=y)
 

@@ -251,7 +251,6 @@ function drawShip(run) {
   };
   if (goal) {
     shape("circle", { cx: X(goal[1]), cy: Y(goal[0]), r: (1 / half) * (width / 2), class: "circle" }, clip);
-    shape("path", { d: `M${X(goal[1]) - 6} ${Y(goal[0])}h12M${X(goal[1])} ${Y(goal[0]) - 6}v12`, class: "goal" }, clip);
   }
   if (exact) {
     shape("path", { d: path(exact.x[0], exact.x[1]), class: "exact" }, clip);
@@ -261,6 +260,8 @@ function drawShip(run) {
   }
   shape("path", { d: path(N, E), class: "path" }, clip);
   if (N[at] !== null) hull(N[at], E[at], psi[at], { class: "hull" });
+  // Above the hull, under which the ship has it in the end.
+  if (goal) shape("path", { d: `M${X(goal[1]) - 6} ${Y(goal[0])}h12M${X(goal[1])} ${Y(goal[0]) - 6}v12`, class: "goal" }, clip);
   $("ship-hull").hidden = size <= 0.7 * half;
   const metre = 10 ** Math.floor(Math.log10(half)), bar = (metre / half) * (width / 2);
   shape("path", { d: `M12 ${width - 14}h${bar}`, class: "bar" }, root);
