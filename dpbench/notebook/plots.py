@@ -119,8 +119,8 @@ def _steps_of(steps: pd.DataFrame) -> pd.DataFrame:
 
 def _forces_of(run: JudgedRun) -> pd.DataFrame:
     """The forces of a closed loop as shares of their limits; no row of a replay."""
+    from dpbench.analysis.records.kept_runs import FORCES as COLUMNS
     from dpbench.bench.record.schema import FORCES
-    from dpbench.report.page.steps import FORCES as COLUMNS
 
     if run.scenario is None:
         return pd.DataFrame(columns=["k", "force", "share"])

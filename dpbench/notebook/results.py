@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from dpbench.analysis.verdict.fastest import best_of_each
 from dpbench.bench.capability.table import load_capability
 from dpbench.bench.design import load_designs
 from dpbench.bench.record import result_folder
@@ -78,8 +79,9 @@ class Results(result_folder.Results):
         """The answer, and the best configuration of each solver."""
         from dpbench.report.documents.markdown import HEAD, solver_rows
 
+        rows = solver_rows(best_of_each(self._report.facts.verdicts))
         title = str(self.suite.get("name", self.folder.name))
-        return table_html(HEAD, solver_rows(self._report.facts), title=title, note=self.answer)
+        return table_html(HEAD, rows, title=title, note=self.answer)
 
     @cached_property
     def _report(self) -> Report:

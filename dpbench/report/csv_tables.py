@@ -8,15 +8,15 @@ from pathlib import Path
 
 import pandas as pd
 
+from dpbench.analysis.times.machine import calling_ns
 from dpbench.analysis.times.pairs import paired_comparison
 from dpbench.analysis.verdict.fastest import best_of_each, fastest_first
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.report.page.answer import Answer
-from dpbench.report.page.facts import Facts
+from dpbench.report.page.facts import Facts, way_of
 from dpbench.report.page.tables import ladder_table, matrix_table
 from dpbench.report.page.topic import Topic
-from dpbench.report.topics.trust import calling_ns
 
 LEGEND = "README.md"
 TABLES = {
@@ -88,7 +88,7 @@ def tables_of(
     for topic in topics:
         for i, small in enumerate(topic.tables):
             name = topic.id if i == 0 else f"{topic.id}_{i + 1}"
-            tables[name] = pd.DataFrame(small.rows, columns=list(small.head))
+            tables[name] = small.frame
     return tables
 
 
@@ -132,10 +132,7 @@ def _verdicts(facts: Facts, answer: Answer) -> pd.DataFrame:
     return pd.DataFrame(
         [
             {
-                "solver": v.configuration.solver,
-                "route": v.configuration.route,
-                "policy": v.configuration.policy,
-                "settings": v.configuration.settings,
+                **way_of(v.configuration),
                 "outcome": v.outcome,
                 "why": answer.why(v),
                 "closed_loops": v.loops,
@@ -177,19 +174,5 @@ def _paired_ratios(facts: Facts) -> pd.DataFrame:
     """How many times as long each solver's best configuration takes as the fastest of them, step
     by step, with the interval of the mean."""
     timed = fastest_first([v for v in best_of_each(facts.verdicts) if v.timed_on])
-    rows = []
-    for verdict in timed[1:]:
-        pair = paired_comparison(facts.records, timed[0], verdict)
-        rows.append(
-            {
-                "first": pair.first,
-                "second": pair.second,
-                "ratio": pair.ratio.value,
-                "low": pair.ratio.low,
-                "high": pair.ratio.high,
-                "steps": pair.steps,
-                "tied": pair.tied,
-                "unstable": pair.unstable,
-            }
-        )
-    return pd.DataFrame(rows)
+    pairs = [paired_comparison(facts.records, timed[0], verdict) for verdict in timed[1:]]
+    return pd.DataFrame([pair.row for pair in pairs])

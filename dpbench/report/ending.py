@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dpbench.analysis.times.machine import delayed_runs, disturbance_of, timed_runs
-from dpbench.report.machine_verdict import calibration_medians, calibration_text, verdict_text
+from dpbench.analysis.times.machine import (
+    calibration_medians,
+    delayed_runs,
+    disturbance_of,
+    timed_runs,
+)
+from dpbench.report.machine_verdict import calibration_text, verdict_text
 from dpbench.report.page.answer import Answer
 from dpbench.report.page.facts import Facts
 from dpbench.report.page.topic import Topic

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from decimal import ROUND_DOWN, ROUND_UP, Decimal
 
 from dpbench.analysis.records.run_record import as_float
@@ -117,6 +118,12 @@ def and_list(words: list[str]) -> str:
     if len(words) < 2:
         return "".join(words)
     return f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def counted_list(counts: Iterable[tuple[str, int]]) -> str:
+    """Names with their counts, the largest first."""
+    ordered = sorted(counts, key=lambda item: -item[1])
+    return and_list([f"{name} ({count})" for name, count in ordered])
 
 
 def unmarked(text: str) -> str:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isnan, nan
+from math import isnan
 from typing import Any
 
 from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.times.machine import largest_of
 from dpbench.bench.judge.calibration import within_bar
 from dpbench.bench.record.disturbance import Disturbance
 from dpbench.report.formats import (
@@ -18,29 +19,12 @@ from dpbench.report.formats import (
     significant,
     time_text,
 )
-from dpbench.solvers.calibration import WAITS_NS
 
 
 def verdict_text(disturbance: Disturbance) -> str:
     """ "quiet", or "disturbed" and by what."""
     complaints = disturbance.complaints()
     return f"disturbed: {and_list(complaints)}" if complaints else "quiet"
-
-
-def calibration_medians(calibration: Sequence[RunRecord]) -> dict[str, float]:
-    """Of each of the harness's own solvers the median [ns] of the timings of the rounds that count,
-    the largest of its replays."""
-    medians: dict[str, float] = {}
-    for run in calibration:
-        if not isnan(run.raw_p50_ns):
-            medians[run.solver] = max(run.raw_p50_ns, medians.get(run.solver, 0.0))
-    return medians
-
-
-def shortest_wait_ns(calibration: Sequence[RunRecord]) -> float:
-    """The shortest wait of known length that was measured [ns]; NaN for none."""
-    waits = (WAITS_NS[name] for name in calibration_medians(calibration) if name in WAITS_NS)
-    return float(min(waits, default=nan))
 
 
 def calibration_text(p50_ns: dict[str, float]) -> str:
@@ -87,12 +71,8 @@ def disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
 def own_switches(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
     """The configurations that leave the processor by their own doing, which is not the machine's
     fault."""
-    own: dict[str, float] = {}
-    for row in rows:
-        if not isnan(row.own_switches_a_step):
-            name = f"{row.solver} ({row.route} {row.policy})"
-            own[name] = max(own.get(name, 0.0), row.own_switches_a_step)
-    if not own:
-        return []
+    own = largest_of(
+        (f"{row.solver} ({row.route} {row.policy})", row.own_switches_a_step) for row in rows
+    )
     said = ", ".join(f"{name}: {significant(a_step, 2)} a step" for name, a_step in own.items())
-    return [("switches a configuration makes itself, not counted above", said)]
+    return [("switches a configuration makes itself, not counted above", said)] if own else []

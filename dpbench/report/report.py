@@ -10,6 +10,7 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
+from dpbench.analysis.times.machine import calling_ns
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.bench.design import Designs
@@ -20,7 +21,6 @@ from dpbench.report.page.facts import Facts
 from dpbench.report.page.topic import Topic
 from dpbench.report.page.write import DRAWN, charts_of
 from dpbench.report.topics.all import topics_of
-from dpbench.report.topics.trust import calling_ns
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class Report:
             `write_report`.
         """
         records, demand = Records(results), Demand.of(results.suite)
-        facts = Facts.of(records, demand, verdicts_of(records, demand))
+        facts = Facts.of(records, verdicts_of(records, demand))
         named = results.suite.get("report", {}).get("baseline")
         if named not in {v.configuration.solver for v in facts.verdicts.all if v.steps}:
             named = None  # a part of the suite was run, without it

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
@@ -15,12 +14,12 @@ from dpbench.bench.campaign import run_campaign
 from dpbench.bench.design import Designs, linear_record
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.result_folder import Results, accidents, load_results
-from dpbench.bench.record.revision import revision_text
+from dpbench.bench.record.revision import made_by
 from dpbench.bench.record.schema import AXIS_FORCES
 from dpbench.report.charts.render import save
 from dpbench.report.charts.ship import Law, errors
 from dpbench.report.formats import plural, unmarked
-from dpbench.report.page.topic import SmallTable, Topic
+from dpbench.report.page.topic import Topic
 from dpbench.report.table import markdown
 from dpbench.report.topics.claims import Claim, claims
 from dpbench.report.topics.paper import PAPER, held_text, laws_of, paper_topic
@@ -32,7 +31,6 @@ RUNS = "runs"
 FORMATS = ("pdf", "svg")
 MOST_NAMED = 4
 """So many claims that are not reproduced are named on the terminal."""
-Columns = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,7 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
         nothing = f"nothing is reproduced: no loop of the paper's case was finished; see {runs}"
         return Reproduction((nothing,), tuple(remarks), complete=False)
     _write_figures(folder, topic, laws_of(records), scenario)
-    _frame(topic.tables[0]).to_csv(folder / "claims.csv", index=False)
+    topic.tables[0].frame.to_csv(folder / "claims.csv", index=False)
     (folder / "claims.md").write_text(_document(topic, results), encoding="utf-8")
     judged = claims(records)
     radius = linear_record(scenario).spectral_radius
@@ -110,55 +108,30 @@ def _write_figures(folder: Path, topic: Topic, laws: Sequence[Law], scenario: Sc
 
 def data_behind(figure: str, laws: Sequence[Law], scenario: Scenario) -> pd.DataFrame:
     """What a figure draws of every step: law, t_s, and its columns with their units."""
-    columns = _COLUMNS[figure]
-    return pd.concat(
-        [
-            pd.DataFrame(
-                {"law": law.label, "t_s": law.steps["t_s"], **columns(law.steps, scenario)}
-            )
-            for law in laws
-        ]
-    )
+    tables = [
+        pd.DataFrame(
+            {"law": law.label, "t_s": law.steps["t_s"], **_columns(figure, law.steps, scenario)}
+        )
+        for law in laws
+    ]
+    return pd.concat(tables)
 
 
-def _path(steps: pd.DataFrame, scenario: Scenario) -> Columns:
-    return {name: steps[name] for name in ("n_m", "e_m")}
-
-
-def _errors(steps: pd.DataFrame, scenario: Scenario) -> Columns:
-    units = {"north": "m", "east": "m", "heading": "deg", "radial": "m"}
-    by_name = errors(steps, scenario.reference)
-    return {f"{name}_{unit}": by_name[name] for name, unit in units.items()}
-
-
-def _forces(steps: pd.DataFrame, scenario: Scenario) -> Columns:
-    vessel = scenario.vessel
-    return _with_limits(steps, "tau", vessel.tau_min, vessel.tau_max)
-
-
-def _increments(steps: pd.DataFrame, scenario: Scenario) -> Columns:
-    return _with_limits(steps, "dtau", -scenario.force_step_max, scenario.force_step_max)
-
-
-def _with_limits(steps: pd.DataFrame, what: str, low: np.ndarray, high: np.ndarray) -> Columns:
-    """A force or increment in each axis, then its limits."""
+def _columns(figure: str, steps: pd.DataFrame, scenario: Scenario) -> dict[str, Any]:
+    """The columns of a figure: of forces and increments each axis, then its limits."""
+    if figure == "path":
+        return {name: steps[name] for name in ("n_m", "e_m")}
+    if figure == "errors":
+        units = {"north": "m", "east": "m", "heading": "deg", "radial": "m"}
+        by_name = errors(steps, scenario.reference)
+        return {f"{name}_{unit}": by_name[name] for name, unit in units.items()}
+    vessel, most = scenario.vessel, scenario.force_step_max
+    limits = {"forces": (vessel.tau_min, vessel.tau_max), "increments": (-most, most)}
+    what, (low, high) = "tau" if figure == "forces" else "dtau", limits[figure]
     columns: dict[str, Any] = {f"{what}_{axis}": steps[f"{what}_{axis}"] for axis in AXIS_FORCES}
     for i, axis in enumerate(AXIS_FORCES):
         columns |= {f"{what}_min_{axis}": low[i], f"{what}_max_{axis}": high[i]}
     return columns
-
-
-_COLUMNS: Mapping[str, Callable[[pd.DataFrame, Scenario], Columns]] = {
-    "path": _path,
-    "errors": _errors,
-    "forces": _forces,
-    "increments": _increments,
-}
-"""What each figure draws, by the name of the figure."""
-
-
-def _frame(table: SmallTable) -> pd.DataFrame:
-    return pd.DataFrame(table.rows, columns=list(table.head))
 
 
 def _document(topic: Topic, results: Results) -> str:
@@ -168,17 +141,16 @@ def _document(topic: Topic, results: Results) -> str:
         " ".join(filter(None, (row["solver"], row["solver_version"], row["build"])))
         for row in versions.to_dict("records")
     )
-    commit = revision_text(results.suite)
     parts = ["# The paper, reproduced", *topic.lines]
     for table in topic.tables:
         parts += [
             f"## {table.title}" if table.title else "",
-            markdown(table.head, table.rows, len(table.head)),
+            markdown(table.heads, table.rows, len(table.heads)),
         ]
     parts += ["## Figures", "\n".join(f"- {figure.caption}" for figure in topic.figures)]
     parts.append(f"## Cite\n\n```bibtex\n{topic.paste}\n```")
-    version = f"dpbench {results.suite['harness_version']}{f', {commit}' if commit else ''}"
-    parts.append(f"Run by {version}: {ran}. Data: `figure*.csv`, and `{RUNS}/steps.parquet`.")
+    data = f"`figure*.csv`, and `{RUNS}/steps.parquet`"
+    parts.append(f"Run by {made_by(results.suite)}: {ran}. Data: {data}.")
     return "\n\n".join(filter(None, parts)) + "\n"
 
 

@@ -4,33 +4,54 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, Self
+
+import pandas as pd
 
 from dpbench.display import table_html
+from dpbench.report.formats import unmarked
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table of the report.
+    """A table of the report, of text alone.
 
     Parameters
     ----------
+    heads : column heads with units; rows : cells, one tuple a row.
     title : its heading; note : population, route, machine, and what a failure counted as.
-    heads : column heads with units; `text_columns` leading ones are left-aligned.
-    rows : cells, one tuple a row.
+    text_columns : so many leading ones are left-aligned.
+    shown : so many rows the page has, by default all, with 0 no table; a file has all of them.
+    folded : whether it opens there with a click.
     """
 
-    title: str
-    note: str
     heads: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+    title: str = ""
+    note: str = ""
     text_columns: int = 1
+    shown: int | None = None
+    folded: bool = False
 
+    @classmethod
+    def of(cls, rows: Sequence[Mapping[str, str]], title: str = "", **more: Any) -> Self:
+        """The table of rows that have the head beside each cell, one of them at least."""
+        return cls(tuple(rows[0]), tuple(tuple(row.values()) for row in rows), title, **more)
 
-def head_and_rows(
-    rows: Sequence[Mapping[str, str]],
-) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
-    """The head of a table and its cells, from rows with the head beside each cell."""
-    return tuple(rows[0]), tuple(tuple(row.values()) for row in rows)
+    @property
+    def page_rows(self) -> list[list[str]]:
+        """What a page shows, without the marks of Markdown, which it would show too."""
+        return [[unmarked(cell) for cell in row] for row in self.rows[: self.shown]]
+
+    @property
+    def frame(self) -> pd.DataFrame:
+        """All of it, as its file has it."""
+        return pd.DataFrame(self.rows, columns=list(self.heads))
+
+    @property
+    def cut(self) -> int:
+        """How many rows that leaves out."""
+        return len(self.rows[self.shown :]) if self.shown is not None else 0
 
 
 def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int = 1) -> str:

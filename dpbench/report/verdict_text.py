@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Sequence
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.times.pairs import PairedComparison
 from dpbench.analysis.verdict.demand import Demand
-from dpbench.analysis.verdict.fastest import (
-    Recommendation,
-    fastest_first,
-    known_record,
-)
-from dpbench.analysis.verdict.verdict import Finding, Outcome, Verdict, Verdicts, detail
+from dpbench.analysis.verdict.fastest import Recommendation, known_record, rescue
+from dpbench.analysis.verdict.verdict import Finding, Verdict, Verdicts, detail
 from dpbench.report.formats import (
     and_list,
     count_text,
@@ -49,35 +46,16 @@ def counted(verdicts: Verdicts) -> str:
     it, who is open or was not run; every solver once."""
     if not verdicts.references:
         return NOBODY
-    good = [v for v in verdicts.references if v.outcome == "meets"]
-    run = sum(v.outcome != "not run" for v in verdicts.references)
-    only = {v.configuration.solver: _rescue(verdicts, v) for v in verdicts.references}
-    groups = {
-        "only otherwise": [v.configuration.label for v in only.values() if v is not None],
-        "miss it": _left(verdicts, "misses", only),
-        "open": _left(verdicts, "open", only),
-        "not run": _left(verdicts, "not run", only),
-    }
-    said = [f"{len(good)} of {run} meet the demand"] if good or not groups["open"] else []
+    outcomes = Counter(v.outcome for v in verdicts.references)
+    rescued = {v.configuration.solver: rescue(verdicts, v) for v in verdicts.references}
+    groups = {"only otherwise": [v.configuration.label for v in rescued.values() if v is not None]}
+    for what, outcome in (("miss it", "misses"), ("open", "open"), ("not run", "not run")):
+        left = (v.configuration.solver for v in verdicts.references if v.outcome == outcome)
+        groups[what] = [solver for solver in left if rescued[solver] is None]
+    run, good = outcomes.total() - outcomes["not run"], outcomes["meets"]
+    said = [f"{good} of {run} meet the demand"] if good or not groups["open"] else []
     said += [f"{what}: {', '.join(names)}" for what, names in groups.items() if names]
     return "; ".join(said)
-
-
-def _rescue(verdicts: Verdicts, reference: Verdict) -> Verdict | None:
-    """The fastest configuration that meets the demand where a solver's reference does not."""
-    if reference.outcome in ("meets", "not run"):
-        return None
-    meets = [v for v in verdicts.of[reference.configuration.solver] if v.outcome == "meets"]
-    return next(iter(fastest_first(meets)), None)
-
-
-def _left(verdicts: Verdicts, outcome: Outcome, only: Mapping[str, Verdict | None]) -> list[str]:
-    """Solvers whose reference has this outcome and that no other configuration rescues."""
-    return [
-        v.configuration.solver
-        for v in verdicts.references
-        if v.outcome == outcome and only[v.configuration.solver] is None
-    ]
 
 
 def aboard(solver: str) -> str:

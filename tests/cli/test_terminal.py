@@ -141,7 +141,7 @@ def _read(terminal: int) -> bytes:
 def wide_table(words: int) -> Table:
     """A table of one row with so many long columns."""
     heads = tuple(f"column{i}" for i in range(words))
-    return Table("Wide", "A note.", ("name", *heads), (("daqp", *heads[:-1], "slower"),))
+    return Table(("name", *heads), (("daqp", *heads[:-1], "slower"),), "Wide", "A note.")
 
 
 def test_a_table_that_does_not_fit_is_told_row_by_row(capsys: pytest.CaptureFixture[str]) -> None:

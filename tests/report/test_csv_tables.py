@@ -14,8 +14,9 @@ from dpbench.analysis.records.counting_rows import counting_of
 from dpbench.analysis.records.run_steps import run_steps
 from dpbench.report.csv_tables import TABLES, tables_of
 from dpbench.report.page.answer import Answer
-from dpbench.report.page.topic import SmallTable, Topic
+from dpbench.report.page.topic import Topic
 from dpbench.report.report import Report
+from dpbench.report.table import Table
 from dpbench.report.write import write_report
 
 
@@ -77,7 +78,7 @@ def test_every_place_and_level_of_a_solver_has_a_row(written: Any) -> None:
     """States are those of the facts, run or not."""
     facts = written.report.facts
     table = _table(written.folder, "places")
-    solvers, levels = len(facts.verdicts.of), len(facts.verdicts.levels)
+    solvers, levels = len(facts.verdicts.of), len(facts.levels)
     assert len(table) == solvers * levels * len(facts.places)
     for row in table.to_dict("records"):
         assert row["state"] == facts.state(int(row["id"]), int(row["place_id"]))
@@ -86,13 +87,13 @@ def test_every_place_and_level_of_a_solver_has_a_row(written: Any) -> None:
 def test_a_table_that_the_page_cuts_is_whole_in_its_file(records: Any, tmp_path: Path) -> None:
     """Once, with every row; the page has the first of them."""
     rows = tuple((str(i),) for i in range(9))
-    topic = Topic("some", "Some", tables=(SmallTable(("i",), rows, shown=4),))
+    topic = Topic("some", "Some", tables=(Table(("i",), rows, shown=4),))
     records.loop("daqp", steps=20)
     report = Report.of(records.results())
     tables = tables_of(report.results, report.facts, report.answer, [topic])
     assert tables["some"]["i"].tolist() == [row[0] for row in rows]
     assert "some_2" not in tables
-    assert topic.tables[0].on_page.rows == rows[:4]
+    assert topic.tables[0].page_rows == [list(row) for row in rows[:4]]
 
 
 @pytest.mark.slow
@@ -123,7 +124,7 @@ def test_tables_of_topics_are_files_too(written: Any, topic: str) -> None:
     """The rows on the page are those of the file."""
     (shown,) = (one for one in written.report.topics if one.id == topic)
     table = _table(written.folder, topic)
-    assert list(table.columns) == list(shown.tables[0].head)
+    assert list(table.columns) == list(shown.tables[0].heads)
     assert [tuple(row) for row in table.to_numpy()] == list(shown.tables[0].rows)
 
 

@@ -13,8 +13,10 @@ from rich.console import Console
 
 from dpbench.analysis.compare.answers import DONE, Answer
 from dpbench.analysis.compare.evidence import Verdict as Compared
+from dpbench.analysis.statistics import Interval
 from dpbench.analysis.suites.consequence import BatchAnswers
 from dpbench.analysis.suites.study import studies
+from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.verdict import Outcome as Verdict
 from dpbench.bench.plan.suite import FormulationName, RouteName
 from dpbench.bench.record.cell import OUTCOMES, Cell, Fallback, Formulation, Units
@@ -30,7 +32,7 @@ from dpbench.report.glossary import as_markdown, meanings, topics
 from dpbench.report.table import Table
 from dpbench.report.topics.study import study_topic
 from dpbench.report.topics.thrusters.consequence import row_of
-from dpbench.report.topics.thrusters.thrusters import HEAD as THRUSTER_HEADS
+from dpbench.report.topics.thrusters.thrusters import row_of as thruster_row
 from dpbench.scenario.scenario import load_vessel
 from dpbench.solvers.record import POLICIES
 from dpbench.solvers.settings import LEVELS
@@ -42,6 +44,17 @@ CHANGED = Answer(
     (2.0, 2.0),
     (1.0, 1.0),
     "worse",
+)
+TIMED = SimpleNamespace(
+    timing=SimpleNamespace(
+        pair=SimpleNamespace(label="daqp", a=SimpleNamespace(solver="daqp", problem="paper")),
+        median_ns=(1e3, 2e3),
+        steps=10,
+        rounds=2,
+    ),
+    assessment=SimpleNamespace(
+        raw=2.0, machine=1.0, ratio=Interval(2.0, 1.9, 2.1), verdict="slower"
+    ),
 )
 DOCS = Path(__file__).parents[2] / "docs" / "glossary.md"
 PRINTED = {
@@ -84,7 +97,7 @@ def test_every_word_that_a_run_ends_with_is_explained(records: Any) -> None:
 
 @pytest.mark.parametrize(
     "table",
-    [solvers_table([], []), times_table([], 0.05, 0.05), answers_table([CHANGED], 0.05)],
+    [solvers_table([TIMED], []), times_table([TIMED], 0.05, 0.05), answers_table([CHANGED], 0.05)],
     ids=["solvers", "times", "answers"],
 )
 def test_every_head_of_a_comparison_is_explained(table: Table) -> None:
@@ -128,7 +141,7 @@ def test_every_head_of_a_list_is_explained(kind: str) -> None:
 def test_every_head_of_a_table_of_the_page_is_explained(written: Any) -> None:
     """Of each topic; without the unit."""
     tables = [table for topic in written.report.topics for table in topic.tables]
-    heads = {re.sub(r" \[.*\]$", "", head).lower() for table in tables for head in table.head}
+    heads = {re.sub(r" \[.*\]$", "", head).lower() for table in tables for head in table.heads}
     assert {"claim", "configuration"} & heads
     assert heads <= {term.lower() for term in _spoken()}
 
@@ -145,9 +158,9 @@ def test_every_head_of_a_study_and_of_thrusters_is_explained(records: Any) -> No
     """Which the page above has not; without the unit."""
     topic = study_topic(studies(of_seas(records).view()))
     assert topic is not None
-    heads = {re.sub(r" \[.*\]$", "", head) for table in topic.tables for head in table.head}
+    heads = {re.sub(r" \[.*\]$", "", head) for table in topic.tables for head in table.heads}
     assert len(heads) > 8
-    assert {*heads, *THRUSTER_HEADS} <= _spoken()
+    assert {*heads, *thruster_row("", [], {}, Demand())} <= _spoken()
 
 
 def test_a_word_that_is_not_explained_would_be_found() -> None:

@@ -164,6 +164,16 @@ class RunRecord:
         return bool(self.family or self.lost_group or self.at_edge_of or self.study)
 
     @property
+    def source(self) -> str:
+        """Where its QPs are from: the file of a stored sequence, a scenario, or else its name."""
+        return self.description.get("source", {}).get("path") or self.scenario or self.sequence
+
+    @property
+    def first_step(self) -> int:
+        """The step of its scenario that it begins with."""
+        return int(self.description.get("first", 0))
+
+    @property
     def problem(self) -> str:
         """The sequence of a replay, the scenario of a closed loop."""
         return self.sequence or self.scenario

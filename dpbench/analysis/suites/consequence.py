@@ -8,6 +8,7 @@ once, by the round in which a solver was worst:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -177,3 +178,16 @@ def _batch_ns(records: Records, runs: Sequence[RunRecord]) -> Floats:
         return np.zeros(0)
     total: Floats = np.sum(timed, axis=0)
     return total
+
+
+def in_all(analyses: Sequence[Analysis]) -> dict[str, list[BatchAnswers]]:
+    """The answers of each configuration that was run in every analysis, by its name."""
+    answers = [own for analysis in analyses for own in analysis.answers]
+    by_name = grouped(answers, lambda own: own.name)
+    return {name: own for name, own in by_name.items() if len(own) == len(analyses)}
+
+
+def largest_share(answers: Sequence[BatchAnswers]) -> float:
+    """The largest share of a sample of some analyses; NaN where one is not known."""
+    shares = [own.largest for own in answers]
+    return max(shares) if all(map(math.isfinite, shares)) else math.nan

@@ -10,10 +10,8 @@ from itertools import takewhile
 from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.verdict.demand import cost_ratio, survived
 from dpbench.bench.record.configuration import Configuration
-
-MARGIN = 0.1
-"""A loop survives a slow-down with a cost within this share of the exactly solved loop's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,15 +62,3 @@ def _by_survival(configuration: DelayedConfiguration) -> tuple[float, float, str
         math.inf if math.isnan(cost) else cost,
         last.name,
     )
-
-
-def cost_ratio(run: RunRecord) -> float:
-    """Cost over that of the exactly solved loop; NaN for a loop that was not run to its end."""
-    if not run.steps_done >= run.steps_planned:
-        return math.nan
-    return run.closed_loop_cost / run.exact_cost
-
-
-def survived(run: RunRecord) -> bool:
-    """Whether a loop was run to its end, at a cost within `MARGIN` and without a violation."""
-    return cost_ratio(run) <= 1.0 + MARGIN and run.limit_violations == 0.0

@@ -85,6 +85,11 @@ class SweptConfiguration:
         sizes = [moves_of(horizons) for horizons in self.timed]
         return growth_exponent(sizes, [p.times.algo_ns for p in self.timed.values() if p.times])
 
+    @property
+    def has_p99(self) -> bool:
+        """Whether it has enough steps for a p99 anywhere."""
+        return any(math.isfinite(point.p99_ns) for point in self.timed.values())
+
     def largest_within(self, limit_ns: float) -> Horizons | None:
         """The largest horizons measured with right answers and a p99 of at most `limit_ns`."""
         fit = [h for h, p in self.timed.items() if p.right and p.p99_ns <= limit_ns]
@@ -121,6 +126,23 @@ class Sweep:
         return list(self.sequences)
 
     @property
+    def has_p99(self) -> bool:
+        """Whether any of its replays has enough steps for a p99."""
+        return any(swept.has_p99 for swept in self.swept)
+
+    def longest_within(self, swept: SweptConfiguration, limit_ns: float) -> Horizons | None:
+        """The longest horizons with right answers within a limit: by p99, or by the largest step
+        where there are too few for one."""
+        if self.has_p99:
+            return swept.largest_within(limit_ns)
+        held = [
+            horizons
+            for horizons, point in swept.timed.items()
+            if point.right and point.times is not None and point.times.algo_ns.max() <= limit_ns
+        ]
+        return max(held, key=moves_of, default=None)
+
+    @property
     def best(self) -> list[SweptConfiguration]:
         """The best configuration of each solver and formulation; the fastest solvers first."""
         best = sorted(self.swept, key=_preference)
@@ -149,7 +171,7 @@ def _problem_key(run: RunRecord) -> str:
     scenario = dict(files["scenario"])
     controller = scenario["controller"].items()
     scenario["controller"] = {k: v for k, v in controller if k not in HORIZON_KEYS}
-    window = run.description.get("first", 0), run.steps_planned
+    window = run.first_step, run.steps_planned
     return json.dumps([scenario, files["vessel"], window], sort_keys=True)
 
 

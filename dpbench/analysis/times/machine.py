@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from dpbench.analysis.records.grouping import firsts, grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.bench.record.disturbance import MAX_SWITCHES_PER_S, Disturbance
+from dpbench.solvers.calibration import COPY_ONLY, WAITS_NS
 
 OWN_A_STEP, OWN_TIMES = 0.5, 10.0
 """A configuration with so many involuntary switches a step, and so many times as many a second as
@@ -100,3 +101,31 @@ def disturbed_sequences(records: Records) -> dict[str, Disturbance]:
     replays = grouped(timed_runs(records), lambda run: run.sequence)
     disturbances = {sequence: disturbance_of(runs) for sequence, runs in replays.items()}
     return {sequence: one for sequence, one in disturbances.items() if one.seconds > 0}
+
+
+def largest_of(figures: Iterable[tuple[str, float]]) -> dict[str, float]:
+    """By name the largest of its figures; those that are not known are left out."""
+    largest: dict[str, float] = {}
+    for name, figure in figures:
+        if not math.isnan(figure):
+            largest[name] = max(figure, largest.get(name, 0.0))
+    return largest
+
+
+def calibration_medians(calibration: Sequence[RunRecord]) -> dict[str, float]:
+    """Of each of the harness's own solvers the median [ns] of the timings of the rounds that count,
+    the largest of its replays."""
+    return largest_of((run.solver, run.raw_p50_ns) for run in calibration)
+
+
+def shortest_wait_ns(calibration: Sequence[RunRecord]) -> float:
+    """The shortest wait of known length that was measured [ns]; NaN for none."""
+    waits = (WAITS_NS[name] for name in calibration_medians(calibration) if name in WAITS_NS)
+    return float(min(waits, default=math.nan))
+
+
+def calling_ns(records: Records) -> float:
+    """What calling a library that only copies takes [ns]; NaN where it was not measured."""
+    times = [r.algo_p50_ns for r in records.calibration if r.solver == COPY_ONLY]
+    known = [t for t in times if math.isfinite(t)]
+    return min(known) if known else math.nan

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -38,6 +39,14 @@ class PairedComparison:
         """Whether another yardstick names another leader."""
         return len(set(self.leaders.values())) > 1 or self.ratio.high < 1.0
 
+    @property
+    def row(self) -> dict[str, Any]:
+        """Who, the ratio and its interval, and what is said of it, for a table."""
+        r = self.ratio
+        row: dict[str, Any] = {"first": self.first, "second": self.second}
+        row |= {"ratio": r.value, "low": r.low, "high": r.high, "steps": self.steps}
+        return row | {"tied": self.tied, "unstable": self.unstable}
+
 
 def paired(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
     """Algorithmic times of the steps that both configurations have done."""
@@ -50,6 +59,14 @@ def common_ratio(replays: Iterable[tuple[StepTimes, StepTimes]]) -> Interval:
     have done, each pair of equal weight; unknown where there are none."""
     common = (paired(first, second) for first, second in replays)
     return pooled_mean([np.log(second / first) for first, second in common if len(first)])
+
+
+def log_reach(first: Mapping[int, StepTimes], second: Mapping[int, StepTimes]) -> float:
+    """How far the interval of the ratio of two configurations reaches to either side, as a
+    logarithm; NaN where there is none. Both by the number of the replay."""
+    ratio = common_ratio((first[place], second[place]) for place in first if place in second)
+    known = ratio.low > 0.0 and ratio.high < math.inf
+    return 0.5 * math.log(ratio.high / ratio.low) if known else math.nan
 
 
 def paired_comparison(records: Records, first: Verdict, second: Verdict) -> PairedComparison:

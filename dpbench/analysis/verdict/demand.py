@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 from dpbench.analysis.records.run_record import RunRecord
+
+MARGIN = 0.1
+"""A loop survives a slow computer with a cost within this share of the exactly solved loop's."""
 
 
 @dataclass(frozen=True)
@@ -53,3 +57,15 @@ def is_right(run: RunRecord, demand: Demand) -> bool:
 def is_right_to_the_end(run: RunRecord, demand: Demand) -> bool:
     """Whether it is right, and nothing stopped it: what a closed loop has to be."""
     return run.outcome == "finished" and is_right(run, demand)
+
+
+def cost_ratio(run: RunRecord) -> float:
+    """Cost over that of the exactly solved loop; NaN for a loop that was not run to its end."""
+    if not run.steps_done >= run.steps_planned:
+        return math.nan
+    return run.closed_loop_cost / run.exact_cost
+
+
+def survived(run: RunRecord) -> bool:
+    """Whether a loop was run to its end, at a cost within `MARGIN` and without a violation."""
+    return cost_ratio(run) <= 1.0 + MARGIN and run.limit_violations == 0.0

@@ -127,6 +127,14 @@ def why_not_aboard(solver: str) -> str:
     return "not in the table of this installation" if known is None else known.why_not_aboard
 
 
+def rescue(verdicts: Verdicts, reference: Verdict) -> Verdict | None:
+    """The fastest configuration that meets the demand where a solver's reference does not."""
+    if reference.outcome in ("meets", "not run"):
+        return None
+    meets = [v for v in verdicts.of[reference.configuration.solver] if v.outcome == "meets"]
+    return next(iter(fastest_first(meets)), None)
+
+
 def best_of_each(verdicts: Verdicts) -> list[Verdict]:
     """For each solver the fastest of its configurations that nothing is said against, else its
     reference; those that meet the demand first, then by time."""

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite, nan
 from typing import Literal
 
+from dpbench.analysis.records.grouping import firsts, grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.demand import Demand, is_right_to_the_end
 from dpbench.analysis.verdict.verdict import (
     LATE,
     OUTCOMES,
@@ -82,6 +84,39 @@ def steering_of(records: Records, demand: Demand) -> Steering:
         _outcomes(verdicts),
         {s: _fault(own) for s, own in verdicts.of.items() if _outcome(own) == "misses"},
     )
+
+
+@dataclass(frozen=True)
+class SteeredLoops:
+    """The loops that steer thrusters: of each configuration by its name, and `best` of each
+    scenario: of those right to the end that ran farthest, the nearest to the exact loop."""
+
+    best: dict[str, RunRecord]
+    configurations: dict[str, list[RunRecord]]
+
+
+def steered_by(records: Records, demand: Demand) -> SteeredLoops:
+    """The loops that steer thrusters in scenarios that somebody is right in."""
+    runs = [
+        run
+        for run in records.select(mode="closed_loop")
+        if isfinite(run.power_share) and not run.is_baseline_law and not run.slowdown > 0.0
+    ]
+    right = sorted(
+        (run for run in runs if is_right_to_the_end(run, demand)),
+        key=lambda run: (run.scenario, -run.steps_done, run.dev_position_max_m),
+    )
+    best = firsts(right, lambda run: run.scenario)
+    known = [run for run in runs if run.scenario in best]
+    return SteeredLoops(
+        best, grouped(known, lambda run: run.configuration.in_common_formulation.label)
+    )
+
+
+def largest_ratio(runs: Sequence[RunRecord], best: dict[str, RunRecord], column: str) -> float:
+    """The largest ratio of a metric to that of the best loop, over the scenarios; NaN of none."""
+    beside = ((getattr(run, column), getattr(best[run.scenario], column)) for run in runs)
+    return max((own / least for own, least in beside if least > 0.0), default=nan)
 
 
 def lost_late(run: RunRecord) -> list[str]:

@@ -12,8 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -149,23 +148,6 @@ class Verdicts:
     def all(self) -> list[Verdict]:
         """The verdicts on all configurations."""
         return [verdict for verdicts in self.of.values() for verdict in verdicts]
-
-    @cached_property
-    def levels(self) -> list[str]:
-        """The settings levels that were run, the most usual first."""
-        return sorted({verdict.configuration.settings for verdict in self.all}, key=settings_level)
-
-    def at(self, level: str) -> list[Verdict]:
-        """Of each solver the verdict on its reference, run at another settings level."""
-        return [self._at(verdicts, level) for verdicts in self.of.values()]
-
-    @staticmethod
-    def _at(verdicts: Sequence[Verdict], level: str) -> Verdict:
-        wanted = replace(verdicts[0].configuration, settings=level)
-        for verdict in verdicts:
-            if verdict.configuration == wanted:
-                return verdict
-        return Verdict(wanted, "not run", refusal="the suite does not run it so")
 
 
 def verdicts_of(

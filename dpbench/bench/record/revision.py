@@ -56,6 +56,12 @@ def revision_text(suite: dict[str, Any]) -> str:
     return f"commit {', '.join(named)}" if named else ""
 
 
+def made_by(suite: dict[str, Any]) -> str:
+    """The dpbench that made a run, by what `suite.json` says: its version and revisions."""
+    version = f"dpbench {suite.get('harness_version', '')}"
+    return ", ".join(filter(None, (version, revision_text(suite))))
+
+
 def _git(folder: Path, *words: str) -> str | None:
     """What git says in a folder; None where it is missing or fails."""
     try:

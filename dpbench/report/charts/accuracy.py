@@ -7,33 +7,23 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
-from dpbench.report.charts.style import (
-    FAMILY_COLOURS,
-    INK,
-    LINE,
-    NAMES,
-    PAPER,
-    below,
-    coloured,
-    limit_rule,
-    log_scale,
-    names_scale,
-    narrow,
-    picking,
-    styled,
-    tip,
-)
+from dpbench.report.charts import style
 
 COLUMNS = (
     *("id", "solver", "family", "settings", "route", "policy"),
     *("error", "p50_us", "p99_us", "state"),
 )
-FLOOR = 1e-16
 FULL = {"meets": 0.95, "open": 0.3, "late": 0.0, "wrong": 0.0}
 """How full a point is, by what is said of its configuration."""
-_LEGEND = {"meets": INK, "open": LINE, "misses": PAPER}
+_LEGEND = {"meets": style.INK, "open": style.LINE, "misses": style.PAPER}
 _COLUMNS = alt.ExprRef("narrow ? 1 : 3")
 """Of each legend: three of them stand side by side on a phone."""
+_FIGURES = (
+    style.tip("state:N", "demand"),
+    style.tip("error:Q", digits=2),
+    style.tip("p50_us:Q", "p50 [µs]"),
+    style.tip("p99_us:Q", "p99 [µs]"),
+)
 
 
 def accuracy(table: pd.DataFrame, demand_error: float) -> Any:
@@ -48,59 +38,49 @@ def accuracy(table: pd.DataFrame, demand_error: float) -> Any:
     table : columns `COLUMNS`, errors finite; demand_error : drawn as a line.
     """
     table = table.assign(
-        shown=table["error"].clip(lower=FLOOR),
+        shown=table["error"].clip(lower=style.FLOOR),
         full=[FULL.get(state, FULL["open"]) for state in table["state"]],
     )
     percentile = alt.param(name="percentile", value="p50")
-    pick = picking("id")
-    families = {f: hue for f, hue in FAMILY_COLOURS.items() if f in set(table["family"])}
-    colour = coloured("family", families, families.values(), columns=_COLUMNS, symbolOpacity=1.0)
+    pick = style.picking("id")
+    families = {f: hue for f, hue in style.FAMILY_COLOURS.items() if f in set(table["family"])}
+    colour = style.coloured(
+        "family", families, families.values(), columns=_COLUMNS, symbolOpacity=1.0
+    )
+    decades = alt.Axis(format=".0e")
+    apart = style.log_scale(padding=12)  # room for the name of a point in the corner
     base = (
         alt.Chart(table)
         .transform_calculate(time="percentile == 'p99' ? datum.p99_us : datum.p50_us")
         .transform_filter("isValid(datum.time)")
         .encode(
-            # Room for the name of a point in the corner.
-            x=alt.X("time:Q", title="step time [µs], log scale", scale=log_scale(padding=12)),
-            y=alt.Y(
-                "shown:Q",
-                title="largest error_move",
-                scale=log_scale(padding=12),
-                axis=alt.Axis(format=".0e"),
-            ),
+            x=alt.X("time:Q", title="step time [µs], log scale", scale=apart),
+            y=alt.Y("shown:Q", title="largest error_move", scale=apart, axis=decades),
             color=colour,
             detail="solver:N",
-            tooltip=[
-                alt.Tooltip("solver:N"),
-                alt.Tooltip("settings:N"),
-                alt.Tooltip("route:N"),
-                alt.Tooltip("policy:N"),
-                alt.Tooltip("state:N", title="demand"),
-                tip("error:Q", digits=2),
-                tip("p50_us:Q", "p50 [µs]"),
-                tip("p99_us:Q", "p99 [µs]"),
-            ],
+            tooltip=["solver:N", "settings:N", "route:N", "policy:N", *_FIGURES],
         )
     )
-    lines = base.mark_line(strokeWidth=1, opacity=0.45).add_params(percentile, narrow(), pick)
+    lines = base.mark_line(strokeWidth=1, opacity=0.45).add_params(percentile, style.narrow(), pick)
+    filled = style.below(columns=_COLUMNS, symbolFillColor=style.INK, symbolOpacity=1.0)
     dots = base.mark_point(filled=True, strokeWidth=1.5).encode(
-        stroke=alt.Stroke("family:N", scale=names_scale(families, families.values()), legend=None),
-        fillOpacity=alt.FillOpacity("full:Q", scale=None, legend=None),
-        shape=alt.Shape(
-            "settings:N",
-            title=None,
-            legend=below(columns=_COLUMNS, symbolFillColor=INK, symbolOpacity=1.0),
+        stroke=alt.Stroke(
+            "family:N", scale=style.names_scale(families, families.values()), legend=None
         ),
-        size=alt.condition(pick, alt.value(190), alt.value(70)),
+        fillOpacity=alt.FillOpacity("full:Q", scale=None, legend=None),
+        shape=alt.Shape("settings:N", title=None, legend=filled),
+        size=style.either(pick, 190, 70),
     )
     named = (
         base.transform_window(rank="row_number()", groupby=["solver"], sort=[{"field": "shown"}])
         .transform_filter("datum.rank == 1")
         .mark_point(filled=True, opacity=0, size=110)
-        .properties(name=NAMES)
+        .properties(name=style.NAMES)
     )
-    return styled(
-        alt.layer(lines, limit_rule(demand_error), dots, named, _fullness(), width=620, height=360),
+    return style.styled(
+        alt.layer(
+            lines, style.limit_rule(demand_error), dots, named, _fullness(), width=620, height=360
+        ),
         "Accuracy against time",
         "Largest error of the first move against step time, a point for each settings level.",
     )
@@ -108,12 +88,10 @@ def accuracy(table: pd.DataFrame, demand_error: float) -> Any:
 
 def _fullness() -> Any:
     """The legend of how full a point is, of points that are not seen: Vega has none of its own."""
-    looks = alt.InlineData(values=[{"look": look} for look in _LEGEND])
-    scale = names_scale(_LEGEND, _LEGEND.values())
-    looks_of: dict[str, Any] = {"symbolType": "circle", "symbolStrokeColor": INK}
-    legend = below(columns=_COLUMNS, symbolStrokeWidth=1.5, **looks_of)
-    return (
-        alt.Chart(looks)
-        .mark_point(filled=True, size=0, opacity=0, aria=False)
-        .encode(fill=alt.Fill("look:N", scale=scale, title="demand", legend=legend))
+    scale = style.names_scale(_LEGEND, _LEGEND.values())
+    looks_of: dict[str, Any] = {"symbolType": "circle", "symbolStrokeColor": style.INK}
+    legend = style.below(columns=_COLUMNS, symbolStrokeWidth=1.5, **looks_of)
+    unseen = style.inline(*({"look": look} for look in _LEGEND)).mark_point(
+        filled=True, size=0, opacity=0, aria=False
     )
+    return unseen.encode(fill=alt.Fill("look:N", scale=scale, title="demand", legend=legend))

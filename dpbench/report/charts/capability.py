@@ -3,6 +3,7 @@ solvers answer at that edge."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import altair as alt
@@ -10,19 +11,7 @@ import numpy as np
 import pandas as pd
 
 from dpbench.arrays import Floats
-from dpbench.report.charts.style import (
-    GRID,
-    INK,
-    LINE,
-    MEETS,
-    MISSES,
-    PALETTE,
-    PAPER,
-    SOFT,
-    coloured,
-    styled,
-    tip,
-)
+from dpbench.report.charts import style
 from dpbench.ship.capability.conditions import DP_CONDITIONS
 
 COLUMNS = ("case", "from_deg", "wind_mps", "number")
@@ -32,6 +21,7 @@ _RING_CORNERS = 91
 """Of the polygon that is drawn as a ring: every 4°, the first again at the end."""
 _RINGS = (3, 5, 6, 7, 8, 9, 10, 11)
 """DP capability numbers whose winds are drawn as rings; below they lie too close."""
+_SPOKES_DEG = range(0, 360, 30)
 _BETWEEN_DEG = np.arange(15.0, 360.0, 30.0)
 """Directions between two spokes: the rings are named along one of them."""
 _CLEAR_MPS = 1.8
@@ -52,38 +42,36 @@ def rose(table: pd.DataFrame, title: str) -> Any:
     span = alt.Scale(domain=[-1.12 * _OUTER, 1.12 * _OUTER], nice=False)
     x = alt.X("x:Q", scale=span, axis=None)
     y = alt.Y("y:Q", scale=span, axis=None)
-    lines = (
-        alt.Chart(closed)
-        .mark_line(strokeWidth=2, interpolate="linear")
-        .encode(
-            x=x,
-            y=y,
-            order="i:Q",
-            color=coloured("case", cases, PALETTE[: len(cases)], columns=3),
-        )
-    )
-    points = _points(closed, x, y)
-    web = [_rings(x, y), _spokes(x, y), *_ring_names(x, y, closed), _bearings(x, y)]
+    place = {"x": x, "y": y}
+    colour = style.coloured("case", cases, style.PALETTE[: len(cases)], columns=3)
+    lines = alt.Chart(closed).mark_line(strokeWidth=2, interpolate="linear")
+    lines = lines.encode(**place, order="i:Q", color=colour)
+    points = _points(closed, place)
+    web = [_rings(place), _spokes(place), *_ring_names(place, closed), _bearings(place)]
     about = (
         "Largest wind held from each direction, intact and after each failure; rings: the winds of "
         "DP capability numbers."
     )
     layers = alt.layer(*web, lines, *points, width=SIZE, height=SIZE)
-    chart = styled(layers, title, about)
+    chart = style.styled(layers, title, about)
     chart.title.subtitle = [
         "by where wind, waves and current come from;",
         "rings: DP capability numbers",
     ]
-    chart.title.subtitleColor = SOFT
+    chart.title.subtitleColor = style.SOFT
     return chart
 
 
-def _points(closed: pd.DataFrame, x: alt.X, y: alt.Y) -> list[Any]:
+Place = dict[str, Any]
+"""The axes of a point."""
+
+
+def _points(closed: pd.DataFrame, place: Place) -> list[Any]:
     """A mark for each direction, hollow where a solver made an untrue claim."""
     tooltips = [
-        alt.Tooltip("case:N"),
-        tip("from_deg:Q", "from [°]"),
-        tip("wind_mps:Q", "wind held [m/s]", 3),
+        "case:N",
+        style.tip("from_deg:Q", "from [°]"),
+        style.tip("wind_mps:Q", "wind held [m/s]", 3),
         alt.Tooltip("number:Q", title="DP capability number"),
     ]
     untrue = closed["untrue"] if "untrue" in closed else pd.Series(0, closed.index)
@@ -92,8 +80,10 @@ def _points(closed: pd.DataFrame, x: alt.X, y: alt.Y) -> list[Any]:
     kinds = ((closed[untrue == 0], 14, True), (closed[untrue > 0], 30, False))
     return [
         alt.Chart(of_kind)
-        .mark_point(size=size, filled=filled, opacity=1, fill=alt.Undefined if filled else PAPER)
-        .encode(x=x, y=y, color="case:N", tooltip=tooltips)
+        .mark_point(
+            size=size, filled=filled, opacity=1, fill=alt.Undefined if filled else style.PAPER
+        )
+        .encode(**place, color="case:N", tooltip=tooltips)
         for of_kind, size, filled in kinds
         if len(of_kind)
     ]
@@ -112,33 +102,34 @@ def _closed(case: pd.DataFrame) -> pd.DataFrame:
     return ring.assign(**places, i=range(len(ring)))
 
 
-def _rings(x: alt.X, y: alt.Y) -> Any:
+def _rings(place: Place) -> Any:
     turn = np.linspace(0.0, 360.0, _RING_CORNERS)
-    rings = [
-        pd.DataFrame({**_at(DP_CONDITIONS[n][0], turn), "i": range(len(turn)), "n": n})
-        for n in _RINGS
-    ]
-    chart = alt.Chart(pd.concat(rings)).mark_line(color=GRID, strokeWidth=1)
-    return chart.encode(x=x, y=y, detail="n:N", order="i:Q")
+    order = range(len(turn))
+    rings = [{**_at(DP_CONDITIONS[n][0], turn), "i": order, "n": n} for n in _RINGS]
+    return _web(rings, place).encode(detail="n:N", order="i:Q")
 
 
-def _spokes(x: alt.X, y: alt.Y) -> Any:
-    spokes = [
-        pd.DataFrame({**_at(np.array([0.0, _OUTER]), from_deg), "spoke": from_deg})
-        for from_deg in range(0, 360, 30)
-    ]
-    chart = alt.Chart(pd.concat(spokes)).mark_line(color=GRID, strokeWidth=1)
-    return chart.encode(x=x, y=y, detail="spoke:N")
+def _spokes(place: Place) -> Any:
+    ends = np.array([0.0, _OUTER])
+    return _web(
+        [{**_at(ends, bearing), "spoke": bearing} for bearing in _SPOKES_DEG], place
+    ).encode(detail="spoke:N")
 
 
-def _ring_names(x: alt.X, y: alt.Y, closed: pd.DataFrame) -> tuple[Any, Any]:
+def _web(parts: Iterable[dict[str, Any]], place: Place) -> Any:
+    """Pale lines of some columns each."""
+    chart = alt.Chart(pd.concat(map(pd.DataFrame, parts)))
+    return chart.mark_line(color=style.GRID, strokeWidth=1).encode(**place)
+
+
+def _ring_names(place: Place, closed: pd.DataFrame) -> tuple[Any, Any]:
     """The number of each ring, clear of the lines, on a patch of the paper."""
     winds = [DP_CONDITIONS[n][0] for n in _RINGS]
     places = zip(_RINGS, winds, _clear_deg(closed, np.array(winds)), strict=True)
     names = [{**_at(wind, from_deg), "name": f"{n}"} for n, wind, from_deg in places]
-    text = alt.Chart(pd.DataFrame(names)).encode(x=x, y=y, text="name:N")
-    patch = text.mark_text(fontSize=12, stroke=PAPER, strokeWidth=4)
-    return patch, text.mark_text(fontSize=12, color=SOFT)
+    text = alt.Chart(pd.DataFrame(names)).encode(**place, text="name:N")
+    patch = text.mark_text(fontSize=12, stroke=style.PAPER, strokeWidth=4)
+    return patch, text.mark_text(fontSize=12, color=style.SOFT)
 
 
 def _clear_deg(closed: pd.DataFrame, winds: Floats) -> Floats:
@@ -156,22 +147,21 @@ def _clear_deg(closed: pd.DataFrame, winds: Floats) -> Floats:
     return _BETWEEN_DEG[own]
 
 
-def _bearings(x: alt.X, y: alt.Y) -> Any:
-    bearings = [
-        {**_at(1.07 * _OUTER, from_deg), "name": f"{from_deg}°"} for from_deg in range(0, 360, 30)
-    ]
-    chart = alt.Chart(pd.DataFrame(bearings)).mark_text(color=INK, fontSize=12)
-    return chart.encode(x=x, y=y, text="name:N")
+def _bearings(place: Place) -> Any:
+    names = [{**_at(1.07 * _OUTER, deg), "name": f"{deg}°"} for deg in _SPOKES_DEG]
+    chart = alt.Chart(pd.DataFrame(names)).mark_text(color=style.INK, fontSize=12)
+    return chart.encode(**place, text="name:N")
 
 
 ANSWERS = ("solver", "answer", "share", "qps")
-RIGHT_HELD, RIGHT_NOT, NOTHING, WRONG = (
-    "held, right",
-    "not held, right",
-    "no answer",
-    "untrue claim",
-)
-_LOOKS = {RIGHT_HELD: PALETTE[0], RIGHT_NOT: MEETS, NOTHING: LINE, WRONG: MISSES}
+RIGHT_HELD, RIGHT_NOT = "held, right", "not held, right"
+NOTHING, WRONG = "no answer", "untrue claim"
+_LOOKS = {
+    RIGHT_HELD: style.PALETTE[0],
+    RIGHT_NOT: style.MEETS,
+    NOTHING: style.LINE,
+    WRONG: style.MISSES,
+}
 
 
 def answers(table: pd.DataFrame, title: str) -> Any:
@@ -181,27 +171,18 @@ def answers(table: pd.DataFrame, title: str) -> Any:
     ----------
     table : columns `ANSWERS`, a row for each solver and kind of answer; solvers from the top.
     """
-    kinds = [kind for kind in _LOOKS if (table.loc[table["answer"] == kind, "qps"] > 0).any()]
+    there = table[table["qps"] > 0]
+    hues = {kind: hue for kind, hue in _LOOKS.items() if (there["answer"] == kind).any()}
     place = {kind: i for i, kind in enumerate(_LOOKS)}
-    table = table.assign(place=table["answer"].map(place))
-    chart = (
-        alt.Chart(table[table["qps"] > 0])
-        .mark_bar()
-        .encode(
-            x=alt.X(
-                "share:Q",
-                title="share of the QPs [%]",
-                scale=alt.Scale(domain=[0, 100]),
-                axis=alt.Axis(values=[0, 25, 50, 75, 100], grid=False),
-            ),
-            y=alt.Y("solver:N", title=None, sort=list(dict.fromkeys(table["solver"]))),
-            order="place:Q",
-            color=coloured(
-                "answer", kinds, map(_LOOKS.__getitem__, kinds), symbolType="square", columns=2
-            ),
-            tooltip=[alt.Tooltip("solver:N"), alt.Tooltip("answer:N"), alt.Tooltip("qps:Q")],
-        )
-        .properties(width=250, height=alt.Step(17))
+    scale = alt.Scale(domain=[0, 100])
+    axis = alt.Axis(values=[0, 25, 50, 75, 100], grid=False)
+    chart = alt.Chart(there.assign(place=there["answer"].map(place))).mark_bar()
+    chart = chart.encode(
+        x=alt.X("share:Q", title="share of the QPs [%]", scale=scale, axis=axis),
+        y=alt.Y("solver:N", title=None, sort=list(dict.fromkeys(table["solver"]))),
+        order="place:Q",
+        color=style.coloured("answer", hues, hues.values(), symbolType="square", columns=2),
+        tooltip=["solver:N", "answer:N", "qps:Q"],
     )
     about = "For each solver, how many of the QPs at the edge it answers rightly, wrongly or not."
-    return styled(chart, title, about)
+    return style.styled(chart.properties(width=250, height=alt.Step(17)), title, about)

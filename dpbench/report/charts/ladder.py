@@ -10,24 +10,7 @@ import altair as alt
 import pandas as pd
 
 from dpbench.analysis.verdict.verdict import STATES
-from dpbench.report.charts.style import (
-    ACCENT,
-    INK,
-    LATE,
-    LINE,
-    ROW_STEP,
-    SOFT,
-    STATE_COLOURS,
-    STATE_SHAPES,
-    coloured,
-    log_scale,
-    names_scale,
-    narrow,
-    picking,
-    row_names,
-    styled,
-    tip,
-)
+from dpbench.report.charts import style
 
 COLUMNS = ("id", "solver", "label", "state", "p50_ms", "p99_ms", "max_ms", "raw_max_ms", "share")
 """`share`: part of the median that calling the library costs, by the harness's own solver."""
@@ -64,8 +47,8 @@ def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
     base = _scaled(table, deadline_ms, p99_ms)
     x = _axis(table, deadline_ms)
     parts = (*_rows(base), *_times(base, x), *_limits(deadline_ms, p99_ms))
-    return styled(
-        alt.layer(*parts, width=560, height=alt.Step(ROW_STEP["wide"])),
+    return style.styled(
+        alt.layer(*parts, width=560, height=alt.Step(style.ROW_STEP["wide"])),
         "How close to the deadline",
         "Step times of each solver from median over p99 to the largest, against the deadline.",
     )
@@ -85,13 +68,13 @@ def _scaled(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> alt.Chart
     )
     times = (("a", "p50"), ("c", "p99"), ("m", "largest step"))
     tips = [
-        alt.Tooltip("label:N", title="configuration"),
-        alt.Tooltip("computer:N", title="computer slower"),
-        alt.Tooltip("now:N", title="demand there"),
-        *(tip(f"{name}:Q", f"{title} [ms]", 3) for name, title in times),
-        alt.Tooltip("timing:N", title="largest timing [ms]"),
+        style.tip("label:N", "configuration"),
+        style.tip("computer:N", "computer slower"),
+        style.tip("now:N", "demand there"),
+        *(style.tip(f"{name}:Q", f"{title} [ms]", 3) for name, title in times),
+        style.tip("timing:N", "largest timing [ms]"),
     ]
-    y = alt.Y("label:N", sort=table["label"].tolist(), title=None, axis=row_names())
+    y = alt.Y("label:N", sort=table["label"].tolist(), title=None, axis=style.row_names())
     return scaled.encode(y=y, tooltip=tips)
 
 
@@ -99,49 +82,42 @@ def _axis(table: pd.DataFrame, deadline_ms: float) -> alt.X:
     """Times to ten times the deadline, or on to where the slowest is on the slower computer."""
     high, slowest = max(10.0 * deadline_ms, 1.0), float(table["max_ms"].max())
     highest = alt.ExprRef(f"max({high}, {1.5 * slowest if isfinite(slowest) else 0.0} * slow)")
-    return alt.X(
-        "a:Q",
-        title="step time [ms], log scale",
-        scale=log_scale(domainMin=LOWEST_MS, domainMax=highest, clamp=True),
-        axis=alt.Axis(
-            values=[10.0**e for e in range(-3, 8)],
-            format="~g",
-            orient="top",
-            labelOverlap="greedy",
-            offset=alt.ExprRef("narrow ? 8 : 0"),  # off the name above the first bar
-        ),
+    scale = style.log_scale(domainMin=LOWEST_MS, domainMax=highest, clamp=True)
+    axis = alt.Axis(
+        values=[10.0**e for e in range(-3, 8)],
+        format="~g",
+        orient="top",
+        labelOverlap="greedy",
+        offset=alt.ExprRef("narrow ? 8 : 0"),  # off the name above the first bar
     )
+    return alt.X("a:Q", title="step time [ms], log scale", scale=scale, axis=axis)
 
 
 def _rows(base: alt.Chart) -> Iterator[Any]:
     """What takes clicks all over a row, and the mark of the chosen one."""
-    pick = picking("id")
-    whole = alt.ExprRef(f"narrow ? {ROW_STEP['narrow']} : {ROW_STEP['wide']}")
-    across: dict[str, Any] = {"x": alt.value(0), "x2": alt.value("width")}
+    pick = style.picking("id")
     factor = alt.param(name="slow", value=1.0)
-    clicked = base.mark_rule(strokeWidth=whole, opacity=0.0).encode(**across)
-    yield clicked.add_params(factor, narrow(), pick)
-    yield base.mark_rule(strokeWidth=whole, color=ACCENT).encode(
-        **across, opacity=alt.condition(pick, alt.value(0.25), alt.value(0.0))
-    )
+    clicked = style.whole_rows(base, alt.Undefined, opacity=0.0)
+    yield clicked.add_params(factor, style.narrow(), pick)
+    yield style.whole_rows(base, style.either(pick, 0.25, 0.0), color=style.ACCENT)
 
 
 def _times(base: alt.Chart, x: alt.X) -> Iterator[Any]:
     """What calling costs, whisker, line, bar and marker of each row."""
     columns = alt.ExprRef("width < 200 ? 2 : narrow || width < 400 ? 3 : 5")
     looks: dict[str, Any] = {"columns": columns, "offset": 40}  # below what is said of the limits
-    colour = coloured("now", STATES, STATE_COLOURS, title="demand", **looks)
-    yield base.mark_rule(strokeWidth=9, color=LINE).encode(
+    colour = style.coloured("now", STATES, style.STATE_COLOURS, title="demand", **looks)
+    yield base.mark_rule(strokeWidth=9, color=style.LINE).encode(
         x=alt.X("left:Q"), x2="called:Q", opacity=alt.value(0.7)
     )
     yield (
         base.transform_filter("datum.raw_max_ms > datum.m")
-        .mark_rule(strokeWidth=1, color=SOFT, strokeDash=[2, 2])
+        .mark_rule(strokeWidth=1, color=style.SOFT, strokeDash=[2, 2])
         .encode(x=alt.X("m:Q"), x2="raw_max_ms:Q")
     )
     yield base.mark_rule(strokeWidth=2).encode(x=x, x2="m:Q", color=colour)
     yield base.mark_rule(strokeWidth=9, strokeCap="butt").encode(x=x, x2="c:Q", color=colour)
-    shape = alt.Shape("now:N", scale=names_scale(STATES, STATE_SHAPES))
+    shape = alt.Shape("now:N", scale=style.names_scale(STATES, style.STATE_SHAPES))
     yield base.mark_point(filled=True, size=70, opacity=1).encode(x=x, color=colour, shape=shape)
 
 
@@ -150,8 +126,8 @@ def _limits(deadline_ms: float, p99_ms: float) -> Iterator[Any]:
     is said of the whiskers."""
     words: dict[str, Any] = {"baseline": "top", "fontSize": 12}
     limits = (
-        ("p99", p99_ms, f"p99 limit {p99_ms:g} ms", 0.75, LATE),
-        ("deadline", deadline_ms, f"deadline {deadline_ms:g} ms", 1.5, INK),
+        ("p99", p99_ms, f"p99 limit {p99_ms:g} ms", 0.75, style.LATE),
+        ("deadline", deadline_ms, f"deadline {deadline_ms:g} ms", 1.5, style.INK),
     )
     for name, at_ms, text, thick, colour in limits:
         # On paper there is room for the first word alone.
@@ -168,9 +144,6 @@ def _limits(deadline_ms: float, p99_ms: float) -> Iterator[Any]:
         yield chart.mark_text(dy=4, color=colour, **aside, **words).encode(
             x=f"{name}:Q", y=alt.value("height"), text="text:N"
         )
-    yield (
-        alt.Chart(alt.InlineData(values=[{}]))
-        .mark_text(align="left", dy=20, color=SOFT, **words)
-        .encode(x=alt.value(0), y=alt.value("height"), text="said:N")
-        .transform_calculate(said=_JITTER)
-    )
+    whiskers = style.inline({}).mark_text(align="left", dy=20, color=style.SOFT, **words)
+    place: dict[str, Any] = {"x": alt.value(0), "y": alt.value("height")}
+    yield whiskers.encode(**place, text="said:N").transform_calculate(said=_JITTER)

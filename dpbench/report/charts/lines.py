@@ -7,19 +7,7 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
-from dpbench.report.charts.style import (
-    FILLS,
-    MEETS,
-    MISSES,
-    PALETTE,
-    alike,
-    coloured,
-    limit_rule,
-    log_scale,
-    names_scale,
-    styled,
-    tip,
-)
+from dpbench.report.charts import style
 
 COLUMNS = ("name", "x", "y", "good")
 
@@ -40,29 +28,25 @@ def lines(
     x, y : title and format of each axis; limit : drawn across.
     """
     names = list(dict.fromkeys(table["name"]))
-    dashes = [[[1, 0], [6, 3], [2, 2]][(i // len(PALETTE)) % 3] for i in range(len(names))]
-    hues = [PALETTE[i % len(PALETTE)] for i in range(len(names))]
+    dashes = [[[1, 0], [6, 3], [2, 2]][(i // len(style.PALETTE)) % 3] for i in range(len(names))]
+    hues = [style.PALETTE[i % len(style.PALETTE)] for i in range(len(names))]
+    close = style.log_scale(nice=False, padding=8)
     base = alt.Chart(table).encode(
-        x=alt.X(
-            "x:Q",
-            title=x[0],
-            scale=log_scale(nice=False, padding=8),
-            axis=alt.Axis(format=x[1]),
-        ),
-        y=alt.Y("y:Q", title=y[0], scale=log_scale(), axis=alt.Axis(format=y[1])),
-        color=coloured("name", names, hues, symbolLimit=40, labelLimit=320, columns=1),
-        tooltip=[alt.Tooltip("name:N"), alt.Tooltip("x:Q", title=x[0]), tip("y:Q", y[0])],
+        x=alt.X("x:Q", title=x[0], scale=close, axis=alt.Axis(format=x[1])),
+        y=alt.Y("y:Q", title=y[0], scale=style.log_scale(), axis=alt.Axis(format=y[1])),
+        color=style.coloured("name", names, hues, symbolLimit=40, labelLimit=320, columns=1),
+        tooltip=["name:N", alt.Tooltip("x:Q", title=x[0]), style.tip("y:Q", y[0])],
     )
-    dash = alt.StrokeDash("name:N", scale=names_scale(names, dashes), legend=None)
+    dash = alt.StrokeDash("name:N", scale=style.names_scale(names, dashes), legend=None)
     joined = base.mark_line(strokeWidth=1.5).encode(strokeDash=dash)
-    hue = alt.Color("name:N", scale=names_scale(names, hues), legend=None)
+    hue = alt.Color("name:N", scale=style.names_scale(names, hues), legend=None)
     dots = base.mark_point(size=45, opacity=1, strokeWidth=1.5).encode(
         fill=alt.condition("datum.good", hue, alt.value("white"))
     )
     layers = [joined, dots]
     if limit is not None:
-        layers.append(limit_rule(limit))
-    return styled(alt.layer(*layers, width=290, height=260), title, title)
+        layers.append(style.limit_rule(limit))
+    return style.styled(alt.layer(*layers, width=290, height=260), title, title)
 
 
 def dots(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
@@ -73,18 +57,15 @@ def dots(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
     table : columns name, x and y, all positive.
     """
     low, high = 0.6 * table[["x", "y"]].min().min(), 1.6 * table[["x", "y"]].max().max()
-    scale = log_scale(domain=[low, high])
+    scale = style.log_scale(domain=[low, high])
     # Between decades the names of ticks would touch.
     decades = alt.Axis(values=[10.0**e for e in range(-3, 7)], format="~g")
     looks: dict[str, Any] = {"scale": scale, "axis": decades}
-    line = alike(low, high, alt.X("x:Q", title=x, **looks), alt.Y("y:Q", title=y, **looks))
-    points = (
-        alt.Chart(table)
-        .mark_point(filled=True, size=70, color=PALETTE[0], opacity=1)
-        .encode(x="x:Q", y="y:Q", tooltip=["name:N", "x:Q", "y:Q"])
-    )
+    line = style.alike(low, high, alt.X("x:Q", title=x, **looks), alt.Y("y:Q", title=y, **looks))
+    points = alt.Chart(table).mark_point(filled=True, size=70, color=style.PALETTE[0], opacity=1)
+    points = points.encode(x="x:Q", y="y:Q", tooltip=["name:N", "x:Q", "y:Q"])
     names = points.mark_text(align="left", dx=8, fontSize=12).encode(text="name:N")
-    return styled(alt.layer(line, points, names, width=290, height=240), title, title)
+    return style.styled(alt.layer(line, points, names, width=290, height=240), title, title)
 
 
 def tiles(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
@@ -94,22 +75,19 @@ def tiles(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
     ----------
     table : columns x, y, count.
     """
+    columns, rows = (list(dict.fromkeys(table[name])) for name in ("x", "y"))
+    above = alt.Axis(orient="top", labelAngle=-40)
     base = alt.Chart(table).encode(
-        x=alt.X(
-            "x:N",
-            title=None,
-            sort=list(dict.fromkeys(table["x"])),
-            axis=alt.Axis(orient="top", labelAngle=-40),
-        ),
-        y=alt.Y("y:N", title=None, sort=list(dict.fromkeys(table["y"]))),
-        tooltip=[alt.Tooltip("y:N", title=y), alt.Tooltip("x:N", title=x), alt.Tooltip("count:Q")],
+        x=alt.X("x:N", title=None, sort=columns, axis=above),
+        y=alt.Y("y:N", title=None, sort=rows),
+        tooltip=[style.tip("y:N", y), style.tip("x:N", x), "count:Q"],
     )
+    some = "datum.count > 0"
     squares = base.mark_rect(stroke="white").encode(
-        color=alt.condition("datum.count > 0", alt.value(FILLS[3]), alt.value(FILLS[0]))
+        color=style.either(some, style.FILLS[3], style.FILLS[0])
     )
     numbers = base.mark_text(fontSize=12).encode(
-        text="count:Q",
-        color=alt.condition("datum.count > 0", alt.value(MISSES), alt.value(MEETS)),
+        text="count:Q", color=style.either(some, style.MISSES, style.MEETS)
     )
     chart = alt.layer(squares, numbers, width=alt.Step(26), height=alt.Step(20))
-    return styled(chart, title, title)
+    return style.styled(chart, title, title)

@@ -9,16 +9,7 @@ import altair as alt
 import pandas as pd
 
 from dpbench.analysis.verdict.verdict import STATES
-from dpbench.report.charts.style import (
-    ACCENT,
-    FILLS,
-    INK,
-    PAPER,
-    STATE_COLOURS,
-    coloured,
-    picking,
-    styled,
-)
+from dpbench.report.charts import style
 
 COLUMNS = (
     *("solver", "place", "settings", "way", "state"),
@@ -28,6 +19,15 @@ MARKS = ("✓", "?", "▸", "✕", "–")
 """Of the states."""
 MOST_ACROSS = 30
 """Places side by side; more would leave no room for a name."""
+_HEADER = alt.Header(
+    labelFontSize=13,
+    labelFontWeight=600,
+    labelAnchor="start",
+    labelColor=style.INK,
+    labelOrient="top",
+    labelAngle=0,
+)
+"""Of the tiles of a settings level."""
 
 
 def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
@@ -47,28 +47,18 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     levels = table["settings"].unique().tolist()
     # Worked out in the figure, so that the page can hand it other rows.
     signs = json.dumps(dict(zip(STATES, MARKS, strict=True)), ensure_ascii=False)
-    inks = json.dumps(dict(zip(STATES, STATE_COLOURS, strict=True)))
-    pick = picking("id", "place_id")
+    inks = json.dumps(dict(zip(STATES, style.STATE_COLOURS, strict=True)))
+    pick = style.picking("id", "place_id")
     long = len(places) > MOST_ACROSS
     across, down = ("solver", "place") if long else ("place", "solver")
     order = {"solver": solvers, "place": places}
-    x = alt.X(
-        f"{across}:N",
-        sort=order[across],
-        title=None,
-        axis=alt.Axis(orient="top", labelAngle=-90 if stacked else -40),
-    )
+    above = alt.Axis(orient="top", labelAngle=-90 if stacked else -40)
+    x = alt.X(f"{across}:N", sort=order[across], title=None, axis=above)
     y = alt.Y(f"{down}:N", sort=order[down], title=None)
-    tips = [
-        alt.Tooltip("solver:N"),
-        alt.Tooltip("way:N"),
-        alt.Tooltip("settings:N"),
-        alt.Tooltip("place:N", title="in"),
-        alt.Tooltip("state:N", title="demand"),
-        alt.Tooltip("off:N", title="largest error_move"),
-        alt.Tooltip("fails:N", title="failed steps"),
-        alt.Tooltip("because:N", title="why"),
-    ]
+    titles = {"place": "in", "state": "demand"}
+    titles |= {"off": "largest error_move", "fails": "failed steps", "because": "why"}
+    titled = (style.tip(f"{field}:N", title) for field, title in titles.items())
+    tips = ["solver:N", "way:N", "settings:N", *titled]
     base = (
         alt.Chart()
         .transform_calculate(
@@ -84,38 +74,23 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
         "labelExpr": f"{signs}[datum.label] + ' ' + datum.label",
     }
     legend |= {"columns": 3} if stacked else {}
-    tiles = base.mark_rect(strokeWidth=1.5, stroke=PAPER).encode(
-        color=coloured("state", STATES, FILLS, title="demand", **legend)
+    tiles = base.mark_rect(strokeWidth=1.5, stroke=style.PAPER).encode(
+        color=style.coloured("state", STATES, style.FILLS, title="demand", **legend)
     )
     # Above all tiles, or those beside it would cover half of its frame.
-    frame: dict[str, Any] = {"filled": False, "stroke": ACCENT, "strokeWidth": 3, "aria": False}
-    chosen = base.transform_filter(pick).mark_rect(**frame)
+    frame: dict[str, Any] = {"filled": False, "strokeWidth": 3, "aria": False}
+    chosen = base.transform_filter(pick).mark_rect(stroke=style.ACCENT, **frame)
     signed = base.transform_calculate(sign=f"{signs}[datum.state]", ink=f"{inks}[datum.state]")
-    text = signed.mark_text(fontSize=12, fontWeight=600).encode(
-        text="sign:N",
-        color=alt.Color("ink:N", scale=None),
-    )
-    header = alt.Header(
-        labelFontSize=13,
-        labelFontWeight=600,
-        labelAnchor="start",
-        labelColor=INK,
-        labelOrient="top",
-        labelAngle=0,
-    )
-    tiles = tiles.add_params(pick)
-    placed = alt.layer(
-        tiles, text, chosen, data=table, width=alt.Step(30), height=alt.Step(15 if long else 22)
-    )
-    own: dict[str, Any] = {"sort": levels, "title": None, "header": header}
+    text = signed.mark_text(fontSize=12, fontWeight=600)
+    text = text.encode(text="sign:N", color=alt.Color("ink:N", scale=None))
+    size: dict[str, Any] = {"width": alt.Step(30), "height": alt.Step(15 if long else 22)}
+    placed = alt.layer(tiles.add_params(pick), text, chosen, data=table, **size)
+    own: dict[str, Any] = {"sort": levels, "title": None, "header": _HEADER}
     if stacked:
         chart = placed.facet(row=alt.Row("settings:N", **own), spacing=14)
         chart = chart.resolve_axis(x="independent")
     else:
         chart = placed.facet(column=alt.Column("settings:N", **own), spacing=14)
-    return styled(
-        chart,
-        "Where each solver holds",
-        "Tiles of solver by scenario: meets, open, late, wrong or not run, for each settings "
-        "level.",
-    )
+    states = "meets, open, late, wrong or not run"
+    about = f"Tiles of solver by scenario: {states}, for each settings level."
+    return style.styled(chart, "Where each solver holds", about)

@@ -12,16 +12,7 @@ import pandas as pd
 
 from dpbench.analysis.records.thinning import MOST, extremes
 from dpbench.arrays import Vector
-from dpbench.report.charts.style import (
-    INK,
-    PALETTE,
-    SOFT,
-    below,
-    coloured,
-    log_scale,
-    names_scale,
-    styled,
-)
+from dpbench.report.charts import style
 from dpbench.scenario.scenario import Scenario
 
 CIRCLE_M = 1.0
@@ -62,28 +53,19 @@ def path(laws: Sequence[Law], scenario: Scenario) -> Any:
     kinds = ["start", "reference"]
     points = pd.DataFrame([starts, [north, east]], columns=["n", "e"]).assign(what=kinds)
     x, y = _alike(pd.concat([table, circle, points]))
-    lines = (
-        alt.Chart(table)
-        .mark_line(strokeWidth=1.8)
-        .encode(x=x, y=y, order="i:Q", color=_law(laws), strokeDash=_dash(laws))
+    lines = alt.Chart(table).mark_line(strokeWidth=1.8)
+    lines = lines.encode(x=x, y=y, order="i:Q", color=_law(laws), strokeDash=_dash(laws))
+    ring = (
+        alt.Chart(circle)
+        .mark_line(strokeDash=[3, 3], color=style.SOFT)
+        .encode(x=x, y=y, order="i:Q")
     )
-    ring = alt.Chart(circle).mark_line(strokeDash=[3, 3], color=SOFT).encode(x=x, y=y, order="i:Q")
-    marks = (
-        alt.Chart(points)
-        .mark_point(filled=True, size=70, color=INK)
-        .encode(
-            x=x,
-            y=y,
-            shape=alt.Shape(
-                "what:N",
-                title=None,
-                scale=names_scale(kinds, ("circle", "cross")),
-                legend=below(columns=1),
-            ),
-        )
-    )
+    look = style.names_scale(kinds, ("circle", "cross"))
+    shape = alt.Shape("what:N", title=None, scale=look, legend=style.below(columns=1))
+    marks = alt.Chart(points).mark_point(filled=True, size=70, color=style.INK)
+    marks = marks.encode(x=x, y=y, shape=shape)
     chart = alt.layer(ring, lines, marks, width=285, height=285)
-    return styled(chart, "Path of the ship", "Path of the ship under each control law.")
+    return style.styled(chart, "Path of the ship", "Path of the ship under each control law.")
 
 
 def precision(laws: Sequence[Law], scenario: Scenario) -> Any:
@@ -100,7 +82,7 @@ def precision(laws: Sequence[Law], scenario: Scenario) -> Any:
             panel = alt.layer(panel, _limits((CIRCLE_M,)))
         panels.append(panel)
     said = "North, east, heading and radial error against time."
-    return styled(_stack(panels), "Errors of position and heading", said)
+    return style.styled(_stack(panels), "Errors of position and heading", said)
 
 
 def errors(steps: pd.DataFrame, reference: np.ndarray) -> dict[str, np.ndarray]:
@@ -114,26 +96,23 @@ def errors(steps: pd.DataFrame, reference: np.ndarray) -> dict[str, np.ndarray]:
 def forces(laws: Sequence[Law], scenario: Scenario) -> Any:
     """Figure 6: the force applied in each axis, with its amplitude limits."""
     panels = _of_axes(laws, "tau", "", scenario.vessel.tau_min, scenario.vessel.tau_max)
-    return styled(panels, "Forces", "Force applied in each axis, with its limits.")
+    return style.styled(panels, "Forces", "Force applied in each axis, with its limits.")
 
 
 def increments(laws: Sequence[Law], scenario: Scenario) -> Any:
     """Figure 7: the change of the force in each step, with the rate limits."""
     most = scenario.force_step_max
     panels = _of_axes(laws, "dtau", "Δ", -most, most)
-    return styled(panels, "Increments", "Change of the force in each step, with its limits.")
+    return style.styled(panels, "Increments", "Change of the force in each step, with its limits.")
 
 
 def _of_axes(laws: Sequence[Law], column: str, sign: str, low: Vector, high: Vector) -> Any:
     """A panel for each axis, with limits (3,)."""
-    return _stack(
-        [
-            _force(laws, f"{column}_{key}_{unit}", scale, f"{sign}{name} [{shown}]", limits)
-            for (name, key, unit, scale, shown), *limits in zip(
-                DRAWN_FORCES, low, high, strict=True
-            )
-        ]
-    )
+    panels = []
+    for (name, key, unit, scale, shown), *limits in zip(DRAWN_FORCES, low, high, strict=True):
+        title = f"{sign}{name} [{shown}]"
+        panels.append(_force(laws, f"{column}_{key}_{unit}", scale, title, limits))
+    return _stack(panels)
 
 
 def _force(
@@ -150,9 +129,9 @@ def _force(
 
 def _note(text: str) -> Any:
     """A remark in the upper right corner of a panel."""
-    mark = alt.MarkDef("text", align="right", baseline="top", color=SOFT, fontSize=12)
+    mark = alt.MarkDef("text", align="right", baseline="top", color=style.SOFT, fontSize=12)
     place = {"x": alt.value("width"), "y": alt.value(0), "text": alt.value(text)}
-    return alt.Chart(alt.InlineData(values=[{}]), mark=mark).encode(**place)
+    return style.inline({}).properties(mark=mark).encode(**place)
 
 
 def _tables(laws: Sequence[Law], value: Any) -> pd.DataFrame:
@@ -172,26 +151,23 @@ def _room(laws: Sequence[Law]) -> int:
 def _lines(
     table: pd.DataFrame, laws: Sequence[Law], title: str, *, last: bool, log: bool = False
 ) -> Any:
-    scale = log_scale() if log else alt.Scale()
-    return (
+    scale, axis = style.log_scale() if log else alt.Scale(), alt.Axis(tickCount=4)
+    line = (
         alt.Chart(table)
         .mark_line(strokeWidth=1.3, interpolate="step-after")
         .encode(
             x=alt.X("t:Q", title="t [s]" if last else None, scale=alt.Scale(nice=False)),
-            y=alt.Y("value:Q", title=title, scale=scale, axis=alt.Axis(tickCount=4)),
+            y=alt.Y("value:Q", title=title, scale=scale, axis=axis),
             color=_law(laws),
             strokeDash=_dash(laws),
         )
-        .properties(width=_WIDTH, height=84)
     )
+    return line.properties(width=_WIDTH, height=84)
 
 
 def _limits(values: Sequence[float]) -> Any:
-    return (
-        alt.Chart(pd.DataFrame({"limit": list(values)}))
-        .mark_rule(strokeDash=[5, 3], color=SOFT)
-        .encode(y="limit:Q")
-    )
+    chart = alt.Chart(pd.DataFrame({"limit": list(values)}))
+    return chart.mark_rule(strokeDash=[5, 3], color=style.SOFT).encode(y="limit:Q")
 
 
 def _stack(panels: Sequence[Any]) -> Any:
@@ -202,11 +178,11 @@ def _stack(panels: Sequence[Any]) -> Any:
 
 def _law(laws: Sequence[Law]) -> alt.Color:
     labels = [law.label for law in laws]
-    return coloured("law", labels, PALETTE[: len(laws)], labelLimit=260, columns=1)
+    return style.coloured("law", labels, style.PALETTE[: len(laws)], labelLimit=260, columns=1)
 
 
 def _dash(laws: Sequence[Law]) -> alt.StrokeDash:
-    scale = names_scale((law.label for law in laws), [[1, 0], [6, 3]][: len(laws)])
+    scale = style.names_scale((law.label for law in laws), [[1, 0], [6, 3]][: len(laws)])
     return alt.StrokeDash("law:N", title=None, scale=scale)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import altair as alt
@@ -39,6 +39,8 @@ PALETTE = (
     "#8c510a",
 )
 """The same for lines, whatever they stand for."""
+FLOOR = 1e-16
+"""Errors below it are drawn at it."""
 NAMES = "names"
 """A layer of points so called has names: the field `solver`, beside its point where it covers no
 other name and left out where there is no room."""
@@ -104,18 +106,38 @@ def below(**options: Any) -> alt.Legend:
     return alt.Legend(orient="bottom", **options)
 
 
-def tip(field: str, title: Any = alt.Undefined, digits: int = 4) -> alt.Tooltip:
-    """A number in a tooltip, to so many digits, under its own name or a title."""
-    return alt.Tooltip(field, title=title, format=f".{digits}~g")
+def tip(field: str, title: Any = alt.Undefined, digits: int = 4) -> Any:
+    """A word (`:N`) or a number, to so many digits, in a tooltip, under its own name or a title."""
+    form = alt.Undefined if field.endswith(":N") else f".{digits}~g"
+    return alt.Tooltip(field, title=title, format=form)
 
 
-def limit_rule(y: float) -> Any:
-    """A dashed line at the height of what the demand allows."""
-    return (
-        alt.Chart(alt.InlineData(values=[{"limit": y}]))
-        .mark_rule(color=MISSES, strokeDash=[4, 3])
-        .encode(y="limit:Q")
-    )
+def either(test: Any, yes: object, no: object) -> Any:
+    """One look where `test` holds, a selection or an expression, and else the other."""
+    return alt.condition(test, alt.value(yes), alt.value(no))
+
+
+def named_rows(field: str, names: Sequence[str] | None, **axis: Any) -> alt.Y:
+    """A row for each name, in this order; None: as they come. `axis` as of `altair.Axis`."""
+    return alt.Y(f"{field}:N", title=None, sort=names, axis=alt.Axis(**axis))
+
+
+def inline(*values: dict[str, Any], name: Any = alt.Undefined) -> alt.Chart:
+    """A chart of a few values; of none where the page fills the data set `name`."""
+    return alt.Chart(alt.InlineData(values=list(values), name=name))
+
+
+def limit_rule(limit: float, across: str = "y") -> Any:
+    """A dashed line at what the demand allows, on the axis `across` which it stands."""
+    rule = inline({"limit": limit}).mark_rule(color=MISSES, strokeDash=[4, 3])
+    return rule.encode(**{across: "limit:Q"})
+
+
+def whole_rows(base: alt.Chart, shown: Any, wide: int = ROW_STEP["wide"], **look: Any) -> Any:
+    """What marks rows with a name from end to end, as high as they are; `look` as of a rule."""
+    height = alt.ExprRef(f"narrow ? {ROW_STEP['narrow']} : {wide}")
+    ends: dict[str, Any] = {"x": alt.value(0), "x2": alt.value("width")}
+    return base.mark_rule(strokeWidth=height, **look).encode(**ends, opacity=shown)
 
 
 def alike(low: float, high: float, x: alt.X, y: alt.Y) -> Any:
@@ -127,8 +149,7 @@ def alike(low: float, high: float, x: alt.X, y: alt.Y) -> Any:
     """
     fields = [str(axis.shorthand).removesuffix(":Q") for axis in (x, y)]
     ends = [dict.fromkeys(fields, end) for end in (low, high)]
-    chart = alt.Chart(alt.InlineData(values=ends))
-    return chart.mark_line(color=SOFT, strokeDash=[4, 3]).encode(x=x, y=y)
+    return inline(*ends).mark_line(color=SOFT, strokeDash=[4, 3]).encode(x=x, y=y)
 
 
 _WORDS: dict[str, Any] = {

@@ -3,20 +3,17 @@ the address."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
 import numpy as np
 import pandas as pd
-from markupsafe import Markup
 
 from dpbench.analysis.compare.times import Compared, Timing
-from dpbench.report.charts.pairs import COLUMNS as STEP_COLUMNS
 from dpbench.report.charts.pairs import pairs
-from dpbench.report.charts.render import svg, vega
 from dpbench.report.charts.style import ROW_STEP
 from dpbench.report.compare.comparison import Comparison
 from dpbench.report.compare.tables import answer_line, shared_line, times_table
@@ -24,8 +21,7 @@ from dpbench.report.compare.times_chart import COLUMNS, both, ratios
 from dpbench.report.formats import interval_text, plural, unmarked
 from dpbench.report.page.facts import columns_of
 from dpbench.report.page.pack import Block
-from dpbench.report.page.vendored import script, vendored
-from dpbench.report.page.write import environment, follow, own
+from dpbench.report.page.write import drawn, own, rendered, specification
 from dpbench.report.table import Table
 
 SHOWN = 12
@@ -41,25 +37,17 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
     order = _claims_first(comparison.compared)
     charts = _charts(order, comparison.margin)
     times = _times(order, comparison) if order else None
-    template = environment().get_template("compare.html.j2")
-    text = template.render(
-        css=Markup(own("templates/page.css")),
+    text = rendered(
+        "compare",
+        [own(f"scripts/{name}.js") for name in ("common", "compare")],
         verdict="worse somewhere" if comparison.worse else "no regression shown",
         lead=lead(comparison),
         lines=[unmarked(line) for line in comparison.lines],
-        figures={
-            name: Markup(follow(svg(chart, titled=False)))
-            for name, chart in charts.items()
-            if name != "steps"
-        },
+        figures={name: drawn(chart) for name, chart in charts.items() if name != "steps"},
         left_out=len(order) - len(_furthest(_table(order))) if order else 0,
-        times=None if times is None else _cut(times),
-        tables=[_cut(_small(t)) for t in comparison.tables if not _is_times(t)],
+        times=times,
+        tables=[replace(t, shown=MOST_ROWS) for t in comparison.tables if not _is_times(t)],
         block="" if times is None else _block(order, charts, times),
-        scripts=[
-            *(Markup(script(entry)) for entry in vendored()),
-            *(Markup(own(f"scripts/{name}.js")) for name in ("common", "compare")),
-        ],
     )
     path.write_text(text, encoding="utf-8")
     return path
@@ -78,11 +66,10 @@ def _charts(order: Sequence[Compared], margin: float) -> dict[str, Any]:
     if not order:
         return {}
     table = _table(order)
-    nothing = pd.DataFrame(columns=list(STEP_COLUMNS))
     return {
         "ratios": ratios(_furthest(table), margin),
         "both": both(table),
-        "steps": pairs(nothing, "A: step time", "B: step time"),
+        "steps": pairs("A: step time", "B: step time"),
     }
 
 
@@ -116,36 +103,19 @@ def _is_times(table: Table) -> bool:
     return "B/A less machine" in table.heads
 
 
-def _times(order: Sequence[Compared], comparison: Comparison) -> dict[str, Any]:
+def _times(order: Sequence[Compared], comparison: Comparison) -> Table:
     """The table of times in the order of the page, without `LEFT_OUT`."""
-    whole = times_table(
-        order,
-        comparison.margin,
-        comparison.alpha,
-        ordered=True,
-        reference=comparison.reference,
-    )
-    small = _small(whole)
+    c = comparison
+    whole = times_table(order, c.margin, c.alpha, ordered=True, reference=c.reference)
     kept = [i for i, head in enumerate(whole.heads) if head not in LEFT_OUT]
-    return small | {
-        "head": [small["head"][i] for i in kept],
-        "rows": [[row[i] for i in kept] for row in small["rows"]],
-    }
+    heads, *rows = (tuple(row[i] for i in kept) for row in (whole.heads, *whole.rows))
+    return replace(whole, heads=heads, rows=tuple(rows), shown=MOST_ROWS)
 
 
-def _small(table: Table) -> dict[str, Any]:
-    rows = [[unmarked(cell) for cell in row] for row in table.rows]
-    return {"title": table.title, "note": table.note, "head": table.heads, "rows": rows}
-
-
-def _cut(table: dict[str, Any]) -> dict[str, Any]:
-    rows = table["rows"]
-    return table | {"rows": rows[:MOST_ROWS], "cut": max(0, len(rows) - MOST_ROWS)}
-
-
-def _block(order: Sequence[Compared], charts: dict[str, Any], times: dict[str, Any]) -> str:
+def _block(order: Sequence[Compared], charts: dict[str, Any], times: Table) -> str:
     """The data of the page: every configuration with its steps, and the figures."""
     block, addresses = Block(), _addresses(order)
+    cells_of = replace(times, shown=None).page_rows
     rows = [
         {
             "name": one.timing.pair.a.configuration.label,
@@ -155,13 +125,13 @@ def _block(order: Sequence[Compared], charts: dict[str, Any], times: dict[str, A
             "cells": cells,
             **_steps(block, one.timing),
         }
-        for one, address, cells in zip(order, addresses, times["rows"], strict=True)
+        for one, address, cells in zip(order, addresses, cells_of, strict=True)
     ]
     document = {
         "compared": columns_of(rows),
-        "heads": list(times["head"]),
+        "heads": list(times.heads),
         "row_step": ROW_STEP,
-        "charts": {name: json.loads(follow(json.dumps(vega(c)))) for name, c in charts.items()},
+        "charts": {name: specification(chart) for name, chart in charts.items()},
     }
     return block.text(document)
 

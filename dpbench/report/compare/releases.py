@@ -28,7 +28,7 @@ from dpbench.report.formats import (
     significant,
     time_text,
 )
-from dpbench.report.table import Table, document, head_and_rows
+from dpbench.report.table import Table, document
 
 BUSY = 0.05
 """A load kernel that changed by more says that the machine was busier in one of two runs."""
@@ -159,10 +159,10 @@ def _tables(histories: Histories) -> list[Table]:
         "Counts are per round. Closed loops run beside each other and are not timed."
     )
     tables = [
-        Table(
+        Table.of(
+            [row for history in own_histories for row in _rows(history, histories)],
             f"{solver} over its releases",
-            note,
-            *head_and_rows([row for history in own_histories for row in _rows(history, histories)]),
+            note=note,
             text_columns=4,
         )
         for solver, own_histories in changed.items()
@@ -174,7 +174,7 @@ def _tables(histories: Histories) -> list[Table]:
         kept = [{head: row[head] for head in row if head not in BEFORE} for row in rows]
         note = "For comparison: what these differ by is no change of a solver."
         title = "Of one version in all folders"
-        tables.append(Table(title, note, *head_and_rows(kept), text_columns=5))
+        tables.append(Table.of(kept, title, note=note, text_columns=5))
     return tables
 
 

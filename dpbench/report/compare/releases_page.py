@@ -6,28 +6,18 @@ What a step takes with each version, and how wrong it is.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import altair as alt
 import pandas as pd
-from markupsafe import Markup
 
 from dpbench.analysis.compare.releases import Histories, History, Release
-from dpbench.report.charts.render import svg
-from dpbench.report.charts.style import (
-    ACCENT,
-    MISSES,
-    NOT_RUN,
-    coloured,
-    log_scale,
-    names_scale,
-    styled,
-    tip,
-)
+from dpbench.report.charts import style
 from dpbench.report.compare.releases import Releases
 from dpbench.report.formats import MISSING
-from dpbench.report.page.write import environment, follow, own
+from dpbench.report.page.write import drawn, rendered
 
 COLUMNS = ("label", "age", "problem", "p50", "p99", "largest", "error")
 AGES = ("newest release", "earlier release")
@@ -48,21 +38,14 @@ def write_releases(path: Path, releases: Releases) -> Path:
             release_errors(table, releases.demand.error_move)
         ),
     }
-    text = (
-        environment()
-        .get_template("releases.html.j2")
-        .render(
-            css=Markup(own("templates/page.css")),
-            lead=releases.lead,
-            lines=releases.lines,
-            figures=[
-                (caption, Markup(follow(svg(chart, titled=False))))
-                for caption, chart in charts.items()
-                if len(table)
-            ],
-            tables=[table for table in releases.tables if table.rows],
-            missing=MISSING,
-        )
+    figures = [(caption, drawn(chart)) for caption, chart in charts.items() if len(table)]
+    text = rendered(
+        "releases",
+        lead=releases.lead,
+        lines=releases.lines,
+        figures=figures,
+        tables=[table for table in releases.tables if table.rows],
+        missing=MISSING,
     )
     path.write_text(text, encoding="utf-8")
     return path
@@ -100,14 +83,12 @@ def release_times(table: pd.DataFrame, unit: str) -> Any:
     table : columns `COLUMNS`, the first row on top; unit : of the times.
     """
     base = _base(table)
-    x = alt.X("p50:Q", title=f"step time [{unit}]", scale=log_scale(), axis=_axis("~g"))
+    x = alt.X("p50:Q", title=f"step time [{unit}]", scale=style.log_scale(), axis=_axis("~g"))
     line = base.mark_rule(strokeWidth=2).encode(x=x, x2="largest:Q")
-    bar = (
-        base.transform_filter("isValid(datum.p99)").mark_rule(strokeWidth=8).encode(x=x, x2="p99:Q")
-    )
-    point = base.mark_point(filled=True, size=60, opacity=1).encode(x=x)
-    chart = alt.layer(line, bar, point, width=_WIDTH, height=alt.Step(20))
-    return _panels(chart, "Step time", "Step times of each solver, version by version.")
+    known = base.transform_filter("isValid(datum.p99)")
+    bar = known.mark_rule(strokeWidth=8).encode(x=x, x2="p99:Q")
+    layers = (line, bar, _point(base, x))
+    return _panels(layers, "Step time", "Step times of each solver, version by version.")
 
 
 def release_errors(table: pd.DataFrame, allowed: float) -> Any:
@@ -117,19 +98,13 @@ def release_errors(table: pd.DataFrame, allowed: float) -> Any:
     ----------
     table : as of `release_times`; an error of 0 or none at all has no point.
     """
-    x = alt.X(
-        "error:Q",
-        title="largest error of the first move [rate-limit steps]",
-        scale=log_scale(),
-        axis=_axis(".0e"),
-    )
-    base = _base(table)
-    drawn = base.transform_filter("isFinite(datum.error) && datum.error > 0")
-    point = drawn.mark_point(filled=True, size=60, opacity=1).encode(x=x)
+    title = "largest error of the first move [rate-limit steps]"
+    x = alt.X("error:Q", title=title, scale=style.log_scale(), axis=_axis(".0e"))
+    drawn = _base(table).transform_filter("isFinite(datum.error) && datum.error > 0")
     limit = alt.Chart(table).transform_calculate(limit=f"{allowed}")
-    rule = limit.mark_rule(strokeDash=[4, 3], color=MISSES).encode(x="limit:Q")
-    chart = alt.layer(rule, point, width=_WIDTH, height=alt.Step(20))
-    return _panels(chart, "Error", "Largest error of each solver, version by version.")
+    rule = limit.mark_rule(strokeDash=[4, 3], color=style.MISSES).encode(x="limit:Q")
+    layers = (rule, _point(drawn, x))
+    return _panels(layers, "Error", "Largest error of each solver, version by version.")
 
 
 def _axis(form: str) -> alt.Axis:
@@ -137,19 +112,20 @@ def _axis(form: str) -> alt.Axis:
 
 
 def _base(table: pd.DataFrame) -> Any:
-    names = alt.Axis(labelLimit=170)
-    shape = alt.Shape("age:N", scale=names_scale(AGES, ("circle", "diamond")))
-    order = list(dict.fromkeys(table["label"]))
-    tips = [alt.Tooltip("label:N"), *(tip(f"{name}:Q") for name in COLUMNS[3:])]
     return alt.Chart(table).encode(
-        y=alt.Y("label:N", sort=order, title=None, axis=names),
-        color=coloured("age", AGES, (ACCENT, NOT_RUN)),
-        shape=shape,
-        tooltip=tips,
+        y=style.named_rows("label", list(dict.fromkeys(table["label"])), labelLimit=170),
+        color=style.coloured("age", AGES, (style.ACCENT, style.NOT_RUN)),
+        shape=alt.Shape("age:N", scale=style.names_scale(AGES, ("circle", "diamond"))),
+        tooltip=["label:N", *(style.tip(f"{name}:Q") for name in COLUMNS[3:])],
     )
 
 
-def _panels(chart: Any, title: str, description: str) -> Any:
+def _point(base: Any, x: alt.X) -> Any:
+    return base.mark_point(filled=True, size=60, opacity=1).encode(x=x)
+
+
+def _panels(layers: Sequence[Any], title: str, description: str) -> Any:
+    chart = alt.layer(*layers, width=_WIDTH, height=alt.Step(20))
     header = alt.Header(title=None, labelAnchor="start", labelOrient="top", labelFontSize=12)
     row = alt.Row("problem:N", title=None, header=header, sort=None)
-    return styled(chart.facet(row=row).resolve_scale(y="independent"), title, description)
+    return style.styled(chart.facet(row=row).resolve_scale(y="independent"), title, description)

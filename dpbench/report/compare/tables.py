@@ -33,18 +33,22 @@ def solvers_table(compared: Sequence[Compared], answers: Sequence[Answer]) -> Ta
         own = [c for c in compared if c.timing.pair.a.solver == solver]
         times = Counter[str](c.assessment.verdict for c in own)
         changes = Counter[str](a.change for a in answers if a.pair.a.solver == solver)
-        cells = (_together(times, TIMES), _together(changes, ("worse", "better", "same")))
         counts = ", ".join(f"{times[v]} {v}" for v in TIMES if times[v]) or MISSING
-        rows.append((solver, *cells, counts, count_text(changes.total())))
-    return Table(
-        title="Verdict per solver",
-        note="Over all ways to run it: slower, faster, worse or better where a configuration is "
+        rows.append(
+            {
+                "solver": solver,
+                "step times": _together(times, TIMES),
+                "accuracy and control": _together(changes, ("worse", "better", "same")),
+                "configurations": counts,
+                "figures": count_text(changes.total()),
+            }
+        )
+    note = (
+        "Over all ways to run it: slower, faster, worse or better where a configuration is "
         "and none is the contrary; equivalent where every configuration is; same where every "
-        "figure is. Claims on step times hold together over all solvers.",
-        heads=("solver", "step times", "accuracy and control", "configurations", "figures"),
-        rows=tuple(rows),
-        text_columns=4,
+        "figure is. Claims on step times hold together over all solvers."
     )
+    return Table.of(rows, "Verdict per solver", note=note, text_columns=4)
 
 
 def _together(counts: Counter[str], order: tuple[str, ...]) -> str:
@@ -76,46 +80,30 @@ def times_table(
         compared if ordered else sorted(compared, key=lambda c: TIMES.index(c.assessment.verdict))
     )
     percent = f"{100 * margin:g} %"
-    return Table(
-        title="Step times, replays",
-        note=(
-            "B/A: geometric mean over the steps of the ratio of algorithmic times (minimum over "
-            f"as many rounds of either run). Machine: {machine}, taken out of the next. Its "
-            "interval holds for all rows together and counts the noise between two runs. Slower or "
-            f"faster: by more than {percent}; equivalent: within {percent}; each kind of claim "
-            f"with a family-wise error of {100 * alpha:g} % (Holm)."
-        ),
-        heads=(
-            "configuration",
-            "sequence",
-            "A p50 [µs]",
-            "B p50 [µs]",
-            "B/A",
-            "machine",
-            "B/A less machine",
-            "interval",
-            "steps × rounds",
-            "verdict",
-        ),
-        rows=tuple(_time_row(c) for c in rows),
-        text_columns=2,
+    note = (
+        "B/A: geometric mean over the steps of the ratio of algorithmic times (minimum over "
+        f"as many rounds of either run). Machine: {machine}, taken out of the next. Its "
+        "interval holds for all rows together and counts the noise between two runs. Slower or "
+        f"faster: by more than {percent}; equivalent: within {percent}; each kind of claim "
+        f"with a family-wise error of {100 * alpha:g} % (Holm)."
     )
+    return Table.of(list(map(_time_row, rows)), "Step times, replays", note=note, text_columns=2)
 
 
-def _time_row(compared: Compared) -> tuple[str, ...]:
+def _time_row(compared: Compared) -> dict[str, str]:
     timing, assessment = compared.timing, compared.assessment
-    return (
-        timing.pair.label,
-        timing.pair.a.problem,
-        micro_text(timing.median_ns[0]),
-        micro_text(timing.median_ns[1]),
-        f"{assessment.raw:.3f}",
-        f"{assessment.machine:.3f}",
-        f"{assessment.ratio.value:.3f}",
-        interval_text(assessment.ratio.low, assessment.ratio.high),
-        f"{count_text(timing.steps)} × {count_text(timing.rounds)}",
-        assessment.verdict,
-    )
+    return {
+        "configuration": timing.pair.label,
+        "sequence": timing.pair.a.problem,
+        "A p50 [µs]": micro_text(timing.median_ns[0]),
+        "B p50 [µs]": micro_text(timing.median_ns[1]),
+        "B/A": f"{assessment.raw:.3f}",
+        "machine": f"{assessment.machine:.3f}",
+        "B/A less machine": f"{assessment.ratio.value:.3f}",
+        "interval": interval_text(assessment.ratio.low, assessment.ratio.high),
+        "steps × rounds": f"{count_text(timing.steps)} × {count_text(timing.rounds)}",
+        "verdict": assessment.verdict,
+    }
 
 
 def shared_line(shared: Shared) -> str:
@@ -141,16 +129,12 @@ def answers_table(answers: Sequence[Answer], margin: float) -> Table | None:
     if not changed:
         return None
     changed.sort(key=lambda answer: answer.change != "worse")
-    return Table(
-        title="Accuracy and control: what changed",
-        note=(
-            f"{plural(len(changed), 'figure')} of {count_text(len(answers))}; the others are the "
-            f"same within {100 * margin:g} %, counts and shares exactly. A range: over the rounds."
-        ),
-        heads=("configuration", "experiment", "figure", "A", "B", "change"),
-        rows=tuple(_answer_row(answer) for answer in changed),
-        text_columns=3,
+    note = (
+        f"{plural(len(changed), 'figure')} of {count_text(len(answers))}; the others are the "
+        f"same within {100 * margin:g} %, counts and shares exactly. A range: over the rounds."
     )
+    rows, title = list(map(_answer_row, changed)), "Accuracy and control: what changed"
+    return Table.of(rows, title, note=note, text_columns=3)
 
 
 def answer_line(answer: Answer) -> str:
@@ -160,15 +144,16 @@ def answer_line(answer: Answer) -> str:
     return f"{answer.measure.head} of {answer.pair.label} in {answer.pair.a.problem}, {values}"
 
 
-def _answer_row(answer: Answer) -> tuple[str, ...]:
-    return (
-        answer.pair.label,
-        f"{answer.pair.a.mode.replace('_', ' ')} of {answer.pair.a.problem}",
-        answer.measure.head,
-        _range_text(answer.measure.column, answer.a),
-        _range_text(answer.measure.column, answer.b),
-        answer.change,
-    )
+def _answer_row(answer: Answer) -> dict[str, str]:
+    column = answer.measure.column
+    return {
+        "configuration": answer.pair.label,
+        "experiment": f"{answer.pair.a.mode.replace('_', ' ')} of {answer.pair.a.problem}",
+        "figure": answer.measure.head,
+        "A": _range_text(column, answer.a),
+        "B": _range_text(column, answer.b),
+        "change": answer.change,
+    }
 
 
 def _range_text(column: str, values: Range) -> str:

@@ -3,7 +3,7 @@ is."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from dpbench.analysis.verdict.fastest import best_of_each
 from dpbench.analysis.verdict.verdict import Verdict
@@ -29,9 +29,7 @@ def report_markdown(results: Results, facts: Facts, answer: Answer, topics: Sequ
         else []
     )
     parts = [f"# dpbench: {suite.get('name', 'results')}", *lead, *said]
-    rows = solver_rows(facts)
-    if rows:
-        parts.append(markdown(HEAD, rows, 3))
+    parts.append(solver_table(best_of_each(facts.verdicts)))
     held = ", ".join(chip.text for chip in answer.chips)
     if held:
         parts.append(f"Valid for: {held}.")
@@ -45,23 +43,27 @@ def report_markdown(results: Results, facts: Facts, answer: Answer, topics: Sequ
     return cut(text, MOST_BYTES, "tables/verdicts.csv")
 
 
-def solver_rows(facts: Facts) -> list[tuple[str, ...]]:
-    """A row for the best configuration of each solver, under `HEAD`."""
-    return [solver_row(verdict) for verdict in best_of_each(facts.verdicts)]
+def solver_table(verdicts: Iterable[Verdict]) -> str:
+    """A row for each configuration, in Markdown; empty without one."""
+    rows = solver_rows(verdicts)
+    return markdown(HEAD, rows, 3) if rows else ""
 
 
-def solver_row(verdict: Verdict) -> tuple[str, ...]:
-    """The row of a configuration, under `HEAD`."""
-    return (
-        verdict.configuration.solver,
-        verdict.configuration.options,
-        verdict.state,
-        time_text(verdict.p50_ns),
-        time_text(verdict.p99_ns),
-        time_text(verdict.algo_max_ns),
-        error_text(verdict.error_move),
-        str(verdict.failed_steps),
-    )
+def solver_rows(verdicts: Iterable[Verdict]) -> list[tuple[str, ...]]:
+    """A row for each configuration, under `HEAD`."""
+    return [
+        (
+            verdict.configuration.solver,
+            verdict.configuration.options,
+            verdict.state,
+            time_text(verdict.p50_ns),
+            time_text(verdict.p99_ns),
+            time_text(verdict.algo_max_ns),
+            error_text(verdict.error_move),
+            str(verdict.failed_steps),
+        )
+        for verdict in verdicts
+    ]
 
 
 def cut(text: str, most_bytes: int, elsewhere: str) -> str:

@@ -7,7 +7,6 @@ who ran them how. The steps stay at home: they are a hundred times as large.
 from __future__ import annotations
 
 import datetime
-import hashlib
 import shutil
 from pathlib import Path
 from typing import Annotated
@@ -15,7 +14,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, StringConstraints
 
 from dpbench.bench.capability.table import CAPABILITY_FILE, load_capability
-from dpbench.bench.record.result_folder import Results, load_results, read_json
+from dpbench.bench.record.result_folder import Results, hashes, load_results, read_json
 from dpbench.errors import InputError, ResultsError
 from dpbench.report.formats import and_list, plural
 from dpbench.scenario.problem_files import read_model
@@ -143,7 +142,7 @@ def _check_runs(folder: Path, results: Results) -> None:
 def _check_page(folder: Path) -> None:
     """The page names the very files beside it, by their hashes."""
     page = _there(folder / PAGE).read_text(encoding="utf-8", errors="replace")
-    for name in _copied(folder):
-        if hashlib.sha256((folder / name).read_bytes()).hexdigest() not in page:
+    for name, sha in hashes(folder, _copied(folder)).items():
+        if sha not in page:
             allowed = "the page of these files: `dpbench report DIR --send FOLDER`"
             raise ResultsError(str(folder / PAGE), "", f"a page of another {name}", allowed)

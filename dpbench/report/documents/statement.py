@@ -6,7 +6,6 @@ covered. It is drawn as SVG and turned into PDF, and claims nothing that is not 
 
 from __future__ import annotations
 
-import hashlib
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,8 +16,8 @@ import vl_convert as vlc
 
 from dpbench.analysis.verdict.fastest import recommend
 from dpbench.analysis.verdict.verdict import Verdict
-from dpbench.bench.record.result_folder import Results
-from dpbench.bench.record.revision import revision_text
+from dpbench.bench.record.result_folder import Results, hashes
+from dpbench.bench.record.revision import made_by
 from dpbench.errors import InputError
 from dpbench.report.charts.style import INK, LINE, SOFT
 from dpbench.report.formats import error_text, plural, time_text
@@ -29,6 +28,7 @@ from dpbench.solvers.settings import level_options
 
 WIDTH, HEIGHT, MARGIN = 595, 842, 48
 """A4 in points."""
+HASHED = ("runs.parquet", "steps.parquet", "machine.json", "suite.json")
 NOT_COVERED = (
     "Other vessels, thrusters, tunings, horizons, limits and weather than those named here.",
     "Other computers, compilers, library builds and versions; times of an embedded target.",
@@ -81,7 +81,7 @@ def _lines(folder: Path, results: Results, facts: Facts, chosen: Verdict) -> lis
     version = _version(results, c.solver)
     return [
         Line("QP solver for the model predictive controller of a DP vessel", 14, bold=True),
-        Line(f"Statement on measured results, {_made_by(results)}", 10, colour=SOFT),
+        Line(f"Statement on measured results, {made_by(results.suite)}", 10, colour=SOFT),
         *_section("Recommended"),
         Line(
             f"Solver {c.solver} {version}, route {c.route}, policy {c.policy}, settings "
@@ -108,19 +108,13 @@ def _lines(folder: Path, results: Results, facts: Facts, chosen: Verdict) -> lis
         *_section("Not covered"),
         *(line for text in NOT_COVERED for line in _wrapped(f"– {text}")),
         *_section("Where the numbers are"),
-        *(Line(f"{name}  SHA-256 {sha}", 7.5) for name, sha in _hashes(folder)),
+        *(Line(f"{name}  SHA-256 {sha}", 7.5) for name, sha in hashes(folder, HASHED).items()),
         Line(
             f"Suite {results.suite.get('name', '')}, started "
             f"{results.suite.get('started_utc', '')[:19]} UTC.",
             8.5,
         ),
     ]
-
-
-def _made_by(results: Results) -> str:
-    """Version and commits of the dpbench that made the run."""
-    version = f"dpbench {results.suite.get('harness_version', '')}"
-    return ", ".join(filter(None, (version, revision_text(results.suite))))
 
 
 def _section(title: str) -> list[Line]:
@@ -160,15 +154,6 @@ def _machine(results: Results) -> str:
         f"{machine.get('python', '')}, "
         f"numpy {versions.get('numpy', '')}; description {machine.get('id', '')}."
     )
-
-
-def _hashes(folder: Path) -> list[tuple[str, str]]:
-    names = ("runs.parquet", "steps.parquet", "machine.json", "suite.json")
-    return [
-        (name, hashlib.sha256((folder / name).read_bytes()).hexdigest())
-        for name in names
-        if (folder / name).is_file()
-    ]
 
 
 def _page(lines: Sequence[Line]) -> str:

@@ -9,6 +9,7 @@ from math import isnan
 from typing import Any
 
 from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.times.machine import shortest_wait_ns
 from dpbench.analysis.times.pairs import faster_but_open, paired_comparison
 from dpbench.analysis.verdict.fastest import Recommendation, fastest_of, known_record, recommend
 from dpbench.analysis.verdict.verdict import Verdict
@@ -22,7 +23,6 @@ from dpbench.report.formats import (
     time_text,
     unmarked,
 )
-from dpbench.report.machine_verdict import shortest_wait_ns
 from dpbench.report.page.facts import Facts
 from dpbench.report.verdict_text import (
     NOBODY,

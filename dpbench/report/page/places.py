@@ -8,8 +8,9 @@ import re
 import numpy as np
 
 from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.verdict.places import Place
 from dpbench.report.formats import share_text
-from dpbench.report.page.facts import Facts, Place
+from dpbench.report.page.facts import Facts
 from dpbench.report.page.terms import Word
 
 MOST_PLACES = 60
@@ -43,7 +44,7 @@ def _said(facts: Facts, place: Place, run: RunRecord) -> str:
 
 def _replayed(facts: Facts, run: RunRecord) -> str:
     """Which steps of the scenario, and how many of them have something to solve."""
-    first = int(run.description.get("first", 0))
+    first = run.first_step
     window = f"steps {first} to {first + run.steps_planned} of " if "[" in run.sequence else ""
     kept = facts.kept.get(run.run_id)
     if kept is None:

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.suites.study import Study
+from dpbench.analysis.suites.study_pictures import behind_cm, mean_cm, worst_run
 
 MOST_RUNS = 20_000
 """So many runs of studies stand on the page with their errors; the rest is in the files."""
@@ -55,7 +55,7 @@ def study_document(
             "sea": rows["replicate"].tolist(),
             "held": [int(held) for held in rows["held"]],
             "tail_m": _short(rows["r_tail_max_m"].where(rows["finished"])),
-            "behind_cm": _short(_behind_cm(study, rows)),
+            "behind_cm": _short(behind_cm(study, rows)),
             "id": rows["run_id"].tolist(),
         },
     }
@@ -66,25 +66,8 @@ def opening(study: Study, shown_runs: Sequence[RunRecord]) -> RunRecord | None:
     or else the one farthest from the exactly solved loop, a sea that it does not hold, or else the
     one in which it is farthest off; None where nothing is shown."""
     kept = {run.run_id: run for run in shown_runs[:MOST_LOOPS] if run.study == study.name}
-    rows = study.runs[study.runs["run_id"].isin(list(kept))]
-    if rows.empty:
-        return None
-    known = [c for c in study.configurations if (rows["configuration"] == c.name).any()]
-    worst = min(reversed(known), key=lambda c: c.held)
-    rows = rows[rows["configuration"] == worst.name]
-    share = rows.groupby("point")["held"].transform("mean")
-    order = rows.assign(share=share).sort_values(
-        ["share", "held", "r_tail_max_m"], ascending=[True, True, False], kind="stable"
-    )
-    return kept[str(order["run_id"].iloc[0])]
-
-
-def _behind_cm(study: Study, rows: pd.DataFrame) -> pd.Series[float]:
-    """How far each run is behind that of the reference in the same sea [cm]; NaN without one."""
-    reference = study.values(study.reference, "r_95_m")
-    sea = pd.MultiIndex.from_frame(rows[["point", "replicate"]])
-    other = pd.Series(reference.reindex(sea).to_numpy(), index=rows.index)
-    return (100.0 * (rows["r_95_m"] - other)).where(rows["finished"])
+    worst = worst_run(study, list(kept))
+    return None if worst is None else kept[worst]
 
 
 def _mean(study: Study, name: str) -> dict[str, Any]:
@@ -93,10 +76,7 @@ def _mean(study: Study, name: str) -> dict[str, Any]:
     known: dict[str, Any] = {"held": found.held, "pairs": 0}
     if found.behind is None or found.behind.pairs == 0:
         return known
-    mean = found.behind.mean
-    ends = (mean.low, mean.high) if np.isfinite(mean.low) else (mean.value, mean.value)
-    numbers = zip(("mean_cm", "low_cm", "high_cm"), (mean.value, *ends), strict=True)
-    return known | {n: 100.0 * x for n, x in numbers} | {"pairs": found.behind.pairs}
+    return known | mean_cm(found.behind)
 
 
 def _short(values: Iterable[float]) -> list[float | None]:

@@ -9,10 +9,11 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.verdict.fastest import best_of_each
+from dpbench.analysis.verdict.places import Place
 from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.report.charts.ladder import COLUMNS as LADDER_COLUMNS
-from dpbench.report.page.facts import Facts, Place, number
+from dpbench.report.page.facts import Facts, number
 
 ALWAYS = ("solver", "way", "settings", "where", "outcome", "demand")
 GROUPS: dict[str, tuple[str, ...]] = {

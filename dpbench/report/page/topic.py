@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
-from dpbench.report.formats import unmarked
+from dpbench.report.table import Table
 
 
 @dataclass(frozen=True)
@@ -15,27 +15,6 @@ class Figure:
     name: str
     chart: Any
     caption: str
-
-
-@dataclass(frozen=True)
-class SmallTable:
-    """A table of a topic, of text alone.
-
-    Its file has all rows, the page the first `shown`: by default all, with 0 no table. One that is
-    `folded` opens with a click.
-    """
-
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    title: str = ""
-    shown: int | None = None
-    folded: bool = False
-
-    @property
-    def on_page(self) -> SmallTable:
-        """What is shown, without the marks of Markdown, which a page would show too."""
-        rows = self.rows[: self.shown]
-        return replace(self, rows=tuple(tuple(unmarked(c) for c in r) for r in rows))
 
 
 @dataclass(frozen=True)
@@ -50,7 +29,7 @@ class Topic:
     title: str
     lines: tuple[str, ...] = ()
     figures: tuple[Figure, ...] = ()
-    tables: tuple[SmallTable, ...] = ()
+    tables: tuple[Table, ...] = ()
     paste: str = ""
     leads: bool = False
     short: str = ""

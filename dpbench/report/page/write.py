@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import base64
-import hashlib
 import json
-import math
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
@@ -20,37 +18,27 @@ from markupsafe import Markup
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.suites.study import SMALL_M
-from dpbench.analysis.times.pairs import common_ratio
+from dpbench.analysis.times.pairs import log_reach
 from dpbench.analysis.times.work_precision import LevelPoint, level_points
-from dpbench.analysis.verdict.fastest import best_of_each
+from dpbench.analysis.verdict.fastest import best_of_each, known_record
+from dpbench.analysis.verdict.places import Place
+from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
-from dpbench.bench.record.result_folder import Results
-from dpbench.bench.record.revision import revision_text
+from dpbench.bench.record.result_folder import Results, hashes
+from dpbench.bench.record.revision import made_by
+from dpbench.report.charts import style
 from dpbench.report.charts.accuracy import accuracy
 from dpbench.report.charts.ladder import ladder
 from dpbench.report.charts.matrix import MOST_ACROSS, matrix
-from dpbench.report.charts.pairs import COLUMNS as PAIR_COLUMNS
 from dpbench.report.charts.pairs import pairs
 from dpbench.report.charts.render import FORMATS, svg, vega
 from dpbench.report.charts.strips import COLUMNS as STRIP_COLUMNS
 from dpbench.report.charts.strips import strips
 from dpbench.report.charts.study import behind_there, design, seas_there
-from dpbench.report.charts.style import (
-    ACCENT,
-    FAMILY_COLOURS,
-    FILLS,
-    GRID,
-    INK,
-    LINE,
-    PAPER,
-    ROW_STEP,
-    SOFT,
-    STATE_COLOURS,
-)
 from dpbench.report.glossary import topics as glossary
 from dpbench.report.page.answer import Answer, call_text
 from dpbench.report.page.cite import software
-from dpbench.report.page.facts import Facts, Place, columns_of, number
+from dpbench.report.page.facts import Facts, columns_of, number, way_of
 from dpbench.report.page.places import place_words
 from dpbench.report.page.steps import FLAGS
 from dpbench.report.page.tables import (
@@ -64,13 +52,12 @@ from dpbench.report.page.tables import (
 from dpbench.report.page.terms import Terms, Word
 from dpbench.report.page.topic import Topic
 from dpbench.report.page.vendored import script, vendored
-from dpbench.solvers.table import record
 
 ABOUT = (
     "Quadratic-programming solvers in the predictive controller of a dynamically positioned ship"
 )
 _STATES = ("var(--good)", "var(--warn)", "var(--late)", "var(--bad)", "var(--none)")
-_HUES = [hue for hue in FAMILY_COLOURS.values() if hue not in STATE_COLOURS]
+_HUES = [hue for hue in style.FAMILY_COLOURS.values() if hue not in style.STATE_COLOURS]
 FILES = {
     "runs.parquet": "one row a run",
     "steps.parquet": "one row a step",
@@ -80,14 +67,14 @@ FILES = {
     "tables/runs.csv": "the runs as CSV; README.md beside it explains all tables",
 }
 VARIABLES = {
-    INK: "var(--ink)",
-    SOFT: "var(--soft)",
-    LINE: "var(--line)",
-    GRID: "var(--grid)",
-    PAPER: "var(--paper)",
-    ACCENT: "var(--accent)",
-    **dict(zip(STATE_COLOURS, _STATES, strict=True)),
-    **dict(zip(FILLS, (f"{state[:-1]}-fill)" for state in _STATES), strict=True)),
+    style.INK: "var(--ink)",
+    style.SOFT: "var(--soft)",
+    style.LINE: "var(--line)",
+    style.GRID: "var(--grid)",
+    style.PAPER: "var(--paper)",
+    style.ACCENT: "var(--accent)",
+    **dict(zip(style.STATE_COLOURS, _STATES, strict=True)),
+    **dict(zip(style.FILLS, (f"{state[:-1]}-fill)" for state in _STATES), strict=True)),
     **dict(zip(_HUES, (f"var(--hue-{letter})" for letter in "abcdef"), strict=True)),
 }
 """Colours of the figures that follow the page into the dark."""
@@ -111,21 +98,17 @@ def page_html(
     topics : sections below those that follow the selection.
     light : without scripts and the steps they show: what a browser shows that runs none.
     """
-    pictures = {
-        name: Markup(follow(svg(chart, titled=False)))
-        for name, chart in charts.items()
-        if name in DRAWN
-    }
+    pictures = {name: drawn(chart) for name, chart in charts.items() if name in DRAWN}
     lead = next((topic for topic in topics if topic.leads), None)
     others = [topic for topic in topics if topic is not lead]
     places = place_words(facts)
     block = "" if light else facts.block.text(_document(facts, results, answer, charts, places))
-    template = environment().get_template("page.html.j2")
-    return template.render(
+    return rendered(
+        "page",
+        ["\n".join(own(f"scripts/{name}.js") for name in SCRIPTS)],
         title=f"dpbench: {results.suite.get('name', folder.name)}",
         subtitle=str(results.suite.get("title", "")),
         about=ABOUT,
-        css=Markup(own("templates/page.css")),
         sections=_sections(facts, charts, others, light),
         answer=answer,
         figures=dict.fromkeys(charts, True) | pictures,
@@ -146,10 +129,6 @@ def page_html(
         terms=Terms([*WORDS, *glossary()["Solvers and how they are run"]]),
         footer=_footer(results),
         block=block,
-        scripts=[
-            *(Markup(script(entry)) for entry in vendored()),
-            Markup("\n".join(own(f"scripts/{name}.js") for name in SCRIPTS)),
-        ],
     )
 
 
@@ -210,7 +189,7 @@ def charts_of(facts: Facts, calling_ns: float) -> dict[str, Any]:
         charts["strips_replay"] = strips(no_steps, None, facts.demand.error_move)
     if len(set(replayed)) > 1:
         # The axes are named by signals of these names, which the page adds.
-        charts["pairs"] = pairs(pd.DataFrame(columns=list(PAIR_COLUMNS)), "first", "second")
+        charts["pairs"] = pairs("first", "second")
     if facts.studies:
         charts |= {"design_tiles": design(tiles=True), "design_points": design(tiles=False)}
         charts |= {"behind": behind_there(100 * SMALL_M), "seas": seas_there()}
@@ -237,8 +216,7 @@ def _points(facts: Facts) -> pd.DataFrame:
 
 def _point(facts: Facts, point: LevelPoint, states: Mapping[Configuration, str]) -> dict[str, Any]:
     configuration = point.configuration
-    names = ("solver", "route", "policy", "settings")
-    return {name: getattr(configuration, name) for name in names} | {
+    return way_of(configuration) | {
         "id": str(facts.index(configuration.in_common_formulation)),
         "family": _solver(configuration.solver)["family"],
         "error": point.error_move,
@@ -257,28 +235,7 @@ def _document(
 ) -> dict[str, Any]:
     cells = list(facts.cells())
     verdicts = {v.configuration: v for v in facts.verdicts.all}
-    rows = []
-    for c in facts.configurations:
-        v = verdicts.get(c)
-        rows.append(
-            {
-                "solver": c.solver,
-                "route": c.route,
-                "policy": c.policy,
-                "settings": c.settings,
-                "outcome": "not judged" if v is None else v.state,
-                "why": "" if v is None else answer.why(v),
-                "p50": None if v is None else number(v.p50_ns),
-                "p99": None if v is None else number(v.p99_ns),
-                "max": None if v is None else number(v.algo_max_ns),
-                "raw": None if v is None else number(v.raw_max_ns),
-                "error": None if v is None else number(v.error_move),
-                "failed": None if v is None else v.failed_steps,
-                "timed_at": None if v is None else facts.timed_at(v),
-                "call": call_text(c),
-                **_longest(facts, c),
-            }
-        )
+    rows = [_configuration(facts, answer, c, verdicts.get(c)) for c in facts.configurations]
     return {
         "solvers": {c.solver: _solver(c.solver) for c in facts.configurations},
         "configurations": columns_of(rows),
@@ -286,7 +243,7 @@ def _document(
         "cells": columns_of(cells),
         "flags": FLAGS,
         "most_across": MOST_ACROSS,
-        "row_step": ROW_STEP,
+        "row_step": style.ROW_STEP,
         "demand": {
             "error_move": facts.demand.error_move,
             "deadline_ms": facts.demand.deadline_ms,
@@ -300,6 +257,25 @@ def _document(
     }
 
 
+def _configuration(
+    facts: Facts, answer: Answer, c: Configuration, v: Verdict | None
+) -> dict[str, Any]:
+    """What the page says of a configuration; of one that is not judged only what it is."""
+    times = {} if v is None else {"p50": v.p50_ns, "p99": v.p99_ns, "max": v.algo_max_ns}
+    return {
+        **way_of(c),
+        "outcome": "not judged" if v is None else v.state,
+        "why": "" if v is None else answer.why(v),
+        **{name: number(times.get(name)) for name in ("p50", "p99", "max")},
+        "raw": None if v is None else number(v.raw_max_ns),
+        "error": None if v is None else number(v.error_move),
+        "failed": None if v is None else v.failed_steps,
+        "timed_at": None if v is None else facts.timed_at(v),
+        "call": call_text(c),
+        **_longest(facts, c),
+    }
+
+
 def _longest(facts: Facts, c: Configuration) -> dict[str, Any]:
     """The largest single timing of a configuration in all its places [ns], and the place."""
     place, run = facts.longest_timing(c) or (None, None)
@@ -310,7 +286,7 @@ def _longest(facts: Facts, c: Configuration) -> dict[str, Any]:
 
 def _specifications(charts: Mapping[str, Any]) -> dict[str, Any]:
     """The figures as Vega; the narrow matrix takes its tiles from the wide one."""
-    made = {name: json.loads(follow(json.dumps(vega(c)))) for name, c in charts.items()}
+    made = {name: specification(chart) for name, chart in charts.items()}
     for data in made.get("matrix_narrow", {}).get("data", ()):
         if "values" in data:
             data["values"] = []
@@ -347,22 +323,16 @@ def _paired(facts: Facts) -> dict[str, Any]:
     for (c, p), run in facts.runs.items():
         if facts.places[p].mode == "replay" and (times := facts.records.times(run)) is not None:
             timed.setdefault(c, {})[p] = times
-    reach = []
-    for first, second in combinations(timed.values(), 2):
-        ratio = common_ratio((first[p], second[p]) for p in first if p in second)
-        known = ratio.low > 0.0 and ratio.high < math.inf
-        reach.append(0.5 * math.log(ratio.high / ratio.low) if known else math.nan)
+    reach = [log_reach(*two) for two in combinations(timed.values(), 2)]
     return {"c": list(timed), "reach": facts.block.log(reach)}
 
 
 def _places(facts: Facts, words: Mapping[int, Word]) -> list[dict[str, Any]]:
     """What the page says of each place, from the first run there; the seas of a study whose loops
     the page has no room for are places without one."""
-    first: dict[int, RunRecord] = {}
-    for (_, p), run in facts.runs.items():
-        first.setdefault(p, run)
+    shows = {p: {"shows": word.meaning} for p, word in words.items()}
     return [
-        _place(facts, place, first.get(p)) | ({"shows": words[p].meaning} if p in words else {})
+        _place(facts, place, facts.first_runs.get(p)) | shows.get(p, {})
         for p, place in enumerate(facts.places)
     ]
 
@@ -374,9 +344,7 @@ def _place(facts: Facts, place: Place, run: RunRecord | None) -> dict[str, Any]:
     if run is None:
         return said
     if not place.study:
-        path = run.description.get("source", {}).get("path")
-        said["source"] = path or run.scenario or run.sequence
-        said["first"] = int(run.description.get("first", 0))
+        said |= {"source": run.source, "first": run.first_step}
     scenario = facts.scenario(run) if run.scenario else None
     if scenario is not None:
         said["reference"] = [float(x) for x in scenario.reference]
@@ -386,11 +354,9 @@ def _place(facts: Facts, place: Place, run: RunRecord | None) -> dict[str, Any]:
 
 def _solver(name: str) -> dict[str, str]:
     """What is known of a solver; of one that is not installed here, nothing."""
-    try:
-        known = record(name)
-    except ValueError:
-        return {"family": "not stated", "method": ""}
-    return {"family": str(getattr(known, "family", "not stated")), "method": known.method}
+    known = known_record(name)
+    family = str(getattr(known, "family", "not stated"))
+    return {"family": family, "method": known.method if known else ""}
 
 
 MATRIX = (
@@ -437,36 +403,38 @@ def _markup(topic: Topic) -> dict[str, Any]:
         "title": topic.title,
         "lines": topic.lines,
         "figures": figures,
-        "tables": [t.on_page for t in topic.tables if t.shown != 0],
+        "tables": [t for t in topic.tables if t.shown != 0],
         "paste": topic.paste,
     }
 
 
 def _files(folder: Path) -> list[dict[str, str]]:
-    return [
-        {
-            "name": name,
-            "holds": holds,
-            "sha": _sha256(folder / name),
-        }
-        for name, holds in FILES.items()
-        if (folder / name).is_file()
-    ]
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    known = hashes(folder, FILES)
+    return [{"name": name, "holds": FILES[name], "sha": sha} for name, sha in known.items()]
 
 
 def _footer(results: Results) -> str:
-    versions = results.machine.get("versions", {})
-    commit = revision_text(results.suite)
-    return (
-        f"dpbench {results.suite.get('harness_version', '')}{f', {commit}' if commit else ''}, run "
-        f"{results.suite.get('started_utc', '')[:10]}; "
-        f"numpy {versions.get('numpy', '')}."
-    )
+    numpy = results.machine.get("versions", {}).get("numpy", "")
+    started = results.suite.get("started_utc", "")[:10]
+    return f"{made_by(results.suite)}, run {started}; numpy {numpy}."
+
+
+def drawn(chart: Any) -> Markup:
+    """A figure as it stands on a page before any script has run."""
+    return Markup(follow(svg(chart, titled=False)))
+
+
+def specification(chart: Any) -> dict[str, Any]:
+    """A figure as Vega, in the colours of the page."""
+    made: dict[str, Any] = json.loads(follow(json.dumps(vega(chart))))
+    return made
+
+
+def rendered(template: str, scripts: Sequence[str] = (), **shown: Any) -> str:
+    """A page out of a template, with the style of all pages, and texts of scripts of its own."""
+    texts = [*map(script, vendored()), *scripts]
+    shown |= {"css": Markup(own("templates/page.css")), "scripts": list(map(Markup, texts))}
+    return environment().get_template(f"{template}.html.j2").render(**shown)
 
 
 @cache

@@ -6,28 +6,23 @@ predictive control design for dynamic positioning of a supply ship".
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.suites.paper import OF_PAPER, Pair, is_of_paper, paper_pair
 from dpbench.display import numbers_text
 from dpbench.report.charts.ship import CIRCLE_M, errors
 from dpbench.report.formats import count_text, plural, seconds_text, share_text, significant
-from dpbench.scenario.scenario import Scenario, load_scenario
 
 State = Literal["reproduced", "not reproduced", "opposite", "not measured"]
 
-OF_PAPER = ("paper", "paper_tight")
-"""Scenarios that restate the paper's case."""
-PROSE = ("title", "shows", "source")
-"""Entries of a problem file that nothing is computed from."""
 STEADY_M = 0.05
 """A steady radial error below this counts as nearly stationary."""
 SAME = 0.01
@@ -43,66 +38,37 @@ class Claim:
     state: State
 
 
-@dataclass(frozen=True)
-class Pair:
-    """The constrained loop that follows the exact one most closely, and the baseline law.
-
-    whole : steps of the whole scenario; the loops are complete but may have been asked for fewer.
-    """
-
-    constrained: RunRecord | None
-    clipped: RunRecord | None
-    whole: int = 0
-
-    def short(self, *rows: RunRecord) -> str:
-        """How far the shortest of some runs falls short of the whole scenario; empty if none."""
-        done = min(row.steps_done for row in rows)
-        return f"{count_text(done)} of {plural(self.whole, 'step')}" if done < self.whole else ""
-
-
-def pair_of(view: Records, scenario: str) -> Pair:
-    """The two laws of a scenario, each from a complete one of its longest closed loops."""
-    loops = [r for r in view.full_loops(scenario) if r.has_steps and r.outcome == "finished"]
-    solved = [row for row in loops if not row.is_baseline_law and row.policy == "fresh"]
-    best = min(solved, key=_deviation, default=None)
-    clipped = next((row for row in loops if row.is_baseline_law), None)
-    return Pair(best, clipped, view.whole_steps(scenario))
-
-
-def _paper_pair(view: Records, name: str) -> Pair:
-    return pair_of(view, name) if is_of_paper(view, name) else Pair(None, None)
-
-
-def _deviation(row: RunRecord) -> tuple[float, str]:
-    value = row.dev_position_max_m
-    return (math.inf if math.isnan(value) else value, row.solver)
-
-
 def claims(view: Records) -> list[Claim]:
     """All claims, in the order of the paper; those on heading and settling are read off Fig. 5."""
-    paper, tight = (_paper_pair(view, name) for name in OF_PAPER)
-    return [
-        _alone(
-            paper,
-            "The ship is held within the 1 m precision circle (Fig. 4)",
-            partial(_circle, view),
-        ),
-        _alone(paper, "It is nearly stationary there (steady error below 5 cm)", _stationary),
-        _both(
-            paper, "The constrained law is smoother in the transient: less overshoot", _transient
-        ),
-        _both(paper, "It settles earlier (Fig. 5)", _settling),
-        _both(paper, "Its steady error is smaller (tuning of `paper`)", partial(_steady, view)),
-        _both(
-            tight, "Its steady error is smaller (`paper_tight`, R × 0.7)", partial(_steady, view)
-        ),
-        _both(paper, "Its precision is better in heading too (Fig. 5)", _heading),
-        _alone(paper, "The rate limits shape the transfer (Fig. 7)", _rates),
-        _alone(paper, "No limit is ever violated (Figs 6, 7)", _violations),
-    ]
+    paper, tight = (paper_pair(view, name) for name in OF_PAPER)
+    circle, steady = partial(_circle, view), partial(_steady, view)
+    said: tuple[tuple[Pair, str, Callable[..., Finding], int], ...] = (
+        (paper, "The ship is held within the 1 m precision circle (Fig. 4)", circle, 1),
+        (paper, "It is nearly stationary there (steady error below 5 cm)", _stationary, 1),
+        (paper, "The constrained law is smoother in the transient: less overshoot", _transient, 2),
+        (paper, "It settles earlier (Fig. 5)", _settling, 2),
+        (paper, "Its steady error is smaller (tuning of `paper`)", steady, 2),
+        (tight, "Its steady error is smaller (`paper_tight`, R × 0.7)", steady, 2),
+        (paper, "Its precision is better in heading too (Fig. 5)", _heading, 2),
+        (paper, "The rate limits shape the transfer (Fig. 7)", _rates, 1),
+        (paper, "No limit is ever violated (Figs 6, 7)", _violations, 1),
+    )
+    return [Claim(claim, *_found(pair, find, laws)) for pair, claim, find, laws in said]
 
 
 Finding = tuple[str, State]
+
+
+def _found(pair: Pair, find: Callable[..., Finding], laws: int) -> Finding:
+    """What is found of the constrained law, or of both, where they ran to the end."""
+    runs = [run for run in (pair.constrained, pair.clipped)[:laws] if run is not None]
+    if len(runs) < laws:
+        both = "one of the two laws has no complete closed loop"
+        return both if laws == 2 else "no complete closed loop of this scenario", "not measured"
+    done = min(run.steps_done for run in runs)
+    if done < pair.whole:
+        return f"{count_text(done)} of {plural(pair.whole, 'step')}", "not measured"
+    return find(*runs)
 
 
 def _state(holds: bool) -> State:
@@ -115,22 +81,6 @@ def _less(constrained: float, clipped: float, margin: float = 0.0) -> State:
     if constrained < (1.0 - margin) * clipped:
         return "reproduced"
     return "opposite" if clipped < (1.0 - margin) * constrained else "not reproduced"
-
-
-def _alone(pair: Pair, claim: str, find: Callable[[RunRecord], Finding]) -> Claim:
-    if pair.constrained is None:
-        return Claim(claim, "no complete closed loop of this scenario", "not measured")
-    if short := pair.short(pair.constrained):
-        return Claim(claim, short, "not measured")
-    return Claim(claim, *find(pair.constrained))
-
-
-def _both(pair: Pair, claim: str, find: Callable[[RunRecord, RunRecord], Finding]) -> Claim:
-    if pair.constrained is None or pair.clipped is None:
-        return Claim(claim, "one of the two laws has no complete closed loop", "not measured")
-    if short := pair.short(pair.constrained, pair.clipped):
-        return Claim(claim, short, "not measured")
-    return Claim(claim, *find(pair.constrained, pair.clipped))
 
 
 def _circle(view: Records, row: RunRecord) -> Finding:
@@ -170,13 +120,10 @@ def _transient(row: RunRecord, law: RunRecord) -> Finding:
 
 def _settling(row: RunRecord, law: RunRecord) -> Finding:
     constrained, clipped = row.settle_0p1m_s, law.settle_0p1m_s
-    text = (
-        f"settles into 0.1 m after {seconds_text(constrained)} against {seconds_text(clipped)} "
-        "clipped"
-        if math.isfinite(constrained)
-        else f"never settles into 0.1 m, against {seconds_text(clipped)} clipped"
-    )
-    return text, _less(constrained, clipped)
+    text = "never settles into 0.1 m,"
+    if math.isfinite(constrained):
+        text = f"settles into 0.1 m after {seconds_text(constrained)}"
+    return f"{text} against {seconds_text(clipped)} clipped", _less(constrained, clipped)
 
 
 def _steady(view: Records, row: RunRecord, law: RunRecord) -> Finding:
@@ -239,24 +186,3 @@ def choices(view: Records) -> list[tuple[str, str]]:
         ),
         ("estimator", "none: the state is known without noise"),
     ]
-
-
-def is_of_paper(view: Records, name: str) -> bool:
-    """Whether a scenario of the rows is the paper's own of that name, and not one named alike."""
-    scenario = view.scenario(name) if name in OF_PAPER else None
-    return scenario is not None and _content(scenario) == _own_content(name)
-
-
-@cache
-def _own_content(name: str) -> str:
-    return _content(load_scenario(name))
-
-
-def _content(scenario: Scenario) -> str:
-    """What a scenario computes with: its documents without the prose, which may be reworded."""
-    files = scenario.files
-    documents = {
-        key: {name: value for name, value in files[key].items() if name not in PROSE}
-        for key in ("scenario", "vessel")
-    }
-    return json.dumps(documents, sort_keys=True)

@@ -10,9 +10,8 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.demand import Demand, is_right_to_the_end
 from dpbench.report.formats import MISSING, and_list, count_text, plural, significant
-from dpbench.report.page.topic import SmallTable, Topic
-
-HEAD = ("configuration", "right in", "steps with a fallback", "farthest from the exact loop", "in")
+from dpbench.report.page.topic import Topic
+from dpbench.report.table import Table
 
 
 def loops_topic(records: Records, demand: Demand) -> Topic | None:
@@ -36,11 +35,12 @@ def loops_topic(records: Records, demand: Demand) -> Topic | None:
         others = f" {plural(rest, 'configuration')} {'is' if rest == 1 else 'are'} not."
         lead = f"Right on every step of {asked}: {_named(right)}.{others if rest else ''}"
     rows = [
-        (name, f"{whole[name]} of {len(runs)}", *_control(runs)) for name, runs in by_name.items()
+        {"configuration": name, "right in": f"{whole[name]} of {len(runs)}"} | _control(runs)
+        for name, runs in by_name.items()
     ]
-    rows.sort(key=lambda row: -whole[row[0]])
+    rows.sort(key=lambda row: -whole[row["configuration"]])
     note = "The distance from the exactly solved loop is what wrong or late answers do to the ship."
-    return Topic("loops", "Closed loops", (lead, note), (), (SmallTable(HEAD, tuple(rows)),))
+    return Topic("loops", "Closed loops", (lead, note), (), (Table.of(rows),))
 
 
 def _named(names: Sequence[str]) -> str:
@@ -48,11 +48,14 @@ def _named(names: Sequence[str]) -> str:
     return and_list(list(names)) if len(names) <= 4 else f"{len(names)} configurations"
 
 
-def _control(runs: Sequence[RunRecord]) -> tuple[str, str, str]:
+def _control(runs: Sequence[RunRecord]) -> dict[str, str]:
     """Steps in which the fallback acted, the largest distance from the exact loop and where."""
     fallbacks = sum(run.fallbacks for run in runs if math.isfinite(run.fallbacks))
     off = [run for run in runs if math.isfinite(run.dev_position_max_m)]
-    if not off:
-        return count_text(fallbacks), MISSING, MISSING
-    worst = max(off, key=lambda run: run.dev_position_max_m)
-    return count_text(fallbacks), f"{significant(worst.dev_position_max_m)} m", worst.scenario
+    worst = max(off, key=lambda run: run.dev_position_max_m, default=None)
+    farthest = MISSING if worst is None else f"{significant(worst.dev_position_max_m)} m"
+    return {
+        "steps with a fallback": count_text(fallbacks),
+        "farthest from the exact loop": farthest,
+        "in": MISSING if worst is None else worst.scenario,
+    }

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.paper import pair_of
 from dpbench.bench.design import STILL, WEATHER, Bracket, Designs
 from dpbench.report.charts.ship import Law, forces, increments, path, precision
 from dpbench.report.formats import MISSING, rounded_down, rounded_up, unmarked
 from dpbench.report.page import cite
-from dpbench.report.page.topic import Figure, SmallTable, Topic
-from dpbench.report.topics.claims import Claim, choices, claims, pair_of
+from dpbench.report.page.topic import Figure, Topic
+from dpbench.report.table import Table
+from dpbench.report.topics.claims import Claim, choices, claims
 
 PAPER = "paper"
 
@@ -50,11 +52,11 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
             Figure(f"paper-{name}", draw(laws, scenario), caption) for name, draw, caption in DRAWN
         ),
         tables=(
-            SmallTable(
+            Table(
                 ("claim", "measured here", "state"),
                 tuple((claim.claim, claim.found, claim.state) for claim in judged),
             ),
-            SmallTable(
+            Table(
                 ("left open", "chosen"),
                 tuple(choices(records)),
                 "What the paper leaves open",
@@ -83,9 +85,9 @@ def held_text(judged: Sequence[Claim]) -> str:
     return f"{held} of {len(states)} claims of Xia, Liu, Pang & Xue are reproduced"
 
 
-def _stability(designs: Designs) -> SmallTable:
+def _stability(designs: Designs) -> Table:
     """Largest root of paper eq. 35 and the sway offset held, of each controller."""
-    return SmallTable(
+    return Table(
         (
             "controller",
             "largest |λ| (eq. 35)",

@@ -10,8 +10,8 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.random_claims import RandomClaims, Tally
 from dpbench.report.charts.lines import tiles
 from dpbench.report.formats import and_list
-from dpbench.report.page.topic import Figure, SmallTable, Topic
-from dpbench.report.table import head_and_rows
+from dpbench.report.page.topic import Figure, Topic
+from dpbench.report.table import Table
 
 
 def _liars(by_solver: Mapping[tuple[str, ...], Tally]) -> str:
@@ -45,7 +45,7 @@ def random_topic(records: Records) -> Topic | None:
             "A set that knows of no ship: it says whom to trust, not who is fast.",
         ),
         figures=(Figure("random-claims", tiles(table, "False claims", "family", "solver"), ""),),
-        tables=(SmallTable(*head_and_rows([_row(name, tally) for (name,), tally in rows])),),
+        tables=(Table.of([_row(name, tally) for (name,), tally in rows]),),
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import isfinite
@@ -11,13 +10,15 @@ from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.statistics import Interval, paired_ratio
+from dpbench.analysis.times.contrasts import common_replays, fastest_forms, right_levels
 from dpbench.analysis.times.pairs import paired
 from dpbench.analysis.times.routes import native_comparisons, route_comparisons
 from dpbench.analysis.verdict.demand import Demand, is_right
 from dpbench.bench.judge.rules import median, percentile
 from dpbench.bench.record.configuration import settings_level
 from dpbench.report.formats import MISSING, and_list, plural, significant, time_text
-from dpbench.report.page.topic import SmallTable, Topic
+from dpbench.report.page.topic import Topic
+from dpbench.report.table import Table
 
 
 def routes_topic(records: Records) -> Topic | None:
@@ -37,7 +38,7 @@ def routes_topic(records: Records) -> Topic | None:
                 rows.append((compared.solver, compared.settings, change, *figures))
         if rows:
             head = ("solver", "settings", "from → to", "times as fast (95 %)", "p50")
-            tables.append(SmallTable(head, tuple(rows), sequence))
+            tables.append(Table(head, tuple(rows), sequence))
     if not tables:
         return None
     said = (
@@ -96,15 +97,7 @@ def levels_topic(records: Records, demand: Demand) -> Topic | None:
 def _right_levels(records: Records, demand: Demand) -> str:
     """Which solvers are right on every step with the settings of their library, and which only with
     others."""
-    runs = sorted(records.runs, key=lambda run: settings_level(run.settings))
-    levels_of = {
-        solver: grouped(own, lambda run: run.settings)
-        for solver, own in grouped(runs, lambda run: run.solver).items()
-    }
-    good = {
-        solver: [level for level, own in of.items() if all(is_right(run, demand) for run in own)]
-        for solver, of in levels_of.items()
-    }
+    good = right_levels(records, demand)
     by_default = [name for name, levels in good.items() if "default" in levels]
     others = [
         f"{name} at {and_list(levels)}"
@@ -124,38 +117,20 @@ def race_topic(records: Records) -> Topic | None:
         return None
     first, second = records.solvers
     rows, said = [], []
-    for sequence in records.sequences:
-        for run in records.replays(sequence, solver=first):
-            here = records.times(run)
-            rivals = [
-                other
-                for other in records.replays(sequence, solver=second)
-                if other.configuration.label_of(first) == run.configuration.label
-            ]
-            there = records.times(rivals[0]) if rivals else None
-            if here is None or there is None:
-                continue
-            ratio = paired_ratio(*paired(here, there))
-            options = run.configuration.options
-            said.append(f"{_ratio_text(ratio)} in {sequence} ({options})")
-            rows.append(
-                (
-                    sequence,
-                    options,
-                    *(time_text(median(t.algo_ns)) for t in (here, there)),
-                    *(time_text(percentile(t.algo_ns, 99)) for t in (here, there)),
-                    _ratio_text(ratio),
-                )
-            )
+    for run, *both in common_replays(records, first, second):
+        ratio = paired_ratio(*paired(*both))
+        options = run.configuration.options
+        said.append(f"{_ratio_text(ratio)} in {run.sequence} ({options})")
+        p50 = [time_text(median(times.algo_ns)) for times in both]
+        p99 = [time_text(percentile(times.algo_ns, 99)) for times in both]
+        rows.append((run.sequence, options, *p50, *p99, _ratio_text(ratio)))
     if not rows:
         return None
-    head = ("sequence", "way", *(f"{s} p50" for s in (first, second)))
-    head += (*(f"{s} p99" for s in (first, second)), "ratio (95 %)")
+    times = [f"{solver} {time}" for time in ("p50", "p99") for solver in (first, second)]
+    head = ("sequence", "way", *times, "ratio (95 %)")
     lead = f"{first} takes {', '.join(said)} times as long a step as {second}."
     note = "Geometric mean of the paired ratios of all common steps."
-    return Topic(
-        "race", f"{first} against {second}", (lead, note), (), (SmallTable(head, tuple(rows)),)
-    )
+    return Topic("race", f"{first} against {second}", (lead, note), (), (Table(head, tuple(rows)),))
 
 
 def _tables(
@@ -164,7 +139,7 @@ def _tables(
     runs: Sequence[RunRecord],
     varied: Callable[[RunRecord], str],
     kept: Callable[[RunRecord], str],
-) -> list[SmallTable]:
+) -> list[Table]:
     """For each replayed sequence a table of median step times: a row for what is kept, a column for
     what is varied; none of sequences where it was not varied."""
     replays = [run for run in runs if run.mode == "replay" and not run.is_baseline_law]
@@ -180,24 +155,17 @@ def _tables(
             cells = (_median_text(records, own.get(column), demand) for column in columns)
             rows.append((name, *cells))
         title = sequence + (" (SI units)" if units == "si" else "")
-        tables.append(SmallTable(("configuration", *columns), tuple(rows), title))
+        tables.append(Table(("configuration", *columns), tuple(rows), title))
     return tables
 
 
 def _fastest_forms(records: Records, demand: Demand) -> str:
     """How often each form is the fastest right one."""
-    by_case: dict[tuple[str, str, str], dict[str, float]] = {}
-    for run in records.all_runs:
-        times = records.times(run) if run.mode == "replay" and not run.has_topic else None
-        if times is not None and is_right(run, demand):
-            case = run.sequence, run.units, run.configuration.in_common_formulation.label
-            by_case.setdefault(case, {})[run.formulation] = median(times.algo_ns)
-    cases = [forms for forms in by_case.values() if len(forms) > 1]
-    wins = Counter(min(forms, key=lambda form: forms[form]) for forms in cases)
+    wins = fastest_forms(records, demand)
     said = ", ".join(f"{form.replace('_', ' ')} {count}" for form, count in wins.most_common())
     return (
-        f"Fastest form with right answers, of {plural(len(cases), 'configuration')} on a sequence: "
-        f"{said or 'none'}."
+        "Fastest form with right answers, of "
+        f"{plural(wins.total(), 'configuration')} on a sequence: {said or 'none'}."
     )
 
 

@@ -8,13 +8,13 @@ from collections.abc import Sequence
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.slowdown import MARGIN, DelayedGroup, cost_ratio, delayed_groups
+from dpbench.analysis.suites.slowdown import DelayedConfiguration, DelayedGroup, delayed_groups
 from dpbench.analysis.times.horizon_sweep import Sweep, SweptConfiguration, moves_of, sweeps
-from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.demand import MARGIN, Demand, cost_ratio
 from dpbench.report.charts.lines import lines
 from dpbench.report.formats import MISSING, and_list, significant, time_text
-from dpbench.report.page.topic import Figure, SmallTable, Topic
-from dpbench.scenario.horizons import Horizons
+from dpbench.report.page.topic import Figure, Topic
+from dpbench.report.table import Table
 
 
 def horizon_topic(records: Records, demand: Demand) -> Topic | None:
@@ -23,6 +23,7 @@ def horizon_topic(records: Records, demand: Demand) -> Topic | None:
     all_sweeps = sweeps(records, demand)
     for sweep in all_sweeps:
         rows, points = [], []
+        limit = f"{_by(sweep)} within {demand.p99_ms:g} ms"
         for swept in sweep.best:
             name = swept.configuration.label
             growth = swept.growth
@@ -31,11 +32,11 @@ def horizon_topic(records: Records, demand: Demand) -> Topic | None:
                 for h, p in swept.timed.items()
             ]
             rows.append(
-                (
-                    name,
-                    MISSING if growth is None else significant(growth, 2),
-                    _longest(sweep, swept, demand.p99_ns),
-                )
+                {
+                    "configuration": name,
+                    "grows as n^": MISSING if growth is None else significant(growth, 2),
+                    f"largest horizon, {limit}": _longest(sweep, swept, demand.p99_ns),
+                }
             )
         if points:
             chart = lines(
@@ -48,12 +49,7 @@ def horizon_topic(records: Records, demand: Demand) -> Topic | None:
             figures.append(
                 Figure(f"horizon-{sweep.name}", chart, "Hollow: answers miss the demand there.")
             )
-            head = (
-                "configuration",
-                "grows as n^",
-                f"largest horizon, {_by(sweep)} within {demand.p99_ms:g} ms",
-            )
-            tables.append(SmallTable(head, tuple(rows), sweep.name))
+            tables.append(Table.of(rows, sweep.name))
     if not figures:
         return None
     said = (
@@ -71,7 +67,7 @@ def _longest_horizons(all_sweeps: Sequence[Sweep], demand: Demand) -> list[str]:
         largest = {
             swept.configuration.label: fits
             for swept in sweep.best
-            if (fits := _fits(sweep, swept, demand.p99_ns)) is not None
+            if (fits := sweep.longest_within(swept, demand.p99_ns)) is not None
         }
         limit = f"with {_by(sweep)} within {demand.p99_ms:g} ms"
         if not largest:
@@ -93,43 +89,21 @@ def _some(names: list[str]) -> str:
     return and_list(names) if rest <= 0 else f"{', '.join(names[:3])} and {rest} more"
 
 
-def _has_p99(sweep: Sweep) -> bool:
-    """Whether any of its replays has enough steps for a p99."""
-    points = [point for swept in sweep.swept for point in swept.timed.values()]
-    return any(math.isfinite(point.p99_ns) for point in points)
-
-
 def _by(sweep: Sweep) -> str:
     """The time that a horizon is judged by."""
-    return "p99" if _has_p99(sweep) else f"each of {sweep.steps} steps"
-
-
-def _fits(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> Horizons | None:
-    """The longest horizons with right answers within a limit: by p99, or by the largest step where
-    there are too few for one."""
-    if _has_p99(sweep):
-        return swept.largest_within(limit_ns)
-    held = [
-        horizons
-        for horizons, point in swept.timed.items()
-        if point.right and point.times is not None and point.times.algo_ns.max() <= limit_ns
-    ]
-    return max(held, key=moves_of, default=None)
+    return "p99" if sweep.has_p99 else f"each of {sweep.steps} steps"
 
 
 def _longest(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> str:
     """The longest horizons within a limit, and no more than the runs say: `≥` where no longer ones
     have a p99, `?` where the interval of a p99 holds the limit."""
-    if not _has_p99(sweep):
-        fits = _fits(sweep, swept, limit_ns)
-        return "none" if fits is None else f"{fits[0]}/{fits[1]}"
-    if not any(math.isfinite(point.p99_ns) for point in swept.timed.values()):
+    if sweep.has_p99 and not swept.has_p99:
         return MISSING
-    largest = swept.largest_within(limit_ns)
-    doubt = "" if swept.settled(limit_ns) else " ?"
+    largest = sweep.longest_within(swept, limit_ns)
+    doubt = " ?" if sweep.has_p99 and not swept.settled(limit_ns) else ""
     if largest is None:
         return f"none{doubt}"
-    least = "" if swept.measured_beyond(largest) else "≥ "
+    least = "≥ " if sweep.has_p99 and not swept.measured_beyond(largest) else ""
     return f"{least}{largest[0]}/{largest[1]}{doubt}"
 
 
@@ -159,18 +133,7 @@ def slowdown_topic(records: Records) -> Topic | None:
                 limit=1.0 + MARGIN,
             )
             figures.append(Figure(f"slowdown-{group.scenario}", chart, "Dashed: 10 % more cost."))
-        head = ("configuration", "survives ×", "latest answer")
-        rows = tuple(
-            (
-                delayed.configuration.label,
-                MISSING if math.isnan(delayed.survives) else f"{delayed.survives:g}",
-                time_text(
-                    max((r.latency_max_ns for r in delayed.loops.values()), default=math.nan)
-                ),
-            )
-            for delayed in group.configurations
-        )
-        tables.append(SmallTable(head, rows, group.scenario))
+        tables.append(Table.of(list(map(_survival, group.configurations)), group.scenario))
     if not tables:
         return None
     said = (
@@ -179,6 +142,15 @@ def slowdown_topic(records: Records) -> Topic | None:
         f"survives a slow-down while the loop costs at most {100 * MARGIN:g} % more.",
     )
     return Topic("slowdown", "Slower computers", said, tuple(figures), tuple(tables))
+
+
+def _survival(delayed: DelayedConfiguration) -> dict[str, str]:
+    latest_ns = max((run.latency_max_ns for run in delayed.loops.values()), default=math.nan)
+    return {
+        "configuration": delayed.configuration.label,
+        "survives ×": MISSING if math.isnan(delayed.survives) else f"{delayed.survives:g}",
+        "latest answer": time_text(latest_ns),
+    }
 
 
 def _survivors(group: DelayedGroup) -> str:

@@ -9,20 +9,22 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.times.machine import delayed_runs, disturbance_of, round_spread, timed_runs
+from dpbench.analysis.times.machine import (
+    calibration_medians,
+    delayed_runs,
+    disturbance_of,
+    round_spread,
+    shortest_wait_ns,
+    timed_runs,
+)
 from dpbench.bench.judge.calibration import off_by_ns, within_bar
 from dpbench.bench.record.disturbance import Disturbance
 from dpbench.report.charts.lines import dots
 from dpbench.report.formats import and_list, count_text, plural, share_text, significant
-from dpbench.report.machine_verdict import (
-    calibration_medians,
-    disturbance_facts,
-    machine_facts,
-    own_switches,
-    shortest_wait_ns,
-)
-from dpbench.report.page.topic import Figure, SmallTable, Topic
-from dpbench.solvers.calibration import COPY_ONLY, WAITS_NS
+from dpbench.report.machine_verdict import disturbance_facts, machine_facts, own_switches
+from dpbench.report.page.topic import Figure, Topic
+from dpbench.report.table import Table
+from dpbench.solvers.calibration import WAITS_NS
 
 UNSEEN = "not visible"
 """Of the machine, what its kernel does not show."""
@@ -30,13 +32,6 @@ COVERED = (
     "Not covered at all: other ships, weather and tunings than these; times on an embedded target; "
     "the worst step that was never met.",
 )
-
-
-def calling_ns(records: Records) -> float:
-    """What calling a library that only copies takes [ns]; NaN where it was not measured."""
-    times = [r.algo_p50_ns for r in records.calibration if r.solver == COPY_ONLY]
-    known = [t for t in times if math.isfinite(t)]
-    return min(known) if known else math.nan
 
 
 def _spread(records: Records) -> list[str]:
@@ -122,5 +117,5 @@ def trust_topic(records: Records) -> Topic | None:
         short="Trust",
         lines=(*lines, *COVERED),
         figures=tuple(figures),
-        tables=(SmallTable(("machine", ""), tuple(facts)),),
+        tables=(Table(("machine", ""), tuple(facts)),),
     )

@@ -9,7 +9,8 @@ from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.bench.judge.rules import median
 from dpbench.report.formats import MISSING, count_text, error_text, time_text
-from dpbench.report.page.topic import SmallTable, Topic
+from dpbench.report.page.topic import Topic
+from dpbench.report.table import Table
 from dpbench.report.verdict_text import answer_text
 
 
@@ -34,7 +35,7 @@ def worst_case_topic(records: Records) -> Topic | None:
         "The step that was searched for",
         (*lead, "The same step of the other configurations stands below."),
         (),
-        (SmallTable(head, tuple(rows), f"step {k}"),),
+        (Table(head, tuple(rows), f"step {k}"),),
     )
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.suites.slowdown import DelayedGroup, cost_ratio, delayed_groups
-from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.suites.slowdown import DelayedGroup, delayed_groups
+from dpbench.analysis.verdict.demand import Demand, cost_ratio
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.report.topics.sweeps import slowdown_topic
 

@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -18,8 +19,9 @@ DEMAND = Demand()
 
 
 def _verdict(records: Any, solver: str, settings: str = "default") -> Any:
-    verdicts = verdicts_of(records.view(), DEMAND).at(settings)
-    return next(verdict for verdict in verdicts if verdict.configuration.solver == solver)
+    own = verdicts_of(records.view(), DEMAND).of[solver]
+    wanted = replace(own[0].configuration, settings=settings)
+    return next(verdict for verdict in own if verdict.configuration == wanted)
 
 
 def _why(verdict: Any) -> str:

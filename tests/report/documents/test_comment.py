@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dpbench.analysis.records.worst_steps import worst_steps
 from dpbench.cli.main import main
 from dpbench.errors import InputError
-from dpbench.report.documents.comment import MOST_BYTES, beside, worst_steps
+from dpbench.report.documents.comment import MOST_BYTES, beside
 
 
 @pytest.mark.parametrize("solver", ["piqp", "ecos", "scs", "daqp"])
@@ -32,7 +33,7 @@ def test_the_worst_step_is_the_largest_of_all_replays(written: Any) -> None:
     known = {run.run_id for run in facts.records.runs}
     steps = results.steps[results.steps["run_id"].isin(set(runs["run_id"]) & known)]
     counting = steps[steps["counts"]].astype({"total_ns": float})
-    error, time, _ = worst_steps(facts, "piqp")
+    error, time, _ = worst_steps(facts.records, "piqp")
     assert (error.measure, time.measure) == ("error", "time")
     assert error.value == counting["error_move"].max()
     assert time.value == counting.groupby(["run_id", "k"])["total_ns"].min().max()

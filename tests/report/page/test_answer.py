@@ -24,7 +24,7 @@ from dpbench.report.report import Report
 
 def _facts(records: Any) -> Facts:
     view, demand = records.view(), Demand()
-    return Facts.of(view, demand, verdicts_of(view, demand))
+    return Facts.of(view, verdicts_of(view, demand))
 
 
 def _answer(records: Any, baseline: str | None = None) -> Answer:

@@ -20,7 +20,7 @@ DEMAND = Demand()
 
 def _facts(records: Any) -> Facts:
     view = records.view()
-    return Facts.of(view, DEMAND, verdicts_of(view, DEMAND))
+    return Facts.of(view, verdicts_of(view, DEMAND))
 
 
 def _state(facts: Facts, solver: str, place: str) -> str:

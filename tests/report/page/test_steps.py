@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from dpbench.analysis.records.kept_runs import FORCES, TRACK, KeptRun, track_of
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_steps import MEASURES, RunSteps, hardest
 from dpbench.analysis.records.thinning import extremes, kept
@@ -17,7 +18,7 @@ from dpbench.report.page import facts as facts_of_page
 from dpbench.report.page import steps as packing
 from dpbench.report.page.facts import Facts
 from dpbench.report.page.pack import Block
-from dpbench.report.page.steps import FLAGS, KeptRun, Room, pack_steps, track_of
+from dpbench.report.page.steps import FLAGS, Room, pack_steps
 from tests.report.page.test_pack import unpacked
 
 
@@ -86,7 +87,7 @@ def test_left_out_steps_are_missing_in_the_block() -> None:
 
 def test_a_track_has_no_more_points_than_it_may() -> None:
     """Every so manieth, the first one always."""
-    names = [*packing.TRACK, *packing.FORCES]
+    names = [*TRACK, *FORCES]
     table = pd.DataFrame({name: np.arange(1001.0) for name in names})
     track = track_of(table, np.ones(3), 100)
     assert len(track.position) == 91 and track.every == 11
@@ -112,7 +113,7 @@ def test_the_block_of_many_long_runs_stays_within_its_room(
 
     def size() -> int:
         view, demand = Records(results), Demand.of(results.suite)
-        facts = Facts.of(view, demand, verdicts_of(view, demand))
+        facts = Facts.of(view, verdicts_of(view, demand))
         cells = list(facts.cells())
         assert len(cells) == 4
         return len(facts.block.text({}))
@@ -132,7 +133,7 @@ def test_of_many_runs_fewer_hard_steps_are_listed(
     def listed(most: int) -> set[int]:
         monkeypatch.setattr(facts_of_page, "MOST_HARD", most)
         view, demand = records.view(), Demand.of({})
-        facts = Facts.of(view, demand, verdicts_of(view, demand))
+        facts = Facts.of(view, verdicts_of(view, demand))
         assert all(len(rows) == 5 for run in facts.kept.values() for rows in run.hard.values())
         return {len(rows) for cell in facts.cells() for rows in cell["hard"]}
 

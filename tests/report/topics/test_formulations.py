@@ -5,7 +5,7 @@ from typing import Any
 from dpbench.analysis.times.routes import route_comparisons
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.verdict import Verdict, verdicts_of
-from dpbench.report.page.topic import SmallTable
+from dpbench.report.table import Table
 from dpbench.report.topics.replays import formulations_topic
 
 DEMAND = Demand()
@@ -15,8 +15,8 @@ def _figures(verdict: Verdict) -> tuple[object, ...]:
     return verdict.configuration, verdict.outcome, verdict.p99_ns, verdict.steps, verdict.causes
 
 
-def _rows(table: SmallTable) -> dict[str, dict[str, str]]:
-    return {row[0]: dict(zip(table.head[1:], row[1:], strict=True)) for row in table.rows}
+def _rows(table: Table) -> dict[str, dict[str, str]]:
+    return {row[0]: dict(zip(table.heads[1:], row[1:], strict=True)) for row in table.rows}
 
 
 def test_the_forms_stand_side_by_side(records: Any) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import pandas as pd
 
@@ -18,7 +18,7 @@ from dpbench.report.charts.capability import (
     answers,
     rose,
 )
-from dpbench.report.formats import and_list, plural, significant
+from dpbench.report.formats import and_list, counted_list, plural, significant
 from dpbench.report.page.topic import Figure, Topic
 
 
@@ -69,19 +69,13 @@ def _who(plot: Plot) -> Iterator[str]:
     yield f"{len(right)} of {plural(len(plot.answers), 'solver')} {verb} {asked} rightly{names}."
     wrong = [a for a in plot.answers if a.wrong]
     if wrong:
-        yield f"Untrue claims: {_counted([(a.solver, a.wrong) for a in wrong])}."
+        yield f"Untrue claims: {counted_list((a.solver, a.wrong) for a in wrong)}."
     else:
         yield "None makes an untrue claim."
     silent = sum(1 for a in plot.answers if a.silent)
     if silent:
         leave = "leaves" if silent == 1 else "leave"
         yield f"{silent} {leave} some without an answer, or did not get so far in time."
-
-
-def _counted(counts: Sequence[tuple[str, int]]) -> str:
-    """Names with their counts, the largest first."""
-    ordered = sorted(counts, key=lambda item: -item[1])
-    return and_list([f"{name} ({count})" for name, count in ordered])
 
 
 def _figures(plot: Plot) -> Iterator[Figure]:

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from math import isfinite, nan
+from math import isfinite
 
+from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.suites.consequence import (
     HELD,
     Analysis,
-    BatchAnswers,
     consequence_analyses,
+    in_all,
+    largest_share,
 )
 from dpbench.analysis.verdict.demand import Demand, is_right_to_the_end
 from dpbench.analysis.verdict.fastest import recommend
 from dpbench.analysis.verdict.steering import (
-    Fault,
     Steering,
     is_about_thrusters,
     lost_late,
@@ -85,9 +86,7 @@ def _do(count: int) -> str:
 
 def _by_fault(steering: Steering, solvers: Sequence[str]) -> str:
     """Solvers with what is wrong with them, those of the same fault together."""
-    of_fault: dict[Fault, list[str]] = {}
-    for solver in solvers:
-        of_fault.setdefault(steering.faults[solver], []).append(solver)
+    of_fault = grouped(solvers, lambda solver: steering.faults[solver])
     return "; ".join(f"{and_list(names)}, {fault}" for fault, names in of_fault.items())
 
 
@@ -119,11 +118,10 @@ def _consequence(records: Records, chosen: Verdict | None) -> Iterator[str]:
     if not analyses:
         return
     yield f"{', '.join(map(_end, analyses)).capitalize()}."
-    own = _in_all(analyses)
-    right = {
-        name: _largest(of_it) for name, of_it in own.items() if all(a.all_right for a in of_it)
-    }
-    timed = {name: share for name, share in right.items() if isfinite(share)}
+    own = in_all(analyses)
+    right = [name for name, of_it in own.items() if all(a.all_right for a in of_it)]
+    shares = {name: largest_share(own[name]) for name in right}
+    timed = {name: share for name, share in shares.items() if isfinite(share)}
     said = ["nobody answers all of that rightly"]
     if timed:
         best = min(timed, key=lambda name: timed[name])
@@ -137,21 +135,6 @@ def _consequence(records: Records, chosen: Verdict | None) -> Iterator[str]:
     missing = sorted({a.solver for of_it in own.values() for a in of_it if a.missed})
     said += [f"alarms are missed by {and_list(missing)}"] if missing else []
     yield f"{said[0][0].upper()}{'; '.join(said)[1:]}."
-
-
-def _in_all(analyses: Sequence[Analysis]) -> dict[str, list[BatchAnswers]]:
-    """The answers of each configuration that was run in every analysis, by its name."""
-    by_name: dict[str, list[BatchAnswers]] = {}
-    for analysis in analyses:
-        for answers in analysis.answers:
-            by_name.setdefault(answers.name, []).append(answers)
-    return {name: own for name, own in by_name.items() if len(own) == len(analyses)}
-
-
-def _largest(answers: Sequence[BatchAnswers]) -> float:
-    """The largest share of a sample of some analyses; NaN where one is not known."""
-    shares = [a.largest for a in answers]
-    return max(shares) if all(map(isfinite, shares)) else nan
 
 
 def _of_batches(chosen: Verdict, names: Iterable[str]) -> str:

@@ -16,9 +16,9 @@ from dpbench.analysis.suites.consequence import (
     consequence_analyses,
 )
 from dpbench.report.charts.consequence import shares, spans
-from dpbench.report.formats import and_list, of_sample_text, plural
-from dpbench.report.page.topic import Figure, SmallTable, Topic
-from dpbench.report.table import head_and_rows
+from dpbench.report.formats import counted_list, of_sample_text, plural
+from dpbench.report.page.topic import Figure, Topic
+from dpbench.report.table import Table
 
 MOST_ROWS = 8
 """A longer table is a file alone: the figures show who is right."""
@@ -41,10 +41,7 @@ def consequence_topic(records: Records) -> Topic | None:
             + (" The counts of every solver: tables/consequence*.csv." if long else ""),
         ),
         figures=tuple(figure for analysis in analyses for figure in _figures(analysis)),
-        tables=tuple(
-            SmallTable(*head_and_rows(rows), name, shown=0 if long else None)
-            for rows, name in tables
-        ),
+        tables=tuple(Table.of(rows, name, shown=0 if long else None) for rows, name in tables),
     )
 
 
@@ -116,10 +113,8 @@ def _who(analysis: Analysis) -> str:
 
 def _liars(answers: Sequence[BatchAnswers]) -> str:
     """Whose alarms are missing, the most first."""
-    missed = sorted((a for a in answers if a.missed), key=lambda a: -a.missed)
-    if not missed:
-        return "none calls a loss held that is not"
-    return "alarms are missed by " + and_list([f"{a.name} ({a.missed})" for a in missed])
+    missed = counted_list((a.name, a.missed) for a in answers if a.missed)
+    return f"alarms are missed by {missed}" if missed else "none calls a loss held that is not"
 
 
 def _rows(analysis: Analysis) -> Iterator[dict[str, str]]:

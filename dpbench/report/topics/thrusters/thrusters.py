@@ -12,11 +12,11 @@ from collections.abc import Sequence
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.demand import Demand, is_right_to_the_end
-from dpbench.analysis.verdict.steering import is_about_thrusters
+from dpbench.analysis.verdict.steering import is_about_thrusters, largest_ratio, steered_by
 from dpbench.report.formats import MISSING, and_list, plural, significant
-from dpbench.report.page.topic import SmallTable, Topic
+from dpbench.report.page.topic import Topic
+from dpbench.report.table import Table
 
-HEAD = ("configuration", "right in", "power", "wear", "azimuth travel", "farthest off")
 MOST_ROWS = 8
 """Rows on the page, the rightest first; all of them are a file."""
 LIKE = 0.01
@@ -25,29 +25,18 @@ LIKE = 0.01
 
 def thrusters_topic(records: Records, demand: Demand) -> Topic | None:
     """The topic; None where no thruster is steered."""
-    runs = [
-        run
-        for run in records.select(mode="closed_loop")
-        if math.isfinite(run.power_share) and not run.is_baseline_law and not run.slowdown > 0.0
-    ]
-    right = [run for run in runs if is_right_to_the_end(run, demand)]
-    if not right:
+    found = steered_by(records, demand)
+    if not found.best:
         return None
-    best = {name: _nearest(right, name) for name in sorted({run.scenario for run in right})}
-    configurations: dict[str, list[RunRecord]] = {}
-    for run in runs:
-        if run.scenario in best:
-            name = run.configuration.in_common_formulation.label
-            configurations.setdefault(name, []).append(run)
+    best, configurations = found.best, found.configurations
     lead = _lead(best, configurations, demand)
     if not is_about_thrusters(records):
         # Where thrusters are one scenario among others, what they cost is not what is asked.
         return Topic("thrusters", "Thrusters", (lead,))
-    rows = sorted(
-        (_row(name, of_it, best, demand) for name, of_it in configurations.items()),
-        key=lambda row: (-int(row[1].split(" ")[0]), row[0]),
-    )
-    kept = list({row[0].split(" (")[0]: row for row in reversed(rows)}.values())[::-1]
+    rows = [row_of(name, of_it, best, demand) for name, of_it in configurations.items()]
+    rows.sort(key=lambda row: (-int(row["right in"].split(" ")[0]), row["configuration"]))
+    by_solver = {row["configuration"].split(" (")[0]: row for row in reversed(rows)}
+    kept = list(by_solver.values())[::-1]
     note = (
         "Power is Σ|f|^1.5 over all thrusters and wear Σ|Δf|/T, as a ratio to the right loop that "
         "is nearest to the exactly solved one; the largest of the scenarios that ran to their end. "
@@ -55,13 +44,8 @@ def thrusters_topic(records: Records, demand: Demand) -> Topic | None:
     )
     if len(kept) > MOST_ROWS:
         note += " All of them: tables/thrusters.csv."
-    table = SmallTable(HEAD, tuple(kept), shown=MOST_ROWS)
+    table = Table.of(kept, shown=MOST_ROWS)
     return Topic("thrusters", "Thrusters", (lead, note), (), (table,))
-
-
-def _nearest(right: Sequence[RunRecord], scenario: str) -> RunRecord:
-    of_it = [run for run in right if run.scenario == scenario]
-    return min(of_it, key=lambda run: (-run.steps_done, run.dev_position_max_m))
 
 
 def _lead(
@@ -82,26 +66,26 @@ def _lead(
     )
 
 
-def _row(
+def row_of(
     name: str, runs: Sequence[RunRecord], best: dict[str, RunRecord], demand: Demand
-) -> tuple[str, ...]:
+) -> dict[str, str]:
+    """The cells of a configuration by their heads."""
     ended = [run for run in runs if run.steps_done == best[run.scenario].steps_done]
     right = sum(is_right_to_the_end(run, demand) for run in runs)
-    columns = ("power_share", "thrust_variation", "azimuth_travel_deg")
-    ratios = [_ratio(ended, best, column) for column in columns]
     off = [run.dev_position_max_m for run in ended if math.isfinite(run.dev_position_max_m)]
-    farthest = f"{significant(max(off))} m" if off else MISSING
-    return (name, f"{right} of {len(best)}", *ratios, farthest)
+    return {
+        "configuration": name,
+        "right in": f"{right} of {len(best)}",
+        "power": _ratio(ended, best, "power_share"),
+        "wear": _ratio(ended, best, "thrust_variation"),
+        "azimuth travel": _ratio(ended, best, "azimuth_travel_deg"),
+        "farthest off": f"{significant(max(off))} m" if off else MISSING,
+    }
 
 
 def _ratio(runs: Sequence[RunRecord], best: dict[str, RunRecord], column: str) -> str:
     """The largest ratio of a metric to that of the best loop, over the scenarios."""
-    ratios = [
-        getattr(run, column) / getattr(best[run.scenario], column)
-        for run in runs
-        if getattr(best[run.scenario], column) > 0.0
-    ]
-    if not ratios:
+    largest = largest_ratio(runs, best, column)
+    if math.isnan(largest):
         return MISSING
-    largest = max(ratios)
     return "alike" if abs(largest - 1.0) < LIKE else f"× {significant(largest)}"

@@ -1,0 +1,91 @@
+"""What is kept of the steps of a run where there is no room for all: some of them, the hardest, and
+points of the ship's track."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from dpbench.analysis.records.run_steps import MEASURES, Measure, RunSteps, hardest
+from dpbench.analysis.records.thinning import kept
+from dpbench.arrays import Flags, Floats
+
+TRACK = ("n_m", "e_m", "psi_rad")
+FORCES = ("tau_x_N", "tau_y_N", "tau_n_Nm")
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Every `every`-th position (N, 3) [m, m, rad] and force (N, 3), a share of its limit."""
+
+    every: int
+    position: Floats
+    force: Floats
+
+
+class HardRow(NamedTuple):
+    """A hard step: what was said of it there, and `value`, what makes it hard."""
+
+    k: int
+    value: float
+    status: str
+    claimed: bool
+    true: bool
+    n_active: int
+
+
+@dataclass(frozen=True, eq=False)
+class KeptRun:
+    """What is kept of the steps of a run, however many it has.
+
+    Parameters
+    ----------
+    steps : those that are kept; extra : (K,) which of them for being hard alone.
+    last : the last step of the run, kept or not; is_whole : whether all are kept.
+    hard : the hardest of all by each measure, the hardest first.
+    track : None without a ship.
+    """
+
+    steps: RunSteps
+    extra: Flags
+    last: int
+    is_whole: bool
+    hard: dict[Measure, list[HardRow]]
+    track: Track | None
+
+    @classmethod
+    def of(cls, run: RunSteps, most: int, track: Track | None = None) -> KeptRun:
+        """Of a run of more than `most` steps it is thinned, see `kept`."""
+        chosen, extra = kept(run, most)
+        hard = {measure: _hard(run, measure) for measure in MEASURES}
+        is_whole = len(chosen) == len(run.k)
+        return cls(run.at(chosen), extra, int(run.k[-1]), is_whole, hard, track)
+
+
+def _hard(run: RunSteps, measure: Measure) -> list[HardRow]:
+    return [
+        HardRow(
+            int(run.k[hard.at]),
+            hard.value,
+            str(run.status[hard.at]),
+            bool(run.claimed[hard.at]),
+            bool(run.true[hard.at]),
+            int(run.n_active[hard.at]),
+        )
+        for hard in hardest(run, measure)
+    ]
+
+
+def track_of(steps: pd.DataFrame, limits: Floats, most: int) -> Track:
+    """The track of a closed loop from its rows, at most `most` points; `limits` (3,) of the forces
+    [N, N, N·m]."""
+    every = max(1, -(-len(steps) // most))
+
+    def thin(names: Iterable[str]) -> Floats:
+        return np.column_stack([steps[n].to_numpy(dtype=np.float64)[::every] for n in names])
+
+    return Track(every, thin(TRACK), thin(FORCES) / limits)

@@ -1,0 +1,86 @@
+"""The hardest steps of a solver over all of its runs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_steps import MEASURES, Measure, RunSteps, hardest
+from dpbench.bench.judge.rules import median
+from dpbench.bench.record.configuration import Configuration
+
+
+@dataclass(frozen=True)
+class WorstStep:
+    """The hardest step of a solver by one measure, in whichever run it was.
+
+    Parameters
+    ----------
+    step : the step alone.
+    value, median : of the measure, at the step and over its run: ns, iterations, or an error.
+    """
+
+    measure: Measure
+    run: RunRecord
+    step: RunSteps
+    value: float
+    median: float
+
+    @property
+    def k(self) -> int:
+        """The step of the run."""
+        return int(self.step.k[0])
+
+    @property
+    def export(self) -> str:
+        """The command that writes this step alone, with its certified optimum."""
+        run = self.run
+        k = self.k + run.first_step
+        return f"dpbench export {run.source} --at {k} --out worst-{self.measure}.npz"
+
+
+def worst_steps(records: Records, solver: str) -> list[WorstStep]:
+    """The hardest step of a solver by error, time and iterations, each once; in its replays, whose
+    QPs are those that `export` writes, or else in its loops."""
+    runs = {run.run_id: run for run in records.runs if run.solver == solver}
+    worst_of_run = {
+        run_id: _worst_of(runs[run_id], steps)
+        for run_id, steps, _ in records.run_steps(list(runs.values()))
+    }
+    stepped = [run_id for run_id in runs if run_id in worst_of_run]
+    timed = [run_id for run_id in stepped if runs[run_id].mode == "replay"]
+    worst: list[WorstStep] = []
+    for measure in sorted(MEASURES, key=lambda name: name != "error"):
+        of_runs = [worst_of_run[run_id] for run_id in timed or stepped]
+        candidates = [of_run[measure] for of_run in of_runs if measure in of_run]
+        if candidates:
+            worst.append(max(candidates, key=lambda step: step.value))
+    return worst
+
+
+def _worst_of(run: RunRecord, steps: RunSteps) -> dict[Measure, WorstStep]:
+    """The hardest step of a run by each measure that it has."""
+    worst: dict[Measure, WorstStep] = {}
+    for measure in MEASURES:
+        for hard in hardest(steps, measure, 1):
+            alone, usual = steps.at(np.array([hard.at])), median(steps.values(measure))
+            worst[measure] = WorstStep(measure, run, alone, hard.value, usual)
+    return worst
+
+
+def value_at(records: Records, worst: WorstStep, configuration: Configuration) -> float:
+    """The same figure of another configuration at the same step; NaN where it did not get there."""
+    place = worst.run.mode, worst.run.problem, worst.run.units
+    for run in records.runs:
+        same = (run.mode, run.problem, run.units) == place
+        if not same or run.configuration.in_common_formulation != configuration:
+            continue
+        for _, steps, _ in records.run_steps([run]):
+            at = np.flatnonzero(steps.k == worst.k)
+            if len(at):
+                return float(steps.values(worst.measure)[at[0]])
+    return math.nan

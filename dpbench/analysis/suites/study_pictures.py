@@ -1,0 +1,103 @@
+"""What pictures of a study show: shares held over its keys, and how far seas lie behind."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from dpbench.analysis.suites.study import PairedDifference, Study
+
+MOST_MAPS = 6
+"""The reference, and those that hold least, are mapped; more maps than these nobody compares."""
+MOST_POINTS, FIELDS = 300, 14
+"""A map of more points shows fields instead, so many along each key."""
+MOST_DOTS = 1500
+"""So many seas a figure draws: of more, some of each configuration at even ranks, the least and the
+largest among them."""
+
+
+def fits(study: Study) -> bool:
+    """Whether every point has a place of its own on a map."""
+    return len(study.points) <= MOST_POINTS
+
+
+def held_maps(study: Study) -> pd.DataFrame:
+    """The maps of the reference and of those that hold least: configuration, x and y (the first
+    numeric keys), held (a share) and runs."""
+    ordered = sorted(study.configurations[1:], key=lambda c: c.held)[: MOST_MAPS - 1]
+    numeric = study.points.select_dtypes("number").columns.tolist()
+    columns = dict(zip(numeric, ("x", "y"), strict=False))
+    names = list(columns.values())
+    tables = []
+    for configuration in [study.configurations[0], *ordered]:
+        table = study.held_map(configuration.name).rename(columns=columns)
+        part = table[[*names, "held", "runs"]]
+        if not fits(study):
+            part = part.assign(**{name: _fields(part[name]) for name in names})
+        # Points that differ in a third key lie on one another: their seas are counted together.
+        seas = part.assign(held=part["held"] * part["runs"])
+        summed = seas.groupby(names, as_index=False).sum() if names else seas
+        summed["held"] /= summed["runs"]
+        tables.append(summed.assign(configuration=configuration.name))
+    return pd.concat(tables, ignore_index=True)
+
+
+def _fields(values: pd.Series[float]) -> pd.Series[float]:
+    """The middle of the field that each value lies in."""
+    least, most = float(values.min()), float(values.max())
+    width = (most - least) / FIELDS or 1.0
+    number = ((values - least) / width).astype(int).clip(upper=FIELDS - 1)
+    return least + width * (number + 0.5)
+
+
+def mean_cm(behind: PairedDifference) -> dict[str, float]:
+    """A mean with the ends of its interval [cm], itself where there is none; and its pairs."""
+    mean = behind.mean
+    low, high = (mean.low, mean.high) if np.isfinite(mean.low) else (mean.value, mean.value)
+    cm = {"mean_cm": 100 * mean.value, "low_cm": 100 * low, "high_cm": 100 * high}
+    return cm | {"pairs": behind.pairs}
+
+
+def seas_behind(study: Study) -> tuple[pd.DataFrame, pd.DataFrame, int]:
+    """How far configurations are behind the reference: their means, see `mean_cm`, some of their
+    seas [cm], and how many seas there are."""
+    reference = study.values(study.reference, "r_95_m")
+    most = max(2, MOST_DOTS // max(1, len(study.configurations) - 1))
+    rows, seas, count = [], [], 0
+    for configuration in study.configurations:
+        if configuration.behind is None or configuration.behind.pairs == 0:
+            continue
+        rows.append({"name": configuration.name} | mean_cm(configuration.behind))
+        each = 100 * (study.values(configuration.name, "r_95_m") - reference).dropna()
+        count += len(each)
+        ranks = np.unique(np.linspace(0, len(each) - 1, min(most, len(each))).round().astype(int))
+        some = each.sort_values().iloc[ranks] if len(each) > most else each
+        seas.append(some.rename("behind_cm").reset_index().assign(name=configuration.name))
+    return pd.DataFrame(rows), pd.concat(seas, ignore_index=True) if seas else pd.DataFrame(), count
+
+
+def behind_cm(study: Study, rows: pd.DataFrame) -> pd.Series[float]:
+    """How far each run is behind that of the reference in the same sea [cm]; NaN without one."""
+    reference = study.values(study.reference, "r_95_m")
+    sea = pd.MultiIndex.from_frame(rows[["point", "replicate"]])
+    other = pd.Series(reference.reindex(sea).to_numpy(), index=rows.index)
+    return (100.0 * (rows["r_95_m"] - other)).where(rows["finished"])
+
+
+def worst_run(study: Study, among: Sequence[str]) -> str | None:
+    """Of some runs, by their ids, one of the configuration that holds fewest seas, or else of that
+    farthest from the exactly solved loop: a sea that it does not hold, or else the one in which it
+    is farthest off; None of none."""
+    rows = study.runs[study.runs["run_id"].isin(among)]
+    if rows.empty:
+        return None
+    known = [c for c in study.configurations if (rows["configuration"] == c.name).any()]
+    worst = min(reversed(known), key=lambda c: c.held)
+    rows = rows[rows["configuration"] == worst.name]
+    share = rows.groupby("point")["held"].transform("mean")
+    order = rows.assign(share=share).sort_values(
+        ["share", "held", "r_tail_max_m"], ascending=[True, True, False], kind="stable"
+    )
+    return str(order["run_id"].iloc[0])

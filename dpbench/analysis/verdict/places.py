@@ -1,0 +1,217 @@
+"""What was run where, and what each run alone says of the demand: what the page's tiles say.
+
+configurations   those that were run, whatever the units and the formulation: these are places
+places           scenarios steered through and sequences replayed, in the order of the suite,
+                 then the seas of studies
+runs, states     a configuration in a place, by their numbers in these lists
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Self
+
+from dpbench.analysis.records.grouping import firsts
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.verdict.demand import Demand, survived
+from dpbench.analysis.verdict.verdict import Verdict, Verdicts, verdict_of
+from dpbench.bench.record.configuration import Configuration, settings_level
+from dpbench.scenario.scenario import Scenario, scenario_of
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where configurations were run: a scenario in closed loop, or a sequence in replay.
+
+    study, point, replicate : of a sea of a study.
+    """
+
+    mode: str
+    name: str
+    units: str
+    slowdown: float = 0.0
+    formulation: str = ""
+    study: str = ""
+    point: int = 0
+    replicate: int = 0
+
+    @classmethod
+    def of(cls, run: RunRecord, formulation: str = "") -> Place:
+        """The place of a run; `formulation` where it is another than the common one there."""
+        if run.study:
+            study = run.study, int(run.study_point), int(run.replicate)
+            return cls(run.mode, run.scenario, run.units, 0.0, "", *study)
+        name = run.sequence if run.mode == "replay" else run.scenario
+        slowdown = run.slowdown if run.slowdown > 0.0 else 0.0
+        return cls(run.mode, name, run.units, slowdown, formulation)
+
+    @property
+    def order(self) -> tuple[bool, bool, bool]:
+        """Sort key: loops before replays, SI units after both, studies last."""
+        return self.study != "", self.mode == "replay", self.units == "si"
+
+    @property
+    def label(self) -> str:
+        """As it is called on the page."""
+        if self.study:
+            return f"{self.study}: point {self.point}, sea {self.replicate}"
+        extra = ["replay"] if self.mode == "replay" else []
+        extra += ["in N and N·m"] if self.units == "si" else []
+        extra += [f"computer × {self.slowdown:g}"] if self.slowdown > 0 else []
+        extra += [self.formulation.replace("_", " ")] if self.formulation else []
+        return self.name + (f" ({', '.join(extra)})" if extra else "")
+
+
+@dataclass(eq=False)
+class PlacedRuns:
+    """The lists above."""
+
+    records: Records
+    demand: Demand
+    verdicts: Verdicts
+    configurations: list[Configuration]
+    places: list[Place]
+    runs: dict[tuple[int, int], RunRecord] = field(default_factory=dict)
+    states: dict[tuple[int, int], Verdict] = field(default_factory=dict)
+    _seas: dict[Place, Scenario | None] = field(default_factory=dict)
+
+    @classmethod
+    def placed(
+        cls, records: Records, verdicts: Verdicts, studied: Sequence[RunRecord], kept: int
+    ) -> Self:
+        """The runs of some records; of two of one configuration in one place the longer.
+
+        Parameters
+        ----------
+        studied : runs of studies that have a place; kept : so many of them are among the runs.
+        """
+        runs: dict[tuple[Configuration, Place], RunRecord] = {}
+        common = {run.run_id for run in records.runs}
+        ships = [r for r in records.all_runs if not (r.is_baseline_law or r.has_topic)]
+        for run in [*ships, *studied[:kept]]:
+            usual = run.slowdown > 0.0 or run.run_id in common
+            key = placed_configuration(run), Place.of(run, "" if usual else run.formulation)
+            other = runs.get(key)
+            if other is None or run.steps_planned > other.steps_planned:
+                runs[key] = run
+        of_studies = map(placed_configuration, studied)
+        configurations = list(dict.fromkeys([*(c for c, _ in runs), *of_studies]))
+        known = dict.fromkeys([*(place for _, place in runs), *map(Place.of, studied)])
+        places = sorted(known, key=lambda place: place.order)
+        numbers = {place: p for p, place in enumerate(places)}
+        found = cls(records, verdicts.demand, verdicts, configurations, places)
+        for (configuration, place), run in runs.items():
+            at = configurations.index(configuration), numbers[place]
+            found.runs[at] = run
+            found.states[at] = verdict_of(
+                records, configuration, {("", ""): run}, [], verdicts.demand
+            )
+        return found
+
+    @property
+    def references(self) -> list[Configuration]:
+        """The configuration each solver is judged by; its first where nothing was judged."""
+        judged = [verdict.configuration for verdict in self.verdicts.references]
+        of_solver: dict[str, Configuration] = {}
+        for configuration in self.configurations:
+            of_solver.setdefault(configuration.solver, configuration)
+        return judged or list(of_solver.values())
+
+    @property
+    def levels(self) -> list[str]:
+        """The settings levels that were run outside studies, the most usual first."""
+        run = [self.configurations[c] for c, p in self.runs if not self.places[p].study]
+        return sorted(dict.fromkeys(c.settings for c in run), key=settings_level)
+
+    @property
+    def judged_places(self) -> list[int]:
+        """The numbers of the places that enter verdicts: all but the seas of studies."""
+        return [p for p, place in enumerate(self.places) if not place.study]
+
+    @cached_property
+    def first_runs(self) -> dict[int, RunRecord]:
+        """The first run of each place."""
+        keys = firsts(self.runs, lambda key: key[1])
+        return {p: self.runs[key] for p, key in keys.items()}
+
+    def scenario(self, run: RunRecord) -> Scenario | None:
+        """The scenario of a run, in a study that of its sea; None where its row carries none."""
+        if not run.study:
+            return self.records.scenario(run.scenario)
+        place = Place.of(run)
+        if place not in self._seas:
+            files = run.scenario_files
+            self._seas[place] = None if files is None else scenario_of(files)
+        return self._seas[place]
+
+    def state(self, c: int, p: int) -> str:
+        """What a run alone says of the demand: meets, late, wrong, open or not run.
+
+        On a slower computer the ship has to be held, too, or the answers were late.
+        """
+        verdict = self.states.get((c, p))
+        if verdict is None or verdict.outcome == "not run":
+            return "not run"
+        run = self.runs[c, p]
+        if verdict.causes:
+            return verdict.state
+        if run.slowdown > 0.0 and not survived(run):
+            return "late"
+        return "open" if verdict.doubts else "meets"
+
+    def timed_at(self, verdict: Verdict) -> int | None:
+        """The number of the replay behind the p99 of a verdict; None where nothing was timed."""
+        wanted = Place("replay", verdict.timed_on, "scaled")
+        return self.places.index(wanted) if wanted in self.places else None
+
+    def longest_timing(self, configuration: Configuration) -> tuple[Place, RunRecord] | None:
+        """The run with its largest single timing, of everything judged that it ran: loops and
+        replays alike; None where none left one."""
+        return self._largest(configuration, "raw_max_ns", lambda place: place.units == "scaled")
+
+    def hardest_loop(self, configuration: Configuration) -> tuple[Place, RunRecord] | None:
+        """The judged closed loop with its largest median of timings; None where none left any."""
+        return self._largest(
+            configuration, "raw_p50_ns", lambda p: p.mode == "closed_loop" and p.units == "scaled"
+        )
+
+    def without_solution(self, configuration: Configuration) -> tuple[int, bool]:
+        """How many steps of its judged runs had no solution, and whether it said so of all."""
+        known = [
+            run
+            for (c, p), run in self.runs.items()
+            if self.configurations[c] == configuration
+            and self.places[p].units == "scaled"
+            and not self.places[p].study
+            and run.infeasible_steps > 0
+        ]
+        # A replay counts a step in each of its rounds.
+        steps = sum(round(run.infeasible_steps / max(1.0, run.rounds)) for run in known)
+        return steps, all(run.true_share == 1.0 for run in known)
+
+    def _largest(
+        self, configuration: Configuration, column: str, wanted: Callable[[Place], bool]
+    ) -> tuple[Place, RunRecord] | None:
+        known = [
+            (self.places[p], run)
+            for (c, p), run in self.runs.items()
+            if self.configurations[c] == configuration
+            and not self.places[p].study
+            and wanted(self.places[p])
+            and not math.isnan(getattr(run, column))
+        ]
+        return max(known, key=lambda one: float(getattr(one[1], column)), default=None)
+
+    def index(self, configuration: Configuration) -> int:
+        """The number of a configuration; −1 for one that was not run."""
+        known = self.configurations
+        return known.index(configuration) if configuration in known else -1
+
+
+def placed_configuration(run: RunRecord) -> Configuration:
+    """The configuration of a run whatever its units and formulation: those belong to the place."""
+    return replace(run.configuration.in_common_formulation, units="scaled")
