@@ -184,7 +184,7 @@ def _entry_point(version: int) -> Callable[..., Any]:
     return hildreth_step
 
 
-hildreth_step = _entry_point(stamp())
+hildreth_step = _entry_point(stamp(_entry_point))
 """hildreth_step(S, max_iter, eps_change, eps_row): the sweeps it took to converge, or a negative
 ending, `UNDECIDED` where it did not."""
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from inspect import getclosurevars
+
 import numpy as np
 import pytest
 import quadprog
@@ -13,6 +17,8 @@ from dpbench.qp.solution import Status
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.own.active_set import factor as active_set_factor
 from dpbench.solvers.own.active_set import layout as active_set_layout
+from dpbench.solvers.own.active_set.kernel import _entry_points, mark_spans
+from dpbench.solvers.own.hildreth import hildreth_step
 
 INF = np.inf
 
@@ -184,7 +190,30 @@ def test_three_hundred_variables_and_six_hundred_rows():
 
 def test_compiled_code_on_disk_is_not_used_after_a_change(monkeypatch):
     """The mark of the compiled code changes with a constant that some function of it names."""
-    before = active_set_layout.stamp()
-    assert active_set_layout.stamp() == before
+    before = active_set_layout.stamp(_entry_points)
+    assert active_set_layout.stamp(_entry_points) == before
     monkeypatch.setattr(active_set_factor, "CLOSE", 1e-7)
-    assert active_set_layout.stamp() != before
+    assert active_set_layout.stamp(_entry_points) != before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", ["hildreth", "active_set.pricing", "active_set.changed_rows"])
+def test_compiled_code_on_disk_is_used_whatever_was_imported_before(first):
+    """Its mark tells nothing of the order of imports, nor of kernels that it does not call."""
+    program = f"""
+import dpbench.solvers.own.{first}
+from inspect import getclosurevars
+from dpbench.solvers.own import hildreth
+from dpbench.solvers.own.active_set.kernel import mark_spans
+for function in (mark_spans, hildreth.hildreth_step):
+    print(getclosurevars(function.py_func).nonlocals["version"])
+"""
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    here = (stamp_of(mark_spans), stamp_of(hildreth_step))
+    assert done.stdout.split() == [str(stamp) for stamp in here]
+
+
+def stamp_of(function):
+    """What stands in the closure of a compiled function."""
+    return getclosurevars(function.py_func).nonlocals["version"]

@@ -383,7 +383,7 @@ def _entry_points(version: int) -> tuple[Callable[..., Any], ...]:
     return step, take_over, take_over_rows, excess_of, mark_spans
 
 
-solve_step, take_over, take_over_rows, excess_of, mark_spans = _entry_points(stamp())
+solve_step, take_over, take_over_rows, excess_of, mark_spans = _entry_points(stamp(_entry_points))
 """solve_step(S): solve the QP in S; the number of iterations, or a negative ending.
 take_over(S, q, l, u): copy the vectors into S, or False where a length does not fit; TypeError for
 anything but contiguous float64 vectors that may be written to.

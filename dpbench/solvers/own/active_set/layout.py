@@ -34,7 +34,7 @@ from __future__ import annotations
 import marshal
 import zlib
 from collections.abc import Callable
-from types import FunctionType
+from types import CodeType, FunctionType
 from typing import TypeVar, cast
 
 from numba import njit
@@ -67,13 +67,10 @@ F = TypeVar("F", bound=Callable[..., object])
 
 # Sums may be reordered, so that they vectorise; NaN and infinities keep their meaning.
 REORDER = {"reassoc", "contract", "nsz"}
-_compiled: list[FunctionType] = []
 
 
 def compiled(function: F) -> F:
     """A function that other compiled functions call."""
-    assert isinstance(function, FunctionType)
-    _compiled.append(function)
     return cast(F, njit(fastmath=REORDER, error_model="numpy")(function))
 
 
@@ -98,16 +95,30 @@ def width_of(S: Matrix) -> int:
     return width
 
 
-def stamp() -> int:
-    """A number that changes with any compiled function and with the constants it names.
+def stamp(function: Callable[..., object]) -> int:
+    """A number that changes with any compiled function that `function` calls, or those call, and
+    with the constants they name.
 
     Numba's cache looks at the file of the function it holds, not at what that function calls; a
-    stamp in its closure makes it look at both.
+    stamp in its closure makes it look at both. What else has been imported is not in it: another
+    order of imports would compile all again.
     """
-    parts = []
-    for function in _compiled:
-        code, known = function.__code__, function.__globals__
-        numbers = [known[n] for n in code.co_names if isinstance(known.get(n), (int, float))]
-        parts.append((code, numbers))
+    parts: list[tuple[CodeType, list[float]]] = []
+    waiting, seen = [function], {function}
+    while waiting:
+        called = waiting.pop()
+        assert isinstance(called, FunctionType)
+        known = called.__globals__
+        named = [known[name] for name in _names(called.__code__) if name in known]
+        parts.append((called.__code__, [x for x in named if isinstance(x, (int, float))]))
+        compiled_ones = {x.py_func: None for x in named if hasattr(x, "py_func")}
+        waiting += [x for x in compiled_ones if x not in seen]
+        seen.update(compiled_ones)
     # Version 2: later ones also write how often an object is referred to, which changes by itself.
     return zlib.crc32(marshal.dumps(parts, 2))
+
+
+def _names(code: CodeType) -> list[str]:
+    """What a function names, and what those written inside it do."""
+    inside = [constant for constant in code.co_consts if isinstance(constant, CodeType)]
+    return [*code.co_names, *(name for within in inside for name in _names(within))]
