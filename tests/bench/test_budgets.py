@@ -18,6 +18,7 @@ from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.bench.workers.interleaved import FEWEST_ROUNDS
 from dpbench.solvers.calibration import NO_OP, open_calibration
 
+# A budget of 0.04 s, in which a machine to itself does few rounds.
 pytestmark = pytest.mark.alone
 
 STEPS, ROUNDS = 20, 6

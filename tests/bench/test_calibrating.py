@@ -26,6 +26,7 @@ from dpbench.qp.program import QPSequence
 from dpbench.report.write import report_and_ending, write_report
 from dpbench.solvers.calibration import CALIBRATION, NO_OP, open_calibration
 
+# Waits of 5 to 1000 µs are measured.
 pytestmark = pytest.mark.alone
 
 STEPS, ROUNDS = 12, 2

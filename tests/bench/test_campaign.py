@@ -18,7 +18,7 @@ from dpbench.errors import InputError, ResultsError, UnknownNameError
 from dpbench.scenario.problem_files import problem_path
 from dpbench.solvers import plugins
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.slow
 
 SUITE = """
 title = "A suite for one test"

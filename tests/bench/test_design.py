@@ -39,7 +39,7 @@ from dpbench.qp.referee.referee import certify
 from dpbench.scenario.problem_files import problems_root
 from dpbench.scenario.scenario import Scenario, condense, scenario_of
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.slow
 
 TABLE = DesignTable(controllers=["paper"], vessels=["supply_fs99"])
 

@@ -95,7 +95,7 @@ policies = ["fresh", "warm"]
 """
 
 
-@pytest.mark.alone
+@pytest.mark.slow
 def test_a_dry_run_says_what_a_run_would_take_and_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

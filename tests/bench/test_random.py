@@ -23,6 +23,7 @@ from dpbench.qp.random_recipe import FAMILIES, RandomRecipe
 from dpbench.report.write import write_report
 from dpbench.solvers import plugins
 
+# What else runs could use up a limit of one second, which one of its solvers is to reach.
 pytestmark = pytest.mark.alone
 
 PLUGIN = Path(__file__).with_name("faulty_plugin.py")

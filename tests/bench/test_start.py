@@ -61,7 +61,7 @@ print(*sorted({{*{NEEDLESS!r}, *{solvers!r}}} & set(sys.modules)))
     assert done.stdout.split() == []
 
 
-@pytest.mark.alone
+@pytest.mark.slow
 def test_a_script_that_runs_a_campaign_is_not_run_again_by_its_processes(tmp_path: Path) -> None:
     """Also where it does not ask whether it is the main program."""
     (tmp_path / "tiny.toml").write_text(SUITE, encoding="utf-8")

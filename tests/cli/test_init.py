@@ -217,7 +217,6 @@ def test_the_page_shows_what_is_written_and_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.alone
 def test_own_ship_from_init_to_its_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The commands of the page make the pages it names; the runs are shortened."""
     short = ["--solver", "quadprog", "--solver", "daqp", "--steps", "60"]

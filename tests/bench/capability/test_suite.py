@@ -57,7 +57,6 @@ def test_a_vessel_that_has_no_plot_is_refused(keys: dict[str, object], said: str
 
 
 @pytest.mark.slow
-@pytest.mark.alone
 def test_a_run_leaves_the_plot_and_answers_that_the_referee_judged(tmp_path: Path) -> None:
     """A row a QP in `capability.parquet`; the plot is kept where nothing is left to run, and the
     page draws it."""

@@ -30,6 +30,7 @@ distributed = pytest.importorskip("distributed", reason=WHY)
 dask = pytest.importorskip("dask", reason=WHY)
 dask_engine = pytest.importorskip("dpbench.bench.engines.dask_engine", reason=WHY)
 DaskEngine, AHEAD = dask_engine.DaskEngine, dask_engine.AHEAD
+# Its clusters have a worker on each core, which meets limits of real time.
 pytestmark = pytest.mark.alone
 
 PLUGIN = Path(__file__).parents[2] / "solvers" / "example_plugin.py"

@@ -6,8 +6,10 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
@@ -18,7 +20,7 @@ from dpbench.bench.workers.executor import CellJob, Result
 from dpbench.bench.workers.scratch import scratch_folder
 from dpbench.solvers.table import available
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.slow
 
 DYING = """
 import os, signal
@@ -32,20 +34,27 @@ on_worker.make_files(on_worker.Order(), print, {"a.npz": ""}, None)
 """
 
 
-def test_what_a_killed_worker_left_goes_with_the_next_task(tmp_path: Path) -> None:
+@pytest.fixture
+def place() -> Iterator[Path]:
+    """A folder with a short path: that of a socket has no more than 108 characters."""
+    with TemporaryDirectory() as name:
+        yield Path(name)
+
+
+def test_what_a_killed_worker_left_goes_with_the_next_task(place: Path) -> None:
     """By the lock of its folder, as that of a killed campaign."""
     done = subprocess.run(
         [sys.executable, "-c", DYING],
-        env=os.environ | {"TMPDIR": str(tmp_path)},
+        env=os.environ | {"TMPDIR": str(place)},
         capture_output=True,
         check=False,
     )
     assert done.returncode == -signal.SIGKILL, done.stderr
     leases = f"dpbench-leases-{os.getuid()}"
-    left = {path.name for path in tmp_path.glob("dpbench-*")} - {leases}
+    left = {path.name for path in place.glob("dpbench-*")} - {leases}
     assert left, "nobody tidied up"
-    with scratch_folder(tmp_path) as folder:
-        assert {path.name for path in tmp_path.glob("dpbench-*")} == {leases, folder.name}
+    with scratch_folder(place) as folder:
+        assert {path.name for path in place.glob("dpbench-*")} == {leases, folder.name}
 
 
 @pytest.fixture

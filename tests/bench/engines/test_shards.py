@@ -16,7 +16,7 @@ from dpbench.cli.main import main
 from dpbench.errors import InputError
 from tests.bench.deterministic import assert_same
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")

@@ -340,7 +340,7 @@ policies = ["fresh"]
 """
 
 
-@pytest.mark.alone
+@pytest.mark.alone  # Real times are compared.
 def test_a_campaign_marks_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Both witnesses reach `runs.parquet`: 2 ms of sleep against a dictionary, a hundredfold gap.
 

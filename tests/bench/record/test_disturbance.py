@@ -17,6 +17,7 @@ from dpbench.bench.record.disturbance import (
 )
 from dpbench.bench.record.raw_log import COUNTERS, RawLog, replay_layout
 
+# What the kernel counts on a core is to come from the test.
 pytestmark = pytest.mark.alone
 
 QUIET = Disturbance(

@@ -231,7 +231,6 @@ policies = ["reuse"]
 
 
 @pytest.mark.slow
-@pytest.mark.alone
 def test_a_suite_runs_and_resumes_it(tmp_path: Path) -> None:
     """Each group's optimum or proof stands in its rows; nothing runs twice."""
     path = tmp_path / "loss.toml"

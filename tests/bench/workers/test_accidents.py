@@ -30,7 +30,7 @@ from dpbench.bench.workers.executor import CellJob, Result
 from dpbench.cli.main import main
 from dpbench.solvers import plugins
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.slow
 
 STEPS = 8
 SUITE = f"""
@@ -85,7 +85,8 @@ def outcomes(out: Path) -> list[str]:
         ("exit", "crashed", "its process left with exit code 0"),
         ("system_exit", "crashed", "SystemExit(0)"),
         ("abort", "crashed", "killed by SIGABRT"),
-        ("sleep", "hung", "beyond the limit"),
+        # What else runs could use up a limit of one second.
+        pytest.param("sleep", "hung", "beyond the limit", marks=pytest.mark.alone),
     ],
 )
 def test_a_solver_that_leaves_or_hangs_is_charged_with_it(

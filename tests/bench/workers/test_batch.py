@@ -12,7 +12,7 @@ from dpbench.bench.record.result_folder import Results
 from dpbench.solvers import plugins
 from tests.bench.deterministic import deterministic
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.slow
 
 STEPS, CELLS, PER_PROCESS = 6, 24, 6
 """A single slot shares cells out to four processes at least."""

@@ -12,6 +12,7 @@ import pytest
 
 from dpbench.bench.workers.interrupts import forget_interrupts, interrupts_wait, one_interrupt
 
+# Ctrl-C goes to all processes of a group.
 pytestmark = pytest.mark.alone
 
 

@@ -12,7 +12,7 @@ from dpbench import load_results, run_campaign
 from dpbench.bench.record.cell_store import CellStore
 from tests.bench.deterministic import assert_same
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.slow
 
 SUITE = """
 title = "A suite for one test"

@@ -18,7 +18,7 @@ from dpbench.bench.workers import leases
 from dpbench.bench.workers.executor import WAITING
 from dpbench.bench.workers.leases import leased_core
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.slow
 
 HEAD = """
 title = "A suite for one test"
@@ -56,6 +56,7 @@ def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(leases, "tempfile", SimpleNamespace(gettempdir=lambda: str(tmp_path)))
 
 
+@pytest.mark.alone  # What runs side by side has one core each.
 def test_a_core_is_leased_to_one_process_at_a_time() -> None:
     """Others get others, as long as there are some; one that is killed gives its core back."""
     cores = sorted(os.sched_getaffinity(0))

@@ -18,7 +18,7 @@ from dpbench.bench.workers.child import WITHOUT_TEMPLATE
 from dpbench.cli.main import main
 from dpbench.solvers import plugins
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.slow
 
 STEPS = 8
 HEAD = """

@@ -37,7 +37,7 @@ def test_a_folder_goes_with_its_campaign(tmp_path: Path) -> None:
     assert _names(tmp_path) == []
 
 
-@pytest.mark.alone
+@pytest.mark.slow
 def test_what_a_killed_campaign_left_goes_with_the_next(tmp_path: Path) -> None:
     """Not before its process is dead; what else lies there stays."""
     (tmp_path / "dpbench-notes").mkdir()
@@ -53,7 +53,7 @@ def test_what_a_killed_campaign_left_goes_with_the_next(tmp_path: Path) -> None:
         assert sorted(_names(tmp_path)) == sorted(["dpbench-notes", folder.name])
 
 
-@pytest.mark.alone
+@pytest.mark.slow
 def test_places_are_cleared_before_room_is_looked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

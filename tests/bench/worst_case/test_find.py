@@ -35,7 +35,7 @@ from dpbench.qp.solution import Status
 from dpbench.scenario.scenario import scenario_of
 from dpbench.solvers import plugins
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.slow
 
 FAULTY = Path(__file__).with_name("faulty_searched.py")
 BIG = 1e9
@@ -135,6 +135,7 @@ def backs_off(path: Path) -> bool:
     return any(optimum.z[0] < -0.99 for optimum in optima)
 
 
+@pytest.mark.alone  # What else runs could use up limits of 0.3 s.
 @pytest.mark.parametrize(("mode", "outcome"), [("crash", "crashed"), ("hang", "hung")])
 def test_a_solver_that_dies_or_hangs_does_not_end_the_search(
     mode: str,
