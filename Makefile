@@ -15,6 +15,7 @@ LOWEST_TESTS := tests/solvers tests/scenario tests/mpc tests/report/page/test_an
 BENCH_S := 1.0
 # Tests beside each other, one a core; `alone` are those that need the machine to themselves.
 SIDE_BY_SIDE := -n 2 --dist worksteal
+ALONE := $(shell grep -rl --include='test_*.py' 'mark\.alone' tests)
 
 # One thread for every numerical library: two cores are two benchmark slots, not one fast one.
 export OMP_NUM_THREADS := 1
@@ -24,7 +25,7 @@ export MKL_NUM_THREADS := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: setup bench full test test-fast test-core test-lowest test-casadi lint docs bench-ci bench-compare vendored report clean clean-results help
+.PHONY: setup environments bench full test test-fast test-core test-lowest test-casadi lint docs bench-ci bench-compare vendored report clean clean-results help
 
 setup: $(STAMP) ## make .venv with all solvers and the development tools
 
@@ -35,6 +36,8 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m dpbench.cli.compiling
 	touch $(STAMP)
 
+environments: setup $(CORE)/.installed $(LOWEST)/.installed ## make those of test-core and test-lowest too
+
 bench: setup ## run the standard suite (five to twelve minutes) and write its report
 	$(BIN)/dpbench run standard --out $(OUT)
 
@@ -43,7 +46,7 @@ full: setup ## run everything at full length with twenty replays (hours)
 
 test: setup ## run the tests: on both cores, then those that need a quiet machine
 	$(BIN)/python -m pytest $(SIDE_BY_SIDE) -m "not alone"
-	$(BIN)/python -m pytest -m alone
+	$(BIN)/python -m pytest -m alone $(ALONE)
 
 test-fast: setup ## run the tests that take no time, in less than two minutes
 	$(BIN)/python -m pytest $(SIDE_BY_SIDE) -m "not slow and not alone"
@@ -68,11 +71,12 @@ $(LOWEST)/.installed: pyproject.toml constraints-lowest.txt
 	$(LOWEST)/bin/python -m pip install --quiet --only-binary :all: \
 	    --requirement constraints-lowest.txt $(TEST_TOOLS)
 	$(LOWEST)/bin/python -m pip install --quiet --no-deps --editable .
+	NUMBA_CACHE_DIR=$(LOWEST)/numba $(LOWEST)/bin/python -m dpbench.cli.compiling
 	touch $@
 
 test-casadi: setup ## run the tests of the solvers whose library is an extra (HPIPM, qpOASES)
 	$(BIN)/python -m pip install --quiet --no-deps --upgrade --target $(CASADI) 'casadi>=3.7'
-	PYTHONPATH=$(CASADI) $(BIN)/python -m pytest tests/solvers tests/bench/run/test_sparse_bar.py \
+	PYTHONPATH=$(CASADI) $(BIN)/python -m pytest $(SIDE_BY_SIDE) tests/solvers tests/bench/run/test_sparse_bar.py \
 	    -k "hpipm or qpoases"
 
 lint: setup ## ruff, mypy --strict, import floors
