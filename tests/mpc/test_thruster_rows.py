@@ -79,6 +79,7 @@ def test_a_sector_keeps_the_directions_it_allows(width_deg: float) -> None:
     np.testing.assert_array_equal(inside(rows, f), within)
 
 
+@pytest.mark.slow
 @settings(derandomize=True, max_examples=100)
 @given(
     st.floats(0.0, 1.0),

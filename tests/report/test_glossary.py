@@ -154,6 +154,7 @@ def test_every_head_of_a_consequence_analysis_is_explained() -> None:
     assert heads <= _spoken()
 
 
+@pytest.mark.slow
 def test_every_head_of_a_study_and_of_thrusters_is_explained(records: Any) -> None:
     """Which the page above has not; without the unit."""
     topic = study_topic(studies(of_seas(records).view()))

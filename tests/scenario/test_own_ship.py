@@ -43,6 +43,7 @@ def test_a_library_vessel_at_its_own_size_is_itself(name: str) -> None:
     assert same.reflection is not None and same.reflection.breadth_m == ship.breadth_m
 
 
+@pytest.mark.slow
 @given(name=st.sampled_from(sorted(LIBRARY)), factor=st.floats(0.05, 20.0))
 def test_a_larger_ship_of_one_form_follows_froudes_law(name: str, factor: float) -> None:
     """Masses grow with λ³, times with √λ, accelerations stay; limits and rates as the forces."""
@@ -67,6 +68,7 @@ def test_a_larger_ship_of_one_form_follows_froudes_law(name: str, factor: float)
     np.testing.assert_allclose(areas, grown, rtol=1e-9)
 
 
+@pytest.mark.slow
 @given(heavier=st.floats(0.5, 2.0), stronger=st.floats(0.1, 10.0))
 def test_a_heavier_ship_of_one_length_keeps_its_time_constants(
     heavier: float, stronger: float

@@ -49,6 +49,7 @@ def _run(root: Path, *arguments: str) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_a_file_is_all_that_a_solver_takes(copied: Path) -> None:
     """Its routes, levels, family, colour, place in a legend and facts are those of its record."""
     program = f"""

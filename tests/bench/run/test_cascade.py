@@ -165,6 +165,7 @@ def test_every_form_steers_as_the_exact_loop_does(
     assert not log.flags.any()
 
 
+@pytest.mark.slow
 def test_a_lost_board_gives_nothing_as_soon_as_its_rate_allows() -> None:
     """Lost at 6 s: every step has an answer, no limit is broken, the others go on."""
     lost = scenario(80, tables={"faults": [{"at_s": 6.0, "lost": ["board A"]}]})

@@ -77,6 +77,7 @@ def test_a_fresh_record_has_the_same_beginning(name: str) -> None:
         np.testing.assert_allclose(found, stored[key], rtol=CLOSE, atol=CLOSE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_sampled_optima_are_found_again(name: str) -> None:
     """By the referee, active set included, and by quadprog, given nothing but the file."""

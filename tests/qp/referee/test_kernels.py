@@ -49,6 +49,7 @@ def _exactly(
     return residuals, sizes
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(seed=st.integers(0, 2**32 - 1), N=st.integers(1, 37), spread=st.sampled_from([0, 3, 60]))
 @example(seed=0, N=37, spread=60)

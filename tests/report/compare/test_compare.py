@@ -339,6 +339,7 @@ def test_a_stretch_of_slow_rounds_hides_nothing(make: Make) -> None:
     assert verdicts(compare(a, b).times)["piqp"] == "slower"
 
 
+@pytest.mark.slow
 def test_two_machines_are_compared_by_ratios_to_a_reference(
     make: Make, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -376,6 +377,7 @@ def test_another_reference_and_one_that_was_not_run(
     assert "--reference" in line and "e.g. osqp" in line
 
 
+@pytest.mark.slow
 def test_between_machines_solvers_differ_more_than_between_runs(make: Make) -> None:
     """1.2 times as long is a claim on one machine, and none between two."""
     a = make("a", seed=1)
@@ -385,6 +387,7 @@ def test_between_machines_solvers_differ_more_than_between_runs(make: Make) -> N
     assert verdicts(compare(a, other).times)["piqp"] == "no difference shown"
 
 
+@pytest.mark.slow
 def test_a_folder_without_steps_is_compared_by_its_medians(make: Make, tmp_path: Path) -> None:
     """What others send has no steps; the page has none to show either."""
     a = make("a", seed=1, algo_p50_ns=2e4)

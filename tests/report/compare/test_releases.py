@@ -76,6 +76,7 @@ def make(tmp_path: Path) -> Make:
     return folder
 
 
+@pytest.mark.slow
 def test_versions_stand_in_their_order_with_what_changed(make: Make, tmp_path: Path) -> None:
     """0.10.0 comes after 0.6.4; half the time, a smaller error; daqp says what is no change."""
     new = make("new", NEW, {"daqp": 11.0, "piqp": 40.0}, errors={"piqp": 1e-9})
@@ -141,6 +142,7 @@ def test_folders_of_other_problems_have_no_releases(make: Make) -> None:
         releases(folders)
 
 
+@pytest.mark.slow
 def test_the_command_writes_page_and_markdown(make: Make, tmp_path: Path, capsys: Any) -> None:
     """Three folders, one of them without the solver; exit 0 though a release is slower."""
     folders = [

@@ -46,6 +46,7 @@ def azimuths(moves, thrust, sides=16):
     return P, A, high, reach, normals
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("moves", "thrust"), [(3, 2), (5, 3), (6, 2)])
 def test_a_corner_reached_at_the_largest_rate_is_solved_as_any_other_point(
     workspace, moves, thrust
