@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import tempfile
@@ -94,6 +95,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if "campaign" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.slow)
+
+
+def pytest_collection_finish() -> None:
+    """The thousands of tests are there to the end: no collection of garbage walks through them."""
+    gc.freeze()
+
+
+def pytest_sessionfinish() -> None:
+    """At the end all of it goes, and what libraries look for then too."""
+    gc.unfreeze()
 
 
 def pytest_configure(config: pytest.Config) -> None:
