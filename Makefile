@@ -13,7 +13,8 @@ TEST_TOOLS := hypothesis markdown-it-py packaging pytest pytest-xdist
 LOWEST_TESTS := tests/solvers tests/scenario tests/mpc tests/report/page/test_answer.py
 # Seconds of rounds of each benchmark.
 BENCH_S := 1.0
-# Tests beside each other, one a core; `alone` are those that need the machine to themselves.
+# Tests beside each other, one a core; `alone` are those that need the machine to themselves, looked
+# for only in files that name that mark.
 SIDE_BY_SIDE := -n 2 --dist worksteal
 ALONE := $(shell grep -rl --include='test_*.py' 'mark\.alone' tests)
 
