@@ -30,7 +30,7 @@ SCRIPT = """
 with open("begun", "a") as file:
     file.write("x")
 from dpbench import load_results, run_campaign
-out = run_campaign("tiny.toml", "out")
+out = run_campaign("tiny.toml", "out", engine="ENGINE")
 print(*load_results(out).runs["outcome"])
 """
 SUITE = """
@@ -62,10 +62,15 @@ print(*sorted({{*{NEEDLESS!r}, *{solvers!r}}} & set(sys.modules)))
 
 
 @pytest.mark.slow
-def test_a_script_that_runs_a_campaign_is_not_run_again_by_its_processes(tmp_path: Path) -> None:
+@pytest.mark.parametrize("engine", ["local", "dask"])
+def test_a_script_that_runs_a_campaign_is_not_run_again_by_its_processes(
+    tmp_path: Path, engine: str
+) -> None:
     """Also where it does not ask whether it is the main program."""
+    if engine == "dask":
+        pytest.importorskip("distributed", reason="engine dask needs the extra `cluster`")
     (tmp_path / "tiny.toml").write_text(SUITE, encoding="utf-8")
-    (tmp_path / "script.py").write_text(SCRIPT, encoding="utf-8")
+    (tmp_path / "script.py").write_text(SCRIPT.replace("ENGINE", engine), encoding="utf-8")
     command = [sys.executable, "script.py"]
     done = subprocess.run(
         command, cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, check=True

@@ -19,6 +19,7 @@ from distributed.comm.registry import get_backend
 
 from dpbench.bench.engines.on_worker import About, about
 from dpbench.bench.record.cell import HARNESS_VERSION
+from dpbench.bench.workers.child import without_main
 from dpbench.bench.workers.scratch import scratch_folder
 from dpbench.errors import InputError
 
@@ -80,9 +81,12 @@ def _knock(address: str) -> None:
 
 @contextmanager
 def own_cluster(workers: int) -> Iterator[Client]:
-    """A client of so many workers on this machine, one of which times replays."""
+    """A client of so many workers on this machine, one of which times replays; the program that
+    started the campaign is hidden meanwhile, for a worker may have to be started again at any
+    time."""
     with (
         _quiet(),
+        without_main(),
         scratch_folder(Path(tempfile.gettempdir())) as folder,
         dask.config.set(_OWN),
     ):

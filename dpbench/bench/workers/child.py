@@ -290,7 +290,7 @@ def _start(process: ForkServerProcess) -> None:
     fails."""
     for attempt in range(2):
         try:
-            with _template(), _without_main():
+            with _template(), without_main():
                 process.start()
             return
         except (OSError, EOFError) as error:
@@ -312,7 +312,7 @@ def _ends(pid: int) -> bool:
 
 
 @contextmanager
-def _without_main() -> Iterator[None]:
+def without_main() -> Iterator[None]:
     """Processes started in the block need nothing of the program that started the campaign, and
     do not run it again: a script without `if __name__ == "__main__"` would start campaigns in all
     of them."""

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tracemalloc
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from typing import Any
 import pytest
 from markupsafe import escape
 
+from dpbench.bench.record.result_folder import hashes
 from dpbench.report.page import cite
 from dpbench.report.page.write import SCRIPTS, own
 from dpbench.report.write import write_report
@@ -136,6 +138,20 @@ def test_the_block_unpacks_to_the_facts(written: Any) -> None:
         verdict = verdicts.get(c)
         if verdict is not None and verdict.p99_ns == verdict.p99_ns:
             assert p99 == verdict.p99_ns
+
+
+def test_a_file_larger_than_the_memory_has_a_hash(tmp_path: Path) -> None:
+    """The steps of a large campaign are a gigabyte: they are read in pieces."""
+    with (tmp_path / "steps.parquet").open("wb") as file:
+        file.truncate(64_000_000)
+    tracemalloc.start()
+    try:
+        found = hashes(tmp_path, ["steps.parquet", "absent"])
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert found == {"steps.parquet": hashlib.sha256(bytes(64_000_000)).hexdigest()}
+    assert peak < 4_000_000
 
 
 def test_files_are_named_with_their_hashes(written: Any) -> None:
