@@ -72,7 +72,7 @@ def _scaled(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> alt.Chart
         style.tip("computer:N", "computer slower"),
         style.tip("now:N", "demand there"),
         *(style.tip(f"{name}:Q", f"{title} [ms]", 3) for name, title in times),
-        style.tip("timing:N", "largest timing [ms]"),
+        style.tip("timing:N", "largest timing in replays [ms]"),
     ]
     y = alt.Y("label:N", sort=table["label"].tolist(), title=None, axis=style.row_names())
     return scaled.encode(y=y, tooltip=tips)

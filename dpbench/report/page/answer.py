@@ -183,7 +183,7 @@ def _open_notes(facts: Facts, found: Recommendation) -> Iterator[tuple[str, str]
     ]
     for verdict in others[:MOST_OPEN]:
         why = "not run in closed loop" if not verdict.loops else unmarked(clauses(verdict.missing))
-        yield "open", f"{verdict.configuration.label} is faster in the replays, and open: {why}."
+        yield "open", f"{verdict.configuration.label} is faster on average, and open: {why}."
 
 
 def slower_text(facts: Facts, chosen: Verdict) -> str:

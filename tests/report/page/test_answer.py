@@ -63,7 +63,7 @@ def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
         assert f"median {time_text(hardest['raw_p50_ns'])}" in said
     said = dict(written.lines)
     assert "native warm" not in said["answer"], "a way that was replayed alone is not recommended"
-    assert said["open"].startswith("daqp (native warm) is faster in the replays, and open: not run")
+    assert said["open"].startswith("daqp (native warm) is faster on average, and open: not run")
 
 
 def test_the_markdown_is_short_and_its_table_that_of_the_verdicts(written: Any) -> None:
@@ -189,8 +189,8 @@ def test_what_is_faster_and_open_is_named(records: Any) -> None:
         records.replay("hildreth", median_us=median_us, error=error, **way)
     notes = [text for word, text in _answer(records).notes if word == "open"]
     assert notes == [
-        "hildreth (native reuse, high) is faster in the replays, and open: not run in closed loop.",
-        "daqp (native reuse) is faster in the replays, and open: not run in closed loop.",
+        "hildreth (native reuse, high) is faster on average, and open: not run in closed loop.",
+        "daqp (native reuse) is faster on average, and open: not run in closed loop.",
     ]
 
 

@@ -82,7 +82,7 @@ async function drawOne() {
   text.textContent = [
     `${place.study ? "In" : `${verdict} in`} ${place.label}: ran ${run.steps} of ${run.planned} steps; `
     + `first move beyond the demand on ${over(run)}, at most ${figure(run.error)}; said “solved” `
-    + `where it was not on ${figure(run.untrue)}${run.answers === run.steps ? "" : ` of ${run.answers} answers`}; failed on ${figure(run.failed)}.`,
+    + `though residuals or plan say no on ${figure(run.untrue)}${run.answers === run.steps ? "" : ` of ${run.answers} answers`}; failed on ${figure(run.failed)}.`,
     run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the exactly solved loop`
       + `${run.settle_s === null || run.settle_s === "inf" ? "." : ` and settled within 1 m and 1° at ${figure(run.settle_s)} s.`}`,
     run.infeasible > 0 ? `${run.infeasible} of the steps had no solution${run.all_true ? ", and it said so" : ""}.` : "",
@@ -132,7 +132,7 @@ function varies(c) {
 function drawHard(run) {
   const replayed = facts.places[state.p].mode === "replay";
   const names = [
-    replayed ? "slowest" : "single timings, slowest", "most iterations", "largest error",
+    replayed ? "slowest, by fastest round" : "single timings, slowest", "most iterations", "largest error",
   ];
   const row = (name, steps) => {
     const line = document.createElement("p"), head = document.createElement("span");
@@ -157,7 +157,7 @@ function drawHard(run) {
   const several = facts.places.filter((_, p) => cell(state.c, p)?.hard).length > 1;
   const most = varies(state.c) ? [1] : [], worst = most.length && !["late", "wrong"].includes(C().outcome[state.c]) ? [] : [2];
   $("hard").replaceChildren(
-    ...(several ? [0, ...worst, ...most] : []).map((m) => row(m === 0 ? "slowest, all places" : `${names[m]}, all places`,
+    ...(several ? [0, ...worst, ...most] : []).map((m) => row(m === 0 ? "slowest (replays: fastest round), all places" : `${names[m]}, all places`,
       worstAnywhere(m).map(said(m)))).filter((line) => line.children.length > 1),
     ...order.map((m) => here[m]).filter((line) => line?.children.length > 1));
   drawStep(run);
@@ -186,9 +186,10 @@ function drawStep(run) {
   const f = array(run.f)[j] ?? 0, said = (bit) => Boolean(f & (1 << bit));
   const known = (run.hard ?? []).flat().find((hard) => hard[0] === k);
   const flags = facts.flags.filter((_, bit) => bit > 1 && said(bit));
-  const exact = run.hard?.[0].find((hard) => hard[0] === k);
+  // The packed arrays are rounded; what stands on the buttons is not.
+  const exact = run.hard?.[0].find((hard) => hard[0] === k), off = run.hard?.[2].find((hard) => hard[0] === k);
   $("step-said").textContent = `Step ${k}: ${time(exact ? exact[1] : t[j])}, ${many(array(run.i)[j], "iteration")}, `
-    + `${many(array(run.a)[j], "active limit")}, error of the first move ${figure(array(run.e)[j])}; `
+    + `${many(array(run.a)[j], "active limit")}, error of the first move ${figure(off ? off[1] : array(run.e)[j])}; `
     + `it ${said(0) ? "said “solved”" : `did not say “solved”${known ? ` (${known[2].toLowerCase()})` : ""}`}; `
     + `its answer is ${said(1) ? "right" : "not right"}${flags.length ? `; ${flags.join(", ")}` : ""}. ${moved(run, k)}`;
   const place = facts.places[run.p];
