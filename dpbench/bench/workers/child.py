@@ -133,7 +133,7 @@ class Child:
         self.process: ForkServerProcess = context.Process(
             target=notice.run, args=(self.notice, target, args), daemon=True
         )
-        _start(self.process)
+        _start(self.process, self.notice)
         self.notice.handed_over()
 
     @property
@@ -172,9 +172,7 @@ class Child:
             return
         self.orphaned = _ends(self.notice.template)
         if self.orphaned and self.process.pid is not None:
-            with suppress(ProcessLookupError):
-                os.kill(self.process.pid, signal.SIGKILL)
-            _ends(self.process.pid)
+            _end(self.process.pid)
 
     def _has_started(self) -> bool:
         try:
@@ -285,10 +283,12 @@ class ServingChild(Child):
         return self.outcome()
 
 
-def _start(process: ForkServerProcess) -> None:
+def _start(process: ForkServerProcess, notice: Notice) -> None:
     """Start a process, once more where its template dies meanwhile; NoProcessError if that too
-    fails."""
+    fails. Of two that its template forked and did not live to tell of, one lives."""
     for attempt in range(2):
+        if began := notice.start_anew():
+            _end(began)
         try:
             with _template(), without_main():
                 process.start()
@@ -297,6 +297,13 @@ def _start(process: ForkServerProcess) -> None:
             if attempt:
                 why = f"no process can be started any more ({error!r})"
                 raise NoProcessError(f"{why}; finished cells are kept") from error
+
+
+def _end(pid: int) -> None:
+    """Kill a process, and wait until it is gone."""
+    with suppress(ProcessLookupError):
+        os.kill(pid, signal.SIGKILL)
+    _ends(pid)
 
 
 def _ends(pid: int) -> bool:

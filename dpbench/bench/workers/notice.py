@@ -20,7 +20,12 @@ _HEAD = struct.Struct("iiI")
 """Who is at work, on which of its cells, and the bytes of the words behind it."""
 _TEMPLATE = struct.Struct("i")
 """What the process was forked from, behind the head."""
-_WORDS = _HEAD.size + _TEMPLATE.size
+_NUMBER = struct.Struct("i")
+_COUNTS = _HEAD.size + _TEMPLATE.size
+"""Where it stands which start of the process counts, written by its supervisor."""
+_BEGAN = _COUNTS + _NUMBER.size
+"""Where it stands which process began, written by that."""
+_WORDS = _BEGAN + _NUMBER.size
 _PACKAGE = Path(__file__).parents[2]
 _BY_SOLVERS = (
     f"{_PACKAGE / 'solvers'}{os.sep}",
@@ -44,9 +49,15 @@ class AtWork(IntEnum):
 
 
 class Notice:
-    """One process's page, shared with its supervisor; sent to the process as an argument."""
+    """One process's page, shared with its supervisor; sent to the process as an argument.
 
-    def __init__(self, descriptor: int | None = None) -> None:
+    Parameters
+    ----------
+    start : which start of the process it was sent with.
+    """
+
+    def __init__(self, descriptor: int | None = None, start: int = 0) -> None:
+        self._start = start
         self._descriptor = os.memfd_create("dpbench-notice") if descriptor is None else descriptor
         if descriptor is None:
             # Written, not only made longer: this page must exist whatever becomes scarce.
@@ -54,14 +65,27 @@ class Notice:
         self._page = mmap.mmap(self._descriptor, mmap.PAGESIZE)
 
     def __reduce__(self) -> tuple[Callable[..., Notice], tuple[Any, ...]]:
-        return _attached, (reduction.DupFd(self._descriptor),)
+        return _attached, (reduction.DupFd(self._descriptor), self._start)
 
     def handed_over(self) -> None:
         """The process has it; the descriptor is needed no more."""
         os.close(self._descriptor)
 
+    def start_anew(self) -> int:
+        """Before the process is started: of an earlier start, that its template did not live to
+        tell of, the process that began, for the caller to end; 0 for none. One that has not begun
+        ends by itself."""
+        self._start += 1
+        _NUMBER.pack_into(self._page, _COUNTS, self._start)
+        # Read behind that: whoever begins says so first, and then looks which start counts.
+        return int(_NUMBER.unpack_from(self._page, _BEGAN)[0])
+
     def begin(self) -> None:
-        """Say what this process was forked from, and that the harness is at work."""
+        """Say what this process was forked from, and that the harness is at work; a process whose
+        start no longer counts ends here."""
+        _NUMBER.pack_into(self._page, _BEGAN, os.getpid())
+        if _NUMBER.unpack_from(self._page, _COUNTS)[0] != self._start:
+            os._exit(0)
         _TEMPLATE.pack_into(self._page, _HEAD.size, os.getppid())
         self.post(AtWork.HARNESS)
 
@@ -99,10 +123,10 @@ class Notice:
         return text.decode(errors="replace")
 
 
-def _attached(descriptor: Any) -> Notice:
+def _attached(descriptor: Any, start: int) -> Notice:
     """The notice in the process that it was sent to."""
     number = descriptor.detach()
-    notice = Notice(number)
+    notice = Notice(number, start)
     notice.handed_over()
     return notice
 

@@ -140,6 +140,7 @@ def is_running(pid: int) -> bool:
         return False
 
 
+@pytest.mark.alone  # the one template dies while it starts the workers of a group, in real time
 def test_replays_whose_template_is_killed_run_once_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

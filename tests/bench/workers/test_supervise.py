@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from multiprocessing.context import ForkServerContext
+from multiprocessing.popen_forkserver import Popen
 from pathlib import Path
 
 import numpy as np
@@ -198,3 +199,38 @@ def test_a_template_that_is_killed_is_no_solver(
     left = "its process left with exit code 255: no output"
     code = SOLVER + "os._exit(255 if os.environ['OMP_NUM_THREADS'] == '1' else 1)"
     assert ended(context, tmp_path, code) == ("crashed", left)
+
+
+def has_come(file: Path, child: Child) -> bool:
+    """Whether a process has left its number in a file."""
+    return file.exists() and str(child.process.pid) in file.read_text().split()
+
+
+@pytest.mark.parametrize("wait_s", [0.0, 1.0])
+def test_of_two_processes_of_one_start_one_lives(
+    context: ForkServerContext, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wait_s: float
+) -> None:
+    """A template that dies as it starts a process may have started it: that ends by itself, or is
+    ended where it was at work already, before another does the same."""
+    launch, begun = Popen._launch, list[int]()
+
+    def launched(self: Popen, process: object) -> None:
+        launch(self, process)
+        if not begun:
+            begun.append(self.pid)
+            time.sleep(wait_s)
+            raise EOFError
+
+    monkeypatch.setattr(Popen, "_launch", launched)
+    file = tmp_path / "came"
+    code = f"import os, time\nopen({str(file)!r}, 'a').write(f'{{os.getpid()}} ')\ntime.sleep(60)"
+    child = Child(context, exec, (code,), tmp_path, "cell", limit_s=5.0, logs=False)
+    deadline = time.monotonic() + 20.0
+    while psutil.pid_exists(begun[0]) or not has_come(file, child):
+        assert time.monotonic() < deadline, "two are at work"
+        time.sleep(0.01)
+    came = [int(pid) for pid in file.read_text().split()]
+    assert came[-1] == child.process.pid
+    # At once it may be on either side of its beginning.
+    assert came[:-1] in ([[begun[0]]] if wait_s else [[], [begun[0]]])
+    child.kill("seen")
