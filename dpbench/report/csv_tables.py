@@ -41,6 +41,7 @@ COLUMNS = {
     "p99_us": "the same, 99 %; empty below 1000 steps",
     "max_us": "the same, largest",
     "raw_max_us": "largest single timing: the machine's jitter is in it",
+    "longest_us": "the same of all that was judged, closed loops too",
     "share": "part of the median that an empty call takes",
     "timed_on": "the sequence of these times",
     "place": "a scenario or a replay, as on the page",

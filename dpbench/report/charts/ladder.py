@@ -12,8 +12,13 @@ import pandas as pd
 from dpbench.analysis.verdict.verdict import STATES
 from dpbench.report.charts import style
 
-COLUMNS = ("id", "solver", "label", "state", "p50_ms", "p99_ms", "max_ms", "raw_max_ms", "share")
-"""`share`: part of the median that calling the library costs, by the harness's own solver."""
+COLUMNS = (
+    *("id", "solver", "label", "state", "p50_ms", "p99_ms", "max_ms", "raw_max_ms"),
+    *("longest_ms", "share"),
+)
+"""`raw_max_ms`: largest single timing in replays, `longest_ms`: of everything that was judged,
+loops too. `share`: part of the median that calling the library costs, by the harness's own
+solver."""
 LOWEST_MS = 1e-3
 """Left end of the axis."""
 ROOM = 300
@@ -33,10 +38,11 @@ def _state(deadline_ms: float, p99_ms: float) -> str:
 
 def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
     """A row per solver: bar from p50 to p99, line on to the largest step, whisker to the largest
-    timing, where that is the longer one.
+    timing, where that is the longer one; a tick at the largest single timing of loops, too.
 
     The parameter `slow` of the chart scales all but that whisker, which is this machine's, and the
-    colours say what the demand finds then; with `narrow` names stand above their bars; clicking
+    colours say what the demand finds then: the tick is then the bound that is on the safe side.
+    With `narrow` names stand above their bars; clicking
     sets `pick`.
 
     Parameters
@@ -60,6 +66,7 @@ def _scaled(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> alt.Chart
         a="datum.p50_ms * slow",
         c="isValid(datum.p99_ms) ? datum.p99_ms * slow : datum.p50_ms * slow",
         m="datum.max_ms * slow",
+        longest="datum.longest_ms * slow",
         called="datum.p50_ms * datum.share * slow",
         left=f"{LOWEST_MS}",
         now=_state(deadline_ms, p99_ms),
@@ -73,6 +80,7 @@ def _scaled(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> alt.Chart
         style.tip("now:N", "demand there"),
         *(style.tip(f"{name}:Q", f"{title} [ms]", 3) for name, title in times),
         style.tip("timing:N", "largest timing in replays [ms]"),
+        style.tip("longest:Q", "largest timing, loops too [ms]", 3),
     ]
     y = alt.Y("label:N", sort=table["label"].tolist(), title=None, axis=style.row_names())
     return scaled.encode(y=y, tooltip=tips)
@@ -80,7 +88,8 @@ def _scaled(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> alt.Chart
 
 def _axis(table: pd.DataFrame, deadline_ms: float) -> alt.X:
     """Times to ten times the deadline, or on to where the slowest is on the slower computer."""
-    high, slowest = max(10.0 * deadline_ms, 1.0), float(table["max_ms"].max())
+    slowest = float(table[["max_ms", "longest_ms"]].max().max())
+    high = max(10.0 * deadline_ms, 1.0)
     highest = alt.ExprRef(f"max({high}, {1.5 * slowest if isfinite(slowest) else 0.0} * slow)")
     scale = style.log_scale(domainMin=LOWEST_MS, domainMax=highest, clamp=True)
     axis = alt.Axis(
@@ -88,6 +97,7 @@ def _axis(table: pd.DataFrame, deadline_ms: float) -> alt.X:
         format="~g",
         orient="top",
         labelOverlap="greedy",
+        labelSeparation=6,
         offset=alt.ExprRef("narrow ? 8 : 0"),  # off the name above the first bar
     )
     return alt.X("a:Q", title="step time [ms], log scale", scale=scale, axis=axis)
@@ -103,7 +113,7 @@ def _rows(base: alt.Chart) -> Iterator[Any]:
 
 
 def _times(base: alt.Chart, x: alt.X) -> Iterator[Any]:
-    """What calling costs, whisker, line, bar and marker of each row."""
+    """What calling costs, whisker, line, bar, marker and tick of each row."""
     columns = alt.ExprRef("width < 200 ? 2 : narrow || width < 400 ? 3 : 5")
     looks: dict[str, Any] = {"columns": columns, "offset": 40}  # below what is said of the limits
     colour = style.coloured("now", STATES, style.STATE_COLOURS, title="demand", **looks)
@@ -119,6 +129,8 @@ def _times(base: alt.Chart, x: alt.X) -> Iterator[Any]:
     yield base.mark_rule(strokeWidth=9, strokeCap="butt").encode(x=x, x2="c:Q", color=colour)
     shape = alt.Shape("now:N", scale=style.names_scale(STATES, style.STATE_SHAPES))
     yield base.mark_point(filled=True, size=70, opacity=1).encode(x=x, color=colour, shape=shape)
+    known = base.transform_filter("isValid(datum.longest_ms)")
+    yield known.mark_tick(thickness=2, size=11, color=style.INK).encode(x="longest:Q")
 
 
 def _limits(deadline_ms: float, p99_ms: float) -> Iterator[Any]:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import isnan
+from math import isnan, nan
 from typing import Any
 
 import pandas as pd
 
+from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.fastest import best_of_each
 from dpbench.analysis.verdict.places import Place
+from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.report.charts.ladder import COLUMNS as LADDER_COLUMNS
@@ -159,12 +161,18 @@ def ladder_table(facts: Facts, calling_ns: float) -> pd.DataFrame:
             "p99_ms": verdict.p99_ns / 1e6,
             "max_ms": verdict.algo_max_ns / 1e6,
             "raw_max_ms": verdict.raw_max_ns / 1e6,
+            "longest_ms": run.raw_max_ns / 1e6 if (run := _longest(facts, verdict)) else nan,
             "share": 0.0 if isnan(calling_ns) else min(1.0, calling_ns / verdict.p50_ns),
         }
         for verdict in best_of_each(facts.verdicts)
         if verdict.timed_on
     ]
     return pd.DataFrame(rows, columns=list(LADDER_COLUMNS))
+
+
+def _longest(facts: Facts, verdict: Verdict) -> RunRecord | None:
+    _, run = facts.longest_timing(verdict.configuration) or (None, None)
+    return run
 
 
 def matrix_table(facts: Facts) -> pd.DataFrame:

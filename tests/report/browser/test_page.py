@@ -315,6 +315,26 @@ def test_the_slider_moves_the_ladder(opened: Any) -> None:
 
 
 @pytest.mark.slow
+def test_the_tick_is_at_the_deadline_where_the_bound_is(opened: Any) -> None:
+    """Up to the bound that the words name, the largest timing of all that a solver ran, loops too,
+    is drawn left of the deadline, and beyond it right."""
+    page = opened()
+    rows = page.evaluate("rowsDrawn('ladder').values")
+    own = next(at for at, row in enumerate(rows) if row["longest_ms"] > 1.2 * row["raw_max_ms"])
+    bound = 300 / rows[own]["longest_ms"]
+    where = """async (slow) => {
+      const view = await figureOf("ladder"); await signal("ladder", { slow });
+      const drawn = [...document.querySelectorAll("#figure-ladder .mark-rect path")];
+      return drawn.map((tick) => tick.getBoundingClientRect().x) }"""
+    deadline = "document.querySelector('#figure-ladder .mark-rule line[stroke-width=\"1.5\"]')"
+    for slow, side in ((0.8 * bound, -1), (1.25 * bound, 1)):
+        ticks = page.evaluate(where, slow)
+        line = page.evaluate(f"{deadline}.getBoundingClientRect().x")
+        assert len(ticks) == len(rows)
+        assert side * (ticks[own] - line) > 2
+
+
+@pytest.mark.slow
 def test_the_demand_is_that_of_the_slower_computer(written: Any, opened: Any) -> None:
     """A typed slow-down: deadline and limit of p99 are both held against the scaled times, in words
     and colours; a tooltip has no number of this machine among those of another."""
@@ -758,7 +778,7 @@ def test_the_largest_sample_stays_where_it_was_measured(opened: Any) -> None:
     said = page.locator("#figure-ladder text", has_text="as measured")
     assert said.count() == 0, "nothing is scaled there"
     caption = page.locator("#answer figcaption").inner_text()
-    assert "drawn as measured" in caption and "the bound above scales it" in caption
+    assert "drawn as measured" in caption and "scaled, the bound above" in caption
     page = opened("#slow=10000")
     assert page.locator(whiskers).count() < before
     assert page.locator("#figure-ladder text", has_text="jitter of this machine").count() == 1

@@ -10,7 +10,7 @@ const listed = (rows, say = (row) => row.solver) => (rows.length && (rows.length
 function kept() {
   const { deadline_ms, p99_ms } = facts.demand;
   const right = rowsDrawn("ladder").values.filter((row) => row.state === "meets");
-  const most = (row) => (deadline_ms * 1e6) / (C().longest[Number(row.id)] ?? row.max_ms * 1e6);
+  const most = (row) => deadline_ms / (row.longest_ms ?? row.max_ms);
   const safe = right.filter((row) => most(row) >= state.slow).sort((a, b) => most(b) - most(a));
   const quick = right.filter((row) => (row.p99_ms ?? row.max_ms) * state.slow <= p99_ms);
   return `${bounded() || "By the largest single timing of all: "}${safe.length} of the ${right.length} that meet the demand here keep ${
