@@ -27,7 +27,7 @@ from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.result_folder import read_json, write_json
 from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.bench.workers.process_setup import leave_verdict, pin, settle
+from dpbench.bench.workers.worker import leave_verdict, pin, settle
 from dpbench.errors import CertificateError, InputError, RenamedWarning, ResultsError
 from dpbench.mpc.law import closed_loop_eigenvalues, gains
 from dpbench.scenario.problem_files import problem_path

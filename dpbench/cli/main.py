@@ -103,7 +103,7 @@ _NOT_DRY = ("dry_run", "out", "fresh", "scheduler")
 
 def _dry_run(arguments: argparse.Namespace) -> int:
     from dpbench.bench.estimate import estimate_campaign
-    from dpbench.cli.progress_bar import Bar
+    from dpbench.cli.terminal import Bar
 
     with Bar(transient=True, quiet=arguments.quiet or arguments.json) as bar:
         estimate = estimate_campaign(**_given(arguments, *_NOT_DRY, *HOW_TO_END), progress=bar)
@@ -118,7 +118,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.dry_run:
         return _dry_run(arguments)
     from dpbench.bench.campaign import run_campaign
-    from dpbench.cli.progress_bar import Bar
+    from dpbench.cli.terminal import Bar
     from dpbench.report.write import report_and_ending
 
     with Bar(quiet=arguments.quiet or arguments.json) as bar:
@@ -141,7 +141,7 @@ def _say_accidents(out: Path) -> int:
 
 def _cells(arguments: argparse.Namespace) -> int:
     from dpbench.bench.campaign import run_campaign
-    from dpbench.cli.progress_bar import Bar
+    from dpbench.cli.terminal import Bar
 
     with Bar() as bar:
         out = run_campaign(**_given(arguments), progress=bar)
@@ -238,7 +238,7 @@ def _export(arguments: argparse.Namespace) -> int:
     check_asked(vars(arguments))
     if arguments.all:
         from dpbench.bench.sequences.shipped import regenerate
-        from dpbench.cli.progress_bar import Bar
+        from dpbench.cli.terminal import Bar
 
         with Bar(transient=True) as bar:
             said = regenerate(arguments.out or "results/sequences", progress=bar)
@@ -250,8 +250,7 @@ def _export(arguments: argparse.Namespace) -> int:
 
 def _worst_case(arguments: argparse.Namespace) -> int:
     from dpbench.bench.worst_case.find import find_worst_case
-    from dpbench.cli.progress_bar import Bar
-    from dpbench.cli.terminal import say
+    from dpbench.cli.terminal import Bar, say
 
     with Bar() as bar:
         worst_case = find_worst_case(**_given(arguments), progress=bar)
@@ -260,8 +259,7 @@ def _worst_case(arguments: argparse.Namespace) -> int:
 
 
 def _paper(arguments: argparse.Namespace) -> int:
-    from dpbench.cli.progress_bar import Bar
-    from dpbench.cli.terminal import say
+    from dpbench.cli.terminal import Bar, say
     from dpbench.report.reproduce import reproduce_paper
 
     with Bar(transient=True) as bar:
@@ -305,8 +303,7 @@ def _doctor(arguments: argparse.Namespace) -> int:
 
 def _check(arguments: argparse.Namespace) -> int:
     from dpbench.cli.check import check_file
-    from dpbench.cli.progress_bar import Bar
-    from dpbench.cli.terminal import say
+    from dpbench.cli.terminal import Bar, say
 
     with Bar(transient=True) as bar:
         said = check_file(arguments.file, bar)

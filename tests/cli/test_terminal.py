@@ -15,8 +15,7 @@ from rich.console import Console
 
 from dpbench.cli import check, doctor
 from dpbench.cli.main import _CALLS, main
-from dpbench.cli.progress_bar import Bar
-from dpbench.cli.terminal import WIDTH, entry, report_table, say
+from dpbench.cli.terminal import WIDTH, Bar, entry, report_table, say
 from dpbench.report.table import Table
 
 CODES = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")

@@ -103,14 +103,14 @@ class PlacedRuns:
         known = dict.fromkeys([*(place for _, place in runs), *map(Place.of, studied)])
         places = sorted(known, key=lambda place: place.order)
         numbers = {place: p for p, place in enumerate(places)}
-        found = cls(records, verdicts.demand, verdicts, configurations, places)
+        placed = cls(records, verdicts.demand, verdicts, configurations, places)
         for (configuration, place), run in runs.items():
             at = configurations.index(configuration), numbers[place]
-            found.runs[at] = run
-            found.states[at] = verdict_of(
+            placed.runs[at] = run
+            placed.states[at] = verdict_of(
                 records, configuration, {("", ""): run}, [], verdicts.demand
             )
-        return found
+        return placed
 
     @property
     def references(self) -> list[Configuration]:

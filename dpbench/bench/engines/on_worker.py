@@ -155,9 +155,9 @@ def _of_other_versions(order: Order, jobs: Sequence[CellJob]) -> Iterator[Result
             continue
         wanted = job.library.identity
         # A plug-in comes with the cells.
-        found = wanted if job.cell.solver_module else _identity(job.cell.solver)
-        if found != wanted:
-            where = f"{job.cell.solver} {found or 'missing'} on {node}"
+        identity = wanted if job.cell.solver_module else _identity(job.cell.solver)
+        if identity != wanted:
+            where = f"{job.cell.solver} {identity or 'missing'} on {node}"
             cause = Outcome("lost", f"{where}, {wanted} where the campaign was started")
             yield Result(job.run_id, cause)
 

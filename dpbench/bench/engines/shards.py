@@ -37,8 +37,8 @@ class Shard:
         """Of "i/n"; the whole for None. InputError for what is no part."""
         if text is None:
             return WHOLE
-        found = re.fullmatch(r"(\d+)/(\d+)", text)
-        shard = cls(*map(int, found.groups())) if found else cls(0, 0)
+        parts = re.fullmatch(r"(\d+)/(\d+)", text)
+        shard = cls(*map(int, parts.groups())) if parts else cls(0, 0)
         if not 1 <= shard.index <= shard.count:
             raise InputError("--shard", "", repr(text), "i/n, as 1/4, with i from 1 to n")
         return shard

@@ -7,6 +7,8 @@ Every function here is the target of a process forked from a template that has n
 from __future__ import annotations
 
 import gc
+import os
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -24,6 +26,7 @@ from dpbench.bench.record.cell_store import packed
 from dpbench.bench.record.disturbance import counters
 from dpbench.bench.record.npz import kept
 from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.record.result_folder import write_json
 from dpbench.bench.record.step_table import step_batch
 from dpbench.bench.run.assemble import clock, closed_loop_setup, replay_parts
 from dpbench.bench.run.closed_loop import closed_loop
@@ -33,7 +36,6 @@ from dpbench.bench.run.replay import PREROLL, ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.bench.sequences.source import replayed, source_of
 from dpbench.bench.workers.notice import AtWork, post
-from dpbench.bench.workers.process_setup import leave_verdict, pin, settle
 from dpbench.errors import CertificateError, InputError
 from dpbench.qp.program import QPSequence
 from dpbench.scenario.scenario import scenario_once
@@ -42,6 +44,34 @@ from dpbench.solvers.contract import Workspace
 from dpbench.solvers.isolation import isolate
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import Availability, load_solver_module
+
+
+def settle(noise: Path) -> None:
+    """Send what libraries print to a file, ignore warnings and stop the garbage collector."""
+    try:
+        sink = os.open(noise, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    except FileNotFoundError:
+        # Ctrl-C while this process was on its way took its folder along, and nobody waits for it;
+        # or somebody else removed the folder, which the supervisor sees for itself.
+        raise SystemExit from None
+    os.dup2(sink, 1)
+    os.dup2(sink, 2)
+    if sink > 2:
+        os.close(sink)
+    warnings.simplefilter("ignore")
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+
+
+def pin(core: int) -> None:
+    """Stay on one core from now on."""
+    os.sched_setaffinity(0, {core})
+
+
+def leave_verdict(path: Path, outcome: Outcome) -> None:
+    """Leave at `path` what became of a cell, for the supervisor to read."""
+    write_json(path, vars(outcome))
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from dpbench.bench.record.cell import Outcome
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.workers import child as supervise
 from dpbench.bench.workers.child import WITHOUT_TEMPLATE, Child, template_context
-from dpbench.bench.workers.process_setup import leave_verdict
+from dpbench.bench.workers.worker import leave_verdict
 
 # Limits of a second and less, which what else runs could use up.
 pytestmark = pytest.mark.alone
