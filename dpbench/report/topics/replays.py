@@ -112,20 +112,22 @@ def _right_levels(records: Records, demand: Demand) -> str:
 
 
 def race_topic(records: Records) -> Topic | None:
-    """Two solvers on the same steps; None of any other number of solvers."""
+    """Two solvers on the same steps, in one way and at one setting; None of any other number of
+    solvers, ways or settings."""
     if len(records.solvers) != 2:
         return None
     first, second = records.solvers
+    replays = list(common_replays(records, first, second))
+    if len({run.configuration.options for run, *_ in replays}) != 1:
+        return None
     rows, said = [], []
-    for run, *both in common_replays(records, first, second):
+    for run, *both in replays:
         ratio = paired_ratio(*paired(*both))
         options = run.configuration.options
         said.append(f"{_ratio_text(ratio)} in {run.sequence} ({options})")
         p50 = [time_text(median(times.algo_ns)) for times in both]
         p99 = [time_text(percentile(times.algo_ns, 99)) for times in both]
         rows.append((run.sequence, options, *p50, *p99, _ratio_text(ratio)))
-    if not rows:
-        return None
     times = [f"{solver} {time}" for time in ("p50", "p99") for solver in (first, second)]
     head = ("sequence", "way", *times, "ratio (95 %)")
     lead = f"{first} takes {', '.join(said)} times as long a step as {second}."

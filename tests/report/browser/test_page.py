@@ -15,7 +15,10 @@ from dpbench.analysis.times.pairs import paired_comparison
 from dpbench.bench.record.configuration import Configuration
 from dpbench.report.formats import rounded_down
 from dpbench.report.page.answer import call_text
+from dpbench.report.write import write_report
 from dpbench.scenario.scenario import load_scenario
+from tests.conftest import MadeRecords
+from tests.report.browser.conftest import opening
 
 DRAWN = ("ladder", "matrix", "accuracy")
 DESK, PHONE = (1400, 900), (390, 844)
@@ -312,6 +315,19 @@ def test_the_slider_moves_the_ladder(opened: Any) -> None:
     settled(page)
     assert first.bounding_box()["x"] > before + 40
     assert page.input_value("#slow-said") == "10"
+
+
+@pytest.mark.slow
+def test_where_nothing_is_judged_whole_the_count_is_of_what_nothing_contradicts(
+    chromium: Any, tmp_path: Path
+) -> None:
+    """Of replays alone nobody meets the demand: not "0 of the 0" who do."""
+    records = MadeRecords()
+    for solver in ("daqp", "osqp"):
+        records.replay(solver, steps=200)
+    with opening(chromium, write_report(records.write(tmp_path / "replays"))) as opened:
+        said = opened("#slow=2").inner_text("#slow-kept")
+    assert "2 of the 2 that nothing contradicts here keep 300 ms: " in said, said
 
 
 @pytest.mark.slow

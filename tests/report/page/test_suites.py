@@ -111,6 +111,13 @@ def _routes(records: Any) -> None:
     records.replay("daqp", steps=200, route="native", policy="warm", median_us=5.0)
 
 
+def _routes_of_two(records: Any) -> None:
+    for solver in ("daqp", "osqp"):
+        records.replay(solver, steps=200)
+        records.replay(solver, steps=200, route="native", median_us=10.0)
+        records.replay(solver, steps=200, route="native", policy="warm", median_us=5.0)
+
+
 def _levels(records: Any) -> None:
     for settings, error in (("default", 0.3), ("mid", 1e-4), ("high", 1e-6)):
         records.replay("osqp", steps=30, settings=settings, error=error)
@@ -134,6 +141,7 @@ KINDS: dict[str, tuple[Callable[[Any], None], str, set[str]]] = {
     "recorded": (_recorded, "race", set()),
     "formulations": (_formulations, "formulations", set()),
     "routes": (_routes, "routes", set()),
+    "routes of two solvers": (_routes_of_two, "routes", set()),
     "settings": (_levels, "levels", set()),
     "worst case": (_searched, "worst-case", set()),
 }
