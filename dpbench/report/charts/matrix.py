@@ -18,7 +18,8 @@ COLUMNS = (
 MARKS = ("✓", "?", "▸", "✕", "–")
 """Of the states."""
 MOST_ACROSS = 30
-"""Places side by side; more would leave no room for a name."""
+"""Places side by side of a settings level, and twice as many of all levels; more would leave no
+room for a name."""
 _HEADER = alt.Header(
     labelFontSize=13,
     labelFontWeight=600,
@@ -37,7 +38,8 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     Colour and sign say the same; the tooltip has the largest error and the failed steps. Clicking
     sets `pick`.
 
-    More places than `MOST_ACROSS` stand below each other, solvers side by side.
+    More places than `MOST_ACROSS` stand below each other, solvers side by side; the figure is then
+    marked as `tall` for who has to find a tile in it.
 
     Parameters
     ----------
@@ -49,8 +51,9 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     signs = json.dumps(dict(zip(STATES, MARKS, strict=True)), ensure_ascii=False)
     inks = json.dumps(dict(zip(STATES, style.STATE_COLOURS, strict=True)))
     pick = style.picking("id", "place_id")
-    long = len(places) > MOST_ACROSS
-    across, down = ("solver", "place") if long else ("place", "solver")
+    in_a_row = len(places) * (1 if stacked else len(levels))
+    tall = len(places) > MOST_ACROSS or in_a_row > 2 * MOST_ACROSS
+    across, down = ("solver", "place") if tall else ("place", "solver")
     order = {"solver": solvers, "place": places}
     above = alt.Axis(orient="top", labelAngle=-90 if stacked else -40)
     x = alt.X(f"{across}:N", sort=order[across], title=None, axis=above)
@@ -83,7 +86,7 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     signed = base.transform_calculate(sign=f"{signs}[datum.state]", ink=f"{inks}[datum.state]")
     text = signed.mark_text(fontSize=12, fontWeight=600)
     text = text.encode(text="sign:N", color=alt.Color("ink:N", scale=None))
-    size: dict[str, Any] = {"width": alt.Step(30), "height": alt.Step(15 if long else 22)}
+    size: dict[str, Any] = {"width": alt.Step(30), "height": alt.Step(15 if tall else 22)}
     placed = alt.layer(tiles.add_params(pick), text, chosen, data=table, **size)
     own: dict[str, Any] = {"sort": levels, "title": None, "header": _HEADER}
     if stacked:
@@ -91,6 +94,7 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
         chart = chart.resolve_axis(x="independent")
     else:
         chart = placed.facet(column=alt.Column("settings:N", **own), spacing=14)
+    chart.usermeta = {"tall": tall}
     states = "meets, open, late, wrong or not run"
     about = f"Tiles of solver by scenario: {states}, for each settings level."
     return style.styled(chart, "Where each solver holds", about)

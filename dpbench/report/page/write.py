@@ -29,7 +29,7 @@ from dpbench.bench.record.revision import made_by
 from dpbench.report.charts import style
 from dpbench.report.charts.accuracy import accuracy
 from dpbench.report.charts.ladder import ladder
-from dpbench.report.charts.matrix import MOST_ACROSS, matrix
+from dpbench.report.charts.matrix import matrix
 from dpbench.report.charts.pairs import pairs
 from dpbench.report.charts.render import FORMATS, svg, vega
 from dpbench.report.charts.strips import COLUMNS as STRIP_COLUMNS
@@ -242,7 +242,6 @@ def _document(
         "places": _places(facts, places),
         "cells": columns_of(cells),
         "flags": FLAGS,
-        "most_across": MOST_ACROSS,
         "row_step": style.ROW_STEP,
         "demand": {
             "error_move": facts.demand.error_move,

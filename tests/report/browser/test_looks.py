@@ -9,6 +9,10 @@ from typing import Any
 
 import pytest
 
+from dpbench.report.write import write_report
+from tests.conftest import MadeRecords
+from tests.report.browser.conftest import opening
+
 AXE = Path(__file__).parent / "axe"
 DESK, PHONE = (1400, 900), (390, 844)
 CHOSEN = "#s=osqp&w=qpsolvers-fresh&set=default&sc=paper&k=74"
@@ -134,13 +138,8 @@ def test_sections_and_places_stay_on_a_phone(opened: Any) -> None:
     assert heads.count() == levels > 1
 
 
-@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
-@pytest.mark.slow
-def test_no_two_texts_of_a_figure_overlap(opened: Any, size: tuple[int, int]) -> None:
-    """Boxes of texts have no area in common; slanted ones keep a line apart."""
-    page = opened(CHOSEN, size=size)
-    texts = page.evaluate(TEXTS, FIGURES)
-    assert {text["figure"] for text in texts} >= {"ladder", "matrix", "accuracy", "strips", "pairs"}
+def _overlapping(texts: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
+    """Pairs of texts of a figure that lie on each other."""
     overlapping = []
     for i, a in enumerate(texts):
         for b in texts[i + 1 :]:
@@ -156,7 +155,38 @@ def test_no_two_texts_of_a_figure_overlap(opened: Any, size: tuple[int, int]) ->
             # The box of a text has its line's height, more than its letters.
             if wide > 1.0 and high > 4.0:
                 overlapping.append((a["figure"], a["text"], b["text"]))
-    assert overlapping == []
+    return overlapping
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+@pytest.mark.slow
+def test_no_two_texts_of_a_figure_overlap(opened: Any, size: tuple[int, int]) -> None:
+    """Boxes of texts have no area in common; slanted ones keep a line apart."""
+    page = opened(CHOSEN, size=size)
+    texts = page.evaluate(TEXTS, FIGURES)
+    assert {text["figure"] for text in texts} >= {"ladder", "matrix", "accuracy", "strips", "pairs"}
+    assert _overlapping(texts) == []
+
+
+@pytest.mark.slow
+def test_many_places_at_many_levels_stand_below_each_other(chromium: Any, tmp_path: Path) -> None:
+    """Of few solvers the tiles of all levels are too many for a row: no two names overlap, and the
+    arrow keys go as the eye does."""
+    records = MadeRecords()
+    places = [f"paper_of_some_length_{i}" for i in range(20)]
+    for name in places:
+        records._scenarios[name] = records.scenario("paper")
+        for level in ("default", "low", "mid", "high"):
+            records.loop("daqp", name, steps=10, settings=level)
+            records.loop("osqp", name, steps=10, settings=level)
+    with opening(chromium, write_report(records.write(tmp_path / "many"))) as opened:
+        page = opened()
+        assert _overlapping(page.evaluate(TEXTS, ["matrix"])) == []
+        page.focus("#figure-matrix")
+        chosen = page.evaluate("[C().solver[state.c], facts.places[state.p].label]")
+        page.keyboard.press("ArrowDown")
+        below = page.evaluate("[C().solver[state.c], facts.places[state.p].label]")
+        assert below[0] == chosen[0] and places.index(below[1]) == places.index(chosen[1]) + 1
 
 
 @pytest.mark.slow

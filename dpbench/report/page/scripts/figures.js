@@ -54,7 +54,7 @@ function sized(name, width) {
     const at = !narrow ? spec
       : { ...below, data: below.data.map((d) => (d.values ? { ...d, values: table.values } : d)) };
     const of = (key) => unique(table.values.map((row) => row[key]));
-    const tiles = of("place").length > facts.most_across ? ["solver", "place"] : ["place", "solver"];
+    const tiles = at.usermeta.tall ? ["solver", "place"] : ["place", "solver"];
     const labels = 14 + 7 * Math.max(...of(tiles[1]).map((text) => text.length));
     const levels = narrow ? 1 : of("settings").length, slant = narrow ? 0 : 90;
     const step = (width - labels - slant - 16 * levels) / (levels * of(tiles[0]).length);
@@ -180,15 +180,15 @@ function grid(name) {
   if (name === "ladder") return own.map((row, y) => ({ c: Number(row.id), x: 0, y }));
   const of = (key) => unique(own.map((row) => row[key]));
   const levels = of("settings"), solvers = of("solver"), places = of("place");
-  const long = places.length > facts.most_across;
-  const [across, down] = long ? [solvers, places] : [places, solvers];
   const below = $("figure-matrix").classList.contains("narrow");
+  const { tall } = facts.charts[below ? "matrix_narrow" : "matrix"].usermeta;
+  const [across, down] = tall ? [solvers, places] : [places, solvers];
   return own.map((row) => {
     const level = levels.indexOf(row.settings);
     const [x, y] = [row.place, row.solver].map((value, i) => [places, solvers][i].indexOf(value));
     return { c: Number(row.id), p: Number(row.place_id),
-      x: (long ? y : x) + (below ? 0 : level * across.length),
-      y: (long ? x : y) + (below ? level * down.length : 0) };
+      x: (tall ? y : x) + (below ? 0 : level * across.length),
+      y: (tall ? x : y) + (below ? level * down.length : 0) };
   }).filter((tile) => tile.c >= 0);
 }
 
