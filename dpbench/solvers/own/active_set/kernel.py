@@ -137,6 +137,7 @@ from dpbench.solvers.own.active_set.refine import (
     settle_signs,
 )
 from dpbench.solvers.own.active_set.spans import (
+    NARROW,
     mark_all,
 )
 from dpbench.solvers.own.active_set.start import (
@@ -263,7 +264,7 @@ def take_up(S: Matrix, H: int, size: float) -> int:
 @compiled
 def bring_all_in(S: Matrix, L: int, H: int, J: int, j: int, coarse: float, size: float) -> int:
     """Bring in row j and then one violated row after the other; 0 if none is left, or an ending."""
-    if j >= 0:
+    if j >= 0 and width_of(S) > NARROW:
         list_candidates(S, j, coarse)
     while j >= 0:
         ending = bring_in(S, L, H, J, j, size)

@@ -35,6 +35,7 @@ from dpbench.solvers.own.active_set.layout import (
 )
 from dpbench.solvers.own.active_set.spans import (
     ALL,
+    NARROW,
     ROWS,
     add_row,
     product,
@@ -44,8 +45,6 @@ VIOLATED = 1e-13
 """A row counts as violated beyond this many roundings of the quantities it is computed from."""
 SHARE, MOST_CANDIDATES = 0.3, 24
 """A candidate is violated by this share of the most violated row; at most as many candidates."""
-FEW = 64
-"""Of no more rows than these a look at all takes no longer than a list."""
 
 
 @compiled
@@ -91,8 +90,11 @@ def evaluate(S: Matrix, P: int, H: int) -> None:
 def violation(S: Matrix, i: int, noise: float) -> float:
     """By how much row i is violated in the norm of P⁻¹; 0 if by no more than rounding."""
     over, under = S[V, i] - S[HIGH, i], S[LOW, i] - S[V, i]
-    e, g = (over, S[HIGH, i]) if over >= under else (under, S[LOW, i])
+    e = over if over >= under else under
+    if not e > 0.0:
+        return 0.0
     e *= S[UNIT, i]
+    g = S[HIGH, i] if over >= under else S[LOW, i]
     return float(e) if e > noise + VIOLATED * abs(g) * S[UNIT, i] else 0.0
 
 
@@ -117,8 +119,8 @@ def most_violated(S: Matrix, noise: float) -> int:
 @compiled
 def list_candidates(S: Matrix, j: int, noise: float) -> None:
     """The inactive rows violated by no less than `SHARE` of what row j, the most violated, is."""
-    least, count, width = SHARE * violation(S, j, noise), 0, width_of(S)
-    for i in range(width if width > FEW else 0):
+    least, count = SHARE * violation(S, j, noise), 0
+    for i in range(width_of(S)):
         if count < MOST_CANDIDATES and i != j and S[SIDE, i] == 0.0:
             e = violation(S, i, noise)
             if e > 0.0 and e >= least:
@@ -154,10 +156,11 @@ def best_candidate(S: Matrix, H: int, noise: float) -> int:
 @compiled
 def next_row(S: Matrix, H: int, noise: float) -> int:
     """The row to bring in: the most violated candidate, or of all rows where none is left."""
-    j = best_candidate(S, H, noise)
+    many = width_of(S) > NARROW
+    j = best_candidate(S, H, noise) if many else -1
     if j < 0:
         values(S, H)
         j = most_violated(S, noise)
-        if j >= 0:
+        if many and j >= 0:
             list_candidates(S, j, noise)
     return j

@@ -4,7 +4,8 @@ Behind a row of K, [P Aᵀ] and H, in the columns `width` and on, stands where i
 many spans there are before column n_pad, how many in all, and the first column and the end of each.
 Spans are whole vectors of `LANES` columns, with no gap between them that is cheaper to cross than
 to leave out. K and [P Aᵀ] are gone through four rows at a time, which have their spans in common,
-behind the first of them. A row without zeros has one span before n_pad and one behind it:
+behind the first of them; rows that are `NARROW` are gone through whole. A row without zeros has one
+span before n_pad and one behind it:
 
     n_pad = 16, width = 64     0 … 15 16 … 31 32 … 47 48 … 63 │ 64 65 66 67 68 69 70 71 72 73
     a row of zeros and ×       × 0        0 0   0 × ×      0  │  1  2  0  8 32 48
@@ -14,10 +15,20 @@ behind the first of them. A row without zeros has one span before n_pad and one 
 from __future__ import annotations
 
 from dpbench.arrays import Matrix
-from dpbench.solvers.own.active_set.layout import MASK, TAIL, compiled, width_of
+from dpbench.solvers.own.active_set.layout import (
+    HEAD,
+    MASK,
+    N_PAD,
+    TAIL,
+    compiled,
+    inlined,
+    width_of,
+)
 
 GROUP = 4
 """Rows of K and of [P Aᵀ] with spans in common: a sum over four costs one look at the result."""
+NARROW = 64
+"""Of no more columns than these all are gone through: to choose some takes as long."""
 LANES, GAP = 8, 32
 """Columns of a vector, and columns that it takes no longer to go through than to leave out."""
 SPANS_BEFORE, SPANS = 3, TAIL // 2 - 1
@@ -80,6 +91,10 @@ def product(S: Matrix, out: int, first: int, by: int, n: int, part: int) -> None
     for j in range(0, n, GROUP):
         a, b, c, d = S[by, j], S[by, j + 1], S[by, j + 2], S[by, j + 3]
         r = first + j
+        if width <= NARROW:
+            for i in range(n if part == ROWS else 0, n if part == BOUNDS else width):
+                S[out, i] += a * S[r, i] + b * S[r + 1, i] + c * S[r + 2, i] + d * S[r + 3, i]
+            continue
         span, end = spans_of(S, r, width, part)
         while span < end:
             for i in range(int(S[r, span]) & MASK, int(S[r, span + 1]) & MASK):
@@ -87,10 +102,16 @@ def product(S: Matrix, out: int, first: int, by: int, n: int, part: int) -> None
             span += 2
 
 
-@compiled
+@inlined
 def add_row(S: Matrix, out: int, a: float, r: int, part: int) -> None:
     """S[out] += a · S[r] for a row of H, on a part of the columns."""
-    span, end = spans_of(S, r, width_of(S), part)
+    width = width_of(S)
+    if width <= NARROW:
+        n = int(S[HEAD, N_PAD]) & MASK
+        for i in range(n if part == ROWS else 0, n if part == BOUNDS else width):
+            S[out, i] += a * S[r, i]
+        return
+    span, end = spans_of(S, r, width, part)
     while span < end:
         for i in range(int(S[r, span]) & MASK, int(S[r, span + 1]) & MASK):
             S[out, i] += a * S[r, i]
