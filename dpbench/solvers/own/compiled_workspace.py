@@ -53,16 +53,15 @@ class CompiledWorkspace(Workspace):
         self._ending = NOT_SOLVED_YET
         if step.P is None and step.lb is None and step.ub is None and not self._refusal:
             try:
-                if take_over(self._S, step.q, step.l, step.u) and self._take_over_rows(step.A):
+                A, taken = step.A, take_over(self._S, step.q, step.l, step.u)
+                if taken and (A is None or self._take_over_rows(A)):
                     return
             except TypeError:  # arrays of another kind, or no setup yet
                 pass
         self._update_slowly(step)
 
-    def _take_over_rows(self, A: Matrix | None) -> bool:
-        """Whether A has been taken over without factorising P again; None for the same A."""
-        if A is None:
-            return True
+    def _take_over_rows(self, A: Matrix) -> bool:
+        """Whether A has been taken over without factorising P again."""
         taken: bool = take_over_rows(self._S, A)
         # Only what is unusual asks for the problem as a whole.
         self._others = self._others or taken
