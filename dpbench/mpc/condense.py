@@ -30,7 +30,7 @@ from numpy.lib.stride_tricks import as_strided
 
 from dpbench.arrays import Floats, Matrix, Vector
 from dpbench.errors import InputError
-from dpbench.mpc.kernels import condense_blocks, map_blocks
+from dpbench.mpc.kernels import condense_blocks, map_blocks, summed_blocks
 from dpbench.mpc.model import StateSpace, rotated
 from dpbench.mpc.terminal import TerminalCost, terminal_cost
 from dpbench.mpc.thruster_rows import ThrusterRows
@@ -123,11 +123,9 @@ def summed_moves(N_c: int, n_u: int) -> Matrix:
 
 def summed_rows(N_c: int, G: Matrix) -> Matrix:
     """(I ⊗ G) C2 (N_c·r, N_c·n_u): the rows G (r, n_u) of each force that moves add up to."""
-    r, n_u = G.shape
-    rows, lower = np.zeros((N_c, r, N_c, n_u)), np.tri(N_c)
-    for i, axis in zip(*np.nonzero(G), strict=True):
-        rows[:, i, :, axis] = G[i, axis] * lower
-    return rows.reshape(N_c * r, N_c * n_u)
+    rows = np.empty((N_c * G.shape[0], N_c * G.shape[1]))
+    summed_blocks(G, rows)
+    return rows
 
 
 def scaled_rows(problem: ControlProblem, units: UnitSystem) -> Matrix:

@@ -97,10 +97,13 @@ class CondensedQP:
         problem, N_c = self.control, self.control.N_c
         self.block = problem.model.n_u
         self.n, self.m = N_c * self.block, N_c * len(problem.G)
-        du_max, one = np.tile(problem.du_max, N_c), np.ones(self.n)
-        row_max, row_one = np.tile(problem.row_max, N_c), np.ones(self.m)
-        own, du = (one, du_max) if self.units == "scaled" else (du_max, one)
-        self.scale = Units(own, row_one if self.units == "scaled" else row_max)
+        # To join copies takes a fraction of what numpy.tile does.
+        du_max, one = np.concatenate([problem.du_max] * N_c), np.ones(self.n)
+        if self.units == "scaled":
+            own, du, rows = one, du_max, np.ones(self.m)
+        else:
+            own, du, rows = du_max, one, np.concatenate([problem.row_max] * N_c)
+        self.scale = Units(own, rows)
         self._du_plan = du
         self.P: Matrix = du[:, np.newaxis] * du
         self.P *= self._matrices.E

@@ -178,6 +178,24 @@ def condense_blocks(A, B, C, Q, R, N_p, N_c):
     return E, F_x, F_held, F, h
 
 
+@njit(cache=True)
+def summed_blocks(G, rows):
+    """rows (N_c·r, N_c·n_u) = (I ⊗ G) C2, C2 block lower-triangular ones (eq. 19)."""
+    r, n_u = G.shape
+    n = rows.shape[1]
+    all_moves = np.empty((r, n))
+    for k in range(r):
+        for c in range(n):
+            all_moves[k, c] = G[k, c % n_u]
+    for i in range(n // n_u):
+        end = (i + 1) * n_u
+        for k in range(r):
+            for c in range(end):
+                rows[i * r + k, c] = all_moves[k, c]
+            for c in range(end, n):
+                rows[i * r + k, c] = 0.0 * all_moves[k, c]
+
+
 @njit(cache=True, error_model="numpy")
 def reachable_limits(u_prev, u_min, u_max, row_max, row_unit, l, u, N_c):  # noqa: E741 - as in the program
     """Limits (r,) as far as the rate can follow them into the first r rows of each move in l, u.
