@@ -31,6 +31,7 @@ from dpbench.solvers.own.active_set.layout import (
     V,
     Z,
     compiled,
+    inlined,
     width_of,
 )
 from dpbench.solvers.own.active_set.spans import (
@@ -47,7 +48,7 @@ SHARE, MOST_CANDIDATES = 0.3, 24
 """A candidate is violated by this share of the most violated row; at most as many candidates."""
 
 
-@compiled
+@inlined
 def add_active(S: Matrix, out: int, sign: float, H: int) -> None:
     """S[out] += sign · H_:W λ_W."""
     for k in range(int(S[HEAD, COUNT]) & MASK):
@@ -153,7 +154,7 @@ def best_candidate(S: Matrix, H: int, noise: float) -> int:
     return worst
 
 
-@compiled
+@inlined
 def next_row(S: Matrix, H: int, noise: float) -> int:
     """The row to bring in: the most violated candidate, or of all rows where none is left."""
     many = width_of(S) > NARROW
