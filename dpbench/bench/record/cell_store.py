@@ -33,8 +33,11 @@ from dpbench.bench.record.cell import OUTCOMES
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs
 from dpbench.bench.record.step_table import (
     OF_FILE,
+    OF_RUNS,
+    frame_of_runs,
     of_runs,
     step_writer,
+    stored_runs,
     with_names,
     write_runs,
     write_steps,
@@ -143,14 +146,20 @@ class Part:
     runs: Path
     steps: Path
 
-    def rows(self) -> pd.DataFrame:
-        """The rows of finished runs, by run_id; none where the table is damaged or not there."""
+    def table(self) -> pa.Table:
+        """The rows of finished runs, as `OF_RUNS`; none where the table is damaged or not there."""
         try:
-            rows = as_runs(pq.read_table(self.runs, page_checksum_verification=True).to_pandas())
+            # Hundreds of columns of some hundred rows: threads would cost more than they save.
+            with pq.ParquetFile(self.runs, page_checksum_verification=True) as file:
+                rows = stored_runs(file.read(use_threads=False))
         except DAMAGE:
-            rows = as_runs(pd.DataFrame())
-        finished = rows["outcome"].isin(_FINISHED) & (rows["schema"] == SCHEMA_VERSION)
-        return rows[finished].set_index("run_id", drop=False)
+            return OF_RUNS.empty_table()
+        became = pc.is_in(rows["outcome"], pa.array(sorted(_FINISHED)))
+        return rows.filter(pc.and_(became, pc.equal(rows["schema"], SCHEMA_VERSION)))
+
+    def rows(self) -> pd.DataFrame:
+        """The same by run_id."""
+        return frame_of_runs(self.table())
 
     def names(self) -> list[str]:
         """The run_ids of all its rows, in their order."""
@@ -372,19 +381,21 @@ class CellStore:
 
     def rows(self) -> pd.DataFrame:
         """The rows of all finished cells, by run_id: of several the latest."""
-        tables = [self._valid(part, part.rows()) for part in self.parts()]
-        rows = pd.concat([as_runs(pd.DataFrame()), *(t for t in tables if len(t))])
+        rows = frame_of_runs(pa.concat_tables([self._valid(part) for part in self.parts()]))
         return rows[~rows.index.duplicated(keep="last")]
 
-    def _valid(self, part: Part, rows: pd.DataFrame) -> pd.DataFrame:
+    def _valid(self, part: Part) -> pa.Table:
         """The rows of a part but for those that were forgotten since they were written."""
-        return rows[~rows["run_id"].isin(self._stale)] if part in self._before else rows
+        rows = part.table()
+        if part not in self._before or not self._stale:
+            return rows
+        return rows.filter(pc.invert(pc.is_in(rows["run_id"], pa.array(sorted(self._stale)))))
 
     def steps(self) -> Iterator[pa.Table]:
         """The steps of all finished cells once, in tables of whole runs: of several the latest."""
         owner: dict[str, Part] = {}
         for part in self.parts():
-            owner |= dict.fromkeys(self._valid(part, part.rows())["run_id"], part)
+            owner |= dict.fromkeys(self._valid(part)["run_id"].to_pylist(), part)
         owned: dict[Part, set[str]] = {part: set() for part in self.parts()}
         for name, part in owner.items():
             owned[part].add(name)

@@ -26,6 +26,7 @@ from dpbench.bench.record.schema import (
     SAME_AS,
     STEP_COLUMNS,
     DType,
+    as_runs,
 )
 
 ARROW: dict[DType, pa.DataType] = {
@@ -144,6 +145,21 @@ def write_runs(path: Path, runs: pd.DataFrame, metadata: Mapping[str, str]) -> N
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
+
+
+def stored_runs(table: pa.Table) -> pa.Table:
+    """The columns of `OF_RUNS` of a table of runs; ValueError, or one of Arrow, where they are of
+    other types."""
+    if not set(OF_RUNS.names) <= set(table.column_names):
+        table = pa.Table.from_pandas(as_runs(table.to_pandas()), OF_RUNS, preserve_index=False)
+    return table.select(OF_RUNS.names).cast(OF_RUNS)
+
+
+def frame_of_runs(table: pa.Table) -> pd.DataFrame:
+    """A table of `OF_RUNS` as a frame, by run_id."""
+    whole = {pa.int64(): pd.Int64Dtype()}
+    runs: pd.DataFrame = as_runs(table.to_pandas(types_mapper=whole.get))
+    return runs.set_index("run_id", drop=False)
 
 
 def of_runs(table: pa.Table, names: Container[str]) -> pa.Table:
