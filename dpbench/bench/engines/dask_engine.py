@@ -51,6 +51,7 @@ from dpbench.bench.sequences.source import is_recorded, is_sound, is_timed, sour
 from dpbench.bench.workers.executor import (
     CellJob,
     Result,
+    alternating,
     batch_cells,
     configuration_key,
     name_of,
@@ -196,18 +197,18 @@ class DaskEngine(ExitStack):
             yield path, self._lost(self._gone)
 
     def _chunks(self, kind: Kind, jobs: Sequence[CellJob]) -> list[Chunk]:
-        """Cells that are tasks: replays of one sequence, or a batch of one configuration."""
+        """Cells that are tasks: replays of one sequence, or a batch of one configuration, and
+        configurations by turns."""
         if kind == "replays":
             return [Chunk(kind, group) for group in interleaved(jobs)]
         most = batch_cells(len(jobs), self._fleet.slots)
         alike: dict[tuple[str, ...], list[CellJob]] = {}
         for job in jobs:
             alike.setdefault(configuration_key(job.cell), []).append(job)
-        return [
-            Chunk(kind, some[first : first + most])
+        return alternating(
+            [Chunk(kind, some[first : first + most]) for first in range(0, len(some), most)]
             for some in alike.values()
-            for first in range(0, len(some), most)
-        ]
+        )
 
     def _in_flight(self, chunks: Sequence[Chunk]) -> Iterator[Result]:
         """Give chunks away, some at a time; yields the results of each when it has come back.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from typing import Any, Literal
@@ -18,6 +19,7 @@ FORMULATIONS: tuple[Formulation, ...] = ("condensed_box", "condensed_stacked", "
 FALLBACKS: tuple[Fallback, ...] = ("shifted_plan", "hold", "clip")
 SLOWEST = 1e9
 """Largest slow-down: with it a latency of some seconds still is a 64-bit integer [ns]."""
+_PROBLEM = ("mode", "source", "scenario", "units", "first", "steps")
 _OPTIONAL = ("source", "study", "slowdown", "deadline_s", "budget_s", "repeat_budget_s")
 
 
@@ -92,9 +94,7 @@ class Cell:
     @property
     def problem_key(self) -> str:
         """Cells with the same problem key see the same QPs (replay) or the same ship."""
-        made_of = self.source, self.scenario
-        problem = (self.mode, made_of, self.units, self.first, self.steps)
-        return _digest(problem)
+        return _problem_key(self._description())
 
     @property
     def key(self) -> str:
@@ -122,6 +122,15 @@ class Cell:
         """Hash of the cell and of everything a result of it depends on (method.md section 5)."""
         description = self._description()
         return _digest([description, solver_version, machine_id, harness_version, SCHEMA_VERSION])
+
+
+def problem_key_of(text: str) -> str:
+    """The `problem_key` of a cell by what `to_json` made of it, in whatever release."""
+    return _problem_key(json.loads(text))
+
+
+def _problem_key(description: Mapping[str, Any]) -> str:
+    return _digest([description.get(name) for name in _PROBLEM])
 
 
 def _digest(value: object) -> str:

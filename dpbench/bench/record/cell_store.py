@@ -5,10 +5,11 @@ stream of one batch, the steps of a run, whose schema carries the row of the run
 stand its length and its check sum. What was cut off in the midst of a record, or damaged since, is
 no record; all others are.
 
-Some hundred cells become a part, two files in `cells/`, the steps first and the runs last; at the
-end of a campaign all parts become `steps.parquet` and `runs.parquet`. A cell is finished when its
-row stands in a table of runs, or in the journal, and its steps can be read. Where a cell is in
-several places, after a campaign was killed as it tidied up, the latest holds.
+Some hundred cells become a part, two files in `cells/`, the steps first and the runs last; in it
+runs of one problem lie behind each other. At the end of a campaign all parts become
+`steps.parquet` and `runs.parquet`. A cell is finished when its row stands in a table of runs, or in
+the journal, and its steps can be read. Where a cell is in several places, after a campaign was
+killed as it tidied up, the latest holds.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import json
 import os
 import struct
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +30,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from dpbench.bench.record.cell import OUTCOMES
+from dpbench.bench.record.cell import OUTCOMES, problem_key_of
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs
 from dpbench.bench.record.step_table import (
     OF_FILE,
@@ -262,6 +263,14 @@ class StepFile:
         self._writer.close()
 
 
+def _by_problem(rows: Mapping[str, Row]) -> list[str]:
+    """The names of runs, those of one problem behind each other: of loops in one sea most steps
+    have numbers in common, which are stored once where they are near."""
+    problems = {name: problem_key_of(row["cell"]) for name, row in rows.items()}
+    places = {problem: at for at, problem in enumerate(dict.fromkeys(problems.values()))}
+    return sorted(rows, key=lambda name: places[problems[name]])
+
+
 class CellStore:
     """The finished cells of a result folder.
 
@@ -340,9 +349,11 @@ class CellStore:
             part = self.new_part()
             file = StepFile(part.steps.with_suffix(".part"))
             try:
-                file.add(with_names(steps))
+                ordered = _by_problem(rows)
+                file.add(with_names({name: steps[name] for name in ordered}))
                 file.close()
-                part.write_runs(as_runs(pd.DataFrame(list(rows.values()))), file.path)
+                table = pd.DataFrame([rows[name] for name in ordered])
+                part.write_runs(as_runs(table), file.path)
             finally:
                 file.path.unlink(missing_ok=True)
         if self._journal is not None:

@@ -11,8 +11,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import zip_longest
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
+from typing import TypeVar
 
 from dpbench.bench.judge.rows import run_row
 from dpbench.bench.plan.cells import PlannedCell
@@ -33,6 +35,7 @@ from dpbench.bench.workers.worker import BatchCell
 from dpbench.errors import InputError
 from dpbench.solvers.table import Availability
 
+Batch = TypeVar("Batch")
 BATCH_CELLS, BATCH_BYTES = 32, 2**23
 """Closed loops that share a process, and the bytes of their logs, at most."""
 WAITING = (
@@ -354,8 +357,16 @@ def configuration_key(cell: Cell) -> tuple[str, ...]:
     return (cell.mode, *(getattr(cell, name) for name in COLUMNS))
 
 
+def alternating(of_configurations: Iterable[Sequence[Batch]]) -> list[Batch]:
+    """Of the batches of several configurations the first of each, then the second of each, and so
+    on: all of them meet a sea at about the same time, so that its runs come into one part."""
+    turns = zip_longest(*of_configurations)
+    return [batch for turn in turns for batch in turn if batch is not None]
+
+
 def _batches(sizes: Mapping[CellJob, int], most: int) -> list[list[CellJob]]:
-    """Jobs that share a process, by the sizes of their logs [B]: those of one configuration.
+    """Jobs that share a process, by the sizes of their logs [B]: those of one configuration, and
+    configurations by turns.
 
     No more than `most`, and than the memory for logs has room for.
     """
@@ -370,4 +381,4 @@ def _batches(sizes: Mapping[CellJob, int], most: int) -> list[list[CellJob]]:
             room[key] = BATCH_BYTES
         alike[-1].append(job)
         room[key] -= size
-    return [batch for alike in batches.values() for batch in alike]
+    return alternating(batches.values())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -75,6 +76,7 @@ def steps_of(seed: int, count: int = 7) -> StepColumns:
 def row_of(name: str, **changes: Any) -> dict[str, Any]:
     """A row with what the store looks at."""
     row = {"run_id": name, "outcome": "finished", "schema": SCHEMA_VERSION, "steps_done": 7}
+    row |= {"cell": json.dumps({"scenario": name})}
     clock = {"sample_s": SAMPLE_S, "first_sample": 5.0, "every_sample": np.float64(2.0)}
     return row | clock | {"N_p": pd.NA, "settle_s": np.inf, "effort_s": 0.1 + 0.2} | changes
 
@@ -207,6 +209,19 @@ def test_many_cells_become_parts(tmp_path: Path, monkeypatch: Any) -> None:
     assert parts == ["open.cells", *of_two, "steps-00002.parquet"]
     store = CellStore(tmp_path)
     assert list(store.finished) == names == names_in(store) == list(store.rows().index)
+
+
+def test_runs_of_one_problem_lie_behind_each_other(tmp_path: Path) -> None:
+    """In a part, whichever came first; each with its own steps."""
+    store = CellStore(tmp_path)
+    for seed, name in enumerate(["a1", "b1", "a2", "b2"]):
+        cell = json.dumps({"scenario": name[0], "solver": name[1]})
+        store.append(name, "finished", record(name, seed, cell=cell))
+    store.close()
+    assert names_in(store) == list(store.rows().index) == ["a1", "a2", "b1", "b2"]
+    (steps,) = store.steps()
+    gap = np.concatenate([steps_of(seed)["gap"] for seed in (0, 2, 1, 3)])
+    np.testing.assert_array_equal(steps["gap"].to_numpy(), gap)
 
 
 @pytest.fixture
