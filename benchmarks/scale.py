@@ -188,8 +188,14 @@ def big_report(out: Path, cells: int, steps: int) -> Iterator[tuple[str, ...]]:
 
 
 def made_folder(out: Path, cells: int, steps: int) -> Path:
-    """Fill a result folder with finished cells, each with the steps of a real one a little changed;
-    the suite that takes them for its own."""
+    """Fill a result folder with finished cells; the suite that takes them for its own.
+
+    Each has the row and the steps of a real one, of its settings at its point, changed as another
+    sea changes them: all numbers of a sea by one factor. What runs of one sea have in common, most
+    of what DAQP computes at whatever tolerance, stays in common, and nothing is in common with
+    another sea; so the steps pack as those of real loops do. The cells come sea by sea, as
+    a campaign keeps them but for the seas at the ends of its batches.
+    """
 
     def suite_in(folder: Path, seas: int) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
@@ -201,45 +207,49 @@ def made_folder(out: Path, cells: int, steps: int) -> Path:
     real = _real_cells(out / "real" / "results")
     identity, machine = available("daqp").identity, describe_machine()["id"]
     rng, store = np.random.default_rng(1), CellStore(out / "results")
+    factors: dict[tuple[int, int], float] = {}
     for planned in plan(load_suite(suite)[1], beside=out):
-        row, batch = real[planned.cell.settings]
+        study = planned.cell.study
+        row, batch = real[planned.cell.settings, study["point"]]
+        sea = study["point"], study["replicate"]
+        factor = factors.setdefault(sea, float(np.exp(0.1 * rng.standard_normal())))
         run_id = planned.cell.run_id(identity, machine, HARNESS_VERSION)
-        own = _changed_row(row, rng) | {"run_id": run_id, "cell": planned.cell.to_json()}
-        store.append(run_id, "finished", packed(own, _changed(batch, rng)))
+        own = _changed_row(row, factor) | {"run_id": run_id, "cell": planned.cell.to_json()}
+        store.append(run_id, "finished", packed(own, _changed(batch, factor, rng)))
     store.close()
     return suite
 
 
-def _real_cells(folder: Path) -> dict[str, tuple[dict[str, Any], pa.RecordBatch]]:
-    """Row and steps of each run of a folder by its settings."""
+def _real_cells(folder: Path) -> dict[tuple[str, int], tuple[dict[str, Any], pa.RecordBatch]]:
+    """Row and steps of each run of a folder, by its settings and point."""
     cells = {}
     for row in load_results(folder).runs.to_dict("records"):
         own = [("run_id", "==", row["run_id"])]
         # As they are stored: what is equal to another column stays null.
         steps = pq.read_table(folder / "steps.parquet", columns=OF_STEPS.names, filters=own)
         (batch,) = steps.cast(OF_STEPS).combine_chunks().to_batches()
-        cells[str(row["settings"])] = {str(name): value for name, value in row.items()}, batch
+        key = str(row["settings"]), int(row["study_point"])
+        cells[key] = {str(name): value for name, value in row.items()}, batch
     return cells
 
 
-def _changed_row(row: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
+def _changed_row(row: dict[str, Any], factor: float) -> dict[str, Any]:
     """The same run in a sea that is a little worse or better."""
-    factor = float(np.exp(0.1 * rng.standard_normal()))
     names = ("r_rms_m", "r_95_m", "r_max_m", "r_tail_max_m", "closed_loop_cost")
     return row | {name: factor * row[name] for name in names}
 
 
-def _changed(batch: pa.RecordBatch, rng: np.random.Generator) -> pa.RecordBatch:
-    """The same steps with other numbers that pack no better: times scatter by a tenth, all else is
-    multiplied by one number."""
-    columns, one = [], np.exp(0.1 * rng.standard_normal())
+def _changed(batch: pa.RecordBatch, factor: float, rng: np.random.Generator) -> pa.RecordBatch:
+    """The same steps with other numbers that pack neither better nor worse: times, which no two
+    runs have in common, scatter by a tenth, all else is multiplied by the factor of the sea."""
+    columns = []
     for field, column in zip(batch.schema, batch.columns, strict=True):
         if not (pa.types.is_floating(field.type) or field.name.endswith("_ns")):
             columns.append(column)
             continue
         known = column.fill_null(0).to_numpy()
         is_time = field.name.endswith("_ns")
-        other = known * (np.exp(0.1 * rng.standard_normal(len(known))) if is_time else one)
+        other = known * (np.exp(0.1 * rng.standard_normal(len(known))) if is_time else factor)
         mask = column.is_null().to_numpy(zero_copy_only=False)
         columns.append(pa.array(other.astype(known.dtype), field.type, mask=mask))
     return pa.RecordBatch.from_arrays(columns, schema=batch.schema)
