@@ -35,6 +35,7 @@ from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs
 from dpbench.bench.record.step_table import (
     OF_FILE,
     OF_RUNS,
+    WORDS,
     frame_of_runs,
     of_runs,
     step_writer,
@@ -175,7 +176,7 @@ class Part:
         """The row groups of the steps that can be read."""
         try:
             file = pq.ParquetFile(
-                self.steps, read_dictionary=["run_id"], page_checksum_verification=True
+                self.steps, read_dictionary=WORDS, page_checksum_verification=True
             )
         except DAMAGE:
             return

@@ -36,6 +36,7 @@ from dpbench.bench.record.step_table import (
     ARROW,
     OF_CLOCK,
     OF_FILE,
+    WORDS,
     is_complete,
     needed_for,
     of_runs,
@@ -46,8 +47,6 @@ from dpbench.errors import ResultsError, renamed
 ALL = tuple(STEP_COLUMNS)
 KEPT_GROUPS = 2
 """So many row groups, each with the columns that were asked for, are kept for the next question."""
-_FEW_WORDS = ("run_id", "status", "certificate")
-"""Columns with the same words over and over: each word is kept once for all its rows."""
 
 
 class StepTable(ABC):
@@ -232,7 +231,7 @@ class StepsOnDisk(StepTable):
         needed = asked if self._complete else needed_for(asked)
         stored = {name: self._stored[name] for name in needed if name in self._stored}
         with readable(self._path):
-            words = [self._stored[name] for name in _FEW_WORDS]
+            words = [self._stored[name] for name in WORDS]
             with pq.ParquetFile(self._path, read_dictionary=words) as file:
                 table = file.read_row_groups(groups, columns=list(stored.values()))
             table = table.select(list(stored.values())).rename_columns(list(stored))

@@ -40,12 +40,15 @@ ARROW: dict[DType, pa.DataType] = {
 STORED = [name for name in STEP_COLUMNS if name not in DERIVED]
 """The columns of `steps.parquet`."""
 NAMES = pa.dictionary(pa.int32(), pa.string())
-"""The type of `run_id` in memory: a name is kept once for all its rows."""
+"""The type of words in memory: each is kept once for all its rows."""
 OF_STEPS = pa.schema([(n, ARROW[STEP_COLUMNS[n][0]]) for n in STORED[1:]])
 """Stored steps of one run, which has its name elsewhere."""
-OF_FILE = pa.schema([("run_id", NAMES), *OF_STEPS])
+WORDS = [name for name in STORED if STEP_COLUMNS[name][0] == "str"]
+"""The columns of words: the same few over and over."""
+OF_FILE = pa.schema(
+    [(name, NAMES if name in WORDS else ARROW[STEP_COLUMNS[name][0]]) for name in STORED]
+)
 OF_RUNS = pa.schema([(name, ARROW[dtype]) for name, (dtype, _) in RUN_COLUMNS.items()])
-_WORDS = [name for name in STORED if STEP_COLUMNS[name][0] == "str"]
 _ENCODINGS = {
     "float64": "BYTE_STREAM_SPLIT",
     "Int64": "DELTA_BINARY_PACKED",
@@ -102,7 +105,10 @@ def with_names(batches: Mapping[str, pa.RecordBatch]) -> pa.Table:
     counts = [batch.num_rows for batch in batches.values()]
     codes = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
     names = pa.DictionaryArray.from_arrays(codes, pa.array(list(batches), pa.string()))
-    return steps.add_column(0, "run_id", names)
+    for name in WORDS[1:]:
+        at = steps.schema.get_field_index(name)
+        steps = steps.set_column(at, name, steps[name].dictionary_encode())
+    return steps.add_column(0, "run_id", names).unify_dictionaries()
 
 
 def step_writer(path: Path) -> pq.ParquetWriter:
@@ -113,7 +119,7 @@ def step_writer(path: Path) -> pq.ParquetWriter:
         path,
         OF_FILE,
         compression="zstd",
-        use_dictionary=_WORDS,
+        use_dictionary=WORDS,
         column_encoding={n: _ENCODINGS[t] for n, t in types.items() if t in _ENCODINGS},
         write_page_checksum=True,
         # A table reads as what its columns are, in whatever program, not as what they were here.
@@ -166,6 +172,9 @@ def of_runs(table: pa.Table, names: Container[str]) -> pa.Table:
     """The rows of those runs."""
     coded = table["run_id"].combine_chunks()
     wanted = np.array([name in names for name in coded.dictionary.to_pylist()], dtype=np.bool_)
+    if not wanted.any():
+        # A slice would hold on to all of the table.
+        return table.schema.empty_table()
     return table if wanted.all() else table.filter(pa.array(wanted[coded.indices.to_numpy()]))
 
 
