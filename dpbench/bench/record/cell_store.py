@@ -192,7 +192,7 @@ class Part:
             with pq.ParquetFile(self.runs, page_checksum_verification=True) as file:
                 # All columns, which tells whether they can be read; some rows at a time, as the
                 # descriptions of cells are long.
-                for rows in file.iter_batches(batch_size=CHECKED_ROWS):
+                for rows in file.iter_batches(batch_size=CHECKED_ROWS, use_threads=False):
                     key = (rows[name].to_pylist() for name in ("run_id", "outcome", "schema"))
                     finished |= {
                         name: outcome
