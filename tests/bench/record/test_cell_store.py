@@ -38,6 +38,7 @@ from dpbench.bench.record.schema import (
 from dpbench.bench.record.step_table import (
     STORED,
     change_of,
+    of_runs,
     step_batch,
     times_of,
     total_of,
@@ -136,6 +137,15 @@ def test_only_the_runs_and_columns_that_are_asked_for(tmp_path: Path, monkeypatc
         assert some["dtau_x_N"].to_pylist() == steps_of(seed)["dtau_x_N"].tolist()
         assert some["t_s"].to_pylist() == steps_of(seed)["t_s"].tolist()
     assert len(read_steps(tmp_path, ["k"], {"nobody"})) == 0
+
+
+def test_of_no_runs_nothing_is_held() -> None:
+    """What waits to be written beside a table must not keep the table in memory."""
+    table = with_names({"a": step_batch(steps_of(0)), "b": step_batch(steps_of(1))})
+    assert of_runs(table, {"b"})["run_id"].unique().to_pylist() == ["b"]
+    nothing = of_runs(table, {"c"})
+    assert nothing.schema.equals(table.schema) and len(nothing) == 0
+    assert nothing.get_total_buffer_size() < 100 < table.get_total_buffer_size()
 
 
 def test_what_another_schema_left_in_the_journal_is_not_finished(tmp_path: Path) -> None:

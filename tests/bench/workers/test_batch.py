@@ -9,6 +9,7 @@ import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.bench.record.result_folder import Results
+from dpbench.bench.workers.executor import alternating
 from dpbench.solvers import plugins
 from tests.bench.deterministic import deterministic
 
@@ -103,3 +104,12 @@ def test_a_crash_in_the_midst_of_a_batch_costs_one_cell(
     kept, first = (table[table["run_id"] == name] for table in (steps, all_steps))
     kept, first = kept.reset_index(drop=True), first.head(step).reset_index(drop=True)
     pd.testing.assert_frame_equal(kept, first, check_exact=True)
+
+
+def test_configurations_meet_a_sea_at_about_the_same_time() -> None:
+    """The batches of all of them by turns, however many each has."""
+    assert alternating([["a1"], ["b1", "b2", "b3"], ["c1", "c2"]]) == [
+        *("a1", "b1", "c1"),
+        *("b2", "c2"),
+        "b3",
+    ]
