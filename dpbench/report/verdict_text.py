@@ -131,6 +131,7 @@ _WORDS = {
     "not alone": "{where} was timed beside other work, or on another machine",
     "no step": "{where} left no counting step",
     "no p99": "{steps} of {where} do not support a p99, and the slowest takes {time}",
+    "slow loop": "the median of its timings is {time} in {where}, a closed loop{also}",
     "no closed loop": "no closed loop was run",
     "no replay": "no replay was run, so its time is not judged",
     "absent": "not run in {places}",

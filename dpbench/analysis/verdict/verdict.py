@@ -5,7 +5,8 @@ solver's reference was judged, every judged step has error_move within the deman
 fail than it allows, and the p99 of its algorithmic step time stays below the demand in every
 replayed sequence. What contradicts the demand makes it *miss*: a wrong, failed or late step, a
 process that crashed, a call that did not return. What was not run, could not be measured, or was
-lost by the harness leaves it *open*.
+lost by the harness leaves it *open*, and so does a closed loop whose median timing is beyond what
+is allowed of a p99.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ Doubt = Literal[
     "not alone",
     "no step",
     "no p99",
+    "slow loop",
     "no closed loop",
     "no replay",
 ]
@@ -227,7 +229,7 @@ def verdict_of(
     replays = [run for run in ran if run.mode == "replay"]
     late, unsure, timing = _timing(records, replays, demand)
     causes = [*_wrong(ran, demand), *_failing(ran, demand), *_own_doing(ran), *late]
-    doubts = [*_unfinished(ran), *unsure]
+    doubts = [*_unfinished(ran), *unsure, *_slow_loops(ran, demand)]
     gaps = _gaps(runs, asked)
     kinds = len({run.mode for run in ran})
     whole = not (doubts or gaps) and kinds == 2
@@ -287,7 +289,7 @@ def _wrong(runs: Sequence[RunRecord], demand: Demand) -> list[Finding]:
 
 
 def _worst_first(
-    kind: Cause, runs: Sequence[RunRecord], figure: Callable[[RunRecord], float]
+    kind: Cause | Doubt, runs: Sequence[RunRecord], figure: Callable[[RunRecord], float]
 ) -> list[Finding]:
     """One finding with the worst run by a figure in front, the others in their order."""
     if not runs:
@@ -327,6 +329,14 @@ def _unfinished(runs: Sequence[RunRecord]) -> list[Finding]:
         elif _count(run.uncertified):
             doubts.append(Finding("uncertified", (run,), value=_count(run.uncertified)))
     return doubts
+
+
+def _slow_loops(runs: Sequence[RunRecord], demand: Demand) -> list[Finding]:
+    """Closed loops with a median of timings beyond what is allowed of a p99. A loop is timed once
+    a step, other work may be in that, so that it contradicts nothing; nor can it be passed over."""
+    loops = (run for run in runs if run.mode == "closed_loop" and not run.slowdown > 0.0)
+    slow = [run for run in loops if run.raw_p50_ns > demand.p99_ns]
+    return _worst_first("slow loop", slow, lambda run: run.raw_p50_ns)
 
 
 def _timing(

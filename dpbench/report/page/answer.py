@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from math import isnan
+from math import isnan, nan
 from typing import Any
 
 from dpbench.analysis.records.run_record import RunRecord
@@ -188,7 +188,8 @@ def _open_notes(facts: Facts, found: Recommendation) -> Iterator[tuple[str, str]
 
 def slower_text(facts: Facts, chosen: Verdict) -> str:
     """How slow a computer may be: until the largest timing of everything the configuration ran
-    takes the whole sample, and until the median of its hardest loop passes the demand's p99."""
+    takes the whole sample, and until its p99, and the median of its hardest loop, pass what the
+    demand allows of a p99."""
     largest = facts.longest_timing(chosen.configuration)
     if largest is None:
         by_step = rounded_down(chosen.slowdown(facts.demand))
@@ -200,10 +201,17 @@ def slower_text(facts: Facts, chosen: Verdict) -> str:
         f"{place.label}{_step_text(facts, run)}, takes the whole sample."
     )
     hardest = facts.hardest_loop(chosen.configuration)
-    if hardest is None:
-        return said
-    most = rounded_down(facts.demand.p99_ms * 1e6 / hardest[1].raw_p50_ns)
-    return f"{said} Up to × {most} the median of its hardest loop keeps {facts.demand.p99_ms:g} ms."
+    measures = {
+        "its p99": chosen.p99_ns,
+        "the median of its hardest loop": nan if hardest is None else hardest[1].raw_p50_ns,
+    }
+    bounds = [
+        f"up to × {rounded_down(facts.demand.p99_ns / taken_ns)} by {name}"
+        for name, taken_ns in measures.items()
+        if not isnan(taken_ns)
+    ]
+    kept = f" It keeps {facts.demand.p99_ms:g} ms {and_list(bounds)}." if bounds else ""
+    return said + kept
 
 
 def _step_text(facts: Facts, run: RunRecord) -> str:

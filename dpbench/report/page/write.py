@@ -360,7 +360,8 @@ def _solver(name: str) -> dict[str, str]:
 
 MATRIX = (
     "A tile is what that place alone says of the demand. Wrong: an answer beyond it, or none. "
-    "Late: right, but its p99 beyond it; only replays judge times. Open: not all of it was judged."
+    "Late: right, but its p99 beyond it; only replays judge times. Open: not all of it was judged, "
+    "or a loop's median is beyond the p99 allowed."
 )
 
 
@@ -370,11 +371,22 @@ def _matrix_said(facts: Facts) -> str:
     there, drawn = (t["place"].nunique() if len(t) else 0 for t in (tiles, drawn_tiles(tiles)))
     said = [MATRIX]
     if any(facts.places[p].units == "si" for p in facts.judged_places):
-        said.append("In N and N·m is an extra, in no verdict.")
+        said.append(f"In N and N·m is an extra, in no verdict{_wrong_in_si(facts, tiles)}.")
     if there != drawn:
         most = f"The {drawn} of {there} places that miss it most"
         said.append(f"{most}; all are in tables/places.csv.")
     return " ".join(said)
+
+
+def _wrong_in_si(facts: Facts, tiles: pd.DataFrame) -> str:
+    """What who gives a solver such a QP has to know: how many are then wrong at their defaults."""
+    unscaled = [str(p) for p in facts.judged_places if facts.places[p].units == "si"]
+    ran = tiles[tiles["place_id"].isin(unscaled) & tiles["state"].ne("not run")]
+    asked = ran[ran["settings"] == "default"]
+    wrong = asked.loc[asked["state"] == "wrong", "solver"].nunique()
+    return f"; {wrong} of {asked['solver'].nunique()} solvers are wrong there: scale the QP" * (
+        wrong > 0
+    )
 
 
 def follow(text: str) -> str:

@@ -75,7 +75,7 @@ def _quiet_text(disturbance: Disturbance, machine: Mapping[str, Any]) -> str:
         )
     rounds = plural(disturbance.rounds, "round")
     return (
-        "The machine was quiet by its kernel's counters: "
+        "The machine was quiet by the operating system's counters: "
         f"{count_text(disturbance.disturbed)} of {rounds} disturbed even when run again, as "
         f"{count_text(disturbance.rerun)} were.{_unwatched(machine)}"
     )

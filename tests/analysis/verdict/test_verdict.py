@@ -195,11 +195,30 @@ def test_slowdown_is_deadline_over_largest_step(records: Any) -> None:
     assert _verdict(records, "daqp").slowdown(DEMAND) == pytest.approx(300e6 / 30e3, rel=1e-4)
 
 
-def test_closed_loop_times_never_enter(records: Any) -> None:
-    """However slow a closed loop was, the time that is judged comes from replays."""
-    records.loop("daqp", raw_max_ns=1e12, raw_p50_ns=1e12)
+def test_one_slow_step_of_a_loop_says_nothing(records: Any) -> None:
+    """A loop's steps are timed once: however long the longest took, the times are those of
+    replays."""
+    records.loop("daqp", raw_max_ns=1e12, raw_p50_ns=2.9e6)
     records.replay("daqp", median_us=20.0)
-    assert _verdict(records, "daqp").outcome == "meets"
+    verdict = _verdict(records, "daqp")
+    assert verdict.outcome == "meets" and verdict.p99_ns < 1e5
+
+
+def test_a_loop_that_is_slow_in_the_median_leaves_it_open(records: Any) -> None:
+    """Half of its steps took longer than the p99 that is allowed: not shown to be late, as other
+    work may be in them, and not said to be in time; on a computer made slower that is no news."""
+    records.loop("daqp", raw_p50_ns=5.74e6)
+    records.loop("daqp", "rough", raw_p50_ns=3.1e6)
+    records.replay("daqp", median_us=20.0)
+    verdict = _verdict(records, "daqp")
+    assert verdict.outcome == "open" and not verdict.causes
+    assert _why(verdict) == (
+        "the median of its timings is 5.74 ms in `paper`, a closed loop (also in `rough`)"
+    )
+    records.loop("osqp", raw_p50_ns=5.74e6, slowdown=100.0)
+    records.loop("osqp", "rough")
+    records.replay("osqp", "rough")
+    assert _verdict(records, "osqp").outcome == "meets"
 
 
 def test_high_settings_rescue(records: Any) -> None:

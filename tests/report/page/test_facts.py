@@ -177,5 +177,8 @@ def test_of_many_places_those_that_miss_most_are_drawn(
     assert drawn["place"].unique().tolist() == ["rough", "turn"] and len(drawn) == 4
     said = _matrix_said(facts)
     assert "The 2 of 4 places that miss it most" in said and "N·m" not in said
+    monkeypatch.undo()
     records.loop("daqp", units="si")
-    assert "In N and N·m is an extra" in _matrix_said(_facts(records))
+    assert _matrix_said(_facts(records)).endswith("In N and N·m is an extra, in no verdict.")
+    records.loop("osqp", units="si", error=0.5)
+    assert _matrix_said(_facts(records)).endswith("; 1 of 2 solvers are wrong there: scale the QP.")

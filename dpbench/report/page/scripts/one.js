@@ -87,7 +87,7 @@ async function drawOne() {
       + `${run.settle_s === null || run.settle_s === "inf" ? "." : ` and settled within 1 m and 1° at ${figure(run.settle_s)} s.`}`,
     run.infeasible > 0 ? `${run.infeasible} of the steps had no solution${run.all_true ? ", and it said so" : ""}.` : "",
     run.why && run.state !== "meets" ? `${run.outcome}: ${run.why}.` : "",
-    judged ? `Over all places: ${C().outcome[state.c]}${C().why[state.c] ? ` (${C().why[state.c]})` : ""}.` : "",
+    judged ? `Over all judged places: ${C().outcome[state.c]}${C().why[state.c] ? ` (${C().why[state.c]})` : ""}.` : "",
     solver.method ? `Method: ${solver.method}.` : "",
   ].filter(Boolean).join(" ").replaceAll("`", "");
   drawHard(run);
@@ -157,7 +157,7 @@ function drawHard(run) {
   const several = facts.places.filter((_, p) => cell(state.c, p)?.hard).length > 1;
   const most = varies(state.c) ? [1] : [], worst = most.length && !["late", "wrong"].includes(C().outcome[state.c]) ? [] : [2];
   $("hard").replaceChildren(
-    ...(several ? [0, ...worst, ...most] : []).map((m) => row(m === 0 ? "slowest (replays: fastest round), all places" : `${names[m]}, all places`,
+    ...(several ? [0, ...worst, ...most] : []).map((m) => row(m === 0 ? "slowest (replays: fastest round), all judged places" : `${names[m]}, all judged places`,
       worstAnywhere(m).map(said(m)))).filter((line) => line.children.length > 1),
     ...order.map((m) => here[m]).filter((line) => line?.children.length > 1));
   drawStep(run);

@@ -5,31 +5,33 @@
 const listed = (rows, say = (row) => row.solver) => (rows.length && (rows.length <= 6 || state.slow > 1)
   ? `: ${rows.map(say).join(", ")}` : "");
 
-// Of the solvers that meet the demand here (of those that nothing contradicts where none does), who
-// still makes the deadline on the slower computer, by the measure of the chosen one, and up to which;
-// and whose p99 stays within the demand.
+// Of the chosen one, and of the solvers that meet the demand here (of those that nothing contradicts
+// where none does): who still makes the deadline on the slower computer with its largest timing of
+// all places, and up to which; and whose p99 stays within the demand.
 function kept() {
   const { deadline_ms, p99_ms } = facts.demand;
   const which = (...states) => rowsDrawn("ladder").values.filter((row) => states.includes(row.state));
   const meeting = which("meets"), right = meeting.length ? meeting : which("open");
-  if (!right.length) return bounded("");
+  if (!right.length) return bounded();
   const most = (row) => deadline_ms / (row.longest_ms ?? row.max_ms);
   const safe = right.filter((row) => most(row) >= state.slow).sort((a, b) => most(b) - most(a));
   const quick = right.filter((row) => (row.p99_ms ?? row.max_ms) * state.slow <= p99_ms);
-  return `${bounded(" By this measure ") || "By the largest single timing of all: "}${safe.length} of the ${right.length} that ${
-    meeting.length ? "meet the demand here" : "nothing contradicts here"} keep ${deadline_ms} ms${
-    listed(safe, (row) => `${row.solver} (× ${roundedDown(most(row))})`)}. A p99 within ${
-    p99_ms} ms in the replays: ${quick.length}${listed(quick)}`;
+  return `${bounded()}Of the ${right.length} that ${meeting.length ? "meet the demand" : "nothing contradicts"} here ${
+    deadline_ms} ms is kept by ${safe.length}${listed(safe, (row) => `${row.solver} (× ${roundedDown(most(row))})`)}; a p99 of ${
+    p99_ms} ms by ${quick.length}${listed(quick)}.`;
 }
 
-// Whether the chosen one's largest timing of all places makes the deadline on the slower computer.
-function bounded(then) {
-  const longest = C().longest[state.c];
+// Up to which slow-down the chosen one keeps the deadline, by its largest timing of all places, and
+// its p99 the demand.
+function bounded() {
+  const { deadline_ms, p99_ms } = facts.demand, longest = C().longest[state.c], p99 = C().p99[state.c];
   if (longest === null) return "";
-  const most = (facts.demand.deadline_ms * 1e6) / longest, at = facts.places[C().longest_at[state.c]].label;
-  return `${C().solver[state.c]} ${most < state.slow ? `is beyond its × ${roundedDown(most)}`
-    : `holds up to × ${roundedDown(most)}`} `
-    + `(largest single timing, in ${at}).${then}`;
+  const keeps = (limit_ms, taken_ns) => {
+    const most = (limit_ms * 1e6) / taken_ns;
+    return `${most < state.slow ? `misses ${limit_ms} ms beyond` : `keeps ${limit_ms} ms up to`} × ${roundedDown(most)}`;
+  };
+  return `${C().solver[state.c]} ${keeps(deadline_ms, longest)} (largest single timing, in ${
+    facts.places[C().longest_at[state.c]].label})${p99 === null ? "" : `; its p99 ${keeps(p99_ms, p99)}`}. `;
 }
 
 // Where the slider stops: 1, 2 and 5 of each decade.
