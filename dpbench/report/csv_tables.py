@@ -8,14 +8,17 @@ from pathlib import Path
 
 import pandas as pd
 
-from dpbench.analysis.times.machine import calling_ns
-from dpbench.analysis.times.pairs import paired_comparison
-from dpbench.analysis.verdict.fastest import best_of_each, fastest_first
+from dpbench.analysis.times.solver_tables import (
+    hard_step_table,
+    ratio_table,
+    tile_table,
+    time_table,
+    verdict_table,
+)
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.report.page.answer import Answer
-from dpbench.report.page.facts import Facts, way_of
-from dpbench.report.page.tables import ladder_table, matrix_table
+from dpbench.report.page.facts import Facts
 from dpbench.report.page.topic import Topic
 
 LEGEND = "README.md"
@@ -81,10 +84,10 @@ def tables_of(
     tables = {
         "runs": results.runs.drop(columns="cell"),
         "verdicts": _verdicts(facts, answer),
-        "places": matrix_table(facts),
-        "hard_steps": _hard_steps(facts),
+        "places": tile_table(facts),
+        "hard_steps": hard_step_table(facts, facts.kept),
         "ladder": _ladder(facts),
-        "paired_ratios": _paired_ratios(facts),
+        "paired_ratios": ratio_table(facts),
     }
     for topic in topics:
         for i, small in enumerate(topic.tables):
@@ -123,57 +126,16 @@ def _legend(tables: Mapping[str, pd.DataFrame]) -> str:
 
 def _ladder(facts: Facts) -> pd.DataFrame:
     """The ladder in microseconds, as the page says them; the figure's axis has milliseconds."""
-    table = ladder_table(facts, calling_ns(facts.records)).drop(columns="id")
+    table = time_table(facts).drop(columns="id")
     times = [name for name in table.columns if name.endswith("_ms")]
     table[times] = 1e3 * table[times]
     return table.rename(columns={name: f"{name.removesuffix('_ms')}_us" for name in times})
 
 
 def _verdicts(facts: Facts, answer: Answer) -> pd.DataFrame:
-    return pd.DataFrame(
-        [
-            {
-                **way_of(v.configuration),
-                "outcome": v.outcome,
-                "why": answer.why(v),
-                "closed_loops": v.loops,
-                "replays": v.replays,
-                "steps": v.steps,
-                "error_move": v.error_move,
-                "failed_steps": v.failed_steps,
-                "p50_us": v.p50_ns / 1e3,
-                "p99_us": v.p99_ns / 1e3,
-                "max_us": v.algo_max_ns / 1e3,
-                "raw_max_us": v.raw_max_ns / 1e3,
-                "timed_on": v.timed_on,
-            }
-            for v in facts.verdicts.all
-        ]
-    )
-
-
-def _hard_steps(facts: Facts) -> pd.DataFrame:
-    """The five hardest steps of every run outside studies by each measure."""
-    labels = {
-        run.run_id: facts.configurations[c].label
-        for (c, p), run in facts.runs.items()
-        if not facts.places[p].study
-    }
-    rows = [
-        {"run_id": run_id, "configuration": labels[run_id], "by": measure}
-        | hard._asdict()
-        | ({"value": hard.value / 1e3} if measure == "time" else {})
-        for run_id, kept in facts.kept.items()
-        if run_id in labels
-        for measure, of_measure in kept.hard.items()
-        for hard in of_measure
-    ]
-    return pd.DataFrame(rows)
-
-
-def _paired_ratios(facts: Facts) -> pd.DataFrame:
-    """How many times as long each solver's best configuration takes as the fastest of them, step
-    by step, with the interval of the mean."""
-    timed = fastest_first([v for v in best_of_each(facts.verdicts) if v.timed_on])
-    pairs = [paired_comparison(facts.records, timed[0], verdict) for verdict in timed[1:]]
-    return pd.DataFrame([pair.row for pair in pairs])
+    """The verdicts with why they are so, in words."""
+    table = verdict_table(facts)
+    if len(table):
+        why = [answer.why(verdict) for verdict in facts.verdicts.all]
+        table.insert(list(table).index("outcome") + 1, "why", why)
+    return table

@@ -10,7 +10,6 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.times.machine import calling_ns
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.bench.design import Designs
@@ -59,7 +58,7 @@ class Report:
     @cached_property
     def charts(self) -> Mapping[str, Any]:
         """The figures of the page that follow what is chosen there, by name."""
-        return charts_of(self.facts, calling_ns(self.facts.records))
+        return charts_of(self.facts)
 
     @cached_property
     def tables(self) -> Mapping[str, pd.DataFrame]:

@@ -121,6 +121,11 @@ def known_record(solver: str) -> SolverRecord | None:
         return None
 
 
+def family_of(solver: str) -> str:
+    """The family of methods a solver belongs to; "not stated" of one that is not known here."""
+    return str(getattr(known_record(solver), "family", "not stated"))
+
+
 def why_not_aboard(solver: str) -> str:
     """Why a solver cannot go aboard as it is; "" where it can."""
     known = known_record(solver)

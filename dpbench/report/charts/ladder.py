@@ -12,13 +12,6 @@ import pandas as pd
 from dpbench.analysis.verdict.verdict import STATES
 from dpbench.report.charts import style
 
-COLUMNS = (
-    *("id", "solver", "label", "state", "p50_ms", "p99_ms", "max_ms", "raw_max_ms"),
-    *("longest_ms", "share"),
-)
-"""`raw_max_ms`: largest single timing in replays, `longest_ms`: of everything that was judged,
-loops too. `share`: part of the median that calling the library costs, by the harness's own
-solver."""
 LOWEST_MS = 1e-3
 """Left end of the axis."""
 ROOM = 300
@@ -47,7 +40,7 @@ def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
 
     Parameters
     ----------
-    table : columns `COLUMNS`, the first row on top.
+    table : columns `analysis.times.solver_tables.TIMES`, the first row on top.
     p99_ms : what the demand allows.
     """
     base = _scaled(table, deadline_ms, p99_ms)

@@ -20,7 +20,6 @@ from dpbench.analysis.records.run_steps import MEASURES
 from dpbench.analysis.suites.study import Study, studies
 from dpbench.analysis.verdict.places import Place, PlacedRuns, placed_configuration
 from dpbench.analysis.verdict.verdict import Verdicts
-from dpbench.bench.record.configuration import Configuration
 from dpbench.report.page.pack import Block
 from dpbench.report.page.steps import MOST_HARD, Room, pack_steps, pack_track
 from dpbench.report.page.studies import MOST_LOOPS, opening, shown, study_document
@@ -149,12 +148,6 @@ def _hard(run: KeptRun, count: int) -> list[list[list[Any]]]:
         ]
         for measure in MEASURES
     ]
-
-
-def way_of(configuration: Configuration) -> dict[str, str]:
-    """What a configuration is told apart by on the page."""
-    names = ("solver", "route", "policy", "settings")
-    return {name: getattr(configuration, name) for name in names}
 
 
 def number(value: object) -> float | str | None:

@@ -1,20 +1,13 @@
-"""The table of all runs on the page, by groups of columns, and the figures' tables."""
+"""The table of all runs on the page, by groups of columns, and the tiles that it has room for."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from math import isnan, nan
 from typing import Any
 
 import pandas as pd
 
-from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.verdict.fastest import best_of_each
 from dpbench.analysis.verdict.places import Place
-from dpbench.analysis.verdict.verdict import Verdict
-from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.record.schema import RUN_COLUMNS
-from dpbench.report.charts.ladder import COLUMNS as LADDER_COLUMNS
 from dpbench.report.page.facts import Facts, number
 
 ALWAYS = ("solver", "way", "settings", "where", "outcome", "demand")
@@ -146,49 +139,6 @@ def _shown(name: str) -> dict[str, Any]:
     return {"label": f"{TIMES.get(name, name.removesuffix('_ns'))} [µs]", "scale": 1e-3}
 
 
-def ladder_table(facts: Facts, calling_ns: float) -> pd.DataFrame:
-    """A row for each solver that was timed, as `charts.ladder` wants it.
-
-    `calling_ns` is what calling a library that does nothing takes; NaN where nobody knows.
-    """
-    rows = [
-        {
-            "id": str(facts.index(verdict.configuration)),
-            "solver": verdict.configuration.solver,
-            "label": verdict.configuration.label,
-            "state": verdict.state,
-            "p50_ms": verdict.p50_ns / 1e6,
-            "p99_ms": verdict.p99_ns / 1e6,
-            "max_ms": verdict.algo_max_ns / 1e6,
-            "raw_max_ms": verdict.raw_max_ns / 1e6,
-            "longest_ms": run.raw_max_ns / 1e6 if (run := _longest(facts, verdict)) else nan,
-            "share": 0.0 if isnan(calling_ns) else min(1.0, calling_ns / verdict.p50_ns),
-        }
-        for verdict in best_of_each(facts.verdicts)
-        if verdict.timed_on
-    ]
-    return pd.DataFrame(rows, columns=list(LADDER_COLUMNS))
-
-
-def _longest(facts: Facts, verdict: Verdict) -> RunRecord | None:
-    _, run = facts.longest_timing(verdict.configuration) or (None, None)
-    return run
-
-
-def matrix_table(facts: Facts) -> pd.DataFrame:
-    """Solver × place × settings, of each solver in the way that the ladder shows, so that of the
-    answer these are the tiles of what is recommended."""
-    best = {v.configuration.solver: v.configuration for v in best_of_each(facts.verdicts)}
-    rows = []
-    for reference in facts.references:
-        own = best.get(reference.solver, reference)
-        for level in facts.levels:
-            wanted = replace(own, settings=level)
-            for p in facts.judged_places:
-                rows.append(_tile(facts, wanted, p, facts.places[p]))
-    return pd.DataFrame(rows)
-
-
 def drawn_tiles(tiles: pd.DataFrame) -> pd.DataFrame:
     """The tiles of as many places as the page has room for: of more those where the demand is
     missed or open most often."""
@@ -199,22 +149,3 @@ def drawn_tiles(tiles: pd.DataFrame) -> pd.DataFrame:
     unmet = places.agg(lambda states: int((states != "meets").sum()))
     kept = unmet.sort_values(ascending=False, kind="stable").index[:room]
     return tiles[tiles["place"].isin(kept)]
-
-
-def _tile(facts: Facts, wanted: Configuration, p: int, place: Place) -> dict[str, Any]:
-    c = facts.index(wanted)
-    run = facts.runs.get((c, p))
-    verdict = facts.states.get((c, p))
-    findings = () if verdict is None else (*verdict.causes, *verdict.doubts)
-    return {
-        "solver": wanted.solver,
-        "settings": wanted.settings,
-        "way": f"{wanted.route} {wanted.policy}",
-        "place": place.label,
-        "state": facts.state(c, p),
-        "error": None if run is None else number(run.error_move_max),
-        "failed": None if run is None else number(run.failed_steps),
-        "id": str(c),
-        "place_id": str(p),
-        "detail": ", ".join(dict.fromkeys(f.kind for f in findings)),
-    }

@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
-from itertools import combinations
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +16,15 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.suites.study import SMALL_M
-from dpbench.analysis.times.pairs import log_reach
-from dpbench.analysis.times.work_precision import LevelPoint, level_points
-from dpbench.analysis.verdict.fastest import best_of_each, known_record
+from dpbench.analysis.times.solver_tables import (
+    level_table,
+    pair_reaches,
+    tile_table,
+    time_table,
+    way_of,
+)
+from dpbench.analysis.verdict.fastest import best_of_each, family_of, known_record
 from dpbench.analysis.verdict.places import Place
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
@@ -38,17 +42,10 @@ from dpbench.report.charts.study import behind_there, design, seas_there
 from dpbench.report.glossary import topics as glossary
 from dpbench.report.page.answer import Answer, call_text
 from dpbench.report.page.cite import software
-from dpbench.report.page.facts import Facts, columns_of, number, way_of
+from dpbench.report.page.facts import Facts, columns_of, number
 from dpbench.report.page.places import place_words
 from dpbench.report.page.steps import FLAGS
-from dpbench.report.page.tables import (
-    GROUPS,
-    MOST_ROWS,
-    drawn_tiles,
-    ladder_table,
-    matrix_table,
-    runs_table,
-)
+from dpbench.report.page.tables import GROUPS, MOST_ROWS, drawn_tiles, runs_table
 from dpbench.report.page.terms import Terms, Word
 from dpbench.report.page.topic import Topic
 from dpbench.report.page.vendored import script, vendored
@@ -168,16 +165,13 @@ DRAWN = ("ladder", "matrix", "accuracy")
 """Figures that stand on the page before any script has run."""
 
 
-def charts_of(facts: Facts, calling_ns: float) -> dict[str, Any]:
-    """The figures that this folder has something for.
-
-    `calling_ns` is what calling a library that does nothing takes; NaN where nobody knows.
-    """
+def charts_of(facts: Facts) -> dict[str, Any]:
+    """The figures that this folder has something for."""
     charts: dict[str, Any] = {}
-    timed = ladder_table(facts, calling_ns)
+    timed = time_table(facts)
     if len(timed):
         charts["ladder"] = ladder(timed, facts.demand.deadline_ms, facts.demand.p99_ms)
-    tiles = drawn_tiles(matrix_table(facts))
+    tiles = drawn_tiles(tile_table(facts)).replace(inf, "inf")  # JSON has no infinity
     if len(tiles):
         charts["matrix"] = matrix(tiles)
         charts["matrix_narrow"] = matrix(tiles, stacked=True)
@@ -193,37 +187,10 @@ def charts_of(facts: Facts, calling_ns: float) -> dict[str, Any]:
     if facts.studies:
         charts |= {"design_tiles": design(tiles=True), "design_points": design(tiles=False)}
         charts |= {"behind": behind_there(100 * SMALL_M), "seas": seas_there()}
-    points = _points(facts)
+    points = level_table(facts)
     if len(points):
         charts["accuracy"] = accuracy(points, facts.demand.error_move)
     return charts
-
-
-def _points(facts: Facts) -> pd.DataFrame:
-    """Work and precision of each solver, in the way that the figures of the answer show."""
-    best = (v.configuration for v in best_of_each(facts.verdicts))
-    ways = {c.solver: (c.route, c.policy) for c in best}
-    levels = level_points(facts.records, facts.records.sequences, ways)
-    states = {v.configuration: v.state for v in facts.verdicts.all}
-    rows = [
-        _point(facts, point, states)
-        for points in levels.values()
-        for point in points
-        if point.error_move < 1e3 and point.p50_ns == point.p50_ns
-    ]
-    return pd.DataFrame(rows)
-
-
-def _point(facts: Facts, point: LevelPoint, states: Mapping[Configuration, str]) -> dict[str, Any]:
-    configuration = point.configuration
-    return way_of(configuration) | {
-        "id": str(facts.index(configuration.in_common_formulation)),
-        "family": _solver(configuration.solver)["family"],
-        "error": point.error_move,
-        "p50_us": point.p50_ns / 1e3,
-        "p99_us": point.p99_ns / 1e3,
-        "state": states.get(configuration.in_common_formulation, "not judged"),
-    }
 
 
 def _document(
@@ -233,7 +200,7 @@ def _document(
     charts: Mapping[str, Any],
     places: Mapping[int, Word],
 ) -> dict[str, Any]:
-    cells = list(facts.cells())
+    cells, (timed, reach) = list(facts.cells()), pair_reaches(facts)
     verdicts = {v.configuration: v for v in facts.verdicts.all}
     rows = [_configuration(facts, answer, c, verdicts.get(c)) for c in facts.configurations]
     return {
@@ -250,7 +217,7 @@ def _document(
         },
         "charts": _specifications(charts),
         "answer": _opening(facts, results, answer),
-        "paired": _paired(facts),
+        "paired": {"c": timed, "reach": facts.block.log(reach)},
         "studies": facts.study_documents,
         "table": runs_table(facts, results.runs),
     }
@@ -314,18 +281,6 @@ def _opening(facts: Facts, results: Results, answer: Answer) -> dict[str, Any]:
     }
 
 
-def _paired(facts: Facts) -> dict[str, Any]:
-    """How far the 95 % interval of the paired ratio of any two configurations reaches, as a
-    logarithm: `c` the configurations that were timed, `reach` an array of their pairs, (0, 1),
-    (0, 2), ... (1, 2), ..., missing where there is no interval."""
-    timed: dict[int, dict[int, StepTimes]] = {}
-    for (c, p), run in facts.runs.items():
-        if facts.places[p].mode == "replay" and (times := facts.records.times(run)) is not None:
-            timed.setdefault(c, {})[p] = times
-    reach = [log_reach(*two) for two in combinations(timed.values(), 2)]
-    return {"c": list(timed), "reach": facts.block.log(reach)}
-
-
 def _places(facts: Facts, words: Mapping[int, Word]) -> list[dict[str, Any]]:
     """What the page says of each place, from the first run there; the seas of a study whose loops
     the page has no room for are places without one."""
@@ -354,8 +309,7 @@ def _place(facts: Facts, place: Place, run: RunRecord | None) -> dict[str, Any]:
 def _solver(name: str) -> dict[str, str]:
     """What is known of a solver; of one that is not installed here, nothing."""
     known = known_record(name)
-    family = str(getattr(known, "family", "not stated"))
-    return {"family": family, "method": known.method if known else ""}
+    return {"family": family_of(name), "method": known.method if known else ""}
 
 
 MATRIX = (
@@ -367,7 +321,7 @@ MATRIX = (
 
 def _matrix_said(facts: Facts) -> str:
     """What the tiles are; and how many places are left out, where there are too many."""
-    tiles = matrix_table(facts)
+    tiles = tile_table(facts)
     there, drawn = (t["place"].nunique() if len(t) else 0 for t in (tiles, drawn_tiles(tiles)))
     said = [MATRIX]
     if any(facts.places[p].units == "si" for p in facts.judged_places):

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.records.records import Records
+from dpbench.analysis.times.solver_tables import tile_table, time_table
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.fastest import best_of_each, recommend
 from dpbench.analysis.verdict.verdict import verdicts_of
@@ -18,8 +19,8 @@ from dpbench.report.documents.markdown import MOST_BYTES, report_markdown
 from dpbench.report.formats import error_text, rounded_down, time_text
 from dpbench.report.page.answer import Answer, answer_of
 from dpbench.report.page.facts import Facts
-from dpbench.report.page.tables import ladder_table, matrix_table
 from dpbench.report.report import Report
+from dpbench.solvers.calibration import COPY_ONLY
 
 
 def _facts(records: Any) -> Facts:
@@ -286,14 +287,15 @@ def test_the_ladder_is_that_of_the_verdicts(records: Any) -> None:
     records.loop("daqp")
     records.replay("daqp", median_us=20.0)
     records.loop("scs")
+    assert time_table(_facts(records))["share"].tolist() == [0.0]
+    records.replay(COPY_ONLY, algo_p50_ns=30e3, route="native", policy="reuse")
     facts = _facts(records)
-    (row,) = ladder_table(facts, 30e3).to_dict("records")
+    (row,) = time_table(facts).to_dict("records")
     verdict = facts.verdicts.references[0]
     assert row["solver"] == "daqp" and row["share"] == 1.0
     times = [row[name] * 1e6 for name in ("p50_ms", "p99_ms", "max_ms", "raw_max_ms")]
     expected = [verdict.p50_ns, verdict.p99_ns, verdict.algo_max_ns, verdict.raw_max_ns]
     assert times == pytest.approx(expected)
-    assert ladder_table(facts, float("nan"))["share"].tolist() == [0.0]
 
 
 def test_a_level_that_was_not_run_somewhere_is_hatched_there(records: Any) -> None:
@@ -301,7 +303,7 @@ def test_a_level_that_was_not_run_somewhere_is_hatched_there(records: Any) -> No
     records.loop("osqp", "paper", error=0.4)
     records.loop("osqp", "calm", error=0.4)
     records.loop("osqp", "paper", settings="high")
-    tiles = matrix_table(_facts(records)).set_index(["settings", "place"])["state"]
+    tiles = tile_table(_facts(records)).set_index(["settings", "place"])["state"]
     assert tiles.to_dict() == {
         ("default", "paper"): "wrong",
         ("default", "calm"): "wrong",

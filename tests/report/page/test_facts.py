@@ -7,12 +7,13 @@ from typing import Any
 
 import pytest
 
+from dpbench.analysis.times.solver_tables import tile_table
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.verdict import verdict_of, verdicts_of
 from dpbench.report.page import tables
 from dpbench.report.page.facts import Facts, columns_of, number
 from dpbench.report.page.places import place_words
-from dpbench.report.page.tables import drawn_tiles, matrix_table
+from dpbench.report.page.tables import drawn_tiles
 from dpbench.report.page.write import _matrix_said
 
 DEMAND = Demand()
@@ -170,7 +171,7 @@ def test_of_many_places_those_that_miss_most_are_drawn(
             wrong = solver == "osqp" and i in (1, 3)
             records.loop(solver, scenario, steps=20, error=1.0 if wrong else 1e-9)
     facts = _facts(records)
-    tiles = matrix_table(facts)
+    tiles = tile_table(facts)
     assert drawn_tiles(tiles).equals(tiles)
     monkeypatch.setattr(tables, "MOST_TILES", 5)
     drawn = drawn_tiles(tiles)
