@@ -87,7 +87,7 @@ class RunPlots:
 
 def _laws(runs: tuple[JudgedRun, ...]) -> list[Any]:
     """The runs as laws of a figure, those of one name numbered."""
-    from dpbench.report.charts.ship import Law
+    from dpbench.analysis.suites.paper import Law
 
     names = [run.label for run in runs]
     labels = [

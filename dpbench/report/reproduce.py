@@ -5,24 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.paper import PAPER, Law, data_behind, laws_of
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.design import Designs, linear_record
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.result_folder import Results, accidents, load_results
 from dpbench.bench.record.revision import made_by
-from dpbench.bench.record.schema import AXIS_FORCES
 from dpbench.report.charts.render import save
-from dpbench.report.charts.ship import Law, errors
 from dpbench.report.formats import plural, unmarked
 from dpbench.report.page.topic import Topic
 from dpbench.report.table import markdown
 from dpbench.report.topics.claims import Claim, claims
-from dpbench.report.topics.paper import PAPER, held_text, laws_of, paper_topic
+from dpbench.report.topics.paper import held_text, paper_topic
+from dpbench.report.words import document
 from dpbench.scenario.scenario import Scenario
 
 SUITE = "claims"
@@ -103,55 +102,17 @@ def _write_figures(folder: Path, topic: Topic, laws: Sequence[Law], scenario: Sc
         name = f"figure{number}_{short}"
         for kind in FORMATS:
             save(figure.chart, folder / f"{name}.{kind}")
-        data_behind(short, laws, scenario).to_csv(folder / f"{name}.csv", index=False)
-
-
-def data_behind(figure: str, laws: Sequence[Law], scenario: Scenario) -> pd.DataFrame:
-    """What a figure draws of every step: law, t_s, and its columns with their units."""
-    tables = [
-        pd.DataFrame(
-            {"law": law.label, "t_s": law.steps["t_s"], **_columns(figure, law.steps, scenario)}
-        )
-        for law in laws
-    ]
-    return pd.concat(tables)
-
-
-def _columns(figure: str, steps: pd.DataFrame, scenario: Scenario) -> dict[str, Any]:
-    """The columns of a figure: of forces and increments each axis, then its limits."""
-    if figure == "path":
-        return {name: steps[name] for name in ("n_m", "e_m")}
-    if figure == "errors":
-        units = {"north": "m", "east": "m", "heading": "deg", "radial": "m"}
-        by_name = errors(steps, scenario.reference)
-        return {f"{name}_{unit}": by_name[name] for name, unit in units.items()}
-    vessel, most = scenario.vessel, scenario.force_step_max
-    limits = {"forces": (vessel.tau_min, vessel.tau_max), "increments": (-most, most)}
-    what, (low, high) = "tau" if figure == "forces" else "dtau", limits[figure]
-    columns: dict[str, Any] = {f"{what}_{axis}": steps[f"{what}_{axis}"] for axis in AXIS_FORCES}
-    for i, axis in enumerate(AXIS_FORCES):
-        columns |= {f"{what}_min_{axis}": low[i], f"{what}_max_{axis}": high[i]}
-    return columns
+        data = pd.concat([data_behind(short, law, scenario) for law in laws])
+        data.to_csv(folder / f"{name}.csv", index=False)
 
 
 def _document(topic: Topic, results: Results) -> str:
     """The claims and all that belongs to them, in Markdown."""
-    versions = results.runs.drop_duplicates("solver")
-    ran = ", ".join(
-        " ".join(filter(None, (row["solver"], row["solver_version"], row["build"])))
-        for row in versions.to_dict("records")
-    )
-    parts = ["# The paper, reproduced", *topic.lines]
-    for table in topic.tables:
-        parts += [
-            f"## {table.title}" if table.title else "",
-            markdown(table.heads, table.rows, len(table.heads)),
-        ]
-    parts += ["## Figures", "\n".join(f"- {figure.caption}" for figure in topic.figures)]
-    parts.append(f"## Cite\n\n```bibtex\n{topic.paste}\n```")
-    data = f"`figure*.csv`, and `{RUNS}/steps.parquet`"
-    parts.append(f"Run by {made_by(results.suite)}: {ran}. Data: {data}.")
-    return "\n\n".join(filter(None, parts)) + "\n"
+    versions = results.runs.drop_duplicates("solver")[["solver", "solver_version", "build"]]
+    ran = [" ".join(filter(None, row)) for row in versions.itertuples(index=False)]
+    tables = [(t.title, markdown(t.heads, t.rows, len(t.heads))) for t in topic.tables]
+    made = made_by(results.suite)
+    return document("claims.md", topic=topic, tables=tables, ran=ran, made_by=made, runs=RUNS)
 
 
 def _contradicted(judged: Sequence[Claim]) -> list[str]:

@@ -1,4 +1,4 @@
-"""The paper's case in the records: its two control laws side by side."""
+"""The paper's case in the records: its two control laws side by side, the data of its figures."""
 
 from __future__ import annotations
 
@@ -6,15 +6,24 @@ import json
 import math
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
+
+import numpy as np
+import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
+from dpbench.arrays import Floats, Vector
+from dpbench.bench.record.schema import AXIS_FORCES
 from dpbench.scenario.scenario import Scenario, load_scenario
 
-OF_PAPER = ("paper", "paper_tight")
+PAPER = "paper"
+OF_PAPER = (PAPER, "paper_tight")
 """Scenarios that restate the paper's case."""
 PROSE = ("title", "shows", "source")
 """Entries of a problem file that nothing is computed from."""
+CIRCLE_M = 1.0
+"""Radius of the paper's precision circle."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +50,59 @@ def pair_of(view: Records, scenario: str) -> Pair:
 def paper_pair(view: Records, name: str) -> Pair:
     """The same where the scenario is the paper's own of that name; else nothing."""
     return pair_of(view, name) if is_of_paper(view, name) else Pair(None, None)
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """One control law's run: what it is called, and its step rows."""
+
+    label: str
+    steps: pd.DataFrame
+
+
+def laws_of(view: Records) -> list[Law]:
+    """The constrained law of the paper's own scenario, and the clipped one if it was run."""
+    pair = pair_of(view, PAPER)
+    if pair.constrained is None:
+        return []
+    laws = [Law(f"constrained ({pair.constrained.solver})", view.steps(pair.constrained))]
+    if pair.clipped is not None:
+        laws.append(Law("unconstrained, clipped", view.steps(pair.clipped)))
+    return laws
+
+
+def errors(steps: pd.DataFrame, reference: Vector) -> dict[str, Floats]:
+    """North, east, radial [m] and heading [°] errors of the rows of a loop."""
+    n = steps["n_m"].to_numpy() - reference[0]
+    e = steps["e_m"].to_numpy() - reference[1]
+    psi = np.degrees(steps["psi_rad"].to_numpy() - reference[2])
+    return {"north": n, "east": e, "heading": psi, "radial": np.hypot(n, e)}
+
+
+def data_behind(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame:
+    """What a figure draws of every step of a law: law, t_s, and its columns with their units; of
+    forces and increments each axis, then its limits.
+
+    Parameters
+    ----------
+    figure : path, errors, forces or increments.
+    """
+    steps = law.steps
+    columns: dict[str, Any] = {"law": law.label, "t_s": steps["t_s"]}
+    if figure == "path":
+        columns |= {name: steps[name] for name in ("n_m", "e_m")}
+    elif figure == "errors":
+        units = {"north": "m", "east": "m", "heading": "deg", "radial": "m"}
+        by_name = errors(steps, scenario.reference)
+        columns |= {f"{name}_{unit}": by_name[name] for name, unit in units.items()}
+    else:
+        vessel, most = scenario.vessel, scenario.force_step_max
+        limits = {"forces": (vessel.tau_min, vessel.tau_max), "increments": (-most, most)}
+        what, (low, high) = "tau" if figure == "forces" else "dtau", limits[figure]
+        columns |= {f"{what}_{axis}": steps[f"{what}_{axis}"] for axis in AXIS_FORCES}
+        for i, axis in enumerate(AXIS_FORCES):
+            columns |= {f"{what}_min_{axis}": low[i], f"{what}_max_{axis}": high[i]}
+    return pd.DataFrame(columns)
 
 
 def _deviation(row: RunRecord) -> tuple[float, str]:

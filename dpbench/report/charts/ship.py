@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import altair as alt
@@ -11,12 +10,11 @@ import numpy as np
 import pandas as pd
 
 from dpbench.analysis.records.thinning import MOST, extremes
+from dpbench.analysis.suites.paper import CIRCLE_M, Law, errors
 from dpbench.arrays import Vector
 from dpbench.report.charts import style
 from dpbench.scenario.scenario import Scenario
 
-CIRCLE_M = 1.0
-"""Radius of the paper's precision circle."""
 CORNERS = 73
 """Of the polygon that is drawn as a circle: every 5°, the first again at the end."""
 DRAWN_FORCES = (
@@ -27,14 +25,6 @@ DRAWN_FORCES = (
 _WIDTH = 285
 MOST_TOGETHER = 4800
 """So many points of all runs a figure draws: a notebook refuses tables of more than 5000 rows."""
-
-
-@dataclass(frozen=True, eq=False)
-class Law:
-    """One control law's run: what it is called, and its step rows."""
-
-    label: str
-    steps: pd.DataFrame
 
 
 def path(laws: Sequence[Law], scenario: Scenario) -> Any:
@@ -83,14 +73,6 @@ def precision(laws: Sequence[Law], scenario: Scenario) -> Any:
         panels.append(panel)
     said = "North, east, heading and radial error against time."
     return style.styled(_stack(panels), "Errors of position and heading", said)
-
-
-def errors(steps: pd.DataFrame, reference: np.ndarray) -> dict[str, np.ndarray]:
-    """North, east, radial [m] and heading [°] errors of the rows of a loop."""
-    n = steps["n_m"].to_numpy() - reference[0]
-    e = steps["e_m"].to_numpy() - reference[1]
-    psi = np.degrees(steps["psi_rad"].to_numpy() - reference[2])
-    return {"north": n, "east": e, "heading": psi, "radial": np.hypot(n, e)}
 
 
 def forces(laws: Sequence[Law], scenario: Scenario) -> Any:

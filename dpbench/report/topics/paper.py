@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.paper import pair_of
+from dpbench.analysis.suites.paper import PAPER, laws_of
 from dpbench.bench.design import STILL, WEATHER, Bracket, Designs
-from dpbench.report.charts.ship import Law, forces, increments, path, precision
+from dpbench.report.charts.ship import forces, increments, path, precision
 from dpbench.report.formats import MISSING, rounded_down, rounded_up, unmarked
 from dpbench.report.page import cite
 from dpbench.report.page.topic import Figure, Topic
 from dpbench.report.table import Table
 from dpbench.report.topics.claims import Claim, choices, claims
-
-PAPER = "paper"
 
 DRAWN = (
     ("path", path, "Fig. 4: path with the 1 m circle."),
@@ -23,17 +21,6 @@ DRAWN = (
     ("increments", increments, "Fig. 7: increments with the rate limits."),
 )
 """Figures 4 to 7: name, what draws it of the laws, caption."""
-
-
-def laws_of(records: Records) -> list[Law]:
-    """The constrained law of the paper's own scenario, and the clipped one if it was run."""
-    pair = pair_of(records, PAPER)
-    if pair.constrained is None:
-        return []
-    laws = [Law(f"constrained ({pair.constrained.solver})", records.steps(pair.constrained))]
-    if pair.clipped is not None:
-        laws.append(Law("unconstrained, clipped", records.steps(pair.clipped)))
-    return laws
 
 
 def paper_topic(records: Records, designs: Designs | None = None) -> Topic | None:
