@@ -7,10 +7,12 @@ covered. It is drawn as SVG and turned into PDF, and claims nothing that is not 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import vl_convert as vlc
 
@@ -20,21 +22,15 @@ from dpbench.bench.record.result_folder import Results, hashes
 from dpbench.bench.record.revision import made_by
 from dpbench.errors import InputError
 from dpbench.report.charts.style import INK, LINE, SOFT
-from dpbench.report.formats import error_text, plural, time_text
 from dpbench.report.page.answer import slower_text
 from dpbench.report.page.facts import Facts
 from dpbench.report.verdict_text import aboard, demand_text
+from dpbench.report.words import document
 from dpbench.solvers.settings import level_options
 
 WIDTH, HEIGHT, MARGIN = 595, 842, 48
 """A4 in points."""
 HASHED = ("runs.parquet", "steps.parquet", "machine.json", "suite.json")
-NOT_COVERED = (
-    "Other vessels, thrusters, tunings, horizons, limits and weather than those named here.",
-    "Other computers, compilers, library builds and versions; times of an embedded target.",
-    "The rest of the control system: sensors, observers, allocation, power, communication.",
-    "Worst cases beyond the steps that were run: nothing here bounds the time of a step never met.",
-)
 
 
 @dataclass(frozen=True)
@@ -74,89 +70,54 @@ def write_statement(path: Path, folder: Path, results: Results, facts: Facts) ->
     return path
 
 
-def _lines(folder: Path, results: Results, facts: Facts, chosen: Verdict) -> list[Line]:
-    c = chosen.configuration
+_LOOKS: dict[str, dict[str, Any]] = {
+    "#": {"size": 14, "bold": True},
+    ">": {"size": 10, "colour": SOFT},
+    "##": {"size": 11, "bold": True, "gap": 12.0},
+    "`": {"size": 7.5},
+    "~": {"size": 8.5},
+}
+"""Of a line of the template, by the mark that it begins with; one without is wrapped."""
+
+
+def _lines(folder: Path, results: Results, facts: Facts, chosen: Verdict) -> Iterator[Line]:
+    for line in _text(folder, results, facts, chosen).splitlines():
+        mark, _, text = line.partition(" ")
+        if mark in _LOOKS:
+            yield Line(text, **_LOOKS[mark])
+        else:
+            yield from map(Line, textwrap.wrap(" ".join(line.split()), 104))
+
+
+def _text(folder: Path, results: Results, facts: Facts, chosen: Verdict) -> str:
+    c, scenarios = chosen.configuration, map(facts.records.scenario, facts.records.scenarios)
     options = level_options(c.settings, c.solver)
-    own = ", ".join(f"{key} = {value!r}" for key, value in options.items()) or "the library's own"
-    version = _version(results, c.solver)
-    return [
-        Line("QP solver for the model predictive controller of a DP vessel", 14, bold=True),
-        Line(f"Statement on measured results, {made_by(results.suite)}", 10, colour=SOFT),
-        *_section("Recommended"),
-        Line(
-            f"Solver {c.solver} {version}, route {c.route}, policy {c.policy}, settings "
-            f"{c.settings}."
-        ),
-        *_wrapped(f"Settings in numbers: {own}."),
-        *_wrapped(aboard(c.solver)),
-        *_section("Demand, and what was measured"),
-        *_wrapped(demand_text(facts.demand)),
-        *_wrapped(
-            f"Measured on every judged step of {plural(chosen.loops, 'closed loop')} and "
-            f"{plural(chosen.replays, 'replay')} ({chosen.steps} steps): largest error of the "
-            f"first move {error_text(chosen.error_move)} of a rate-limit step, "
-            f"{plural(chosen.failed_steps, 'failed step')}; step time p50 "
-            f"{time_text(chosen.p50_ns)}, p99 {time_text(chosen.p99_ns)}, largest step "
-            f"{time_text(chosen.algo_max_ns)}, largest single timing "
-            f"{time_text(chosen.raw_max_ns)}."
-        ),
-        *_wrapped(slower_text(facts, chosen)),
-        *_section("Valid for"),
-        *_wrapped(_ships(facts)),
-        *_wrapped(f"Runs: {_places(facts, chosen)}."),
-        *_wrapped(_machine(results)),
-        *_section("Not covered"),
-        *(line for text in NOT_COVERED for line in _wrapped(f"– {text}")),
-        *_section("Where the numbers are"),
-        *(Line(f"{name}  SHA-256 {sha}", 7.5) for name, sha in hashes(folder, HASHED).items()),
-        Line(
-            f"Suite {results.suite.get('name', '')}, started "
-            f"{results.suite.get('started_utc', '')[:19]} UTC.",
-            8.5,
-        ),
-    ]
-
-
-def _section(title: str) -> list[Line]:
-    return [Line(title, 11, bold=True, gap=12.0)]
-
-
-def _wrapped(text: str) -> list[Line]:
-    return [Line(part) for part in textwrap.wrap(" ".join(text.split()), 104)]
-
-
-def _version(results: Results, solver: str) -> str:
-    versions = results.runs.loc[results.runs["solver"] == solver, "solver_version"]
-    return ", ".join(sorted({str(v) for v in versions if v}))
-
-
-def _ships(facts: Facts) -> str:
-    ships = {}
-    for name in facts.records.scenarios:
-        scenario = facts.records.scenario(name)
-        if scenario is not None:
-            ships[scenario.vessel.id] = f"{scenario.vessel.title} ({scenario.vessel.id})"
-    return f"Ship: {'; '.join(ships.values())}."
-
-
-def _places(facts: Facts, chosen: Verdict) -> str:
-    c = facts.index(chosen.configuration)
-    held = [facts.places[p].label for p in facts.judged_places if facts.state(c, p) == "meets"]
-    return ", ".join(held)
-
-
-def _machine(results: Results) -> str:
-    machine = results.machine
-    versions = machine.get("versions", {})
-    return (
-        f"Machine: {machine.get('cpu_model', '')}, {machine.get('cores', '')} cores, "
-        f"{machine.get('memory_GiB', '')} GiB, {machine.get('kernel', '')}, "
-        f"{machine.get('python', '')}, "
-        f"numpy {versions.get('numpy', '')}; description {machine.get('id', '')}."
+    versions = results.runs.loc[results.runs["solver"] == c.solver, "solver_version"]
+    vessels = {s.vessel.id: s.vessel for s in scenarios if s is not None}
+    return document(
+        "statement",
+        made_by=made_by(results.suite),
+        c=c,
+        v=chosen,
+        version=", ".join(sorted({str(v) for v in versions if v})),
+        numbers=", ".join(f"{key} = {value!r}" for key, value in options.items())
+        or "the library's own",
+        aboard=aboard(c.solver),
+        demand=demand_text(facts.demand),
+        slower=slower_text(facts, chosen),
+        ships=[f"{vessel.title} ({vessel.id})" for vessel in vessels.values()],
+        places=[
+            facts.places[p].label
+            for p in facts.judged_places
+            if facts.state(facts.index(c), p) == "meets"
+        ],
+        machine=defaultdict(str, results.machine),
+        hashes=hashes(folder, HASHED),
+        suite=defaultdict(str, results.suite),
     )
 
 
-def _page(lines: Sequence[Line]) -> str:
+def _page(lines: Iterable[Line]) -> str:
     parts, y = [], float(MARGIN)
     for line in lines:
         y += line.size * 1.22 + line.gap
