@@ -3,7 +3,6 @@ and the data frames of `load_results`."""
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -21,12 +20,11 @@ from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.report.page.answer import Answer
 from dpbench.report.page.facts import Facts
 from dpbench.report.page.topic import Topic
-from dpbench.report.words import document
+from dpbench.report.words import beside, document
 
 LEGEND = "README.md"
-_WORDS = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-TABLES: dict[str, str] = _WORDS["tables"]
-COLUMNS: dict[str, str] = _WORDS["columns"]
+TABLES: dict[str, str] = beside(__file__)["tables"]
+COLUMNS: dict[str, str] = beside(__file__)["columns"]
 """Meanings of tables and of their columns."""
 RUN_MEANINGS = {name: meaning for name, (_, meaning) in RUN_COLUMNS.items()}
 

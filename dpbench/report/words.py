@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from functools import cache
+from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from dpbench.display import numbers_text
 from dpbench.report import formats
@@ -31,6 +33,7 @@ def _environment() -> Environment:
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        keep_trailing_newline=True,
     )
     made.filters |= FILTERS
     made.tests["finite"] = math.isfinite
@@ -38,11 +41,22 @@ def _environment() -> Environment:
     return made
 
 
+@cache
+def _compiled(words: str) -> Template:
+    return _environment().from_string(words)
+
+
 def filled(words: str, **values: Any) -> str:
     """Words that are a template themselves, with values."""
-    return _environment().from_string(words).render(values)
+    return _compiled(words).render(values)
 
 
 def document(template: str, **values: Any) -> str:
-    """A document out of `documents/templates`; it ends with the end of a line."""
-    return _environment().get_template(f"{template}.j2").render(values) + "\n"
+    """A document out of `documents/templates`."""
+    return _environment().get_template(f"{template}.j2").render(values)
+
+
+@cache
+def beside(module: str) -> dict[str, Any]:
+    """The words of a module, by its file: those of the TOML file of its name."""
+    return tomllib.loads(Path(module).with_suffix(".toml").read_text(encoding="utf-8"))

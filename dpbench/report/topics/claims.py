@@ -5,16 +5,14 @@ The claims and the words on them stand in `claims.toml`, what decides them in th
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
-from typing import Any
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.claims import State, judged
 from dpbench.analysis.suites.paper import PAPER, is_of_paper
-from dpbench.report.words import filled
+from dpbench.report.words import beside, filled
+
+_WORDS = beside(__file__)
 
 
 @dataclass(frozen=True)
@@ -26,19 +24,11 @@ class Claim:
     state: State
 
 
-@cache
-def _words() -> dict[str, Any]:
-    return tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-
-
 def claims(records: Records) -> list[Claim]:
     """All claims, in the order of the paper."""
-    found = _words()["found"]
-    asked = [
-        (each["claim"], judged(records, each["scenario"], each["by"]))
-        for each in _words()["claims"]
-    ]
-    return [Claim(text, filled(found[of.by], **of.values), of.state) for text, of in asked]
+    asked = [(c["claim"], judged(records, c["scenario"], c["by"])) for c in _WORDS["claims"]]
+    said = _WORDS["found"]
+    return [Claim(text, filled(said[of.by], **of.values), of.state) for text, of in asked]
 
 
 def choices(records: Records) -> list[tuple[str, str]]:
@@ -53,4 +43,4 @@ def choices(records: Records) -> list[tuple[str, str]]:
         "sea": scenario.files["scenario"]["environment"],
         "duration_s": scenario.steps * scenario.sample_s,
     }
-    return [(name, filled(words, **chosen)) for name, words in _words()["choices"].items()]
+    return [(name, filled(words, **chosen)) for name, words in _WORDS["choices"].items()]
