@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pandas as pd
 
+from dpbench.analysis.records.run_record import RunRecord, records_of
 from dpbench.analysis.verdict.places import Place
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.report.page.facts import Facts, number
 
-ALWAYS = ("solver", "way", "settings", "where", "outcome", "demand")
 GROUPS: dict[str, tuple[str, ...]] = {
     "times": (
         "algo_p50_ns",
@@ -60,7 +61,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     ),
     "run": ("solver_version", "build", "units", "formulation", "n", "m", "steps_done", "run_id"),
 }
-"""What is shown beside `ALWAYS`, a group at a time; the whole table is a file."""
+"""What is shown a group at a time; the whole table is a file."""
 TIMES = {
     "algo_p50_ns": "p50",
     "algo_p99_ns": "p99",
@@ -80,19 +81,18 @@ def runs_table(facts: Facts, runs: pd.DataFrame) -> dict[str, Any]:
     runs = runs.iloc[:MOST_ROWS]
     by_id = {run.run_id: key for key, run in facts.runs.items()}
     keys = [by_id.get(str(run_id)) for run_id in runs["run_id"]]
-    demand = [_demand(facts, key) for key in keys]
-    made = {
+    always = {
         "solver": runs["solver"],
         "way": runs["route"] + " " + runs["policy"],
         "settings": runs["settings"],
-        "where": _places(runs),
+        "where": map(_where, records_of(runs)),
         "outcome": runs["outcome"],
-        "demand": pd.Series(demand, dtype=object),
+        "demand": [_demand(facts, key) for key in keys],
     }
     columns: list[dict[str, Any]] = [
-        {"name": n, "label": n, "meaning": "", "group": "", "text": True} for n in ALWAYS
+        {"name": n, "label": n, "meaning": "", "group": "", "text": True} for n in always
     ]
-    values: list[list[Any]] = [made[name].astype(str).tolist() for name in ALWAYS]
+    values: list[list[Any]] = [list(map(str, column)) for column in always.values()]
     for group, names in GROUPS.items():
         for name in names:
             kind, meaning = RUN_COLUMNS[name]
@@ -117,18 +117,9 @@ def _demand(facts: Facts, key: tuple[int, int] | None) -> str:
     return "" if key is None or facts.places[key[1]].study else facts.state(*key)
 
 
-def _places(runs: pd.DataFrame) -> pd.Series[str]:
-    """Where each run was, as the page calls it."""
-    replayed = (runs["mode"] == "replay") | (runs["scenario"] == "")
-    names = runs["sequence"].where(replayed, runs["scenario"])
-    numbers = (runs[column].fillna(0).astype(int) for column in ("study_point", "replicate"))
-    labels = [
-        Place(str(mode), str(name), str(units), study=str(study), point=p, replicate=sea).label
-        for mode, name, units, study, p, sea in zip(
-            runs["mode"], names, runs["units"], runs["study"], *numbers, strict=True
-        )
-    ]
-    return pd.Series(labels, index=runs.index)
+def _where(run: RunRecord) -> str:
+    """Where a run was, as the page calls it, however slow the computer."""
+    return replace(Place.of(run), slowdown=0.0).label
 
 
 def _shown(name: str) -> dict[str, Any]:

@@ -110,16 +110,18 @@ def page_html(
         answer=answer,
         figures=dict.fromkeys(charts, True) | pictures,
         matrix_said=_matrix_said(facts),
-        lead=_markup(lead) if lead else None,
+        lead=lead,
+        picture=_picture,
         judged=bool(facts.verdicts.of) and not (lead and lead.id == "loops"),
         runs=bool(facts.runs),
         studies=len(facts.studies),
         thinned=0 if light else facts.thinned,
         listed=MOST_ROWS if len(results.runs) > MOST_ROWS else 0,
         run_count=len(results.runs),
-        topics=[_markup(topic) for topic in others],
+        topics=others,
         groups=list(GROUPS),
-        files=_files(folder),
+        files=hashes(folder, FILES),
+        holds=FILES,
         kinds=[kind for kind in FORMATS[1:] if any((folder / "figures").glob(f"*.{kind}"))],
         cite=software(results),
         places=places,
@@ -350,32 +352,12 @@ def follow(text: str) -> str:
     return text
 
 
-def _picture(text: str) -> str:
+def _picture(chart: Any) -> str:
     """The address of a picture within the page, one node there, in the colours of the page."""
-    head, rest = follow(text).split(">", 1)
+    head, rest = follow(svg(chart)).split(">", 1)
     colours = own("templates/page.css").split("* {", 1)[0]
     styled = f"{head}><style>{colours}</style>{rest}"
     return "data:image/svg+xml;base64," + base64.b64encode(styled.encode()).decode()
-
-
-def _markup(topic: Topic) -> dict[str, Any]:
-    figures = [
-        {"name": f.name, "caption": f.caption, "source": _picture(svg(f.chart))}
-        for f in topic.figures
-    ]
-    return {
-        "id": topic.id,
-        "title": topic.title,
-        "lines": topic.lines,
-        "figures": figures,
-        "tables": [t for t in topic.tables if t.shown != 0],
-        "paste": topic.paste,
-    }
-
-
-def _files(folder: Path) -> list[dict[str, str]]:
-    known = hashes(folder, FILES)
-    return [{"name": name, "holds": FILES[name], "sha": sha} for name, sha in known.items()]
 
 
 def _footer(results: Results) -> str:
