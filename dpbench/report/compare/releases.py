@@ -101,13 +101,9 @@ def _sentence(solver: str, own_histories: Sequence[History]) -> str:
     """Times of its most usual replay; errors and failed steps of all that both releases ran."""
     changed = [history for history in own_histories if history.changed]
     ends = [(history.releases[0], history.releases[-1]) for history in changed]
-    errors, failed = (
-        " → ".join(text(largest(of_release)) for of_release in zip(*pairs, strict=True))
-        for text, pairs in (
-            (error_text, [tuple(release.error_move for release in two) for two in ends]),
-            (_count, [tuple(release.failed_steps for release in two) for two in ends]),
-        )
-    )
+    sides = list(zip(*ends, strict=True))
+    errors = " → ".join(error_text(largest([r.error_move for r in side])) for side in sides)
+    failed = " → ".join(_count(largest([r.failed_steps for r in side])) for side in sides)
     versions = " → ".join(release.version for release in ends[0])
     return f"{solver} {versions}: {_took(changed)}; largest error {errors}, failed steps {failed}."
 

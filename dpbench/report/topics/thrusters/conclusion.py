@@ -7,7 +7,6 @@ from math import isfinite
 
 from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.suites.consequence import (
     HELD,
     Analysis,
@@ -92,24 +91,15 @@ def _by_fault(steering: Steering, solvers: Sequence[str]) -> str:
 
 def _after_a_loss(records: Records, chosen: Verdict | None, demand: Demand) -> Iterator[str]:
     """How far off the ship is once thrusters are lost, where the answers are right."""
-    for run in _loops_of(records, chosen):
-        lost = lost_late(run)
-        if lost and isfinite(run.r_tail_max_m) and is_right_to_the_end(run, demand):
+    if chosen is None:
+        return
+    for run in records.select(mode="closed_loop", units="scaled"):
+        lost, own = lost_late(run), run.configuration.in_common_formulation == chosen.configuration
+        if own and lost and isfinite(run.r_tail_max_m) and is_right_to_the_end(run, demand):
             yield (
                 f"After the loss of {and_list(lost)} ({run.scenario}) the ship it steers stays "
                 f"within {rounded_up(run.r_tail_max_m, 2)} m."
             )
-
-
-def _loops_of(records: Records, chosen: Verdict | None) -> list[RunRecord]:
-    """The closed loops of a configuration; of nobody none."""
-    if chosen is None:
-        return []
-    return [
-        run
-        for run in records.select(mode="closed_loop", units="scaled")
-        if run.configuration.in_common_formulation == chosen.configuration
-    ]
 
 
 def _consequence(records: Records, chosen: Verdict | None) -> Iterator[str]:
