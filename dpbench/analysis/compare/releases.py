@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from packaging.version import InvalidVersion, Version
 
 from dpbench.analysis.compare.answers import ORDER
@@ -225,3 +226,31 @@ def _order(version: str) -> tuple[Any, ...]:
 
 def _mean(values: Sequence[float]) -> float:
     return float(np.exp(np.mean(np.log(values))))
+
+
+FIGURES = ("p50", "p99", "largest", "error")
+"""Of a release in a `release_table`: times in µs or multiples of the reference's, and the error."""
+
+
+def release_table(histories: Histories, most: int) -> pd.DataFrame:
+    """Of each solver its most usual configuration on each of the first `most` replayed problems: a
+    row per version, label, age (0 of the newest, else 1), problem and `FIGURES`."""
+    chosen: dict[tuple[str, str], History] = {}
+    for history in sorted(histories.all, key=lambda history: not history.changed):
+        if history.run.mode == "replay" and math.isfinite(history.releases[0].p50):
+            chosen.setdefault((history.run.problem, history.run.solver), history)
+    problems = list(dict.fromkeys(problem for problem, _ in chosen))[:most]
+    scale = 1.0 if histories.reference else 1e-3
+    rows = [
+        (
+            f"{history.run.solver} {release.version}",
+            0 if release is history.releases[-1] else 1,
+            problem,
+            *(scale * time for time in (release.p50, release.p99, release.largest)),
+            release.error_move,
+        )
+        for (problem, _), history in chosen.items()
+        if problem in problems
+        for release in history.releases
+    ]
+    return pd.DataFrame(rows, columns=["label", "age", "problem", *FIGURES])

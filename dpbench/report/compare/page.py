@@ -10,14 +10,14 @@ from typing import Any
 from urllib.parse import urlencode
 
 import numpy as np
-import pandas as pd
 
+from dpbench.analysis.compare.ratio_table import claims_first, furthest, ratio_table
 from dpbench.analysis.compare.times import Compared, Timing
 from dpbench.report.charts.pairs import pairs
 from dpbench.report.charts.style import ROW_STEP
 from dpbench.report.compare.comparison import Comparison
 from dpbench.report.compare.tables import answer_line, shared_line, times_table
-from dpbench.report.compare.times_chart import COLUMNS, both, ratios
+from dpbench.report.compare.times_chart import both, ratios
 from dpbench.report.formats import interval_text, plural, unmarked
 from dpbench.report.page.facts import columns_of
 from dpbench.report.page.pack import Block
@@ -25,7 +25,8 @@ from dpbench.report.page.write import drawn, own, rendered, specification
 from dpbench.report.table import Table
 
 SHOWN = 12
-"""So many of the slowest and of the fastest are drawn whatever is said of them."""
+"""So many of the slowest and of the fastest are drawn whatever is said of them; all of them are in
+the table below."""
 MOST_ROWS = 40
 """So many rows of a table stand on the page before any script has run."""
 LEFT_OUT = ("B/A", "steps × rounds")
@@ -34,7 +35,7 @@ LEFT_OUT = ("B/A", "steps × rounds")
 
 def write_comparison(path: Path, comparison: Comparison) -> Path:
     """Write the page of a comparison."""
-    order = _claims_first(comparison.compared)
+    order = claims_first(comparison.compared)
     charts = _charts(order, comparison.margin)
     times = _times(order, comparison) if order else None
     text = rendered(
@@ -44,7 +45,7 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
         lead=lead(comparison),
         lines=[unmarked(line) for line in comparison.lines],
         figures={name: drawn(chart) for name, chart in charts.items() if name != "steps"},
-        left_out=len(order) - len(_furthest(_table(order))) if order else 0,
+        left_out=len(order) - len(furthest(ratio_table(order), SHOWN)) if order else 0,
         times=times,
         tables=[replace(t, shown=MOST_ROWS) for t in comparison.tables if not _is_times(t)],
         block="" if times is None else _block(order, charts, times),
@@ -53,50 +54,15 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
     return path
 
 
-def _claims_first(compared: Sequence[Compared]) -> list[Compared]:
-    """What is slower first, the most so in front; then what is faster, then the rest by ratio."""
-    rank = {"slower": 0, "faster": 1}
-    return sorted(
-        compared,
-        key=lambda c: (rank.get(c.assessment.verdict, 2), -c.assessment.ratio.value),
-    )
-
-
 def _charts(order: Sequence[Compared], margin: float) -> dict[str, Any]:
     if not order:
         return {}
-    table = _table(order)
+    table = ratio_table(order)
     return {
-        "ratios": ratios(_furthest(table), margin),
+        "ratios": ratios(furthest(table, SHOWN), margin),
         "both": both(table),
         "steps": pairs("A: step time", "B: step time"),
     }
-
-
-def _table(order: Sequence[Compared]) -> pd.DataFrame:
-    rows = [
-        (
-            str(i),
-            f"{one.timing.pair.a.configuration.label}, {one.timing.pair.a.sequence}",
-            one.assessment.ratio.value,
-            one.assessment.ratio.low,
-            one.assessment.ratio.high,
-            one.assessment.verdict,
-            one.timing.median_ns[0] / 1e3,
-            one.timing.median_ns[1] / 1e3,
-            one.timing.pair.a.sequence,
-        )
-        for i, one in enumerate(order)
-    ]
-    table = pd.DataFrame(rows, columns=list(COLUMNS))
-    return table.sort_values("ratio", ascending=False, kind="stable")
-
-
-def _furthest(table: pd.DataFrame) -> pd.DataFrame:
-    """What is judged to differ, and else the ends of the list; all of it is in the table below."""
-    judged = table["verdict"].isin(("slower", "faster"))
-    place = pd.Series(range(len(table)), index=table.index)
-    return table[judged | (place < SHOWN) | (place >= len(table) - SHOWN)]
 
 
 def _is_times(table: Table) -> bool:

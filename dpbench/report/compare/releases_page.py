@@ -5,7 +5,6 @@ What a step takes with each version, and how wrong it is.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,14 +12,13 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
-from dpbench.analysis.compare.releases import Histories, History, Release
+from dpbench.analysis.compare.releases import FIGURES, release_table
 from dpbench.report.charts import style
 from dpbench.report.compare.releases import Releases
 from dpbench.report.formats import MISSING
 from dpbench.report.page.write import drawn, rendered
 
-COLUMNS = ("label", "age", "problem", "p50", "p99", "largest", "error")
-AGES = ("newest release", "earlier release")
+AGES = {0: "newest release", 1: "earlier release"}
 _WIDTH = 260
 """Narrow enough for a telephone, names included."""
 MOST_PANELS = 4
@@ -29,7 +27,8 @@ MOST_PANELS = 4
 
 def write_releases(path: Path, releases: Releases) -> Path:
     """Write the page: it needs no script and nothing beside it."""
-    table = _chart_table(releases.histories)
+    table = release_table(releases.histories, MOST_PANELS)
+    table["age"] = table["age"].map(AGES)
     unit = f"× {releases.histories.reference}" if releases.histories.reference else "µs"
     charts = {
         "Point p50, bar to p99 where 1000 steps support one, line to the largest step; replays, "
@@ -51,36 +50,12 @@ def write_releases(path: Path, releases: Releases) -> Path:
     return path
 
 
-def _chart_table(histories: Histories) -> pd.DataFrame:
-    """Columns `COLUMNS`: of each solver its most usual configuration on each replayed problem."""
-    drawn: dict[tuple[str, str], History] = {}
-    for history in sorted(histories.all, key=lambda history: not history.changed):
-        if history.run.mode == "replay" and math.isfinite(history.releases[0].p50):
-            drawn.setdefault((history.run.problem, history.run.solver), history)
-    problems = list(dict.fromkeys(problem for problem, _ in drawn))[:MOST_PANELS]
-    scale = 1.0 if histories.reference else 1e-3
-    rows = [
-        _chart_row(history, i, release, scale)
-        for (problem, _), history in drawn.items()
-        if problem in problems
-        for i, release in enumerate(history.releases)
-    ]
-    return pd.DataFrame(rows, columns=list(COLUMNS))
-
-
-def _chart_row(history: History, i: int, release: Release, scale: float) -> tuple[object, ...]:
-    age = AGES[0] if i == len(history.releases) - 1 else AGES[1]
-    times = (scale * time for time in (release.p50, release.p99, release.largest))
-    label = f"{history.run.solver} {release.version}"
-    return label, age, history.run.problem, *times, release.error_move
-
-
 def release_times(table: pd.DataFrame, unit: str) -> Any:
     """A row per version: point p50, bar to p99, line to the largest step; a panel per problem.
 
     Parameters
     ----------
-    table : columns `COLUMNS`, the first row on top; unit : of the times.
+    table : of `release_table`, age in words, the first row on top; unit : of the times.
     """
     base = _base(table)
     x = alt.X("p50:Q", title=f"step time [{unit}]", scale=style.log_scale(), axis=_axis("~g"))
@@ -114,9 +89,9 @@ def _axis(form: str) -> alt.Axis:
 def _base(table: pd.DataFrame) -> Any:
     return alt.Chart(table).encode(
         y=style.named_rows("label", list(dict.fromkeys(table["label"])), labelLimit=170),
-        color=style.coloured("age", AGES, (style.ACCENT, style.NOT_RUN)),
-        shape=alt.Shape("age:N", scale=style.names_scale(AGES, ("circle", "diamond"))),
-        tooltip=["label:N", *(style.tip(f"{name}:Q") for name in COLUMNS[3:])],
+        color=style.coloured("age", AGES.values(), (style.ACCENT, style.NOT_RUN)),
+        shape=alt.Shape("age:N", scale=style.names_scale(AGES.values(), ("circle", "diamond"))),
+        tooltip=["label:N", *(style.tip(f"{name}:Q") for name in FIGURES)],
     )
 
 

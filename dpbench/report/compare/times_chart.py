@@ -12,7 +12,6 @@ import pandas as pd
 
 from dpbench.report.charts import style
 
-COLUMNS = ("id", "name", "ratio", "low", "high", "verdict", "a_us", "b_us", "sequence")
 VERDICTS = ("slower", "faster", "equivalent", "no difference shown")
 _COLOUR = style.coloured(
     "verdict", VERDICTS, (style.MISSES, style.MEETS, style.SOFT, style.NOT_RUN), columns=2
@@ -33,7 +32,7 @@ def ratios(table: pd.DataFrame, margin: float) -> Any:
 
     Parameters
     ----------
-    table : columns `COLUMNS`, the slowest first; margin : what is no difference.
+    table : of `analysis.compare.ratio_table`; margin : what is no difference.
     """
     base = alt.Chart(table).encode(
         y=alt.Y("name:N", sort=table["name"].tolist(), title=None, axis=style.row_names(330)),
