@@ -26,7 +26,7 @@ class Claim:
 
 def claims(records: Records) -> list[Claim]:
     """All claims, in the order of the paper."""
-    asked = [(c["claim"], judged(records, c["scenario"], c["by"])) for c in _WORDS["claims"]]
+    asked = [(text, judged(records, where, by)) for text, where, by in _WORDS["claims"]]
     said = _WORDS["found"]
     return [Claim(text, filled(said[of.by], **of.values), of.state) for text, of in asked]
 
