@@ -136,3 +136,12 @@ def resampled_error(values: Floats, block: int) -> float:
         for length in (block, count - block * (blocks - 1))
     )
     return math.sqrt((blocks - 1) * whole + last) / count
+
+
+def holm(p: Floats) -> Floats:
+    """Adjusted p-values (Holm 1979, step-down Bonferroni): ≤ α together at family-wise α."""
+    order = np.argsort(p, kind="stable")
+    factors = np.arange(len(p), 0, -1)
+    adjusted = np.empty(len(p))
+    adjusted[order] = np.minimum(1.0, np.maximum.accumulate(factors * p[order]))
+    return adjusted

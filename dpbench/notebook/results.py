@@ -79,7 +79,7 @@ class Results(result_folder.Results):
         """The answer, and the best configuration of each solver."""
         from dpbench.report.documents.markdown import HEAD, solver_rows
 
-        rows = solver_rows(best_of_each(self._report.facts.verdicts))
+        rows = solver_rows(self._report.facts, best_of_each(self._report.facts.verdicts))
         title = str(self.suite.get("name", self.folder.name))
         return table_html(HEAD, rows, title=title, note=self.answer)
 

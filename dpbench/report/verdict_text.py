@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 
 from dpbench.analysis.records.records import Records
@@ -11,13 +10,15 @@ from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.times.pairs import PairedComparison
 from dpbench.analysis.verdict.demand import Demand
-from dpbench.analysis.verdict.fastest import Recommendation, known_record, rescue
-from dpbench.analysis.verdict.verdict import Finding, Verdict, Verdicts, detail
+from dpbench.analysis.verdict.fastest import Recommendation, best_of_each, known_record
+from dpbench.analysis.verdict.findings import Finding
+from dpbench.analysis.verdict.verdict import Verdict, Verdicts, detail
 from dpbench.report.formats import (
     and_list,
     count_text,
     error_text,
     plural,
+    share_text,
     significant,
     time_text,
 )
@@ -42,20 +43,33 @@ def demand_text(demand: Demand) -> str:
 
 
 def counted(verdicts: Verdicts) -> str:
-    """How many solvers meet the demand as they come, who only in another configuration, who misses
-    it, who is open or was not run; every solver once."""
+    """Count the solvers by their best outcome: meets as they come or only otherwise, borderline,
+    misses, open, not run; every solver once."""
     if not verdicts.references:
         return NOBODY
-    outcomes = Counter(v.outcome for v in verdicts.references)
-    rescued = {v.configuration.solver: rescue(verdicts, v) for v in verdicts.references}
-    groups = {"only otherwise": [v.configuration.label for v in rescued.values() if v is not None]}
-    for what, outcome in (("miss it", "misses"), ("open", "open"), ("not run", "not run")):
-        left = (v.configuration.solver for v in verdicts.references if v.outcome == outcome)
-        groups[what] = [solver for solver in left if rescued[solver] is None]
-    run, good = outcomes.total() - outcomes["not run"], outcomes["meets"]
+    best = {verdict.configuration.solver: verdict for verdict in best_of_each(verdicts)}
+    groups: dict[str, list[str]] = {name: [] for name in ("default", *_GROUPS)}
+    for reference in verdicts.references:
+        solver = reference.configuration.solver
+        if best[solver].outcome != "meets":
+            groups[best[solver].outcome].append(solver)
+        elif reference.outcome == "meets":
+            groups["default"].append(solver)
+        else:
+            groups["meets"].append(best[solver].configuration.label)
+    run, good = len(best) - len(groups["not run"]), len(groups["default"])
     said = [f"{good} of {run} meet the demand"] if good or not groups["open"] else []
-    said += [f"{what}: {', '.join(names)}" for what, names in groups.items() if names]
+    said += [f"{_GROUPS[name]}: {', '.join(groups[name])}" for name in _GROUPS if groups[name]]
     return "; ".join(said)
+
+
+_GROUPS = {
+    "meets": "only otherwise",
+    "borderline": "borderline",
+    "misses": "miss it",
+    "open": "open",
+    "not run": "not run",
+}
 
 
 def aboard(solver: str) -> str:
@@ -89,7 +103,7 @@ def usual_time(verdict: Verdict) -> str:
     """Its p99, or its p50 where there are too few steps for one."""
     if math.isnan(verdict.p99_ns):
         return f"p50 {time_text(verdict.p50_ns)} in the replay of {verdict.timed_on}"
-    return f"p99 {time_text(verdict.p99_ns)} in the replay of {verdict.timed_on}"
+    return f"p99 {time_text(verdict.p99_ns)} in the replay of {verdict.p99_on}"
 
 
 def paired_text(compared: PairedComparison) -> str:
@@ -122,6 +136,25 @@ _WORDS = {
     "hung": "it did not return in {where}: {detail}{also}",
     "p99 late": "its p99 is {time} in {where}",
     "p95 late": "its p95 is already {time} in {where}",
+    "window late": "more than one step in a hundred takes {time} or more in {where}",
+    "deadline late": "its hardest step takes {time} in {where}, beyond the deadline",
+    "slow loop": "the median of its timings is {time} in {where}, a closed loop{also}",
+    "late timings": "{share} of {timings} in {where} exceed the p99 limit; the machine "
+    "explains {machine}{also}",
+    "past the deadline": "{share} of {timings} in {where} exceed the deadline; the machine "
+    "explains {machine}{also}",
+    "late at random": "{share} of {timings} in {where} exceed the p99 limit though the same step "
+    "is in time in another round; the machine explains {machine}{also}",
+    "perhaps late timings": "{share} of {timings} in {where} exceed the p99 limit, perhaps by the "
+    "machine, which explains {machine}{also}",
+    "perhaps past the deadline": "{share} of {timings} in {where} exceed the deadline, perhaps by "
+    "the machine, which explains {machine}{also}",
+    "p99 borderline": "its p99 of {time} in {where} is as near to the limit as rounds differ",
+    "p95 borderline": "its p95 of {time} in {where} is as near to the limit as rounds differ",
+    "deadline borderline": "its hardest step takes {time} in {where}, as near to the deadline as "
+    "rounds differ",
+    "loop borderline": "the median of its timings is {time} in {where}, a closed loop, as near to "
+    "the limit as rounds differ{also}",
     "stopped": "{where} was stopped at its time limit ({value:.0f} of {steps})",
     "lost": "the harness lost {where}: {detail}",
     "ended": "{where} {outcome}: {detail}",
@@ -131,7 +164,7 @@ _WORDS = {
     "not alone": "{where} was timed beside other work, or on another machine",
     "no step": "{where} left no counting step",
     "no p99": "{steps} of {where} do not support a p99, and the slowest takes {time}",
-    "slow loop": "the median of its timings is {time} in {where}, a closed loop{also}",
+    "short slow loop": "the median of its few timings is {time} in {where}, a closed loop{also}",
     "no closed loop": "no closed loop was run",
     "no replay": "no replay was run, so its time is not judged",
     "absent": "not run in {places}",
@@ -160,6 +193,9 @@ def clause(finding: Finding) -> str:
         counted=plural(finding.value, "step"),
         error=error_text(finding.value),
         time=time_text(finding.value),
+        share=share_text(finding.value),
+        timings=plural(finding.steps, "timing"),
+        machine=share_text(finding.machine),
         also=f" (also in {also})" if also else "",
         some_also=f" (some also in {also})" if also else "",
         also_over=f" (over the demand also in {also})" if also else "",
@@ -190,5 +226,5 @@ def _places(rows: Sequence[RunRecord]) -> str:
 
 def judged_on(verdict: Verdict) -> str:
     """What the answers of a configuration were judged on."""
-    replays = plural(verdict.replays, "replay")
-    return f"{plural(verdict.loops, 'closed loop')} and {replays}" if verdict.loops else replays
+    kinds = {"closed loop": verdict.loops, "replay": verdict.replays, "window": verdict.windows}
+    return and_list([plural(count, kind) for kind, count in kinds.items() if count])

@@ -11,6 +11,7 @@ import pandas as pd
 
 from dpbench.analysis.records import counting_rows, step_times
 from dpbench.analysis.records.counting_rows import counting_of
+from dpbench.analysis.records.delays import Delays, delays_by_run
 from dpbench.analysis.records.run_record import RunRecord, records_of
 from dpbench.analysis.records.run_steps import RunSteps, run_steps
 from dpbench.analysis.records.step_times import StepTimes, times_by_run
@@ -59,6 +60,7 @@ class Records:
         self.runs = _commonly_formulated([run for run in undelayed if not run.has_topic])
         self._steps = results.recorded
         self._times: dict[str, StepTimes | None] = {}
+        self._delays: dict[str, Delays] = {}
         self._scenarios: dict[str, Scenario | None] = {}
 
     @property
@@ -138,8 +140,9 @@ class Records:
 
     @cached_property
     def sequences(self) -> list[str]:
-        """Replayed sequences in the order of the suite."""
-        return list(dict.fromkeys(run.sequence for run in self.select(mode="replay")))
+        """Replayed sequences in the order of the suite, without windows of hardest steps."""
+        replays = (run for run in self.select(mode="replay") if not run.window_of)
+        return list(dict.fromkeys(run.sequence for run in replays))
 
     def replays(self, sequence: str, **wanted: object) -> list[RunRecord]:
         """Replays of a sequence in scaled units."""
@@ -168,6 +171,13 @@ class Records:
         self._times |= dict.fromkeys(run.run_id for run in runs)
         for table in self.scan(runs, step_times.COLUMNS):
             self._times |= dict(times_by_run(table))
+
+    def delays(self, runs: Sequence[RunRecord]) -> dict[str, Delays]:
+        """Return the delays of runs by id, of those that left a counting row; read once."""
+        unread = [run for run in runs if run.run_id not in self._delays]
+        for table in self.scan(unread, step_times.COLUMNS):
+            self._delays |= dict(delays_by_run(table))
+        return {run.run_id: self._delays[run.run_id] for run in runs if run.run_id in self._delays}
 
     @cached_property
     def _carried(self) -> dict[str, dict[str, Any]]:

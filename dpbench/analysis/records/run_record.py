@@ -87,6 +87,7 @@ class RunRecord:
     algo_p99_ns: float
     algo_max_ns: float
     raw_p50_ns: float
+    raw_p99_ns: float
     raw_max_ns: float
     first_visit_ratio: float
     loop_ratio: float
@@ -172,6 +173,12 @@ class RunRecord:
     def first_step(self) -> int:
         """The step of its scenario that it begins with."""
         return int(self.description.get("first", 0))
+
+    @property
+    def window_of(self) -> int:
+        """Steps of the stretch whose hardest steps it replays; 0 of every other run."""
+        source = self.description.get("source", {})
+        return int(source["of"]) if source.get("kind") == "hardest" else 0
 
     @property
     def problem(self) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from dpbench.analysis.records.grouping import firsts, grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.verdict.uncertainty import uncertainty_of, usual_factor
 from dpbench.bench.record.disturbance import MAX_SWITCHES_PER_S, Disturbance
 from dpbench.solvers.calibration import COPY_ONLY, WAITS_NS
 
@@ -22,14 +23,10 @@ neighbours too."""
 
 
 def round_spread(records: Records) -> tuple[float, float]:
-    """How many times as long the slowest round of a replay takes as its fastest: the median over
-    the replays, and the largest; NaN where no replay has two rounds."""
-    ratios = [
-        float(times.rounds_ns.max() / times.rounds_ns.min())
-        for run in records.select(mode="replay")
-        if (times := records.times(run)) is not None and len(times.rounds_ns) > 1
-    ]
-    return (float(np.median(ratios)), max(ratios)) if ratios else (math.nan, math.nan)
+    """Return how many times as long the slowest round of a configuration takes as its fastest: the
+    median over the configurations, and what 95 % of them stay below; NaN without two rounds."""
+    slowest = list(uncertainty_of(records).slowest.values())
+    return (float(np.median(slowest)), usual_factor(slowest)) if slowest else (math.nan, math.nan)
 
 
 def timed_runs(records: Records) -> list[RunRecord]:

@@ -43,27 +43,47 @@ def verdict_table(placed: PlacedRuns) -> pd.DataFrame:
                 "outcome": v.outcome,
                 "closed_loops": v.loops,
                 "replays": v.replays,
+                "windows": v.windows,
                 "steps": v.steps,
                 "error_move": v.error_move,
                 "failed_steps": v.failed_steps,
                 "p50_us": v.p50_ns / 1e3,
                 "p99_us": v.p99_ns / 1e3,
+                "raw_p99_us": v.raw_p99_ns / 1e3,
                 "max_us": v.algo_max_ns / 1e3,
                 "raw_max_us": v.raw_max_ns / 1e3,
                 "timed_on": v.timed_on,
+                "p99_on": v.p99_on,
+                **_margin_columns(placed, v),
             }
             for v in placed.verdicts.all
         ]
     )
 
 
+def _margin_columns(placed: PlacedRuns, verdict: Verdict) -> dict[str, Any]:
+    """Return the speed margin of a configuration, and the step that bounds each of its parts."""
+    margin = placed.margin(verdict.configuration)
+    if margin is None:
+        return {"margin": nan}
+    columns: dict[str, Any] = {"margin": margin.factor}
+    parts = {"p99": (margin.p99_limit, margin.p99), "deadline": (margin.deadline, margin.hardest)}
+    for name, (factor, step) in parts.items():
+        columns[f"margin_{name}"] = factor
+        columns[f"{name}_step"] = f"{step.run.scenario or step.run.sequence}, k {step.k}"
+        columns[f"{name}_step_us"] = step.time_ns / 1e3
+        columns[f"{name}_step_iterations"] = step.iterations
+        columns[f"{name}_step_active"] = step.n_active
+    return columns
+
+
 TIMES = (
-    *("id", "solver", "label", "state", "p50_ms", "p99_ms", "max_ms", "raw_max_ms"),
-    *("longest_ms", "share"),
+    *("id", "solver", "label", "state", "p50_ms", "p99_ms", "raw_p99_ms", "max_ms", "longest_ms"),
+    *("margin", "share"),
 )
-"""`raw_max_ms`: largest single timing in replays, `longest_ms`: of everything that was judged,
-loops too. `share`: part of the median that calling the library costs, by the harness's own solver;
-0 where nobody knows."""
+"""`longest_ms`: largest single timing of everything that was judged, loops too. `margin`: speed
+margin, see `speed_margin.py`. `share`: part of the median that calling the library costs, by the
+calibration configuration that only copies; 0 where it was not run."""
 
 
 def time_table(placed: PlacedRuns) -> pd.DataFrame:
@@ -77,9 +97,10 @@ def time_table(placed: PlacedRuns) -> pd.DataFrame:
             "state": verdict.state,
             "p50_ms": verdict.p50_ns / 1e6,
             "p99_ms": verdict.p99_ns / 1e6,
+            "raw_p99_ms": verdict.raw_p99_ns / 1e6,
             "max_ms": verdict.algo_max_ns / 1e6,
-            "raw_max_ms": verdict.raw_max_ns / 1e6,
             "longest_ms": _longest_ms(placed, verdict),
+            "margin": nan if (m := placed.margin(verdict.configuration)) is None else m.factor,
             "share": 0.0 if isnan(called_ns) else min(1.0, called_ns / verdict.p50_ns),
         }
         for verdict in best_of_each(placed.verdicts)
@@ -111,7 +132,7 @@ def tile_table(placed: PlacedRuns) -> pd.DataFrame:
 def _tile(placed: PlacedRuns, wanted: Configuration, p: int) -> dict[str, Any]:
     c = placed.index(wanted)
     run, verdict = placed.runs.get((c, p)), placed.states.get((c, p))
-    findings = () if verdict is None else (*verdict.causes, *verdict.doubts)
+    findings = () if verdict is None else (*verdict.causes, *verdict.doubts, *verdict.near)
     return {
         "solver": wanted.solver,
         "settings": wanted.settings,

@@ -11,7 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dpbench.analysis.records.grouping import grouped
-from dpbench.analysis.verdict.verdict import OUTCOMES, Verdict, Verdicts
+from dpbench.analysis.verdict.findings import STATES
+from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.bench.record.configuration import settings_level
 from dpbench.errors import UnknownNameError
 from dpbench.solvers.record import SolverRecord
@@ -101,11 +102,12 @@ class Recommendation:
 def recommend(verdicts: Verdicts) -> Recommendation:
     """The recommendation: by p99, among those that meet the demand.
 
-    Where nobody can meet it, as the suite has no closed loop, those that nothing contradicts are
-    compared; their outcome says that it is open.
+    Where none does, those that are borderline are compared, else those that nothing contradicts, as
+    where the suite has no closed loop; their outcome says so.
     """
-    open_or_met = podium(verdicts)
-    candidates = [verdict for verdict in open_or_met if verdict.outcome == "meets"] or open_or_met
+    known = podium(verdicts)
+    met, near = ([v for v in known if v.outcome == name] for name in ("meets", "borderline"))
+    candidates = met or near or known
     aboard = [v for v in candidates if not why_not_aboard(v.configuration.solver)]
     chosen = aboard[0] if aboard else None
     faster = candidates[0] if candidates and candidates[0] is not chosen else None
@@ -132,17 +134,18 @@ def why_not_aboard(solver: str) -> str:
     return "not in the table of this installation" if known is None else known.why_not_aboard
 
 
-def rescue(verdicts: Verdicts, reference: Verdict) -> Verdict | None:
-    """The fastest configuration that meets the demand where a solver's reference does not."""
-    if reference.outcome in ("meets", "not run"):
-        return None
-    meets = [v for v in verdicts.of[reference.configuration.solver] if v.outcome == "meets"]
-    return next(iter(fastest_first(meets)), None)
-
-
 def best_of_each(verdicts: Verdicts) -> list[Verdict]:
-    """For each solver the fastest of its configurations that nothing is said against, else its
-    reference; those that meet the demand first, then by time."""
+    """Return the configuration that shows each solver, the best state first, then by time.
+
+    It is one of the solver's best state: the one that `podium` names, else its reference, else the
+    fastest. Where some were run in both modes, one without a loop or a replay shows nothing.
+    """
     fastest = {verdict.configuration.solver: verdict for verdict in podium(verdicts)}
-    chosen = [fastest.get(solver, own[0]) for solver, own in verdicts.of.items()]
-    return sorted(fastest_first(chosen), key=lambda v: OUTCOMES.index(v.outcome))
+    chosen = []
+    for solver, own in verdicts.of.items():
+        whole = [verdict for verdict in own if verdict.loops and verdict.replays] or own
+        best = min(whole, key=lambda v: STATES.index(v.state)).state
+        alike = [verdict for verdict in whole if verdict.state == best]
+        first = [v for v in (fastest.get(solver), own[0]) if v in alike]
+        chosen.append((first or fastest_first(alike))[0])
+    return sorted(fastest_first(chosen), key=lambda v: STATES.index(v.state))

@@ -3,13 +3,14 @@
 configurations   those that were run, whatever the units and the formulation: these are places
 places           scenarios steered through and sequences replayed, in the order of the suite,
                  then the seas of studies
-runs, states     a configuration in a place, by their numbers in these lists
+runs, states     a configuration in a place, by their numbers in these lists; a window of the
+                 hardest steps counts in the place of its scenario's closed loop
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
@@ -18,6 +19,7 @@ from dpbench.analysis.records.grouping import firsts
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.demand import Demand, survived
+from dpbench.analysis.verdict.speed_margin import SpeedMargin, speed_margins
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, verdict_of
 from dpbench.bench.record.configuration import Configuration, settings_level
 from dpbench.scenario.scenario import Scenario, scenario_of
@@ -90,9 +92,13 @@ class PlacedRuns:
         studied : runs of studies that have a place; kept : so many of them are among the runs.
         """
         runs: dict[tuple[Configuration, Place], RunRecord] = {}
+        windows: dict[tuple[Configuration, str], RunRecord] = {}
         common = {run.run_id for run in records.runs}
         ships = [r for r in records.all_runs if not (r.is_baseline_law or r.has_topic)]
         for run in [*ships, *studied[:kept]]:
+            if run.window_of:
+                windows[placed_configuration(run), run.scenario] = run
+                continue
             usual = run.slowdown > 0.0 or run.run_id in common
             key = placed_configuration(run), Place.of(run, "" if usual else run.formulation)
             other = runs.get(key)
@@ -107,9 +113,11 @@ class PlacedRuns:
         for (configuration, place), run in runs.items():
             at = configurations.index(configuration), numbers[place]
             placed.runs[at] = run
-            placed.states[at] = verdict_of(
-                records, configuration, {("", ""): run}, [], verdicts.demand
-            )
+            there = {("", ""): run}
+            window = windows.get((configuration, run.scenario))
+            if window is not None and run.mode == "closed_loop" and run.units == "scaled":
+                there["replay", "window"] = window
+            placed.states[at] = verdict_of(records, configuration, there, [], verdicts.demand)
         return placed
 
     @property
@@ -149,7 +157,7 @@ class PlacedRuns:
         return self._seas[place]
 
     def state(self, c: int, p: int) -> str:
-        """What a run alone says of the demand: meets, late, wrong, open or not run.
+        """What a run alone says of the demand: meets, borderline, late, wrong, open or not run.
 
         On a slower computer the ship has to be held, too, or the answers were late.
         """
@@ -161,7 +169,7 @@ class PlacedRuns:
             return verdict.state
         if run.slowdown > 0.0 and not survived(run):
             return "late"
-        return "open" if verdict.doubts else "meets"
+        return "open" if verdict.doubts else "borderline" if verdict.near else "meets"
 
     def timed_at(self, verdict: Verdict) -> int | None:
         """The number of the replay behind the p99 of a verdict; None where nothing was timed."""
@@ -171,13 +179,19 @@ class PlacedRuns:
     def longest_timing(self, configuration: Configuration) -> tuple[Place, RunRecord] | None:
         """The run with its largest single timing, of everything judged that it ran: loops and
         replays alike; None where none left one."""
-        return self._largest(configuration, "raw_max_ns", lambda place: place.units == "scaled")
+        known = [
+            (self.places[p], run)
+            for (c, p), run in self.runs.items()
+            if self.configurations[c] == configuration
+            and self.places[p].units == "scaled"
+            and not self.places[p].study
+            and not math.isnan(run.raw_max_ns)
+        ]
+        return max(known, key=lambda one: one[1].raw_max_ns, default=None)
 
-    def hardest_loop(self, configuration: Configuration) -> tuple[Place, RunRecord] | None:
-        """The judged closed loop with its largest median of timings; None where none left any."""
-        return self._largest(
-            configuration, "raw_p50_ns", lambda p: p.mode == "closed_loop" and p.units == "scaled"
-        )
+    def margin(self, configuration: Configuration) -> SpeedMargin | None:
+        """Return the speed margin of a configuration; None where no replay of it was timed."""
+        return speed_margins(self.records, self.demand).get(configuration)
 
     def without_solution(self, configuration: Configuration) -> tuple[int, bool]:
         """How many steps of its judged runs had no solution, and whether it said so of all."""
@@ -192,19 +206,6 @@ class PlacedRuns:
         # A replay counts a step in each of its rounds.
         steps = sum(round(run.infeasible_steps / max(1.0, run.rounds)) for run in known)
         return steps, all(run.true_share == 1.0 for run in known)
-
-    def _largest(
-        self, configuration: Configuration, column: str, wanted: Callable[[Place], bool]
-    ) -> tuple[Place, RunRecord] | None:
-        known = [
-            (self.places[p], run)
-            for (c, p), run in self.runs.items()
-            if self.configurations[c] == configuration
-            and not self.places[p].study
-            and wanted(self.places[p])
-            and not math.isnan(getattr(run, column))
-        ]
-        return max(known, key=lambda one: float(getattr(one[1], column)), default=None)
 
     def index(self, configuration: Configuration) -> int:
         """The number of a configuration; −1 for one that was not run."""

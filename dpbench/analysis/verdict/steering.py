@@ -11,14 +11,8 @@ from dpbench.analysis.records.grouping import firsts, grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.demand import Demand, is_right_to_the_end
-from dpbench.analysis.verdict.verdict import (
-    LATE,
-    OUTCOMES,
-    Outcome,
-    Verdict,
-    Verdicts,
-    verdicts_of,
-)
+from dpbench.analysis.verdict.findings import LATE, OUTCOMES, Outcome
+from dpbench.analysis.verdict.verdict import Verdict, Verdicts, verdicts_of
 
 Fault = Literal["too late", "wrong", "too late or wrong"]
 
@@ -47,8 +41,9 @@ class Steering:
 
     @property
     def undecided(self) -> list[str]:
-        """Solvers of which it is open whether they meet the demand with thrusters."""
-        return [name for name, outcome in self.with_thrusters.items() if outcome == "open"]
+        """Solvers of which it is open or borderline whether they meet the demand with thrusters."""
+        unclear = ("borderline", "open")
+        return [name for name, outcome in self.with_thrusters.items() if outcome in unclear]
 
     @property
     def fine_with_forces(self) -> list[str]:

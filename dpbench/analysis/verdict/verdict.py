@@ -2,72 +2,45 @@
 
 A configuration *meets* the demand when it was run, whole, in every scenario and replay in which its
 solver's reference was judged, every judged step has error_move within the demand, no more steps
-fail than it allows, and the p99 of its algorithmic step time stays below the demand in every
-replayed sequence. What contradicts the demand makes it *miss*: a wrong, failed or late step, a
-process that crashed, a call that did not return. What was not run, could not be measured, or was
-lost by the harness leaves it *open*, and so does a closed loop whose median timing is beyond what
-is allowed of a p99.
+fail than it allows, the p99 of its algorithmic step time stays below the demand in every replayed
+sequence, and its single timings are no later than the machine explains (`lateness.py`).
+
+It *misses* the demand by a wrong, failed or late step, a process that crashed, a call that did not
+return. It is *open* where it was not run, could not be measured, or may be late. It is *borderline*
+where nothing of that holds and a time is within its uncertainty of a limit (`uncertainty.py`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
-
-import numpy as np
+from typing import Any
 
 from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.demand import Demand
-from dpbench.bench.judge.rules import largest, percentile, supports
+from dpbench.analysis.verdict.findings import (
+    DOUBTS,
+    LATE,
+    NEAR,
+    OWN_DOING,
+    Doubt,
+    Finding,
+    Outcome,
+    State,
+    worst_first,
+)
+from dpbench.analysis.verdict.time_findings import (
+    find_slow_loops,
+    judge_times,
+    report_late_timings,
+    time_evidence,
+)
+from dpbench.bench.judge.rules import largest
 from dpbench.bench.record.configuration import Configuration, settings_level
 from dpbench.solvers.record import POLICIES
-
-Outcome = Literal["meets", "open", "misses", "not run"]
-OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
-"""The best first."""
-Cause = Literal["no answer", "inaccurate", "failed", "crashed", "hung", "p99 late", "p95 late"]
-Doubt = Literal[
-    "stopped",
-    "lost",
-    "ended",
-    "uncertified",
-    "remembered",
-    "not alone",
-    "no step",
-    "no p99",
-    "slow loop",
-    "no closed loop",
-    "no replay",
-]
-Gap = Literal["absent", "refused", "short"]
-LATE: tuple[Cause, ...] = ("p99 late", "p95 late", "hung")
-"""Causes that say that right answers came too late, or never; all others that one was wrong."""
-State = Literal["meets", "open", "late", "wrong", "not run"]
-STATES: tuple[State, ...] = get_args(State)
-"""The outcomes, with what misses told apart by its causes."""
-_OWN_DOING: tuple[Cause, ...] = ("crashed", "hung")
-"""Outcomes that are the solver's own doing, and contradict any demand."""
-
-
-@dataclass(frozen=True, eq=False)
-class Finding:
-    """Something found against a configuration, or that could not be found out.
-
-    Parameters
-    ----------
-    runs : the runs it was found in, the worst first.
-    value : the figure: an error, a time [ns], or steps where the kind is about steps.
-    steps : the steps the figure is from.
-    """
-
-    kind: Cause | Doubt | Gap
-    runs: tuple[RunRecord, ...] = ()
-    value: float = math.nan
-    steps: int = 0
 
 
 @dataclass(frozen=True)
@@ -77,13 +50,18 @@ class Verdict:
     Parameters
     ----------
     causes : why it misses the demand; doubts : what could not be judged.
+    near : times within their uncertainty of a limit.
     gaps : where its solver's reference was judged and this configuration was not, or not whole.
     refusal : why it was not run at all.
-    loops, replays : how many of its runs were judged; steps : the steps with a judged answer.
+    loops, replays, windows : how many of its runs were judged.
+    steps : the steps with a judged answer.
     error_move : the largest error of the first move among them.
-    p50_ns, p99_ns : algorithmic step time on the sequence `timed_on`, that of the worst p99, or of
-        the worst p50 where none supports a p99.
+    p99_ns : largest p99 of the algorithmic step time, on the sequence `p99_on`; a window has the
+        p99 of the stretch whose hardest steps it holds.
+    p50_ns : algorithmic step time on the sequence `timed_on`, of those replayed whole the one of
+        the worst p99, or of the worst p50 where none supports a p99.
     rounds_ns : median of the fastest and of the slowest round there.
+    raw_p99_ns : 99 % of the single timings there, with what the machine adds.
     algo_max_ns, raw_max_ns : largest algorithmic step time and largest single timing of all
         sequences.
     """
@@ -92,17 +70,21 @@ class Verdict:
     outcome: Outcome
     causes: tuple[Finding, ...] = ()
     doubts: tuple[Finding, ...] = ()
+    near: tuple[Finding, ...] = ()
     gaps: tuple[Finding, ...] = ()
     refusal: str = ""
     loops: int = 0
     replays: int = 0
+    windows: int = 0
     steps: int = 0
     error_move: float = math.nan
     failed_steps: int = 0
     p50_ns: float = math.nan
     p99_ns: float = math.nan
+    p99_on: str = ""
     timed_on: str = ""
     rounds_ns: tuple[float, float] = (math.nan, math.nan)
+    raw_p99_ns: float = math.nan
     algo_max_ns: float = math.nan
     raw_max_ns: float = math.nan
 
@@ -121,17 +103,14 @@ class Verdict:
 
     @property
     def missing(self) -> tuple[Finding, ...]:
-        """Why it is open: what could not be judged, where it was not run, which kind of run."""
+        """Why it is open or borderline: what could not be judged, times near a limit, where it was
+        not run, which kind of run."""
         kinds: tuple[tuple[int, Doubt], ...] = (
             (self.loops, "no closed loop"),
-            (self.replays, "no replay"),
+            (self.replays + self.windows, "no replay"),
         )
         absent = tuple(Finding(kind) for count, kind in kinds if not count)
-        return (*self.doubts, *self.gaps, *absent)
-
-    def slowdown(self, demand: Demand) -> float:
-        """How much slower a computer may be before the largest algorithmic step is too late."""
-        return demand.deadline_ns / self.algo_max_ns
+        return (*self.doubts, *self.near, *self.gaps, *absent)
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,25 +206,43 @@ def verdict_of(
     if not ran:
         return Verdict(configuration, "not run", refusal=detail(next(iter(runs.values()))))
     replays = [run for run in ran if run.mode == "replay"]
-    late, unsure, timing = _timing(records, replays, demand)
+    evidence = time_evidence(records, demand)
+    times, figures = judge_times(records, replays, demand, evidence.uncertainty)
+    times += find_slow_loops(ran, demand, evidence.uncertainty)
+    times += report_late_timings(ran, evidence.late)
+    late, unsure, near = (_of_kinds(times, kinds) for kinds in (LATE, DOUBTS, NEAR))
     causes = [*_wrong(ran, demand), *_failing(ran, demand), *_own_doing(ran), *late]
-    doubts = [*_unfinished(ran), *unsure, *_slow_loops(ran, demand)]
-    gaps = _gaps(runs, asked)
-    kinds = len({run.mode for run in ran})
-    whole = not (doubts or gaps) and kinds == 2
+    doubts, gaps = [*_unfinished(ran), *unsure], _gaps(runs, asked)
     return Verdict(
         configuration,
-        "misses" if causes else "meets" if whole else "open",
+        _outcome(causes, [*doubts, *gaps], near, len({run.mode for run in ran})),
         tuple(causes),
         tuple(doubts),
+        tuple(near),
         tuple(gaps),
         loops=len(ran) - len(replays),
-        replays=len(replays),
+        replays=sum(not run.window_of for run in replays),
+        windows=sum(run.window_of > 0 for run in replays),
         steps=sum(_evaluated_steps(run) for run in ran),
         error_move=largest([run.error_move_max for run in ran]),
         failed_steps=sum(_count(run.failed_steps) for run in ran),
-        **timing,
+        **figures,
     )
+
+
+def _of_kinds(findings: Sequence[Finding], kinds: Sequence[str]) -> list[Finding]:
+    return [finding for finding in findings if finding.kind in kinds]
+
+
+def _outcome(
+    causes: Sequence[Finding], doubts: Sequence[Finding], near: Sequence[Finding], modes: int
+) -> Outcome:
+    """Return the outcome of findings, and of how many modes, loop and replay, were run."""
+    if causes:
+        return "misses"
+    if doubts or modes < 2:
+        return "open"
+    return "borderline" if near else "meets"
 
 
 def detail(run: RunRecord) -> str:
@@ -285,28 +282,17 @@ def _wrong(runs: Sequence[RunRecord], demand: Demand) -> list[Finding]:
     silent = tuple(run for run in off if math.isinf(run.error_move_max))
     wrong = [run for run in off if math.isfinite(run.error_move_max)]
     no_answer = [Finding("no answer", silent)] if silent else []
-    return [*no_answer, *_worst_first("inaccurate", wrong, lambda run: run.error_move_max)]
-
-
-def _worst_first(
-    kind: Cause | Doubt, runs: Sequence[RunRecord], figure: Callable[[RunRecord], float]
-) -> list[Finding]:
-    """One finding with the worst run by a figure in front, the others in their order."""
-    if not runs:
-        return []
-    worst = max(runs, key=figure)
-    others = (run for run in runs if run is not worst)
-    return [Finding(kind, (worst, *others), figure(worst))]
+    return [*no_answer, *worst_first("inaccurate", wrong, lambda run: run.error_move_max)]
 
 
 def _failing(runs: Sequence[RunRecord], demand: Demand) -> list[Finding]:
     failing = [run for run in runs if run.failed_steps > demand.failed_steps]
-    return _worst_first("failed", failing, lambda run: run.failed_steps)
+    return worst_first("failed", failing, lambda run: run.failed_steps)
 
 
 def _own_doing(runs: Sequence[RunRecord]) -> list[Finding]:
     """Runs that the solver ended, or never came back from."""
-    ended = {kind: tuple(run for run in runs if run.outcome == kind) for kind in _OWN_DOING}
+    ended = {kind: tuple(run for run in runs if run.outcome == kind) for kind in OWN_DOING}
     return [Finding(kind, of_kind) for kind, of_kind in ended.items() if of_kind]
 
 
@@ -315,7 +301,7 @@ def _unfinished(runs: Sequence[RunRecord]) -> list[Finding]:
     doubts = []
     for run in runs:
         done, asked = run.steps_done, run.steps_planned
-        if run.outcome in _OWN_DOING:
+        if run.outcome in OWN_DOING:
             continue
         if run.outcome == "timed_out" and run.mode == "replay" and done >= asked:
             # Every step has an answer and a time; fewer rounds make that time no smaller.
@@ -329,53 +315,3 @@ def _unfinished(runs: Sequence[RunRecord]) -> list[Finding]:
         elif _count(run.uncertified):
             doubts.append(Finding("uncertified", (run,), value=_count(run.uncertified)))
     return doubts
-
-
-def _slow_loops(runs: Sequence[RunRecord], demand: Demand) -> list[Finding]:
-    """Closed loops with a median of timings beyond what is allowed of a p99. A loop is timed once
-    a step, other work may be in that, so that it contradicts nothing; nor can it be passed over."""
-    loops = (run for run in runs if run.mode == "closed_loop" and not run.slowdown > 0.0)
-    slow = [run for run in loops if run.raw_p50_ns > demand.p99_ns]
-    return _worst_first("slow loop", slow, lambda run: run.raw_p50_ns)
-
-
-def _timing(
-    records: Records, replays: Sequence[RunRecord], demand: Demand
-) -> tuple[list[Finding], list[Finding], dict[str, Any]]:
-    """What contradicts the time demand, what is doubtful, and the figures behind."""
-    late: list[Finding] = []
-    unsure: list[Finding] = []
-    figures: list[tuple[float, float, str, tuple[float, float]]] = []
-    algo_max_ns = raw_max_ns = math.nan
-    for run in replays:
-        if run.remembers:
-            unsure.append(Finding("remembered", (run,)))
-        if not records.is_ranked(run):
-            unsure.append(Finding("not alone", (run,)))
-            continue
-        times = records.times(run)
-        if times is None:
-            if run.outcome == "finished":
-                unsure.append(Finding("no step", (run,)))
-            continue
-        algo = times.algo_ns
-        algo_max_ns = float(np.fmax(algo_max_ns, algo.max()))
-        raw_max_ns = float(np.fmax(raw_max_ns, times.raw_max_ns))
-        p99, p95 = percentile(algo, 99), percentile(algo, 95)
-        rounds_ns = float(times.rounds_ns.min()), float(times.rounds_ns.max())
-        figures.append((p99, float(np.median(algo)), run.sequence, rounds_ns))
-        if p99 > demand.p99_ns:
-            late.append(Finding("p99 late", (run,), p99))
-        elif p95 > demand.p99_ns:
-            late.append(Finding("p95 late", (run,), p95))
-        elif not supports(len(algo), 99) and algo.max() > demand.p99_ns:
-            unsure.append(Finding("no p99", (run,), float(algo.max()), len(algo)))
-    if not figures:
-        return late, unsure, {}
-    known = [figure for figure in figures if math.isfinite(figure[0])]
-    p99, p50, timed_on, rounds_ns = (
-        max(known) if known else max(figures, key=lambda figure: figure[1])
-    )
-    times_ns = {"algo_max_ns": algo_max_ns, "raw_max_ns": raw_max_ns}
-    on = {"timed_on": timed_on, "rounds_ns": rounds_ns}
-    return late, unsure, {"p50_ns": p50, "p99_ns": p99, **on, **times_ns}

@@ -13,7 +13,7 @@ COLUMNS = (
     *("id", "solver", "family", "settings", "route", "policy"),
     *("error", "p50_us", "p99_us", "state"),
 )
-FULL = {"meets": 0.95, "open": 0.3, "late": 0.0, "wrong": 0.0}
+FULL = {"meets": 0.95, "borderline": 0.6, "open": 0.3, "late": 0.0, "wrong": 0.0}
 """How full a point is, by what is said of its configuration."""
 _LEGEND = {"meets": style.INK, "open": style.LINE, "misses": style.PAPER}
 _COLUMNS = alt.ExprRef("narrow ? 1 : 3")

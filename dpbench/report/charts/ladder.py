@@ -9,7 +9,7 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
-from dpbench.analysis.verdict.verdict import STATES
+from dpbench.analysis.verdict.findings import STATES
 from dpbench.report.charts import style
 
 LOWEST_MS = 1e-3
@@ -20,30 +20,26 @@ _JITTER = "slow <= 1 ? '' : 'dashed: ' + (narrow ? '' : 'jitter of this machine,
 """What is said of the whiskers on a slower computer."""
 
 
-def _state(deadline_ms: float, p99_ms: float) -> str:
-    """What the demand finds on the slower computer, as an expression: a largest step beyond the
-    deadline or a p99 beyond its limit is late; without a p99 it is open."""
-    late = f"datum.max_ms * slow > {deadline_ms} || datum.p99_ms * slow > {p99_ms}"
-    unknown = f"!isValid(datum.p99_ms) && datum.max_ms * slow > {p99_ms} && slow > 1"
-    later = f"({late}) ? 'late' : ({unknown}) ? 'open' : datum.state"
-    return f"datum.state == 'meets' || datum.state == 'open' ? ({later}) : datum.state"
+def _state() -> str:
+    """The state on the slower computer, as an expression: beyond the speed margin it is late."""
+    good = " || ".join(f"datum.state == '{state}'" for state in ("meets", "borderline", "open"))
+    return f"({good}) && slow > 1 && slow > datum.margin ? 'late' : datum.state"
 
 
 def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
-    """A row per solver: bar from p50 to p99, line on to the largest step, whisker to the largest
-    timing, where that is the longer one; a tick at the largest single timing of loops, too.
+    """A row per solver: bar from p50 to p99, line on to the hardest step, whisker to the largest
+    single timing where that is longer: a stall of this machine, or a step that was timed once.
 
-    The parameter `slow` of the chart scales all but that whisker, which is this machine's, and the
-    colours say what the demand finds then: the tick is then the bound that is on the safe side.
-    With `narrow` names stand above their bars; clicking
-    sets `pick`.
+    The parameter `slow` of the chart scales all but that whisker, which is this machine's; the
+    colours show the state there, by the speed margin. With `narrow` names stand above their bars;
+    clicking sets `pick`.
 
     Parameters
     ----------
     table : columns `analysis.times.solver_tables.TIMES`, the first row on top.
     p99_ms : what the demand allows.
     """
-    base = _scaled(table, deadline_ms, p99_ms)
+    base = _scaled(table)
     x = _axis(table, deadline_ms)
     parts = (*_rows(base), *_times(base, x), *_limits(deadline_ms, p99_ms))
     return style.styled(
@@ -53,27 +49,27 @@ def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
     )
 
 
-def _scaled(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> alt.Chart:
-    """The rows with their times on the slower computer, and what is said of them there."""
+def _scaled(table: pd.DataFrame) -> alt.Chart:
+    """The rows with their times and states on the slower computer."""
     scaled = alt.Chart(table).transform_calculate(
         a="datum.p50_ms * slow",
         c="isValid(datum.p99_ms) ? datum.p99_ms * slow : datum.p50_ms * slow",
         m="datum.max_ms * slow",
-        longest="datum.longest_ms * slow",
         called="datum.p50_ms * datum.share * slow",
         left=f"{LOWEST_MS}",
-        now=_state(deadline_ms, p99_ms),
+        now=_state(),
         computer="'× ' + format(slow, '.3~g')",
-        timing="format(datum.raw_max_ms, '.3~g') + (slow > 1 ? ', as measured' : '')",
+        timing="format(datum.longest_ms, '.3~g') + (slow > 1 ? ', as measured' : '')",
     )
-    times = (("a", "p50"), ("c", "p99"), ("m", "largest step"))
+    times = (("a", "p50"), ("c", "p99"), ("m", "hardest step"))
     tips = [
         style.tip("label:N", "configuration"),
         style.tip("computer:N", "computer slower"),
         style.tip("now:N", "demand there"),
         *(style.tip(f"{name}:Q", f"{title} [ms]", 3) for name, title in times),
-        style.tip("timing:N", "largest timing in replays [ms]"),
-        style.tip("longest:Q", "largest timing, loops too [ms]", 3),
+        style.tip("raw_p99_ms:Q", "p99 of single timings [ms]", 3),
+        style.tip("timing:N", "largest single timing [ms]"),
+        style.tip("margin:Q", "speed margin ×", 3),
     ]
     y = alt.Y("label:N", sort=table["label"].tolist(), title=None, axis=style.row_names())
     return scaled.encode(y=y, tooltip=tips)
@@ -106,7 +102,7 @@ def _rows(base: alt.Chart) -> Iterator[Any]:
 
 
 def _times(base: alt.Chart, x: alt.X) -> Iterator[Any]:
-    """What calling costs, whisker, line, bar, marker and tick of each row."""
+    """What calling costs, whisker, line, bar and marker of each row."""
     columns = alt.ExprRef("width < 200 ? 2 : narrow || width < 400 ? 3 : 5")
     looks: dict[str, Any] = {"columns": columns, "offset": 40}  # below what is said of the limits
     colour = style.coloured("now", STATES, style.STATE_COLOURS, title="demand", **looks)
@@ -114,16 +110,14 @@ def _times(base: alt.Chart, x: alt.X) -> Iterator[Any]:
         x=alt.X("left:Q"), x2="called:Q", opacity=alt.value(0.7)
     )
     yield (
-        base.transform_filter("datum.raw_max_ms > datum.m")
+        base.transform_filter("datum.longest_ms > datum.m")
         .mark_rule(strokeWidth=1, color=style.SOFT, strokeDash=[2, 2])
-        .encode(x=alt.X("m:Q"), x2="raw_max_ms:Q")
+        .encode(x=alt.X("m:Q"), x2="longest_ms:Q")
     )
     yield base.mark_rule(strokeWidth=2).encode(x=x, x2="m:Q", color=colour)
     yield base.mark_rule(strokeWidth=9, strokeCap="butt").encode(x=x, x2="c:Q", color=colour)
     shape = alt.Shape("now:N", scale=style.names_scale(STATES, style.STATE_SHAPES))
     yield base.mark_point(filled=True, size=70, opacity=1).encode(x=x, color=colour, shape=shape)
-    known = base.transform_filter("isValid(datum.longest_ms)")
-    yield known.mark_tick(thickness=2, size=11, color=style.INK).encode(x="longest:Q")
 
 
 def _limits(deadline_ms: float, p99_ms: float) -> Iterator[Any]:

@@ -1,4 +1,4 @@
-"""Solver × place × settings: where the demand is met, open, missed (late, wrong), never asked."""
+"""Solver × place × settings: where the demand is met, borderline, open, missed or not run."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
-from dpbench.analysis.verdict.verdict import STATES
+from dpbench.analysis.verdict.findings import STATES
 from dpbench.report.charts import style
 
 COLUMNS = (
     *("solver", "place", "settings", "way", "state"),
     *("error", "failed", "id", "place_id", "detail"),
 )
-MARKS = ("✓", "?", "▸", "✕", "–")
+MARKS = ("✓", "≈", "?", "▸", "✕", "–")
 """Of the states."""
 MOST_ACROSS = 30
 """Places side by side of a settings level, and twice as many of all levels; more would leave no
@@ -95,6 +95,6 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     else:
         chart = placed.facet(column=alt.Column("settings:N", **own), spacing=14)
     chart.usermeta = {"tall": tall}
-    states = "meets, open, late, wrong or not run"
+    states = "meets, borderline, open, late, wrong or not run"
     about = f"Tiles of solver by scenario: {states}, for each settings level."
     return style.styled(chart, "Where each solver holds", about)

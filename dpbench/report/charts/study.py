@@ -7,7 +7,7 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
-from dpbench.analysis.verdict.verdict import STATES
+from dpbench.analysis.verdict.findings import STATES
 from dpbench.report.charts import style
 
 HELD = ("all held", "some held", "none held")

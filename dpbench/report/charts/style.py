@@ -11,12 +11,12 @@ FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif"
 INK, SOFT, LINE, GRID, ACCENT = "#1d2733", "#5b6876", "#c9d1d9", "#e7ebef", "#0b6e99"
 PAPER = "#ffffff"
 MEETS, MISSES, OPEN, NOT_RUN = "#1b7f5c", "#c2410c", "#b7791f", "#9aa5b1"
-LATE = "#6b4fa3"
-STATE_COLOURS = (MEETS, OPEN, LATE, MISSES, NOT_RUN)
+LATE, BORDERLINE = "#6b4fa3", "#4d7c0f"
+STATE_COLOURS = (MEETS, BORDERLINE, OPEN, LATE, MISSES, NOT_RUN)
 """In the order of `analysis.verdict.verdict.STATES`."""
-FILLS = ("#d7efe6", "#faeccc", "#e6dff5", "#f9d8c4", "#eef1f4")
+FILLS = ("#d7efe6", "#e9f2cf", "#faeccc", "#e6dff5", "#f9d8c4", "#eef1f4")
 """Tiles of the states."""
-STATE_SHAPES = ("circle", "diamond", "triangle-right", "cross", "square")
+STATE_SHAPES = ("circle", "triangle-up", "diamond", "triangle-right", "cross", "square")
 """Colour and shape say the same, so that neither is needed to read a figure."""
 FAMILY_COLOURS = {
     "active set": "#0072b2",

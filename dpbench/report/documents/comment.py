@@ -50,7 +50,7 @@ def beside(report: Report, solver: str, others: Sequence[str] = ()) -> tuple[str
     parts = [
         f"# {solver} beside {names}",
         _sentence(facts, best[solver]),
-        solver_table([*own_ways[:MOST_WAYS], *chosen]),
+        solver_table(facts, [*own_ways[:MOST_WAYS], *chosen]),
         "\n".join(f"- {_paired(facts, best[solver], other)}" for other in chosen),
         _worst_table(facts, worst, chosen),
         "\n".join(f"    {step.export}" for step in worst),

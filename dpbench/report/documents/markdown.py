@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dpbench.analysis.verdict.fastest import best_of_each
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.result_folder import Results
-from dpbench.report.formats import error_text, time_text
+from dpbench.report.formats import MISSING, error_text, rounded_down, time_text
 from dpbench.report.page.answer import Answer
 from dpbench.report.page.facts import Facts
 from dpbench.report.page.topic import Topic
@@ -16,7 +16,10 @@ from dpbench.report.table import markdown
 
 MOST_BYTES = 8000
 """A comment on a pull request is read when it is one screen or two."""
-HEAD = ("solver", "way", "demand", "p50", "p99", "largest step", "largest error", "failed")
+HEAD = (
+    *("solver", "way", "demand", "p50", "p99", "p99 of timings", "hardest step"),
+    *("speed margin", "largest error", "failed"),
+)
 
 
 def report_markdown(results: Results, facts: Facts, answer: Answer, topics: Sequence[Topic]) -> str:
@@ -29,7 +32,7 @@ def report_markdown(results: Results, facts: Facts, answer: Answer, topics: Sequ
         else []
     )
     parts = [f"# dpbench: {suite.get('name', 'results')}", *lead, *said]
-    parts.append(solver_table(best_of_each(facts.verdicts)))
+    parts.append(solver_table(facts, best_of_each(facts.verdicts)))
     held = ", ".join(chip.text for chip in answer.chips)
     if held:
         parts.append(f"Valid for: {held}.")
@@ -43,13 +46,13 @@ def report_markdown(results: Results, facts: Facts, answer: Answer, topics: Sequ
     return cut(text, MOST_BYTES, "tables/verdicts.csv")
 
 
-def solver_table(verdicts: Iterable[Verdict]) -> str:
+def solver_table(facts: Facts, verdicts: Iterable[Verdict]) -> str:
     """A row for each configuration, in Markdown; empty without one."""
-    rows = solver_rows(verdicts)
+    rows = solver_rows(facts, verdicts)
     return markdown(HEAD, rows, 3) if rows else ""
 
 
-def solver_rows(verdicts: Iterable[Verdict]) -> list[tuple[str, ...]]:
+def solver_rows(facts: Facts, verdicts: Iterable[Verdict]) -> list[tuple[str, ...]]:
     """A row for each configuration, under `HEAD`."""
     return [
         (
@@ -58,11 +61,14 @@ def solver_rows(verdicts: Iterable[Verdict]) -> list[tuple[str, ...]]:
             verdict.state,
             time_text(verdict.p50_ns),
             time_text(verdict.p99_ns),
+            time_text(verdict.raw_p99_ns),
             time_text(verdict.algo_max_ns),
+            MISSING if margin is None else f"× {rounded_down(margin.factor)}",
             error_text(verdict.error_move),
             str(verdict.failed_steps),
         )
         for verdict in verdicts
+        for margin in [facts.margin(verdict.configuration)]
     ]
 
 

@@ -24,7 +24,7 @@ from dpbench.errors import InputError
 from dpbench.report.charts.style import INK, LINE, SOFT
 from dpbench.report.page.answer import slower_text
 from dpbench.report.page.facts import Facts
-from dpbench.report.verdict_text import aboard, demand_text
+from dpbench.report.verdict_text import aboard, demand_text, judged_on
 from dpbench.report.words import document
 from dpbench.solvers.settings import level_options
 
@@ -99,6 +99,7 @@ def _text(folder: Path, results: Results, facts: Facts, chosen: Verdict) -> str:
         made_by=made_by(results.suite),
         c=c,
         v=chosen,
+        judged_on=judged_on(chosen),
         version=", ".join(sorted({str(v) for v in versions if v})),
         numbers=", ".join(f"{key} = {value!r}" for key, value in options.items())
         or "the library's own",

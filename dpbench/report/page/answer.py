@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from math import isnan, nan
+from math import isnan
 from typing import Any
 
-from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.times.machine import shortest_wait_ns
 from dpbench.analysis.times.pairs import faster_but_open, paired_comparison
 from dpbench.analysis.verdict.fastest import Recommendation, fastest_of, known_record, recommend
+from dpbench.analysis.verdict.speed_margin import SlowStep, largest_stall_ns
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
 from dpbench.errors import InputError
@@ -122,12 +122,13 @@ def _sentence(facts: Facts, found: Recommendation) -> str:
     if chosen is None:
         return _nothing(facts, found)
     c = chosen.configuration
-    head = "Use" if chosen.outcome == "meets" else "Nothing contradicts"
+    heads = {"meets": "Use", "borderline": "Borderline:"}
+    head = heads.get(chosen.outcome, "Nothing contradicts")
     left_open = "" if chosen.outcome == "meets" else f"; {unmarked(clauses(chosen.missing))}"
     return (
         f"{head} {c.solver} ({c.route}, {c.policy}, {c.settings}): right on every step of "
-        f"{judged_on(chosen)}{_no_solution(facts, c)}, {usual_time(chosen)}"
-        f"{_hardest(facts, chosen)}, largest error of the first move "
+        f"{judged_on(chosen)}{_no_solution(facts, c)}, {usual_time(chosen)}, largest error of the "
+        f"first move "
         f"{error_text(chosen.error_move)}{left_open}."
     )
 
@@ -155,7 +156,8 @@ def _notes(facts: Facts, found: Recommendation) -> Iterator[tuple[str, str]]:
     if chosen is None:
         return
     yield "aboard", aboard(chosen.configuration.solver)
-    yield "slower", slower_text(facts, chosen)
+    if slower := slower_text(facts, chosen):
+        yield "slower", slower
     shortest_ns = shortest_wait_ns(facts.records.calibration)
     if chosen.p50_ns < shortest_ns:
         p50, shortest = time_text(chosen.p50_ns), time_text(shortest_ns)
@@ -187,55 +189,32 @@ def _open_notes(facts: Facts, found: Recommendation) -> Iterator[tuple[str, str]
 
 
 def slower_text(facts: Facts, chosen: Verdict) -> str:
-    """How slow a computer may be: until the largest timing of everything the configuration ran
-    takes the whole sample, and until its p99, and the median of its hardest loop, pass what the
-    demand allows of a p99."""
-    largest = facts.longest_timing(chosen.configuration)
-    if largest is None:
-        by_step = rounded_down(chosen.slowdown(facts.demand))
-        return f"Allow for a computer up to × {by_step} slower, by its largest replayed step."
-    place, run = largest
-    said = (
-        f"Allow for a computer up to × {rounded_down(facts.demand.deadline_ns / run.raw_max_ns)} "
-        f"slower: there its largest single timing, {time_text(run.raw_max_ns)} in "
-        f"{place.label}{_step_text(facts, run)}, takes the whole sample."
-    )
-    hardest = facts.hardest_loop(chosen.configuration)
-    measures = {
-        "its p99": chosen.p99_ns,
-        "the median of its hardest loop": nan if hardest is None else hardest[1].raw_p50_ns,
-    }
-    bounds = [
-        f"up to × {rounded_down(facts.demand.p99_ns / taken_ns)} by {name}"
-        for name, taken_ns in measures.items()
-        if not isnan(taken_ns)
+    """State how much slower a computer may be, by the steps that bound it, and the stalls apart."""
+    margin, demand = facts.margin(chosen.configuration), facts.demand
+    if margin is None:
+        return ""
+    parts = [
+        f"The computer may be up to × {rounded_down(margin.factor)} slower.",
+        f"The p99 reaches {demand.p99_ms:g} ms at × {rounded_down(margin.p99_limit)}: it is "
+        f"{_slow_step_text(margin.p99)}.",
+        f"The hardest step takes the deadline of {demand.deadline_ms:g} ms at × "
+        f"{rounded_down(margin.deadline)}: it is {_slow_step_text(margin.hardest)}.",
     ]
-    kept = f" It keeps {facts.demand.p99_ms:g} ms {and_list(bounds)}." if bounds else ""
-    return said + kept
+    longest, arms_ns = facts.longest_timing(chosen.configuration), largest_stall_ns(facts.records)
+    if longest is not None:
+        place, run = longest
+        arms = f", the largest stall of a calibration run {time_text(arms_ns)}" * (arms_ns > 0.0)
+        largest = f"{time_text(run.raw_max_ns)} in {place.label}{arms}"
+        parts.append(f"Stalls do not scale with the computer: the largest timing is {largest}.")
+    return " ".join(parts)
 
 
-def _step_text(facts: Facts, run: RunRecord) -> str:
-    """At which step a run has its largest timing, and how much work that is: whoever reads of one
-    iteration and no active limit knows it for jitter."""
-    step = facts.longest_step(run)
-    if step is None:
-        return ""
-    k, iterations, active = step
-    work = "" if isnan(iterations) else f"{plural(iterations, 'iteration')}, "
-    return f" (k {k}: {work}{plural(active, 'active limit')})"
-
-
-def _hardest(facts: Facts, chosen: Verdict) -> str:
-    """The closed loop that took longest in the median: its QPs may be harder than those
-    replayed."""
-    hardest = facts.hardest_loop(chosen.configuration)
-    if hardest is None:
-        return ""
-    place, run = hardest
-    iterations = (
-        "" if isnan(run.iterations_max) else f"up to {plural(run.iterations_max, 'iteration')}, "
-    )
-    return f"; in {place.label}, its hardest loop, {iterations}median {time_text(run.raw_p50_ns)}"
+def _slow_step_text(step: SlowStep) -> str:
+    """The time of a step, where it is, and how much work that is."""
+    iterations = "" if isnan(step.iterations) else f"{plural(step.iterations, 'iteration')}, "
+    work = f"{iterations}{plural(step.n_active, 'active limit')}"
+    where = step.run.scenario or step.run.sequence
+    return f"{time_text(step.time_ns)} in {where}, k {step.k} ({work})"
 
 
 def _chips(facts: Facts, first: Configuration | None) -> list[Chip]:

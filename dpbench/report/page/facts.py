@@ -74,18 +74,6 @@ class Facts(PlacedRuns):
             kept[run_id] = KeptRun.of(steps, room.steps, track)
         return kept
 
-    def longest_step(self, run: RunRecord) -> tuple[int, float, float] | None:
-        """The step of a run with its largest single timing: k, its iterations and active limits;
-        None where the page does not keep that step."""
-        kept = self.kept.get(run.run_id)
-        if kept is None:
-            return None
-        steps = kept.steps
-        at = int(np.nanargmax(steps.raw_ns))
-        if steps.raw_ns[at] != run.raw_max_ns:
-            return None
-        return int(steps.k[at]), float(steps.iterations[at]), float(steps.n_active[at])
-
     @property
     def thinned(self) -> int:
         """Of how many runs the page keeps a part of the steps."""

@@ -53,7 +53,7 @@ from dpbench.report.page.vendored import script, vendored
 ABOUT = (
     "Quadratic-programming solvers in the predictive controller of a dynamically positioned ship"
 )
-_STATES = ("var(--good)", "var(--warn)", "var(--late)", "var(--bad)", "var(--none)")
+_STATES = ("var(--good)", "var(--near)", "var(--warn)", "var(--late)", "var(--bad)", "var(--none)")
 _HUES = [hue for hue in style.FAMILY_COLOURS.values() if hue not in style.STATE_COLOURS]
 FILES = {
     "runs.parquet": "one row a run",
@@ -149,7 +149,7 @@ SCRIPTS = ("common", "selection", "figures", "study", "one", "two", "table", "pa
 WORDS = (
     *("demand", "closed loop", "replay", "sample", "step", "round", "p50, p95, p99", "move"),
     *("rate limit", "rate-limit step", "certified optimum", "fallback", "failed step", "interval"),
-    *("meets", "open", "late", "wrong", "not run"),
+    *("meets", "borderline", "open", "late", "wrong", "not run"),
 )
 """Of the glossary what the page says of any solver, before the words on how they are run."""
 _SECTIONS = {
@@ -235,11 +235,12 @@ def _configuration(
         "outcome": "not judged" if v is None else v.state,
         "why": "" if v is None else answer.why(v),
         **{name: number(times.get(name)) for name in ("p50", "p99", "max")},
-        "raw": None if v is None else number(v.raw_max_ns),
+        "raw_p99": None if v is None else number(v.raw_p99_ns),
         "error": None if v is None else number(v.error_move),
         "failed": None if v is None else v.failed_steps,
         "timed_at": None if v is None else facts.timed_at(v),
         "call": call_text(c),
+        "margin": None if (margin := facts.margin(c)) is None else number(margin.factor),
         **_longest(facts, c),
     }
 
@@ -316,8 +317,8 @@ def _solver(name: str) -> dict[str, str]:
 
 MATRIX = (
     "A tile is what that place alone says of the demand. Wrong: an answer beyond it, or none. "
-    "Late: right, but its p99 beyond it; only replays judge times. Open: not all of it was judged, "
-    "or a loop's median is beyond the p99 allowed."
+    "Late: right, but too slow. Borderline: a time as near to its limit as rounds differ. Open: "
+    "not all of it was judged. A closed loop counts with the replay of its hardest steps."
 )
 
 

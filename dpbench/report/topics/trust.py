@@ -36,14 +36,14 @@ COVERED = (
 
 def _spread(records: Records) -> list[str]:
     """Which figure says whether times differ: the interval of a pair, or what rounds differ by."""
-    usual, largest = round_spread(records)
-    if math.isnan(largest):
+    usual, high = round_spread(records)
+    if math.isnan(high):
         return []
     return [
         "Within this run two solvers differ where the 95 % interval of their pair leaves out 1; "
-        f"against another run or day only beyond × {significant(largest)}, the "
-        f"most that two rounds of one replay differ here (median {significant(usual)}); for "
-        "another machine compare two runs."
+        f"against another run or day only beyond × {significant(high)}. The rounds of 95 % of the "
+        f"configurations differ by less (median {significant(usual)}); for another machine compare "
+        "two runs."
     ]
 
 

@@ -184,41 +184,91 @@ def test_the_demand_is_read_from_the_suite(records: Any) -> None:
     assert "within 0.1 of a rate-limit step" in demand_text(looser)
 
 
-def test_slowdown_is_deadline_over_largest_step(records: Any) -> None:
-    """The slow-down is the deadline over the largest algorithmic step time of all replays.
-
-    With no spread every algorithmic time is the median itself; it is rounded to 1 ns.
-    """
-    records.loop("daqp")
-    records.replay("daqp", median_us=20.0, spread=0.0)
-    records.replay("daqp", "rough[900:1400]", steps=500, median_us=30.0, spread=0.0)
-    assert _verdict(records, "daqp").slowdown(DEMAND) == pytest.approx(300e6 / 30e3, rel=1e-4)
-
-
 def test_one_slow_step_of_a_loop_says_nothing(records: Any) -> None:
     """A loop's steps are timed once: however long the longest took, the times are those of
     replays."""
-    records.loop("daqp", raw_max_ns=1e12, raw_p50_ns=2.9e6)
+    records.loop("daqp", raw_max_ns=1e12, raw_p50_ns=2.1e6)
     records.replay("daqp", median_us=20.0)
     verdict = _verdict(records, "daqp")
     assert verdict.outcome == "meets" and verdict.p99_ns < 1e5
 
 
-def test_a_loop_that_is_slow_in_the_median_leaves_it_open(records: Any) -> None:
-    """Half of its steps took longer than the p99 that is allowed: not shown to be late, as other
-    work may be in them, and not said to be in time; on a computer made slower that is no news."""
-    records.loop("daqp", raw_p50_ns=5.74e6)
-    records.loop("daqp", "rough", raw_p50_ns=3.1e6)
+def test_a_loop_of_200_timings_that_is_slow_in_the_median_is_late(records: Any) -> None:
+    """Half of its steps took longer than is allowed of one in a hundred; on a simulated slow
+    computer that is no news."""
+    records.loop("daqp", steps=200, raw_p50_ns=5.74e6)
+    records.loop("daqp", "rough", steps=200, raw_p50_ns=4.1e6)
     records.replay("daqp", median_us=20.0)
     verdict = _verdict(records, "daqp")
-    assert verdict.outcome == "open" and not verdict.causes
+    assert (verdict.outcome, verdict.state) == ("misses", "late")
     assert _why(verdict) == (
         "the median of its timings is 5.74 ms in `paper`, a closed loop (also in `rough`)"
     )
-    records.loop("osqp", raw_p50_ns=5.74e6, slowdown=100.0)
+    records.loop("osqp", steps=200, raw_p50_ns=5.74e6, slowdown=100.0)
     records.loop("osqp", "rough")
     records.replay("osqp", "rough")
     assert _verdict(records, "osqp").outcome == "meets"
+
+
+def test_a_loop_of_fewer_timings_leaves_it_open(records: Any) -> None:
+    """A median of 199 timings is no plain answer."""
+    records.loop("daqp", steps=199, raw_p50_ns=5.74e6)
+    records.replay("daqp", median_us=20.0)
+    verdict = _verdict(records, "daqp")
+    assert verdict.outcome == "open"
+    assert "the median of its few timings is 5.74 ms" in _why(verdict)
+
+
+@pytest.mark.parametrize(
+    ("median_ms", "state"),
+    [(2.0, "meets"), (2.7, "borderline"), (3.1, "borderline"), (3.3, "borderline"), (3.7, "late")],
+)
+def test_a_loop_within_the_spread_of_rounds_of_its_limit_is_borderline(
+    records: Any, median_ms: float, state: str
+) -> None:
+    """The median of the slowest round is 1.155 times that of the fastest, so that every time
+    between 2.60 and 3.46 ms is borderline."""
+    records.loop("daqp", steps=200, raw_p50_ns=1e6 * median_ms)
+    records.replay("daqp", median_us=20.0, spread=0.0)
+    verdict = _verdict(records, "daqp")
+    assert verdict.state == state
+    assert (verdict.outcome == "misses") == (state == "late")
+
+
+@pytest.mark.parametrize(
+    ("median_us", "state"),
+    [(2500.0, "meets"), (2900.0, "borderline"), (3300.0, "borderline"), (3600.0, "late")],
+)
+def test_a_p99_within_the_spread_of_rounds_of_its_limit_is_borderline(
+    records: Any, median_us: float, state: str
+) -> None:
+    """Without spread the p99 is the median, and the middle round like the slowest: every time
+    between 2.60 and 3.46 ms is borderline."""
+    records.loop("daqp")
+    records.replay("daqp", median_us=median_us, spread=0.0)
+    verdict = _verdict(records, "daqp")
+    assert verdict.state == state
+    assert ("as near to the limit as rounds differ" in _why(verdict)) == (state == "borderline")
+
+
+def test_a_hardest_step_beyond_the_deadline_is_late(records: Any) -> None:
+    """One step of a thousand takes 400 ms in every round: the p99 does not see it."""
+    records.loop("daqp")
+    records.replay("daqp", median_us=20.0, spread=0.0, slow={500: 20_000.0})
+    verdict = _verdict(records, "daqp")
+    assert verdict.state == "late"
+    assert _why(verdict) == (
+        "its hardest step takes 400 ms in the replay of `paper`, beyond the deadline"
+    )
+
+
+def test_borderline_is_counted_as_such(records: Any) -> None:
+    """A solver that nothing but a near limit stands against is named beside those that meet."""
+    for solver, median_us in (("daqp", 20.0), ("osqp", 2900.0)):
+        records.loop(solver)
+        records.replay(solver, median_us=median_us, spread=0.0)
+    verdicts = verdicts_of(records.view(), DEMAND)
+    assert counted(verdicts) == "1 of 2 meet the demand; borderline: osqp"
 
 
 def test_high_settings_rescue(records: Any) -> None:
@@ -264,7 +314,7 @@ def test_a_level_meets_only_where_it_was_run(
     verdict = _high(records, **columns)
     assert verdict.outcome == "open"
     assert clause in _why(verdict)
-    assert counted(verdicts_of(records.view(), DEMAND)) == "0 of 1 meet the demand; miss it: osqp"
+    assert counted(verdicts_of(records.view(), DEMAND)) == "open: osqp"
 
 
 def test_a_level_that_ran_everywhere_meets(records: Any) -> None:
@@ -306,14 +356,13 @@ def test_loops_alone_under_a_policy_count_as_run(records: Any) -> None:
     assert clauses(verdict.missing) == "no replay was run, so its time is not judged"
 
 
-def test_the_slowdown_is_by_the_largest_algorithmic_step(records: Any) -> None:
+def test_the_largest_timing_is_no_algorithmic_time(records: Any) -> None:
     """Round 1 is the minimum of every step, 20 µs; the largest timing is a slower round's."""
     records.loop("daqp")
     records.replay("daqp", median_us=20.0, spread=0.0)
     (verdict,) = verdicts_of(records.view(), DEMAND).references
     samples = records.results().steps.query("not warmup")["total_ns"]
     samples = samples[records.results().steps["run_id"] == "run0001"]
-    assert verdict.slowdown(DEMAND) == pytest.approx(300e6 / 20e3, rel=1e-4)
     assert verdict.raw_max_ns == samples.max() > verdict.algo_max_ns
 
 

@@ -10,15 +10,15 @@ from dpbench.report.topics.trust import trust_topic
 
 
 def test_one_sentence_says_which_figure_applies_to_what(records: Any) -> None:
-    """The interval within the run; against another run the largest ratio of two rounds."""
+    """The interval within the run; against another run what the rounds of 95 % differ by."""
     records.replay("daqp", replay_s=9.0)
     view = records.view()
     topic = trust_topic(view)
     assert topic is not None
-    usual, largest = round_spread(view)
+    usual, high = round_spread(view)
     rule = topic.lines[0]
     assert "95 % interval of their pair" in rule
-    assert f"another run or day only beyond × {significant(largest)}," in rule
+    assert f"another run or day only beyond × {significant(high)}." in rule
     assert f"(median {significant(usual)})" in rule
 
 

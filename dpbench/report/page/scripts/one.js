@@ -78,7 +78,7 @@ async function drawOne() {
   $("hard").hidden = false;
   $("ship").hidden = !trackOf(run);
   const place = facts.places[state.p], judged = C().outcome[state.c] !== "not judged";
-  const verdict = { meets: "Holds", late: "Late", wrong: "Wrong" }[run.state] ?? "Open";
+  const verdict = { meets: "Holds", borderline: "Borderline", late: "Late", wrong: "Wrong" }[run.state] ?? "Open";
   text.textContent = [
     `${place.study ? "In" : `${verdict} in`} ${place.label}: ran ${run.steps} of ${run.planned} steps; `
     + `first move beyond the demand on ${over(run)}, at most ${figure(run.error)}; said “solved” `
@@ -114,10 +114,11 @@ async function drawOne() {
 }
 
 // Of the chosen configuration the steps that took longest (m = 0), with the most iterations (1) or
-// the largest error (2) over all places that enter its verdict, the worst first.
-function worstAnywhere(m) {
-  const known = facts.places.flatMap((place, p) => (place.trial ? [] : cell(state.c, p)?.hard?.[m] ?? [])
-    .map(([k, value]) => ({ p, k, value })));
+// the largest error (2) over all places of a mode that enter its verdict, the worst first. Times of
+// replays are those of the fastest round, of loops single timings.
+function worstAnywhere(m, mode) {
+  const known = facts.places.flatMap((place, p) => (place.trial || (mode && place.mode !== mode) ? []
+    : cell(state.c, p)?.hard?.[m] ?? []).map(([k, value]) => ({ p, k, value })));
   const rank = (x) => (x === "inf" ? Infinity : x);
   return known.sort((a, b) => rank(b.value) - rank(a.value)).slice(0, 5);
 }
@@ -132,7 +133,7 @@ function varies(c) {
 function drawHard(run) {
   const replayed = facts.places[state.p].mode === "replay";
   const names = [
-    replayed ? "slowest, by fastest round" : "single timings, slowest", "most iterations", "largest error",
+    replayed ? "slowest steps, fastest round" : "largest single timings, stalls included", "most iterations", "largest error",
   ];
   const row = (name, steps) => {
     const line = document.createElement("p"), head = document.createElement("span");
@@ -156,9 +157,12 @@ function drawHard(run) {
   // Of a single place its own lines say it.
   const several = facts.places.filter((_, p) => cell(state.c, p)?.hard).length > 1;
   const most = varies(state.c) ? [1] : [], worst = most.length && !["late", "wrong"].includes(C().outcome[state.c]) ? [] : [2];
+  const everywhere = [[0, "slowest steps, fastest round of all replays", "replay"],
+    ...[...worst, ...most].map((m) => [m, `${names[m]}, all judged places`]),
+    [0, "largest single timings of all closed loops, stalls included", "closed_loop"]];
   $("hard").replaceChildren(
-    ...(several ? [0, ...worst, ...most] : []).map((m) => row(m === 0 ? "slowest (replays: fastest round), all judged places" : `${names[m]}, all judged places`,
-      worstAnywhere(m).map(said(m)))).filter((line) => line.children.length > 1),
+    ...(several ? everywhere : []).map(([m, name, mode]) => row(name, worstAnywhere(m, mode).map(said(m))))
+      .filter((line) => line.children.length > 1),
     ...order.map((m) => here[m]).filter((line) => line?.children.length > 1));
   drawStep(run);
 }

@@ -5,33 +5,19 @@
 const listed = (rows, say = (row) => row.solver) => (rows.length && (rows.length <= 6 || state.slow > 1)
   ? `: ${rows.map(say).join(", ")}` : "");
 
-// Of the chosen one, and of the solvers that meet the demand here (of those that nothing contradicts
-// where none does): who still makes the deadline on the slower computer with its largest timing of
-// all places, and up to which; and whose p99 stays within the demand.
+// The speed margin of the chosen configuration, and the solvers that stay within both limits on the
+// slower computer: of those that meet the demand here, or that nothing contradicts where none does.
 function kept() {
-  const { deadline_ms, p99_ms } = facts.demand;
+  const { deadline_ms, p99_ms } = facts.demand, margin = C().margin[state.c];
+  const own = margin === null ? "" : `${C().solver[state.c]}: ${
+    margin < state.slow ? "late beyond" : "up to"} × ${roundedDown(margin)}. `;
   const which = (...states) => rowsDrawn("ladder").values.filter((row) => states.includes(row.state));
-  const meeting = which("meets"), right = meeting.length ? meeting : which("open");
-  if (!right.length) return bounded();
-  const most = (row) => deadline_ms / (row.longest_ms ?? row.max_ms);
-  const safe = right.filter((row) => most(row) >= state.slow).sort((a, b) => most(b) - most(a));
-  const quick = right.filter((row) => (row.p99_ms ?? row.max_ms) * state.slow <= p99_ms);
-  return `${bounded()}Of the ${right.length} that ${meeting.length ? "meet the demand" : "nothing contradicts"} here ${
-    deadline_ms} ms is kept by ${safe.length}${listed(safe, (row) => `${row.solver} (× ${roundedDown(most(row))})`)}; a p99 of ${
-    p99_ms} ms by ${quick.length}${listed(quick)}.`;
-}
-
-// Up to which slow-down the chosen one keeps the deadline, by its largest timing of all places, and
-// its p99 the demand.
-function bounded() {
-  const { deadline_ms, p99_ms } = facts.demand, longest = C().longest[state.c], p99 = C().p99[state.c];
-  if (longest === null) return "";
-  const keeps = (limit_ms, taken_ns) => {
-    const most = (limit_ms * 1e6) / taken_ns;
-    return `${most < state.slow ? `misses ${limit_ms} ms beyond` : `keeps ${limit_ms} ms up to`} × ${roundedDown(most)}`;
-  };
-  return `${C().solver[state.c]} ${keeps(deadline_ms, longest)} (largest single timing, in ${
-    facts.places[C().longest_at[state.c]].label})${p99 === null ? "" : `; its p99 ${keeps(p99_ms, p99)}`}. `;
+  const meeting = which("meets"), right = meeting.length ? meeting : which("borderline", "open");
+  if (!right.length) return own;
+  const safe = right.filter((row) => state.slow <= 1 || row.margin >= state.slow).sort((a, b) => b.margin - a.margin);
+  return `${own}${safe.length} of the ${right.length} that ${meeting.length ? "meet the demand" : "nothing contradicts"
+  } here keep the deadline of ${deadline_ms} ms and a p99 of ${p99_ms} ms${
+    listed(safe, (row) => `${row.solver} (× ${roundedDown(row.margin)})`)}.`;
 }
 
 // Where the slider stops: 1, 2 and 5 of each decade.
@@ -53,8 +39,8 @@ function drawChosen() {
     span.className = "wide-only"; span.textContent = text;
     return span;
   };
-  const times = [["p50", "p50"], ["p99", "p99", timed && ` in ${timed}`], ["largest step", "max", " of all replays"],
-    ["largest timing", "longest", longest && ` in ${longest}`]]
+  const times = [["p50", "p50"], ["p99", "p99", timed && ` in ${timed}`], ["hardest step", "max", " of all replays"],
+    ["p99 of timings", "raw_p99"], ["largest timing", "longest", longest && ` in ${longest}`]]
     .filter(([, column]) => C()[column][c] !== null)
     .flatMap(([name, column, where]) => [`, ${name} ${time(C()[column][c])}`, wide(where ?? "")]);
   const outcome = C().outcome[c] === "not judged" ? "" : `: ${C().outcome[c]}`;

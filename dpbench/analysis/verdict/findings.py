@@ -1,0 +1,84 @@
+"""What is found for or against a configuration: its outcome, causes, doubts, and times near a
+limit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from dpbench.analysis.records.run_record import RunRecord
+
+Outcome = Literal["meets", "borderline", "open", "misses", "not run"]
+OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
+"""The best first."""
+LateCause = Literal[
+    "p99 late",
+    "p95 late",
+    "window late",
+    "deadline late",
+    "slow loop",
+    "late timings",
+    "past the deadline",
+    "hung",
+]
+Cause = LateCause | Literal["no answer", "inaccurate", "failed", "crashed"]
+Doubt = Literal[
+    "stopped",
+    "lost",
+    "ended",
+    "uncertified",
+    "remembered",
+    "not alone",
+    "no step",
+    "no p99",
+    "short slow loop",
+    "late at random",
+    "perhaps late timings",
+    "perhaps past the deadline",
+    "no closed loop",
+    "no replay",
+]
+Near = Literal["p99 borderline", "p95 borderline", "deadline borderline", "loop borderline"]
+Gap = Literal["absent", "refused", "short"]
+LATE: tuple[Cause, ...] = get_args(LateCause)
+"""Causes that say that right answers came too late, or never; all others that one was wrong."""
+State = Literal["meets", "borderline", "open", "late", "wrong", "not run"]
+STATES: tuple[State, ...] = get_args(State)
+"""The outcomes, with what misses told apart by its causes."""
+DOUBTS: tuple[Doubt, ...] = get_args(Doubt)
+NEAR: tuple[Near, ...] = get_args(Near)
+OWN_DOING: tuple[Cause, ...] = ("crashed", "hung")
+"""Outcomes that are the solver's own doing, and contradict any demand."""
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """Something found against a configuration, or that could not be found out.
+
+    Parameters
+    ----------
+    runs : the runs it was found in, the worst first.
+    value : the figure: an error, a time [ns], a share of timings, or steps where the kind is about
+        steps.
+    steps : the steps or timings the figure is from.
+    machine : of a share of late timings, the share that the machine explains.
+    """
+
+    kind: Cause | Doubt | Near | Gap
+    runs: tuple[RunRecord, ...] = ()
+    value: float = math.nan
+    steps: int = 0
+    machine: float = math.nan
+
+
+def worst_first(
+    kind: Cause | Doubt | Near, runs: Sequence[RunRecord], figure: Callable[[RunRecord], float]
+) -> list[Finding]:
+    """Return one finding with the worst run by a figure in front, the others in their order."""
+    if not runs:
+        return []
+    worst = max(runs, key=figure)
+    others = (run for run in runs if run is not worst)
+    return [Finding(kind, (worst, *others), figure(worst))]

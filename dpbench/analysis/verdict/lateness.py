@@ -1,0 +1,278 @@
+"""Late timings that the machine does not explain, by one-sided tests with stated error rates.
+
+The algorithmic time of a step is its fastest round, so a solver that is late at random has a good
+one. The single timings show it, but so do interrupts of the machine. Both are told apart by what
+the other configurations suffered in the same interleaved rounds: a stall of the machine strikes
+whoever runs, in proportion to the time that it runs.
+
+Replays. A timing is late if it exceeds the limit and twice the fastest time of its step. Let x be
+the count of late timings in the middle round (the lower median over rounds, as a burst of the
+machine is in one or two of them), B the time that the round is exposed, λ the rate at which the
+other solvers and the calibration configurations met stalls longer than half the limit on the same
+sequence. If the machine alone acts, counts are negative binomial with mean λB and the dispersion
+found over those rounds. Two nulls are tested: the machine alone ("late at random"), and the machine
+with one late timing in a hundred, which a p99 allows ("late timings").
+
+Closed loops, and replays of one round. Each step is timed once, so hard steps and delays look the
+same, and one late timing in a hundred is allowed. Late is here what exceeds the limit by more than
+the uncertainty of the times. Each involuntary context switch explains one late timing; the others
+are held against a binomial count with a share of 1 %.
+
+Deadline. One stall of the machine as long as a sample is rare in a whole campaign, so its rate is
+that of all replays together, for loops and replays alike.
+
+The tests of one kind are one family (Holm 1979): "proven" holds at a family-wise error of `PROVEN`,
+"doubtful" at one of `DOUBTFUL`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy.stats import binom, nbinom
+
+from dpbench.analysis.records.delays import Delays
+from dpbench.analysis.records.grouping import grouped
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.statistics import holm
+from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.uncertainty import Uncertainty
+from dpbench.arrays import Floats
+
+Kind = Literal["late timings", "late at random", "past the deadline"]
+PROVEN, DOUBTFUL = 0.001, 0.05
+"""Family-wise error of a claim that a configuration is late, and that it may be."""
+ALLOWED = 0.01
+"""Share of the timings that may be late: the limit is one of a p99."""
+DISPERSION = (0.5, 50.0)
+"""Bounds of the shape of the negative binomial: the lower, the more uneven the machine."""
+DEADLINE_SHAPE = 0.5
+"""Its shape for stalls past the deadline, too rare for an estimate."""
+PASSES = 3
+"""How often the machine is estimated: first from the trusted, then without those proven late."""
+
+
+@dataclass(frozen=True)
+class LateTimings:
+    """Late timings of one run, with the share that the machine explains.
+
+    Parameters
+    ----------
+    run : the replay or closed loop.
+    late, samples : late timings of how many, over all rounds.
+    machine : share of late timings that the machine leads to expect; NaN where nothing shows it.
+    p : one-sided p-value, adjusted within its kind (Holm).
+    """
+
+    kind: Kind
+    run: RunRecord
+    late: int
+    samples: int
+    machine: float
+    p: float
+
+    @property
+    def share(self) -> float:
+        """Share of the timings that are late."""
+        return self.late / self.samples
+
+    @property
+    def proven(self) -> bool:
+        """Whether the machine is excluded as the cause; otherwise it is doubtful."""
+        return self.p <= PROVEN
+
+
+@dataclass(frozen=True)
+class Machine:
+    """Stalls of the machine: rate per ns of exposed time, shape of their counts per round."""
+
+    rate: float
+    shape: float
+
+    def tail(self, count: int, exposed_ns: float, allowed: int = 0) -> float:
+        """Return P(X ≥ count) of X stalls in `exposed_ns`, plus 1 % of `allowed` timings."""
+        mean = self.rate * exposed_ns
+        if count <= 0:
+            return 1.0
+        stalls = nbinom(self.shape, self.shape / (self.shape + mean))
+        if not allowed:
+            return float(stalls.sf(count - 1))
+        others = np.arange(count)
+        both = binom.pmf(others, allowed, ALLOWED) * stalls.sf(count - 1 - others)
+        return float(both.sum() + binom.sf(count - 1, allowed, ALLOWED))
+
+
+def find_late_timings(
+    records: Records, demand: Demand, uncertainty: Uncertainty
+) -> dict[str, list[LateTimings]]:
+    """Return the late timings, proven or doubtful, of every scaled replay and loop by run id."""
+    runs = [run for run in records.runs if run.units == "scaled" and _is_tested(run)]
+    replays = [run for run in runs if run.mode == "replay" and records.is_ranked(run)]
+    loops = [run for run in runs if run.mode == "closed_loop"]
+    arms = [run for run in records.calibration if run.mode == "replay"]
+    delays = records.delays([*replays, *loops, *arms])
+    replays, loops, arms = ([r for r in of if r.run_id in delays] for of in (replays, loops, arms))
+    repeated = [run for run in replays if len(delays[run.run_id].samples) > 1]
+    once = [*loops, *(run for run in replays if run not in repeated)]
+    tests: dict[Kind, list[LateTimings]] = {
+        "late at random": _test_replays(repeated, arms, delays, demand, "late at random"),
+        "late timings": [
+            *_test_replays(repeated, arms, delays, demand, "late timings"),
+            *(
+                _test_once(run, delays[run.run_id], demand.p99_ns * uncertainty.of(run))
+                for run in once
+            ),
+        ],
+        "past the deadline": _test_deadline(loops, replays, arms, delays, demand),
+    }
+    found = [late for of_kind in tests.values() for late in adjust(of_kind) if late.p <= DOUBTFUL]
+    return grouped(found, lambda late: late.run.run_id)
+
+
+def adjust(tests: Sequence[LateTimings]) -> list[LateTimings]:
+    """Adjust the p-values of one family (Holm); a test without a machine has none to adjust."""
+    family = [test for test in tests if not math.isnan(test.machine)]
+    adjusted = holm(np.array([test.p for test in family]))
+    return [
+        *(replace(test, p=float(p)) for test, p in zip(family, adjusted, strict=True)),
+        *(test for test in tests if math.isnan(test.machine)),
+    ]
+
+
+def _is_tested(run: RunRecord) -> bool:
+    return run.has_steps and not (run.is_baseline_law or run.slowdown > 0.0)
+
+
+def _test_replays(
+    replays: Sequence[RunRecord],
+    arms: Sequence[RunRecord],
+    delays: Mapping[str, Delays],
+    demand: Demand,
+    kind: Kind,
+) -> list[LateTimings]:
+    """Test every replay against the machine as the other solvers on its sequence met it."""
+    tests: list[LateTimings] = []
+    beside = trusted(replays, arms, delays, demand)
+    for _ in range(PASSES):
+        machines = grouped(beside, lambda run: run.sequence)
+        tests = [
+            _test_replay(run, delays[run.run_id], machine, demand, kind)
+            for run in replays
+            for machine in [_machine_beside(run, machines.get(run.sequence, []), delays, demand)]
+        ]
+        late = {test.run for test in adjust(tests) if test.proven}
+        beside = [run for run in (*replays, *arms) if run not in late]
+    return tests
+
+
+def trusted(
+    replays: Sequence[RunRecord],
+    arms: Sequence[RunRecord],
+    delays: Mapping[str, Delays],
+    demand: Demand,
+) -> list[RunRecord]:
+    """Choose whom the machine is first estimated from, so that late solvers do not hide each other.
+
+    These are the calibration configurations, or else the half of the solvers with fewer stalls.
+    """
+    if arms:
+        return list(arms)
+    stalls: dict[str, int] = {}
+    for run in replays:
+        count = delays[run.run_id].count_stalls(0.5 * demand.p99_ns).sum()
+        stalls[run.solver] = stalls.get(run.solver, 0) + int(count)
+    half = sorted(stalls, key=lambda solver: stalls[solver])[: max(1, len(stalls) // 2)]
+    return [run for run in replays if run.solver in half]
+
+
+def _machine_beside(
+    run: RunRecord, others: Sequence[RunRecord], delays: Mapping[str, Delays], demand: Demand
+) -> Machine | None:
+    """Estimate the machine from the other solvers' rounds; None where there are none."""
+    beside = [delays[other.run_id] for other in others if other.solver != run.solver]
+    if not beside:
+        return None
+    stalls = np.concatenate([one.count_stalls(0.5 * demand.p99_ns) for one in beside])
+    exposed = np.concatenate([one.base_ns for one in beside])
+    return estimate_machine(stalls.astype(np.float64), exposed)
+
+
+def estimate_machine(stalls: Floats, exposed_ns: Floats) -> Machine:
+    """Estimate rate and dispersion from the stalls (R,) of rounds exposed for `exposed_ns` (R,).
+
+    The rate has half a stall added (Jeffreys), the shape is that of the moments.
+    """
+    rate = float((stalls.sum() + 0.5) / exposed_ns.sum())
+    mean = rate * exposed_ns
+    beyond = float(((stalls - mean) ** 2 - stalls).sum())
+    shape = float((mean**2).sum()) / beyond if beyond > 0.0 else math.inf
+    return Machine(rate, float(np.clip(shape, *DISPERSION)))
+
+
+def _test_replay(
+    run: RunRecord, own: Delays, machine: Machine | None, demand: Demand, kind: Kind
+) -> LateTimings:
+    """Test the middle round of a replay; doubtful where there is no machine to compare with."""
+    counts, rounds = own.count_late(demand.p99_ns), len(own.samples)
+    late, samples = int(counts.sum()), int(own.samples.sum())
+    middle = (rounds - 1) // 2
+    x = int(np.sort(counts)[middle])
+    if machine is None:
+        p = DOUBTFUL if x > ALLOWED * own.samples.mean() else 1.0
+        return LateTimings(kind, run, late, samples, math.nan, p)
+    exposed_ns = float(own.base_ns.mean())
+    allowed = round(float(own.samples.mean())) if kind == "late timings" else 0
+    one_round = machine.tail(x, exposed_ns, allowed)
+    p = float(binom.sf(rounds - middle - 1, rounds, one_round))
+    expected = machine.rate * float(own.base_ns.sum()) / samples
+    return LateTimings(kind, run, late, samples, expected, p)
+
+
+def _test_once(run: RunRecord, own: Delays, limit_ns: float) -> LateTimings:
+    """Test the late timings of a run of one round that no involuntary switch explains."""
+    late, samples = int(own.count_late(limit_ns).sum()), int(own.samples.sum())
+    switches = run.involuntary_switches
+    unexplained = late - int(np.nan_to_num(switches))
+    p = float(binom.sf(unexplained - 1, samples, ALLOWED)) if unexplained > 0 else 1.0
+    if own.step_ns > limit_ns:
+        # The median is the plainer answer.
+        p = 1.0
+    # Where the kernel hides its switches they may explain all of it.
+    p = DOUBTFUL if math.isnan(switches) and p < DOUBTFUL else p
+    return LateTimings("late timings", run, late, samples, switches / samples, p)
+
+
+def _test_deadline(
+    loops: Sequence[RunRecord],
+    replays: Sequence[RunRecord],
+    arms: Sequence[RunRecord],
+    delays: Mapping[str, Delays],
+    demand: Demand,
+) -> list[LateTimings]:
+    """Test timings past the deadline against such stalls in all replays of other solvers."""
+    stalls: dict[str, list[tuple[int, float]]] = {}
+    for run in (*replays, *arms):
+        own = delays[run.run_id]
+        long = int(own.count_stalls(0.5 * demand.deadline_ns).sum())
+        stalls.setdefault(run.solver, []).append((long, float(own.base_ns.sum())))
+    tests = []
+    for run in (*loops, *replays):
+        own = delays[run.run_id]
+        late, samples = int(own.count_late(demand.deadline_ns).sum()), int(own.samples.sum())
+        beside = [one for solver, of in stalls.items() if solver != run.solver for one in of]
+        if not late:
+            p, expected = 1.0, 0.0
+        elif not beside:
+            p, expected = DOUBTFUL, math.nan
+        else:
+            count, exposed_ns = (sum(part) for part in zip(*beside, strict=True))
+            machine = Machine((count + 0.5) / exposed_ns, DEADLINE_SHAPE)
+            expected = machine.rate * float(own.base_ns.sum()) / samples
+            p = machine.tail(late, float(own.base_ns.sum()))
+        tests.append(LateTimings("past the deadline", run, late, samples, expected, p))
+    return tests

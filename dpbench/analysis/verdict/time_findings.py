@@ -1,0 +1,200 @@
+"""Findings on the times of a configuration: replays, closed loops and single timings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from dpbench.analysis.records.grouping import grouped
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.step_times import StepTimes
+from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.findings import Cause, Doubt, Finding, Near, worst_first
+from dpbench.analysis.verdict.lateness import LateTimings, find_late_timings
+from dpbench.analysis.verdict.uncertainty import Uncertainty, uncertainty_of
+from dpbench.arrays import Floats
+from dpbench.bench.judge.rules import percentile
+
+LOOP_TIMINGS = 200
+"""Timings of a closed loop from which its median is a plain answer."""
+
+
+@dataclass(frozen=True, eq=False)
+class TimeEvidence:
+    """What a result folder shows of its times as a whole.
+
+    Parameters
+    ----------
+    late : proven and doubtful late timings by run id; uncertainty : of the times.
+    """
+
+    late: Mapping[str, Sequence[LateTimings]]
+    uncertainty: Uncertainty
+
+
+@lru_cache(maxsize=2)
+def time_evidence(records: Records, demand: Demand) -> TimeEvidence:
+    """Return the evidence on the times of a result folder."""
+    uncertainty = uncertainty_of(records)
+    return TimeEvidence(find_late_timings(records, demand, uncertainty), uncertainty)
+
+
+def find_slow_loops(
+    runs: Sequence[RunRecord], demand: Demand, uncertainty: Uncertainty
+) -> list[Finding]:
+    """Return closed loops whose median timing is near or beyond what is allowed of a p99.
+
+    The median of `LOOP_TIMINGS` or more is an answer: the loop is late where it lies beyond the
+    limit by more than its uncertainty, and borderline within that.
+    """
+    kinds: dict[Cause | Doubt | Near, list[RunRecord]] = {
+        "slow loop": [],
+        "short slow loop": [],
+        "loop borderline": [],
+    }
+    for run in runs:
+        if run.mode != "closed_loop" or run.slowdown > 0.0:
+            continue
+        ratio, factor = run.raw_p50_ns / demand.p99_ns, uncertainty.of(run)
+        if run.steps_done < LOOP_TIMINGS and ratio > 1.0:
+            kinds["short slow loop"].append(run)
+        elif ratio > factor:
+            kinds["slow loop"].append(run)
+        elif ratio >= 1.0 / factor:
+            kinds["loop borderline"].append(run)
+    found = (worst_first(kind, of_kind, _median_ns) for kind, of_kind in kinds.items())
+    return [finding for findings in found for finding in findings]
+
+
+def _median_ns(run: RunRecord) -> float:
+    return run.raw_p50_ns
+
+
+_DOUBTFUL: Mapping[str, Doubt] = {
+    "late timings": "perhaps late timings",
+    "past the deadline": "perhaps past the deadline",
+    "late at random": "late at random",
+}
+"""Findings on late timings that prove no miss of the demand."""
+_PROVEN: Mapping[str, Cause | Doubt] = {
+    "late timings": "late timings",
+    "past the deadline": "past the deadline",
+    "late at random": "late at random",
+}
+
+
+def report_late_timings(
+    runs: Sequence[RunRecord], late: Mapping[str, Sequence[LateTimings]]
+) -> list[Finding]:
+    """Return findings on the single timings of runs, the worst run of each kind first."""
+    found = [one for run in runs for one in late.get(run.run_id, ())]
+    by_kind = grouped(found, lambda one: (_PROVEN if one.proven else _DOUBTFUL)[one.kind])
+    findings = []
+    for kind, of_kind in by_kind.items():
+        worst, *others = sorted(of_kind, key=lambda one: -one.share)
+        at = (worst.run, *(one.run for one in others))
+        findings.append(Finding(kind, at, worst.share, worst.samples, worst.machine))
+    return findings
+
+
+def judge_times(
+    records: Records,
+    replays: Sequence[RunRecord],
+    demand: Demand,
+    uncertainty: Uncertainty,
+) -> tuple[list[Finding], dict[str, Any]]:
+    """Return what the algorithmic times of replays show, and the figures of the verdict."""
+    findings: list[Finding] = []
+    figures: list[_Figures] = []
+    for run in replays:
+        if run.remembers:
+            findings.append(Finding("remembered", (run,)))
+        if not records.is_ranked(run):
+            findings.append(Finding("not alone", (run,)))
+            continue
+        times = records.times(run)
+        if times is not None:
+            figures.append(_Figures.of(run, times))
+            findings += _held_against(figures[-1], times.algo_ns, demand, uncertainty.of(run))
+        elif run.outcome == "finished":
+            findings.append(Finding("no step", (run,)))
+    if not figures:
+        return findings, {}
+    whole = [one for one in figures if not one.run.window_of] or figures
+    known = [one for one in whole if math.isfinite(one.p99_ns)]
+    worst = max(known or whole, key=lambda one: one.p99_ns if known else one.p50_ns)
+    p99 = max(figures, key=lambda one: np.nan_to_num(one.p99_ns))
+    return findings, {
+        "p50_ns": worst.p50_ns,
+        "p99_ns": p99.p99_ns,
+        "p99_on": p99.run.sequence,
+        "timed_on": worst.run.sequence,
+        "rounds_ns": worst.rounds_ns,
+        "raw_p99_ns": worst.run.raw_p99_ns,
+        "algo_max_ns": max(one.max_ns for one in figures),
+        "raw_max_ns": max(one.raw_max_ns for one in figures),
+    }
+
+
+def p99_ns(run: RunRecord, algo_ns: Floats) -> float:
+    """Return the p99 of the algorithmic times of a replay [ns]; NaN where it is not supported.
+
+    A window holds the hardest steps of a stretch: one in a hundred steps of the stretch may be
+    slower than its p99, and those are in the window.
+    """
+    if not run.window_of:
+        return percentile(algo_ns, 99)
+    beyond = math.floor(0.01 * run.window_of)
+    return float(np.sort(algo_ns)[::-1][min(beyond, len(algo_ns) - 1)])
+
+
+@dataclass(frozen=True)
+class _Figures:
+    """Times of one replay [ns]; NaN for a percentile that its steps do not support."""
+
+    run: RunRecord
+    p50_ns: float
+    p95_ns: float
+    p99_ns: float
+    max_ns: float
+    raw_max_ns: float
+    rounds_ns: tuple[float, float]
+
+    @classmethod
+    def of(cls, run: RunRecord, times: StepTimes) -> _Figures:
+        algo, rounds = times.algo_ns, times.rounds_ns
+        p95, p99 = percentile(algo, 95), p99_ns(run, algo)
+        ends = float(rounds.min()), float(rounds.max())
+        return cls(run, float(np.median(algo)), p95, p99, float(algo.max()), times.raw_max_ns, ends)
+
+
+def _held_against(
+    figures: _Figures, algo_ns: Floats, demand: Demand, factor: float
+) -> list[Finding]:
+    """Hold the times of one replay against the limits, within a factor of uncertainty."""
+    run, findings = (figures.run,), list[Finding]()
+    if figures.max_ns > factor * demand.deadline_ns:
+        findings.append(Finding("deadline late", run, figures.max_ns))
+    elif figures.max_ns >= demand.deadline_ns / factor:
+        findings.append(Finding("deadline borderline", run, figures.max_ns))
+    limits = demand.p99_ns / factor, demand.p99_ns * factor
+    if figures.p99_ns > limits[1]:
+        kind: Cause = "window late" if figures.run.window_of else "p99 late"
+        findings.append(Finding(kind, run, figures.p99_ns))
+    elif figures.p99_ns >= limits[0]:
+        findings.append(Finding("p99 borderline", run, figures.p99_ns))
+    elif not math.isnan(figures.p99_ns):
+        return findings
+    elif figures.p95_ns > limits[1]:
+        findings.append(Finding("p95 late", run, figures.p95_ns))
+    elif figures.max_ns > demand.p99_ns:
+        findings.append(Finding("no p99", run, figures.max_ns, len(algo_ns)))
+    elif figures.p95_ns >= limits[0]:
+        findings.append(Finding("p95 borderline", run, figures.p95_ns))
+    return findings

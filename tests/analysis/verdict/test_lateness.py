@@ -1,0 +1,182 @@
+"""Late timings beyond what the machine explains, against planted delays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binom, poisson
+
+from dpbench.analysis.records.delays import delays_of
+from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.lateness import (
+    DOUBTFUL,
+    PROVEN,
+    LateTimings,
+    Machine,
+    adjust,
+    estimate_machine,
+)
+from dpbench.analysis.verdict.verdict import verdicts_of
+
+DEMAND = Demand()
+HONEST = ("quadprog", "piqp", "clarabel", "highs", "ecos")
+"""The other solvers of the same rounds."""
+
+
+def _campaign(records: Any, **delays: dict[tuple[int, int], float]) -> None:
+    """Replays of six solvers in five rounds of 1000 steps of 20 µs; `delays` has, by solver, what
+    single timings (round, step) take [ms]."""
+    for solver in ("daqp", *HONEST):
+        records.loop(solver)
+        records.replay(solver, rounds=5, median_us=20.0, spread=0.0)
+        frame = records._steps[-1]
+        for (r, k), ms in delays.get(solver, {}).items():
+            frame.loc[(frame["repeat"] == r) & (frame["k"] == k), "total_ns"] = round(1e6 * ms)
+
+
+def _verdict(records: Any, solver: str = "daqp") -> Any:
+    return verdicts_of(records.view(), DEMAND).of[solver][0]
+
+
+def _every(call: int, ms: float, rounds: range = range(1, 6)) -> dict[tuple[int, int], float]:
+    """Every so manieth call of the rounds takes so long."""
+    calls = [(r, k) for r in rounds for k in range(1000)]
+    return {at: ms for i, at in enumerate(calls) if i % call == call - 1}
+
+
+@pytest.mark.parametrize(
+    ("call", "ms", "state", "kind"),
+    [
+        (3, 10.0, "late", "late timings"),
+        (23, 10.0, "late", "late timings"),
+        (203, 10.0, "open", "late at random"),
+        (211, 400.0, "late", "past the deadline"),
+    ],
+)
+def test_lateness_at_random_is_found(
+    records: Any, call: int, ms: float, state: str, kind: str
+) -> None:
+    """The fastest round of every step is 20 µs, so the algorithmic p99 is too.
+
+    One call in 203 is what a p99 allows: it is proven to be no work of the machine, and open.
+    """
+    _campaign(records, daqp=_every(call, ms))
+    verdict = _verdict(records)
+    assert verdict.p99_ns < 30e3
+    assert verdict.state == state
+    assert kind in {finding.kind for finding in (*verdict.causes, *verdict.doubts)}
+
+
+@pytest.mark.parametrize("call", [23, 203])
+def test_the_same_delays_in_all_solvers_are_the_machine(records: Any, call: int) -> None:
+    """What strikes everybody alike contradicts nobody."""
+    shifted = {
+        solver: {(r, (k + 7 * i) % 1000): ms for (r, k), ms in _every(call, 10.0).items()}
+        for i, solver in enumerate(("daqp", *HONEST))
+    }
+    _campaign(records, **shifted)
+    found = {finding.kind for v in verdicts_of(records.view(), DEMAND).all for finding in v.doubts}
+    assert "late at random" not in found
+
+
+def test_a_burst_in_one_round_is_no_lateness_at_random(records: Any) -> None:
+    """Eight stalls in one of five rounds: the middle round has none."""
+    _campaign(records, daqp={(2, k): 4.0 for k in range(30, 600, 75)})
+    assert _verdict(records).outcome == "meets"
+
+
+def test_a_second_liar_hides_nobody(records: Any) -> None:
+    """Both are late at random; those proven so are no measure of the machine."""
+    _campaign(records, daqp=_every(23, 10.0), piqp=_every(23, 10.0))
+    assert _verdict(records).state == _verdict(records, "piqp").state == "late"
+    assert _verdict(records, "ecos").state == "meets"
+
+
+def test_without_others_it_is_open(records: Any) -> None:
+    """Nothing shows what the machine does, so nothing is proven."""
+    records.loop("daqp")
+    records.replay("daqp", rounds=5, median_us=20.0, spread=0.0)
+    frame = records._steps[-1]
+    frame.loc[frame["k"] % 23 == 0, "total_ns"] = 10_000_000
+    frame.loc[frame["repeat"] == 1, "total_ns"] = 20_000
+    verdict = _verdict(records)
+    assert verdict.outcome == "open"
+    assert "perhaps late timings" in {finding.kind for finding in verdict.doubts}
+
+
+def _loop(records: Any, late: int, switches: float) -> Any:
+    records.loop("daqp", steps=450, raw_p50_ns=20e3, involuntary_switches=switches)
+    records._steps[-1].loc[: late - 1, "total_ns"] = 10_000_000
+    records.replay("daqp", median_us=20.0)
+    return _verdict(records)
+
+
+@pytest.mark.parametrize(
+    ("late", "switches", "state"),
+    [
+        (47, 0, "late"),
+        (47, 12, "late"),
+        (47, 40, "meets"),  # 7 of 450 are left, where a p99 allows 4 to 5
+        (4, 0, "meets"),
+        (47, np.nan, "open"),
+    ],
+)
+def test_a_loop_is_late_beyond_its_context_switches(
+    records: Any, late: int, switches: float, state: str
+) -> None:
+    """Each involuntary switch explains one late timing; hidden ones may explain all."""
+    assert _loop(records, late, switches).state == state
+
+
+def test_delays_of_two_rounds_by_hand() -> None:
+    """Steps of 10, 20 and 30 ns; the second round has one at 45 of 20 ns."""
+    repeat, k = np.array([1, 1, 1, 2, 2, 2]), np.array([0, 1, 2, 0, 1, 2])
+    delays = delays_of(repeat, k, np.array([10.0, 20.0, 30.0, 20.0, 45.0, 31.0]))
+    assert delays.base_ns.tolist() == [60.0, 60.0]
+    assert delays.delay_ns.tolist() == [45.0] and delays.own_ns.tolist() == [20.0]
+    assert delays.count_late(44.0).tolist() == [0, 1]
+    assert delays.count_late(45.0).tolist() == [0, 0]
+    assert delays.count_stalls(24.0).tolist() == [0, 1]
+    assert delays.count_stalls(25.0).tolist() == [0, 0]
+
+
+def test_delays_of_a_loop_are_its_timings_above_the_median() -> None:
+    """One round has no fastest time of a step; a step without a computation has none at all."""
+    delays = delays_of(np.zeros(5, np.int64), np.arange(5), np.array([1.0, 2.0, 3.0, 9.0, np.nan]))
+    assert (delays.step_ns, delays.samples.tolist()) == (2.5, [4])
+    assert delays.delay_ns.tolist() == [3.0, 9.0]
+
+
+def test_an_even_machine_is_a_poisson_process() -> None:
+    """With a large shape the tail is that of a Poisson count."""
+    machine = Machine(rate=2e-6, shape=1e7)
+    assert machine.tail(5, 1e6) == pytest.approx(poisson.sf(4, 2.0), rel=1e-5)
+
+
+def test_the_share_that_is_allowed_is_binomial() -> None:
+    """On a machine without stalls only the one late timing in a hundred is left."""
+    machine = Machine(rate=1e-30, shape=1.0)
+    assert machine.tail(17, 1.0, 1000) == pytest.approx(binom.sf(16, 1000, 0.01), rel=1e-6)
+    assert machine.tail(0, 1.0, 1000) == 1.0
+
+
+def test_uneven_rounds_make_a_small_shape() -> None:
+    """Ten rounds of equal exposure: one stall in each, or all ten in one of them."""
+    exposed = np.full(10, 1e9)
+    even, uneven = np.ones(10), np.array([10.0, *np.zeros(9)])
+    machines = estimate_machine(even, exposed), estimate_machine(uneven, exposed)
+    assert machines[0].rate == machines[1].rate == pytest.approx(1.05e-9)
+    assert machines[0].shape == 50.0 and machines[1].shape == 0.5
+
+
+def test_p_values_are_adjusted_together(records: Any) -> None:
+    """Holm: the smallest of three is tripled, the next doubled."""
+    records.replay("daqp")
+    (run,) = records.view().runs
+    tests = [LateTimings("late timings", run, 1, 10, 0.0, p) for p in (0.02, 3e-4, 0.9)]
+    first, second, _ = adjusted = adjust(tests)
+    assert [test.p for test in adjusted] == pytest.approx([0.04, 9e-4, 0.9])
+    assert second.p <= PROVEN < first.p <= DOUBTFUL
+    assert second.proven and not first.proven
