@@ -6,12 +6,14 @@ that crashes, and no core is pinned. The assessment is the same.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import pandas as pd
 
 from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
+from dpbench.bench.judge.memory_of_answers import is_remembered
 from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.judge.rows import run_row, step_rows
 from dpbench.bench.judge.step_columns import step_columns
@@ -40,6 +42,8 @@ from dpbench.scenario.scenario import Scenario
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.table import Availability
 
+REMEMBERED = "times of remembered answers: steps seen before are faster than warming explains"
+
 
 @dataclass(frozen=True, eq=False)
 class Run:
@@ -62,6 +66,13 @@ class Run:
         return "{solver} ({route}, {policy})".format(**self.summary)
 
     @property
+    def remembers(self) -> bool:
+        """Whether the times of a replay are those of remembered answers, not of solving."""
+        row = self.summary
+        excess = float(row["first_visit_excess"])
+        return is_remembered(float(row["first_visit_ratio"]), math.nan, excess)
+
+    @property
     def plot(self) -> RunPlots:
         """The figures of the page: `steps()`, and of a closed loop `ship()` and `errors()`."""
         return RunPlots(self)
@@ -70,7 +81,8 @@ class Run:
         row = self.summary
         return (
             f"<Run of {self.label}: {self._where}, {self._done}, "
-            f"error_move ≤ {error_text(row['error_move_max'])}, p50 {time_text(row['raw_p50_ns'])}>"
+            f"error_move ≤ {error_text(row['error_move_max'])}, p50 {time_text(row['raw_p50_ns'])}"
+            f"{f', {REMEMBERED}' if self.remembers else ''}>"
         )
 
     def _repr_html_(self) -> str:
@@ -81,6 +93,7 @@ class Run:
             "largest error of the first move": error_text(row["error_move_max"]),
             "median of the step time": time_text(row["raw_p50_ns"]),
         }
+        fields |= {"times": REMEMBERED} if self.remembers else {}
         return fields_html(f"{self.label}: {self._where}", fields | self._control())
 
     @property

@@ -90,7 +90,9 @@ class RunRecord:
     raw_p99_ns: float
     raw_max_ns: float
     first_visit_ratio: float
+    first_visit_excess: float
     loop_ratio: float
+    loop_tail_ratio: float
     # machine: `MACHINE_COLUMNS`
     replay_s: float
     involuntary_switches: Count
@@ -229,7 +231,9 @@ class RunRecord:
     @property
     def remembers(self) -> bool:
         """Whether its times are those of remembered answers."""
-        return is_remembered(self.first_visit_ratio, self.loop_ratio)
+        return is_remembered(
+            self.first_visit_ratio, self.loop_ratio, self.first_visit_excess, self.loop_tail_ratio
+        )
 
     @property
     def name(self) -> str:

@@ -29,6 +29,7 @@ def timing_metrics(cell: Cell, evaluated: Evaluated, counting: Steps) -> dict[st
         "setup_once_ns": once if once > 0 else np.nan,
         "matrix_updates": int(evaluated.columns["matrix_updates"].max()),
         "raw_p50_ns": percentile(raw, 50),
+        "raw_p90_ns": percentile(raw, 90),
         "raw_p99_ns": percentile(raw, 99),
         "raw_p999_ns": percentile(raw, 99.9),
         "raw_max_ns": raw.max(),
@@ -77,7 +78,7 @@ def _parts(counting: Steps) -> dict[str, float]:
     return {
         f"{name}_p{percent}_ns": percentile(times, percent)
         for name, times in parts.items()
-        for percent in (50, 99)
+        for percent in (50, 90, 99)
     }
 
 

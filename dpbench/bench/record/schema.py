@@ -169,9 +169,10 @@ ACCURACY_COLUMNS: Columns = {
     "error_move_p50": ("float64", "median error of the first move"),
     "error_move_max": (
         "float64",
-        "largest error of the first move, of a cascade's thrusters too; inf without an answer",
+        "largest error of the first move, of a cascade's thrusters too; inf without an answer; of "
+        "all rounds, warm-up and disturbed ones too",
     ),
-    "error_plan_max": ("float64", "largest error of the plan"),
+    "error_plan_max": ("float64", "largest error of the plan, of all rounds"),
     "primal_max": ("float64", "largest violation"),
     "dual_max": ("float64", "largest stationarity residual"),
     "optimum_bound_max": ("float64", "largest certified bound of the optima"),
@@ -183,7 +184,8 @@ ACCURACY_COLUMNS: Columns = {
     "infeasible_steps": ("Int64", "steps proven to have no feasible point"),
     "failed_steps": (
         "Int64",
-        "steps with a fallback, though there was an answer to give, or an unfinished iterate",
+        "steps with a fallback, though there was an answer to give, or an unfinished iterate; of "
+        "all rounds",
     ),
     "iterations_p50": ("float64", "median iterations"),
     "iterations_max": ("float64", "most iterations"),
@@ -219,22 +221,34 @@ TIMING_COLUMNS: Columns = {
     "algo_max_ns": ("float64", "the same, largest"),
     "algo_median_p50_ns": ("float64", "as algo_p50_ns with the median over rounds"),
     "raw_p50_ns": ("float64", "all samples pooled: the jitter"),
+    "raw_p90_ns": ("float64", "the same, 90 %; NaN below 100 samples"),
     "raw_p99_ns": ("float64", "the same, 99 %; NaN below 1000 samples"),
     "raw_p999_ns": ("float64", "the same, 99.9 %; NaN below 10 000 samples"),
     "raw_max_ns": ("float64", "the same, largest"),
     "raw_samples": ("Int64", "how many samples are pooled"),
     "controller_p50_ns": ("float64", "of a cascade, raw_p50_ns of its first QP alone"),
+    "controller_p90_ns": ("float64", "the same, 90 %; NaN below 100 samples"),
     "controller_p99_ns": ("float64", "the same, 99 %; NaN below 1000 samples"),
     "allocation_p50_ns": ("float64", "of a cascade, raw_p50_ns of its second QP alone"),
+    "allocation_p90_ns": ("float64", "the same, 90 %; NaN below 100 samples"),
     "allocation_p99_ns": ("float64", "the same, 99 %; NaN below 1000 samples"),
     "first_visit_ratio": (
         "float64",
         "a step's first visit over its shortest later one, median: of remembered answers it is "
         "large; NaN with too few first visits",
     ),
+    "first_visit_excess": (
+        "float64",
+        "share of first visits over 4 times the shortest later one, less twice that of later "
+        "rounds and the involuntary switches meanwhile",
+    ),
     "loop_ratio": (
         "float64",
         "median step of the same configuration's closed loop over that of the replay; NaN without",
+    ),
+    "loop_tail_ratio": (
+        "float64",
+        "90th percentile of the same configuration's closed loop over that of the replay",
     ),
     "emit_p50_ns": ("float64", "median of emit_ns"),
     "overhead_p50_ns": ("float64", "median of overhead_ns"),
@@ -366,6 +380,11 @@ ADDED = frozenset(
         "sample_s",
         "first_sample",
         "every_sample",
+        "raw_p90_ns",
+        "controller_p90_ns",
+        "allocation_p90_ns",
+        "first_visit_excess",
+        "loop_tail_ratio",
     }
 )
 """Columns that files of earlier schemas have not: read as missing there."""

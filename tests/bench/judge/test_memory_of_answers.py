@@ -133,6 +133,30 @@ class AcrossTheWarmUp(ByBytes):
             super().keep(solution)
 
 
+class HardQuarter(ByBytes):
+    """Every fourth step is hard; it remembers those alone, and solves the others at once."""
+
+    hard = 4
+
+    def solve(self) -> None:
+        found = self.look_up()
+        is_hard = self.index % self.hard == 0
+        self._clock.work(WORK_NS if is_hard and found is None else LOOK_UP_NS)
+        if found is None:
+            self._inner.solve()
+            found = self._inner.read()
+            if is_hard:
+                self.keep(found)
+        self._solution = found
+
+
+class HardQuarterSolved(HardQuarter):
+    """An honest one whose every fourth step is hard."""
+
+    def keep(self, solution: Solution) -> None:
+        pass
+
+
 class AtSetup(Honest):
     """Solves the one problem it is given at set-up, and knows no other."""
 
@@ -203,6 +227,31 @@ def test_whoever_remembers_is_marked(make: type[Honest], again: int, sequence: Q
     found = ratio(replayed(make, sequence, attempts=attempts))
     assert found == pytest.approx(WORK_NS / LOOK_UP_NS, rel=0.05)
     assert remembers(row(found))
+
+
+@pytest.mark.parametrize(("make", "marked"), [(HardQuarter, True), (HardQuarterSolved, False)])
+def test_a_memory_of_hard_steps_is_marked(
+    make: type[Honest], marked: bool, sequence: QPSequence
+) -> None:
+    """The median of first visits over later ones is 1 for both; the share of slow first visits is
+    a quarter of the steps for the memory alone, less the switches of this process."""
+    log = replayed(make, sequence)
+    log.counters[:] = 0.0
+    found = memory_metrics(log)
+    assert found["first_visit_ratio"] == pytest.approx(1.0, rel=0.01)
+    assert found["first_visit_excess"] == pytest.approx(0.25 if marked else 0.0)
+    excess = found["first_visit_excess"]
+    assert is_remembered(found["first_visit_ratio"], np.nan, excess) is marked
+
+
+def test_switches_and_later_stalls_explain_slow_first_visits(sequence: QPSequence) -> None:
+    """Fifteen slow first visits of 60: five switches leave ten, two stalls of a later round six."""
+    log = replayed(HardQuarter, sequence)
+    log.counters[:] = 0.0
+    log.counters[1, 2] = 5.0
+    assert memory_metrics(log)["first_visit_excess"] == pytest.approx(10 / 60)
+    log.times[3, [30, 31], 3] = 9 * WORK_NS
+    assert memory_metrics(log)["first_visit_excess"] == pytest.approx(6 / 60)
 
 
 @pytest.mark.parametrize("make", [Honest, AtSetup, Warming])
@@ -287,6 +336,11 @@ def test_a_table_from_disk_is_told_by_the_loop_it_steers() -> None:
     table, honest, alone, lost = (found.iloc[i].to_dict() for i in range(6, 10))
     assert table["loop_ratio"] == pytest.approx(2e6 / 14e3) and remembers(table)
     assert honest["loop_ratio"] == pytest.approx(1.5) and not remembers(honest)
+    tails = runs.assign(raw_p90_ns=[2e6, 1.0, 1.0, 3e4, 9e9, 9e9, 1e5, 2e4, 2e4, 2e4])
+    table, honest = (with_loop_ratio(tails).iloc[i].to_dict() for i in (6, 7))
+    assert table["loop_tail_ratio"] == pytest.approx(20.0)
+    assert is_remembered(1.0, 1.0, np.nan, table["loop_tail_ratio"])
+    assert not is_remembered(1.0, 1.0, np.nan, honest["loop_tail_ratio"])
     for unknown in (alone, lost):
         assert np.isnan(unknown["loop_ratio"]) and not remembers(unknown)
 
