@@ -98,7 +98,12 @@ class Cell:
     @property
     def is_of_controller(self) -> bool:
         """Whether its QPs are those of the scenario's controller."""
-        return not self.source or self.source.get("kind") == HARDEST
+        return not self.source or self.is_window
+
+    @property
+    def is_window(self) -> bool:
+        """Whether it replays the hardest steps of a stretch."""
+        return self.source.get("kind") == HARDEST
 
     @property
     def problem_key(self) -> str:
