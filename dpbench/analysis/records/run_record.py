@@ -96,6 +96,8 @@ class RunRecord:
     involuntary_switches: Count
     steal_s: float
     throttle_events: float
+    solve_s: float
+    thread_s: float
     # control: `CONTROL_COLUMNS`
     fallbacks: Count
     latency_max_ns: float

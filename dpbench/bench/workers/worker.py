@@ -1,4 +1,4 @@
-"""What runs in a process of one configuration: one solver, pinned to one core, alone with its library.
+"""What runs in a process of one configuration: one solver, pinned to one core, with its library.
 
 Every function here is the target of a process forked from a template that has no solver loaded
 (`child.py`); it leaves its raw log and a small JSON verdict behind and never prints.
