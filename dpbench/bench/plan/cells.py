@@ -104,17 +104,15 @@ def replay_cells(
     """The cells of a replay of so many steps; `fields` say of what, the rest is as in `cell_of`.
 
     Untimed ones, random or at the edge of a capability, have no budget of their own. A window of
-    the hardest steps has its share of the budgets of its stretch, and of the warm-up.
+    the hardest steps has its share of the budgets of its stretch, and a short warm-up.
     """
-    share = steps / fields["source"].get("of", steps) if fields.get("source") else 1.0
+    share = steps / (fields.get("source") or {}).get("of", steps)
     if not isinstance(table, RandomTable | CapabilityTable):
         fields |= {
             "budget_s": share * suite.replay_budget_s,
             "repeat_budget_s": share * suite.repeat_budget_s,
         }
-    warmup_steps = min(suite.warmup_steps, steps)
-    if share < 1.0:
-        warmup_steps = min(warmup_steps, WINDOW_WARMUP_STEPS)
+    most = suite.warmup_steps if share == 1.0 else min(suite.warmup_steps, WINDOW_WARMUP_STEPS)
     return [
         cell_of(
             configuration,
@@ -124,7 +122,7 @@ def replay_cells(
             mode="replay",
             steps=steps,
             rounds=suite.rounds,
-            warmup_steps=warmup_steps,
+            warmup_steps=min(most, steps),
             **fields,
         )
         for configuration in configurations_of(solvers, table)

@@ -2,8 +2,8 @@
 
 All workers stay alive; exactly one runs while the others block on their pipes, so machine drift
 hits all configurations alike. A worker that is done with a sequence waits for the next one of its
-configuration. Within a round the order of configurations is drawn anew from the
-seed. Rounds that other work on the machine robbed of speed run again at the end, within a budget.
+configuration. Within a round the order of configurations is drawn anew from the seed. Rounds that
+other work on the machine robbed of speed run again at the end, within a budget.
 
 A neighbour may slow every step of a round by up to a factor of two, for milliseconds or for
 minutes. The counters do not show it: over 14 runs of 14 configurations on a shared machine
@@ -144,9 +144,9 @@ class ReplayGroup:
         try:
             # Importing a library takes a second, so a few workers start side by side.
             for i in range(0, len(self._cells), STARTED_TOGETHER):
-                started = [self._start(*entry) for entry in self._cells[i : i + STARTED_TOGETHER]]
-                workers += started
-                for worker in started:
+                for entry in self._cells[i : i + STARTED_TOGETHER]:
+                    workers.append(self._start(*entry))
+                for worker in workers[i:]:
                     worker.serving = worker.child.ready() is True
             rounds = max(cell.rounds for _, cell in self._cells)
             order = Random(self._cells[0][1].seed)

@@ -218,3 +218,15 @@ def test_a_campaign_records_where_the_window_begins(tmp_path: Path) -> None:
     one, all_of = (records.counting_steps(run, columns) for run in (window, whole))
     for name in ("t_s", "n_active"):
         np.testing.assert_array_equal(one[name], all_of[name][at : at + 8])
+
+
+def test_a_window_has_its_share_of_the_budgets_and_a_short_warm_up() -> None:
+    """A tenth of the stretch may take a tenth of its budgets."""
+    suite = suite_of(steps=300, hardest=30).model_copy(
+        update={"replay_budget_s": 0.6, "repeat_budget_s": 0.2}
+    )
+    (planned,) = plan(suite)
+    assert planned.cell.budget_s == pytest.approx(0.06)
+    assert planned.cell.repeat_budget_s == pytest.approx(0.02)
+    assert planned.cell.warmup_steps == 5
+    assert cell(steps=300).warmup_steps == 50
