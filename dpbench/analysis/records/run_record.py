@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from dpbench.bench.judge.memory_of_answers import is_remembered
-from dpbench.bench.record.cell import Formulation, Units
+from dpbench.bench.record.cell import HARDEST, Formulation, Units
 from dpbench.bench.record.configuration import COMMON, Configuration
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.scenario.horizons import Horizons
@@ -57,6 +57,7 @@ class RunRecord:
     units: Units
     slowdown: float
     deadline_s: float
+    first_sample: Count
     study: str
     study_point: Count
     replicate: Count
@@ -98,6 +99,8 @@ class RunRecord:
     involuntary_switches: Count
     steal_s: float
     throttle_events: float
+    solve_s: float
+    thread_s: float
     # control: `CONTROL_COLUMNS`
     fallbacks: Count
     latency_max_ns: float
@@ -174,13 +177,15 @@ class RunRecord:
     @property
     def first_step(self) -> int:
         """The step of its scenario that it begins with."""
+        if self.window_of and not np.isnan(self.first_sample):
+            return int(self.first_sample)
         return int(self.description.get("first", 0))
 
     @property
     def window_of(self) -> int:
         """Steps of the stretch whose hardest steps it replays; 0 of every other run."""
         source = self.description.get("source", {})
-        return int(source["of"]) if source.get("kind") == "hardest" else 0
+        return int(source["of"]) if source.get("kind") == HARDEST else 0
 
     @property
     def problem(self) -> str:

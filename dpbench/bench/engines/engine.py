@@ -14,7 +14,7 @@ from typing import Any, Literal, Protocol
 from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.sequences.source import is_timed
+from dpbench.bench.sequences.source import is_timed, last_step
 from dpbench.bench.workers.executor import CellJob, Result
 
 WAVE_STEPS = 100_000
@@ -96,11 +96,6 @@ def interleaved(jobs: Sequence[CellJob]) -> list[list[CellJob]]:
     for job in jobs:
         groups.setdefault(job.cell.problem_key, []).append(job)
     return list(groups.values())
-
-
-def last_step(cell: Cell) -> int:
-    """The sample behind the last that a cell needs of its source."""
-    return cell.first + cell.steps
 
 
 def longest(jobs: Sequence[CellJob]) -> Cell:

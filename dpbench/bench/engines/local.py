@@ -100,8 +100,7 @@ class LocalEngine(ExitStack):
         jobs = [job for job in jobs if job.run_id not in without]
         paths = {job.source_key: self._sources.path(job.source_key) for job in jobs}
         if kind == "replays":
-            for group in interleaved(jobs):
-                yield from self._bench.replays(group, paths)
+            yield from self._bench.replays(interleaved(jobs), paths)
         else:
             yield from self._bench.batches(jobs, paths, kind)
 

@@ -18,7 +18,7 @@ from multiprocessing.context import ForkServerContext
 from pathlib import Path
 from typing import Any
 
-from dpbench.bench.engines.engine import Kind, Target, by_source, without_source
+from dpbench.bench.engines.engine import Kind, Target, by_source, interleaved, without_source
 from dpbench.bench.progress import Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.machine import describe_machine
@@ -122,7 +122,7 @@ def run_cells(
         if not jobs:
             return results
         if kind == "replays":
-            return [*results, *bench.replays(jobs, paths)]
+            return [*results, *bench.replays(interleaved(jobs), paths)]
         return [*results, *bench.batches(jobs, paths, kind, most=BATCH_CELLS)]
 
 

@@ -41,6 +41,8 @@ from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
 from dpbench.solvers.table import record
 
 NOT_STRICT = "P is only semidefinite, and the solver needs P > 0"
+WINDOW_WARMUP_STEPS = 5
+"""Of a window of the hardest steps: its configuration mostly has replayed another sequence."""
 NO_MODEL = "sparse: there is no model whose states to keep"
 
 
@@ -101,10 +103,16 @@ def replay_cells(
 ) -> list[PlannedCell]:
     """The cells of a replay of so many steps; `fields` say of what, the rest is as in `cell_of`.
 
-    Untimed ones, random or at the edge of a capability, have no budget of their own.
+    Untimed ones, random or at the edge of a capability, have no budget of their own. A window of
+    the hardest steps has its share of the budgets of its stretch, and a short warm-up.
     """
+    share = steps / (fields.get("source") or {}).get("of", steps)
     if not isinstance(table, RandomTable | CapabilityTable):
-        fields |= {"budget_s": suite.replay_budget_s, "repeat_budget_s": suite.repeat_budget_s}
+        fields |= {
+            "budget_s": share * suite.replay_budget_s,
+            "repeat_budget_s": share * suite.repeat_budget_s,
+        }
+    most = suite.warmup_steps if share == 1.0 else min(suite.warmup_steps, WINDOW_WARMUP_STEPS)
     return [
         cell_of(
             configuration,
@@ -114,7 +122,7 @@ def replay_cells(
             mode="replay",
             steps=steps,
             rounds=suite.rounds,
-            warmup_steps=min(suite.warmup_steps, steps),
+            warmup_steps=min(most, steps),
             **fields,
         )
         for configuration in configurations_of(solvers, table)

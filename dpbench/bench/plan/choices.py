@@ -72,7 +72,10 @@ def with_choices(
         suite = _changed(suite, recorded=recorded, random=random, capability=edges)
     if steps is not None:
         loops = [_changed(t, steps=min(steps, t.steps or steps)) for t in loops]
-        replays = [_changed(t, steps=min(steps, t.steps or steps)) for t in replays]
+        replays = [
+            _changed(t, steps=min(steps, t.steps or steps), hardest=min(steps, t.hardest))
+            for t in replays
+        ]
         studies = [_changed(t, steps=min(steps, t.steps or steps)) for t in studies]
     return _changed(suite, closed_loop=loops, replay=replays, study=studies)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from dpbench.bench.plan.cells import (
     PlannedCell,
@@ -19,7 +20,7 @@ from dpbench.bench.plan.study_cells import study_cells
 from dpbench.bench.plan.suite import ClosedLoopTable, ReplayTable, SuiteFile
 from dpbench.bench.sequences.consequence import steered_rows
 from dpbench.bench.sequences.recording import with_horizons
-from dpbench.bench.sequences.source import consequence_source
+from dpbench.bench.sequences.source import consequence_source, hardest_source
 from dpbench.errors import InputError
 from dpbench.scenario.horizons import Horizons
 from dpbench.scenario.scenario import Scenario, load_scenario, no_delay, no_stages
@@ -153,8 +154,15 @@ def _replay_cells(
             f"suite: replay of {scenario.name}", "first", table.first, f"below {scenario.steps}"
         )
     steps = min(table.steps or scenario.steps, scenario.steps - table.first)
+    if table.hardest:
+        _check_window(table, scenario)
     if table.consequence:
         return _consequence_cells(suite, table, scenario, solvers, steps)
+    source: dict[str, Any] = {}
+    if table.hardest:
+        # A scenario given in place of the suite's own may have fewer steps.
+        of, steps = steps, min(table.hardest, steps)
+        source = hardest_source(_replay_name(table, scenario, of), steps, of)
     return replay_cells(
         suite,
         table,
@@ -163,7 +171,28 @@ def _replay_cells(
         no_stages=no_stages(scenario),
         scenario=scenario.files,
         first=table.first,
+        source=source,
     )
+
+
+def _check_window(table: ReplayTable, scenario: Scenario) -> None:
+    """InputError for a window that is larger than its stretch, or of other QPs than a loop's."""
+    where = f"suite: replay of {scenario.name}"
+    if table.steps and table.hardest > table.steps:
+        allowed = f"at most {table.steps}, the steps it is chosen from"
+        raise InputError(where, "hardest", table.hardest, allowed)
+    if table.consequence:
+        allowed = "0 with consequence: hardness is that of the controller's QPs"
+        raise InputError(where, "hardest", table.hardest, allowed)
+    if table.horizons:
+        allowed = "0 with horizons: each pair has other hardest steps, and they are compared"
+        raise InputError(where, "hardest", table.hardest, allowed)
+
+
+def _replay_name(table: ReplayTable, scenario: Scenario, steps: int) -> str:
+    """The name of a replay of so many steps of a scenario from the table's first on."""
+    window = "" if table.first == 0 else f"[{table.first}:{table.first + steps}]"
+    return f"{scenario.name}{window}"
 
 
 def _consequence_cells(
@@ -178,7 +207,6 @@ def _consequence_cells(
     if table.units != ["scaled"]:
         where = f"suite: consequence analysis of {scenario.name}"
         raise InputError(where, "units", ", ".join(table.units), "scaled, its only units")
-    window = "" if table.first == 0 else f"[{table.first}:{table.first + steps}]"
     own = [name for name in solvers if name not in CALIBRATION]
     return [
         cell
@@ -190,6 +218,6 @@ def _consequence_cells(
             steps,
             scenario=scenario.files,
             first=table.first,
-            source=consequence_source(f"{scenario.name}{window}", group),
+            source=consequence_source(_replay_name(table, scenario, steps), group),
         )
     ]

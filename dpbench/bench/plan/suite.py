@@ -95,7 +95,9 @@ class ReplayTable(RunsTable):
     With `horizons` ("30/5") the scenario is run under each of them instead of those of its tuning.
     With `solvers` only those of the suite take part that are named here, and none of `without`.
     With `consequence` the QPs are not the controller's: a sequence for each failure group of the
-    ship says whether the other thrusters could take over at each sample.
+    ship says whether the other thrusters could take over at each sample. With `hardest` only a
+    window of the steps is replayed: so many in a row around the hardest of them, which has most
+    active limits and changes of them at the optimum.
     """
 
     scenario: str
@@ -112,6 +114,8 @@ class ReplayTable(RunsTable):
     """The first step that is replayed."""
     steps: Count = 0
     """How many steps are replayed; 0: all."""
+    hardest: Count = 0
+    """Replay only so many steps in a row around the hardest step of these; 0: all."""
     units: list[Units] = ["scaled"]
     """Units of the QP a solver is given."""
     formulations: list[FormulationName] = ["condensed_box"]

@@ -19,6 +19,8 @@ FORMULATIONS: tuple[Formulation, ...] = ("condensed_box", "condensed_stacked", "
 FALLBACKS: tuple[Fallback, ...] = ("shifted_plan", "hold", "clip")
 SLOWEST = 1e9
 """Largest slow-down: with it a latency of some seconds still is a 64-bit integer [ns]."""
+HARDEST = "hardest"
+"""The kind of a source that is a window of the loop of the scenario, around its hardest step."""
 _PROBLEM = ("mode", "source", "scenario", "units", "first", "steps")
 _OPTIONAL = ("source", "study", "slowdown", "deadline_s", "budget_s", "repeat_budget_s")
 
@@ -32,7 +34,8 @@ class Cell:
     mode : "closed_loop" or "replay".
     scenario : the documents of the scenario (`Scenario.files`); empty where the QPs have none.
     steps : steps to run from `first` on; the whole run in closed loop starts at 0.
-    first : first step of a replayed sequence.
+    first : first step of a replayed sequence; of the hardest steps, that of the stretch they are
+        chosen from.
     rounds, warmup_steps : replay only: counting rounds, and steps of the round before them.
     limit_s : the cell's own run time after which it stops.
     budget_s : replay only: run time after which the rounds that are left are left out, once
@@ -44,8 +47,9 @@ class Cell:
         and for the whole sample (`slow_computer.py`).
     seed : of the order of configurations within a round.
     solver_module : file of the plug-in that brings the solver; "" for none.
-    source : replay only: what its QPs are made from where they are not those of the scenario's
-        controller; its `kind`, the `name` of the sequence, and whatever else `source.py` needs.
+    source : replay only: what its QPs are made from where they are not those of `steps` steps of
+        the scenario's controller from `first` on; its `kind`, the `name` of the sequence, and
+        whatever else `source.py` needs.
     study : closed loop of a study only: its `name`, the `point` and `replicate` it stands for, and
         `x`, the values of the point's keys by their dotted names.
     """
@@ -90,6 +94,16 @@ class Cell:
         whole = self.first == 0
         last = self.first + self.steps
         return self.scenario_name if whole else f"{self.scenario_name}[{self.first}:{last}]"
+
+    @property
+    def is_of_controller(self) -> bool:
+        """Whether its QPs are those of the scenario's controller."""
+        return not self.source or self.is_window
+
+    @property
+    def is_window(self) -> bool:
+        """Whether it replays the hardest steps of a stretch."""
+        return self.source.get("kind") == HARDEST
 
     @property
     def problem_key(self) -> str:

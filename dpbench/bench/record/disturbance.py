@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from dpbench.arrays import Floats
-from dpbench.bench.record.raw_log import COUNTERS, RawLog
+from dpbench.bench.record.raw_log import COUNTERS, RawLog, step_ns
 
 _STEAL = 8
 """Place of the steal time in a line of /proc/stat (proc(5)), behind the name of the core."""
@@ -38,15 +38,25 @@ RULE = (
 
 
 def counters() -> Floats:
-    """(5,) the counters of `COUNTERS` now, since any moment: only differences mean something.
+    """(6,) the counters of `COUNTERS` now, since any moment: only differences mean something.
 
     Clock [s], context switches of this process, steal time [s] and throttle events of the core it
-    is pinned to (their mean over cores where it is pinned to several).
+    is pinned to (their mean over cores where it is pinned to several), processor time of all
+    threads but the calling one [s].
     """
     used = resource.getrusage(resource.RUSAGE_SELF)
+    # Both by the precise clock of the scheduler, the process last: an idle one adds nothing to it.
+    alone_ns, all_ns = time.thread_time_ns(), time.process_time_ns()
     cores = os.sched_getaffinity(0)
     return np.array(
-        [time.perf_counter(), used.ru_nvcsw, used.ru_nivcsw, _steal_s(cores), _throttled(cores)]
+        [
+            time.perf_counter(),
+            used.ru_nvcsw,
+            used.ru_nivcsw,
+            _steal_s(cores),
+            _throttled(cores),
+            1e-9 * (all_ns - alone_ns),
+        ]
     )
 
 
@@ -76,11 +86,13 @@ def disturbance_metrics(log: RawLog) -> dict[str, float]:
     """The columns on what disturbed a replay: sums over the rounds that count.
 
     Of a round that was run again, the last attempt counts; `rerun_rounds` says how many were.
+    `solve_s` is the time of the steps of the same rounds.
     """
     whole = np.flatnonzero(log.done[1:] > 0) + 1
     metrics = {"rerun_rounds": float((log.attempts[whole] > 1).sum())}
     measured = [r for r in whole if np.isfinite(log.counters[r, 0])]
     sums = log.counters[measured].sum(axis=0) if measured else np.full(len(COUNTERS), np.nan)
+    metrics["solve_s"] = 1e-9 * float(step_ns(log.times[measured]).sum()) if measured else np.nan
     return metrics | dict(zip(COUNTERS, sums.tolist(), strict=True))
 
 

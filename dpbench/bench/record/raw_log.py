@@ -40,6 +40,7 @@ COUNTERS = (
     "involuntary_switches",
     "steal_s",
     "throttle_events",
+    "thread_s",
 )
 """What `RawLog.counters` holds of a round, or of a closed loop (`disturbance.py`); NaN where the
 kernel hides it."""

@@ -263,6 +263,16 @@ MACHINE_COLUMNS: Columns = {
     "involuntary_switches": ("Int64", "context switches over them against the worker's will"),
     "steal_s": ("float64", "time the host of a virtual machine took from the worker's core"),
     "throttle_events": ("float64", "thermal throttle events of that core; NaN if not visible"),
+    "solve_s": (
+        "float64",
+        "sum of the step times over the same rounds, or over a closed loop; with `thread_s` it "
+        "shows who works outside the timed calls",
+    ),
+    "thread_s": (
+        "float64",
+        "processor time of the worker's other threads over the counting rounds; of a closed loop, "
+        "over its steps",
+    ),
     "bit_identical_share": (
         "float64",
         "share of steps with the same status and the same bits in z in every round",
@@ -385,6 +395,8 @@ ADDED = frozenset(
         "allocation_p90_ns",
         "first_visit_excess",
         "loop_tail_ratio",
+        "solve_s",
+        "thread_s",
     }
 )
 """Columns that files of earlier schemas have not: read as missing there."""

@@ -12,6 +12,7 @@ import tracemalloc
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
+from math import isnan
 from pathlib import Path
 from typing import cast
 
@@ -39,6 +40,11 @@ def _status(key: str) -> float:
     return float("nan")
 
 
+def _forget_peak() -> None:
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+
+
 class MemoryWatch:
     """Peak resident memory of a worker above what it was forked with and what the harness holds.
 
@@ -48,14 +54,21 @@ class MemoryWatch:
     """
 
     def __init__(self) -> None:
-        with suppress(OSError):
-            Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+        _forget_peak()
         self._at_birth = _status("VmRSS")
-        self._peak_of_import = self._harness = float("nan")
+        self._peak_of_import = self._imported = self._harness = float("nan")
+        self._left = 0.0
+
+    def begin_again(self) -> None:
+        """Begin another replay in the same process; memory left by earlier ones is not counted."""
+        _forget_peak()
+        self._left = _status("VmRSS") - self._imported
 
     def opened(self) -> None:
         """The solver's library is loaded; what comes until `loaded` is the harness's own."""
-        self._peak_of_import = _status("VmHWM") - self._at_birth
+        if isnan(self._imported):
+            self._peak_of_import = _status("VmHWM") - self._at_birth
+            self._imported = _status("VmRSS")
         self._harness = -_status("VmRSS")
 
     def loaded(self, log: RawLog) -> None:
@@ -65,7 +78,7 @@ class MemoryWatch:
 
     def peak_bytes(self) -> float:
         """The solver's peak until now [B]."""
-        since = _status("VmHWM") - self._at_birth - max(0.0, self._harness)
+        since = _status("VmHWM") - self._at_birth - self._left - max(0.0, self._harness)
         return max(self._peak_of_import, since)
 
 

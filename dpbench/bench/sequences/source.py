@@ -1,5 +1,6 @@
-"""Where the QPs of a replay come from: the exactly solved loop of a scenario, the consequence
-analysis along it, the edge of what thrusters hold, a random recipe, or what others recorded.
+"""Where the QPs of a replay come from: the exactly solved loop of a scenario, or its hardest steps,
+the consequence analysis along it, the edge of what thrusters hold, a random recipe, or what others
+recorded.
 
 What takes long is done once per source, in a process of its own, and kept in a file that workers
 and evaluators read: the loop, or the sequence with its certified optima.
@@ -16,13 +17,14 @@ from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
-from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.cell import HARDEST, Cell
 from dpbench.bench.record.npz import kept
 from dpbench.bench.record.raw_log import log_bytes, loop_layout, replay_layout
 from dpbench.bench.record.schema import SCHEMA_VERSION
 from dpbench.bench.run.exact_loop import ExactLoop, allocation_sizes, sequence_of, solve_exactly
 from dpbench.bench.sequences.at_edge import make_at_edge
 from dpbench.bench.sequences.consequence import consequence_sequence, steered_rows
+from dpbench.bench.sequences.hardest import first_of_hardest
 from dpbench.bench.sequences.recording import digest, read_sequence
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.errors import InputError, ResultsError
@@ -72,17 +74,19 @@ class Source(Protocol):
 def source_of(cell: Cell) -> Source:
     """The source of a cell's QPs; InputError for a kind that is not known."""
     if not cell.source:
-        return _Loop(cell.scenario, cell.first + cell.steps)
+        return _Loop(cell.scenario, last_step(cell))
     kind = cell.source.get("kind")
+    if kind == HARDEST:
+        return _Hardest(cell.scenario, last_step(cell))
     if kind == CONSEQUENCE:
-        return _Consequence(cell.scenario, cell.first + cell.steps, cell.source["group"])
+        return _Consequence(cell.scenario, last_step(cell), cell.source["group"])
     if kind == CAPABILITY:
         return _AtEdge(cell.source)
     if kind == RANDOM:
         return _Random(RandomRecipe.from_dict(cell.source["recipe"]))
     if kind == RECORDED:
         return _Recorded(cell.source)
-    kinds = ", ".join(map(repr, (RANDOM, RECORDED, CONSEQUENCE, CAPABILITY)))
+    kinds = ", ".join(map(repr, (RANDOM, RECORDED, HARDEST, CONSEQUENCE, CAPABILITY)))
     raise InputError("cell", "source.kind", repr(kind), kinds)
 
 
@@ -107,6 +111,11 @@ def source_key(cell: Cell, harness_version: str) -> str:
         [cell.scenario or cell.source, harness_version, SCHEMA_VERSION], sort_keys=True
     )
     return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def last_step(cell: Cell) -> int:
+    """The sample behind the last that a cell needs of its source."""
+    return cell.first + int(cell.source.get("of", cell.steps))
 
 
 def is_sound(cell: Cell, path: Path) -> bool:
@@ -159,6 +168,11 @@ def random_source(recipe: RandomRecipe) -> dict[str, Any]:
     return {"kind": RANDOM, "name": recipe.name, "recipe": recipe.to_dict()}
 
 
+def hardest_source(replay: str, steps: int, of: int) -> dict[str, Any]:
+    """`Cell.source` of the hardest `steps` steps in a row of a replay of `of` steps."""
+    return {"kind": HARDEST, "name": f"{replay} hardest {steps}", "of": of}
+
+
 def consequence_source(sequence: str, group: str) -> dict[str, Any]:
     """`Cell.source` of the loss of a failure group, beside the replay called `sequence`."""
     return {"kind": CONSEQUENCE, "name": f"{sequence}, {group} lost", "group": group}
@@ -192,11 +206,14 @@ class _Loop:
 
     def load(self, cell: Cell, path: Path) -> Replayed:
         scenario, exact = scenario_once(self.documents), ExactLoop.load(path)
-        sequence = sequence_of(
-            scenario, exact, units=cell.units, first=cell.first, count=cell.steps
-        )
-        last = cell.first + cell.steps
-        return Replayed(sequence, scenario.sample_s, exact.optima[cell.first : last])
+        first = self.first_step(cell, exact)
+        sequence = sequence_of(scenario, exact, units=cell.units, first=first, count=cell.steps)
+        optima = exact.optima[first : first + cell.steps]
+        return Replayed(sequence, scenario.sample_s, optima)
+
+    def first_step(self, cell: Cell, exact: ExactLoop) -> int:
+        """The step of the loop that the replay begins with."""
+        return cell.first
 
     def check(self, path: Path) -> None:
         stored_steps = len(ExactLoop.load(path).theta)
@@ -205,6 +222,14 @@ class _Loop:
 
     def size(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
         return stored["z"].shape[1], stored["optimum_y"].shape[1]
+
+
+@dataclass(frozen=True, eq=False)
+class _Hardest(_Loop):
+    """The QPs of the hardest window of the same loop."""
+
+    def first_step(self, cell: Cell, exact: ExactLoop) -> int:
+        return first_of_hardest(exact.optima, cell.first, cell.source["of"], cell.steps)
 
 
 @dataclass(frozen=True, eq=False)

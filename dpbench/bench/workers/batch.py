@@ -1,8 +1,8 @@
 """Cells of one configuration one after the other in one process, then judged one after the other.
 
 Importing a library takes up to most of a second, and so it is for a batch where its cells take some
-milliseconds each. Nothing of a batch is compared by its times: only replays are, each in a process
-of its own (`interleaved.py`). A cell that crashes or hangs costs only itself; those after it go on
+milliseconds each. Nothing of a batch is compared by its times: only replays are (`interleaved.py`).
+A cell that crashes or hangs costs only itself; those after it go on
 in a new process.
 """
 

@@ -120,11 +120,7 @@ class Child:
         verdict: str = "json",
         logs: bool = True,
     ) -> None:
-        self.folder, self.name = folder, name
-        # Somebody else may have removed the folder, which costs those that had files in it.
-        folder.mkdir(0o700, parents=True, exist_ok=True)
-        self._verdict, self._noise = folder / f"{name}.{verdict}", folder / f"{name}.noise"
-        self._verdict.unlink(missing_ok=True)
+        self._name_files(folder, name, verdict)
         self._limit_s = limit_s
         self._born, self._memory_kills = time.monotonic(), _memory_kills()
         self._running_since = None if logs else self._born
@@ -135,6 +131,14 @@ class Child:
         )
         _start(self.process, self.notice)
         self.notice.handed_over()
+
+    def _name_files(self, folder: Path, name: str, verdict: str) -> None:
+        """Set where its log, noise and verdict appear from here on; no old verdict is there."""
+        self.folder, self.name = folder, name
+        # Somebody else may have removed the folder, which costs those that had files in it.
+        folder.mkdir(0o700, parents=True, exist_ok=True)
+        self._verdict, self._noise = folder / f"{name}.{verdict}", folder / f"{name}.noise"
+        self._verdict.unlink(missing_ok=True)
 
     @property
     def raw_path(self) -> Path:
@@ -234,7 +238,10 @@ class Child:
 
 
 class ServingChild(Child):
-    """A process that takes orders over a pipe, its target's last argument, until None is sent."""
+    """A process that takes orders over a pipe, its target's last argument, until None is sent.
+
+    It may serve several cells in turn: `take_up` begins each but the first, `finish` ends each.
+    """
 
     def __init__(
         self,
@@ -271,6 +278,20 @@ class ServingChild(Child):
             return None
         self.kill(f"{overdue} and was killed")
         return None
+
+    def take_up(self, folder: Path, name: str) -> None:
+        """Begin another cell: its log, noise and verdict have another folder and name."""
+        self._name_files(folder, name, "json")
+
+    def finish(self) -> Outcome:
+        """End its cell by None, and return what became of that.
+
+        The process goes on if it lives; one that does not reply in time is killed.
+        """
+        self.order(None)
+        if self._word(GRACE_S, "did not end when asked to") is True:
+            return self.verdict_of(self._verdict)
+        return self.outcome()
 
     def dismiss(self) -> Outcome:
         """Let it end, kill it if it does not, and say what became of it."""

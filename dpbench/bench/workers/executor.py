@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import zip_longest
@@ -27,7 +27,7 @@ from dpbench.bench.record.step_table import no_steps
 from dpbench.bench.sequences.source import is_timed, log_size, source_key
 from dpbench.bench.workers.batch import CellBatch, Errand, ErrandBatch, Target
 from dpbench.bench.workers.child import WITHOUT_TEMPLATE
-from dpbench.bench.workers.interleaved import ReplayGroup
+from dpbench.bench.workers.interleaved import IdleWorkers, ReplayGroup
 from dpbench.bench.workers.leases import ALONE, TOGETHER, leased_machine
 from dpbench.bench.workers.scratch import NoRoomError, Scratch
 from dpbench.bench.workers.slots import AnyTask, in_slots
@@ -191,7 +191,21 @@ class Bench:
                 self.progress.advance(work_of(job.cell), name_of(job.cell))
                 yield self._result(job, outcome, batch.records.get(run_id), folder)
 
-    def replays(self, jobs: Sequence[CellJob], sources: Mapping[str, Path]) -> Iterator[Result]:
+    def replays(
+        self, groups: Sequence[Sequence[CellJob]], sources: Mapping[str, Path]
+    ) -> Iterator[Result]:
+        """Replay sequences one after the other, each through its group of configurations, and
+        judge each group right after it ran.
+
+        A configuration has one process for all sequences, unless it ends.
+        """
+        with closing(IdleWorkers(self._context, self._cores[-1])) as processes:
+            for jobs in groups:
+                yield from self._replays_of_one(jobs, sources, processes)
+
+    def _replays_of_one(
+        self, jobs: Sequence[CellJob], sources: Mapping[str, Path], processes: IdleWorkers
+    ) -> Iterator[Result]:
         """Replay one sequence through all its configurations, interleaved, then judge them all."""
         sizes, lost = self._sizes(jobs, sources)
         yield from lost
@@ -203,7 +217,7 @@ class Bench:
         except NoRoomError as error:
             yield from (self._lost(job, str(error)) for job in sizes)
             return
-        outcomes = self._by_turns([*sizes], _source(jobs[0], sources), folder)
+        outcomes = self._by_turns([*sizes], _source(jobs[0], sources), folder, processes)
         stepped = [
             job
             for job in sizes
@@ -218,7 +232,9 @@ class Bench:
         for job in sizes:
             yield self._result(job, outcomes[job.run_id], records.get(job.run_id), folder)
 
-    def _by_turns(self, jobs: Sequence[CellJob], source: Path, folder: Path) -> dict[str, Outcome]:
+    def _by_turns(
+        self, jobs: Sequence[CellJob], source: Path, folder: Path, processes: IdleWorkers
+    ) -> dict[str, Outcome]:
         """What became of replays that took turns, by run_id; of those whose template died, the
         second time."""
         outcomes: dict[str, Outcome] = {}
@@ -229,7 +245,7 @@ class Bench:
         for _ in range(2):
             for run_id, _ in cells:
                 discard(folder / f"{run_id}.raw")
-            group = ReplayGroup(self._context, folder, source, core, cells)
+            group = ReplayGroup(processes, folder, source, cells)
             how = ALONE if self._concurrency == 1 else TOGETHER
             with leased_machine(how, self._say_waiting) as held, _away_from(core):
                 for r in group.run():

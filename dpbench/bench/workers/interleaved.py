@@ -1,8 +1,9 @@
 """Replay one sequence through many solvers, interleaved round by round.
 
 All workers stay alive; exactly one runs while the others block on their pipes, so machine drift
-hits all configurations alike. Within a round the order of configurations is drawn anew from the
-seed. Rounds that other work on the machine robbed of speed run again at the end, within a budget.
+hits all configurations alike. A worker that is done with a sequence waits for the next one of its
+configuration. Within a round the order of configurations is drawn anew from the seed. Rounds that
+other work on the machine robbed of speed run again at the end, within a budget.
 
 A neighbour may slow every step of a round by up to a factor of two, for milliseconds or for
 minutes. The counters do not show it: over 14 runs of 14 configurations on a shared machine
@@ -28,9 +29,10 @@ from numpy.typing import NDArray
 
 from dpbench.bench.judge.rules import is_disturbed
 from dpbench.bench.record.cell import Cell, Outcome
+from dpbench.bench.record.configuration import COLUMNS
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.workers.child import ServingChild
-from dpbench.bench.workers.worker import run_replay_cell
+from dpbench.bench.workers.worker import ReplayOrder, serve_replays
 
 STARTED_TOGETHER = 4
 DISTURBED_RETRIES = 1
@@ -64,6 +66,58 @@ class ReplayWorker:
         return 0.0 < budget_s <= self.spent_s and self.clean_rounds >= FEWEST_ROUNDS
 
 
+class IdleWorkers:
+    """Processes that wait for another sequence, by configuration: a library is imported once.
+
+    Parameters
+    ----------
+    core : where the one running worker is pinned.
+    """
+
+    def __init__(self, context: ForkServerContext, core: int) -> None:
+        self._context, self._core = context, core
+        self._idle: dict[tuple[str, ...], ServingChild] = {}
+
+    def start(self, order: ReplayOrder, cell: Cell) -> ServingChild:
+        """A process that begins a replay: one that waits for it, or a new one."""
+        child = self._idle.pop(process_key(cell), None)
+        # One whose template died counts as dead too.
+        if child is not None and not child.process.is_alive():
+            child.dismiss()
+            child = None
+        if child is not None:
+            child.take_up(order.folder, order.name)
+        else:
+            where = order.folder, order.name
+            child = ServingChild(
+                self._context, serve_replays, (self._core,), *where, limit_s=cell.limit_s
+            )
+        child.order(order)
+        return child
+
+    def finish(self, child: ServingChild, cell: Cell) -> Outcome:
+        """What became of a replay; its process waits for another if it lives."""
+        outcome, key = child.finish(), process_key(cell)
+        if child.process.is_alive() and key not in self._idle:
+            self._idle[key] = child
+        else:
+            child.dismiss()
+        return outcome
+
+    def close(self) -> None:
+        """End all that wait."""
+        idle, self._idle = [*self._idle.values()], {}
+        for child in idle:
+            child.order(None)
+        for child in idle:
+            child.dismiss()
+
+
+def process_key(cell: Cell) -> tuple[str, ...]:
+    """Replays with the same key may share a process, one after the other."""
+    return (cell.solver_module, *(str(getattr(cell, name)) for name in COLUMNS))
+
+
 class ReplayGroup:
     """The configurations that replay one sequence.
 
@@ -71,18 +125,16 @@ class ReplayGroup:
     ----------
     cells : (run_id, cell) of each configuration; all see the same QPs.
     source : the file the sequence is made from.
-    core : where the one running worker is pinned.
     """
 
     def __init__(
         self,
-        context: ForkServerContext,
+        processes: IdleWorkers,
         folder: Path,
         source: Path,
-        core: int,
         cells: list[tuple[str, Cell]],
     ) -> None:
-        self._context, self._folder, self._source, self._core = context, folder, source, core
+        self._processes, self._folder, self._source = processes, folder, source
         self._cells = cells
         self.outcomes: dict[str, Outcome] = {}
 
@@ -92,9 +144,9 @@ class ReplayGroup:
         try:
             # Importing a library takes a second, so a few workers start side by side.
             for i in range(0, len(self._cells), STARTED_TOGETHER):
-                started = [self._start(*entry) for entry in self._cells[i : i + STARTED_TOGETHER]]
-                workers += started
-                for worker in started:
+                for entry in self._cells[i : i + STARTED_TOGETHER]:
+                    workers.append(self._start(*entry))
+                for worker in workers[i:]:
                     worker.serving = worker.child.ready() is True
             rounds = max(cell.rounds for _, cell in self._cells)
             order = Random(self._cells[0][1].seed)
@@ -106,7 +158,8 @@ class ReplayGroup:
             self._repeat_robbed(workers, order)
         finally:
             for worker in workers:
-                self.outcomes[worker.run_id] = worker.child.dismiss()
+                outcome = self._processes.finish(worker.child, worker.cell)
+                self.outcomes[worker.run_id] = outcome
 
     def _repeat_robbed(self, workers: list[ReplayWorker], order: Random) -> None:
         """Run robbed rounds again; of workers whose log somebody removed there are none to tell."""
@@ -120,11 +173,8 @@ class ReplayGroup:
         )
 
     def _start(self, run_id: str, cell: Cell) -> ReplayWorker:
-        args = (cell.to_json(), self._folder, run_id, self._core, self._source)
-        child = ServingChild(
-            self._context, run_replay_cell, args, self._folder, run_id, limit_s=cell.limit_s
-        )
-        return ReplayWorker(run_id, cell, child)
+        order = ReplayOrder(cell.to_json(), self._source, self._folder, run_id)
+        return ReplayWorker(run_id, cell, self._processes.start(order, cell))
 
     def serve(self, worker: ReplayWorker, r: int) -> None:
         """Have a worker run round r, once more where it was disturbed."""

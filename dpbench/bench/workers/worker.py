@@ -1,4 +1,4 @@
-"""What runs inside a cell's own process: one solver, pinned to one core, alone with its library.
+"""What runs in a process of one configuration: one solver, pinned to one core, with its library.
 
 Every function here is the target of a process forked from a template that has no solver loaded
 (`child.py`); it leaves its raw log and a small JSON verdict behind and never prints.
@@ -48,6 +48,15 @@ from dpbench.solvers.table import Availability, load_solver_module
 
 def settle(noise: Path) -> None:
     """Send what libraries print to a file, ignore warnings and stop the garbage collector."""
+    redirect(noise)
+    warnings.simplefilter("ignore")
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+
+
+def redirect(noise: Path) -> None:
+    """Send what libraries print to a file."""
     try:
         sink = os.open(noise, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     except FileNotFoundError:
@@ -58,10 +67,6 @@ def settle(noise: Path) -> None:
     os.dup2(sink, 2)
     if sink > 2:
         os.close(sink)
-    warnings.simplefilter("ignore")
-    gc.collect()
-    gc.freeze()
-    gc.disable()
 
 
 def pin(core: int) -> None:
@@ -188,20 +193,48 @@ def _verdict(cell: Cell, workspace: Workspace, timed_solver: TimedSolver, stoppe
     return Outcome(outcome, detail, workspace.form, *timed_solver.size)
 
 
-def run_replay_cell(
-    text: str, folder: Path, name: str, core: int, source: Path, orders: Connection
-) -> None:
-    """Serve replay rounds: receive a round number, replay it, send whether it was completed.
+@dataclass(frozen=True)
+class ReplayOrder:
+    """A replay to serve: the JSON of its cell, the file behind its QPs, where its files appear."""
 
-    None ends the service. The QPs come from the file `source` that `make_source` left.
+    cell: str
+    source: Path
+    folder: Path
+    name: str
+
+
+def serve_replays(core: int, orders: Connection) -> None:
+    """Serve replays of one configuration in turn, each with a workspace and a log of its own.
+
+    An order is a `ReplayOrder`, then round numbers until None ends the replay. The replies are
+    True when it is ready, whether each round was completed, and True when its verdict is left;
+    None and no more where the configuration is refused. None in place of a replay ends the service.
     """
-    cell, memory = Cell.from_json(text), MemoryWatch()
-    workspace = _open(cell, folder, name)
+    memory, anywhere, settled = MemoryWatch(), os.sched_getaffinity(0), False
+    while (order := orders.recv()) is not None:
+        os.sched_setaffinity(0, anywhere)
+        if settled:
+            redirect(order.folder / f"{order.name}.noise")
+            memory.begin_again()
+        if not _serve_replay(order, core, orders, memory, settled=settled):
+            orders.send(None)
+            return
+        settled = True
+        # The collector is off while a solver works.
+        gc.collect()
+        orders.send(True)
+
+
+def _serve_replay(
+    order: ReplayOrder, core: int, orders: Connection, memory: MemoryWatch, *, settled: bool
+) -> bool:
+    """Serve the rounds of one replay and leave its verdict; False where it is refused."""
+    cell, folder, name = Cell.from_json(order.cell), order.folder, order.name
+    workspace = _open(cell, folder, name, settled=settled)
     if workspace is None:
-        orders.send(None)
-        return
+        return False
     memory.opened()
-    sequence = source_of(cell).load(cell, source).sequence
+    sequence = source_of(cell).load(cell, order.source).sequence
     configuration, timed_solver, log = _replay_run(
         cell, workspace, folder / f"{name}.raw", sequence, memory=memory
     )
@@ -216,10 +249,12 @@ def run_replay_cell(
     log.footprint[:3] = (memory.peak_bytes(), *threads())
     verdict = _verdict(cell, workspace, timed_solver, "" if complete else _in_round(log))
     leave_verdict(folder / f"{name}.json", verdict)
-    # The verdict stands: what happens from here on is no part of the replay.
-    if complete:
+    # The verdict stands: what happens from here on is no part of the replay. It takes as long as
+    # four rounds of a window, which has no need of it.
+    if complete and not cell.is_window:
         steps = affordable_steps(log)
         log.footprint[3:] = measure_steps(configuration.sequence, timed_solver, steps)
+    return True
 
 
 def _replay_run(

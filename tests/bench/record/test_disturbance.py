@@ -1,7 +1,9 @@
 """What the kernel counts around a round, and the rule that calls a machine quiet."""
 
+import hashlib
 import math
 import os
+import threading
 import time
 
 import numpy as np
@@ -15,7 +17,7 @@ from dpbench.bench.record.disturbance import (
     counters,
     disturbance_metrics,
 )
-from dpbench.bench.record.raw_log import COUNTERS, RawLog, replay_layout
+from dpbench.bench.record.raw_log import COUNTERS, TIMES, RawLog, replay_layout
 
 # What the kernel counts on a core is to come from the test.
 pytestmark = pytest.mark.alone
@@ -62,11 +64,45 @@ def test_sums_are_over_the_rounds_that_count() -> None:
     log = RawLog.in_memory(replay_layout(4, 2, 1, 1))
     log.done[:] = (2, 2, 2, 0)
     log.attempts[:] = (1, 2, 1, 0)
-    log.counters[:] = np.arange(1.0, 5.0)[:, None] * [1.0, 10.0, 100.0, 1000.0, np.nan]
+    log.counters[:] = np.arange(1.0, 5.0)[:, None] * [1.0, 10.0, 100.0, 1000.0, np.nan, 1e4]
     found = disturbance_metrics(log)
     assert found["rerun_rounds"] == 1
     assert [found[name] for name in COUNTERS[:4]] == [5.0, 50.0, 500.0, 5000.0]
     assert math.isnan(found["throttle_events"])
+    assert found["thread_s"] == 5e4
+
+
+def test_the_time_of_steps_is_of_the_same_rounds() -> None:
+    """All phases of the solver, neither those of the warm-up nor of a round that was stopped."""
+    log = RawLog.in_memory(replay_layout(4, 2, 1, 1))
+    log.times[:] = -1
+    log.done[:] = (2, 2, 2, 1)
+    log.counters[:3] = 1.0
+    log.counters[3] = np.nan
+    log.times[:, :, TIMES.index("solve")] = np.array([[7], [100], [2000], [9]])
+    log.times[:, :, TIMES.index("emit")] = 10**6
+    assert disturbance_metrics(log)["solve_s"] == pytest.approx(4200e-9)
+
+
+def test_the_time_of_other_threads_is_theirs_alone() -> None:
+    """A tenth of a second of a thread is seen; what the caller does is not."""
+
+    def work() -> None:
+        end = time.thread_time() + 0.1
+        while time.thread_time() < end:
+            hashlib.sha256(bytes(10**6))
+
+    def thread_s() -> float:
+        return float(counters()[COUNTERS.index("thread_s")])
+
+    before = thread_s()
+    work()
+    alone = thread_s() - before
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert thread_s() - before - alone >= 0.1
+    assert alone < 0.05
 
 
 def test_at_the_limits_a_machine_is_quiet() -> None:

@@ -109,3 +109,20 @@ def test_threads_are_counted() -> None:
     """This process has a thread, and pools allow at least one."""
     running, allowed = threads()
     assert running >= 1 and allowed >= 1
+
+
+def test_a_later_replay_of_a_process_counts_its_own_memory() -> None:
+    """What an earlier one left is not counted, what the later one takes is."""
+    log = RawLog.in_memory(replay_layout(1, 2, 1, 1))
+    memory = MemoryWatch()
+    memory.opened()
+    memory.loaded(log)
+    left = np.ones(64 * MEGABYTE, dtype=np.uint8)
+    assert memory.peak_bytes() > 60 * MEGABYTE
+    memory.begin_again()
+    memory.opened()
+    memory.loaded(log)
+    assert memory.peak_bytes() < 32 * MEGABYTE
+    taken = np.ones(128 * MEGABYTE, dtype=np.uint8)
+    assert 96 * MEGABYTE < memory.peak_bytes() < 160 * MEGABYTE
+    assert left.any() and taken.any()

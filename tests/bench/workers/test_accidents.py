@@ -216,7 +216,7 @@ def test_a_worker_that_died_between_rounds_ends_no_campaign(tmp_path: Path) -> N
     )
     child.process.join()
     worker = interleave.ReplayWorker("a", cell, child)
-    interleave.ReplayGroup(cast(Any, None), tmp_path, tmp_path, 0, []).serve(worker, 1)
+    interleave.ReplayGroup(cast(Any, None), tmp_path, tmp_path, []).serve(worker, 1)
     assert not worker.serving
 
 

@@ -1,0 +1,214 @@
+"""One process for all replays of a configuration: who serves what, and what an end of it costs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+import psutil
+import pytest
+
+from dpbench import load_results, run_campaign
+from dpbench.bench.progress import Progress
+from dpbench.bench.record.result_folder import Results
+from dpbench.bench.workers import child as supervise
+from dpbench.solvers import plugins
+from tests.bench.deterministic import deterministic
+
+pytestmark = pytest.mark.slow
+
+STEPS = 6
+HEAD = """
+title = "A suite for one test"
+solvers = ["serving"]
+baseline_law = false
+cell_limit_s = 60.0
+rounds = 2
+warmup_steps = 0
+"""
+SEQUENCES = ("paper", "calm", "rough")
+SUITE = HEAD + "".join(
+    f'\n[[replay]]\nscenario = "{name}"\nsteps = {STEPS}\n' for name in SEQUENCES
+)
+SERVING = """
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+
+from dpbench.errors import InputError
+from dpbench.qp.solution import Solution, Status
+from dpbench.solvers.function import opener
+from dpbench.solvers.plugins import solver_record
+
+HERE = Path(__file__).parent
+PIDS, FATE = HERE / "pids", HERE / "fate"
+LEAVE = {
+    "exit": lambda: os._exit(0),
+    "abort": os.abort,
+    "sleep": lambda: time.sleep(600.0),
+}
+
+
+def fated(*ways):
+    if not FATE.exists():
+        return ""
+    place, way = FATE.read_text().split()
+    if way not in ways or len(PIDS.read_text().splitlines()) != int(place):
+        return ""
+    FATE.unlink()
+    return way
+
+
+def solve(qp):
+    if way := fated("exit", "abort", "sleep"):
+        LEAVE[way]()
+    z = np.clip(-np.linalg.solve(qp.P, qp.q), qp.lb, qp.ub)
+    return Solution(Status.MAX_ITERATIONS, z, np.zeros(qp.m), np.zeros(qp.n))
+
+
+opened = opener("serving", solve)
+
+
+def open(policy, options):
+    with PIDS.open("a") as file:
+        file.write(f"{os.getpid()}\\n")
+    print("noise of", len(PIDS.read_text().splitlines()), flush=True)
+    if fated("refuse"):
+        raise InputError("serving", "policy", policy, "another one today")
+    return opened(policy, options)
+
+
+RECORD = solver_record("serving", method="none", module="quadprog", distribution="quadprog")
+"""
+
+
+@pytest.fixture
+def suite(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A suite of three sequences beside the module that brings its solver."""
+    monkeypatch.setattr(plugins, "_LOADED", {})
+    path = tmp_path / "tiny.toml"
+    path.write_text(SUITE, encoding="utf-8")
+    (tmp_path / "serving.py").write_text(SERVING, encoding="utf-8")
+    return path
+
+
+def run(suite: Path, fate: str = "") -> Results:
+    """A campaign; `fate` is the place of a sequence, from 1, and how its process ends there."""
+    if fate:
+        suite.with_name("fate").write_text(fate, encoding="utf-8")
+    out = run_campaign(suite, suite.with_name("out"), solver_module=suite.with_name("serving.py"))
+    assert not suite.with_name("fate").exists()
+    return load_results(out)
+
+
+def pids(suite: Path) -> list[int]:
+    """The processes that opened a workspace, in order."""
+    return [int(line) for line in suite.with_name("pids").read_text().splitlines()]
+
+
+def is_alive(pid: int) -> bool:
+    """Whether there is such a process, and it is not dead."""
+    try:
+        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+def test_one_process_serves_all_sequences_of_a_configuration(suite: Path) -> None:
+    """It ends with them; each has its own rows, and its memory is measured."""
+    results = run(suite)
+    assert len(pids(suite)) == len(SEQUENCES)
+    assert len(set(pids(suite))) == 1
+    assert not is_alive(pids(suite)[0])
+    assert list(results.runs["sequence"]) == list(SEQUENCES)
+    assert set(results.runs["outcome"]) == {"finished"}
+    assert set(results.runs["steps_done"]) == {STEPS}
+    assert (results.runs["peak_rss_bytes"] > 0.0).all()
+    # A later replay does not count what an earlier one left: the same library in all of them.
+    assert results.runs["peak_rss_bytes"].max() < results.runs["peak_rss_bytes"].min() + 2**23
+
+
+@pytest.mark.parametrize(
+    ("way", "outcome"),
+    [
+        ("exit", "crashed"),
+        ("abort", "crashed"),
+        # What else runs could use up a limit of one second.
+        pytest.param("sleep", "hung", marks=pytest.mark.alone),
+    ],
+)
+@pytest.mark.parametrize("place", [1, 2, 3])
+def test_an_end_in_one_sequence_costs_no_other(
+    place: int, way: str, outcome: str, suite: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The next sequence of that configuration has a new process."""
+    if way == "sleep":
+        monkeypatch.setattr(supervise, "GRACE_S", 0.5)
+        suite.write_text(SUITE.replace("60.0", "1.0"), encoding="utf-8")
+    results = run(suite, f"{place} {way}")
+    wanted = ["finished"] * len(SEQUENCES)
+    wanted[place - 1] = outcome
+    assert list(results.runs["outcome"]) == wanted, list(results.runs["outcome_detail"])
+    served = pids(suite)
+    assert len(set(served[:place])) == 1
+    assert len(set(served[place:])) <= 1
+    assert not set(served[:place]) & set(served[place:])
+    assert not any(map(is_alive, served))
+
+
+def test_a_configuration_that_is_refused_once_is_asked_again(suite: Path) -> None:
+    """By a process of its own: what refused may have been the problem."""
+    results = run(suite, "2 refuse")
+    assert list(results.runs["outcome"]) == ["finished", "refused", "finished"]
+    assert "another one today" in results.runs["outcome_detail"].iloc[1]
+    first, second, third = pids(suite)
+    assert first == second != third
+
+
+def test_answers_do_not_depend_on_what_a_process_served_before(suite: Path, tmp_path: Path) -> None:
+    """The second sequence as the first of its process has the same bits."""
+    undisturbed = run(suite)
+    suite.with_name("out").rename(tmp_path / "undisturbed")
+    suite.with_name("pids").unlink()
+    crashed = run(suite, "1 exit")
+    others = set(undisturbed.runs["run_id"].iloc[1:])
+    for found, wanted in zip(deterministic(crashed), deterministic(undisturbed), strict=True):
+        one, other = (
+            table[table["run_id"].isin(others)].reset_index(drop=True) for table in (found, wanted)
+        )
+        assert len(one)
+        pd.testing.assert_frame_equal(one, other, check_exact=True)
+
+
+class _Interrupts(Progress):
+    """A person who presses Ctrl-C in the midst of the second sequence."""
+
+    def __init__(self) -> None:
+        self.said: list[str] = []
+
+    def start(self, work: int) -> None:
+        """Nothing yet."""
+
+    def advance(self, work: int, what: str) -> None:
+        self.said.append(what)
+        if what.startswith("replay calm, round 1"):
+            raise KeyboardInterrupt
+
+    def remark(self, text: str) -> None:
+        """Nothing to say."""
+
+
+def test_ctrl_c_leaves_no_process(suite: Path) -> None:
+    """Neither the one at work nor one that waits."""
+    with pytest.raises(KeyboardInterrupt):
+        run_campaign(
+            suite,
+            suite.with_name("out"),
+            solver_module=suite.with_name("serving.py"),
+            progress=_Interrupts(),
+        )
+    served = pids(suite)
+    assert len(served) == 2
+    assert not any(map(is_alive, served))
