@@ -1,0 +1,222 @@
+"""Figures of a closed loop and of its deadlines, counted by hand in columns of steps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dpbench.bench.judge.closed_loop import Evaluated
+from dpbench.bench.judge.deadlines import (
+    deadline_metrics,
+    late_columns,
+    longest_streak,
+    steps_to_recover,
+)
+from dpbench.bench.judge.rows import run_row
+from dpbench.bench.judge.rules import is_disturbed, is_ranked
+from dpbench.bench.record.cell import Cell, Outcome
+from dpbench.bench.record.schema import ABSENT
+from dpbench.bench.run.slow_computer import ComputationalDelay
+from dpbench.scenario.scenario import load_scenario
+from dpbench.solvers.table import Availability
+
+INF, NAN = np.inf, np.nan
+
+
+def flags(text: str) -> np.ndarray:
+    """Return the flags of a row of 0 and 1."""
+    return np.array([letter == "1" for letter in text])
+
+
+def closed_loop_row(slowdown: float = 0.0, **columns: Any) -> dict[str, Any]:
+    """Return the row of a loop whose steps are right and in time but for these columns."""
+    K = len(next(iter(columns.values())))
+    no, yes = np.zeros(K, dtype=bool), np.ones(K, dtype=bool)
+    steps: dict[str, Any] = {
+        "repeat": np.zeros(K, dtype=np.int32),
+        "k": np.arange(K, dtype=np.int32),
+        "counts": yes,
+        "status": np.full(K, "SOLVED"),
+        "certificate": np.full(K, "linear"),
+        **dict.fromkeys(("claimed", "true", "true_1e4", "true_1e6"), yes),
+        **dict.fromkeys(("fallback", "unconverged", "clipped", "late"), no),
+        **dict.fromkeys(("error_move", "error_plan", "primal", "dual"), np.zeros(K)),
+        "optimum_bound": np.full(K, 1e-12),
+        "iterations": np.full(K, 5),
+        **dict.fromkeys(("total_ns", "latency_ns", "emit_ns", "overhead_ns"), np.full(K, 100)),
+    }
+    steps |= {name: np.asarray(column) for name, column in columns.items()}
+    once = {"setup_once_ns": np.array([0]), "matrix_updates": np.array([0])}
+    files = load_scenario("calm").files
+    cell = Cell("closed_loop", files, "daqp", "native", "warm", "high", K, slowdown=slowdown)
+    outcome, library = Outcome("finished", ""), Availability(True)
+    return run_row("run", cell, outcome, library, "", Evaluated(once, {}), steps)
+
+
+def test_fallbacks_of_a_known_run() -> None:
+    """Runs of one, three and two steps; from the second run five steps to a true answer."""
+    row = closed_loop_row(
+        fallback=flags("0101110001100"),
+        true=flags("1010000011011"),
+        unconverged=flags("0000001100000"),
+        clipped=flags("1100000000001"),
+    )
+    assert (row["fallbacks"], row["fallback_longest"]) == (6, 3)
+    # From step 1 to 2, from 3 to 8, from 9 to 9
+    assert row["recover_steps_max"] == 5
+    assert (row["unconverged"], row["clipped"]) == (2, 3)
+
+
+def test_without_a_fallback_there_is_nothing_to_recover_from() -> None:
+    """Zero fallbacks, no recovery; nor where the last one lasts to the end."""
+    row = closed_loop_row(true=flags("110"))
+    assert (row["fallbacks"], row["fallback_longest"]) == (0, 0)
+    assert row["recover_steps_max"] is pd.NA
+    lasting = closed_loop_row(fallback=flags("0100001"), true=flags("1110110"))
+    assert lasting["recover_steps_max"] is pd.NA
+    assert lasting["fallback_longest"] == 1
+
+
+def test_accuracy_of_a_known_run() -> None:
+    """Eight steps: an undecided and an uncertified one are in no share, an infeasible one is."""
+    row = closed_loop_row(
+        certificate="linear gap rational linear linear undecided none infeasible".split(),
+        claimed=flags("11100111"),
+        true=flags("11010000"),
+        true_1e4=flags("11000000"),
+        true_1e6=flags("10000000"),
+        status=["SOLVED"] * 3 + ["MAX_ITERATIONS"] * 2 + ["SOLVED"] * 3,
+        unconverged=flags("00011000"),
+        fallback=flags("00000100"),
+        error_move=[0.1, 0.2, 0.3, 0.4, 0.05, 9.0, NAN, NAN],
+        error_plan=[0.2, 0.3, 0.4, 0.5, 0.6, 9.0, NAN, NAN],
+        primal=[0.1, 0.0, 0.0, 0.0, 0.0, 9.0, 0.2, 0.3],
+        dual=[0.0, 0.4, 0.0, 0.0, 0.0, 9.0, 0.1, 0.2],
+        optimum_bound=[1e-12, 3e-12, 2e-12, 1e-12, 1e-12, INF, INF, INF],
+        iterations=[4, 8, 2, 10, ABSENT, 3, 7, 9],
+    )
+    assert row["claimed_share"] == 0.75
+    # Six steps have a known right answer.
+    assert row["true_share"] == 0.5
+    assert row["true_1e4_share"] == pytest.approx(2 / 6)
+    assert row["true_1e6_share"] == pytest.approx(1 / 6)
+    # Claimed, known and not true: steps 2 and 7; true, known and not claimed: step 3.
+    assert (row["claimed_not_true"], row["true_not_claimed"]) == (2, 1)
+    # 0.05, 0.1, 0.2, 0.3, 0.4 without the undecided 9
+    assert (row["error_move_p50"], row["error_move_max"]) == (0.2, 0.4)
+    assert (row["error_plan_max"], row["primal_max"], row["dual_max"]) == (0.6, 0.3, 0.4)
+    assert row["optimum_bound_max"] == 3e-12
+    assert (row["uncertified"], row["undecided_steps"], row["infeasible_steps"]) == (1, 1, 1)
+    # The two unfinished iterates; the fallback of the undecided step is nobody's fault.
+    assert row["failed_steps"] == 2
+    # Median of 2, 3, 4, 7, 8, 9, 10
+    assert (row["iterations_p50"], row["iterations_max"]) == (7.0, 10.0)
+
+
+def test_the_median_error_is_one_that_occurred() -> None:
+    """Of an even number of errors the upper one of the middle two."""
+    assert closed_loop_row(error_move=[0.4, 0.1, 0.3, 0.2])["error_move_p50"] == 0.3
+
+
+def test_an_infinite_error_is_no_missing_one() -> None:
+    """A step without an answer has an infinite error, and the run too."""
+    assert closed_loop_row(error_move=[0.1, INF, NAN])["error_move_max"] == INF
+
+
+def test_deadlines_of_a_known_run() -> None:
+    """Ten steps on a computer twice as slow; two of them without a computation.
+
+    Latencies 200, 100, 900, 700, 300, 200, 200, 200: their median is 200. 100 is less than twice
+    the measured 100 ns, by the time that the kernel gave to others.
+    """
+    row = closed_loop_row(
+        slowdown=2.0,
+        late=flags("0011100100"),
+        true=flags("1110101111"),
+        total_ns=[100, 100, 450, ABSENT, 350, 150, 100, ABSENT, 100, 100],
+        latency_ns=[200, 100, 900, ABSENT, 700, 300, 200, ABSENT, 200, 200],
+    )
+    assert (row["deadline_misses"], row["longest_miss_streak"]) == (4, 3)
+    # From step 2: the answer of 4 is true and late, that of 5 in time and wrong, 6 is both.
+    assert row["miss_recover_steps_max"] == 4
+    assert row["computations"] == 8
+    assert row["interrupted"] == 1
+    assert (row["latency_p50_ns"], row["latency_max_ns"]) == (200.0, 900.0)
+
+
+def test_an_ordinary_loop_has_misses_and_no_latencies() -> None:
+    """Its times are as measured."""
+    row = closed_loop_row(late=flags("0110"))
+    assert (row["deadline_misses"], row["longest_miss_streak"]) == (2, 2)
+    assert row["miss_recover_steps_max"] == 2
+    assert "latency_p50_ns" not in row and "interrupted" not in row
+
+
+def test_half_a_nanosecond_is_rounding() -> None:
+    """A latency of 1.5 · 101 ns = 151.5 ns is 151 or 152 ns, and neither was interrupted."""
+    steps = {
+        "late": flags("000"),
+        "true": flags("111"),
+        "total_ns": np.array([101, 101, 101]),
+        "latency_ns": np.array([151, 152, 150]),
+    }
+    assert deadline_metrics(steps, 1.5)["interrupted"] == 1
+
+
+def test_an_answer_exactly_in_time_is_not_late() -> None:
+    """With a budget of 1000 ns; a step in which nothing could begin is late."""
+    took = np.array([1000, 1001, 999, 3000])
+    plain = late_columns(ComputationalDelay(0.0, 1000, 2000), took, took)
+    assert plain["late"].tolist() == [False, True, False, True]
+    assert "latency_ns" not in plain
+    latency = np.array([1000, 1001, 999, -7])
+    slow = late_columns(ComputationalDelay(2.0, 1000, 2000), latency, np.array([1, 1, 1, 9000]))
+    assert slow["late"].tolist() == [False, True, False, True]
+    assert slow["latency_ns"].tolist() == [1000, 1001, 999, ABSENT]
+
+
+@pytest.mark.parametrize(
+    ("row", "longest"), [("", 0), ("0", 0), ("1", 1), ("1101", 2), ("0111", 3), ("10111101", 4)]
+)
+def test_longest_run_of_flags(row: str, longest: int) -> None:
+    """At the start, at the end and in between."""
+    assert longest_streak(flags(row)) == longest
+
+
+@pytest.mark.parametrize(
+    ("bad", "good", "steps"),
+    [
+        ("0100", "1010", 1),
+        ("0100", "1001", 2),
+        ("1110", "0001", 3),
+        ("0100", "0100", 0),
+        ("0100", "1100", 0),
+        ("0100", "1000", None),
+        ("0000", "1111", None),
+        ("101000", "010001", 3),
+        ("100010", "000100", None),
+    ],
+)
+def test_steps_to_the_next_good_one(bad: str, good: str, steps: int | None) -> None:
+    """From the start of the run that takes longest; none where a run never ends."""
+    assert steps_to_recover(flags(bad), flags(good)) == steps
+
+
+@pytest.mark.parametrize(
+    ("concurrency", "machine", "ranked"),
+    [(1.0, "a", True), (2.0, "a", False), (1.0, "b", False), (NAN, "b", True), (1.5, "a", False)],
+)
+def test_times_are_ranked_where_they_were_taken_alone(
+    concurrency: float, machine: str, ranked: bool
+) -> None:
+    """One cell at a time, on the machine of the folder; or from before that was recorded."""
+    assert is_ranked(concurrency, machine, "a") is ranked
+
+
+def test_exactly_the_factor_is_not_disturbed() -> None:
+    """Of a best kernel of 100 ns, 125 ns is calm on either side, 126 ns is not."""
+    kernel_ns = np.array([[100.0, 125.0], [125.0, 110.0], [126.0, 100.0], [100.0, 126.0]])
+    assert is_disturbed(kernel_ns).tolist() == [False, False, True, True]
