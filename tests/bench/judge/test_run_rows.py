@@ -24,6 +24,7 @@ from dpbench.scenario.scenario import load_scenario
 from dpbench.solvers.table import Availability
 
 INF, NAN = np.inf, np.nan
+KNOWN = ("linear", "linear")
 
 
 def flags(text: str) -> np.ndarray:
@@ -83,7 +84,16 @@ def test_without_a_fallback_there_is_nothing_to_recover_from() -> None:
 def test_accuracy_of_a_known_run() -> None:
     """Eight steps: an undecided and an uncertified one are in no share, an infeasible one is."""
     row = closed_loop_row(
-        certificate="linear gap rational linear linear undecided none infeasible".split(),
+        certificate=[
+            "linear",
+            "gap",
+            "rational",
+            "linear",
+            "linear",
+            "undecided",
+            "none",
+            "infeasible",
+        ],
         claimed=flags("11100111"),
         true=flags("11010000"),
         true_1e4=flags("11000000"),
@@ -172,10 +182,10 @@ def test_an_answer_exactly_in_time_is_not_late() -> None:
     plain = late_columns(ComputationalDelay(0.0, 1000, 2000), took, took)
     assert plain["late"].tolist() == [False, True, False, True]
     assert "latency_ns" not in plain
-    latency = np.array([1000, 1001, 999, -7])
-    slow = late_columns(ComputationalDelay(2.0, 1000, 2000), latency, np.array([1, 1, 1, 9000]))
-    assert slow["late"].tolist() == [False, True, False, True]
-    assert slow["latency_ns"].tolist() == [1000, 1001, 999, ABSENT]
+    latency = np.array([1000, 1001, 999, -7, -1, 0])
+    slow = late_columns(ComputationalDelay(2.0, 1000, 2000), latency, np.array([9000] * 6))
+    assert slow["late"].tolist() == [False, True, False, True, True, False]
+    assert slow["latency_ns"].tolist() == [1000, 1001, 999, ABSENT, ABSENT, 0]
 
 
 @pytest.mark.parametrize(

@@ -99,6 +99,18 @@ def test_travel_of_an_azimuth_while_it_pushes(azimuth: Forces, travel_deg: float
     assert found["thrust_reversals"] == 0.0
 
 
+def test_travel_of_all_azimuths_is_added_up() -> None:
+    """One turns by 90°, another by 180° the other way, while a third stands still."""
+    names = ("port", "starboard", "bow")
+    arms = zip(names, (-5.0, 5.0, 0.0), strict=True)
+    three = ThrusterSet(tuple(Thruster(n, "azimuth", 9.0, y, 100.0, 10.0) for n, y in arms))
+    control = ThrusterControl(three, thruster_rows(three, 4), np.eye(6))
+    f = np.array([[10.0, 0, 0, 10, 5, 0], [0, 10, 10, 0, 5, 0], [0, 10, 0, -10, 5, 0]])
+    tables = np.full((3, 6), -1e3), np.full((3, 6), 1e3)
+    found = thruster_metrics(round_ship(steered=control), f, tables)
+    assert found["azimuth_travel_deg"] == pytest.approx(270.0)
+
+
 def test_reversals_of_thrusters_without_an_azimuth() -> None:
     """Changes of side beyond 1 %; what lies between does not count as a side."""
     bow = [10, 0.1, 10, -0.25, -10, 0.2, -5, 5]
@@ -199,6 +211,17 @@ def test_a_limit_that_drops_leaves_the_way_back(
     low, high = (np.tile(of_rows, (len(run), 1)) for of_rows in (ROWS.low, ROWS.high))
     low[-1, BOW], high[-1, BOW] = -limit, limit
     assert metrics_of(run, low, high)["limit_violations"] == violations
+
+
+def test_a_step_beyond_several_limits_is_one_violation() -> None:
+    """Of two thrusters whose limits dropped, and of one that is beyond its rate as well."""
+    run = [[0, 0, 1.25 * i, 20.0 * i] for i in range(1, 6)]
+    run.append([0, 0, 6.25, 100])
+    low, high = (np.tile(of_rows, (6, 1)) for of_rows in (ROWS.low, ROWS.high))
+    low[-1, BOW:], high[-1, BOW:] = -1.0, 1.0
+    assert metrics_of(run, low, high)["limit_violations"] == 1.0
+    run[-1] = [0, 0, 9.0, 100]
+    assert metrics_of(run, low, high)["limit_violations"] == 1.0
 
 
 @pytest.mark.parametrize(("across", "violations"), [(1.0, 0), (1.1, 1), (-1.0, 0), (-1.1, 1)])
