@@ -1,4 +1,4 @@
-"""Froude's similarity: factors of a model ship, and a scenario of the 1 : 70 model in SI."""
+"""Froude factors of a model ship, and a scenario of the 1 : 70 model in SI units."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dpbench.ship.froude import Froude
 
 
 def test_factors_of_a_model_of_one_to_four() -> None:
-    """Length 1/4, time and speed 1/2, force 1/4³, moment 1/4⁴, yaw rate 2; angles stay."""
+    """The factors are 1/4 of lengths, 1/2 of times, 1/4³ of forces and 1/4⁴ of moments."""
     scale = Froude(4.0)
     assert (scale.length, scale.time) == (0.25, 0.5)
     assert scale.force.tolist() == [1 / 64, 1 / 64, 1 / 256]
@@ -21,7 +21,7 @@ def test_factors_of_a_model_of_one_to_four() -> None:
 
 
 def test_full_size_stays_as_it_is() -> None:
-    """All factors are 1."""
+    """All factors of a full-size ship are 1."""
     scale = Froude()
     assert (scale.length, scale.time) == (1.0, 1.0)
     assert scale.force.tolist() == scale.velocity.tolist() == scale.pose.tolist() == [1.0] * 3
@@ -30,7 +30,7 @@ def test_full_size_stays_as_it_is() -> None:
 @settings(derandomize=True, max_examples=50)
 @given(st.floats(0.1, 200.0))
 def test_factors_agree_with_one_another(ratio: float) -> None:
-    """By dimensions: accelerations stay, mass goes as length³, a moment is a force on an arm."""
+    """Accelerations are unchanged, mass scales as length³, a moment as force times length."""
     scale = Froude(ratio)
     acceleration = scale.velocity / scale.time
     assert acceleration[:2] == pytest.approx([1.0, 1.0])
@@ -43,7 +43,7 @@ def test_factors_agree_with_one_another(ratio: float) -> None:
 
 
 def test_the_model_ship_meets_the_weather_of_the_full_ship() -> None:
-    """`calm` with the model of 1 : 70; 70³ = 343 000, 70⁴ = 24 010 000, √70 = 8.3666."""
+    """Weather of `calm` at 1 : 70, where 70³ = 343 000, 70⁴ = 24 010 000, √70 = 8.3666."""
     calm = load_scenario("calm@cybership2")
     weather = calm.environment
     # -20 kN, 55 kN, 500 kN·m and 10 kN, 30 kN, 300 kN·m
@@ -60,7 +60,7 @@ def test_the_model_ship_meets_the_weather_of_the_full_ship() -> None:
 
 
 def test_the_model_ship_is_weighed_as_the_full_ship() -> None:
-    """Errors and increments scale with length and force, so weights do with their squares."""
+    """Weights scale with the inverse squares of lengths and forces."""
     calm = load_scenario("calm@cybership2")
     # 1·70², and 100 of the heading as it is
     np.testing.assert_allclose(calm.Q, np.diag([4900.0, 4900.0, 100.0]), rtol=1e-12)
@@ -69,7 +69,7 @@ def test_the_model_ship_is_weighed_as_the_full_ship() -> None:
 
 
 def test_the_squall_of_the_model_ship() -> None:
-    """Force by 70³ and 70⁴, every time by √70."""
+    """Forces scale by 70³ and 70⁴, every time by √70."""
     (full,) = load_scenario("squall").environment.squalls
     (model,) = load_scenario("squall@cybership2").environment.squalls
     np.testing.assert_allclose(model.force * [343e3, 343e3, 24010e3], full.force, rtol=1e-12)

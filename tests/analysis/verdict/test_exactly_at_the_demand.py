@@ -1,4 +1,4 @@
-"""Figures exactly at a limit of the demand meet it; the next float64 number does not."""
+"""Verdicts on figures that lie exactly at a limit of the requirements."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from dpbench.analysis.verdict.demand import (
 from dpbench.analysis.verdict.verdict import verdicts_of
 
 LIMIT = 0.0078125
-"""Of the error of a move: 2⁻⁷, so that tables keep it to the last bit."""
+"""Limit of `error_move`: 2⁻⁷, which every table stores exactly."""
 BEYOND = math.nextafter(LIMIT, 1.0)
 DEMAND = Demand(error_move=LIMIT, failed_steps=2)
 
 
 def only_run(records: Any) -> RunRecord:
-    """Return the run of records that hold one."""
+    """Return the only run of the records."""
     (run,) = records.view().runs
     assert isinstance(run, RunRecord)
     return run
@@ -35,14 +35,14 @@ def only_run(records: Any) -> RunRecord:
 def test_an_error_at_the_demand_is_right(
     mode: str, error: float, right: bool, records: Any
 ) -> None:
-    """In closed loop and in replay."""
+    """An error equal to the limit passes, in closed loop and in replay."""
     getattr(records, mode)("daqp", error=error)
     assert is_right(only_run(records), DEMAND) is right
 
 
 @pytest.mark.parametrize(("failed", "right"), [(2, True), (3, False)])
 def test_as_many_failed_steps_as_allowed_are_right(failed: int, right: bool, records: Any) -> None:
-    """One more is not."""
+    """A count equal to the limit passes, one more fails."""
     records.loop("daqp", failed=failed)
     assert is_right(only_run(records), DEMAND) is right
 
@@ -61,7 +61,7 @@ def test_as_many_failed_steps_as_allowed_are_right(failed: int, right: bool, rec
 def test_the_verdict_of_figures_at_the_demand(
     loop: dict[str, Any], replay: dict[str, Any], outcome: str, records: Any
 ) -> None:
-    """What is exactly at a limit contradicts nothing."""
+    """Figures equal to a limit give no cause against a solver."""
     records.loop("daqp", **loop)
     records.replay("daqp", **replay)
     (verdict,) = verdicts_of(records.view(), DEMAND).references
@@ -70,7 +70,7 @@ def test_the_verdict_of_figures_at_the_demand(
 
 
 def test_a_stopped_loop_is_not_right_to_the_end(records: Any) -> None:
-    """It counts as right where it had done every step."""
+    """A loop stopped after its last step is right, but not right to the end."""
     records.loop("daqp", outcome="timed_out")
     assert is_right(only_run(records), DEMAND)
     assert not is_right_to_the_end(only_run(records), DEMAND)
@@ -83,7 +83,7 @@ def test_a_stopped_loop_is_not_right_to_the_end(records: Any) -> None:
 def test_a_loop_survives_within_a_tenth_of_the_exact_cost(
     cost: float, violations: float, kept: bool, records: Any
 ) -> None:
-    """Exactly a tenth more is within; a violated limit never is."""
+    """A cost of exactly 1.1 times the exact cost survives; a violated limit does not."""
     figures = {"closed_loop_cost": cost, "exact_cost": 80.0, "limit_violations": violations}
     records.loop("daqp", **figures)
     assert survived(only_run(records)) is kept
@@ -91,7 +91,7 @@ def test_a_loop_survives_within_a_tenth_of_the_exact_cost(
 
 
 def test_a_loop_that_was_cut_survives_nothing(records: Any) -> None:
-    """The cost of its first steps says nothing about all of them."""
+    """A loop with a missing step has no cost ratio."""
     records.loop("daqp", done=119, closed_loop_cost=80.0, exact_cost=80.0, limit_violations=0.0)
     assert math.isnan(cost_ratio(only_run(records)))
     assert not survived(only_run(records))

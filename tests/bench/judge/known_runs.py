@@ -1,4 +1,4 @@
-"""A ship with round numbers, and the control metrics of trajectories written by hand."""
+"""A ship with round numbers, for control metrics of trajectories worked by hand."""
 
 from __future__ import annotations
 

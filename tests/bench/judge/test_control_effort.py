@@ -1,4 +1,4 @@
-"""Forces, costs and limits of runs worked out by hand."""
+"""Effort, cost, deviation and limit figures of runs worked by hand."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from tests.bench.judge.known_runs import exact_loop, metrics_of, round_ship
 
 STILL = [0.0, 0.0, 0.0]
 ULP = float(np.spacing(200.0))
-"""Of the largest force in surge: 2.8e-14 N."""
+"""Unit in the last place of the largest surge force: 2.8e-14 N."""
 
 
-def test_effort_wear_and_work_of_a_known_run() -> None:
-    """Two samples of 0.5 s; the velocity after the last does not count."""
+def test_effort_variation_and_work_of_a_known_run() -> None:
+    """The figures of two samples of 0.5 s ignore the velocity after the last sample."""
     found = metrics_of(
         [STILL] * 3,
         [[100, 25, -5], [-100, 25, 5]],
@@ -38,7 +38,7 @@ def test_effort_wear_and_work_of_a_known_run() -> None:
 
 
 def test_work_has_no_sign_and_is_that_of_all_axes_together() -> None:
-    """Braking is work; a force across the way of the ship does none."""
+    """A braking force does positive work; a force across the velocity does none."""
     braked = metrics_of([STILL] * 2, [[-10, 0, 0]], velocity=[[2, 0, 0], STILL])
     assert braked["work_J"] == 10.0
     across = metrics_of([STILL] * 2, [[10, 10, 0]], velocity=[[2, -2, 0], STILL])
@@ -54,7 +54,7 @@ FORCE = [[2, 0, 1], [2, -1, 0]]
 
 
 def test_cost_of_a_known_run() -> None:
-    """Errors count at the ends of the samples, the first increment from zero.
+    """The cost takes errors at the ends of the samples and the first increment from zero.
 
     (1, 2, 0.5): 2 + 2·1·2 + 16 + 2 = 24; (-1, 0, 1): 2 + 8 = 10; increments (2, 0, 1): 2 + 2 = 4,
     (0, -1, -1): 1 + 2 = 3; half of the sum 41.
@@ -64,7 +64,7 @@ def test_cost_of_a_known_run() -> None:
 
 
 def test_cost_of_the_exactly_solved_loop_is_that_of_its_first_steps() -> None:
-    """Of a longer loop those of the run; its own errors and increments.
+    """The exact cost takes as many steps of the exact loop as the run has.
 
     (0, 1, 0): 4; (1, 0, -0.5): 2 + 2 = 4; increments (4, 0, 0): 8, (0, 3, 1): 9 + 2 = 11; half of
     27.
@@ -80,7 +80,7 @@ def test_cost_of_the_exactly_solved_loop_is_that_of_its_first_steps() -> None:
 
 
 def with_thrusters() -> Scenario:
-    """Steer one main propeller and two tunnel thrusters 10 m ahead and 20 m astern."""
+    """Return the ship with a main propeller and tunnel thrusters 10 m ahead and 20 m astern."""
     thrusters = ThrusterSet(
         (
             Thruster("main", "main", 0.0, 0.0, 200.0, 10.0),
@@ -94,7 +94,7 @@ def with_thrusters() -> Scenario:
 
 
 def test_cost_of_steered_thrusters_has_their_weight() -> None:
-    """Forces (2, 1, 0) and (3, 1, -1) of thrusters on a ship without error.
+    """The cost of thruster forces (2, 1, 0) and (3, 1, -1) has a term ½ Σ uᵀWu.
 
     Increments (2, 1, 0): 2 + 1 = 3; (1, 0, -1): 0.5 + 2 = 2.5. Weight 4 + 2 = 6 and
     9 + 2 + 4 = 15. Half of 26.5. The exact loop gives 4 N by the main propeller: increments 8,
@@ -107,7 +107,7 @@ def test_cost_of_steered_thrusters_has_their_weight() -> None:
 
 
 def test_the_force_of_steered_thrusters_is_what_they_make_together() -> None:
-    """Forces (100, 30, -20) make surge 100, sway 10 and yaw 300 + 400 = 700.
+    """Thruster forces (100, 30, -20) make surge 100, sway 10 and yaw 300 + 400 = 700.
 
     Effort ((100/200)² + (10/50)² + (700/20)²)·0.5 s; deviation from a loop that gives
     (-20, 10, ·): 120 N.
@@ -120,7 +120,7 @@ def test_the_force_of_steered_thrusters_is_what_they_make_together() -> None:
 
 
 def test_distance_from_the_exactly_solved_loop() -> None:
-    """Sample by sample, as sizes; the moment and the state after the last sample do not count.
+    """Deviations are sizes at equal samples, without the moment and the last state.
 
     Distances (3, -4): 5 m, (0, 0): 0 m; 2° and -4°; forces -30 N in surge and 20 N in sway: 30 N,
     then 0 and -10 N: 10 N.
@@ -147,7 +147,7 @@ def test_distance_from_the_exactly_solved_loop() -> None:
 
 
 def test_shares_of_steps_at_a_rate_limit() -> None:
-    """Increments of 10, 5, 2 either way are the limits; within a millionth of it counts."""
+    """An increment within 1e-6 of ±10, ±5 or ±2 is at the rate limit."""
     found = metrics_of(
         [STILL] * 5,
         [[10, 5, 0], [0, 5, 0], [9.999991, 5, 1.9], [10.0, 0.00001, -0.1]],
@@ -157,7 +157,7 @@ def test_shares_of_steps_at_a_rate_limit() -> None:
 
 
 def test_shares_of_steps_at_an_amplitude_limit() -> None:
-    """Within a millionth of an increment of the limit in force at that sample, either side."""
+    """A force within 1e-6 increments of either limit of its sample is at the limit."""
     low = [[-200, -40, -20]] * 3 + [[-200, -40, 0.0]]
     high = [[8, 50, 20], [8, 50, 2], [8, 4, 2], [8, 4, 2], [0, 0, 0]]
     low.append([0, 0, 0])
@@ -174,7 +174,7 @@ def test_shares_of_steps_at_an_amplitude_limit() -> None:
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_an_increment_beyond_the_rate_is_a_violation(axis: int, side: float) -> None:
-    """From zero on; one unit in the last place of the largest force is rounding."""
+    """The first increment counts from zero; one unit in the last place is rounding."""
     du_max = [10.0, 5.0, 2.0][axis]
     rounding = float(np.spacing([200.0, 50.0, 20.0][axis]))
     for beyond, violations in ((0.0, 0), (rounding, 0), (1e-9, 1), (1.0, 1)):
@@ -184,7 +184,7 @@ def test_an_increment_beyond_the_rate_is_a_violation(axis: int, side: float) -> 
 
 
 def test_a_step_beyond_several_limits_is_one_violation() -> None:
-    """Counted are steps: beyond the rate, beyond the amplitude, beyond both, in several axes."""
+    """Violations count steps, not axes or limits."""
     found = metrics_of([STILL] * 4, [[11, 6, 3], [11, 6, 3], [30, 6, 0]])
     assert found["limit_violations"] == 2.0
     low, high = [[-9, -4, -1]] * 3, [[9, 4, 1]] * 3
@@ -211,7 +211,7 @@ DROPPED = [
 def test_a_limit_that_drops_leaves_what_the_rate_leaves(
     side: float, before: float, limit: float, now: float, violations: int
 ) -> None:
-    """A force above a limit that has just dropped must fall at its full rate; either side."""
+    """A force beyond a limit that has just dropped must return at its full rate."""
     raised = [[side * part, 0.0, 0.0] for part in (10.0, 20.0, 30.0, 40.0, before, now)]
     high, low = [[100.0, 50.0, 20.0]] * 6, [[-200.0, -40.0, -20.0]] * 6
     if side > 0:
@@ -231,8 +231,10 @@ runs = st.lists(
 
 @settings(derandomize=True, max_examples=50)
 @given(runs, st.integers(0, 4))
-def test_a_pause_at_the_end_adds_no_wear(run: list[tuple[float, float, float]], pause: int) -> None:
-    """Held forces change nothing: total variation and the cost of a ship without error stay."""
+def test_a_constant_force_adds_no_variation(
+    run: list[tuple[float, float, float]], pause: int
+) -> None:
+    """Constant forces leave total variation, cost and violations unchanged."""
     forces = [list(force) for force in run]
     held = forces + [forces[-1]] * pause
     one = metrics_of([STILL] * (len(forces) + 1), forces)
@@ -244,10 +246,10 @@ def test_a_pause_at_the_end_adds_no_wear(run: list[tuple[float, float, float]], 
 
 @settings(derandomize=True, max_examples=50)
 @given(runs)
-def test_forces_of_opposite_sign_cost_and_wear_alike(
+def test_forces_of_opposite_sign_have_the_same_figures(
     run: list[tuple[float, float, float]],
 ) -> None:
-    """With limits alike on both sides, the negated run has the same figures."""
+    """The negated run has the same figures where the limits are symmetric."""
     ship = round_ship()
     both = replace(ship.vessel, tau_min=-ship.vessel.tau_max)
     ship = replace(ship, vessel=both)

@@ -1,4 +1,4 @@
-"""Position and heading errors of trajectories worked out by hand."""
+"""Position and heading figures of trajectories worked by hand."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ERRORS = [[3, 4, 2 * DEG], [0, -2, -4 * DEG], [-1, 0, 1 * DEG], [0, 0, 0], [900,
 
 @pytest.fixture(scope="module")
 def known() -> dict[str, float]:
-    """Four samples of 0.5 s about a reference that is not zero."""
+    """Metrics of four samples of 0.5 s about a reference that is not zero."""
     pose = (np.array(ERRORS) + REFERENCE).tolist()
     return metrics_of(pose, reference=[REFERENCE] * 5)
 
@@ -61,7 +61,7 @@ def known() -> dict[str, float]:
     ],
 )
 def test_errors_of_a_known_run(name: str, value: float, known: dict[str, float]) -> None:
-    """Every figure is the one worked out beside it."""
+    """Every figure equals the number worked out beside it."""
     assert known[name] == pytest.approx(value, rel=1e-12)
 
 
@@ -78,7 +78,7 @@ def test_the_error_is_that_from_the_reference_of_its_own_sample() -> None:
 
 
 def test_the_tail_is_the_second_half_with_the_middle_sample() -> None:
-    """Of five samples the tail is the last three."""
+    """The tail of five samples is the last three."""
     found = metrics_of([[d, 0, 0] for d in (9, 8, 7, 1, 2, 50)])
     assert found["r_tail_max_m"] == 7.0
 
@@ -102,7 +102,7 @@ def test_overshoot_is_the_excursion_to_the_other_side(
 
 
 def test_from_the_reference_there_is_no_overshoot() -> None:
-    """An axis that starts at its reference has none, the others have theirs."""
+    """The overshoot of an axis that starts at its reference is NaN."""
     found = metrics_of([[0, 1, 0.1], [5, -2, 0.2], [0, 0, 0]])
     assert math.isnan(found["overshoot_n"])
     assert found["overshoot_e"] == 2.0
@@ -110,7 +110,7 @@ def test_from_the_reference_there_is_no_overshoot() -> None:
 
 
 HELD = 60
-"""Samples of 0.5 s in 30 s."""
+"""Number of samples of 0.5 s in 30 s."""
 
 
 @pytest.mark.parametrize(
@@ -123,13 +123,13 @@ HELD = 60
     ],
 )
 def test_settling_includes_its_limits(inside: list[float], settled_s: float) -> None:
-    """Exactly 1 m or 1° from the fourth sample on is settled at 1.5 s; a little more is not."""
+    """An error of exactly 1 m or 1° is settled, a slightly larger one is not."""
     found = metrics_of([[2, 0, 0]] * 3 + [inside] * (HELD + 1))
     assert found["settle_s"] == settled_s
 
 
 def test_settling_needs_thirty_seconds() -> None:
-    """One sample fewer than 30 s does not count, and the count starts anew after an excursion."""
+    """A hold one sample shorter than 30 s does not count, and an excursion restarts it."""
     out, inside = [0, 2, 0], [0, 0.5, 0]
     short = metrics_of([out] * 3 + [inside] * (HELD - 1) + [out] * 2)
     assert short["settle_s"] == math.inf
@@ -143,7 +143,7 @@ def test_settling_needs_thirty_seconds() -> None:
 
 
 def test_thirty_seconds_are_as_many_samples_as_fit() -> None:
-    """Of 0.3 s they are 100 samples, of 100 s a single one."""
+    """The hold is 100 samples of 0.3 s, or a single sample of 100 s."""
     out, inside = [0, 2, 0], [0, 0.5, 0]
     paper = round_ship(0.3)
     for held, settled_s in ((100, 0.3), (99, math.inf)):
@@ -163,7 +163,7 @@ def test_thirty_seconds_are_as_many_samples_as_fit() -> None:
     ],
 )
 def test_settling_within_a_decimetre_lasts_to_the_end(radii: list[float], settled_s: float) -> None:
-    """Exactly 0.1 m counts; the heading does not matter."""
+    """An error of exactly 0.1 m is settled, whatever the heading."""
     found = metrics_of([[0, r, 0.5] for r in (*radii, 7.0)])
     assert found["settle_0p1m_s"] == settled_s
 
@@ -190,7 +190,7 @@ def test_zones_include_their_limits(error: list[float], zone: str) -> None:
 
 
 def test_shares_of_zones_and_of_the_circle_of_one_metre() -> None:
-    """Of five samples two are green, two yellow, one red; exactly 1 m counts."""
+    """Two of five samples are green, two yellow, one red; one is within 1 m."""
     found = metrics_of([[d, 0, 0] for d in (1, 2, 4, 5, 6, 0)])
     assert (found["share_green"], found["share_yellow"], found["share_red"]) == (0.4, 0.4, 0.2)
     assert found["share_1m"] == 0.2
@@ -199,7 +199,7 @@ def test_shares_of_zones_and_of_the_circle_of_one_metre() -> None:
 
 
 def test_pose_error_weighs_the_heading_less_the_further_away() -> None:
-    """Heading in radians: 0 + 0.4, 1 + 0.75·0.4, 2 + 0.5625·0.8, mean (0.4 + 1.3 + 2.45)/3."""
+    """The mean of 0 + 0.4, 1 + 0.75·0.4 and 2 + 0.5625·0.8 is 4.15/3, headings in radians."""
     found = metrics_of([[0, 0, 0.4], [0, 1, -0.4], [-2, 0, -0.8], [0, 0, 0]])
     assert found["pose_error"] == pytest.approx(4.15 / 3)
 
@@ -215,8 +215,8 @@ OF_AXES = ("iae", "ise", "itae", "overshoot")
 
 @settings(derandomize=True, max_examples=50)
 @given(errors)
-def test_port_and_starboard_count_alike(run: list[tuple[float, float, float]]) -> None:
-    """The mirrored run, east and heading negated, has the same figures."""
+def test_the_mirrored_run_has_the_same_figures(run: list[tuple[float, float, float]]) -> None:
+    """Negated east and heading errors change no figure."""
     mirrored = [[n, -e, -psi] for n, e, psi in run]
     np.testing.assert_equal(metrics_of(mirrored), metrics_of(run))
 
@@ -226,7 +226,7 @@ def test_port_and_starboard_count_alike(run: list[tuple[float, float, float]]) -
 def test_figures_grow_with_the_error_as_their_units_say(
     run: list[tuple[float, float, float]], factor: float
 ) -> None:
-    """Times a power of two: lengths grow with it, squares with its square."""
+    """Figures scale with the factor, squared errors with its square."""
     one, scaled = metrics_of(run), metrics_of([[factor * part for part in pose] for pose in run])
     for name in SIZES:
         assert scaled[name] == pytest.approx(factor * one[name], rel=1e-12, abs=1e-100)

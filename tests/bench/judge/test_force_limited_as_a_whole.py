@@ -1,6 +1,6 @@
-"""Limits of a force that thrusters make together, in runs worked out by hand.
+"""Limit figures of a force limited by an attainable set, in runs worked by hand.
 
-The set is the box of ±100 N, ±40 N and ±10 N·m, so that shares of it are told at a glance.
+The set is the box of ±100 N, ±40 N and ±10 N·m, so that shares of it are easy to read.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ STILL = [0.0, 0.0, 0.0]
 
 
 def metrics_of(u: Rows, shares: list[float]) -> dict[str, float]:
-    """Return the metrics of forces in a set of these shares of the whole one, sample by sample.
+    """Return the metrics of forces limited to these shares of the set, sample by sample.
 
     The largest increments are 10, 5 and 2.
     """
@@ -32,13 +32,13 @@ def metrics_of(u: Rows, shares: list[float]) -> dict[str, float]:
 
 
 def ramp(to: float) -> list[list[float]]:
-    """Raise the force in surge by 10 N a sample up to a force."""
+    """Return surge forces that rise by 10 N per sample up to a force."""
     steps = round(abs(to) / 10)
     return [[10.0 * (i + 1) * (1 if to > 0 else -1), 0.0, 0.0] for i in range(steps)]
 
 
 def test_columns_of_the_set_take_the_place_of_those_of_its_axes() -> None:
-    """Rates are told axis by axis, the amplitude as a whole."""
+    """Rate shares are reported per axis, the amplitude share for the whole force."""
     found = metrics_of([[10.0, 0.0, 2.0], [10.0, 0.0, 4.0]], [1.0, 1.0])
     assert [found[f"at_rate_{axis}"] for axis in FORCES] == [0.5, 0.0, 1.0]
     assert not [name for name in found if name.startswith("at_amplitude")]
@@ -46,7 +46,7 @@ def test_columns_of_the_set_take_the_place_of_those_of_its_axes() -> None:
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_share_of_steps_at_the_set(side: float) -> None:
-    """Within a millionth of an increment of 2 counts; where the set is smaller, so does 8."""
+    """A force within 1e-6 increments of the set in force is at its limit."""
     forces = [[0, 0, 2], [0, 0, 4], [0, 0, 6], [0, 0, 8], [0, 0, 10 - 1e-6], [0, 0, 10 - 1e-5]]
     turned = [[side * part for part in force] for force in forces]
     assert metrics_of(turned, [1.0] * 6)["at_limit_thrusters"] == pytest.approx(1 / 6)
@@ -76,15 +76,15 @@ def test_share_of_steps_at_the_set(side: float) -> None:
 def test_outside_a_set_that_has_shrunk_the_force_comes_nearer(
     side: float, shares: list[float], last: float, violations: int
 ) -> None:
-    """Measured by the share of the whole set that would hold it."""
+    """A force outside the set must not need a larger share of the whole set than before."""
     run = [*ramp(side * 50.0), [side * last, 0.0, 0.0]]
     assert metrics_of(run, shares)["limit_violations"] == violations
 
 
 def test_the_share_is_that_of_the_axis_that_needs_most() -> None:
-    """From (20, 10, 0), shares 0.2 and 0.25, to a set of a tenth.
+    """The largest share over the axes decides, here from 0.25 at (20, 10, 0).
 
-    (28, 9, 0) has the shares 0.28 and 0.225 and is further out; (24, 8, 0) has 0.24 and is nearer.
+    (28, 9, 0) needs 0.28 and is further out; (24, 8, 0) needs 0.24 and is nearer.
     """
     start = [[10.0, 5.0, 0.0], [20.0, 10.0, 0.0]]
     shares = [1.0, 1.0, 0.1]

@@ -198,7 +198,7 @@ def test_a_limit_violated_by_rounding_is_charged_to_nobody() -> None:
 
 
 def test_a_true_answer_that_was_not_claimed() -> None:
-    """Not one that denies an optimum, nor one whose right answer is not known."""
+    """Steps that deny an optimum or have no known right answer do not count."""
     steps = {
         "true": np.array([True, True, True, True, True, False]),
         "claimed": np.array([False, True, False, False, False, False]),
@@ -211,7 +211,7 @@ def test_a_true_answer_that_was_not_claimed() -> None:
 
 
 def test_an_answer_is_unusable_by_its_status_or_its_numbers() -> None:
-    """Missing by status; without a finite plan; without finite residuals; usable."""
+    """A status without an answer, an infinite plan error or residual makes it unusable."""
     steps = {
         "status": np.array(["ERROR", "SOLVED", "SOLVED", "MAX_ITERATIONS", "SOLVED"]),
         "error_plan": np.array([0.1, np.inf, np.nan, 0.3, np.nan]),
@@ -221,7 +221,7 @@ def test_an_answer_is_unusable_by_its_status_or_its_numbers() -> None:
 
 
 def test_the_error_of_a_cascade_is_the_larger_known_one() -> None:
-    """Where one of the two is not known, the other stands for both."""
+    """An unknown error of either QP leaves that of the other."""
     alone = {"error_move": np.array([0.1, 0.3, np.nan])}
     np.testing.assert_array_equal(errors(alone), [0.1, 0.3, np.nan])
     both = alone | {"allocation_error": np.array([0.2, np.nan, 0.4])}
@@ -229,7 +229,7 @@ def test_the_error_of_a_cascade_is_the_larger_known_one() -> None:
 
 
 def test_missing_values_are_left_out() -> None:
-    """Of median and maximum; of nothing there is neither."""
+    """Median and maximum ignore NaN; those of no value are NaN."""
     values = np.array([np.nan, 1.0, 4.0, np.nan, 2.0])
     assert (median(values), largest(values)) == (2.0, 4.0)
     assert largest([-3.0, np.inf]) == np.inf

@@ -1,4 +1,4 @@
-"""Figures of a closed loop and of its deadlines, counted by hand in columns of steps."""
+"""Failure, accuracy and deadline figures of closed loops, counted by hand."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ KNOWN = ("linear", "linear")
 
 
 def flags(text: str) -> np.ndarray:
-    """Return the flags of a row of 0 and 1."""
+    """Return the flags written as a row of 0 and 1."""
     return np.array([letter == "1" for letter in text])
 
 
 def closed_loop_row(slowdown: float = 0.0, **columns: Any) -> dict[str, Any]:
-    """Return the row of a loop whose steps are right and in time but for these columns."""
+    """Return the row of a loop with correct, timely steps except for these columns."""
     K = len(next(iter(columns.values())))
     no, yes = np.zeros(K, dtype=bool), np.ones(K, dtype=bool)
     steps: dict[str, Any] = {
@@ -58,7 +58,7 @@ def closed_loop_row(slowdown: float = 0.0, **columns: Any) -> dict[str, Any]:
 
 
 def test_fallbacks_of_a_known_run() -> None:
-    """Runs of one, three and two steps; from the second run five steps to a true answer."""
+    """The fallback acts for one, three and two steps; the second recovery takes five."""
     row = closed_loop_row(
         fallback=flags("0101110001100"),
         true=flags("1010000011011"),
@@ -72,7 +72,7 @@ def test_fallbacks_of_a_known_run() -> None:
 
 
 def test_without_a_fallback_there_is_nothing_to_recover_from() -> None:
-    """Zero fallbacks, no recovery; nor where the last one lasts to the end."""
+    """A loop without a fallback, or with one that never ends, has no recovery time."""
     row = closed_loop_row(true=flags("110"))
     assert (row["fallbacks"], row["fallback_longest"]) == (0, 0)
     assert row["recover_steps_max"] is pd.NA
@@ -82,7 +82,7 @@ def test_without_a_fallback_there_is_nothing_to_recover_from() -> None:
 
 
 def test_accuracy_of_a_known_run() -> None:
-    """Eight steps: an undecided and an uncertified one are in no share, an infeasible one is."""
+    """Shares of eight steps leave out an undecided and an uncertified one."""
     row = closed_loop_row(
         certificate=[
             "linear",
@@ -127,12 +127,12 @@ def test_accuracy_of_a_known_run() -> None:
 
 
 def test_the_median_error_is_one_that_occurred() -> None:
-    """Of an even number of errors the upper one of the middle two."""
+    """The median of an even number of errors is the upper of the middle two."""
     assert closed_loop_row(error_move=[0.4, 0.1, 0.3, 0.2])["error_move_p50"] == 0.3
 
 
 def test_an_infinite_error_is_no_missing_one() -> None:
-    """A step without an answer has an infinite error, and the run too."""
+    """One step with an infinite error makes the largest error infinite."""
     assert closed_loop_row(error_move=[0.1, INF, NAN])["error_move_max"] == INF
 
 
@@ -157,8 +157,31 @@ def test_deadlines_of_a_known_run() -> None:
     assert (row["latency_p50_ns"], row["latency_max_ns"]) == (200.0, 900.0)
 
 
+def test_a_late_answer_is_judged_as_any_other() -> None:
+    """A late answer is no failure: of four steps only the one without an answer fails.
+
+    The second step was late, the third had no computation.
+    """
+    columns: dict[str, Any] = {
+        "fallback": flags("1111"),
+        "late": flags("0110"),
+        "total_ns": [100, 900, ABSENT, 100],
+        "latency_ns": [200, 1800, ABSENT, 200],
+        "status": ["SOLVED", "SOLVED", "", "ERROR"],
+        "claimed": flags("1100"),
+        "true": flags("1100"),
+        "error_move": [0.1, 0.2, NAN, INF],
+        "error_plan": [0.1, 0.2, NAN, INF],
+    }
+    row = closed_loop_row(slowdown=2.0, **columns)
+    assert (row["failed_steps"], row["fallbacks"]) == (1, 4)
+    assert row["claimed_share"] == row["true_share"] == pytest.approx(2 / 3)
+    # Where the ship waits for every answer, each fallback is a failure.
+    assert closed_loop_row(**columns)["failed_steps"] == 4
+
+
 def test_an_ordinary_loop_has_misses_and_no_latencies() -> None:
-    """Its times are as measured."""
+    """A loop without a slow-down counts misses and reports no latency."""
     row = closed_loop_row(late=flags("0110"))
     assert (row["deadline_misses"], row["longest_miss_streak"]) == (2, 2)
     assert row["miss_recover_steps_max"] == 2
@@ -177,7 +200,7 @@ def test_half_a_nanosecond_is_rounding() -> None:
 
 
 def test_an_answer_exactly_in_time_is_not_late() -> None:
-    """With a budget of 1000 ns; a step in which nothing could begin is late."""
+    """An answer at the budget of 1000 ns is in time; a step without a computation is late."""
     took = np.array([1000, 1001, 999, 3000])
     plain = late_columns(ComputationalDelay(0.0, 1000, 2000), took, took)
     assert plain["late"].tolist() == [False, True, False, True]
@@ -192,7 +215,7 @@ def test_an_answer_exactly_in_time_is_not_late() -> None:
     ("row", "longest"), [("", 0), ("0", 0), ("1", 1), ("1101", 2), ("0111", 3), ("10111101", 4)]
 )
 def test_longest_run_of_flags(row: str, longest: int) -> None:
-    """At the start, at the end and in between."""
+    """The longest run may be at the start, in the middle or at the end."""
     assert longest_streak(flags(row)) == longest
 
 
@@ -211,7 +234,7 @@ def test_longest_run_of_flags(row: str, longest: int) -> None:
     ],
 )
 def test_steps_to_the_next_good_one(bad: str, good: str, steps: int | None) -> None:
-    """From the start of the run that takes longest; none where a run never ends."""
+    """The slowest recovery counts; None where a run never recovers."""
     assert steps_to_recover(flags(bad), flags(good)) == steps
 
 
@@ -222,11 +245,11 @@ def test_steps_to_the_next_good_one(bad: str, good: str, steps: int | None) -> N
 def test_times_are_ranked_where_they_were_taken_alone(
     concurrency: float, machine: str, ranked: bool
 ) -> None:
-    """One cell at a time, on the machine of the folder; or from before that was recorded."""
+    """Ranked times come from one cell at a time on the machine of the folder."""
     assert is_ranked(concurrency, machine, "a") is ranked
 
 
 def test_exactly_the_factor_is_not_disturbed() -> None:
-    """Of a best kernel of 100 ns, 125 ns is calm on either side, 126 ns is not."""
+    """A kernel of 125 ns is undisturbed beside a best of 100 ns, one of 126 ns is not."""
     kernel_ns = np.array([[100.0, 125.0], [125.0, 110.0], [126.0, 100.0], [100.0, 126.0]])
     assert is_disturbed(kernel_ns).tolist() == [False, False, True, True]

@@ -1,4 +1,4 @@
-"""Thrust, power, wear and limits of thrusters in runs worked out by hand."""
+"""Thrust, power, wear and limit figures of thrusters in runs worked by hand."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ THRUSTERS = ThrusterSet(
 # With four sides the azimuth is limited by |X| + |Y| ≤ 100 N.
 ROWS = thruster_rows(THRUSTERS, 4)
 BOW = 2
-"""The row of the tunnel thruster, behind two of the azimuth."""
+"""Row of the tunnel thruster, behind the two rows of the azimuth."""
 Forces = Sequence[Sequence[float]]
 
 
 def ship(turning: AzimuthTurning | None = None) -> Scenario:
-    """Return the ship of round numbers that steers these thrusters."""
+    """Return the ship of round numbers with these thrusters."""
     return round_ship(steered=ThrusterControl(THRUSTERS, ROWS, np.eye(4), turning))
 
 
@@ -42,7 +42,7 @@ def metrics_of(
     high: np.ndarray | None = None,
     turning: AzimuthTurning | None = None,
 ) -> dict[str, float]:
-    """Return the metrics of a run; the thrusters' own limits where none are given.
+    """Return the metrics of a run, by default with the limits of the intact thrusters.
 
     The tables of limits are one sample longer than the run, with limits of zero there.
     """
@@ -52,7 +52,7 @@ def metrics_of(
 
 
 def test_shares_of_full_thrust_and_power() -> None:
-    """Sizes 25, 16, 81 N of 100, 25, 400 N; their powers of 1.5 are 125, 64, 729."""
+    """Forces of 25, 16 and 81 N of 100, 25 and 400 N have powers of 125, 64 and 729."""
     f = [[15, -20, -16, 81], [0, 0, 0, 0]]
     of_steps = shares_of_full(ship(), np.array(f, dtype=float))
     # 122/525, and 918 of 1000 + 125 + 8000
@@ -64,13 +64,13 @@ def test_shares_of_full_thrust_and_power() -> None:
 
 
 def test_full_thrust_is_a_share_of_one() -> None:
-    """All thrusters ahead at their largest."""
+    """All thrusters at their largest force have shares of 1."""
     found = metrics_of([[100, 0, 25, 400]])
     assert found["thrust_share"] == found["power_share"] == pytest.approx(1.0)
 
 
 def test_wear_is_the_change_of_every_entry() -> None:
-    """From zero 0.15 + 0.2 + 0.64 + 0.2025, then back to zero but for the main propeller."""
+    """The variation is 0.15 + 0.2 + 0.64 + 0.2025 up, and 0.99 down again."""
     found = metrics_of([[15, -20, -16, 81], [0, 0, 0, 81]])
     assert found["thrust_variation"] == pytest.approx(1.1925 + 0.99)
 
@@ -93,14 +93,14 @@ def test_wear_is_the_change_of_every_entry() -> None:
     ],
 )
 def test_travel_of_an_azimuth_while_it_pushes(azimuth: Forces, travel_deg: float) -> None:
-    """Angles between the forces of samples in which it pushes with more than 1 %."""
+    """Only angles between forces above 1 % of the full thrust count."""
     found = metrics_of([[*force, 0, 0] for force in azimuth])
     assert found["azimuth_travel_deg"] == pytest.approx(travel_deg)
     assert found["thrust_reversals"] == 0.0
 
 
 def test_travel_of_all_azimuths_is_added_up() -> None:
-    """One turns by 90°, another by 180° the other way, while a third stands still."""
+    """The sum is 90° of one azimuth and 180° of another."""
     names = ("port", "starboard", "bow")
     arms = zip(names, (-5.0, 5.0, 0.0), strict=True)
     three = ThrusterSet(tuple(Thruster(n, "azimuth", 9.0, y, 100.0, 10.0) for n, y in arms))
@@ -112,7 +112,7 @@ def test_travel_of_all_azimuths_is_added_up() -> None:
 
 
 def test_reversals_of_thrusters_without_an_azimuth() -> None:
-    """Changes of side beyond 1 %; what lies between does not count as a side."""
+    """Changes of sign count between forces above 1 % of the full thrust."""
     bow = [10, 0.1, 10, -0.25, -10, 0.2, -5, 5]
     main = [-9, -9, 4, 9, 3, -4.1, -9, -9]
     # Tunnel + + - - +: 2. Main - - + + - - - with 4 N and 3 N left out: 2.
@@ -122,7 +122,7 @@ def test_reversals_of_thrusters_without_an_azimuth() -> None:
 
 
 def test_share_of_steps_at_a_rate_limit() -> None:
-    """One entry at its largest change is enough; 1 - 1e-6 of it counts, 1 - 2e-6 does not."""
+    """One entry within 1e-6 of its largest increment is enough."""
     found = metrics_of(
         [
             [5.0, 0, 0, 0],
@@ -135,7 +135,7 @@ def test_share_of_steps_at_a_rate_limit() -> None:
 
 
 def test_share_of_steps_at_a_side_of_a_limit() -> None:
-    """A corner, a side astern, inside; either side of a row counts."""
+    """A force within 1e-6 increments of either side of a row is at its limit."""
     near = 2.5e-6
     assert metrics_of([[60, 40, 0, 0]])["at_limit_thrusters"] == 1.0
     assert metrics_of([[60, 39.9, 0, 0]])["at_limit_thrusters"] == 0.0
@@ -146,7 +146,7 @@ def test_share_of_steps_at_a_side_of_a_limit() -> None:
 
 
 def test_a_lost_thruster_is_at_no_limit() -> None:
-    """Its limits are zero on both sides, and so is its force."""
+    """Zero force of a thruster whose limits are zero is not at a limit."""
     low, high = ROWS.without({1})
     assert metrics_of([[0, 0, 0, 0], [0, 0, 0, 0]], low, high)["at_limit_thrusters"] == 0.0
     assert metrics_of([[0, 0, 0, 400], [0, 0, 0, 0]], low, high)["at_limit_thrusters"] == 0.5
@@ -166,12 +166,12 @@ def test_a_lost_thruster_is_at_no_limit() -> None:
     ],
 )
 def test_an_increment_beyond_the_rate_is_a_violation(step: list[float], violations: int) -> None:
-    """From zero on, entry by entry; a step counts once."""
+    """The first increment counts from zero; a step counts once."""
     assert metrics_of([step])["limit_violations"] == violations
 
 
 def ramped(to: float, increment: float) -> list[list[float]]:
-    """Raise the tunnel thruster by its increments from zero to a force."""
+    """Return forces of the tunnel thruster that rise from zero by one increment a sample."""
     steps = round(abs(to) / increment)
     return [[0, 0, math.copysign(increment * (i + 1), to), 0] for i in range(steps)]
 
@@ -181,7 +181,7 @@ def ramped(to: float, increment: float) -> list[list[float]]:
 def test_a_force_beyond_its_own_limit_is_a_violation(
     side: float, last: float, violations: int
 ) -> None:
-    """25 N is the most of the tunnel thruster, to 1e-9 of its increment."""
+    """The tunnel thruster gives at most 25 N."""
     run = [*ramped(side * 25.0, 1.25), [0, 0, side * last, 0]]
     assert metrics_of(run)["limit_violations"] == violations
 
@@ -206,7 +206,7 @@ def test_a_force_beyond_its_own_limit_is_a_violation(
 def test_a_limit_that_drops_leaves_the_way_back(
     side: float, limit: float, last: float, violations: int
 ) -> None:
-    """A force above a limit that has just dropped may stay above what it can reach."""
+    """A force beyond a limit that has just dropped may return at 0.9 of its rate."""
     run = [*ramped(side * 10.0, 1.25), [0, 0, side * last, 0]]
     low, high = (np.tile(of_rows, (len(run), 1)) for of_rows in (ROWS.low, ROWS.high))
     low[-1, BOW], high[-1, BOW] = -limit, limit
@@ -214,7 +214,7 @@ def test_a_limit_that_drops_leaves_the_way_back(
 
 
 def test_a_step_beyond_several_limits_is_one_violation() -> None:
-    """Of two thrusters whose limits dropped, and of one that is beyond its rate as well."""
+    """Violations count steps, not thrusters or limits."""
     run = [[0, 0, 1.25 * i, 20.0 * i] for i in range(1, 6)]
     run.append([0, 0, 6.25, 100])
     low, high = (np.tile(of_rows, (6, 1)) for of_rows in (ROWS.low, ROWS.high))
@@ -226,7 +226,7 @@ def test_a_step_beyond_several_limits_is_one_violation() -> None:
 
 @pytest.mark.parametrize(("across", "violations"), [(1.0, 0), (1.1, 1), (-1.0, 0), (-1.1, 1)])
 def test_an_azimuth_that_turns_too_fast_is_a_violation(across: float, violations: int) -> None:
-    """At 50 N and 0.02 rad a sample it moves across by 1 N; without a turning rate by 5 N."""
+    """An azimuth at 50 N that turns by 0.02 rad a sample moves across by at most 1 N."""
     run = [[5.0 * (i + 1), 0, 0, 0] for i in range(10)]
     run.append([50.0, across, 0, 0])
     slow = AzimuthTurning(np.array([0]), np.array([0.02]), np.array([5.0]))

@@ -1,4 +1,4 @@
-"""Budgets, limits and deadlines of cells where a suite does not name them."""
+"""Default and explicit budgets, time limits and deadlines of cells."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ REPLAY = ReplayTable(scenario="calm", steps=4)
 
 
 def test_a_replay_of_a_suite_that_names_no_budget() -> None:
-    """All five rounds, however long they take; a quarter of a second for robbed ones; 5 s."""
+    """The defaults are five rounds, no budget, 0.25 s for repetitions and a limit of 5 s."""
     (cell,) = cells_of(replay=[REPLAY])
     assert (cell.budget_s, cell.repeat_budget_s, cell.limit_s) == (0.0, 0.25, 5.0)
     # The warm-up of 50 steps is no longer than the sequence.
@@ -43,7 +43,7 @@ def test_a_replay_of_a_suite_that_names_no_budget() -> None:
 
 
 def test_the_budgets_of_a_suite_are_those_of_its_replays() -> None:
-    """And of no closed loop, nor of a replay that is not timed."""
+    """Closed loops and untimed replays have no budget."""
     own = {"replay_budget_s": 2.0, "repeat_budget_s": 0.75, "cell_limit_s": 9.0}
     random = RandomTable(families=["no_rows"], sizes=[[3, 0]], steps=4)
     loops = ClosedLoopTable(scenarios=["calm"], steps=3)
@@ -56,7 +56,7 @@ def test_the_budgets_of_a_suite_are_those_of_its_replays() -> None:
 
 
 def test_a_cell_that_names_no_budget_has_the_fallback_values() -> None:
-    """No budget, no slow-down, the whole sample, 5 s; written down they are left out."""
+    """Default values of a cell are not written to its description."""
     cell = loop()
     assert (cell.budget_s, cell.repeat_budget_s, cell.slowdown) == (0.0, 0.0, 0.0)
     assert (cell.deadline_s, cell.limit_s, cell.fallback) == (0.0, 5.0, "shifted_plan")
@@ -67,7 +67,7 @@ def test_a_cell_that_names_no_budget_has_the_fallback_values() -> None:
 
 
 def worker(spent_s: float, clean_rounds: int, budget_s: float) -> ReplayWorker:
-    """Return the state of a worker that has spent so much."""
+    """Return a worker with this run time and number of undisturbed rounds."""
     cell = Cell("replay", {}, "daqp", "native", "warm", "high", 4, budget_s=budget_s)
     found = ReplayWorker("run", cell, cast(Any, None))
     found.spent_s, found.clean_rounds = spent_s, clean_rounds
@@ -85,10 +85,10 @@ def worker(spent_s: float, clean_rounds: int, budget_s: float) -> ReplayWorker:
         (0.0, FEWEST_ROUNDS, 0.0, False),
     ],
 )
-def test_a_spent_budget_ends_a_replay_that_has_its_rounds(
+def test_a_spent_budget_ends_a_replay_after_three_rounds(
     spent_s: float, clean_rounds: int, budget_s: float, sated: bool
 ) -> None:
-    """At the budget itself, with three undisturbed rounds."""
+    """A worker stops once it has reached its budget and three undisturbed rounds."""
     assert worker(spent_s, clean_rounds, budget_s).sated is sated
     assert FEWEST_ROUNDS == 3
 
@@ -99,7 +99,7 @@ def test_a_spent_budget_ends_a_replay_that_has_its_rounds(
 def test_without_a_deadline_a_step_may_take_its_whole_sample(
     deadline_s: float, budget_ns: int
 ) -> None:
-    """In the simulated delay, and in the record of the run."""
+    """The default deadline is the sample, in the simulated delay and in the run record."""
     cell = loop(slowdown=2.0, deadline_s=deadline_s)
     delay = delay_of(cell, 0.3)
     assert (delay.budget_ns, delay.sample_ns, delay.slowdown) == (budget_ns, 300_000_000, 2.0)
@@ -113,7 +113,7 @@ def recorded_deadline_s(cell: Cell) -> float:
 
 
 def test_the_deadline_of_a_model_ship_is_its_shorter_sample() -> None:
-    """0.3 s over √70; a replay has none."""
+    """The deadline is 0.3 s over √70; that of a replay is NaN."""
     assert recorded_deadline_s(loop("calm@cybership2")) == pytest.approx(0.03585685828003181)
     (replay,) = cells_of(replay=[REPLAY])
     assert pd.isna(recorded_deadline_s(replay))
@@ -121,7 +121,7 @@ def test_the_deadline_of_a_model_ship_is_its_shorter_sample() -> None:
 
 @pytest.mark.parametrize("deadline_s", [-0.001, 0.3001])
 def test_a_deadline_beyond_the_sample_is_refused(deadline_s: float) -> None:
-    """In one line that names the sample."""
+    """The message names the key, the value and the sample."""
     with pytest.raises(InputError, match=r"deadline_s: found .*; allowed: .* sample of 0\.3 s"):
         delay_of(loop(deadline_s=deadline_s), 0.3)
 
@@ -131,7 +131,7 @@ def test_a_deadline_beyond_the_sample_is_refused(deadline_s: float) -> None:
     [(100, 0), (101, 1), (300, 1), (301, 2), (600, 2), (601, 3), (0, 0)],
 )
 def test_a_late_answer_arrives_at_the_next_sample(latency_ns: int, samples: int) -> None:
-    """With a budget of 100 ns in a sample of 300 ns; never before the next sample."""
+    """A late answer arrives one sample later or more, with a budget of 100 ns of 300 ns."""
     delay = delay_of(loop(slowdown=3.0, deadline_s=100e-9), 300e-9)
     assert delay.samples_late(latency_ns) == samples
     assert delay.latency_ns(50) == 150

@@ -1,4 +1,4 @@
-"""A process killed while memory ran out is lost; one killed otherwise is a crash of its solver."""
+"""Outcomes of processes killed by SIGKILL, with and without want of memory."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ BY_MEMORY = "killed by SIGKILL, as by the out-of-memory killer"
 
 
 class Ended:
-    """A process that ended with an exit code before anybody waited for it."""
+    """A process that has ended with an exit code."""
 
     pid = None
 
@@ -37,7 +37,7 @@ class Ended:
 
 @pytest.fixture
 def vmstat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The kernel's counters in a file of the test."""
+    """A file of the test in place of /proc/vmstat."""
     path = tmp_path / "vmstat"
     path.write_text(VMSTAT.format(kills=3), encoding="ascii")
 
@@ -51,7 +51,7 @@ def vmstat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def killed(folder: Path, number: int, who: AtWork = AtWork.SOLVER) -> Child:
-    """Return a child that a signal ended while `who` was at work."""
+    """Return a child killed by a signal while `who` was at work."""
     context = SimpleNamespace(Process=lambda **_: Ended(-number))
     child = Child(cast(Any, context), print, (), folder, "cell", limit_s=None)
     child.notice.post(who)
@@ -60,27 +60,27 @@ def killed(folder: Path, number: int, who: AtWork = AtWork.SOLVER) -> Child:
 
 @pytest.mark.parametrize("who", [AtWork.SOLVER, AtWork.OPENING, AtWork.HARNESS])
 def test_a_kill_for_want_of_memory_is_lost(who: AtWork, vmstat: Path, tmp_path: Path) -> None:
-    """Whoever was at work: the kernel's count rose while the process ran."""
+    """A higher count of the kernel makes the outcome `lost`, whoever was at work."""
     child = killed(tmp_path, signal.SIGKILL, who)
     vmstat.write_text(VMSTAT.format(kills=4), encoding="ascii")
     assert child.outcome() == Outcome("lost", BY_MEMORY)
 
 
 def test_a_kill_without_want_of_memory_is_a_crash(vmstat: Path, tmp_path: Path) -> None:
-    """The kernel's count is what it was."""
+    """An unchanged count of the kernel makes the outcome `crashed`."""
     child = killed(tmp_path, signal.SIGKILL)
     assert child.outcome() == Outcome("crashed", "killed by SIGKILL")
 
 
 def test_another_signal_is_a_crash_whatever_the_memory(vmstat: Path, tmp_path: Path) -> None:
-    """The kernel kills for memory by SIGKILL only."""
+    """The kernel kills for want of memory by SIGKILL only."""
     child = killed(tmp_path, signal.SIGSEGV)
     vmstat.write_text(VMSTAT.format(kills=4), encoding="ascii")
     assert child.outcome() == Outcome("crashed", "killed by SIGSEGV")
 
 
 def test_a_kernel_that_does_not_count_leaves_a_kill_lost(vmstat: Path, tmp_path: Path) -> None:
-    """Without the counter, or without the file, nobody can be blamed."""
+    """A kill without a counter or without its file is not charged to the solver."""
     vmstat.write_text("nr_free_pages 1137\n", encoding="ascii")
     assert killed(tmp_path, signal.SIGKILL).outcome() == Outcome("lost", BY_MEMORY)
     vmstat.unlink()

@@ -1,4 +1,4 @@
-"""The bound of rounding γ_{n+2}: violations planted half a unit roundoff below and above it."""
+"""The rounding bound γ_{n+2}, with violations half a unit roundoff below and above it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ INF = np.inf
 
 
 def opposed(n: int, violation: float) -> QuadraticProgram:
-    """A sum of n variables of at most 1 by one row, and of at least 1 + violation by another."""
+    """Return rows that bound a sum of n variables by 1 above and 1 + violation below."""
     l, u = [-INF, 1.0 + violation], [1.0, INF]  # noqa: E741 - as in QuadraticProgram
     far = np.full(n, 10.0)
     return QuadraticProgram(np.eye(n), np.ones(n), np.ones((2, n)), l, u, -far, far)
@@ -23,6 +23,7 @@ def opposed(n: int, violation: float) -> QuadraticProgram:
 @pytest.mark.parametrize(
     ("n", "units", "undecided"),
     [
+        # Violations are multiples of 2 u, the last place of 1 + violation.
         # Both rows are of size 1 + n·1, so that t* is violation/(2 + 2 n). With one variable that
         # is 2.5 u, then 3.5 u against γ_3 = 3 u.
         (1, 10, True),
@@ -33,13 +34,13 @@ def opposed(n: int, violation: float) -> QuadraticProgram:
     ],
 )
 def test_a_violation_is_undecided_up_to_the_bound(n: int, units: int, undecided: bool) -> None:
-    """Violations are multiples of 2 u, the last place of 1 + violation."""
+    """A violation below γ_{n+2} is undecided, one above it is not."""
     assert least_violation(opposed(n, units * U)).undecided is undecided
 
 
 @pytest.mark.parametrize(("n", "roundings"), [(1, 3), (3, 5)])
 def test_the_bound_is_more_than_its_first_order(n: int, roundings: int) -> None:
-    """γ_k = k u/(1 − k u), which is k u + (k u)² and a little more."""
+    """The bound γ_k = k u/(1 − k u) is k u + (k u)² and a little more."""
     bound = least_violation(opposed(n, 2 * U)).rounding
     assert roundings * U < bound < roundings * U * (1.0 + 2 * roundings * U)
 
@@ -55,7 +56,7 @@ def test_the_bound_is_more_than_its_first_order(n: int, roundings: int) -> None:
     ],
 )
 def test_the_size_of_a_row_whose_coefficients_are_rounding(coefficient: float, size: float) -> None:
-    """A row c·z ≤ −2⁻²⁰⁰ beside z ≤ 4."""
+    """The row c·z ≤ −2⁻²⁰⁰ stands beside z ≤ 4."""
     qp = QuadraticProgram(
         np.eye(1), [1.0], [[coefficient], [1.0]], [-INF] * 2, [-(2.0**-200), 4.0], [-INF], [INF]
     )
@@ -71,6 +72,6 @@ def test_the_size_of_a_row_whose_coefficients_are_rounding(coefficient: float, s
     ],
 )
 def test_a_distance_that_is_rounding_is_no_reach(limit: float, size: float) -> None:
-    """z ≤ −c by a row and −1 ≤ z by a bound: the size of the row is c + reach."""
+    """The row z ≤ −c has the size c + reach, beside the bound −1 ≤ z."""
     qp = QuadraticProgram(np.eye(1), [1.0], [[1.0]], [-INF], [-limit], [-1.0], [INF])
     assert sizes(JointQP.of(qp))[0][0] == pytest.approx(size, rel=1e-15)

@@ -38,14 +38,14 @@ def test_a_squall_rises_holds_and_decays_on_straight_lines(t_s: float, share: fl
     ],
 )
 def test_a_squall_does_not_grow_with_the_ramp(t_s: float, force: list[float]) -> None:
-    """The ramp is that of the slow forces; a squall has its own rise."""
+    """The ramp multiplies the slow forces only; a squall has its own rise."""
     squall = replace(SQUALL, start_s=27.5, hold_until_s=65.0)
     gusty = replace(STEADY, squalls=(squall,))
     np.testing.assert_allclose(gusty.force(t_s), force, rtol=1e-13)
 
 
 def test_a_squall_does_not_grow_with_the_ramp_of_a_stage_table() -> None:
-    """The table of a run has the forces of the formula, half-way up the ramp."""
+    """The stage table half-way up the ramp has half the mean and the whole squall."""
     squall = replace(SQUALL, start_s=0.0, hold_until_s=65.0)
     gusty = replace(STEADY, squalls=(squall,))
     table = gusty.stage_table(31, 1.0, 1)
