@@ -229,7 +229,7 @@ runs = st.lists(
 )
 
 
-@settings(derandomize=True, max_examples=50)
+@settings(derandomize=True, max_examples=25)
 @given(runs, st.integers(0, 4))
 def test_a_constant_force_adds_no_variation(
     run: list[tuple[float, float, float]], pause: int
@@ -244,7 +244,7 @@ def test_a_constant_force_adds_no_variation(
     assert other["limit_violations"] == one["limit_violations"]
 
 
-@settings(derandomize=True, max_examples=50)
+@settings(derandomize=True, max_examples=25)
 @given(runs)
 def test_forces_of_opposite_sign_have_the_same_figures(
     run: list[tuple[float, float, float]],

@@ -213,7 +213,7 @@ SIZES = ("r_rms_m", "r_95_m", "r_max_m", "r_tail_max_m", "heading_rms_deg", "hea
 OF_AXES = ("iae", "ise", "itae", "overshoot")
 
 
-@settings(derandomize=True, max_examples=50)
+@settings(derandomize=True, max_examples=25)
 @given(errors)
 def test_the_mirrored_run_has_the_same_figures(run: list[tuple[float, float, float]]) -> None:
     """Negated east and heading errors change no figure."""
@@ -221,7 +221,7 @@ def test_the_mirrored_run_has_the_same_figures(run: list[tuple[float, float, flo
     np.testing.assert_equal(metrics_of(mirrored), metrics_of(run))
 
 
-@settings(derandomize=True, max_examples=50)
+@settings(derandomize=True, max_examples=25)
 @given(errors, st.sampled_from([0.5, 4.0]))
 def test_figures_grow_with_the_error_as_their_units_say(
     run: list[tuple[float, float, float]], factor: float
