@@ -55,6 +55,16 @@ def test_the_budgets_of_a_suite_are_those_of_its_replays() -> None:
     assert budgets[untimed] == (0.0, 0.0, 9.0)
 
 
+def test_the_limit_of_a_table_replaces_that_of_the_suite() -> None:
+    """Cells of a table with its own limit have that, others the limit of the suite."""
+    tables = [
+        ClosedLoopTable(scenarios=["calm"], steps=3, limit_s=1.5),
+        ClosedLoopTable(scenarios=["paper"], steps=3),
+    ]
+    limits = [cell.limit_s for cell in cells_of(closed_loop=tables, cell_limit_s=7.0)]
+    assert limits == [1.5, 7.0]
+
+
 def test_a_cell_that_names_no_budget_has_the_fallback_values() -> None:
     """Default values of a cell are not written to its description."""
     cell = loop()
