@@ -92,6 +92,29 @@ def test_the_error_falls_with_the_fourth_power_in_gusts_and_waves(hull: Vessel) 
     assert errors[1] / errors[2] == pytest.approx(16.0, rel=0.05)
 
 
+def test_port_and_starboard_are_alike_in_all_weather(hull: Vessel) -> None:
+    """The mirrored start, force and weather give the mirrored track."""
+    sea, flip = weather("norsok"), np.array([1.0, -1.0, -1.0])
+    mirrored = replace(
+        sea,
+        mean=flip * sea.mean,
+        amplitude=flip * sea.amplitude,
+        wind=Wind(13.8, 1.0, "norsok"),
+        current=Current(0.75, -2.0),
+        drift=WaveDrift(replace(WAVES, to_rad=-WAVES.to_rad)),
+    )
+    tau, both = 0.3 * hull.tau_max, np.concatenate([flip, flip])
+    loads = sea.load_coefficients(hull)
+    plant, other = (Plant(hull, start, 0.3, loads=loads) for start in (START, both * START))
+    tables = (of.stage_table(60, 0.3, SUBSTEPS) for of in (sea, mirrored))
+    for stages, mirrored_stages in zip(*tables, strict=True):
+        plant.advance(tau, stages)
+        other.advance(flip * tau, mirrored_stages)
+    assert abs(plant.state[4] - START[4]) > 1.0
+    # The same operations but for signs, so that not even rounding differs but in cos and sin.
+    np.testing.assert_allclose(other.state, both * plant.state, rtol=1e-12)
+
+
 def test_weather_of_no_strength_is_no_weather(hull: Vessel) -> None:
     """A current of zero and waves of no height leave the plain plant's motion."""
     plain = replace(weather("none"), wind=None, current=None, drift=None)

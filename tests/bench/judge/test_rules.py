@@ -13,7 +13,17 @@ from dpbench.analysis.records.step_times import times_by_run
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
 from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.judge.rows import run_row, step_rows
-from dpbench.bench.judge.rules import counting_rows, disturbed_rounds, percentile, supports
+from dpbench.bench.judge.rules import (
+    counting_rows,
+    disturbed_rounds,
+    errors,
+    largest,
+    median,
+    percentile,
+    supports,
+    true_not_claimed,
+    unusable,
+)
 from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import TIMES, RawLog, replay_layout
@@ -187,3 +197,42 @@ def test_a_limit_violated_by_rounding_is_charged_to_nobody() -> None:
     exact.solve()
     assert exact.read().status is Status.PRIMAL_INFEASIBLE
     assert exact.optima[-1].kind == "undecided"
+
+
+def test_a_true_answer_that_was_not_claimed() -> None:
+    """Steps that deny an optimum or have no known right answer do not count."""
+    steps = {
+        "true": np.array([True, True, True, True, True, False]),
+        "claimed": np.array([False, True, False, False, False, False]),
+        "status": np.array(["MAX_ITERATIONS", "SOLVED", "PRIMAL_INFEASIBLE", *["UNKNOWN"] * 3]),
+        "certificate": np.array(["linear", "gap", "infeasible", "undecided", "none", "linear"]),
+    }
+    expected = [True, False, False, False, False, False]
+    assert true_not_claimed(steps).tolist() == expected
+    assert true_not_claimed(pd.DataFrame(steps)).tolist() == expected
+
+
+def test_an_answer_is_unusable_by_its_status_or_its_numbers() -> None:
+    """A status without an answer, an infinite plan error or residual makes it unusable."""
+    steps = {
+        "status": np.array(["ERROR", "SOLVED", "SOLVED", "MAX_ITERATIONS", "SOLVED"]),
+        "error_plan": np.array([0.1, np.inf, np.nan, 0.3, np.nan]),
+        "primal": np.array([0.1, 0.2, np.inf, 0.3, 0.0]),
+    }
+    assert unusable(steps).tolist() == [True, True, True, False, False]
+
+
+def test_the_error_of_a_cascade_is_the_larger_known_one() -> None:
+    """An unknown error of either QP leaves that of the other."""
+    alone = {"error_move": np.array([0.1, 0.3, np.nan])}
+    np.testing.assert_array_equal(errors(alone), [0.1, 0.3, np.nan])
+    both = alone | {"allocation_error": np.array([0.2, np.nan, 0.4])}
+    assert errors(both).tolist() == [0.2, 0.3, 0.4]
+
+
+def test_missing_values_are_left_out() -> None:
+    """Median and maximum ignore NaN; those of no value are NaN."""
+    values = np.array([np.nan, 1.0, 4.0, np.nan, 2.0])
+    assert (median(values), largest(values)) == (2.0, 4.0)
+    assert largest([-3.0, np.inf]) == np.inf
+    assert np.isnan(median([np.nan])) and np.isnan(largest([]))

@@ -23,3 +23,31 @@ def test_a_squall_rises_holds_and_decays_on_straight_lines(t_s: float, share: fl
     gusty = replace(STEADY, squalls=(SQUALL, SQUALL))
     expected = STEADY.force(t_s) + 2 * share * SQUALL.force
     np.testing.assert_allclose(gusty.force(t_s), expected, rtol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("t_s", "force"),
+    [
+        # A quarter of the mean after 15 s of a ramp of 60 s, and no squall yet
+        (15.0, [-7.5e3, 30e3, 150e3]),
+        # Half of the mean and half of the squall; half of the mean and all of it
+        (30.0, [-75e3, 230e3, 1800e3]),
+        (32.5, [-136.25e3, 405e3, 3325e3]),
+        # All of the mean, and half of the squall that decays
+        (80.0, [-90e3, 290e3, 2100e3]),
+    ],
+)
+def test_a_squall_does_not_grow_with_the_ramp(t_s: float, force: list[float]) -> None:
+    """The ramp multiplies the slow forces only; a squall has its own rise."""
+    squall = replace(SQUALL, start_s=27.5, hold_until_s=65.0)
+    gusty = replace(STEADY, squalls=(squall,))
+    np.testing.assert_allclose(gusty.force(t_s), force, rtol=1e-13)
+
+
+def test_a_squall_does_not_grow_with_the_ramp_of_a_stage_table() -> None:
+    """The stage table half-way up the ramp has half the mean and the whole squall."""
+    squall = replace(SQUALL, start_s=0.0, hold_until_s=65.0)
+    gusty = replace(STEADY, squalls=(squall,))
+    table = gusty.stage_table(31, 1.0, 1)
+    # At 30 s, start of the last sample: half of the mean and the whole squall
+    np.testing.assert_allclose(table[30, 0], [-135e3, 400e3, 3300e3], rtol=1e-12)

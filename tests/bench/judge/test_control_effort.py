@@ -1,0 +1,261 @@
+"""Effort, cost, deviation and limit figures of runs worked by hand."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dpbench.bench.record.schema import FORCES
+from dpbench.mpc.thruster_rows import thruster_rows
+from dpbench.scenario.commanded_thrusters import ThrusterControl
+from dpbench.scenario.scenario import Scenario
+from dpbench.ship.thrusters import Thruster, ThrusterSet
+from tests.bench.judge.known_runs import exact_loop, metrics_of, round_ship
+
+STILL = [0.0, 0.0, 0.0]
+ULP = float(np.spacing(200.0))
+"""Unit in the last place of the largest surge force: 2.8e-14 N."""
+
+
+def test_effort_variation_and_work_of_a_known_run() -> None:
+    """The figures of two samples of 0.5 s ignore the velocity after the last sample."""
+    found = metrics_of(
+        [STILL] * 3,
+        [[100, 25, -5], [-100, 25, 5]],
+        velocity=[[1, -2, 0.1], [1, 1, 1], [99, 99, 99]],
+    )
+    # Largest forces 200, 50, 20: (0.25 + 0.25 + 0.0625) of both samples, times 0.5 s
+    assert found["effort_s"] == pytest.approx(0.5625)
+    # From zero 0.5 + 0.5 + 0.25, then 200/200 + 0/50 + 10/20
+    assert found["total_variation"] == pytest.approx(2.75)
+    # |100 - 50 - 0.5| = 49.5 W and |-100 + 25 + 5| = 70 W, times 0.5 s
+    assert found["work_J"] == pytest.approx(59.75)
+
+
+def test_work_has_no_sign_and_is_that_of_all_axes_together() -> None:
+    """A braking force does positive work; a force across the velocity does none."""
+    braked = metrics_of([STILL] * 2, [[-10, 0, 0]], velocity=[[2, 0, 0], STILL])
+    assert braked["work_J"] == 10.0
+    across = metrics_of([STILL] * 2, [[10, 10, 0]], velocity=[[2, -2, 0], STILL])
+    assert across["work_J"] == 0.0
+
+
+Q = np.array([[2.0, 1.0, 0.0], [1.0, 4.0, 0.0], [0.0, 0.0, 8.0]])
+R = np.diag([0.5, 1.0, 2.0])
+REFERENCE = [[5, 5, 0.5], [6, 7, 0.25], [4, 4, 0.5], [50, 50, 5], [60, 60, 6]]
+# Errors (95, -5, 2.5), then (1, 2, 0.5) and (-1, 0, 1).
+POSE = [[100, 0, 3], [7, 9, 0.75], [3, 4, 1.5]]
+FORCE = [[2, 0, 1], [2, -1, 0]]
+
+
+def test_cost_of_a_known_run() -> None:
+    """The cost takes errors at the ends of the samples and the first increment from zero.
+
+    (1, 2, 0.5): 2 + 2·1·2 + 16 + 2 = 24; (-1, 0, 1): 2 + 8 = 10; increments (2, 0, 1): 2 + 2 = 4,
+    (0, -1, -1): 1 + 2 = 3; half of the sum 41.
+    """
+    found = metrics_of(POSE, FORCE, reference=REFERENCE, scenario=round_ship(Q=Q, R=R))
+    assert found["closed_loop_cost"] == pytest.approx(20.5)
+
+
+def test_cost_of_the_exactly_solved_loop_is_that_of_its_first_steps() -> None:
+    """The exact cost takes as many steps of the exact loop as the run has.
+
+    (0, 1, 0): 4; (1, 0, -0.5): 2 + 2 = 4; increments (4, 0, 0): 8, (0, 3, 1): 9 + 2 = 11; half of
+    27.
+    """
+    exact = exact_loop(
+        [[0, 0, 0], [6, 8, 0.25], [5, 4, 0], [9, 9, 9], [9, 9, 9]],
+        [[4, 0, 0], [4, 3, 1], [7, 7, 7], [9, 9, 9]],
+    )
+    ship = round_ship(Q=Q, R=R)
+    found = metrics_of(POSE, FORCE, reference=REFERENCE, exact=exact, scenario=ship)
+    assert found["exact_cost"] == pytest.approx(13.5)
+    assert found["closed_loop_cost"] == pytest.approx(20.5)
+
+
+def with_thrusters() -> Scenario:
+    """Return the ship with a main propeller and tunnel thrusters 10 m ahead and 20 m astern."""
+    thrusters = ThrusterSet(
+        (
+            Thruster("main", "main", 0.0, 0.0, 200.0, 10.0),
+            Thruster("bow", "tunnel", 10.0, 0.0, 50.0, 10.0),
+            Thruster("stern", "tunnel", -20.0, 0.0, 50.0, 10.0),
+        )
+    )
+    W = np.diag([1.0, 2.0, 4.0])
+    steered = ThrusterControl(thrusters, thruster_rows(thrusters, 4), W)
+    return round_ship(R=R, steered=steered)
+
+
+def test_cost_of_steered_thrusters_has_their_weight() -> None:
+    """The cost of thruster forces (2, 1, 0) and (3, 1, -1) has a term ½ Σ uᵀWu.
+
+    Increments (2, 1, 0): 2 + 1 = 3; (1, 0, -1): 0.5 + 2 = 2.5. Weight 4 + 2 = 6 and
+    9 + 2 + 4 = 15. Half of 26.5. The exact loop gives 4 N by the main propeller: increments 8,
+    weight 16 + 16, half of 40.
+    """
+    exact = exact_loop([STILL] * 3, [STILL] * 2, [[4, 0, 0], [4, 0, 0]])
+    found = metrics_of([STILL] * 3, [[2, 1, 0], [3, 1, -1]], exact=exact, scenario=with_thrusters())
+    assert found["closed_loop_cost"] == pytest.approx(13.25)
+    assert found["exact_cost"] == pytest.approx(20.0)
+
+
+def test_the_force_of_steered_thrusters_is_what_they_make_together() -> None:
+    """Thruster forces (100, 30, -20) make surge 100, sway 10 and yaw 300 + 400 = 700.
+
+    Effort ((100/200)² + (10/50)² + (700/20)²)·0.5 s; deviation from a loop that gives
+    (-20, 10, ·): 120 N.
+    """
+    exact = exact_loop([STILL] * 2, [[-20, 10, 0]], [[0, 0, 0]])
+    found = metrics_of([STILL] * 2, [[100, 30, -20]], exact=exact, scenario=with_thrusters())
+    assert found["effort_s"] == pytest.approx((0.25 + 0.04 + 1225.0) * 0.5)
+    assert found["dev_force_max_N"] == pytest.approx(120.0)
+    assert "limit_violations" not in found, "the thrusters' own metrics count them"
+
+
+def test_distance_from_the_exactly_solved_loop() -> None:
+    """Deviations are sizes at equal samples, without the moment and the last state.
+
+    Distances (3, -4): 5 m, (0, 0): 0 m; 2° and -4°; forces -30 N in surge and 20 N in sway: 30 N,
+    then 0 and -10 N: 10 N.
+    """
+    deg = math.pi / 180.0
+    exact = exact_loop(
+        [[1, 1, 0.5], [2, 2, 0.25], [7, 7, 7], [8, 8, 8]],
+        [[40, 10, 0], [5, 5, 0], [9, 9, 9]],
+    )
+    found = metrics_of(
+        [[4, -3, 0.5 + 2 * deg], [2, 2, 0.25 - 4 * deg], [70, 70, 0]],
+        [[10, 30, 15], [5, -5, -20]],
+        exact=exact,
+    )
+    assert found["dev_position_max_m"] == pytest.approx(5.0)
+    # √((25 + 0)/2)
+    assert found["dev_position_rms_m"] == pytest.approx(3.5355339059327378)
+    assert found["dev_heading_max_deg"] == pytest.approx(4.0)
+    # √((4 + 16)/2)
+    assert found["dev_heading_rms_deg"] == pytest.approx(3.1622776601683795)
+    assert found["dev_force_max_N"] == pytest.approx(30.0)
+    # √((900 + 100)/2)
+    assert found["dev_force_rms_N"] == pytest.approx(22.360679774997898)
+
+
+def test_shares_of_steps_at_a_rate_limit() -> None:
+    """An increment within 1e-6 of ±10, ±5 or ±2 is at the rate limit."""
+    found = metrics_of(
+        [STILL] * 5,
+        [[10, 5, 0], [0, 5, 0], [9.999991, 5, 1.9], [10.0, 0.00001, -0.1]],
+    )
+    # Surge +10, -10, +9.999991, 0; sway +5, 0, 0, -4.99999; yaw 0, 0, 1.9, -2
+    assert [found[f"at_rate_{axis}"] for axis in FORCES] == [0.75, 0.25, 0.25]
+
+
+def test_shares_of_steps_at_an_amplitude_limit() -> None:
+    """A force within 1e-6 increments of either limit of its sample is at the limit."""
+    low = [[-200, -40, -20]] * 3 + [[-200, -40, 0.0]]
+    high = [[8, 50, 20], [8, 50, 2], [8, 4, 2], [8, 4, 2], [0, 0, 0]]
+    low.append([0, 0, 0])
+    found = metrics_of(
+        [STILL] * 5,
+        [[8, 4, 2], [7.99999, 4, 2.0], [7.9, 4.000001, 1.9], [7.999995, 3.9, 0.000001]],
+        limits=(low, high),
+    )
+    # Surge at 8 but for 7.9: 3 of 4. Sway at 4, in force from the third sample: 1 of 4, 4.000001
+    # included. Yaw at 2 in the second sample, at the lower limit 0 in the fourth: 2 of 4.
+    assert [found[f"at_amplitude_{axis}"] for axis in FORCES] == [0.75, 0.25, 0.5]
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_an_increment_beyond_the_rate_is_a_violation(axis: int, side: float) -> None:
+    """The first increment counts from zero; one unit in the last place is rounding."""
+    du_max = [10.0, 5.0, 2.0][axis]
+    rounding = float(np.spacing([200.0, 50.0, 20.0][axis]))
+    for beyond, violations in ((0.0, 0), (rounding, 0), (1e-9, 1), (1.0, 1)):
+        force = list(STILL)
+        force[axis] = side * (du_max + beyond)
+        assert metrics_of([STILL] * 2, [force])["limit_violations"] == violations
+
+
+def test_a_step_beyond_several_limits_is_one_violation() -> None:
+    """Violations count steps, not axes or limits."""
+    found = metrics_of([STILL] * 4, [[11, 6, 3], [11, 6, 3], [30, 6, 0]])
+    assert found["limit_violations"] == 2.0
+    low, high = [[-9, -4, -1]] * 3, [[9, 4, 1]] * 3
+    forces = [[10, 5, 2], [9, 4, 1], [20, -10, -2]]
+    found = metrics_of([STILL] * 4, forces, limits=(low, high))
+    assert found["limit_violations"] == 2.0
+
+
+DROPPED = [
+    # before, upper limit now, force now, violations: 50 - 10 = 40 is what the rate leaves
+    (50.0, 10.0, 40.0, 0),
+    (50.0, 10.0, 40.001, 1),
+    (50.0, 45.0, 45.0, 0),
+    (50.0, 45.0, 44.0, 0),
+    (50.0, 45.0, 45.001, 1),
+    (50.0, 55.0, 55.0, 0),
+    (50.0, 55.0, 55.001, 1),
+    (50.0, 55.0, 55.0 + 8 * ULP, 1),
+]
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(("before", "limit", "now", "violations"), DROPPED)
+def test_a_limit_that_drops_leaves_what_the_rate_leaves(
+    side: float, before: float, limit: float, now: float, violations: int
+) -> None:
+    """A force beyond a limit that has just dropped must return at its full rate."""
+    raised = [[side * part, 0.0, 0.0] for part in (10.0, 20.0, 30.0, 40.0, before, now)]
+    high, low = [[100.0, 50.0, 20.0]] * 6, [[-200.0, -40.0, -20.0]] * 6
+    if side > 0:
+        high = [*high[:5], [limit, 50.0, 20.0]]
+    else:
+        low = [*low[:5], [-limit, -40.0, -20.0]]
+    found = metrics_of([STILL] * 7, raised, limits=(low, high))
+    assert found["limit_violations"] == violations
+
+
+runs = st.lists(
+    st.tuples(st.floats(-90.0, 90.0), st.floats(-35.0, 35.0), st.floats(-15.0, 15.0)),
+    min_size=2,
+    max_size=6,
+)
+
+
+@settings(derandomize=True, max_examples=25)
+@given(runs, st.integers(0, 4))
+def test_a_constant_force_adds_no_variation(
+    run: list[tuple[float, float, float]], pause: int
+) -> None:
+    """Constant forces leave total variation, cost and violations unchanged."""
+    forces = [list(force) for force in run]
+    held = forces + [forces[-1]] * pause
+    one = metrics_of([STILL] * (len(forces) + 1), forces)
+    other = metrics_of([STILL] * (len(held) + 1), held)
+    for name in ("total_variation", "closed_loop_cost"):
+        assert other[name] == pytest.approx(one[name])
+    assert other["limit_violations"] == one["limit_violations"]
+
+
+@settings(derandomize=True, max_examples=25)
+@given(runs)
+def test_forces_of_opposite_sign_have_the_same_figures(
+    run: list[tuple[float, float, float]],
+) -> None:
+    """The negated run has the same figures where the limits are symmetric."""
+    ship = round_ship()
+    both = replace(ship.vessel, tau_min=-ship.vessel.tau_max)
+    ship = replace(ship, vessel=both)
+    forces = np.array(run)
+    one, other = (
+        metrics_of([STILL] * (len(run) + 1), (sign * forces).tolist(), scenario=ship)
+        for sign in (1.0, -1.0)
+    )
+    assert other == pytest.approx(one, nan_ok=True)

@@ -1,0 +1,104 @@
+"""Columns and figures of a closed loop whose log is written by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dpbench import load_scenario
+from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
+from dpbench.bench.judge.rows import run_row, step_rows
+from dpbench.bench.judge.step_columns import StepColumns, step_columns
+from dpbench.bench.record.cell import Cell, Outcome
+from dpbench.bench.record.raw_log import TIMES, RawLog, loop_layout
+from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.scenario.scenario import scenario_of
+from dpbench.solvers.table import Availability
+from tests.bench.judge.known_runs import exact_loop
+
+STEPS, DONE = 4, 3
+NORTH = [0.0, 1.0, 2.0, 4.0, 99.0]
+"""Of a reference 2 m ahead: errors -2, -1, 0 at the samples of the three steps, 2 after them."""
+SURGE = [16e3, 16e3, 15e3]
+"""From the third sample on the most is 12.4 kN."""
+
+
+@pytest.fixture(scope="module")
+def judged() -> tuple[Evaluated, StepColumns, Cell]:
+    """Three of four planned steps of `calm` with a reference, and a fault at 0.6 s."""
+    calm = load_scenario("calm").files
+    changes = {
+        "reference": {"north_m": 2.0},
+        "faults": [{"at_s": 0.6, "limit_share": [0.01, 1.0, 1.0]}],
+        "duration_s": 0.3 * STEPS,
+    }
+    case = scenario_of(calm | {"scenario": calm["scenario"] | changes})
+    log = RawLog.in_memory(loop_layout(STEPS, *QPBuilder(case).sizes))
+    log.done[0] = DONE
+    log.state[:, 3] = NORTH
+    log.state[:, 0] = [0.5, 0.0, 1.0, 50.0, 50.0]
+    log.tau[:DONE, 0] = log.command[:DONE, 0] = SURGE
+    log.flags[:DONE] = [[1, 0, 0], [0, 1, 0], [0, 1, 1]]
+    log.times[:] = 0
+    log.times[0, :, TIMES.index("solve")] = [100, 200, 300, 400]
+    cell = Cell("closed_loop", case.files, "daqp", "native", "warm", "high", STEPS)
+    exact = exact_loop([[0.0, 0.0, 0.0]] * (STEPS + 1), [[1e3, 0.0, 0.0]] * STEPS)
+    evaluated = evaluate_log(cell, log, exact)
+    return evaluated, step_columns(cell, evaluated), cell
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("r_max_m", 2.0),
+        ("iae_n", 0.9),
+        # t = 0.3 s: 0.3·1·0.3
+        ("itae_n", 0.09),
+        # ½ (1 + 0 + 4) and ½ 1e-10 (16000² + 0 + 1000²)
+        ("closed_loop_cost", 2.5 + 0.01285),
+        # ½ 3·4 and ½ 1e-10·1000²
+        ("exact_cost", 6.0 + 0.00005),
+        # 0.5·16 kN and 1·15 kN of 0.3 s
+        ("work_J", 6900.0),
+        ("dev_position_max_m", 2.0),
+        ("dev_force_max_N", 15e3),
+        # From 16 kN the limit of 12.4 kN is within the rate of 32.7 kN
+        ("limit_violations", 1.0),
+        ("at_amplitude_surge", 1 / 3),
+        ("sample_s", 0.3),
+    ],
+)
+def test_figures_of_a_written_log(
+    name: str, value: float, judged: tuple[Evaluated, StepColumns, Cell]
+) -> None:
+    """Only steps that were done count, with the reference and the limits of their samples."""
+    assert judged[0].metrics[name] == pytest.approx(value)
+
+
+def test_columns_of_a_written_log(judged: tuple[Evaluated, StepColumns, Cell]) -> None:
+    """Each step has the state at its sample, and the force from there on."""
+    steps = step_rows("run", judged[1])
+    assert steps["k"].tolist() == [0, 1, 2]
+    assert steps["t_s"].tolist() == pytest.approx([0.0, 0.3, 0.6])
+    assert steps["n_m"].tolist() == [0.0, 1.0, 2.0]
+    assert steps["u_mps"].tolist() == [0.5, 0.0, 1.0]
+    assert steps["tau_x_N"].tolist() == steps["cmd_x_N"].tolist() == SURGE
+    assert steps["dtau_x_N"].tolist() == [16e3, 0.0, -1e3]
+    assert steps["fallback"].tolist() == [True, False, False]
+    assert steps["unconverged"].tolist() == [False, True, True]
+    assert steps["clipped"].tolist() == [False, False, True]
+    assert steps["total_ns"].tolist() == [100, 200, 300]
+    assert not steps["late"].any()
+
+
+def test_the_row_of_a_written_log(judged: tuple[Evaluated, StepColumns, Cell]) -> None:
+    """Three of four steps are done; the figures are those of the log."""
+    evaluated, steps, cell = judged
+    outcome, library = Outcome("timed_out", "stopped"), Availability(True)
+    row = run_row("run", cell, outcome, library, "", evaluated, steps)
+    assert (row["steps_planned"], row["steps_done"], row["raw_samples"]) == (STEPS, DONE, DONE)
+    assert (row["fallbacks"], row["unconverged"], row["clipped"]) == (1, 2, 1)
+    assert row["raw_max_ns"] == 300.0
+    assert row["closed_loop_cost"] == pytest.approx(2.51285)
+    assert pd.isna(row["raw_p99_ns"]) and np.isnan(row["raw_p50_ns"])

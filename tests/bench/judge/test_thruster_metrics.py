@@ -1,0 +1,234 @@
+"""Thrust, power, wear and limit figures of thrusters in runs worked by hand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from dpbench.bench.judge.thruster_metrics import shares_of_full, thruster_metrics
+from dpbench.mpc.thruster_rows import thruster_rows
+from dpbench.mpc.thrusters.azimuth_turning import AzimuthTurning
+from dpbench.scenario.commanded_thrusters import ThrusterControl
+from dpbench.scenario.scenario import Scenario
+from dpbench.ship.thrusters import Thruster, ThrusterSet
+from tests.bench.judge.known_runs import round_ship
+
+# Full thrusts 100, 25, 400 N; in a sample of 0.5 s an entry changes by 5, 5, 1.25, 20 N at most.
+THRUSTERS = ThrusterSet(
+    (
+        Thruster("azimuth", "azimuth", -10.0, 0.0, 100.0, 10.0),
+        Thruster("bow", "tunnel", 10.0, 0.0, 25.0, 10.0),
+        Thruster("main", "main", -10.0, 0.0, 400.0, 10.0, astern=0.5),
+    )
+)
+# With four sides the azimuth is limited by |X| + |Y| ≤ 100 N.
+ROWS = thruster_rows(THRUSTERS, 4)
+BOW = 2
+"""Row of the tunnel thruster, behind the two rows of the azimuth."""
+Forces = Sequence[Sequence[float]]
+
+
+def ship(turning: AzimuthTurning | None = None) -> Scenario:
+    """Return the ship of round numbers with these thrusters."""
+    return round_ship(steered=ThrusterControl(THRUSTERS, ROWS, np.eye(4), turning))
+
+
+def metrics_of(
+    f: Forces,
+    low: np.ndarray | None = None,
+    high: np.ndarray | None = None,
+    turning: AzimuthTurning | None = None,
+) -> dict[str, float]:
+    """Return the metrics of a run, by default with the limits of the intact thrusters.
+
+    The tables of limits are one sample longer than the run, with limits of zero there.
+    """
+    sides = ROWS.low if low is None else low, ROWS.high if high is None else high
+    tables = [np.vstack([np.broadcast_to(s, (len(f), 4)), np.zeros((1, 4))]) for s in sides]
+    return thruster_metrics(ship(turning), np.array(f, dtype=float), (tables[0], tables[1]))
+
+
+def test_shares_of_full_thrust_and_power() -> None:
+    """Forces of 25, 16 and 81 N of 100, 25 and 400 N have powers of 125, 64 and 729."""
+    f = [[15, -20, -16, 81], [0, 0, 0, 0]]
+    of_steps = shares_of_full(ship(), np.array(f, dtype=float))
+    # 122/525, and 918 of 1000 + 125 + 8000
+    assert of_steps["thrust_share"] == pytest.approx([122 / 525, 0.0])
+    assert of_steps["power_share"] == pytest.approx([918 / 9125, 0.0])
+    found = metrics_of(f)
+    assert found["thrust_share"] == pytest.approx(61 / 525)
+    assert found["power_share"] == pytest.approx(459 / 9125)
+
+
+def test_full_thrust_is_a_share_of_one() -> None:
+    """All thrusters at their largest force have shares of 1."""
+    found = metrics_of([[100, 0, 25, 400]])
+    assert found["thrust_share"] == found["power_share"] == pytest.approx(1.0)
+
+
+def test_wear_is_the_change_of_every_entry() -> None:
+    """The variation is 0.15 + 0.2 + 0.64 + 0.2025 up, and 0.99 down again."""
+    found = metrics_of([[15, -20, -16, 81], [0, 0, 0, 81]])
+    assert found["thrust_variation"] == pytest.approx(1.1925 + 0.99)
+
+
+@pytest.mark.parametrize(
+    ("azimuth", "travel_deg"),
+    [
+        # From nothing to any direction, and from below 1 N: no travel
+        ([[10, 0], [10, 0]], 0.0),
+        ([[10, 0], [0, 10]], 90.0),
+        ([[10, 0], [0, -10], [0, -20], [-3, -3]], 135.0),
+        # Past 180° the short way round: 150° to 210°
+        ([[-math.sqrt(3), 1], [-math.sqrt(3), -1]], 60.0),
+        ([[10, 0], [0, 0.9], [-10, 0]], 0.0),
+        # Exactly 1 % of the full thrust is not yet pushing
+        ([[10, 0], [0, 1.0]], 0.0),
+        ([[10, 0], [0, 1.001]], 90.0),
+        ([[0, 1.0], [10, 0]], 0.0),
+        ([[10, 0], [-10, 0]], 180.0),
+    ],
+)
+def test_travel_of_an_azimuth_while_it_pushes(azimuth: Forces, travel_deg: float) -> None:
+    """Only angles between forces above 1 % of the full thrust count."""
+    found = metrics_of([[*force, 0, 0] for force in azimuth])
+    assert found["azimuth_travel_deg"] == pytest.approx(travel_deg)
+    assert found["thrust_reversals"] == 0.0
+
+
+def test_travel_of_all_azimuths_is_added_up() -> None:
+    """The sum is 90° of one azimuth and 180° of another."""
+    names = ("port", "starboard", "bow")
+    arms = zip(names, (-5.0, 5.0, 0.0), strict=True)
+    three = ThrusterSet(tuple(Thruster(n, "azimuth", 9.0, y, 100.0, 10.0) for n, y in arms))
+    control = ThrusterControl(three, thruster_rows(three, 4), np.eye(6))
+    f = np.array([[10.0, 0, 0, 10, 5, 0], [0, 10, 10, 0, 5, 0], [0, 10, 0, -10, 5, 0]])
+    tables = np.full((3, 6), -1e3), np.full((3, 6), 1e3)
+    found = thruster_metrics(round_ship(steered=control), f, tables)
+    assert found["azimuth_travel_deg"] == pytest.approx(270.0)
+
+
+def test_reversals_of_thrusters_without_an_azimuth() -> None:
+    """Changes of sign count between forces above 1 % of the full thrust."""
+    bow = [10, 0.1, 10, -0.25, -10, 0.2, -5, 5]
+    main = [-9, -9, 4, 9, 3, -4.1, -9, -9]
+    # Tunnel + + - - +: 2. Main - - + + - - - with 4 N and 3 N left out: 2.
+    found = metrics_of([[0, 0, b, m] for b, m in zip(bow, main, strict=True)])
+    assert found["thrust_reversals"] == 4.0
+    assert found["azimuth_travel_deg"] == 0.0
+
+
+def test_share_of_steps_at_a_rate_limit() -> None:
+    """One entry within 1e-6 of its largest increment is enough."""
+    found = metrics_of(
+        [
+            [5.0, 0, 0, 0],
+            [5.0, -4.9999951, 0, 0],
+            [5.0, -4.9999951, 1.2499975, 0],
+            [5.0, -4.9999951, 1.2499975, -20],
+        ]
+    )
+    assert found["at_rate_thrusters"] == 0.75
+
+
+def test_share_of_steps_at_a_side_of_a_limit() -> None:
+    """A force within 1e-6 increments of either side of a row is at its limit."""
+    near = 2.5e-6
+    assert metrics_of([[60, 40, 0, 0]])["at_limit_thrusters"] == 1.0
+    assert metrics_of([[60, 39.9, 0, 0]])["at_limit_thrusters"] == 0.0
+    assert metrics_of([[-50, -50, 0, 0]])["at_limit_thrusters"] == 1.0
+    # Within 1e-6 of the increment of 1.25 N, and 2.5e-6 N away
+    inside = [[0, 0, 25 - 1.2e-6, 0], [0, 0, 25 - near, 0], [0, 0, -25, 0], [0, 0, 0, -200]]
+    assert metrics_of(inside)["at_limit_thrusters"] == 0.75
+
+
+def test_a_lost_thruster_is_at_no_limit() -> None:
+    """Zero force of a thruster whose limits are zero is not at a limit."""
+    low, high = ROWS.without({1})
+    assert metrics_of([[0, 0, 0, 0], [0, 0, 0, 0]], low, high)["at_limit_thrusters"] == 0.0
+    assert metrics_of([[0, 0, 0, 400], [0, 0, 0, 0]], low, high)["at_limit_thrusters"] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("step", "violations"),
+    [
+        ([5.0, -5.0, 1.25, -20.0], 0),
+        ([5.0 + 1e-6, 0, 0, 0], 1),
+        ([0, -5.0 - 1e-6, 0, 0], 1),
+        ([0, 0, -1.25 - 1e-6, 0], 1),
+        ([0, 0, 0, 20.0 + 1e-6], 1),
+        # 1e-12 of an increment is rounding
+        ([5.0 * (1 + 5e-13), 0, 0, 0], 0),
+        ([6.0, 6.0, 2.0, 30.0], 1),
+    ],
+)
+def test_an_increment_beyond_the_rate_is_a_violation(step: list[float], violations: int) -> None:
+    """The first increment counts from zero; a step counts once."""
+    assert metrics_of([step])["limit_violations"] == violations
+
+
+def ramped(to: float, increment: float) -> list[list[float]]:
+    """Return forces of the tunnel thruster that rise from zero by one increment a sample."""
+    steps = round(abs(to) / increment)
+    return [[0, 0, math.copysign(increment * (i + 1), to), 0] for i in range(steps)]
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(("last", "violations"), [(25.0, 0), (25.0 + 1e-6, 1), (25.5, 1)])
+def test_a_force_beyond_its_own_limit_is_a_violation(
+    side: float, last: float, violations: int
+) -> None:
+    """The tunnel thruster gives at most 25 N."""
+    run = [*ramped(side * 25.0, 1.25), [0, 0, side * last, 0]]
+    assert metrics_of(run)["limit_violations"] == violations
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("limit", "last", "violations"),
+    [
+        # From 10 N, 8 increments, the way back is 0.9 of an increment: 10 - 0.9·1.25 = 8.875
+        (5.0, 8.875, 0),
+        (5.0, 8.8751, 1),
+        (5.0, 9.5, 1),
+        (5.0, 8.75, 0),
+        # A limit that is reachable holds as it is
+        (9.5, 9.5, 0),
+        (9.5, 9.51, 1),
+        # Lost: the same way back
+        (0.0, 8.875, 0),
+        (0.0, 8.8751, 1),
+    ],
+)
+def test_a_limit_that_drops_leaves_the_way_back(
+    side: float, limit: float, last: float, violations: int
+) -> None:
+    """A force beyond a limit that has just dropped may return at 0.9 of its rate."""
+    run = [*ramped(side * 10.0, 1.25), [0, 0, side * last, 0]]
+    low, high = (np.tile(of_rows, (len(run), 1)) for of_rows in (ROWS.low, ROWS.high))
+    low[-1, BOW], high[-1, BOW] = -limit, limit
+    assert metrics_of(run, low, high)["limit_violations"] == violations
+
+
+def test_a_step_beyond_several_limits_is_one_violation() -> None:
+    """Violations count steps, not thrusters or limits."""
+    run = [[0, 0, 1.25 * i, 20.0 * i] for i in range(1, 6)]
+    run.append([0, 0, 6.25, 100])
+    low, high = (np.tile(of_rows, (6, 1)) for of_rows in (ROWS.low, ROWS.high))
+    low[-1, BOW:], high[-1, BOW:] = -1.0, 1.0
+    assert metrics_of(run, low, high)["limit_violations"] == 1.0
+    run[-1] = [0, 0, 9.0, 100]
+    assert metrics_of(run, low, high)["limit_violations"] == 1.0
+
+
+@pytest.mark.parametrize(("across", "violations"), [(1.0, 0), (1.1, 1), (-1.0, 0), (-1.1, 1)])
+def test_an_azimuth_that_turns_too_fast_is_a_violation(across: float, violations: int) -> None:
+    """An azimuth at 50 N that turns by 0.02 rad a sample moves across by at most 1 N."""
+    run = [[5.0 * (i + 1), 0, 0, 0] for i in range(10)]
+    run.append([50.0, across, 0, 0])
+    slow = AzimuthTurning(np.array([0]), np.array([0.02]), np.array([5.0]))
+    assert metrics_of(run, turning=slow)["limit_violations"] == violations
+    assert metrics_of(run)["limit_violations"] == 0.0

@@ -1,0 +1,170 @@
+"""Applied forces and moves of the fallback, worked by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dpbench import condense, load_scenario
+from dpbench.bench.record.cell import Fallback
+from dpbench.bench.run.fallback import FallbackLaw, ThrusterLimit, limit_move, limit_of
+from dpbench.mpc.condensed_qp import CondensedQP
+from dpbench.mpc.thruster_rows import thruster_rows
+from dpbench.scenario.scenario import Scenario
+from dpbench.ship.thrusters import Thruster, ThrusterSet
+
+LIMITED = [
+    # force before, move, lower limit, upper limit: force applied (Δu_max is 10)
+    (0.0, 4.0, -50.0, 80.0, 4.0),
+    (0.0, 10.0, -50.0, 80.0, 10.0),
+    (0.0, 11.0, -50.0, 80.0, 10.0),
+    (0.0, -99.0, -50.0, 80.0, -10.0),
+    # Both limits
+    (75.0, 9.0, -50.0, 80.0, 80.0),
+    (-45.0, -9.0, -50.0, 80.0, -50.0),
+    (-45.0, -5.0, -50.0, 80.0, -50.0),
+    (-45.0, -4.5, -50.0, 80.0, -49.5),
+    # A limit that has dropped beyond what the rate allows, on either side
+    (80.0, 5.0, -50.0, 60.0, 70.0),
+    (80.0, -10.0, -50.0, 60.0, 70.0),
+    (-50.0, -5.0, -20.0, 80.0, -40.0),
+    (-50.0, 3.0, -20.0, 80.0, -40.0),
+    (-50.0, 10.0, -20.0, 80.0, -40.0),
+    # One that has dropped within it
+    (80.0, 0.0, -50.0, 75.0, 75.0),
+    (-50.0, 0.0, -45.0, 80.0, -45.0),
+    # No force at all any more
+    (-4.0, -4.0, 0.0, 0.0, 0.0),
+    (4.0, 4.0, 0.0, 0.0, 0.0),
+]
+
+
+def limited(
+    u: list[float], du: list[float], low: list[float], high: list[float]
+) -> tuple[list[float], bool]:
+    """Return the applied force for Δu_max = 10, and whether the move was clipped."""
+    applied = np.full(len(u), np.nan)
+    vectors = (np.array(vector, dtype=float) for vector in (u, du, low, high))
+    clipped = limit_move(np.full(len(u), 10.0), *vectors, applied)
+    return applied.tolist(), bool(clipped)
+
+
+@pytest.mark.parametrize(("u", "du", "low", "high", "applied"), LIMITED)
+def test_rate_first_then_amplitude_on_both_sides(
+    u: float, du: float, low: float, high: float, applied: float
+) -> None:
+    """The rate limit has priority over the amplitude limits on both sides."""
+    assert limited([u], [du], [low], [high]) == ([applied], applied != u + du)
+
+
+def test_every_axis_has_its_own_limits() -> None:
+    """One clipped axis marks the whole move as clipped."""
+    low, high = [-50.0] * 3, [80.0] * 3
+    assert limited([0, 75, -45], [3, 9, -9], low, high) == ([3.0, 80.0, -50.0], True)
+    assert limited([75, 0, 0], [9, 3, -3], low, high) == ([80.0, 3.0, -3.0], True)
+    assert limited([70, 0, 0], [9, 3, -3], low, high) == ([79.0, 3.0, -3.0], False)
+
+
+def test_a_cut_within_rounding_is_not_marked() -> None:
+    """A cut of 9e-9 of 10 ends on the limit and is not marked as clipped."""
+    assert limited([70.0], [10.0 + 9e-9], [-50.0], [80.0]) == ([80.0], False)
+    assert limited([70.0], [10.0 + 2e-8], [-50.0], [80.0]) == ([80.0], True)
+
+
+# 400 N ahead, 200 N astern, 20 N a sample; two tunnel thrusters of 50 N, 5 N a sample.
+THRUSTERS = ThrusterSet(
+    (
+        Thruster("main", "main", 0.0, 0.0, 400.0, 10.0, astern=0.5),
+        Thruster("bow", "tunnel", 10.0, 0.0, 50.0, 5.0),
+        Thruster("stern", "tunnel", -10.0, 0.0, 50.0, 5.0),
+    )
+)
+ROWS = thruster_rows(THRUSTERS, 4)
+
+
+@pytest.mark.parametrize(
+    ("f", "df", "lost", "applied"),
+    [
+        ([0, 0, 0], [20, -5, 4], set(), [20, -5, 4]),
+        ([0, 0, 0], [-99, 99, 4], set(), [-20, 5, 4]),
+        # The limit ahead and the one astern, which is nearer
+        ([395, 48, -48], [20, 5, -5], set(), [400, 50, -50]),
+        ([-195, 0, 0], [-20, 0, 0], set(), [-200, 0, 0]),
+        ([-195, 0, 0], [-4, 0, 0], set(), [-199, 0, 0]),
+        # The main propeller is lost at 5 increments, a share of 0.5 astern and 0.25 ahead: its
+        # limits close in by 0.9 of an increment. A full one is nearer, and allowed.
+        ([-100, 9, 0], [0, 1, 0], {0}, [-82, 10, 0]),
+        ([-100, 9, 0], [-20, 1, 0], {0}, [-82, 10, 0]),
+        ([-100, 9, 0], [50, 1, 0], {0}, [-80, 10, 0]),
+        ([-100, 9, 0], [19, 1, 0], {0}, [-81, 10, 0]),
+        ([100, 9, 0], [0, 1, 0], {0}, [82, 10, 0]),
+        ([100, 9, 0], [-19, 1, 0], {0}, [81, 10, 0]),
+        # What is less than an increment is gone at once
+        ([-15, 0, 0], [-20, 0, 0], {0}, [0, 0, 0]),
+        ([0, 4, 0], [0, 3, 0], {1}, [0, 0, 0]),
+    ],
+)
+def test_every_thruster_is_limited_as_a_whole(
+    f: list[float], df: list[float], lost: set[int], applied: list[float]
+) -> None:
+    """Each thruster has its own rate and limits; a lost one returns to zero."""
+    found, move = np.full(3, np.nan), np.array(df, dtype=float)
+    limit = ThrusterLimit(ROWS, THRUSTERS.step_max(0.5))
+    clipped = limit(np.array(f, dtype=float), move, *ROWS.without(lost), found)
+    np.testing.assert_allclose(found, applied, atol=1e-6)
+    assert clipped is (applied != [a + b for a, b in zip(f, df, strict=True)])
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    return load_scenario("calm")
+
+
+@pytest.fixture(scope="module")
+def builder(scenario: Scenario) -> CondensedQP:
+    return condense(scenario)
+
+
+def test_a_controller_of_forces_limits_axis_by_axis(builder: CondensedQP) -> None:
+    """The largest increments are 32 736 N, 11 008 N and 475 200 N·m."""
+    applied = np.empty(3)
+    low, high = np.full(3, -1e9), np.full(3, 1e9)
+    assert limit_of(builder)(np.zeros(3), np.full(3, -1e8), low, high, applied)
+    np.testing.assert_allclose(applied, [-32736.0, -11008.0, -475200.0])
+
+
+def moves_of(kind: Fallback, builder: CondensedQP, steps: int) -> list[list[float]]:
+    """Return the moves without an answer after a plan of 1, 2, 3, 4, 5 in surge."""
+    law = FallbackLaw(kind, builder)
+    plan = np.zeros((5, 3))
+    plan[:, 0] = [1.0, 2.0, 3.0, 4.0, 5.0]
+    assert law.remember(plan).tolist() == [1.0, 0.0, 0.0]
+    assert not law.acted
+    still = np.zeros(9), np.zeros(3), np.zeros(3)
+    moves = [law.move(*still).tolist() for _ in range(steps)]
+    assert law.acted
+    return moves
+
+
+def test_the_shifted_plan_is_followed_to_its_end(builder: CondensedQP) -> None:
+    """The fallback continues with the second planned move and holds after the last."""
+    moves = moves_of("shifted_plan", builder, 6)
+    assert [move[0] for move in moves] == [2.0, 3.0, 4.0, 5.0, 0.0, 0.0]
+
+
+def test_hold_moves_nothing(builder: CondensedQP) -> None:
+    """The force stays as it is, whatever the plan was."""
+    assert moves_of("hold", builder, 2) == [[0.0] * 3] * 2
+
+
+def test_clip_is_the_first_move_of_the_unconstrained_optimum(scenario: Scenario) -> None:
+    """The move is the first three entries of −P⁻¹ q of the QP in N and N·m."""
+    si = condense(replace(scenario, N_p=6, N_c=2), units="si")
+    x, y_ref = np.array([0.1, -0.2, 0.01, 0.02, 0.03, 0.004, 1.5, -2.0, 0.3]), np.ones(3)
+    step = si.emit(x, y_ref, np.zeros(3))
+    expected = -np.linalg.solve(si.problem(step).P, step.q)[:3]
+    law = FallbackLaw("clip", si)
+    np.testing.assert_allclose(law.move(x, y_ref, np.zeros(3)), expected, rtol=1e-9)
+    assert law.acted

@@ -1,0 +1,87 @@
+"""Outcomes of processes killed by SIGKILL, with and without want of memory."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from dpbench.bench.record.cell import Outcome
+from dpbench.bench.workers import child as supervise
+from dpbench.bench.workers.child import Child
+from dpbench.bench.workers.notice import AtWork
+
+VMSTAT = """nr_free_pages 1137
+pgfault 5512
+oom_kill_disable 9
+oom_kill {kills}
+drop_pagecache 4
+"""
+BY_MEMORY = "killed by SIGKILL, as by the out-of-memory killer"
+
+
+class Ended:
+    """A process that has ended with an exit code."""
+
+    pid = None
+
+    def __init__(self, exitcode: int) -> None:
+        self.exitcode = exitcode
+
+    def join(self, timeout: float | None = None) -> None:
+        """Return at once."""
+
+
+@pytest.fixture
+def vmstat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A file of the test in place of /proc/vmstat."""
+    path = tmp_path / "vmstat"
+    path.write_text(VMSTAT.format(kills=3), encoding="ascii")
+
+    def opened(name: str) -> Path:
+        assert name == "/proc/vmstat"
+        return path
+
+    monkeypatch.setattr(supervise, "Path", opened)
+    monkeypatch.setattr(supervise, "_start", lambda process, notice: None)
+    return path
+
+
+def killed(folder: Path, number: int, who: AtWork = AtWork.SOLVER) -> Child:
+    """Return a child killed by a signal while `who` was at work."""
+    context = SimpleNamespace(Process=lambda **_: Ended(-number))
+    child = Child(cast(Any, context), print, (), folder, "cell", limit_s=None)
+    child.notice.post(who)
+    return child
+
+
+@pytest.mark.parametrize("who", [AtWork.SOLVER, AtWork.OPENING, AtWork.HARNESS])
+def test_a_kill_for_want_of_memory_is_lost(who: AtWork, vmstat: Path, tmp_path: Path) -> None:
+    """A higher count of the kernel makes the outcome `lost`, whoever was at work."""
+    child = killed(tmp_path, signal.SIGKILL, who)
+    vmstat.write_text(VMSTAT.format(kills=4), encoding="ascii")
+    assert child.outcome() == Outcome("lost", BY_MEMORY)
+
+
+def test_a_kill_without_want_of_memory_is_a_crash(vmstat: Path, tmp_path: Path) -> None:
+    """An unchanged count of the kernel makes the outcome `crashed`."""
+    child = killed(tmp_path, signal.SIGKILL)
+    assert child.outcome() == Outcome("crashed", "killed by SIGKILL")
+
+
+def test_another_signal_is_a_crash_whatever_the_memory(vmstat: Path, tmp_path: Path) -> None:
+    """The kernel kills for want of memory by SIGKILL only."""
+    child = killed(tmp_path, signal.SIGSEGV)
+    vmstat.write_text(VMSTAT.format(kills=4), encoding="ascii")
+    assert child.outcome() == Outcome("crashed", "killed by SIGSEGV")
+
+
+def test_a_kernel_that_does_not_count_leaves_a_kill_lost(vmstat: Path, tmp_path: Path) -> None:
+    """A kill without a counter or without its file is not charged to the solver."""
+    vmstat.write_text("nr_free_pages 1137\n", encoding="ascii")
+    assert killed(tmp_path, signal.SIGKILL).outcome() == Outcome("lost", BY_MEMORY)
+    vmstat.unlink()
+    assert killed(tmp_path, signal.SIGKILL).outcome() == Outcome("lost", BY_MEMORY)
