@@ -220,3 +220,13 @@ def test_an_interval_is_as_wide_as_the_error_of_the_mean() -> None:
     assert np.log(found.value) == pytest.approx(0.1)
     assert np.log(found.value / found.low) == pytest.approx(reach, rel=0.1)
     assert np.log(found.high / found.value) == pytest.approx(reach, rel=0.1)
+
+
+def test_a_block_has_one_step_at_least() -> None:
+    """No block is shorter; steps drawn one by one are the ordinary bootstrap."""
+    np.testing.assert_array_equal(block_indices(7, 0, 5, 1), block_indices(7, 1, 5, 1))
+    values = np.arange(7.0)
+    np.testing.assert_array_equal(
+        resampled_means(values, 0, 5, 1), resampled_means(values, 1, 5, 1)
+    )
+    assert np.unique(np.diff(block_indices(7, 1, 50, 1), axis=1) % 7).size == 7
