@@ -80,7 +80,6 @@ class Count:
 
     target: str
     outcomes: Counter[str] = field(default_factory=Counter)
-    survivors: list[Mutant] = field(default_factory=list)
     seconds: float = 0.0
 
     @property
@@ -213,7 +212,7 @@ def _outcome(limit_s: float, arguments: list[str], mutant: Mutant | None = None)
 
 
 def run(target: str, tests: str, sample: int | None, seed: int) -> Count:
-    """Plant mutants in one target and count those that its tests kill."""
+    """Plant mutants in one target, print those that survive its tests and count all."""
     began = time.monotonic()
     files = sorted((ROOT / target).glob("*.py")) or [ROOT / target]
     if any("@njit" in path.read_text(encoding="utf-8") for path in files):
@@ -234,13 +233,12 @@ def run(target: str, tests: str, sample: int | None, seed: int) -> Count:
         outcome = _outcome(limit_s, [str(mirror)] * mirror.is_file() + [tests], mutant)
         count.outcomes[outcome] += 1
         if outcome == "survived":
-            count.survivors.append(mutant)
+            print(mutant, flush=True)
         found = TestOutcome.SURVIVED if outcome == "survived" else TestOutcome.KILLED
         results.append((mutant.job, WorkResult(WorkerOutcome.NORMAL, outcome, found, str(mutant))))
     with use_db(_session(target), WorkDB.Mode.open) as session:
         for result in results:
             session.set_result(*result)
-    count.survivors.sort(key=lambda mutant: (mutant.path, mutant.line))
     count.seconds = time.monotonic() - began
     return count
 
@@ -264,7 +262,7 @@ def main() -> int:
     options = parser.parse_args()
     targets = {file.rstrip("/"): _tests_of(file.rstrip("/")) for file in options.files} or TARGETS
     sample = None if options.all else options.sample
-    spawn, counts = multiprocessing.get_context("spawn"), []
+    spawn = multiprocessing.get_context("spawn")
     with (
         tempfile.TemporaryDirectory() as folder,
         ProcessPoolExecutor(options.jobs, spawn, max_tasks_per_child=1) as pool,
@@ -273,9 +271,7 @@ def main() -> int:
         runs = [
             pool.submit(run, file, tests, sample, options.seed) for file, tests in targets.items()
         ]
-        for one in runs:
-            counts.append(one.result())
-            print(*counts[-1].survivors, sep="\n", flush=True)
+        counts = [one.result() for one in runs]
     print(f"\n{'module':40} mutants  killed  survived  timed out  share  seconds")
     print(*counts, sep="\n")
     return int(any(count.share < LEAST_SHARE for count in counts))
