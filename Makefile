@@ -26,7 +26,7 @@ export MKL_NUM_THREADS := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: setup environments bench full test test-fast test-core test-lowest test-casadi lint docs bench-ci bench-compare vendored report clean clean-results help
+.PHONY: setup environments bench full test test-fast test-core test-lowest test-casadi mutants lint docs bench-ci bench-compare vendored report clean clean-results help
 
 setup: $(STAMP) ## make .venv with all solvers and the development tools
 
@@ -79,6 +79,11 @@ test-casadi: setup ## run the tests of the solvers whose library is an extra (HP
 	$(BIN)/python -m pip install --quiet --no-deps --upgrade --target $(CASADI) 'casadi>=3.7'
 	PYTHONPATH=$(CASADI) $(BIN)/python -m pytest $(SIDE_BY_SIDE) tests/solvers tests/bench/run/test_sparse_bar.py \
 	    -k "hpipm or qpoases"
+
+# Which file and how many: MUTANTS='dpbench/qp/residuals.py --all'.
+mutants: setup ## plant a sample of faults and check that the quick tests find 90 % (some ten minutes)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[mutants]'
+	$(BIN)/python -m tests.mutants $(MUTANTS)
 
 lint: setup ## ruff, mypy --strict, import floors
 	$(BIN)/ruff check .

@@ -16,8 +16,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpbench.errors import InputError, ShapeError
-from dpbench.mpc.condense import ControlProblem, condense_matrices
+from dpbench.mpc.condense import (
+    ControlProblem,
+    affine_map,
+    condense_matrices,
+    scaled_rows,
+    summed_moves,
+    summed_rows,
+)
 from dpbench.mpc.condensed_qp import CondensedQP
+from dpbench.mpc.model import StateSpace
+from dpbench.mpc.thruster_rows import ThrusterRows
 
 RELATIVE = 1e-11
 
@@ -203,3 +212,106 @@ def test_unknown_units_are_refused(ship: Any) -> None:
     """Units are "scaled" or "si" and nothing else."""
     with pytest.raises(InputError, match='\'SI\'; allowed: "scaled" or "si"'):
         CondensedQP(ship("supply_fs99"), units="SI")  # type: ignore[arg-type] # bad on purpose
+
+
+def small_thrusters() -> ControlProblem:
+    """One state driven by two forces, limited along (0.6, 0.8) and (0, 1); two of three moves."""
+    rows = ThrusterRows(
+        np.array([[0.6, 0.8], [0.0, 1.0]]),
+        np.array([-2.0, -3.0]),
+        np.array([4.0, 5.0]),
+        np.array([0, 1]),
+        np.array([0, 1]),
+    )
+    model = StateSpace([[1.0]], [[1.0, 2.0]], [[1.0]])
+    weights = np.eye(1), np.diag([7.0, 11.0])
+    limits = rows.low, rows.high, np.array([5.0, 10.0])
+    return ControlProblem(model, 3, 2, *weights, *limits, thrusters=rows)
+
+
+def test_rows_of_thrusters_by_hand() -> None:
+    """A full step (5, 10) moves the first row by √(3² + 8²), the second by 10: their units."""
+    problem = small_thrusters()
+    unit = np.sqrt(73.0)
+    np.testing.assert_array_equal(problem.G, [[0.6, 0.8], [0.0, 1.0]])
+    np.testing.assert_allclose(problem.row_max, [unit, 10.0], rtol=1e-15)
+    np.testing.assert_array_equal(scaled_rows(problem, "si"), problem.G)
+    expected = [[3.0 / unit, 8.0 / unit], [0.0, 1.0]]
+    np.testing.assert_allclose(scaled_rows(problem, "scaled"), expected, rtol=1e-15)
+    # Both forces of the second move are those of the first one and its own.
+    both = [[0.6, 0.8, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.6, 0.8, 0.6, 0.8], [0.0, 1.0, 0.0, 1.0]]
+    np.testing.assert_array_equal(summed_rows(2, problem.G), both)
+    ones = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 1.0]]
+    np.testing.assert_array_equal(summed_moves(2, 2), ones)
+
+
+def test_without_thrusters_the_rows_are_the_forces(ship: Any) -> None:
+    """In either unit, as limits and moves have the same unit."""
+    problem = ship("supply_fs99")
+    for units in ("scaled", "si"):
+        np.testing.assert_array_equal(scaled_rows(problem, units), np.eye(3))
+    assert problem.row_max is problem.du_max
+
+
+def test_a_small_problem_by_hand() -> None:
+    """x⁺ = x + f1 + 2 f2: outputs after the first move see it thrice, after the second twice.
+
+    Φ = [h 0; h h; h h] of h = (1, 2), so E = ΦᵀΦ + R̄ with 3, 2, 2 and 2 times hᵀh, and
+    F_k = Φᵀ(x − y_d) of 3 and 2 times hᵀ.
+    """
+    matrices = condense_matrices(small_thrusters())
+    h, zero = [1.0, 2.0], [0.0, 0.0]
+    np.testing.assert_array_equal(matrices.Phi, [[*h, *zero], [*h, *h], [*h, *h]])
+    expected = np.kron([[3.0, 2.0], [2.0, 2.0]], np.outer(h, h)) + np.diag([7.0, 11.0] * 2)
+    np.testing.assert_array_equal(matrices.E, expected)
+    np.testing.assert_array_equal(matrices.F_x[:, 0], [3.0, 6.0, 2.0, 4.0])
+    np.testing.assert_array_equal(matrices.F_held, -matrices.F_x)
+    np.testing.assert_array_equal(matrices.F_y, -matrices.Phi.T)
+    assert matrices.F_u.shape == (4, 0)
+    assert matrices.end is None
+
+
+def test_a_weight_of_the_forces_by_hand() -> None:
+    """½ Σ fᵀ W f of two moves: the first one counts in both forces, the second in the last."""
+    problem = small_thrusters()
+    W = np.array([[2.0, 1.0], [1.0, 5.0]])
+    plain, weighed = condense_matrices(problem), condense_matrices(replace(problem, W=W))
+    np.testing.assert_array_equal(weighed.E - plain.E, np.kron([[2.0, 1.0], [1.0, 1.0]], W))
+    np.testing.assert_array_equal(weighed.F_u, np.kron([[2.0], [1.0]], W))
+    np.testing.assert_array_equal(weighed.F_x, plain.F_x)
+    with pytest.raises(ShapeError):
+        replace(problem, W=np.eye(3))
+
+
+@pytest.mark.parametrize(("units", "unit"), [("si", (1.0, 1.0)), ("scaled", (5.0, 10.0))])
+def test_the_affine_map_by_hand(units: Any, unit: tuple[float, float]) -> None:
+    """q of θ = [x; y_ref; f; 1] in the units of the moves, l and u in those of the rows."""
+    W = np.diag([2.0, 5.0])
+    problem = replace(small_thrusters(), W=W)
+    Z = affine_map(problem, condense_matrices(problem), units)
+    row = np.array([1.0, 1.0]) if units == "si" else np.array([np.sqrt(73.0), 10.0])
+    linear = np.array([3.0, 6.0, 2.0, 4.0])
+    of_force = [[4.0, 0.0], [0.0, 10.0], [2.0, 0.0], [0.0, 5.0]]
+    q = np.column_stack((linear, -linear, of_force, np.zeros(4))) * np.tile(unit, 2)[:, np.newaxis]
+    lower, upper = (
+        np.column_stack((np.zeros((2, 2)), [[-0.6, -0.8], [0.0, -1.0]], limit)) / row[:, np.newaxis]
+        for limit in (problem.u_min, problem.u_max)
+    )
+    np.testing.assert_allclose(Z, np.vstack((q, lower, lower, upper, upper)), rtol=1e-15)
+
+
+def test_as_many_moves_as_steps_are_allowed_and_one_at_least() -> None:
+    """1 ≤ N_c ≤ N_p, both ends included."""
+    problem = small_thrusters()
+    for N_p, N_c in ((1, 1), (3, 3), (3, 1)):
+        matrices = condense_matrices(replace(problem, N_p=N_p, N_c=N_c))
+        assert matrices.Phi.shape == (N_p, 2 * N_c)
+    for N_p, N_c in ((3, 4), (3, 0), (0, 0)):
+        with pytest.raises(InputError, match="N_c"):
+            replace(problem, N_p=N_p, N_c=N_c)
+
+
+def test_a_terminal_cost_has_one_of_two_names() -> None:
+    """Another name is refused with those there are."""
+    with pytest.raises(InputError, match='"none" or "riccati"'):
+        replace(small_thrusters(), terminal="lqr")  # type: ignore[arg-type] # bad on purpose

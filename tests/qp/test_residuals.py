@@ -236,3 +236,119 @@ def test_slacks_are_no_error_of_a_move_or_a_plan() -> None:
     assert error_of(z, optimum, 0, moves=3) == error_of(z, optimum, 3)[:1] * 2
     z[1] = np.nan
     assert error_of(z, optimum, 2, moves=1) == (INF, INF)
+
+
+@pytest.mark.parametrize(("off_middle", "error"), [(0.45e-6, 0.5e-3 + 0.45e-6), (0.55e-6, 1.0)])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_multiplier_may_name_either_limit_of_an_equality_like_row(
+    sign: float, off_middle: float, error: float
+) -> None:
+    """On a row 1e-3 wide the far limit counts in full from 1e-6 nearer to the other one on.
+
+    z stands `off_middle` beyond the middle, away from the limit that the sign names, so the other
+    one is nearer by twice as much; below that the error is the slack to the limit named.
+    """
+    one = np.ones((1, 1))
+    qp = QuadraticProgram(one, [0.0], one, [-0.5e-3], [0.5e-3], [-INF], [INF])
+    found = residuals(qp, _answer(np.array([-sign * off_middle]), [sign], [0.0]))
+    assert found.complementarity == pytest.approx(error, rel=1e-9)
+
+
+def test_a_far_slack_beyond_one_counts_in_full() -> None:
+    """The slack of a multiplier on the wrong side counts as at least 1, and as itself beyond."""
+    one = np.ones((1, 1))
+    qp = QuadraticProgram(one, [0.0], one, [-0.25], [4.0], [-INF], [INF])
+    answer = _answer(np.zeros(1), [2.0], [0.0])
+    assert residuals(qp, answer).complementarity == 8.0
+    # A small one does not shrink the error: 0.5 is named, 0.25 is nearer.
+    qp = QuadraticProgram(one, [0.0], one, [-0.25], [0.5], [-INF], [INF])
+    assert residuals(qp, answer).complementarity == 2.0
+
+
+def test_all_four_residuals_by_hand() -> None:
+    """Two variables, one row, a point outside a bound and a dual residual.
+
+    z = (2, −1): the row 3·2 + 4·(−1) = 2 of [−1, 5] has 3 to its upper limit, which y = 2 names:
+    wrong? No: the lower limit is as far. z1 is 0.5 above its bound, z2 on its lower one; y_box =
+    (1, −2) names these. r = P z + q + Aᵀy + y_box = (4 + 1 + 6 + 1, −3 − 2 + 8 − 2) = (12, 1).
+    """
+    P, A = np.diag([2.0, 3.0]), np.array([[3.0, 4.0]])
+    qp = QuadraticProgram(P, [1.0, -2.0], A, [-1.0], [5.0], [-9.0, -1.0], [1.5, 9.0])
+    found = residuals(qp, _answer(np.array([2.0, -1.0]), [2.0], [1.0, -2.0]))
+    # |y|·slack: 2·3, 1·0.5, 2·0; and |zᵀr| = 24 − 1.
+    assert found == Residuals(0.5, 12.0, 6.0, 6.5 + 23.0)
+
+
+@pytest.mark.parametrize("which", ["primal", "dual", "plan"])
+def test_the_bounds_of_a_true_answer(which: str) -> None:
+    """Each bound holds at its value and not beyond: 1e-3, 1e-3·(1 + 3) and 1e-2; NaN is beyond."""
+    one = np.ones((2, 2))
+    qp = QuadraticProgram(np.eye(2), [1.0, -3.0], one, -one[0], one[0], -one[0], one[0])
+    bound = {"primal": 1e-3, "dual": 4e-3, "plan": 1e-2}
+
+    def is_true_at(value: float) -> bool:
+        of = dict.fromkeys(bound, 0.0) | {which: value}
+        return is_true(qp, Residuals(of["primal"], of["dual"], INF, INF), of["plan"])
+
+    assert is_true_at(bound[which])
+    assert not is_true_at(bound[which] * (1.0 + 1e-9))
+    assert not is_true_at(np.nan)
+    assert not is_true_at(INF)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(("slack", "touched"), [(1.0, True), (1.01, False)])
+def test_a_point_touches_a_limit_within_the_tolerance(
+    side: float, slack: float, touched: bool
+) -> None:
+    """A limit of ±3 is met to within ¼·(1 + 3), that included, by rows and by bounds.
+
+    The gradient Pz + q is −side there, so the multiplier of a limit that is met is `side`.
+    """
+    z = side * (3.0 - slack)
+    for of_row in (True, False):
+        row, box = ([3.0], [INF]) if of_row else ([INF], [3.0])
+        qp = QuadraticProgram(
+            np.ones((1, 1)),
+            [-side - z],
+            np.ones((1, 1)),
+            np.negative(row),
+            row,
+            np.negative(box),
+            box,
+        )
+        multipliers = np.concatenate(best_multipliers(qp, np.array([z]), 0.25))
+        expected = [side if touched else 0.0, 0.0]
+        assert multipliers == pytest.approx(expected if of_row else expected[::-1], rel=1e-14)
+
+
+def test_a_multiplier_never_pulls_towards_the_inside() -> None:
+    """A gradient that points away from the limit met is not explained by a multiplier."""
+    one = np.ones((1, 1))
+    qp = QuadraticProgram(one, [1.0], one, [-2.0], [3.0], [-INF], [INF])
+    # At z = 3 the cost falls towards the inside: 3 + 1 > 0.
+    assert best_multipliers(qp, np.array([3.0]), 1e-6) == (0.0, 0.0)
+    # Both limits met: either sign, so the multiplier is −(2 + 1).
+    qp = QuadraticProgram(one, [1.0], one, [2.0], [2.0], [-INF], [INF])
+    y, y_box = best_multipliers(qp, np.array([2.0]), 1e-6)
+    assert (y, y_box) == (pytest.approx([-3.0]), pytest.approx([0.0]))
+
+
+def test_multipliers_of_no_point_are_not_numbers() -> None:
+    """NaN in the length of the rows and of the variables, for inf as for NaN."""
+    qp = _qp()
+    for bad in (INF, np.nan):
+        y, y_box = best_multipliers(qp, np.full(qp.n, bad), 1e-6)
+        assert (y.shape, y_box.shape) == ((qp.m,), (qp.n,))
+        assert np.isnan(y).all() and np.isnan(y_box).all()
+
+
+def test_sums_that_overflow_are_errors_without_end() -> None:
+    """Each entry is finite and free, and its products are zero: still no answer to trust."""
+    eye, zero, free = np.zeros((2, 2)), np.zeros(2), np.full(2, INF)
+    qp = QuadraticProgram(eye, zero, eye, -free, free, -free, free)
+    large = np.full(2, 1.7e308)
+    assert residuals(qp, _answer(large, zero, zero)) == Residuals(INF, INF, INF, INF)
+    qp = QuadraticProgram(eye, zero, eye, zero, zero, -free, free)
+    assert residuals(qp, _answer(zero, zero, zero)) == Residuals(0.0, 0.0, 0.0, 0.0)
+    assert residuals(qp, _answer(zero, large, zero)) == Residuals(0.0, INF, INF, INF)

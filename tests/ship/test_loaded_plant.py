@@ -135,3 +135,13 @@ def test_a_table_of_the_wrong_kind_is_refused(hull: Vessel) -> None:
         loaded.advance(np.zeros(3), np.zeros((21, 3)))
     with pytest.raises(ValueError, match="3 columns"):
         Plant(hull, START, 0.3).advance(np.zeros(3), sea.stage_table(1, 0.3, SUBSTEPS)[0])
+
+
+@pytest.mark.parametrize("columns", [2, 4, 8, 10])
+def test_a_table_of_any_other_width_is_refused(hull: Vessel, columns: int) -> None:
+    """Three columns or nine, neither more nor fewer."""
+    stages = np.zeros((2 * SUBSTEPS + 1, columns))
+    with pytest.raises(ValueError, match="3 columns"):
+        Plant(hull, START, 0.3).advance(np.zeros(3), stages)
+    with pytest.raises(ValueError, match="9 columns"):
+        Plant(hull, START, 0.3, loads=np.zeros(6)).advance(np.zeros(3), stages)

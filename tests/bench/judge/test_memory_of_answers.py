@@ -413,3 +413,82 @@ def test_a_campaign_marks_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert table["first_visit_ratio"] > 10.0 and table["loop_ratio"] > 10.0
     assert np.isfinite(runs.loc[("quadprog", "replay"), ["first_visit_ratio", "loop_ratio"]]).all()
     assert not any(remembers(row) for _, row in runs.xs("closed_loop", level="mode").iterrows())
+
+
+def made_log(
+    first: list[int], later: list[list[int]], *, warm_up: int = 0, attempts: int = 1
+) -> RawLog:
+    """First visits of each step, and the time of each step in the rounds from the warm-up on."""
+    log = RawLog.in_memory(replay_layout(len(later), len(first), 2, 1))
+    log.times[:] = -1
+    log.first_ns[:] = first
+    log.attempts[:] = 1
+    log.attempts[1:2] = attempts
+    for r, times in enumerate(later):
+        log.times[r, : len(times), 3] = times
+        log.done[r] = len(times)
+    log.done[0] = warm_up
+    return log
+
+
+def test_the_ratio_is_the_median_over_steps_of_first_to_shortest_later_visit() -> None:
+    """20 steps: first visits of 40 + k against 8 and 10 later, so 49.5 / 8 in the middle."""
+    first = [40 + k for k in range(20)]
+    log = made_log(first, [[], [999] * 20, [10] * 20, [8] * 20])
+    assert ratio(log) == pytest.approx(49.5 / 8)
+    # Visits that took no time the clock shows count as 1 ns.
+    assert ratio(made_log(first, [[], [999] * 20, [0] * 20])) == pytest.approx(49.5)
+
+
+def test_a_round_that_was_run_again_is_a_later_visit_itself() -> None:
+    """Its record is that of the last attempt; run once, it is the first visit itself."""
+    rounds = [[], [4] * 20, [10] * 20]
+    assert ratio(made_log([40] * 20, rounds)) == 4.0
+    assert ratio(made_log([40] * 20, rounds, attempts=2)) == 10.0
+
+
+def test_nothing_is_said_of_fewer_than_twenty_pairs() -> None:
+    """Neither of 19 steps, nor of 20 of which one has no first visit or no later one."""
+    assert ratio(made_log([40] * 20, [[], [4] * 20, [10] * 20])) == 4.0
+    assert np.isnan(ratio(made_log([40] * 19, [[], [4] * 19, [10] * 19])))
+    assert np.isnan(ratio(made_log([40] * 19 + [-1], [[], [4] * 20, [10] * 20])))
+    assert np.isnan(ratio(made_log([40] * 19 + [0], [[], [4] * 20, [10] * 20])))
+    assert np.isnan(ratio(made_log([40] * 20, [[], [4] * 20, [10] * 19])))
+    assert np.isnan(ratio(made_log([40] * 20, [[], [4] * 20])))
+    assert ratio(made_log([1] + [40] * 20, [[], [4] * 21, [10] * 21])) == 4.0
+
+
+def test_first_visits_are_those_beyond_the_warm_up_where_there_are_enough() -> None:
+    """The warm-up took 60 ns a step and the first round 40: of 20 steps each the latter counts, of
+    21 and 19 the warm-up, whose later visits start in round 1."""
+    rounds = [[], [10] * 40, [20] * 40]
+    assert ratio(made_log([60] * 20 + [40] * 20, rounds, warm_up=20)) == 2.0
+    assert ratio(made_log([60] * 21 + [40] * 19, rounds, warm_up=21)) == 6.0
+
+
+def test_a_slow_machine_around_the_first_visits_is_divided_out() -> None:
+    """The reference kernel took 6 ns around them and 2 ns at its best, so a third is left."""
+    log = made_log([40] * 20, [[], [4] * 20, [10] * 20])
+    log.reference_kernel_ns[:] = [[0.0, 0.0], [9.0, 9.0], [2.0, 3.0]]
+    assert ratio(log) == 4.0, "not timed around the first visits"
+    log.first_reference_kernel_ns[:] = [0.0, 6.0, 0.0]
+    assert ratio(log) == pytest.approx(4.0 / 3.0)
+    log.first_reference_kernel_ns[1] = 1.0
+    assert ratio(log) == 4.0, "faster than at its best"
+    log.reference_kernel_ns[:] = 0.0
+    assert ratio(log) == 4.0, "never timed"
+
+
+def test_the_bars_of_a_memory() -> None:
+    """Three times for first visits and ten for loops may be warming and caches, but no more."""
+    assert not is_remembered(3.0, np.nan) and is_remembered(3.01, np.nan)
+    assert not is_remembered(np.nan, 10.0) and is_remembered(np.nan, 10.01)
+    assert not is_remembered(np.nan, np.nan)
+
+
+def test_runs_without_a_time_have_no_loop_ratio() -> None:
+    """Neither column nor ratio: every run is unknown, and no other column changes."""
+    runs = pd.DataFrame({"mode": ["replay", "closed_loop"], "raw_p50_ns": [1.0, 9.0]})
+    found = with_loop_ratio(runs)
+    assert found["loop_ratio"].isna().all()
+    pd.testing.assert_frame_equal(found[list(runs)], runs)

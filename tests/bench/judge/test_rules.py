@@ -14,9 +14,13 @@ from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
 from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.judge.rows import run_row, step_rows
 from dpbench.bench.judge.rules import (
+    claimed_not_true,
     counting_rows,
+    decided,
     disturbed_rounds,
     errors,
+    failed_steps,
+    is_ranked,
     largest,
     median,
     percentile,
@@ -230,9 +234,87 @@ def test_the_error_of_a_cascade_is_the_larger_known_one() -> None:
     assert errors(both).tolist() == [0.2, 0.3, 0.4]
 
 
-def test_missing_values_are_left_out() -> None:
-    """Median and maximum ignore NaN; those of no value are NaN."""
-    values = np.array([np.nan, 1.0, 4.0, np.nan, 2.0])
-    assert (median(values), largest(values)) == (2.0, 4.0)
-    assert largest([-3.0, np.inf]) == np.inf
-    assert np.isnan(median([np.nan])) and np.isnan(largest([]))
+def test_times_are_ranked_where_they_were_taken_alone_on_the_machine_of_the_folder() -> None:
+    """Alone is one at a time; without a number there is nothing to compare."""
+    assert is_ranked(1.0, "a", "a")
+    assert not is_ranked(1.0, "b", "a")
+    assert not is_ranked(1.5, "a", "a") and not is_ranked(2.0, "a", "a")
+    assert is_ranked(np.nan, "b", "a")
+
+
+def test_rounds_that_count_are_those_undisturbed_while_there_are_any() -> None:
+    """Rounds 0 1 1 2 2: of round 1 disturbed, of both disturbed, of none."""
+    repeat = np.array([0, 1, 1, 2, 2], dtype=np.int32)
+    no, yes = False, True
+    assert counting_rows(repeat, repeat == 1).tolist() == [no, no, no, yes, yes]
+    assert counting_rows(repeat, repeat >= 0).tolist() == [no, yes, yes, yes, yes]
+    assert counting_rows(repeat, repeat > 2).tolist() == [no, yes, yes, yes, yes]
+
+
+def test_medians_and_maxima_are_of_what_is_there() -> None:
+    """NaN is no value; of nothing there is neither."""
+    values = [np.nan, 3.0, 1.0, np.nan, 8.0]
+    assert (median(values), largest(values)) == (3.0, 8.0)
+    assert largest([-2.0, -3.0]) == -2.0
+    assert median([7.0]) == largest([7.0]) == 7.0
+    for nothing in ([], [np.nan]):
+        assert np.isnan(median(nothing)) and np.isnan(largest(nothing))
+
+
+# Certificate, status, claimed, true, fallback, unconverged; what the step then counts as.
+FACTS = ("certificate", "status", "claimed", "true", "fallback", "unconverged")
+CASES = {
+    ("linear", "SOLVED", True, True, False, False): "",
+    ("linear", "SOLVED", True, False, False, False): "claimed_not_true",
+    ("linear", "INACCURATE", False, True, False, True): "failed true_not_claimed",
+    ("gap", "MAX_ITERATIONS", False, False, True, False): "failed",
+    ("rational", "PRIMAL_INFEASIBLE", False, False, True, False): "failed",
+    ("infeasible", "PRIMAL_INFEASIBLE", False, True, True, False): "",
+    ("infeasible", "SOLVED", True, False, False, False): "claimed_not_true",
+    ("infeasible", "INACCURATE", False, False, False, True): "failed",
+    ("none", "SOLVED", True, False, False, False): "unknown",
+    ("none", "INACCURATE", False, True, False, True): "unknown failed",
+    ("none", "ERROR", False, False, True, False): "unknown failed",
+    ("undecided", "SOLVED", True, False, True, True): "unknown",
+    ("undecided", "INACCURATE", False, True, True, True): "unknown",
+}
+
+
+@pytest.mark.parametrize("as_table", [False, True])
+def test_each_kind_of_step_is_charged_as_the_method_states(as_table: bool) -> None:
+    """Failed, falsely claimed, not claimed, unknown, of no use: in arrays and in tables."""
+    columns = {
+        name: np.array([case[i] for case in CASES], dtype=object if i < 2 else bool)
+        for i, name in enumerate(FACTS)
+    }
+    columns = {name: c.astype(str) if c.dtype == object else c for name, c in columns.items()}
+    columns |= dict.fromkeys(("error_plan", "primal"), np.zeros(len(CASES)))
+    steps = pd.DataFrame(columns) if as_table else columns
+    found = {
+        "unknown": ~decided(steps),
+        "failed": failed_steps(steps),
+        "claimed_not_true": claimed_not_true(steps),
+        "true_not_claimed": true_not_claimed(steps),
+    }
+    for i, (case, expected) in enumerate(CASES.items()):
+        assert {name for name, flags in found.items() if flags[i]} == set(expected.split()), case
+    of_no_use = [case[1] in ("PRIMAL_INFEASIBLE", "ERROR") for case in CASES]
+    assert unusable(steps).tolist() == of_no_use
+
+
+def test_an_infinite_answer_is_of_no_use() -> None:
+    """By its plan or by its residual, whatever its status."""
+    steps = {
+        "status": np.array(["SOLVED"] * 3),
+        "error_plan": np.array([np.inf, 0.0, 1e300]),
+        "primal": np.array([0.0, np.inf, np.nan]),
+    }
+    assert unusable(steps).tolist() == [True, True, False]
+
+
+def test_the_error_of_a_cascade_is_the_larger_of_its_two() -> None:
+    """What is not known of one is that of the other."""
+    steps = {"error_move": np.array([1.0, 2.0, np.nan, 4.0])}
+    np.testing.assert_array_equal(errors(steps), [1.0, 2.0, np.nan, 4.0])
+    steps["allocation_error"] = np.array([3.0, 1.0, 5.0, np.nan])
+    assert errors(steps).tolist() == [3.0, 2.0, 5.0, 4.0]

@@ -1,0 +1,148 @@
+"""The bars of the harness's own configurations, and its quick run on a simulated clock."""
+
+from __future__ import annotations
+
+import gc
+import os
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from dpbench.bench.judge import calibration
+from dpbench.bench.judge.calibration import calibrate, off_by_ns, within_bar
+from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.run.replay import ReplayRun
+from dpbench.solvers.calibration import CALIBRATION, NO_OP
+
+READING_NS = 3
+"""What each reading of the simulated clock takes."""
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[RawLog]:
+    """Only `no_op` is calibrated, by a clock that advances at each reading; the logs so far."""
+    now = 0
+
+    def read() -> int:
+        nonlocal now
+        now += READING_NS
+        return now
+
+    logs: list[RawLog] = []
+    in_memory = RawLog.in_memory
+
+    def kept(layout: dict[str, tuple[str, tuple[int, ...]]]) -> RawLog:
+        logs.append(in_memory(layout))
+        return logs[-1]
+
+    monkeypatch.setattr(RawLog, "in_memory", kept)
+    monkeypatch.setattr(calibration, "clock", read)
+    monkeypatch.setattr("dpbench.bench.run.assemble.clock", read)
+    monkeypatch.setattr(calibration, "CALIBRATION", {NO_OP: CALIBRATION[NO_OP]})
+    return logs
+
+
+@pytest.mark.parametrize(
+    ("name", "wait_ns", "bar_ns"),
+    [(NO_OP, 0, 1000), ("busy_wait_50us", 50_000, 1000), ("busy_wait_1000us", 1_000_000, 10_000)],
+)
+def test_the_bar_is_a_microsecond_or_a_hundredth(name: str, wait_ns: int, bar_ns: int) -> None:
+    """On both sides of the wait, the bar included."""
+    assert off_by_ns(name, wait_ns + 300.0) == 300.0
+    for side in (-1, 1):
+        assert within_bar(name, wait_ns + side * bar_ns) is True
+        assert within_bar(name, wait_ns + side * (bar_ns + 0.01)) is False
+
+
+def test_the_cost_of_copying_has_no_bar() -> None:
+    """Nobody knows what copying takes, so no time of it is right or wrong."""
+    assert within_bar("copy_only", 1e9) is None
+    assert off_by_ns("copy_only", 1e9) == 1e9
+
+
+def test_a_quick_calibration_times_the_rounds_after_the_warm_up(clock: list[RawLog]) -> None:
+    """Doing nothing takes the readings of the clock alone: one for each of its three phases."""
+    found = calibrate()
+    (log,) = clock
+    assert list(found.p50_ns) == [NO_OP]
+    assert log.done.tolist() == [200] * 6
+    assert log.z.shape == (6, 200, 15)
+    assert found.p50_ns[NO_OP] % READING_NS == 0
+    assert READING_NS <= found.p50_ns[NO_OP] <= 5 * READING_NS
+
+
+def test_the_median_of_a_calibration_is_that_of_its_counted_rounds(
+    clock: list[RawLog], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A warm-up of 1 s a step and rounds of 1, 2, 4, 8 and 16 ns a step have a median of 4.
+
+    Kernels of 5, 4, 4, 6, 6 and 4: beyond 1.25 times the best are two rounds, of 5 s in all.
+    """
+
+    def rounds(self: ReplayRun) -> None:
+        log = clock[-1]
+        log.times[:] = -1
+        log.times[:, :, 3] = np.array([10**9, 1, 2, 4, 8, 16])[:, None]
+        log.reference_kernel_ns[:] = np.array([5.0, 4.0, 4.0, 6.0, 6.0, 4.0])[:, None]
+        log.done[:] = 200
+        log.attempts[:] = 1
+        log.counters[:] = np.arange(6.0)[:, None] * [1.0, 0.0, 10.0, 0.5, 0.0, 0.0]
+        log.counters[0] = 1e6
+
+    monkeypatch.setattr(ReplayRun, "rounds", rounds)
+    found = calibrate()
+    assert found.p50_ns == {NO_OP: 4.0}
+    seen = found.disturbance
+    assert (seen.rounds, seen.disturbed, seen.rerun) == (5, 2.0, 0.0)
+    assert (seen.seconds, seen.involuntary, seen.steal_s, seen.throttled) == (15.0, 150.0, 7.5, 0.0)
+
+
+def test_a_slow_warm_up_is_no_disturbed_round(
+    clock: list[RawLog], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its kernel took ten times the best; the five rounds that count were quiet."""
+
+    def rounds(self: ReplayRun) -> None:
+        clock[-1].reference_kernel_ns[:] = 1.0
+        clock[-1].reference_kernel_ns[0] = 10.0
+
+    monkeypatch.setattr(ReplayRun, "rounds", rounds)
+    assert calibrate().disturbance.disturbed == 0.0
+
+
+@pytest.mark.parametrize("collecting", [True, False])
+@pytest.mark.parametrize("breaks", [True, False])
+def test_a_calibration_leaves_the_process_as_it_was(
+    collecting: bool, breaks: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Meanwhile it has the last of its cores and no garbage collector; an error restores both."""
+    cores, seen = os.sched_getaffinity(0), []
+
+    def replayed(name: str) -> object:
+        seen.append((os.sched_getaffinity(0), gc.isenabled()))
+        if breaks:
+            raise RuntimeError("planted")
+        return quiet()
+
+    quiet = _quiet()
+    monkeypatch.setattr(calibration, "_replayed", replayed)
+    was_collecting = gc.isenabled()
+    (gc.enable if collecting else gc.disable)()
+    try:
+        if breaks:
+            with pytest.raises(RuntimeError, match="planted"):
+                calibrate()
+        else:
+            assert set(calibrate().p50_ns) == set(CALIBRATION)
+        assert (os.sched_getaffinity(0), gc.isenabled()) == (cores, collecting)
+        assert set(map(str, seen)) == {str(({max(cores)}, False))}
+    finally:
+        (gc.enable if was_collecting else gc.disable)()
+
+
+def _quiet() -> Callable[[], object]:
+    """A replay of 1 ns a step that nothing disturbed."""
+    nothing = dict.fromkeys(("disturbed", "rerun", "seconds", "involuntary"), 0.0)
+    undisturbed = calibration.Disturbance(rounds=1, steal_s=0.0, throttled=0.0, **nothing)
+    return lambda: (1.0, undisturbed)

@@ -1,0 +1,121 @@
+"""The judged columns of a replay whose QPs have the optimum k + 1 at step k, by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
+from dpbench.bench.judge.replay import evaluate_sequence
+from dpbench.bench.record.raw_log import RawLog, replay_layout
+from dpbench.qp.program import QPSequence, QuadraticProgram, Units
+from dpbench.qp.referee.referee import certify
+
+STEPS, FAR = 3, np.full(1, 50.0)
+
+
+def sequence(unit: float = 1.0) -> QPSequence:
+    """½z² − (k + 1)z, free within ±50, its variable in units of `unit` scaled ones."""
+    one, wide = np.ones((1, 1)), np.full((STEPS, 1), 50.0)
+    limits = -FAR / unit, FAR / unit
+    q = -unit * np.arange(1.0, STEPS + 1)[:, np.newaxis]
+    base = QuadraticProgram(unit**2 * one, q[0], unit * one, -FAR, FAR, *limits, 1)
+    return QPSequence("made up", base, q, -wide, wide, meta={"first": 5, "every": 2})
+
+
+def log_of(answers: list[list[float]]) -> RawLog:
+    """The answers of each round, as long as it went."""
+    log = RawLog.in_memory(replay_layout(len(answers), STEPS, 1, 1))
+    for r, row in enumerate(answers):
+        log.done[r] = len(row)
+        log.z[r, : len(row), 0] = row
+    return log
+
+
+def figure(evaluated: Evaluated, name: str) -> list[float]:
+    """A figure of the referee, row by row."""
+    found: list[float] = evaluated.columns["evaluations"][:, EVALUATION.index(name)].tolist()
+    return found
+
+
+def kinds(evaluated: Evaluated) -> list[str]:
+    """The certificates, row by row."""
+    return [CERTIFICATES[i] for i in evaluated.columns["certificate"]]
+
+
+def test_each_answer_is_judged_in_its_round_and_step() -> None:
+    """Rounds of two, no and three steps: one answer 0.5 off, one 0.25 off, one twice the same."""
+    log = log_of([[1.5, 2.0], [], [1.0, 2.0, 2.75]])
+    log.reference_kernel_ns[:] = np.arange(3.0)[:, np.newaxis]
+    log.load_kernel_ns[:] = np.arange(3.0)[:, np.newaxis, np.newaxis]
+    found = evaluate_sequence(log, sequence(), 0.3)
+    assert found.columns["repeat"].tolist() == [0, 0, 2, 2, 2]
+    assert found.columns["k"].tolist() == [0, 1, 0, 1, 2]
+    assert figure(found, "error_move") == [0.5, 0.0, 0.0, 0.0, 0.25]
+    assert figure(found, "dual") == [0.5, 0.0, 0.0, 0.0, 0.25]
+    assert figure(found, "true") == [0.0, 1.0, 1.0, 1.0, 0.0]
+    assert "none" not in kinds(found)
+    assert found.columns["reference_kernel_ns"][:, 0].tolist() == [0.0, 2.0]
+    assert found.columns["load_kernel_ns"][:, 0, 0].tolist() == [0.0, 2.0]
+
+
+def test_the_times_are_those_of_the_recorded_run() -> None:
+    """Every second step from the fifth on, 0.3 s apart: 1.5, 2.1 and 2.7 s."""
+    found = evaluate_sequence(log_of([[], [1.0, 2.0, 3.0]]), sequence(), 0.3)
+    np.testing.assert_allclose(found.columns["t_s"], [1.5, 2.1, 2.7], rtol=1e-15)
+    clock = [found.metrics[name] for name in ("sample_s", "first_sample", "every_sample")]
+    assert clock == [0.3, 5.0, 2.0]
+    plain = replace(sequence(), meta={})
+    found = evaluate_sequence(log_of([[], [1.0, 2.0, 3.0]]), plain, 0.5)
+    assert found.columns["t_s"].tolist() == [0.0, 0.5, 1.0]
+    assert (found.metrics["first_sample"], found.metrics["every_sample"]) == (0.0, 1.0)
+
+
+def test_without_judging_nothing_is_said() -> None:
+    """No figure, no certificate; the columns and what was repeated are there."""
+    log = log_of([[1.0], [1.0, 2.0, 3.0]])
+    found = evaluate_sequence(log, sequence(), 0.3, judged=False)
+    assert np.isnan(found.columns["evaluations"]).all() and kinds(found) == ["none"] * 4
+    assert found.columns["k"].tolist() == [0, 0, 1, 2]
+    assert found.metrics["bit_identical_share"] == 1.0
+
+
+def test_given_optima_are_those_that_count() -> None:
+    """One for each step: the answers of all rounds are as far from them as they are."""
+    qps = sequence()
+    optima = [
+        replace(certify(qps.problem(k)), kind=kind, z=np.array([float(k)]))
+        for k, kind in enumerate(("gap", "rational", "linear"))
+    ]
+    log = log_of([[1.0, 2.0], [1.0, 3.0, 5.0]])
+    found = evaluate_sequence(log, qps, 0.3, optima)
+    assert figure(found, "error_move") == [1.0, 1.0, 1.0, 2.0, 3.0]
+    assert kinds(found) == ["gap", "rational", "gap", "rational", "linear"]
+
+
+def test_answers_in_other_units_are_judged_in_scaled_ones() -> None:
+    """0.25 of the own variable is 1 scaled one; errors and spreads are in scaled ones."""
+    scaled = sequence()
+    own = replace(sequence(4.0), scaled=scaled, units=Units(np.array([0.25]), np.ones(1)))
+    log = log_of([[0.25, 0.5], [0.25, 0.625, 0.75]])
+    found = evaluate_sequence(log, own, 0.3)
+    assert figure(found, "error_move") == [0.0, 0.0, 0.0, 0.5, 0.0]
+    assert figure(found, "dual") == [0.0, 0.0, 0.0, 0.5, 0.0]
+    assert figure(found, "dual_own") == [0.0, 0.0, 0.0, 2.0, 0.0]
+    assert found.metrics["answer_spread_max"] == 0.5
+    assert found.metrics["bit_identical_share"] == 0.5
+
+
+def test_matrices_of_a_step_hold_for_its_answers_alone() -> None:
+    """The curvature doubles at step 1 only: the optima are 1, 1 and 3."""
+    P = np.array([1.0, 2.0, 1.0])[:, np.newaxis, np.newaxis]
+    found = evaluate_sequence(log_of([[], [1.0, 1.0, 3.0]]), replace(sequence(), P=P), 0.3)
+    assert figure(found, "error_move") == [0.0, 0.0, 0.0] and figure(found, "true") == [1.0] * 3
+
+
+def test_a_replay_that_never_began_has_no_rows() -> None:
+    """Its columns are there all the same."""
+    found = evaluate_sequence(log_of([[], []]), sequence(), 0.3)
+    assert len(found.columns["k"]) == len(found.columns["t_s"]) == len(found.columns["times"]) == 0
+    assert found.columns["evaluations"].shape == (0, len(EVALUATION))

@@ -1,0 +1,157 @@
+"""The columns of steps from judged columns of three steps, worked by hand."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
+from dpbench.bench.judge.step_columns import chosen, step_columns
+from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.raw_log import TIMES
+from dpbench.bench.record.schema import ABSENT
+from dpbench.qp.solution import Status
+from dpbench.scenario.scenario import load_scenario
+
+CONFIGURATION = {"solver": "x", "route": "native", "policy": "fresh", "settings": "default"}
+PAPER = load_scenario("paper").files
+REPLAY = Cell(mode="replay", scenario=PAPER, steps=3, rounds=2, **CONFIGURATION)
+STATUSES = [Status.SOLVED, Status.INACCURATE, Status.TIME_LIMIT]
+KINDS = ["linear", "infeasible", "none"]
+
+
+def of_qps(times: list[list[int]], **figures: list[float]) -> dict[str, Any]:
+    """The columns of three answers; times by phase, figures of the referee by name."""
+    evaluations = np.zeros((3, len(EVALUATION)))
+    for name, values in figures.items():
+        evaluations[:, EVALUATION.index(name)] = values
+    return {
+        "repeat": np.zeros(3, dtype=np.int32),
+        "k": np.arange(3, dtype=np.int32),
+        "times": np.array(times),
+        "status": np.array(STATUSES),
+        "iterations": np.array([4, -7, 0]),
+        "reported_ns": np.array([-1, 9, 0]),
+        "certificate": np.array([CERTIFICATES.index(kind) for kind in KINDS], dtype=np.int8),
+        "evaluations": evaluations,
+    }
+
+
+# emit, setup, update, solve, read, overhead
+PHASES = [[1, 10, -1, 100, 5, 50], [2, -1, 20, 200, 6, 60], [3, -1, -1, -1, -1, 70]]
+
+
+def loop(slowdown: float = 0.0, **columns: Any) -> dict[str, Any]:
+    """The columns of a loop of three steps; the state holds a fourth, after the last."""
+    of_ship = {
+        "t_s": np.array([0.0, 0.3, 0.6]),
+        "latency_ns": np.array([345, 10**9, -2]),
+        "asked": np.array([True, True, False]),
+        "fallback": np.array([False, False, True]),
+        "unconverged": np.array([False, True, False]),
+        "clipped": np.array([True, False, False]),
+        "state": np.arange(24.0).reshape(4, 6),
+        "tau": np.array([[1, 2, 3], [5, 7, 9], [4, 4, 4]]),
+        "command": np.array([[11.0, 12.0, 13.0], [14.0, 15.0, 16.0], [17.0, 18.0, 19.0]]),
+    }
+    figures = {
+        "true": [1.0, 0.0, np.nan],
+        "true_1e4": [0.0, 1.0, np.nan],
+        "error_move": [0.5, 0.25, np.nan],
+        "n_active": [3.0, 0.0, np.nan],
+    }
+    evaluated = Evaluated(of_qps(PHASES, **figures) | of_ship | columns, {})
+    cell = Cell("closed_loop", PAPER, steps=3, slowdown=slowdown, **CONFIGURATION)
+    return step_columns(cell, evaluated)
+
+
+def test_what_an_answer_claims_and_took() -> None:
+    """Phases that did not take place are absent, and the total is that of the others."""
+    steps = loop()
+    assert steps["status"].tolist() == ["SOLVED", "INACCURATE", "TIME_LIMIT"]
+    assert steps["claimed"].tolist() == [True, False, False]
+    assert steps["certificate"].tolist() == KINDS
+    for i, phase in enumerate(TIMES):
+        assert steps[f"{phase}_ns"].tolist() == [times[i] for times in PHASES]
+    assert steps["total_ns"].tolist() == [115, 226, ABSENT]
+    assert steps["iterations"].tolist() == [4, ABSENT, 0]
+    assert steps["reported_ns"].tolist() == [ABSENT, 9, 0]
+
+
+def test_what_the_referee_found() -> None:
+    """Nothing is true of an answer that was not judged, and no limit is active."""
+    steps = loop()
+    assert steps["true"].tolist() == [True, False, False]
+    assert steps["true_1e4"].tolist() == [False, True, False]
+    assert not steps["true_1e6"].any()
+    np.testing.assert_array_equal(steps["error_move"], [0.5, 0.25, np.nan])
+    assert steps["n_active"].tolist() == [3, 0, 0] and steps["n_active"].dtype == np.int32
+
+
+def test_where_the_ship_was_and_what_moved_it() -> None:
+    """The state at the start of each step; each force, and its change from step to step."""
+    steps = loop()
+    names = ("u_mps", "v_mps", "r_radps", "n_m", "e_m", "psi_rad")
+    for i, name in enumerate(names):
+        assert steps[name].tolist() == [i, 6 + i, 12 + i]
+    assert steps["tau_x_N"].tolist() == [1, 5, 4] and steps["dtau_x_N"].tolist() == [1, 4, -1]
+    assert steps["tau_y_N"].tolist() == [2, 7, 4] and steps["dtau_y_N"].tolist() == [2, 5, -3]
+    assert steps["tau_n_Nm"].tolist() == [3, 9, 4] and steps["dtau_n_Nm"].tolist() == [3, 6, -5]
+    assert steps["cmd_x_N"].tolist() == [11, 14, 17] and steps["cmd_n_Nm"].tolist() == [13, 16, 19]
+    assert steps["t_s"].tolist() == [0.0, 0.3, 0.6] and steps["counts"].tolist() == [True] * 3
+    assert steps["clipped"].tolist() == [True, False, False]
+    assert not {"latency_ns", "thrust_share"} & set(steps)
+    assert loop(thrust_share=np.ones(3))["thrust_share"].tolist() == [1.0] * 3
+
+
+def test_a_step_without_a_computation_claims_nothing() -> None:
+    """On a slow computer the third one began none: no status, no times but that of the loop."""
+    steps = loop(slowdown=3.0)
+    assert steps["status"].tolist() == ["SOLVED", "INACCURATE", ""]
+    assert steps["emit_ns"].tolist() == [1, 2, ABSENT]
+    assert steps["solve_ns"].tolist() == [100, 200, ABSENT]
+    assert steps["overhead_ns"].tolist() == [50, 60, 70]
+    assert steps["late"].tolist() == [False, True, True]
+    assert steps["latency_ns"].tolist() == [345, 10**9, ABSENT]
+
+
+def test_the_second_answers_of_a_cascade_join_the_first() -> None:
+    """Their times add up, and their error has a column of its own."""
+    second = of_qps([[0, -1, 1, 2, 3, 0]] * 3, true=[1.0] * 3, error_move=[9.0, 8.0, 7.0])
+    steps = loop(**{f"allocation_{name}": column for name, column in second.items()})
+    assert steps["allocation_ns"].tolist() == [6] * 3
+    assert steps["total_ns"].tolist() == [121, 232, ABSENT]
+    assert steps["allocation_error"].tolist() == [9.0, 8.0, 7.0]
+    assert steps["true"].tolist() == [True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("kernels", "disturbed", "counts"),
+    [
+        ([4.0, 4.0, 4.0], [False] * 3, [False, True, True]),
+        ([9.0, 9.0, 4.0], [True, True, False], [False, False, True]),
+    ],
+)
+def test_rounds_of_a_replay(
+    kernels: list[float], disturbed: list[bool], counts: list[bool]
+) -> None:
+    """One step of the warm-up and of two rounds, the first of them undisturbed or not."""
+    columns = of_qps(PHASES) | {
+        "repeat": np.array([0, 1, 2], dtype=np.int32),
+        "t_s": np.zeros(3),
+        "reference_kernel_ns": np.array(kernels)[:, np.newaxis] * [1.0, 1.0],
+    }
+    steps = step_columns(REPLAY, Evaluated(columns, {}))
+    assert steps["warmup"].tolist() == [True, False, False]
+    assert steps["disturbed"].tolist() == disturbed and steps["counts"].tolist() == counts
+    assert steps["unconverged"].tolist() == [False, True, False]
+    assert steps["fallback"].tolist() == [False, False, True]
+    assert not {"late", "n_m", "clipped"} & set(steps)
+
+
+def test_some_of_the_rows_are_those_of_every_column() -> None:
+    """In their order."""
+    rows = chosen({"a": np.arange(3), "b": np.arange(3.0)}, np.array([True, False, True]))
+    assert {name: column.tolist() for name, column in rows.items()} == {"a": [0, 2], "b": [0, 2]}
