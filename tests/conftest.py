@@ -318,7 +318,8 @@ class MadeRecords:
             "raw_p50_ns": median_us * 1e3,
             "raw_max_ns": self._rng.uniform(1e5, 1e6),
         }
-        row = self._row("replay", solver, sequence.partition("[")[0], figures | columns)
+        scenario = sequence.partition("[")[0].partition(" ")[0]
+        row = self._row("replay", solver, scenario, figures | columns)
         if row["outcome"] != "finished":
             return
         if stopped:

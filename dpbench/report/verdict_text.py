@@ -161,6 +161,8 @@ _WORDS = {
     "uncertified": "{counted} of {where} have no certified optimum",
     "remembered": "in {where} it answers a step that it has seen before faster than warming "
     "explains, so its times there are of remembered answers",
+    "hidden work": "its other threads work {value:.2g} times as long as all timed calls take in "
+    "{where}{also}",
     "not alone": "{where} was timed beside other work, or on another machine",
     "no step": "{where} left no counting step",
     "no p99": "{steps} of {where} do not support a p99, and the slowest takes {time}",

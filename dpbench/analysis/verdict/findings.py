@@ -30,6 +30,7 @@ Doubt = Literal[
     "ended",
     "uncertified",
     "remembered",
+    "hidden work",
     "not alone",
     "no step",
     "no p99",

@@ -23,6 +23,9 @@ from dpbench.bench.judge.rules import percentile
 
 LOOP_TIMINGS = 200
 """Timings of a closed loop from which its median is a plain answer."""
+HIDDEN = 1.1
+"""Processor time of other threads over that of the timed calls from which work is hidden: a library
+that solves in a thread of its own stays below 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +73,15 @@ def find_slow_loops(
             kinds["loop borderline"].append(run)
     found = (worst_first(kind, of_kind, _median_ns) for kind, of_kind in kinds.items())
     return [finding for findings in found for finding in findings]
+
+
+def find_hidden_work(runs: Sequence[RunRecord]) -> list[Finding]:
+    """Return runs whose other threads took more processor time than all timed calls together.
+
+    A worker has one core, so what exceeds the timed calls was done outside of them.
+    """
+    hidden = [run for run in runs if run.thread_s > HIDDEN * run.solve_s]
+    return worst_first("hidden work", hidden, lambda run: run.thread_s / run.solve_s)
 
 
 def _median_ns(run: RunRecord) -> float:

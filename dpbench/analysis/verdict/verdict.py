@@ -33,6 +33,7 @@ from dpbench.analysis.verdict.findings import (
     worst_first,
 )
 from dpbench.analysis.verdict.time_findings import (
+    find_hidden_work,
     find_slow_loops,
     judge_times,
     report_late_timings,
@@ -209,7 +210,7 @@ def verdict_of(
     evidence = time_evidence(records, demand)
     times, figures = judge_times(records, replays, demand, evidence.uncertainty)
     times += find_slow_loops(ran, demand, evidence.uncertainty)
-    times += report_late_timings(ran, evidence.late)
+    times += report_late_timings(ran, evidence.late) + find_hidden_work(ran)
     late, unsure, near = (_of_kinds(times, kinds) for kinds in (LATE, DOUBTS, NEAR))
     causes = [*_wrong(ran, demand), *_failing(ran, demand), *_own_doing(ran), *late]
     doubts, gaps = [*_unfinished(ran), *unsure], _gaps(runs, asked)

@@ -519,3 +519,17 @@ def test_a_miss_by_all_is_a_miss(records: Any) -> None:
     said = records.ending()
     assert said["solvers"] == "0 of 1 meet the demand; miss it: osqp."
     assert "no solver meets the demand in any configuration" in said["answer"]
+
+
+@pytest.mark.parametrize(("thread_s", "outcome"), [(0.9, "meets"), (1.3, "open")])
+@pytest.mark.parametrize("mode", ["closed_loop", "replay"])
+def test_work_outside_the_timed_calls_leaves_it_open(
+    records: Any, thread_s: float, outcome: str, mode: str
+) -> None:
+    """Threads cannot work for 1.3 s within calls of 1 s on one core."""
+    took = {"thread_s": thread_s, "solve_s": 1.0}
+    records.loop("daqp", **(took if mode == "closed_loop" else {}))
+    records.replay("daqp", **(took if mode == "replay" else {}))
+    verdict = _verdict(records, "daqp")
+    assert verdict.outcome == outcome
+    assert ("work 1.3 times as long as all timed calls" in _why(verdict)) == (outcome == "open")
