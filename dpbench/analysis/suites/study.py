@@ -7,9 +7,10 @@ points:
     mean = Σ_p Σ_r d_pr / (P R_p),    s² = f Σ_r u_r²,    u_r = Σ_p w_p (d_pr − mean_p)
 
 w_p² = 1/(P² R_p (R_p − 1)). Points share their realisations, so a realisation, not a run, is the
-unit. Only repeated points (R_p > 1) have a spread; f = Σ_p 1/R_p over all points by the same sum
-over repeated ones gives the others as much. Degrees of freedom after Satterthwaite (1946), as if
-runs were independent: R − 1 where nothing is lost. Points that are all run once are the sample.
+unit. Only repeated points (R_p > 1) have a spread; f = 1 + 2 n / Σ_p (1/R_p) gives the n others
+twice their variance, as points that lose runs are the rougher ones. Degrees of freedom after
+Satterthwaite (1946), as if runs were independent: R − 1 where nothing is lost. Points that are all
+run once are the sample.
 
 A difference is conditional on the runs that both configurations finished.
 """
@@ -42,6 +43,8 @@ NOTHING = 1e-6
 """A difference in the same realisation below a thousandth of a millimetre, or a millionth of the
 cost, is none to a ship. No standard error is smaller: runs without any spread give no interval
 without width."""
+SINGLE_VARIANCE = 2.0
+"""Of the single run of a point, in those of the points that are repeated."""
 LEAST_PAIRS = 6
 """With fewer pairs no interval is stated."""
 ALPHA = 0.05
@@ -131,7 +134,8 @@ def mean_over_points(values: Floats) -> MeanEstimate:
     points, repeated = len(counts), counts > 1
     if known.sum() < LEAST_PAIRS or repeated.sum() < points / 2:
         return MeanEstimate(mean)
-    inflation = float((1.0 / counts).sum() / (1.0 / counts[repeated]).sum())
+    alone = SINGLE_VARIANCE * (points - repeated.sum())
+    inflation = 1.0 + float(alone / (1.0 / counts[repeated]).sum())
     values, known, counts = values[repeated], known[repeated], counts[repeated]
     away = np.where(known, values - np.nanmean(values, axis=1, keepdims=True), 0.0)
     weights2 = 1.0 / (points**2 * counts * (counts - 1))

@@ -189,7 +189,9 @@ def _lines(
     changes = Counter(answer.change for answer in figures)
     if figures:
         words = {"not comparable": STOPPED}
-        counts = ", ".join(f"{n} {words.get(change, change)}" for change, n in changes.most_common())
+        counts = ", ".join(
+            f"{n} {words.get(change, change)}" for change, n in changes.most_common()
+        )
         lines.append(f"figures of accuracy and control: {counts}")
     for what, cells in (
         ("only in A", pairs.only_a),

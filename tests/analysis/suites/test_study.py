@@ -65,14 +65,14 @@ def test_lost_runs_worked_by_hand() -> None:
     """Points with 0, 2, 4 and 1, 3 and 5, the others lost: means 2, 2, 5.
 
     Sums over points of weighted deviations: (-2, 0, 2)/sqrt(54) + (-1, 1, 0)/sqrt(18), squares
-    (7/3 + 2/sqrt(3))/9. The third point adds 1 to 1/3 + 1/2, a factor 2.2. Covariance of
+    (7/3 + 2/sqrt(3))/9. The third point adds 2 to 1/3 + 1/2, a factor 3.4. Covariance of
     independent runs, times 72·9/4: diagonal 6.5, 6.5, 2, off it -5.5, -1, -1, so that there are
     15²/(84.5 + 4 + 60.5 + 4) = 25/17 degrees of freedom.
     """
     lost = math.nan
     estimate = mean_over_points(np.array([[0.0, 2.0, 4.0], [1.0, 3.0, lost], [5.0, lost, lost]]))
     assert estimate.value == pytest.approx(3.0)
-    assert estimate.error**2 == pytest.approx(2.2 * (7 / 3 + 2 / math.sqrt(3)) / 9)
+    assert estimate.error**2 == pytest.approx(3.4 * (7 / 3 + 2 / math.sqrt(3)) / 9)
     assert estimate.df == pytest.approx(25 / 17)
 
 
