@@ -120,6 +120,15 @@ def rounds_to_zero(spread: float, size: float) -> bool:
     return spread <= 1e-12 * size
 
 
+def holm(p: Floats) -> Floats:
+    """Adjusted p-values (Holm 1979, step-down Bonferroni): ≤ α together at family-wise α."""
+    order = np.argsort(p, kind="stable")
+    factors = np.arange(len(p), 0, -1)
+    adjusted = np.empty(len(p))
+    adjusted[order] = np.minimum(1.0, np.maximum.accumulate(factors * p[order]))
+    return adjusted
+
+
 def none_of(count: float) -> float:
     """95 % upper bound of a share of which none was found among `count` draws: the rule of three
     (Hanley & Lippman-Hand 1983)."""

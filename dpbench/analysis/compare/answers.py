@@ -107,7 +107,8 @@ def _figures(a: Records, b: Records, pair: Pair) -> Iterator[tuple[Measure, Rang
     outcomes = pair.a.outcome, pair.b.outcome
     if pair.a.outcome != pair.b.outcome:
         by_clock = set(outcomes) in BY_CLOCK
-        yield OUTCOME, *(_point(ORDER.index(outcome)) for outcome in outcomes), not by_clock
+        places = [_point(ORDER.index(outcome)) for outcome in outcomes]
+        yield OUTCOME, places[0], places[1], not by_clock
         if not by_clock:
             return
     if not (pair.a.has_steps or pair.b.has_steps):

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from dpbench.analysis.statistics import Interval
+from dpbench.analysis.statistics import Interval, holm
 from dpbench.arrays import Floats, Ints
 
 Verdict = Literal["slower", "faster", "equivalent", "no difference shown"]
@@ -72,15 +72,6 @@ class Assessment:
     p_differs: float
     p_equal: float
     verdict: Verdict
-
-
-def holm(p: Floats) -> Floats:
-    """Adjusted p-values (Holm 1979, step-down Bonferroni): ≤ α together at family-wise α."""
-    order = np.argsort(p, kind="stable")
-    factors = np.arange(len(p), 0, -1)
-    adjusted = np.empty(len(p))
-    adjusted[order] = np.minimum(1.0, np.maximum.accumulate(factors * p[order]))
-    return adjusted
 
 
 @dataclass(frozen=True)

@@ -26,10 +26,9 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
-from dpbench.analysis.compare.evidence import holm
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.statistics import LEAST_SKEW_DF, TAILS, Interval, MeanEstimate
+from dpbench.analysis.statistics import LEAST_SKEW_DF, TAILS, Interval, MeanEstimate, holm
 from dpbench.analysis.verdict.fastest import known_record
 from dpbench.arrays import Floats
 from dpbench.solvers.record import TOLERANCES

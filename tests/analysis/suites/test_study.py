@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from dpbench.analysis.compare.evidence import holm
+from dpbench.analysis.statistics import holm
 from dpbench.analysis.suites.study import NOTHING, Study, mean_over_points, paired_difference
 
 COLUMNS = ["point", "replicate"]
