@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.run_steps import RunSteps
+from dpbench.analysis.statistics import LEAST_STEPS
 from dpbench.analysis.times.pairs import PairedComparison
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.fastest import Recommendation, best_of_each, known_record
@@ -107,19 +108,19 @@ def usual_time(verdict: Verdict) -> str:
 
 
 def paired_text(compared: PairedComparison) -> str:
-    """How many times as long the second takes, and whether the two can be told apart at all."""
+    """The ratio of the step times of two configurations, with its interval or why it has none."""
     if compared.steps == 0:
         return "no step was replayed by both"
     said = f"{significant(compared.ratio.value)} times as long over the same steps"
     if not math.isfinite(compared.ratio.high):
-        return f"{said}, too few to tell the two apart"
-    interval = f"{significant(compared.ratio.low)} to {significant(compared.ratio.high)}"
-    said += f" (geometric mean, {interval})"
-    if compared.tied:
-        return f"{said}: the two cannot be told apart"
-    if compared.unstable:
-        return f"{said}; which is faster depends on the yardstick"
-    return said
+        few = f"; fewer than {LEAST_STEPS} steps" if compared.steps < LEAST_STEPS else ""
+        said += f" (geometric mean of {plural(compared.steps, 'step')}{few}, so no interval)"
+    else:
+        interval = f"{significant(compared.ratio.low)} to {significant(compared.ratio.high)}"
+        said += f" (geometric mean, {interval})"
+        if compared.tied:
+            return f"{said}: the two cannot be told apart"
+    return f"{said}; which is faster depends on the yardstick" if compared.unstable else said
 
 
 def clauses(findings: Sequence[Finding]) -> str:

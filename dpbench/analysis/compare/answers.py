@@ -1,7 +1,9 @@
-"""Accuracy and control of the same configurations in two runs: figures that no clock enters.
+"""Accuracy and control of the same configurations in two runs, as far as no clock enters them.
 
 A deterministic solver repeats them bit for bit, so there is nothing to estimate: what differs by
 more than the margin, beyond what the replay rounds of one run differ among themselves, differs.
+Where a time limit stopped a run or an answer, the figures of the whole run depend on the clock and
+are not comparable; accuracy is compared on the steps before that.
 """
 
 from __future__ import annotations
@@ -11,14 +13,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import numpy as np
 import pandas as pd
 
 from dpbench.analysis.compare.pairs import Pair, key_of
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.bench.judge.rules import decided, failed_steps
+from dpbench.qp.solution import Status
 
-Change = Literal["worse", "better", "same"]
+Change = Literal["worse", "better", "same", "not comparable"]
 Range = tuple[float, float]
 
 ERROR_FLOOR = 1e-9
@@ -27,6 +31,8 @@ CONTROL_FLOOR = 1e-12
 """Control figures below it are zero [m, deg, 1]."""
 ORDER = ("finished", "timed_out", "invalid", "refused", "hung", "crashed")
 """Outcomes, best first."""
+BY_CLOCK = ({"finished", "timed_out"}, {"timed_out", "hung"})
+"""Outcomes between which the speed of the machine decides."""
 
 
 @dataclass(frozen=True)
@@ -84,29 +90,45 @@ class Answer:
 def compare_answers(a: Records, b: Records, pairs: Sequence[Pair], margin: float) -> list[Answer]:
     """Every figure of every pair; a pair whose outcome changed is judged by that."""
     return [
-        Answer(pair, measure, range_a, range_b, _change(measure, range_a, range_b, margin))
+        Answer(
+            pair,
+            measure,
+            range_a,
+            range_b,
+            _change(measure, range_a, range_b, margin) if repeats else "not comparable",
+        )
         for pair in pairs
-        for measure, range_a, range_b in _figures(a, b, pair)
+        for measure, range_a, range_b, repeats in _figures(a, b, pair)
     ]
 
 
-def _figures(a: Records, b: Records, pair: Pair) -> Iterator[tuple[Measure, Range, Range]]:
-    """Every figure of a pair with its ranges in A and B."""
+def _figures(a: Records, b: Records, pair: Pair) -> Iterator[tuple[Measure, Range, Range, bool]]:
+    """Every figure of a pair with its ranges in A and B, and whether two runs repeat it."""
+    outcomes = pair.a.outcome, pair.b.outcome
     if pair.a.outcome != pair.b.outcome:
-        yield OUTCOME, _point(ORDER.index(pair.a.outcome)), _point(ORDER.index(pair.b.outcome))
-        return
+        by_clock = set(outcomes) in BY_CLOCK
+        places = [_point(ORDER.index(outcome)) for outcome in outcomes]
+        yield OUTCOME, places[0], places[1], not by_clock
+        if not by_clock:
+            return
     if not (pair.a.has_steps or pair.b.has_steps):
         return
-    # A step limit in seconds stops a slow configuration somewhere: no property of its answers.
-    if pair.a.outcome != "timed_out":
-        yield DONE, _point(pair.a.steps_done), _point(pair.b.steps_done)
-    common = min(pair.a.steps_done, pair.b.steps_done)
-    ranges_a, ranges_b = _accuracy(a, pair.a, common), _accuracy(b, pair.b, common)
+    steps = [_counting(view, run) for view, run in ((a, pair.a), (b, pair.b))]
+    complete = "timed_out" not in outcomes and "hung" not in outcomes
+    if complete:
+        yield DONE, _point(pair.a.steps_done), _point(pair.b.steps_done), True
+    repeated = min(pair.a.steps_done, pair.b.steps_done, *map(_before_time_limit, steps))
+    unlimited = complete and all(np.isinf(_before_time_limit(one)) for one in steps)
+    accurate = unlimited or (repeated > 0 and not any(one.empty for one in steps))
+    ranges_a, ranges_b = (
+        _accuracy(one, run, repeated) for one, run in zip(steps, (pair.a, pair.b), strict=True)
+    )
     for measure in ACCURACY:
-        yield measure, ranges_a[measure.column], ranges_b[measure.column]
+        yield measure, ranges_a[measure.column], ranges_b[measure.column], accurate
     for measure in CONTROL if pair.a.mode == "closed_loop" else ():
         column = measure.column
-        yield measure, _point(getattr(pair.a, column)), _point(getattr(pair.b, column))
+        values = _point(getattr(pair.a, column)), _point(getattr(pair.b, column))
+        yield measure, *values, unlimited
 
 
 def _point(value: float) -> Range:
@@ -127,14 +149,24 @@ def _change(measure: Measure, a: Range, b: Range, margin: float) -> Change:
 
 
 _STEPS = (
-    *("repeat", "k", "error_move", "error_plan", "true"),
+    *("repeat", "k", "status", "error_move", "error_plan", "true"),
     *("certificate", "fallback", "unconverged"),
 )
 
 
-def _accuracy(records: Records, run: RunRecord, common: int) -> dict[str, Range]:
+def _counting(records: Records, run: RunRecord) -> pd.DataFrame:
+    """The counting steps of a run; none of a folder without steps."""
+    return records.counting_steps(run, _STEPS)
+
+
+def _before_time_limit(steps: pd.DataFrame) -> float:
+    """The first step whose answer its solver's own time limit cut short; infinite without one."""
+    stopped = steps["k"][steps["status"] == Status.TIME_LIMIT.name]
+    return float(stopped.min()) if len(stopped) else np.inf
+
+
+def _accuracy(steps: pd.DataFrame, run: RunRecord, common: float) -> dict[str, Range]:
     """Least and largest over the counting rounds of each figure, on the first `common` steps."""
-    steps = records.counting_steps(run, _STEPS)
     counting = steps[steps["k"] < common]
     if counting.empty:
         return {m.column: _point(getattr(run, m.column)) for m in ACCURACY}

@@ -25,13 +25,16 @@ from dpbench.analysis.compare.pairs import Pair, key_of
 from dpbench.analysis.records.grouping import firsts, grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.statistics import BLOCK_STEPS, RESAMPLES, SEED, enough, resampled_means
+from dpbench.analysis.statistics import resampled_error
 from dpbench.analysis.times.machine import disturbed_sequences
 from dpbench.arrays import Floats, Ints
 from dpbench.bench.judge.rules import median
 from dpbench.bench.record.configuration import settings_level
 from dpbench.errors import UnknownNameError, one_of
 
+BLOCK_STEPS, LEAST_BLOCKS = 20, 4
+"""Length of a block of steps, and how many there must be for their spread to be an error. It leaves
+out what two runs share, which is why blocks may be shorter than weather."""
 PARTS = 4
 """A run's rounds are cut into so many consecutive parts, each left out in turn."""
 JACKKNIFE_SHARE = 0.25
@@ -356,8 +359,8 @@ def _steps_timing(records_a: Records, records_b: Records, pair: Pair) -> Timing 
     best_a_ns, best_b_ns = a_ns.min(axis=0), b_ns.min(axis=0)
     logs = np.log(best_b_ns / best_a_ns)
     over_steps = (
-        resampled_means(logs, BLOCK_STEPS, RESAMPLES, SEED).std()
-        if enough(len(logs))
+        resampled_error(logs, BLOCK_STEPS)
+        if len(logs) >= LEAST_BLOCKS * BLOCK_STEPS
         # As good as a single step: that all of so few resemble each other cannot be excluded.
         else logs.std()
     )

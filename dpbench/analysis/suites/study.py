@@ -1,20 +1,25 @@
-"""Studies: what a configuration costs over many seas, paired with another in the same sea.
+"""Studies: the cost of a configuration over many realisations, paired with a reference.
 
-The sea moves every ship by metres, a solver by millimetres: of two configurations only the
-difference *in the same sea* says anything. With d_pr the difference at point p in replicate r,
+The sea moves every ship by metres, a solver by millimetres, so configurations are compared in the
+same realisation. With d_pr the difference at point p in realisation r, R_p of them at point p, P
+points:
 
-    d̄ = mean over points of mean over replicates,    s² = Σ_p s_p² / (P² R_p),    d̄ ± t s
+    mean = Σ_p Σ_r d_pr / (P R_p),    s² = f Σ_r u_r²,    u_r = Σ_p w_p (d_pr − mean_p)
 
-s_p being the standard deviation over the R_p replicates of a point and t Student's quantile, its
-degrees of freedom after Satterthwaite (1946): the points are chosen, the seas are drawn. Points
-without replicates are themselves the sample.
+w_p² = 1/(P² R_p (R_p − 1)). Points share their realisations, so a realisation, not a run, is the
+unit. Only repeated points (R_p > 1) have a spread; f = 1 + 2 n / Σ_p (1/R_p) gives the n others
+twice their variance, as points that lose runs are the rougher ones. Degrees of freedom after
+Satterthwaite (1946), as if runs were independent: R − 1 where nothing is lost. Points that are all
+run once are the sample.
+
+A difference is conditional on the runs that both configurations finished.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -23,8 +28,9 @@ from scipy.stats import t as student
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.statistics import TAILS, Interval
+from dpbench.analysis.statistics import LEAST_SKEW_DF, TAILS, Interval, MeanEstimate, holm
 from dpbench.analysis.verdict.fastest import known_record
+from dpbench.arrays import Floats
 from dpbench.solvers.record import TOLERANCES
 from dpbench.solvers.settings import settings_matter, tolerance_of
 
@@ -32,34 +38,45 @@ SMALL_M = 0.01
 """A difference of 1 cm in the 95 % radial error is what a tolerance may cost."""
 SMALL_COST = 0.01
 """So is 1 % of the closed-loop cost."""
-NOTHING_M = 1e-6
-"""A difference in the same sea below a thousandth of a millimetre is none to a ship."""
-LEAST_PAIRS = 4
+NOTHING = 1e-6
+"""A difference in the same realisation below a thousandth of a millimetre, or a millionth of the
+cost, is none to a ship. No standard error is smaller: runs without any spread give no interval
+without width."""
+SINGLE_VARIANCE = 2.0
+"""Of the single run of a point, in those of the points that are repeated."""
+LEAST_PAIRS = 6
 """With fewer pairs no interval is stated."""
+ALPHA = 0.05
+"""Family-wise error of the claims of a study, each kind of claim a family (Holm 1979)."""
+EXACT_FIRST = ("paper_active_set", "daqp")
+"""Solvers that are the reference of a study before all others: active sets, exact to rounding."""
 
 
 @dataclass(frozen=True)
 class PairedDifference:
-    """How much more one configuration has of something than another in the same seas.
+    """How much more one configuration has of something than another in the same realisations.
 
     Parameters
     ----------
-    mean : with its 95 % interval; infinitely wide for too few pairs.
-    pairs : seas in which both came to their end; points : at how many points.
-    spread : standard deviation of the mean of one replicate of every point.
-    unpaired : by what factor the interval were wider if seas were not paired; NaN if unknown.
+    estimate : the mean difference with its error; the error is NaN where none is supported.
+    pairs : realisations that both finished; points : at how many points.
+    spread : standard deviation of the mean of one realisation of every point.
+    unpaired : by what factor the interval were wider if realisations were not paired; NaN if
+        unknown.
+    is_constant : whether it is the same in all pairs of a point, within `NOTHING`.
     """
 
-    mean: Interval
+    estimate: MeanEstimate
     pairs: int
     points: int
     spread: float
     unpaired: float
+    is_constant: bool
 
     @property
-    def shown(self) -> bool:
-        """Whether there is a difference: the interval does not hold 0."""
-        return not self.mean.spans(0.0)
+    def mean(self) -> Interval:
+        """With its 95 % interval; infinitely wide where none is supported."""
+        return self.estimate.interval
 
     def replicates_for(self, difference: float) -> int | None:
         """Replicates of each point after which a difference of this size would be told from none;
@@ -68,57 +85,68 @@ class PairedDifference:
             return None
         # The quantile falls with the count, so the first count that satisfies its own is it.
         for count in range(2, 100_000):
-            freedom = self.points * (count - 1)
-            if float(student.ppf(TAILS[1], freedom)) * self.spread / math.sqrt(count) <= difference:
+            reach = float(student.ppf(TAILS[1], count - 1)) * self.spread / math.sqrt(count)
+            if reach <= difference:
                 return count
         return None
 
 
 def paired_difference(one: pd.Series, other: pd.Series) -> PairedDifference:
-    """one − other over the seas that both have.
+    """one − other over the realisations that both have.
 
     Parameters
     ----------
     one, other : values indexed by (point, replicate).
     """
     both = pd.concat([one, other], axis=1, join="inner").dropna()
-    difference = both.iloc[:, 0] - both.iloc[:, 1]
-    by_point = difference.groupby(level=0)
-    counts, means = by_point.count(), by_point.mean()
-    points, pairs = len(counts), len(difference)
-    if pairs == 0:
-        nothing = Interval(np.nan, -np.inf, np.inf)
-        return PairedDifference(nothing, 0, 0, np.nan, np.nan)
-    mean = float(means.mean())
-    error, freedom = _standard_error(difference)
-    if pairs < LEAST_PAIRS or freedom < 1:
-        return PairedDifference(Interval(mean, -np.inf, np.inf), pairs, points, np.nan, np.nan)
-    reach = float(student.ppf(TAILS[1], freedom)) * error
-    alone = math.hypot(*(_standard_error(both.iloc[:, i])[0] for i in (0, 1)))
+    if both.empty:
+        return PairedDifference(MeanEstimate(np.nan), 0, 0, np.nan, np.nan, is_constant=False)
+    columns = [both.iloc[:, i].unstack().to_numpy(dtype=np.float64) for i in (0, 1)]
+    difference = columns[0] - columns[1]
+    estimate = mean_over_points(difference)
+    alone = math.hypot(*(mean_over_points(column).error for column in columns))
+    extent = np.nanmax(difference, axis=1) - np.nanmin(difference, axis=1)
     return PairedDifference(
-        Interval(mean, mean - reach, mean + reach),
-        pairs,
-        points,
-        error * math.sqrt(float(counts.mean())),
-        alone / error if error > 0 else np.inf,
+        estimate,
+        len(both),
+        len(difference),
+        estimate.error * math.sqrt(len(both) / len(difference)),
+        alone / estimate.error,
+        is_constant=bool((extent <= NOTHING).all()),
     )
 
 
-def _standard_error(values: pd.Series) -> tuple[float, float]:
-    """Of the mean over points of the means over replicates, with its degrees of freedom."""
-    by_point = values.groupby(level=0)
-    counts, variances = by_point.count(), by_point.var()
-    repeated = counts > 1
-    if not repeated.any():
-        count = len(values)
-        return (float(values.std()) / math.sqrt(count), count - 1) if count > 1 else (np.nan, 0)
-    # A point that lost all but one of its seas is as uncertain as the others.
-    variances = variances.where(repeated, variances[repeated].mean())
-    parts = variances / counts
-    total = float(parts.sum())
-    squares = float((parts[repeated] ** 2 / (counts[repeated] - 1)).sum())
-    freedom = total**2 / squares if squares > 0 else float((counts[repeated] - 1).sum())
-    return math.sqrt(total) / len(counts), freedom
+def mean_over_points(values: Floats) -> MeanEstimate:
+    """The mean over points of the means over realisations; see the module.
+
+    Parameters
+    ----------
+    values : (points, realisations), NaN where a run is lost; each point has one at least.
+    """
+    known = np.isfinite(values)
+    counts = known.sum(axis=1)
+    mean = float(np.nanmean(values, axis=1).mean())
+    if not (counts > 1).any():
+        # The points are the sample: as one point with so many realisations.
+        values, known = values[known][None, :], np.ones((1, len(counts)), dtype=bool)
+        counts = np.array([len(counts)])
+    points, repeated = len(counts), counts > 1
+    if known.sum() < LEAST_PAIRS or repeated.sum() < points / 2:
+        return MeanEstimate(mean)
+    alone = SINGLE_VARIANCE * (points - repeated.sum())
+    inflation = 1.0 + float(alone / (1.0 / counts[repeated]).sum())
+    values, known, counts = values[repeated], known[repeated], counts[repeated]
+    away = np.where(known, values - np.nanmean(values, axis=1, keepdims=True), 0.0)
+    weights2 = 1.0 / (points**2 * counts * (counts - 1))
+    together = np.sqrt(weights2) @ away
+    # Covariance of `together` for independent runs of one variance.
+    covariance = np.diag(weights2 @ known) - known.T @ ((weights2 / counts)[:, None] * known)
+    df = float(np.trace(covariance) ** 2 / (covariance**2).sum())
+    error = math.sqrt(inflation * float(together @ together))
+    if error <= NOTHING or df < LEAST_SKEW_DF:
+        return MeanEstimate(mean, max(error, NOTHING), df)
+    third = float((together**3).sum()) / float(together @ together) ** 1.5
+    return MeanEstimate(mean, error, df, math.sqrt(df * (df + 1.0)) / (df - 1.0) * third)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +164,9 @@ class StudiedConfiguration:
     r_95_m : 95 % radial error, mean over runs [m].
     behind, dearer : against the reference, of the 95 % radial error [m] and of the logarithm of the
         closed-loop cost; None of the reference itself.
+    p_differs : of "its radial error differs from the reference's by more than `NOTHING`";
+    p_cheap : of "it costs less than `SMALL_M` and less than `SMALL_COST`"; both adjusted for all
+        configurations of the study (Holm), 1 of the reference.
     """
 
     name: str
@@ -148,23 +179,41 @@ class StudiedConfiguration:
     r_95_m: float
     behind: PairedDifference | None
     dearer: PairedDifference | None
+    p_differs: float = 1.0
+    p_cheap: float = 1.0
+
+    @property
+    def differs(self) -> bool:
+        """Whether its radial error differs significantly from that of the reference."""
+        return self.p_differs <= ALPHA
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether its radial error is significantly larger than that of the reference."""
+        return self.behind is not None and self.differs and self.behind.estimate.value > 0.0
 
     @property
     def tolerance(self) -> float | None:
-        """The tolerance of its settings; None of a library's own choice, with none to set, or of a
-        solver that this installation does not know."""
-        if known_record(self.solver) is None or not settings_matter(self.solver):
-            return None
-        return TOLERANCES.get(self.settings) or tolerance_of(self.settings)
+        """As of `_tolerance`."""
+        return _tolerance(self.solver, self.settings)
 
     @property
     def is_cheap(self) -> bool:
-        """Whether it is shown to cost less than 1 cm and less than 1 % of the cost."""
+        """Whether it costs significantly less than 1 cm and less than 1 % of the cost."""
         if self.finished < self.runs:
             return False
+        return self.behind is None or self.p_cheap <= ALPHA
+
+    @property
+    def p_unadjusted(self) -> tuple[float, float]:
+        """`p_differs` and `p_cheap` of this configuration alone."""
         if self.behind is None or self.dearer is None:
-            return True
-        return self.behind.mean.high < SMALL_M and self.dearer.mean.high < math.log1p(SMALL_COST)
+            return 1.0, 1.0
+        cheap = self.dearer.estimate.p_below(math.log1p(SMALL_COST))
+        return (
+            self.behind.estimate.p_beyond(NOTHING),
+            max(self.behind.estimate.p_below(SMALL_M), cheap),
+        )
 
 
 class Study:
@@ -207,21 +256,34 @@ class Study:
         """How many seas each point was run in."""
         return int(self.runs["replicate"].nunique())
 
+    @property
+    def realisations(self) -> int:
+        """How many independent draws there are: of the sea, or of points that are all run once."""
+        return self.replicates if self.replicates > 1 else len(self.points)
+
     @cached_property
     def reference(self) -> str:
-        """Whom the others are set beside: nearest to the exactly solved loop, all of it run."""
+        """The configuration that the others are compared with: of those that finished most runs the
+        most exact by its settings. No error or cost decides, as those are what is compared."""
         solving = self.runs[~self.runs["baseline_law"]]
         pool = solving if len(solving) else self.runs
-        by_name = pool.groupby("configuration", sort=False)
-        ended, away = by_name["finished"].mean(), by_name["over_exact"].apply(_size)
-        order = pd.DataFrame({"ended": -ended, "away": away}).sort_values(["ended", "away"])
-        return str(order.index[0])
+        finished = pool.groupby("configuration", sort=False)["finished"].sum()
+        most = finished[finished == finished.max()].index
+        candidates = pool[pool["configuration"].isin(most)].drop_duplicates("configuration")
+        ranked = candidates[["solver", "settings", "configuration"]].itertuples(index=False)
+        return min((*_exactness(row[0], row[1]), str(row[2])) for row in ranked)[-1]
 
     @cached_property
     def configurations(self) -> list[StudiedConfiguration]:
         """Every configuration against the reference, which is the first; then the nearest first."""
         known = [self._of(str(name)) for name in self.runs["configuration"].unique()]
-        return sorted(known, key=lambda c: (c.name != self.reference, _nan_last(abs(c.cost))))
+        known.sort(key=lambda c: (c.name != self.reference, _nan_last(abs(c.cost))))
+        reference, *others = known
+        adjusted = [holm(np.array(p)) for p in zip(*(c.p_unadjusted for c in others), strict=True)]
+        return [reference] + [
+            replace(one, p_differs=float(differs), p_cheap=float(cheap))
+            for one, differs, cheap in zip(others, *adjusted, strict=True)
+        ]
 
     def values(self, configuration: str, column: str) -> pd.Series:
         """A column of a configuration's finished runs, by (point, replicate)."""
@@ -254,7 +316,7 @@ class Study:
     @cached_property
     def loosest(self) -> dict[str, StudiedConfiguration | None]:
         """Of each solver that was run at stated tolerances, the loosest that is cheap; None where
-        none is shown to be."""
+        none is."""
         stated = [c for c in self.configurations if c.tolerance is not None]
         solvers = dict.fromkeys(c.solver for c in stated)
         cheap = {
@@ -284,10 +346,23 @@ def studies(records: Records) -> list[Study]:
     ]
 
 
-def _size(values: pd.Series) -> float:
-    """Mean size of what is known; infinite where nothing is."""
-    known = values.abs().dropna()
-    return float(known.mean()) if len(known) else np.inf
+def _tolerance(solver: str, settings: str) -> float | None:
+    """The tolerance of its settings; None of a library's own choice, with none to set, or of a
+    solver that this installation does not know."""
+    if known_record(solver) is None or not settings_matter(solver):
+        return None
+    return TOLERANCES.get(settings) or tolerance_of(settings)
+
+
+def _exactness(solver: str, settings: str) -> tuple[int, float]:
+    """Sort key, the most exact first: `EXACT_FIRST`, solvers without a tolerance, the tightest
+    tolerance, then what does not tell."""
+    tolerance = _tolerance(solver, settings)
+    if solver in EXACT_FIRST:
+        return 0, EXACT_FIRST.index(solver) + (tolerance or 0.0)
+    if known_record(solver) is not None and not settings_matter(solver):
+        return 1, 0.0
+    return (3, 0.0) if tolerance is None else (2, tolerance)
 
 
 def _nan_last(value: float) -> float:

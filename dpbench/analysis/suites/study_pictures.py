@@ -52,12 +52,11 @@ def _fields(values: pd.Series[float]) -> pd.Series[float]:
     return least + width * (number + 0.5)
 
 
-def mean_cm(behind: PairedDifference) -> dict[str, float]:
-    """A mean with the ends of its interval [cm], itself where there is none; and its pairs."""
+def mean_cm(behind: PairedDifference) -> dict[str, float | None]:
+    """A mean with the ends of its interval [cm], None where none is stated; and its pairs."""
     mean = behind.mean
-    low, high = (mean.low, mean.high) if np.isfinite(mean.low) else (mean.value, mean.value)
-    cm = {"mean_cm": 100 * mean.value, "low_cm": 100 * low, "high_cm": 100 * high}
-    return cm | {"pairs": behind.pairs}
+    low, high = (100 * end if np.isfinite(end) else None for end in (mean.low, mean.high))
+    return {"mean_cm": 100 * mean.value, "low_cm": low, "high_cm": high, "pairs": behind.pairs}
 
 
 def seas_behind(study: Study) -> tuple[pd.DataFrame, pd.DataFrame, int]:

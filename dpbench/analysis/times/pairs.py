@@ -11,7 +11,7 @@ import numpy as np
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.step_times import StepTimes
-from dpbench.analysis.statistics import UNKNOWN, Interval, pooled_mean
+from dpbench.analysis.statistics import UNKNOWN, Interval, long_enough, pooled_mean
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.arrays import Floats
 
@@ -70,8 +70,8 @@ def log_reach(first: Mapping[int, StepTimes], second: Mapping[int, StepTimes]) -
 
 
 def paired_comparison(records: Records, first: Verdict, second: Verdict) -> PairedComparison:
-    """Compare two configurations on the steps of all sequences, each of equal weight; `first` has
-    the smaller p99, or the smaller largest step where there is none."""
+    """Compare two configurations on the steps of the sequences that are `long_enough`, each of
+    equal weight; `first` has the smaller p99, or the smaller largest step where there is none."""
     names = first.configuration.label, second.configuration.label
     logs: list[Floats] = []
     leaders: dict[str, str] = {}
@@ -89,7 +89,8 @@ def paired_comparison(records: Records, first: Verdict, second: Verdict) -> Pair
     if not logs:
         return PairedComparison(*names, UNKNOWN, 0, {})
     leaders["p99" if math.isfinite(first.p99_ns) else "largest step"] = names[0]
-    return PairedComparison(*names, pooled_mean(logs), sum(map(len, logs)), leaders)
+    steps = sum(map(len, long_enough(logs)))
+    return PairedComparison(*names, pooled_mean(logs), steps, leaders)
 
 
 def faster_but_open(records: Records, verdicts: Verdicts, chosen: Verdict) -> list[Verdict]:

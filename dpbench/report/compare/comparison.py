@@ -27,7 +27,13 @@ from dpbench.analysis.times.machine import disturbance_of, timed_runs
 from dpbench.bench.record.result_folder import load_results
 from dpbench.display import table_html
 from dpbench.errors import InputError
-from dpbench.report.compare.tables import answers_table, shared_line, solvers_table, times_table
+from dpbench.report.compare.tables import (
+    STOPPED,
+    answers_table,
+    shared_line,
+    solvers_table,
+    times_table,
+)
 from dpbench.report.formats import and_list, plural
 from dpbench.report.machine_verdict import verdict_text
 from dpbench.report.table import Table, document, html
@@ -182,7 +188,10 @@ def _lines(
     lines += [shared_line(one) for one in shared]
     changes = Counter(answer.change for answer in figures)
     if figures:
-        counts = ", ".join(f"{n} {change}" for change, n in changes.most_common())
+        words = {"not comparable": STOPPED}
+        counts = ", ".join(
+            f"{n} {words.get(change, change)}" for change, n in changes.most_common()
+        )
         lines.append(f"figures of accuracy and control: {counts}")
     for what, cells in (
         ("only in A", pairs.only_a),

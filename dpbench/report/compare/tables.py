@@ -24,6 +24,11 @@ TIMES = ("slower", "faster", "no difference shown", "equivalent")
 """Verdicts on a step time: the two claims, then what claims less."""
 
 
+CHANGES = ("worse", "better", "same", "not comparable")
+"""Verdicts on a figure of accuracy or control, likewise."""
+STOPPED = "not comparable (stopped by a time limit)"
+
+
 def solvers_table(compared: Sequence[Compared], answers: Sequence[Answer]) -> Table:
     """One row per solver: what its configurations together say of step times, accuracy and
     control."""
@@ -38,7 +43,7 @@ def solvers_table(compared: Sequence[Compared], answers: Sequence[Answer]) -> Ta
             {
                 "solver": solver,
                 "step times": _together(times, TIMES),
-                "accuracy and control": _together(changes, ("worse", "better", "same")),
+                "accuracy and control": _together(changes, CHANGES),
                 "configurations": counts,
                 "figures": count_text(changes.total()),
             }
@@ -46,7 +51,7 @@ def solvers_table(compared: Sequence[Compared], answers: Sequence[Answer]) -> Ta
     note = (
         "Over all ways to run it: slower, faster, worse or better where a configuration is "
         "and none is the contrary; equivalent where every configuration is; same where every "
-        "figure is. Claims on step times hold together over all solvers."
+        "figure that is comparable is. Claims on step times hold together over all solvers."
     )
     return Table.of(rows, "Verdict per solver", note=note, text_columns=4)
 
@@ -125,13 +130,16 @@ def shared_line(shared: Shared) -> str:
 
 def answers_table(answers: Sequence[Answer], margin: float) -> Table | None:
     """The figures that changed, worse ones first; None where none did."""
-    changed = [answer for answer in answers if answer.change != "same"]
+    changed = [answer for answer in answers if answer.change in ("worse", "better")]
     if not changed:
         return None
     changed.sort(key=lambda answer: answer.change != "worse")
+    unlike = sum(answer.change == "not comparable" for answer in answers)
+    left_out = f" {plural(unlike, 'figure')} {STOPPED}." if unlike else ""
     note = (
-        f"{plural(len(changed), 'figure')} of {count_text(len(answers))}; the others are the "
-        f"same within {100 * margin:g} %, counts and shares exactly. A range: over the rounds."
+        f"{plural(len(changed), 'figure')} of {count_text(len(answers) - unlike)}; the others are "
+        f"the same within {100 * margin:g} %, counts and shares exactly. A range: over the rounds."
+        f"{left_out}"
     )
     rows, title = list(map(_answer_row, changed)), "Accuracy and control: what changed"
     return Table.of(rows, title, note=note, text_columns=3)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.statistics import none_of
 from dpbench.analysis.suites.study import Study
 from dpbench.analysis.suites.study_pictures import behind_cm, mean_cm, worst_run
 
@@ -42,6 +43,7 @@ def study_document(
     return {
         "name": study.name,
         "radius_m": study.radius_m,
+        "none_of": none_of(study.realisations),
         "reference": place.get(study.reference, 0),
         "keys": [str(key) for key in study.points],
         "points": [int(point) for point in study.points.index],

@@ -7,9 +7,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from pandas.api.types import is_numeric_dtype
 
+from dpbench.analysis.statistics import none_of
 from dpbench.analysis.suites import study_pictures as pictures
 from dpbench.analysis.suites.study import (
-    NOTHING_M,
+    ALPHA,
+    NOTHING,
     SMALL_COST,
     SMALL_M,
     PairedDifference,
@@ -37,34 +39,55 @@ def study_topic(known: Sequence[Study]) -> Topic | None:
 
 def _lines(study: Study) -> Iterator[str]:
     runs, points = study.runs, len(study.points)
-    seas = plural(study.replicates, "sea")
+    seas = plural(study.replicates, "realisation")
     yield (
         f"{study.name}: {plural(len(runs), 'run')} at {plural(points, 'point')} in {seas}; "
         f"{_separated(study)}"
     )
+    unfinished = len(runs) - int(runs["finished"].sum())
+    if unfinished:
+        yield (
+            f"{study.name}: {unfinished} of {plural(len(runs), 'run')} did not finish. Every "
+            "difference is conditional on the realisations that both configurations finished."
+        )
     held = study.configurations[0].held
     worst = min(study.configurations, key=lambda c: c.held)
     radius = f"within {study.radius_m:g} m in the second half of a run"
     yield (
-        f"{study.reference} holds the ship {radius} in {100 * held:.0f} % of them"
-        + (f", {worst.name} in {100 * worst.held:.0f} %." if worst.held < held else ", as all do.")
+        f"{study.reference} holds the ship {radius} in {_share(held, study)} of them"
+        + (
+            f", {worst.name} in {_share(worst.held, study)}."
+            if worst.held < held
+            else ", as all do."
+        )
     )
     if study.loosest:
         yield _loosest(study)
 
 
 def _separated(study: Study) -> str:
-    """Who is shown to be behind the reference in the same seas, and who is not."""
-    others = [c for c in study.configurations if c.behind is not None]
-    worse = [c for c in others if c.behind is not None and c.behind.mean.low > NOTHING_M]
-    worse.sort(key=lambda c: -_mean(c))
+    """Which configurations have a significantly larger error than the reference, and which not."""
+    others = study.configurations[1:]
+    worse = sorted((c for c in others if c.is_behind), key=lambda c: -_mean(c))
     said = [f"{c.name} by {_cm(_mean(c))} cm" for c in worse[:3]]
     unnamed = f" and {len(worse) - 3} more" if len(worse) > 3 else ""
     if not worse:
-        return f"nobody is shown to be behind {study.reference} in the same sea."
+        return f"none is significantly behind {study.reference} in the same realisation."
     same = len(others) - len(worse)
-    rest = f"; {same} {'is' if same == 1 else 'are'} not shown to be" if same else ""
-    return f"behind {study.reference} in the same sea: {', '.join(said)}{unnamed}{rest}."
+    rest = f"; {same} {'is' if same == 1 else 'are'} not" if same else ""
+    return (
+        f"significantly behind {study.reference} in the same realisation: {', '.join(said)}"
+        f"{unnamed}{rest}."
+    )
+
+
+def _share(share: float, study: Study) -> str:
+    """A share in percent; of none or all with its 95 % bound, by the rule of three."""
+    bound = 100 * none_of(study.realisations)
+    said = f"{100 * share:.0f} %"
+    if share in (0.0, 1.0):
+        said += f" (at {'least' if share else 'most'} {abs(100 * share - bound):.0f} %)"
+    return said
 
 
 def _loosest(study: Study) -> str:
@@ -73,9 +96,13 @@ def _loosest(study: Study) -> str:
     none = [s for s, c in study.loosest.items() if c is None]
     limits = f"less than {100 * SMALL_M:g} cm and {100 * SMALL_COST:g} % of the cost"
     parts = [f"{solver} {c.tolerance:g}" for solver, c in cheap.items()]
-    said = f"The loosest tolerance shown to cost {limits}: {and_list(parts)}" if parts else ""
-    without = f"No tolerance of {and_list(none)} is shown to cost {limits}" if none else ""
-    return ". ".join(filter(None, (said, without))) + "."
+    said = (
+        f"The loosest tolerance that costs significantly {limits}: {and_list(parts)}"
+        if parts
+        else ""
+    )
+    without = f"No tolerance of {and_list(none)} costs significantly {limits}" if none else ""
+    return ". ".join(filter(None, (said if parts else "", without))) + "."
 
 
 def _figures(study: Study) -> Iterator[Figure]:
@@ -98,15 +125,23 @@ def _figures(study: Study) -> Iterator[Figure]:
         chart = behind(table, seas, f"Behind {study.reference}, {study.name}", 100 * SMALL_M)
         of = "" if len(seas) == seas_all else f", {len(seas)} of {seas_all} at even ranks"
         caption = (
-            f"A dot a sea{of}, the mean with its 95 % interval; the band: 1 cm to either side."
+            f"A dot a realisation{of}, the mean with its 95 % interval where there is one; the "
+            "band: 1 cm to either side."
         )
         yield Figure(f"study-behind-{name}", chart, caption)
 
 
 def _tables(study: Study) -> Iterator[Table]:
-    rows = [_row(configuration) for configuration in study.configurations]
-    title = f"{study.name}: against {study.reference} in the same sea"
-    yield Table.of(rows, title)
+    rows = [_row(configuration, study) for configuration in study.configurations]
+    title = f"{study.name}: against {study.reference} in the same realisation"
+    note = (
+        "Intervals hold at 95 % for each row alone and are conditional on the realisations that "
+        "both finished. None is stated where fewer than half of the points have two. Shown: the "
+        f"error differs, with a family-wise error of {100 * ALPHA:g} % over all rows (Holm). The "
+        "reference is chosen by its settings, not by its results. At least, at most: the 95 % "
+        "bound where all or none of the runs are held, 3 over the number of realisations."
+    )
+    yield Table.of(rows, title, note=note)
     axes = tuple(
         (str(key), str(values.nunique()), str(values.min()), str(values.max()))
         for key, values in study.points.items()
@@ -115,12 +150,12 @@ def _tables(study: Study) -> Iterator[Table]:
         yield Table(("key", "values", "least", "largest"), axes, f"{study.name}: its points")
 
 
-def _row(configuration: StudiedConfiguration) -> dict[str, str]:
+def _row(configuration: StudiedConfiguration, study: Study) -> dict[str, str]:
     behind_it, dearer = configuration.behind, configuration.dearer
     row = {
         "configuration": configuration.name,
         "runs": f"{configuration.finished} of {configuration.runs}",
-        "held": f"{100 * configuration.held:.0f} %",
+        "held": _share(configuration.held, study),
         "cost over exact": f"{_percent(configuration.cost)} %",
         "behind [cm]": "reference" if behind_it is None else _interval(behind_it, 100.0),
         "dearer": "" if dearer is None else f"{_interval(dearer, 100.0)} %",
@@ -128,22 +163,23 @@ def _row(configuration: StudiedConfiguration) -> dict[str, str]:
     if behind_it is None:
         return row | {"shown": "", "seas for 1 cm": ""}
     seas = str(behind_it.replicates_for(SMALL_M) or MISSING)
-    return row | {"shown": "yes" if behind_it.shown else "no", "seas for 1 cm": seas}
+    return row | {"shown": "yes" if configuration.differs else "no", "seas for 1 cm": seas}
 
 
 def _interval(difference: PairedDifference, scale: float) -> str:
     mean = difference.mean
     if not np.isfinite(mean.low):
-        return f"{significant(scale * mean.value, 2)} (too few seas)"
-    if max(abs(mean.low), abs(mean.high)) < NOTHING_M:
-        return "0"
+        return f"{significant(scale * mean.value, 2)} (no interval)"
+    if difference.is_constant:
+        value = 0.0 if abs(mean.value) <= NOTHING else scale * mean.value
+        return f"{significant(value, 2)} in all {difference.pairs}"
     low, high = (significant(scale * value, 2) for value in (mean.low, mean.high))
     return f"{significant(scale * mean.value, 2)} [{low}, {high}]"
 
 
 def _percent(share: float) -> str:
     """A share in percent to two digits; what is rounding alone is 0."""
-    return "0" if abs(share) < NOTHING_M else significant(100.0 * share, 2)
+    return "0" if abs(share) < NOTHING else significant(100.0 * share, 2)
 
 
 def _mean(configuration: StudiedConfiguration) -> float:

@@ -13,8 +13,8 @@ from dpbench.analysis.compare.evidence import (
     assess,
     gather,
     gather_against,
-    holm,
 )
+from dpbench.analysis.statistics import holm
 
 FLAT = Prior(sd=0.01, df=6.0)
 """The prior of the simulations, whose noise is drawn with this standard deviation."""

@@ -13,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from dpbench.analysis.suites.study import Study, paired_difference
+from dpbench.analysis.statistics import holm
+from dpbench.analysis.suites.study import NOTHING, Study, mean_over_points, paired_difference
 
 COLUMNS = ["point", "replicate"]
 
@@ -25,25 +26,62 @@ def _values(table: np.ndarray) -> pd.Series:
     return pd.Series(table.ravel(), index=index)
 
 
-@pytest.mark.slow
-@given(seed=st.integers(0, 2**32 - 1), replicates=st.integers(4, 30))
+@given(seed=st.integers(0, 2**32 - 1), replicates=st.integers(6, 30))
 def test_at_one_point_it_is_the_paired_t_test(seed: int, replicates: int) -> None:
-    """The interval is that of scipy's paired t-test."""
+    """Error and degrees of freedom are those of scipy's paired t-test, whose interval it holds."""
     one, other = np.random.default_rng(seed).normal(size=(2, 1, replicates))
     difference = paired_difference(_values(one), _values(other))
-    expected = stats.ttest_rel(one[0], other[0]).confidence_interval(0.95)
-    assert difference.mean.low == pytest.approx(expected.low, rel=1e-9, abs=1e-12)
-    assert difference.mean.high == pytest.approx(expected.high, rel=1e-9, abs=1e-12)
+    expected = stats.ttest_rel(one[0], other[0])
+    estimate, interval = difference.estimate, expected.confidence_interval(0.95)
+    assert estimate.value / estimate.error == pytest.approx(expected.statistic, rel=1e-9)
+    assert estimate.df == pytest.approx(expected.df)
+    assert difference.mean.low <= interval.low + 1e-12
+    assert difference.mean.high >= interval.high - 1e-12
 
 
-@pytest.mark.slow
-@given(seed=st.integers(0, 2**32 - 1), points=st.integers(4, 40))
+@given(seed=st.integers(0, 2**32 - 1), points=st.integers(6, 40))
 def test_points_without_replicates_are_the_sample(seed: int, points: int) -> None:
-    """With one sea a point the interval is that of the t-test over points."""
+    """With one realisation a point the error is that of the t-test over points."""
     one, other = np.random.default_rng(seed).normal(size=(2, points, 1))
-    difference = paired_difference(_values(one), _values(other))
-    expected = stats.ttest_rel(one[:, 0], other[:, 0]).confidence_interval(0.95)
-    assert difference.mean.low == pytest.approx(expected.low, rel=1e-9, abs=1e-12)
+    estimate = paired_difference(_values(one), _values(other)).estimate
+    expected = stats.ttest_rel(one[:, 0], other[:, 0])
+    assert estimate.value / estimate.error == pytest.approx(expected.statistic, rel=1e-9)
+    assert estimate.df == pytest.approx(points - 1)
+
+
+@given(seed=st.integers(0, 2**32 - 1), points=st.integers(2, 6), replicates=st.integers(3, 12))
+def test_the_unit_is_a_realisation(seed: int, points: int, replicates: int) -> None:
+    """With all runs finished it is the t-test over the means of the realisations: what the points
+    share in a sea is not counted once a point."""
+    values = np.random.default_rng(seed).normal(size=(points, replicates))
+    values += np.random.default_rng(seed + 1).normal(size=replicates)
+    estimate = paired_difference(_values(values), _values(0.0 * values)).estimate
+    expected = stats.ttest_1samp(values.mean(axis=0), 0.0)
+    assert estimate.value / estimate.error == pytest.approx(expected.statistic, rel=1e-9)
+    assert estimate.df == pytest.approx(replicates - 1)
+
+
+def test_lost_runs_worked_by_hand() -> None:
+    """Points with 0, 2, 4 and 1, 3 and 5, the others lost: means 2, 2, 5.
+
+    Sums over points of weighted deviations: (-2, 0, 2)/sqrt(54) + (-1, 1, 0)/sqrt(18), squares
+    (7/3 + 2/sqrt(3))/9. The third point adds 2 to 1/3 + 1/2, a factor 3.4. Covariance of
+    independent runs, times 72·9/4: diagonal 6.5, 6.5, 2, off it -5.5, -1, -1, so that there are
+    15²/(84.5 + 4 + 60.5 + 4) = 25/17 degrees of freedom.
+    """
+    lost = math.nan
+    estimate = mean_over_points(np.array([[0.0, 2.0, 4.0], [1.0, 3.0, lost], [5.0, lost, lost]]))
+    assert estimate.value == pytest.approx(3.0)
+    assert estimate.error**2 == pytest.approx(3.4 * (7 / 3 + 2 / math.sqrt(3)) / 9)
+    assert estimate.df == pytest.approx(25 / 17)
+
+
+def test_points_run_once_beside_one_repeated_give_no_interval() -> None:
+    """2, 1, 1, 1 replicates: the spread of one point is none of four, however many they are."""
+    for singles, supported in ((1, True), (3, False)):
+        values = np.full((1 + singles, 6), np.nan)
+        values[:, 0], values[0] = 1.0, np.arange(6.0)
+        assert mean_over_points(values).is_supported is supported
 
 
 @pytest.mark.slow
@@ -60,20 +98,33 @@ def test_the_sea_drops_out(seed: int) -> None:
     assert together.unpaired > 5.0 * alone.unpaired
 
 
-@pytest.mark.slow
-def test_the_interval_holds_the_truth_as_often_as_it_says() -> None:
-    """Points of other means, counts and spreads: 95 % of 600 intervals hold the true mean."""
-    draw = np.random.default_rng(7)
-    truth, counts, inside = np.array([0.3, -0.1, 0.7, 0.2]), (3, 5, 8, 4), 0
-    spreads = (0.2, 0.1, 0.4, 0.2)
-    for _ in range(600):
-        index = [(p, r) for p, count in enumerate(counts) for r in range(count)]
-        values = [truth[p] + draw.normal(scale=spreads[p]) for p, _ in index]
-        one = pd.Series(values, index=pd.MultiIndex.from_tuples(index))
-        interval = paired_difference(one, 0.0 * one).mean
-        inside += interval.low <= truth.mean() <= interval.high
-    # Three standard errors of a share of 600.
-    assert abs(inside / 600 - 0.95) < 3 * math.sqrt(0.95 * 0.05 / 600)
+@pytest.mark.parametrize("shared", [0.0, 0.3])
+def test_intervals_hold_the_truth_where_runs_are_lost(shared: float) -> None:
+    """Of 300 intervals from 8 points with 4 replicates, 30 % of them lost, 90 % or more hold.
+
+    A coverage of 95 % has a standard deviation of 1.3 %. With a borrowed spread that was not
+    counted among the degrees of freedom, and points counted as independent, it was 70 to 90 %.
+    """
+    draw, inside, stated = np.random.default_rng(7), 0, 0
+    for _ in range(300):
+        values = math.sqrt(1.0 - shared) * draw.normal(size=(8, 4))
+        values += math.sqrt(shared) * draw.normal(size=4)
+        values[draw.uniform(size=values.shape) < 0.3] = np.nan
+        estimate = mean_over_points(values[np.isfinite(values).any(axis=1)])
+        stated += estimate.is_supported
+        inside += estimate.is_supported and estimate.interval.spans(0.0)
+    assert stated > 280 and inside / stated > 0.9
+
+
+def test_without_spread_an_interval_has_a_width() -> None:
+    """Differences that are all 0, or all 3 cm, and the reference's own: an interval about them as
+    wide as what counts as nothing."""
+    for offset in (0.0, 0.03):
+        values = np.random.default_rng(2).uniform(size=(2, 5))
+        found = paired_difference(_values(values + offset), _values(values))
+        assert found.is_constant and found.mean.value == pytest.approx(offset)
+        assert found.mean.high - found.mean.low > 2 * NOTHING
+    assert not paired_difference(_values(values**2), _values(values)).is_constant
 
 
 def test_only_seas_that_both_ended_are_paired() -> None:
@@ -81,7 +132,7 @@ def test_only_seas_that_both_ended_are_paired() -> None:
     one, other = _values(np.arange(8.0).reshape(2, 4)), _values(np.zeros((2, 4)))
     assert paired_difference(one.drop((0, 1)), other.drop((1, 2))).pairs == 6
     few = paired_difference(one.iloc[:3], other)
-    assert few.pairs == 3 and few.mean.low == -np.inf and not few.shown
+    assert few.pairs == 3 and few.mean.low == -np.inf and few.estimate.p_beyond(0.0) == 1.0
     assert paired_difference(one.iloc[:0], other).pairs == 0
 
 
@@ -94,8 +145,8 @@ def test_as_many_replicates_as_it_says_tell_the_difference() -> None:
         assert count is not None
 
         def reach(replicates: int) -> float:
-            freedom = difference.points * (replicates - 1)
-            return float(stats.t.ppf(0.975, freedom)) * difference.spread / math.sqrt(replicates)
+            quantile = float(stats.t.ppf(0.975, replicates - 1))
+            return quantile * difference.spread / math.sqrt(replicates)
 
         assert reach(count) <= size
         assert count == 2 or reach(count - 1) > size
@@ -133,21 +184,44 @@ def _study(runs: list[Any], radius_m: float = 1.0) -> Study:
     return Study("sea", cast(Any, runs), radius_m)
 
 
-def test_the_nearest_to_the_exact_loop_is_the_reference() -> None:
-    """The others are set beside it: 3 cm behind is shown, a tenth of a millimetre is not."""
-    study = _study(_runs({"far": 0.03, "near": 0.0, "same": 0.0}))
-    assert study.reference in ("near", "same")
+def test_the_reference_is_chosen_by_settings_not_by_results() -> None:
+    """An exact active set before a tight tolerance before a name, whatever is nearest; 3 cm behind
+    is shown, a tenth of a millimetre is not."""
+    away = {"osqp/1e-4": 0.0, "osqp/1e-6": 0.02, "daqp": 0.03, "quadprog": 0.0, "aaa": 0.0}
+    for reference in ("daqp", "quadprog", "osqp (1e-6)", "osqp (1e-4)", "aaa"):
+        assert _study(_runs(away)).reference == reference
+        away.pop(reference.replace(" (", "/").rstrip(")"))
+    study = _study(_runs({"far": 0.03, "exact": 0.0, "same": 0.0}))
+    assert study.reference == "exact"
     by_name = {c.name: c for c in study.configurations}
+    assert by_name["far"].is_behind and not by_name["same"].is_behind
     behind = by_name["far"].behind
-    assert behind is not None and behind.shown
-    assert behind.mean.value == pytest.approx(0.03, abs=2e-4)
+    assert behind is not None and behind.mean.value == pytest.approx(0.03, abs=2e-4)
     assert behind.unpaired > 100.0
+
+
+def test_claims_hold_together_over_all_configurations() -> None:
+    """Adjusted p-values are Holm's of those of each configuration alone. At most 6 of 40 studies of
+    13 configurations without a difference claim one.
+
+    With a family-wise error of 5 %, more than 6 of 40 have a probability of 0.4 %.
+    """
+    rng, wrong = np.random.default_rng(4), 0
+    for _ in range(40):
+        runs = _runs({f"same{i:02d}": 0.0 for i in range(13)}, points=2, seas=8)
+        for run in runs:
+            run.r_95_m = 1.0 + 0.01 * rng.normal()
+        others = _study(runs).configurations[1:]
+        adjusted = holm(np.array([c.p_unadjusted[0] for c in others]))
+        assert [c.p_differs for c in others] == pytest.approx(adjusted.tolist())
+        wrong += any(c.differs for c in others)
+    assert wrong <= 6
 
 
 def test_who_lost_a_run_is_no_reference_and_its_other_seas_are_paired() -> None:
     """A run that did not end is neither held nor paired, and its configuration is not cheap."""
-    study = _study(_runs({"near": 0.0, "far": 0.03}, near="crashed"), radius_m=9.0)
-    assert study.reference == "far"
+    study = _study(_runs({"near": 0.0, "off": 0.03}, near="crashed"), radius_m=9.0)
+    assert study.reference == "off"
     near = next(c for c in study.configurations if c.name == "near")
     assert (near.runs, near.finished) == (12, 11)
     assert near.held == pytest.approx(11 / 12)

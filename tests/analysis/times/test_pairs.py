@@ -1,5 +1,6 @@
 """Two configurations on the same steps: exact cases."""
 
+import math
 from typing import Any
 
 import pytest
@@ -19,15 +20,16 @@ def _compared(records: Any) -> PairedComparison:
 
 
 def test_sequences_weigh_the_same_in_a_ratio(records: Any) -> None:
-    """Twice as long on 1000 steps and 8 times on 100 is 4 times, exactly and without doubt."""
-    for solver, factors in (("base", (1.0, 1.0)), ("other", (2.0, 8.0))):
+    """Twice as long on 1000 steps and 8 times on 500 is 4 times; 100 steps beside them do not
+    count, as they support no interval. Times without any spread do not either."""
+    for solver, factors in (("base", (1.0, 1.0, 1.0)), ("other", (2.0, 8.0, 99.0))):
         for (sequence, steps), factor in zip(
-            (("paper", 1000), ("calm", 100)), factors, strict=True
+            (("paper", 1000), ("calm", 500), ("rough", 100)), factors, strict=True
         ):
             records.replay(solver, sequence, steps=steps, median_us=10.0 * factor, **EXACT)
     found = _compared(records)
-    assert (found.ratio.value, found.ratio.low, found.ratio.high) == pytest.approx((4.0, 4.0, 4.0))
-    assert (found.steps, found.tied, found.unstable) == (1100, False, False)
+    assert (found.ratio.value, found.steps) == (pytest.approx(4.0), 1500)
+    assert (found.ratio.low, found.ratio.high, found.unstable) == (0.0, math.inf, False)
 
 
 def test_a_ratio_that_turns_with_the_sequence_names_both_leaders(records: Any) -> None:

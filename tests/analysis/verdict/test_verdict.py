@@ -461,6 +461,20 @@ def test_a_tie_is_called_a_tie(records: Any) -> None:
     assert "cannot be told apart" in paired_text(found)
 
 
+@pytest.mark.parametrize("median_us", [20.2, 45_200.0])
+def test_few_steps_state_the_ratio_and_no_more(records: Any, median_us: float) -> None:
+    """2260 times as long over 40 steps is the ratio, without an interval; nobody says of it that
+    the two cannot be told apart."""
+    for solver, median in (("first", 20.0), ("second", median_us)):
+        records.loop(solver, steps=40)
+        records.replay(solver, steps=40, median_us=median, spread=0.0)
+    view = records.view()
+    found = paired_comparison(view, *fastest_first(verdicts_of(view, DEMAND).references))
+    said = paired_text(found)
+    assert said.startswith("1.01 times" if median_us < 21.0 else "2260 times")
+    assert said.endswith("(geometric mean of 40 steps; fewer than 500 steps, so no interval)")
+
+
 def test_an_order_that_turns_with_the_yardstick_is_called_unstable(records: Any) -> None:
     """A better p99 with a worse median is no clear lead."""
     records.loop("steady")

@@ -307,6 +307,50 @@ def test_figures_of_accuracy_and_control(make: Make, change: Any, figures: set[s
         assert found.worse is (bool(figures) and word == "worse")
 
 
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        (("timed_out", 60), ("timed_out", 40)),
+        (("finished", STEPS), ("timed_out", 90)),
+        (("timed_out", 1), ("hung", 0)),
+    ],
+)
+def test_what_a_time_limit_stopped_is_not_comparable(make: Make, before: Any, after: Any) -> None:
+    """Control figures of other steps are neither worse nor better, nor is how far a run came; that
+    a loop crashes is worse as ever."""
+    figures = {"r_rms_m": 0.3, "closed_loop_cost": 1.0, "total_variation": 2.0}
+    other = {"r_rms_m": 0.6, "closed_loop_cost": 0.1, "total_variation": 9.0}
+
+    def folder(name: str, seen: Any, columns: Mapping[str, float]) -> Path:
+        loop = columns | {"outcome": seen[0], "steps_done": seen[1]}
+        return make(name, seed=1, loop=loop)
+
+    a, b = folder("a", before, figures), folder("b", after, other)
+    for first, second in ((a, b), (b, a)):
+        found = compare(first, second)
+        assert not found.worse
+        loops = found.answers[found.answers["mode"] == "closed_loop"]
+        assert set(loops["change"]) == {"not comparable"}
+        assert any("not comparable (stopped by a time limit)" in line for line in found.lines)
+    assert compare(a, folder("c", ("crashed", 40), other)).worse
+
+
+def test_steps_after_a_solvers_own_time_limit_are_not_comparable(make: Make) -> None:
+    """An answer that a clock cut short at step 50 changes those after it, and none before."""
+    a = make("a", seed=1)
+    for step, worse in ((60, False), (40, True)):
+        b = make(f"b{step}", seed=1)
+        steps = pd.read_parquet(b / "steps.parquet")
+        own = steps["run_id"] == "replay-osqp"
+        steps.loc[own & (steps["k"] == 50), "status"] = "TIME_LIMIT"
+        steps.loc[own & (steps["k"] == step), ["error_move", "error_plan"]] = 0.5
+        steps.to_parquet(b / "steps.parquet", index=False)
+        found = compare(a, b)
+        assert found.worse is worse
+        figures = found.answers[found.answers["solver"] == "osqp"].set_index("figure")["change"]
+        assert figures["error_move_max"] == ("worse" if worse else "same")
+
+
 @pytest.mark.slow
 def test_an_error_that_is_rounding_in_both_is_no_change(make: Make) -> None:
     """1e-14 to 1e-10 is a factor of ten thousand and nothing at all."""

@@ -16,8 +16,9 @@ from dpbench.report.topics import study as topic
 WIND, EAST = "environment.wind.speed_mps", "start.east_m"
 
 
-def _fill(records: Any, points: int, seas: int) -> Any:
-    """Two solvers at points of two keys; one of them is 2 to 4 cm behind."""
+def _fill(records: Any, points: int, seas: int, *, lost: tuple[int, int] | None = None) -> Any:
+    """Two solvers at points of two keys; one of them is 2 to 4 cm behind, and does not finish the
+    run of one point and sea."""
     rng = np.random.default_rng(1)
     for point in range(points):
         x = {WIND: float(rng.uniform(5, 18)), EAST: float(rng.uniform(0, 3))}
@@ -34,6 +35,7 @@ def _fill(records: Any, points: int, seas: int) -> Any:
                     replicate=sea,
                     r_95_m=0.5 + behind,
                     exact_cost=100.0 - (solver == "osqp"),
+                    outcome="crashed" if behind and (point, sea) == lost else "finished",
                 )
     return topic.study_topic(studies(records.view()))
 
@@ -65,3 +67,25 @@ def test_of_a_large_study_some_seas_are_drawn(
     assert len(_drawn(held, "held")) <= 2 * 9 and sum(_drawn(held, "runs")) == 2 * 120
     dots = _drawn(behind, "behind_cm")
     assert len(dots) == 9 and min(dots) < 2.1 and max(dots) > 3.9
+
+
+def test_a_share_of_all_or_none_has_a_bound(records: Any) -> None:
+    """Of 12 realisations all are held: at least 1 - 3/12 of all are, as sure as any interval."""
+    found = _fill(records, points=5, seas=12)
+    assert "in 100 % (at least 75 %) of them" in found.lines[1]
+    assert {row[2] for row in found.tables[0].rows} == {"100 % (at least 75 %)"}
+
+
+def test_what_was_lost_is_a_condition(records: Any) -> None:
+    """A run that did not finish is counted, and the differences are said to leave it out."""
+    found = _fill(records, points=2, seas=6, lost=(1, 3))
+    assert "1 of 24 runs did not finish" in found.lines[1] and "conditional" in found.lines[1]
+    assert "conditional on the realisations" in found.tables[0].note
+    assert [row[1] for row in found.tables[0].rows] == ["12 of 12", "11 of 12"]
+
+
+def test_a_mean_without_an_interval_has_no_ends(records: Any) -> None:
+    """Two pairs support none: the point is drawn without a bar, and the table says so."""
+    found = _fill(records, points=1, seas=2)
+    assert _drawn(found.figures[1], "low_cm") in ([], [None])
+    assert "(no interval)" in found.tables[0].rows[1][4]

@@ -115,8 +115,11 @@ function studySaid(study) {
   const here = run === undefined ? "was not run" : tail === null ? "did not end"
     : `${study.runs.held[run] ? "held" : "not held"}, at most ${figure(tail)} m off in the second half`
       + (behind === null || who === study.reference ? "" : `, ${figure(behind)} cm behind ${study.names[study.reference]}`);
+  const share = held(all) / all.length, bound = 100 * Math.abs(share - study.none_of);
+  const bounded = share === 1 || share === 0
+    ? ` (95 % bound: at ${share ? "least" : "most"} ${bound.toFixed(0)} % of all seas)` : "";
   return `${at}: ${study.names[who]} stays within ${study.radius_m} m in ${held(own)} of ${own.length} seas, over all points in `
-    + `${held(all)} of ${all.length}. Sea ${sea}: ${here}.`;
+    + `${held(all)} of ${all.length}${bounded}. Sea ${sea}: ${here}.`;
 }
 
 function drawStudyChoice(study) {

@@ -1,0 +1,341 @@
+"""How often stated intervals hold a known truth, and how often `dpbench compare` is right.
+
+    python benchmarks/coverage.py [--quick]
+
+Draws data with a known truth, hands them to the functions that make every interval of a report, and
+counts. Prints a table and writes it between the markers of docs/method.md; --quick draws little,
+checks the script alone and writes nothing. Exit 1 where an interval that is stated in at least a
+tenth of the draws holds the truth in less than 93 % or more than 99 % of them, beyond the Monte
+Carlo error.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+from scipy.special import log_ndtr, ndtri
+
+from dpbench.analysis.compare.pairs import Pair
+from dpbench.analysis.compare.times import compare_times, time_pairs
+from dpbench.analysis.statistics import (
+    Interval,
+    none_of,
+    paired_ratio,
+    percentile_interval,
+    pooled_mean,
+)
+from dpbench.analysis.suites.study import paired_difference
+
+METHOD = Path(__file__).parents[1] / "docs" / "method.md"
+MARKERS = ("<!-- coverage -->", "<!-- /coverage -->")
+ALLOWED = (0.93, 0.99)
+"""What the share of intervals that hold the truth must lie between."""
+DRAWS, TABLES = 2000, 300
+"""Draws of each interval, and tables of each comparison."""
+QUICK_DRAWS, QUICK_TABLES = 40, 3
+
+Floats = NDArray[np.float64]
+Random = np.random.Generator
+Draw = Callable[[Random], tuple[float, Interval]]
+"""A truth, and an interval that should hold it; an infinite one is not stated."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of the table: what was drawn, how often, in how many draws an interval was stated,
+    and the share of these that hold the truth, or of claims."""
+
+    interval: str
+    truth: str
+    draws: int
+    stated: int
+    held: float
+    is_coverage: bool = True
+
+    @property
+    def error(self) -> float:
+        """Monte Carlo error of the share, of one standard deviation; none counts as half a draw."""
+        least = 0.5 / max(1, self.stated)
+        held = min(max(self.held, least), 1.0 - least)
+        return math.sqrt(held * (1.0 - held) / max(1, self.stated))
+
+    @property
+    def is_allowed(self) -> bool:
+        """Whether the share lies within `ALLOWED`, as far as the draws can tell."""
+        reach, rare = 2.0 * self.error, self.stated < 0.1 * self.draws
+        low, high = ALLOWED
+        return not self.is_coverage or rare or low - reach <= self.held <= high + reach
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """The row as text."""
+        share = f"{100 * self.held:.1f} ± {100 * self.error:.1f}" if self.stated else "–"
+        stated = f"{100 * self.stated / self.draws:.0f}"
+        return self.interval, self.truth, f"{self.draws}", stated, share
+
+
+# Studies: points (rows) in realisations (columns), lost ones NaN.
+
+COUNTS_EVEN, COUNTS_ODD = (6, 6, 6, 6), (3, 5, 8, 4)
+
+
+def draw_noise(kind: str, shape: tuple[int, ...], rng: Random, shared: float = 0.0) -> Floats:
+    """Noise of mean 0 of some kind, normal deviates of the points of a realisation correlated."""
+    normal = math.sqrt(1.0 - shared) * rng.standard_normal(shape)
+    normal += math.sqrt(shared) * rng.standard_normal(shape[-1])
+    if kind == "exponential":
+        return np.asarray(-log_ndtr(normal) - 1.0)
+    return np.exp(normal) - math.exp(0.5) if kind == "lognormal" else normal
+
+
+def draw_study(
+    rng: Random,
+    counts: tuple[int, ...],
+    *,
+    kind: str = "normal",
+    shared: float = 0.0,
+    lost: float = 0.0,
+    roughest: float = 1.3,
+) -> tuple[float, Interval]:
+    """The paired difference of two configurations at points that differ in mean and spread.
+
+    Parameters
+    ----------
+    counts : realisations of each point; lost : share of the runs that one of the two does not
+        finish; roughest : spread of normal noise at the last point, 0.7 at the first.
+    """
+    points, most = len(counts), max(counts)
+    truth = np.linspace(-0.5, 1.0, points)
+    spread = np.linspace(0.7, roughest if kind == "normal" else 0.7, points)[:, None]
+    sea = rng.uniform(20.0, 60.0, most)
+    reference = sea + np.zeros((points, 1))
+    own = reference + truth[:, None] + spread * draw_noise(kind, (points, most), rng, shared)
+    keep = np.arange(most) < np.array(counts)[:, None]
+    one, other = (
+        pd.DataFrame(np.where(keep & (rng.uniform(size=own.shape) >= lost / 2), values, np.nan))
+        for values in (own, reference)
+    )
+    found = paired_difference(one.stack().dropna(), other.stack().dropna())
+    both = (one.notna() & other.notna()).any(axis=1).to_numpy()
+    return float(truth[both].mean()), found.mean
+
+
+def draw_none(rng: Random, count: int) -> tuple[float, Interval]:
+    """The bound of a share of which none was found, of the share for which it is most often wrong:
+    just above the bound."""
+    truth = 1.001 * none_of(count)
+    found = rng.uniform(size=count) < truth
+    high = 1.0 if found.any() else none_of(count)
+    return truth, Interval(float(found.mean()), 0.0, high)
+
+
+STUDIES: dict[str, Draw] = {
+    "balanced, 4 points in 6 realisations": partial(draw_study, counts=COUNTS_EVEN),
+    "balanced, 1 point in 10": partial(draw_study, counts=(10,)),
+    "balanced, 8 points in 2": partial(draw_study, counts=(2,) * 8),
+    "unbalanced, 3, 5, 8 and 4": partial(draw_study, counts=COUNTS_ODD),
+    "unbalanced, 3, 3, 2, 1, 1 and 1": partial(draw_study, counts=(3, 3, 2, 1, 1, 1)),
+    "unbalanced, 4, 4, 1 and 1, the last twice as rough": partial(
+        draw_study, counts=(4, 4, 1, 1), roughest=1.4
+    ),
+    "unbalanced, 2, 1, 1 and 1": partial(draw_study, counts=(2, 1, 1, 1)),
+    "lost at random, 30 % of 10 points in 4": partial(draw_study, counts=(4,) * 10, lost=0.3),
+    "lost at random, 30 % of 6 points in 3": partial(draw_study, counts=(3,) * 6, lost=0.3),
+    "rarely lost, 2 % of 4 points in 30": partial(draw_study, counts=(30,) * 4, lost=0.02),
+    "a sea common to 16 points in 6 (correlation 0.3)": partial(
+        draw_study, counts=(6,) * 16, shared=0.3
+    ),
+    "skewed (exponential), 4 points in 6": partial(
+        draw_study, counts=COUNTS_EVEN, kind="exponential"
+    ),
+    "skewed (exponential), 1 point in 10": partial(draw_study, counts=(10,), kind="exponential"),
+    "very skewed (lognormal), 1 point in 30": partial(draw_study, counts=(30,), kind="lognormal"),
+}
+
+
+# Steps: log step times or ratios that are correlated from step to step.
+
+
+def draw_steps(rng: Random, steps: int, correlation: float) -> Floats:
+    """A stationary first-order autoregression of variance 1."""
+    start = math.ceil(8.0 / (1.0 - correlation))
+    noise = math.sqrt(1.0 - correlation**2) * rng.standard_normal(start + steps)
+    return np.asarray(lfilter([1.0], [1.0, -correlation], noise)[start:], dtype=np.float64)
+
+
+def draw_ratio(rng: Random, steps: tuple[int, ...], correlation: float) -> tuple[float, Interval]:
+    """The ratio of two solvers over one sequence or several, true 1.2."""
+    logs = [math.log(1.2) + 0.1 * draw_steps(rng, one, correlation) for one in steps]
+    ones = [np.ones(len(one)) for one in logs]
+    return 1.2, (paired_ratio(np.exp(logs[0]), ones[0]) if len(logs) == 1 else pooled_mean(logs))
+
+
+def draw_percentile(
+    rng: Random, steps: int, correlation: float, percent: float
+) -> tuple[float, Interval]:
+    """A percentile of lognormal step times."""
+    times = np.exp(0.3 * draw_steps(rng, steps, correlation))
+    found = percentile_interval(times, percent)
+    # An end that the steps do not reach holds everything on its side.
+    high = found.high if found.low == 0.0 else min(found.high, 1e300)
+    return math.exp(0.3 * float(ndtri(percent / 100.0))), Interval(found.value, found.low, high)
+
+
+STEPS: dict[str, dict[str, Draw]] = {
+    "paired ratio of step times": {
+        f"{steps} steps, correlation {phi:g} from step to step": partial(
+            draw_ratio, steps=(steps,), correlation=phi
+        )
+        for steps, phi in ((400, 0.9), (500, 0.0), (500, 0.9), (500, 0.97), (1000, 0.97))
+    }
+    | {
+        "1000 and 500 steps, correlation 0.97": partial(
+            draw_ratio, steps=(1000, 500), correlation=0.97
+        )
+    },
+    "percentile of step times": {
+        f"p{percent:g} of {steps} steps, correlation {phi:g}": partial(
+            draw_percentile, steps=steps, correlation=phi, percent=percent
+        )
+        for percent, steps, phi in (
+            *((50, 1000, 0.0), (50, 1000, 0.9), (99, 1000, 0.0), (99, 1000, 0.9)),
+            (99, 5000, 0.9),
+        )
+    },
+}
+
+
+# Comparisons: two runs of the same configurations, through `time_pairs` and `compare_times`.
+
+CONFIGURATIONS, ROUNDS, STEPS_OF_TABLE = 12, 6, 100
+SEQUENCE = "paper"
+
+
+class SimulatedRecords:
+    """The step times of one run, in the form in which `time_pairs` reads them.
+
+    Parameters
+    ----------
+    slow : factor of each configuration; disturbed : whether neighbours slow some of the rounds.
+    """
+
+    has_steps = True
+
+    def __init__(self, rng: Random, slow: Floats, *, disturbed: bool) -> None:
+        machine = math.exp(0.1 * rng.standard_normal()) if disturbed else 1.0
+        pattern = 2e4 * (1.5 + np.sin(np.arange(STEPS_OF_TABLE) / 7.0))
+        self._steps: dict[str, pd.DataFrame] = {}
+        self.runs: list[Any] = []
+        for number, factor in enumerate(slow):
+            own = machine * factor * math.exp(0.01 * rng.standard_normal())
+            noise = np.exp(0.02 * rng.exponential(size=(ROUNDS, STEPS_OF_TABLE)))
+            if disturbed:
+                met = rng.uniform(size=(ROUNDS, 1)) < 0.4
+                noise *= np.where(met, 1.0 + 0.4 * rng.uniform(size=(ROUNDS, 1)), 1.0)
+            self._steps[f"{number}"] = pd.DataFrame(
+                {
+                    "repeat": np.repeat(np.arange(1, ROUNDS + 1), STEPS_OF_TABLE),
+                    "k": np.tile(np.arange(STEPS_OF_TABLE), ROUNDS),
+                    "total_ns": (own * pattern * noise).ravel(),
+                }
+            )
+            self.runs.append(_simulated_run(number, 5e4 * machine))
+
+    def counting_steps(self, run: Any, columns: object) -> pd.DataFrame:
+        """The step rows of a run."""
+        return self._steps[run.solver]
+
+    def is_ranked(self, run: Any) -> bool:
+        """All of them are."""
+        return True
+
+
+def _simulated_run(number: int, kernel_ns: float) -> Any:
+    words = dict.fromkeys(("scenario", "sequence", "problem"), SEQUENCE)
+    words |= {"mode": "replay", "solver": f"{number}", "route": "native", "policy": "fresh"}
+    words |= {"settings": "default", "units": "scaled", "formulation": "condensed_box"}
+    kernels = dict.fromkeys(("reference_kernel_ns", "load_kernel_ns"), kernel_ns)
+    return SimpleNamespace(**words, **kernels, steps_planned=STEPS_OF_TABLE)
+
+
+def compare_once(rng: Random, planted: float, *, disturbed: bool) -> tuple[bool, bool, bool]:
+    """Of one table: whether all intervals hold their truth, whether another configuration than the
+    slowed one is claimed to differ, and whether that one is called slower."""
+    truth = np.ones(CONFIGURATIONS)
+    truth[0] += planted
+    one = SimulatedRecords(rng, np.ones(CONFIGURATIONS), disturbed=disturbed)
+    other = SimulatedRecords(rng, truth, disturbed=disturbed)
+    pairs = [Pair(*both) for both in zip(one.runs, other.runs, strict=True)]
+    timings = time_pairs(cast(Any, one), cast(Any, other), pairs)
+    why = {SEQUENCE: "both runs were disturbed" if disturbed else ""}
+    found, _ = compare_times(timings, 0.05, 0.05, why)
+    assessments = [compared.assessment for compared in found]
+    held = all(a.ratio.spans(t) for a, t in zip(assessments, truth, strict=True))
+    claimed = [a.verdict in ("slower", "faster") for a in assessments]
+    return held, any(claimed[1:]), claimed[0] and planted > 0.0
+
+
+def comparison_rows(rng: Random, tables: int) -> Iterator[Row]:
+    """What `compare` does on a quiet and a disturbed machine, without a change and with one."""
+    for planted, disturbed in ((0.0, False), (0.0, True), (0.05, True), (0.15, True), (0.5, True)):
+        found = np.array([compare_once(rng, planted, disturbed=disturbed) for _ in range(tables)])
+        held, false, slower = found.mean(axis=0).tolist()
+        machine = "disturbed" if disturbed else "quiet"
+        case = f"{machine} machine, {'no change' if not planted else f'one {planted:.0%} slower'}"
+        yield Row("`compare`, all intervals of a table", case, tables, tables, held)
+        yield Row("`compare`, tables with a false claim", case, tables, tables, false, False)
+        if planted:
+            what = "false" if planted <= 0.05 else "right"
+            yield Row(f"`compare`, {what} *slower*", case, tables, tables, slower, False)
+
+
+def rows(rng: Random, draws: int, tables: int) -> Iterator[Row]:
+    """All rows of the table."""
+    kinds: dict[str, dict[str, Draw]] = {"mean difference of a study": STUDIES}
+    bound = {f"none of {count}": partial(draw_none, count=count) for count in (10, 30)}
+    kinds |= {"bound of a share": cast(dict[str, Draw], bound)} | STEPS
+    for kind, cases in kinds.items():
+        for case, draw in cases.items():
+            found = [draw(rng) for _ in range(draws)]
+            stated = [one for one in found if math.isfinite(one[1].high)]
+            held = float(np.mean([i.spans(t) for t, i in stated])) if stated else math.nan
+            yield Row(kind, case, draws, len(stated), held)
+    yield from comparison_rows(rng, tables)
+
+
+def main() -> int:
+    """Draw, count, write."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="draw little and write nothing")
+    quick: bool = parser.parse_args().quick
+    draws, tables = (QUICK_DRAWS, QUICK_TABLES) if quick else (DRAWS, TABLES)
+    heads = ("interval or claim", "truth", "draws", "stated [%]", "share that holds [%]")
+    lines = [" | ".join(("", *heads, "")).strip(), "|---|---|--:|--:|--:|"]
+    print("\n".join(lines))
+    outside = []
+    for row in rows(np.random.default_rng(1), draws, tables):
+        lines.append(" | ".join(("", *row.cells, "")).strip())
+        print(lines[-1], flush=True)
+        outside += [] if row.is_allowed else [row]
+    if not quick:
+        before, rest = METHOD.read_text(encoding="utf-8").split(MARKERS[0])
+        after = rest.split(MARKERS[1])[1]
+        table = "\n\n".join((MARKERS[0], "\n".join(lines), MARKERS[1]))
+        METHOD.write_text(before + table + after, encoding="utf-8")
+    print(f"{len(outside)} outside {ALLOWED}: {'; '.join(row.truth for row in outside)}")
+    return int(bool(outside) and not quick)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
