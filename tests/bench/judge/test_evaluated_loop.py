@@ -38,7 +38,7 @@ def judged() -> tuple[Evaluated, StepColumns, Cell]:
     log.done[0] = DONE
     log.state[:, 3] = NORTH
     log.state[:, 0] = [0.5, 0.0, 1.0, 50.0, 50.0]
-    log.tau[:DONE, 0] = log.command[:DONE, 0] = SURGE
+    log.tau[:DONE, 0], log.command[:DONE, 0] = SURGE, [17e3, 18e3, 19e3]
     log.flags[:DONE] = [[1, 0, 0], [0, 1, 0], [0, 1, 1]]
     log.times[:] = 0
     log.times[0, :, TIMES.index("solve")] = [100, 200, 300, 400]
@@ -83,7 +83,8 @@ def test_columns_of_a_written_log(judged: tuple[Evaluated, StepColumns, Cell]) -
     assert steps["t_s"].tolist() == pytest.approx([0.0, 0.3, 0.6])
     assert steps["n_m"].tolist() == [0.0, 1.0, 2.0]
     assert steps["u_mps"].tolist() == [0.5, 0.0, 1.0]
-    assert steps["tau_x_N"].tolist() == steps["cmd_x_N"].tolist() == SURGE
+    assert steps["tau_x_N"].tolist() == SURGE
+    assert steps["cmd_x_N"].tolist() == [17e3, 18e3, 19e3]
     assert steps["dtau_x_N"].tolist() == [16e3, 0.0, -1e3]
     assert steps["fallback"].tolist() == [True, False, False]
     assert steps["unconverged"].tolist() == [False, True, True]
@@ -102,3 +103,17 @@ def test_the_row_of_a_written_log(judged: tuple[Evaluated, StepColumns, Cell]) -
     assert row["raw_max_ns"] == 300.0
     assert row["closed_loop_cost"] == pytest.approx(2.51285)
     assert pd.isna(row["raw_p99_ns"]) and np.isnan(row["raw_p50_ns"])
+
+
+def test_a_ship_that_follows_a_filtered_reference_has_no_error() -> None:
+    """The reference moves from sample to sample, and each state is compared with its own."""
+    case = load_scenario("move_filtered").first(STEPS)
+    log = RawLog.in_memory(loop_layout(STEPS, *QPBuilder(case).sizes))
+    log.done[0] = STEPS
+    log.state[:, 3:] = case.reference_table(STEPS + 1)
+    assert log.state[1, 3:].any()
+    exact = exact_loop(log.state[:, 3:].tolist(), [[0.0, 0.0, 0.0]] * STEPS)
+    cell = Cell("closed_loop", case.files, "daqp", "native", "warm", "high", STEPS)
+    metrics = evaluate_log(cell, log, exact).metrics
+    assert metrics["r_max_m"] == metrics["heading_max_deg"] == 0.0
+    assert metrics["closed_loop_cost"] == metrics["exact_cost"] == 0.0

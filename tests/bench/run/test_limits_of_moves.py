@@ -117,6 +117,40 @@ def test_every_thruster_is_limited_as_a_whole(
     assert clipped is (applied != [a + b for a, b in zip(f, df, strict=True)])
 
 
+# An azimuth of 100 N, 5 N an entry and sample, with |X| + |Y| ≤ 100 N; a lost one may shrink to
+# 1 - 0.9/s of itself, s its increments.
+AZIMUTH = ThrusterSet(
+    (
+        Thruster("azimuth", "azimuth", -10.0, 0.0, 100.0, 10.0),
+        Thruster("bow", "tunnel", 10.0, 0.0, 50.0, 5.0),
+    )
+)
+
+
+@pytest.mark.parametrize(
+    ("f", "df", "lost", "applied"),
+    [
+        # X + Y from 98 N towards 108 N: a fifth of the move
+        ([60, 38, 0], [5, 5, 0], set(), [61, 39, 0]),
+        ([-60, -38, 0], [-5, -5, 0], set(), [-61, -39, 0]),
+        # The same while the other one is lost
+        ([60, 38, 9], [5, 5, 0], {1}, [61, 39, 4.5]),
+        # (30, 40): s = √(6² + 8²) = 10, X + Y ≤ 0.91·70 = 63.7 N. From 0.9·(30, 40) = (27, 36) by
+        # (8, 9) towards (35, 45): 0.7 of 17 N are free.
+        ([30, 40, 0], [5, 5, 0], {0}, [27 + 8 * 0.7 / 17, 36 + 9 * 0.7 / 17, 0]),
+    ],
+)
+def test_an_azimuth_is_cut_along_its_move(
+    f: list[float], df: list[float], lost: set[int], applied: list[float]
+) -> None:
+    """Both components are cut alike, from the force before or from the way back to zero."""
+    rows, found = thruster_rows(AZIMUTH, 4), np.full(3, np.nan)
+    limit = ThrusterLimit(rows, AZIMUTH.step_max(0.5))
+    move = np.array(df, dtype=float)
+    assert limit(np.array(f, dtype=float), move, *rows.without(lost), found)
+    np.testing.assert_allclose(found, applied, atol=1e-6)
+
+
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
     return load_scenario("calm")

@@ -12,6 +12,8 @@ from dpbench.bench.judge.control_metrics import control_metrics
 from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.errors import InputError
+from dpbench.mpc.condense import UnitSystem
+from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.thruster_rows import thruster_rows
 from dpbench.mpc.thrusters.attainable_set import attainable_set
 from dpbench.scenario.scenario import Scenario, load_scenario, load_vessel, scenario_of
@@ -83,6 +85,21 @@ def case(steps: int, **controller: object) -> Scenario:
         "attainable_sides": 4,
     }
     return scenario_of(files | {"scenario": own | {"controller": table | controller}})
+
+
+@pytest.mark.parametrize("units", ["scaled", "si"])
+def test_a_force_on_a_facet_leaves_no_slack_in_its_row(units: UnitSystem) -> None:
+    """One move from rest to h(n)·n/|n|² is on the facet of n after it, and at every later move."""
+    problem = case(3).control_problem()
+    qp = CondensedQP(problem, units=units)
+    rest = np.zeros(problem.model.n_x), np.zeros(3), np.zeros(3)
+    step = qp.emit(*rest)
+    for i, (normal, reach) in enumerate(zip(problem.G, problem.u_max, strict=True)):
+        moves = np.zeros((problem.N_c, 3))
+        moves[0] = reach * normal / (normal @ normal)
+        z = (moves / (problem.du_max if units == "scaled" else 1.0)).reshape(-1)
+        rows = slice(i, None, len(problem.G))
+        np.testing.assert_allclose((qp.A @ z)[rows], step.u[rows], rtol=1e-9)
 
 
 def test_a_run_uses_what_there_is_and_no_more() -> None:
