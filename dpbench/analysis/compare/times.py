@@ -128,7 +128,9 @@ class Shared:
 def time_pairs(a: Records, b: Records, pairs: Sequence[Pair]) -> list[Timing]:
     """The timings of all replayed pairs that have one."""
     time_of = _steps_timing if a.has_steps and b.has_steps else _medians_timing
-    timings = [time_of(a, b, pair) for pair in pairs if pair.a.mode == "replay"]
+    # A window has too few steps for an interval, and each claim costs the others power.
+    replays = (pair for pair in pairs if pair.a.mode == "replay" and not pair.a.window_of)
+    timings = [time_of(a, b, pair) for pair in replays]
     return list(firsts(filter(None, timings), _identity).values())
 
 

@@ -62,7 +62,8 @@ class Verdict:
     p50_ns : algorithmic step time on the sequence `timed_on`, of those replayed whole the one of
         the worst p99, or of the worst p50 where none supports a p99.
     rounds_ns : median of the fastest and of the slowest round there.
-    raw_p99_ns : 99 % of the single timings there, with what the machine adds.
+    replay_p99_ns, raw_p99_ns : p99 of the algorithmic step time there, and of the single timings,
+        with what the machine adds.
     algo_max_ns, raw_max_ns : largest algorithmic step time and largest single timing of all
         sequences.
     """
@@ -85,6 +86,7 @@ class Verdict:
     p99_on: str = ""
     timed_on: str = ""
     rounds_ns: tuple[float, float] = (math.nan, math.nan)
+    replay_p99_ns: float = math.nan
     raw_p99_ns: float = math.nan
     algo_max_ns: float = math.nan
     raw_max_ns: float = math.nan

@@ -132,7 +132,7 @@ def replay_cells(
 
 def _own_limit_s(table: Table) -> float | None:
     """The limit of a table's cells, where it has one of its own."""
-    return table.limit_s if isinstance(table, ClosedLoopTable) else None
+    return table.limit_s if isinstance(table, ClosedLoopTable | ReplayTable) else None
 
 
 def _waiting_s(configuration: Configuration, steps: int, rounds: int = 0, **_: Any) -> float:

@@ -116,6 +116,8 @@ class ReplayTable(RunsTable):
     """How many steps are replayed; 0: all."""
     hardest: Count = 0
     """Replay only so many steps in a row around the hardest step of these; 0: all."""
+    limit_s: Positive | None = None
+    """Run time after which a cell stops here [s]; by default cell_limit_s of the suite."""
     units: list[Units] = ["scaled"]
     """Units of the QP a solver is given."""
     formulations: list[FormulationName] = ["condensed_box"]

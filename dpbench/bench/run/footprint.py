@@ -24,7 +24,7 @@ from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence
 
 MOST_STEPS = 50
-LIMIT_NS = 5e8
+LIMIT_NS = 2e8
 """Run time that all passes of `measure_steps` may take together, by the slowest step before."""
 _PASSES = 4
 

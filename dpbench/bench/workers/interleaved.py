@@ -39,6 +39,8 @@ DISTURBED_RETRIES = 1
 """How often a round in which the reference kernel was slowed is run again."""
 FEWEST_ROUNDS = 3
 """Rounds, none of them disturbed, that a configuration gets whatever its budget is."""
+FEWEST_OF_WINDOW = 2
+"""The same for a window, whose steps are the longest of all."""
 ROBBED_FACTOR = 1.25
 """A round whose load kernel took this much longer than in the quietest round of any
 configuration."""
@@ -63,7 +65,8 @@ class ReplayWorker:
     def sated(self) -> bool:
         """Whether it has used up its budget and has rounds enough."""
         budget_s = self.cell.budget_s
-        return 0.0 < budget_s <= self.spent_s and self.clean_rounds >= FEWEST_ROUNDS
+        fewest = FEWEST_OF_WINDOW if self.cell.is_window else FEWEST_ROUNDS
+        return 0.0 < budget_s <= self.spent_s and self.clean_rounds >= fewest
 
 
 class IdleWorkers:

@@ -250,8 +250,8 @@ def _serve_replay(
     verdict = _verdict(cell, workspace, timed_solver, "" if complete else _in_round(log))
     leave_verdict(folder / f"{name}.json", verdict)
     # The verdict stands: what happens from here on is no part of the replay. It takes as long as
-    # four rounds of a window, which has no need of it.
-    if complete and not cell.is_window:
+    # four rounds, and shows the same in every replay of a process.
+    if complete and not (settled or cell.is_window):
         steps = affordable_steps(log)
         log.footprint[3:] = measure_steps(configuration.sequence, timed_solver, steps)
     return True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any, cast
 
 import pandas as pd
@@ -101,6 +102,14 @@ def test_a_spent_budget_ends_a_replay_after_three_rounds(
     """A worker stops once it has reached its budget and three undisturbed rounds."""
     assert worker(spent_s, clean_rounds, budget_s).sated is sated
     assert FEWEST_ROUNDS == 3
+
+
+@pytest.mark.parametrize(("clean_rounds", "sated"), [(1, False), (2, True)])
+def test_a_spent_budget_ends_a_window_after_two_rounds(clean_rounds: int, sated: bool) -> None:
+    """The steps of a window are the longest of all, and its budget is a share."""
+    found = worker(9.0, clean_rounds, 2.0)
+    found.cell = replace(found.cell, source={"kind": "hardest", "name": "x", "of": 450})
+    assert found.sated is sated
 
 
 @pytest.mark.parametrize(

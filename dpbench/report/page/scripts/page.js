@@ -39,8 +39,9 @@ function drawChosen() {
     span.className = "wide-only"; span.textContent = text;
     return span;
   };
-  const times = [["p50", "p50"], ["p99", "p99", timed && ` in ${timed}`], ["hardest step", "max", " of all replays"],
-    ["p99 of timings", "raw_p99"], ["largest timing", "longest", longest && ` in ${longest}`]]
+  const times = [["p50", "p50"], ["p99", "replay_p99", timed && ` in ${timed}`],
+    ["p99 of timings", "raw_p99"], ["worst p99", "p99", ` in ${C().p99_in[c]}`], ["hardest step", "max", " of all replays"],
+    ["largest timing", "longest", longest && ` in ${longest}`]]
     .filter(([, column]) => C()[column][c] !== null)
     .flatMap(([name, column, where]) => [`, ${name} ${time(C()[column][c])}`, wide(where ?? "")]);
   const outcome = C().outcome[c] === "not judged" ? "" : `: ${C().outcome[c]}`;
