@@ -9,6 +9,7 @@ import numpy as np
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
+from dpbench.arrays import Floats
 from dpbench.bench.record.configuration import Configuration
 
 QUANTILE = 0.95
@@ -25,39 +26,41 @@ class Uncertainty:
 
     The algorithmic time of a step is its fastest round, which one slow round does not change, so
     that of a replay is as uncertain as the middle round is slower than the fastest. A closed loop
-    is timed once, at a moment that may be like the slowest round.
+    is timed once, at a moment that may be like a slow round: the upper quartile of them, as one
+    round may have been robbed by other work.
 
     Parameters
     ----------
-    middle, slowest : by configuration, the median of the middle and of the slowest round over that
-        of the fastest, the largest of its replays.
+    middle, slow, slowest : by configuration, the median of the middle round, of the upper quartile
+        and of the slowest round over that of the fastest, the largest of its replays.
     usual : the quantile `QUANTILE` of `middle`, at least `LEAST`.
     """
 
     middle: dict[Configuration, float]
+    slow: dict[Configuration, float]
     slowest: dict[Configuration, float]
     usual: float
 
     def of(self, run: RunRecord) -> float:
         """Return the factor of a run: that of its configuration, and at least the usual one."""
-        own = self.middle if run.mode == "replay" else self.slowest
+        own = self.middle if run.mode == "replay" else self.slow
         return max(self.usual, own.get(run.configuration.in_common_formulation, 0.0))
 
 
 def uncertainty_of(records: Records) -> Uncertainty:
     """Return the uncertainty of the times of a result folder."""
-    middle: dict[Configuration, float] = {}
-    slowest: dict[Configuration, float] = {}
+    factors: dict[Configuration, list[Floats]] = {}
     for run in records.select(mode="replay", units="scaled"):
         times = records.times(run)
         # A window has too few steps: the middle of each round is one of a few timings.
         if times is None or len(times.rounds_ns) < 2 or run.window_of:
             continue
-        key, fastest = run.configuration.in_common_formulation, float(times.rounds_ns.min())
-        middle[key] = max(float(np.median(times.rounds_ns)) / fastest, middle.get(key, 1.0))
-        slowest[key] = max(float(times.rounds_ns.max()) / fastest, slowest.get(key, 1.0))
+        quantiles = np.quantile(times.rounds_ns, (0.5, 0.75, 1.0)) / times.rounds_ns.min()
+        factors.setdefault(run.configuration.in_common_formulation, []).append(quantiles)
+    largest = {key: np.max(own, axis=0).tolist() for key, own in factors.items()}
+    middle, slow, slowest = ({key: own[i] for key, own in largest.items()} for i in range(3))
     usual = max(LEAST, usual_factor(middle.values())) if middle else UNKNOWN
-    return Uncertainty(middle, slowest, usual)
+    return Uncertainty(middle, slow, slowest, usual)
 
 
 def usual_factor(factors: Iterable[float]) -> float:

@@ -31,7 +31,8 @@ from dpbench.errors import DpbenchError
 START_ALLOWANCE_S = 60.0
 """For importing a library; after it a cell that has not started its loop is killed."""
 GRACE_S = 3.0
-"""Beyond a cell's own limit, for one call that does not return."""
+"""Beyond a cell's own limit, for one call that does not return; for a round of a replay no longer
+than the limit."""
 _BY_MEMORY = "killed by SIGKILL, as by the out-of-memory killer"
 WITHOUT_TEMPLATE = Outcome(
     "lost", "the template of its process was killed, as by the out-of-memory killer"
@@ -268,7 +269,9 @@ class ServingChild(Child):
 
     def reply(self, limit_s: float) -> object:
         """Its next word; None when it died, refused, or hung and was killed for it."""
-        return self._word(limit_s + GRACE_S, f"one call ran beyond the limit of {limit_s:g} s")
+        return self._word(
+            limit_s + min(GRACE_S, limit_s), f"one call ran beyond the limit of {limit_s:g} s"
+        )
 
     def _word(self, wait_s: float, overdue: str) -> object:
         try:
