@@ -61,6 +61,20 @@ def test_the_cost_of_copying_has_no_bar() -> None:
     assert off_by_ns("copy_only", 1e9) == 1e9
 
 
+def test_the_problems_of_a_calibration_have_an_optimum_inside_their_limits() -> None:
+    """Zero, with every limit one away on either side, at each of 200 steps of the paper's size."""
+    sequence = calibration._made_up()
+    assert (len(sequence), sequence.base.n, sequence.base.m) == (200, 15, 15)
+    for k in (0, 199):
+        qp = sequence.problem(k)
+        for lower, upper in ((qp.l, qp.u), (qp.lb, qp.ub)):
+            assert set(lower) == {-1.0} and set(upper) == {1.0}
+        assert not qp.q.any()
+        np.testing.assert_array_equal(qp.P, np.eye(15))
+    base = sequence.base
+    assert set(base.l) == {-1.0} and set(base.u) == {1.0} and not base.q.any()
+
+
 def test_a_quick_calibration_times_the_rounds_after_the_warm_up(clock: list[RawLog]) -> None:
     """Doing nothing takes the readings of the clock alone: one for each of its three phases."""
     found = calibrate()
