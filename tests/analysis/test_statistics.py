@@ -230,3 +230,11 @@ def test_a_block_has_one_step_at_least() -> None:
         resampled_means(values, 0, 5, 1), resampled_means(values, 1, 5, 1)
     )
     assert np.unique(np.diff(block_indices(7, 1, 50, 1), axis=1) % 7).size == 7
+
+
+def test_a_ratio_is_resampled_two_thousand_times() -> None:
+    """Its ends are those of 2000 resamples where no number is given, and of another number else."""
+    times = np.random.default_rng(8).uniform(1.0, 2.0, (2, 100))
+    found = paired_ratio(*times)
+    assert found == paired_ratio(*times, resamples=2000)
+    assert found != paired_ratio(*times, resamples=1999)
