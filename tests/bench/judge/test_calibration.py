@@ -49,6 +49,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[RawLog]:
 )
 def test_the_bar_is_a_microsecond_or_a_hundredth(name: str, wait_ns: int, bar_ns: int) -> None:
     """On both sides of the wait, the bar included."""
+    assert within_bar(name, float(wait_ns)) is True
     assert off_by_ns(name, wait_ns + 300.0) == 300.0
     for side in (-1, 1):
         assert within_bar(name, wait_ns + side * bar_ns) is True
@@ -57,8 +58,23 @@ def test_the_bar_is_a_microsecond_or_a_hundredth(name: str, wait_ns: int, bar_ns
 
 def test_the_cost_of_copying_has_no_bar() -> None:
     """Nobody knows what copying takes, so no time of it is right or wrong."""
-    assert within_bar("copy_only", 1e9) is None
+    for name in ("copy_only", "some_solver"):
+        assert within_bar(name, 1e9) is None
     assert off_by_ns("copy_only", 1e9) == 1e9
+
+
+def test_the_problems_of_a_calibration_have_an_optimum_inside_their_limits() -> None:
+    """Zero, with every limit one away on either side, at each of 200 steps of the paper's size."""
+    sequence = calibration._made_up()
+    assert (len(sequence), sequence.base.n, sequence.base.m) == (200, 15, 15)
+    for k in (0, 199):
+        qp = sequence.problem(k)
+        for lower, upper in ((qp.l, qp.u), (qp.lb, qp.ub)):
+            assert set(lower) == {-1.0} and set(upper) == {1.0}
+        assert not qp.q.any()
+        np.testing.assert_array_equal(qp.P, np.eye(15))
+    base = sequence.base
+    assert set(base.l) == {-1.0} and set(base.u) == {1.0} and not base.q.any()
 
 
 def test_a_quick_calibration_times_the_rounds_after_the_warm_up(clock: list[RawLog]) -> None:

@@ -455,6 +455,7 @@ def test_nothing_is_said_of_fewer_than_twenty_pairs() -> None:
     assert np.isnan(ratio(made_log([40] * 19 + [0], [[], [4] * 20, [10] * 20])))
     assert np.isnan(ratio(made_log([40] * 20, [[], [4] * 20, [10] * 19])))
     assert np.isnan(ratio(made_log([40] * 20, [[], [4] * 20])))
+    assert ratio(made_log([1] * 20, [[], [4] * 20, [1] * 20])) == 1.0
     assert ratio(made_log([1] + [40] * 20, [[], [4] * 21, [10] * 21])) == 4.0
 
 

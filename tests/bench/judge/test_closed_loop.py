@@ -1,0 +1,179 @@
+"""The judged columns of a loop of five steps whose log is changed where it must be noticed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dpbench import load_scenario, open_workspace
+from dpbench.bench.judge.closed_loop import (
+    CERTIFICATES,
+    EVALUATION,
+    Evaluated,
+    StepEvaluator,
+    evaluate_log,
+)
+from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup
+from dpbench.bench.run.closed_loop import closed_loop
+from dpbench.bench.run.exact_loop import solve_exactly
+from dpbench.qp.program import QPStep, QuadraticProgram, Units
+from dpbench.qp.solution import Solution, Status
+
+STEPS, SOLVE = 5, 3
+FREE = np.full(2, 9.0)
+
+
+def judged(
+    change: Callable[[RawLog], Any], scenario: str = "paper", units: str = "scaled"
+) -> tuple[Evaluated, RawLog]:
+    """A short loop by daqp, its log changed before it is judged."""
+    case = load_scenario(scenario).first(STEPS)
+    given: dict[str, Any] = {"units": units}
+    cell = Cell("closed_loop", case.files, "daqp", "native", "reuse", "high", STEPS, **given)
+    workspace = open_workspace("daqp", route="native", policy="reuse", settings="high")
+    setup = closed_loop_setup(cell, case, workspace, RawLog.in_memory, NO_LIMIT_NS)
+    assert closed_loop(setup)
+    change(setup.log)
+    return evaluate_log(cell, setup.log, solve_exactly(case)), setup.log
+
+
+def figure(evaluated: Evaluated, name: str) -> Any:
+    """A figure of the referee, step by step."""
+    return evaluated.columns["evaluations"][:, EVALUATION.index(name)]
+
+
+def test_each_column_is_that_of_the_log() -> None:
+    """Fallback, unconverged and clipped in this order; of all arrays as many rows as steps."""
+
+    def change(log: RawLog) -> None:
+        log.flags[:] = 0
+        log.flags[[0, 1, 2], [0, 1, 2]] = 1
+        log.counters[0] = [1.5, 2.0, 3.0, 4.0, 5.0]
+        log.latency_ns[:] = np.arange(STEPS)
+
+    found, log = judged(change)
+    for i, name in enumerate(("fallback", "unconverged", "clipped")):
+        assert np.flatnonzero(found.columns[name]).tolist() == [i]
+    np.testing.assert_array_equal(found.columns["state"], log.state)
+    for name in ("tau", "command", "latency_ns"):
+        np.testing.assert_array_equal(found.columns[name], getattr(log, name))
+    np.testing.assert_allclose(found.columns["t_s"], 0.3 * np.arange(STEPS), rtol=1e-15)
+    assert found.columns["repeat"].tolist() == [0] * STEPS
+    assert found.columns["k"].tolist() == list(range(STEPS))
+    names = ("replay_s", "voluntary_switches", "involuntary_switches", "steal_s")
+    assert [found.metrics[name] for name in names] == [1.5, 2.0, 3.0, 4.0]
+    clock = [found.metrics[name] for name in ("sample_s", "first_sample", "every_sample")]
+    assert clock == [0.3, 0.0, 1.0] and found.metrics["matrix_steps"] == 0.0
+
+
+def test_the_steps_that_were_done_are_those_that_are_judged() -> None:
+    """Three of five, with the state after the third; of none there are no metrics."""
+    found, _ = judged(lambda log: log.done.fill(3))
+    assert len(found.columns["k"]) == len(found.columns["tau"]) == 3
+    assert len(found.columns["state"]) == 4 and found.metrics
+    found, _ = judged(lambda log: log.done.fill(0))
+    assert len(found.columns["k"]) == 0 and found.metrics == {}
+
+
+def test_a_step_that_was_not_asked_has_no_answer_to_judge() -> None:
+    """A solve of no time is one, and a solve that is absent is none."""
+
+    def change(log: RawLog) -> None:
+        log.times[0, :, SOLVE] = [7, 0, -1, -2, 7]
+
+    found, _ = judged(change)
+    asked = [True, True, False, False, True]
+    assert found.columns["asked"].tolist() == asked
+    assert np.isfinite(figure(found, "error_move")).tolist() == asked
+    kinds = [CERTIFICATES[i] for i in found.columns["certificate"]]
+    assert [kind != "none" for kind in kinds] == asked
+
+
+@pytest.mark.parametrize("scenario", ["paper", "thrusters_cascade"])
+@pytest.mark.parametrize("units", ["scaled", "si"])
+def test_answers_are_right_in_any_units_until_they_are_changed(scenario: str, units: str) -> None:
+    """The plan of step 2 is doubled, which is as far from the optimum as it is large.
+
+    In N and N·m the answers of daqp are right to a few hundredths of a rate-limit step.
+    """
+    sizes: list[float] = []
+
+    def change(log: RawLog) -> None:
+        sizes.append(float(np.abs(log.z[0, 2]).max()))
+        log.z[0, 2] *= 2.0
+
+    found, _ = judged(change, scenario, units)
+    error, right = figure(found, "error_plan"), 1e-6 if units == "scaled" else 0.05
+    assert error[[0, 1, 3, 4]].max() < right
+    if units == "scaled":
+        assert error[2] == pytest.approx(sizes[0], rel=1e-6)
+    assert error[2] > right
+    second = found.columns.get("allocation_evaluations")
+    if second is not None:
+        assert second[:, EVALUATION.index("error_move")].max() < right
+
+
+def test_the_undelivered_force_is_a_share_of_the_largest_there_is() -> None:
+    """At step 1 surge lacks half of the ship's limit, sway a quarter; step 4 lacks all of yaw."""
+    ship = load_scenario("thrusters_cascade").vessel
+    largest = np.maximum(ship.tau_max, -ship.tau_min)
+
+    def change(log: RawLog) -> None:
+        log.demand[:] = log.tau
+        log.demand[1] += largest * [0.5, -0.25, 0.0]
+        log.demand[4] -= largest * [0.0, 0.0, 1.0]
+
+    found, _ = judged(change, "thrusters_cascade")
+    np.testing.assert_allclose(
+        found.columns["undelivered_share"], [0.0, 0.5, 0.0, 0.0, 1.0], atol=1e-12
+    )
+    assert found.metrics["undelivered_share"] == pytest.approx(1.0)
+
+
+def problem(q: list[float], unit: float = 1.0) -> QuadraticProgram:
+    """½‖z‖² + qᵀz with each variable within ±1 and free rows, in units of `unit`."""
+    limits = -np.ones(2) / unit, np.ones(2) / unit
+    return QuadraticProgram(
+        unit**2 * np.eye(2), unit * np.array(q), unit * np.eye(2), -FREE, FREE, *limits, 1
+    )
+
+
+@pytest.mark.parametrize(
+    ("q", "active"), [([0.5, -0.5], 0), ([3.0, -0.5], 1), ([-3.0, 2.0], 2), ([0.5, 1.0001], 1)]
+)
+def test_active_limits_are_those_with_a_multiplier(q: list[float], active: int) -> None:
+    """A variable is at its limit where q reaches beyond it."""
+    qp = problem(q)
+    evaluator = StepEvaluator(qp, qp, Units(np.ones(2), np.ones(2)))
+    step = QPStep(qp.q, qp.l, qp.u)
+    z, y_box = -np.clip(q, -1.0, 1.0), np.clip(q, -1.0, 1.0) - q
+    answer = Solution(Status.SOLVED, z, np.zeros(2), y_box)
+    evaluator.add(step, step, answer, evaluator.certify(step))
+    found = dict(zip(EVALUATION, evaluator.evaluations()[0], strict=True))
+    assert found["n_active"] == active
+    assert found["error_plan"] == 0.0 and found["true_1e6"] == 1.0 and found["dual"] == 0.0
+
+
+def test_an_answer_in_other_units_has_residuals_in_both() -> None:
+    """Own variables count 4 scaled ones: 0.25 stands for z = 1, a multiplier of 4 for 1.
+
+    A z of (1.5, 0) for the optimum (1, 0) is 0.5 off and violates its limit by as much, by 0.125 in
+    its own units.
+    """
+    scaled, own = problem([-2.0, 0.0]), problem([-2.0, 0.0], 4.0)
+    evaluator = StepEvaluator(scaled, own, Units(np.full(2, 0.25), np.ones(2)))
+    steps = [QPStep(qp.q, qp.l, qp.u) for qp in (scaled, own)]
+    optimum = evaluator.certify(steps[0])
+    for z in (0.25, 0.375):
+        answer = Solution(Status.SOLVED, np.array([z, 0.0]), np.zeros(2), np.array([4.0, 0.0]))
+        evaluator.add(*steps, answer, optimum)
+    right, wrong = (dict(zip(EVALUATION, row, strict=True)) for row in evaluator.evaluations())
+    assert (right["primal"], right["dual"], right["dual_own"], right["true_1e6"]) == (0, 0, 0, 1)
+    assert (wrong["primal"], wrong["primal_own"]) == (0.5, 0.125)
+    assert (wrong["dual"], wrong["dual_own"]) == (0.5, 2.0)
+    assert (wrong["error_move"], wrong["true"]) == (0.5, 0.0)
