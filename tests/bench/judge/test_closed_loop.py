@@ -53,7 +53,7 @@ def test_each_column_is_that_of_the_log() -> None:
     def change(log: RawLog) -> None:
         log.flags[:] = 0
         log.flags[[0, 1, 2], [0, 1, 2]] = 1
-        log.counters[0] = [1.5, 2.0, 3.0, 4.0, 5.0]
+        log.counters[0] = [1.5, 2.0, 3.0, 4.0, 5.0, 6.0]
         log.latency_ns[:] = np.arange(STEPS)
 
     found, log = judged(change)
