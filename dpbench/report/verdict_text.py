@@ -22,6 +22,7 @@ from dpbench.report.formats import (
     share_text,
     significant,
     time_text,
+    unmarked,
 )
 
 NOBODY = "No solver was run, so there is nothing to judge."
@@ -102,9 +103,9 @@ def why_nothing(view: Records, verdicts: Verdicts, recommendation: Recommendatio
 
 def usual_time(verdict: Verdict) -> str:
     """Its p99, or its p50 where there are too few steps for one."""
-    if math.isnan(verdict.p99_ns):
+    if verdict.p99_run is None or math.isnan(verdict.p99_ns):
         return f"p50 {time_text(verdict.p50_ns)} in the replay of {verdict.timed_on}"
-    return f"p99 {time_text(verdict.p99_ns)} in the replay of {verdict.p99_on}"
+    return f"p99 {time_text(verdict.p99_ns)} in {unmarked(where(verdict.p99_run))}"
 
 
 def paired_text(compared: PairedComparison) -> str:
@@ -137,7 +138,7 @@ _WORDS = {
     "hung": "it did not return in {where}: {detail}{also}",
     "p99 late": "its p99 is {time} in {where}",
     "p95 late": "its p95 is already {time} in {where}",
-    "window late": "more than one step in a hundred takes {time} or more in {where}",
+    "window late": "its p99 is {time} by {where}",
     "deadline late": "its hardest step takes {time} in {where}, beyond the deadline",
     "slow loop": "the median of its timings is {time} in {where}, a closed loop{also}",
     "late timings": "{share} of {timings} in {where} exceed the p99 limit; the machine "
@@ -213,6 +214,8 @@ def answer_text(steps: RunSteps, at: int) -> str:
 
 def where(row: RunRecord) -> str:
     """The place of a run in words."""
+    if row.window_of:
+        return f"the hardest steps of `{row.scenario}`"
     if row.mode == "replay":
         return f"the replay of `{row.sequence}`"
     return f"`{row.scenario}`"
@@ -220,10 +223,13 @@ def where(row: RunRecord) -> str:
 
 def _places(rows: Sequence[RunRecord]) -> str:
     loops = [f"`{row.scenario}`" for row in rows if row.mode != "replay"]
-    replays = [f"`{row.sequence}`" for row in rows if row.mode == "replay"]
+    windows = [f"`{row.scenario}`" for row in rows if row.window_of]
+    replays = [f"`{row.sequence}`" for row in rows if row.mode == "replay" and not row.window_of]
     if replays:
         word = "replay" if len(replays) == 1 else "replays"
         loops.append(f"the {word} of {' and '.join(replays)}")
+    if windows:
+        loops.append(f"the hardest steps of {' and '.join(windows)}")
     return and_list(loops)
 
 

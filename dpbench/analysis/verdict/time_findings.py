@@ -147,7 +147,7 @@ def judge_times(
     return findings, {
         "p50_ns": worst.p50_ns,
         "p99_ns": p99.p99_ns,
-        "p99_on": p99.run.sequence,
+        "p99_run": p99.run,
         "timed_on": worst.run.sequence,
         "rounds_ns": worst.rounds_ns,
         "replay_p99_ns": worst.p99_ns,

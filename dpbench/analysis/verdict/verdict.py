@@ -57,8 +57,8 @@ class Verdict:
     loops, replays, windows : how many of its runs were judged.
     steps : the steps with a judged answer.
     error_move : the largest error of the first move among them.
-    p99_ns : largest p99 of the algorithmic step time, on the sequence `p99_on`; a window has the
-        p99 of the stretch whose hardest steps it holds.
+    p99_ns : largest p99 of the algorithmic step time, of the replay `p99_run`; a window has the p99
+        of the stretch whose hardest steps it holds.
     p50_ns : algorithmic step time on the sequence `timed_on`, of those replayed whole the one of
         the worst p99, or of the worst p50 where none supports a p99.
     rounds_ns : median of the fastest and of the slowest round there.
@@ -83,7 +83,7 @@ class Verdict:
     failed_steps: int = 0
     p50_ns: float = math.nan
     p99_ns: float = math.nan
-    p99_on: str = ""
+    p99_run: RunRecord | None = None
     timed_on: str = ""
     rounds_ns: tuple[float, float] = (math.nan, math.nan)
     replay_p99_ns: float = math.nan
@@ -97,6 +97,11 @@ class Verdict:
         if self.outcome != "misses":
             return self.outcome
         return "late" if all(cause.kind in LATE for cause in self.causes) else "wrong"
+
+    @property
+    def p99_on(self) -> str:
+        """The sequence of `p99_ns`; "" where nothing was timed."""
+        return "" if self.p99_run is None else self.p99_run.sequence
 
     @property
     def ranks(self) -> bool:
