@@ -242,9 +242,29 @@ def _configuration(
         "failed": None if v is None else v.failed_steps,
         "timed_at": None if v is None else facts.timed_at(v),
         "call": call_text(c),
-        "margin": None if (margin := facts.margin(c)) is None else number(margin.factor),
+        **_margin(facts, c),
         **_longest(facts, c),
     }
+
+
+def _margin(facts: Facts, c: Configuration) -> dict[str, Any]:
+    """Return the speed margin of a configuration, and the steps of windows that bound it: the place
+    of their loop, the sample and the time [ns]."""
+    margin = facts.margin(c)
+    if margin is None:
+        return {"margin": None, "bounds": []}
+    loops = {
+        place.name: p
+        for p, place in enumerate(facts.places)
+        if (place.mode, place.units, place.study) == ("closed_loop", "scaled", "")
+        and not place.slowdown
+    }
+    bounds = [
+        [loops[step.run.scenario], step.k, number(step.time_ns)]
+        for step in (margin.hardest, margin.p99)
+        if step.run.window_of and step.run.scenario in loops
+    ]
+    return {"margin": number(margin.factor), "bounds": bounds}
 
 
 def _longest(facts: Facts, c: Configuration) -> dict[str, Any]:

@@ -210,7 +210,7 @@ def test_the_hardest_steps_begin_with_those_of_all_places(opened: Any) -> None:
     behind them, called so."""
     page = opened("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper")
     heads = page.locator("#hard span").all_inner_texts()
-    assert heads[0] == "slowest steps, fastest round of all replays"
+    assert heads[0] == "slowest steps, fastest round of replays and windows"
     assert "largest single timings of all closed loops, stalls included" in heads[1:]
     assert heads[-1] == "largest single timings, stalls included"
     runs = page.evaluate("facts.places.map((_, p) => cell(state.c, p)).filter((run) => run?.hard)")

@@ -119,6 +119,8 @@ async function drawOne() {
 function worstAnywhere(m, mode) {
   const known = facts.places.flatMap((place, p) => (place.trial || (mode && place.mode !== mode) ? []
     : cell(state.c, p)?.hard?.[m] ?? []).map(([k, value]) => ({ p, k, value })));
+  // Windows of hardest steps have no place of their own: their steps are shown in the loop.
+  if (m === 0 && mode === "replay") known.push(...C().bounds[state.c].map(([p, k, value]) => ({ p, k, value })));
   const rank = (x) => (x === "inf" ? Infinity : x);
   return known.sort((a, b) => rank(b.value) - rank(a.value)).slice(0, 5);
 }
@@ -157,7 +159,7 @@ function drawHard(run) {
   // Of a single place its own lines say it.
   const several = facts.places.filter((_, p) => cell(state.c, p)?.hard).length > 1;
   const most = varies(state.c) ? [1] : [], worst = most.length && !["late", "wrong"].includes(C().outcome[state.c]) ? [] : [2];
-  const everywhere = [[0, "slowest steps, fastest round of all replays", "replay"],
+  const everywhere = [[0, "slowest steps, fastest round of replays and windows", "replay"],
     ...[...worst, ...most].map((m) => [m, `${names[m]}, all judged places`]),
     [0, "largest single timings of all closed loops, stalls included", "closed_loop"]];
   $("hard").replaceChildren(
