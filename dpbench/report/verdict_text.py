@@ -38,9 +38,9 @@ def demand_text(demand: Demand) -> str:
     )
     return (
         f"The demand: on every step the first move within {demand.error_move:g} of "
-        f"a rate-limit step of the certified optimum, {failed}, and a p99 of the algorithmic "
-        f"step time of at most {demand.p99_ms:g} ms ({share} % of the "
-        f"{demand.deadline_ms / 1e3:g} s sample)."
+        f"a rate-limit step of the certified optimum, {failed}, a p99 of the algorithmic step time "
+        f"of at most {demand.p99_ms:g} ms ({share} % of the deadline), and every step within the "
+        f"deadline of {demand.deadline_ms:g} ms."
     )
 
 
