@@ -186,3 +186,25 @@ def test_a_run_does_not_load_what_draws() -> None:
         "raise SystemExit('altair' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("figures", "remembers"),
+    [
+        ({}, False),
+        ({"first_visit_ratio": 40.0}, True),
+        ({"first_visit_ratio": 1.0, "first_visit_excess": 0.25}, True),
+        ({"first_visit_ratio": 1.0, "first_visit_excess": 0.0}, False),
+    ],
+)
+def test_a_replay_from_memory_is_named_as_such(figures: dict[str, float], remembers: bool) -> None:
+    """Slow first visits, of all steps or of hard ones alone, are in the text and the fields."""
+    sequence = record_sequence(load_scenario("paper").first(8))
+    run = replay(sequence, open_workspace("daqp"), repeats=1, warmup_steps=2)
+    summary = run.summary.copy()
+    for name, value in figures.items():
+        summary[name] = value
+    shown = replace(run, summary=summary)
+    assert shown.remembers is remembers
+    assert ("remembered answers" in repr(shown)) is remembers
+    assert ("remembered answers" in shown._repr_html_()) is remembers
