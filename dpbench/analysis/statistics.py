@@ -25,9 +25,9 @@ LEAST_STEPS = 500
 """With fewer steps no interval is stated: parts of fewer than 100 steps resemble their
 neighbours."""
 LARGEST_CORRELATION = 0.9
-"""Of neighbouring parts, as far as it widens an interval."""
+"""Largest correlation of neighbouring parts that an interval is widened for."""
 LEAST_VARIANCE = 0.25
-"""Of a share over parts, in variances of independent steps: a smaller one is chance."""
+"""Least variance of a share over parts, in variances of independent steps: less is chance."""
 SKEW_SHARE = 1.5
 """By what the skewness found is multiplied: few values show too little of it."""
 LEAST_SKEW_DF = 2.5
@@ -189,7 +189,7 @@ def percentile_interval(values: Floats, percent: float) -> Interval:
 
 
 def long_enough(logs: Sequence[Floats]) -> list[Floats]:
-    """Those sequences of steps that support an interval; all of them where none does."""
+    """Return the sequences of steps that support an interval; all of them where none does."""
     return [one for one in logs if supports_interval(len(one))] or list(logs)
 
 

@@ -43,7 +43,7 @@ NOTHING = 1e-6
 cost, is none to a ship. No standard error is smaller: runs without any spread give no interval
 without width."""
 SINGLE_VARIANCE = 2.0
-"""Of the single run of a point, in those of the points that are repeated."""
+"""Variance of the single run of a point, over that of a run of the repeated points."""
 LEAST_PAIRS = 6
 """With fewer pairs no interval is stated."""
 ALPHA = 0.05
@@ -92,7 +92,7 @@ class PairedDifference:
 
 
 def paired_difference(one: pd.Series, other: pd.Series) -> PairedDifference:
-    """one − other over the realisations that both have.
+    """Return the difference one − other over the realisations that both have.
 
     Parameters
     ----------
