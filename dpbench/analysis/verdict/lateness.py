@@ -16,7 +16,8 @@ with one late timing in a hundred, which a p99 allows ("late timings").
 Closed loops, and replays of one round. Each step is timed once, so hard steps and delays look the
 same, and one late timing in a hundred is allowed. Late is here what exceeds the limit by more than
 the uncertainty of the times. Each involuntary context switch explains one late timing; the others
-are held against a binomial count with a share of 1 %.
+are held against a binomial count with a share of 1 %. Of all switches only those count that can
+have hit the base time of a timed call (`explained_by`).
 
 Deadline. One stall of the machine as long as a sample is rare in a whole campaign, so its rate is
 that of all replays together, for loops and replays alike.
@@ -43,6 +44,7 @@ from dpbench.analysis.statistics import holm
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.uncertainty import Uncertainty
 from dpbench.arrays import Floats
+from dpbench.bench.judge.rules import explained_by
 
 Kind = Literal["late timings", "late at random", "past the deadline"]
 PROVEN, DOUBTFUL = 0.001, 0.05
@@ -237,14 +239,16 @@ def _test_once(run: RunRecord, own: Delays, limit_ns: float) -> LateTimings:
     """Test the late timings of a run of one round that no involuntary switch explains."""
     late, samples = int(own.count_late(limit_ns).sum()), int(own.samples.sum())
     switches = run.involuntary_switches
-    unexplained = late - int(np.nan_to_num(switches))
+    timed_share = 1e-9 * float(own.base_ns.sum()) / run.replay_s
+    unexplained = late - explained_by(float(np.nan_to_num(switches)), timed_share)
     p = float(binom.sf(unexplained - 1, samples, ALLOWED)) if unexplained > 0 else 1.0
     if own.step_ns > limit_ns:
         # The median is the plainer answer.
         p = 1.0
     # Where the kernel hides its switches they may explain all of it.
     p = DOUBTFUL if math.isnan(switches) and p < DOUBTFUL else p
-    return LateTimings("late timings", run, late, samples, switches / samples, p)
+    expected = math.nan if math.isnan(switches) else explained_by(switches, timed_share) / samples
+    return LateTimings("late timings", run, late, samples, expected, p)
 
 
 def _test_deadline(

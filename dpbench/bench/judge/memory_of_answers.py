@@ -21,6 +21,7 @@ import numpy as np
 import pandas as pd
 
 from dpbench.arrays import Floats, Ints
+from dpbench.bench.judge.rules import explained_by
 from dpbench.bench.record.configuration import COLUMNS
 from dpbench.bench.record.raw_log import COUNTERS, RawLog, step_ns
 
@@ -53,7 +54,7 @@ def memory_metrics(log: RawLog) -> dict[str, float]:
     `first_visit_ratio` is the median over steps of the first visit's time over the shortest later
     one, less the factor by which the reference kernel was slower around the first visits than at
     its best. `first_visit_excess` is the share of slow first visits less twice that of slow visits
-    in any later round, and less the involuntary switches of the first visits' round: a memory of
+    in any later round, and less what the switches of the first visits' round explain: a memory of
     hard steps alone leaves the median as it is.
     """
     total = step_ns(log.times)
@@ -71,12 +72,12 @@ def memory_metrics(log: RawLog) -> dict[str, float]:
             first, later = log.first_ns[pairs].astype(np.float64), later[:, pairs]
             return {
                 "first_visit_ratio": ratio / slower,
-                "first_visit_excess": _slow_excess(first, later, slower, _switches(log, r)),
+                "first_visit_excess": _slow_excess(first, later, slower, _explained(log, r, later)),
             }
     return {"first_visit_ratio": np.nan, "first_visit_excess": np.nan}
 
 
-def _slow_excess(first: Floats, later: Floats, slower: float, switches: float) -> float:
+def _slow_excess(first: Floats, later: Floats, slower: float, explained: int) -> float:
     """Return the share of slow first visits (K,) beyond what later rounds (R, K) and the switches
     of their own round explain."""
     limit = SLOW_VISIT * slower
@@ -87,17 +88,22 @@ def _slow_excess(first: Floats, later: Floats, slower: float, switches: float) -
         )
         for i, visits in enumerate(later)
     ]
-    return float((slow_first - 2 * max(slow_later) - switches) / len(first))
+    return float((slow_first - 2 * max(slow_later) - explained) / len(first))
 
 
 def _others(later: Floats, i: int) -> Floats:
     return np.delete(later, i, axis=0)
 
 
-def _switches(log: RawLog, r: int) -> float:
-    """Return the involuntary switches of round r; 0 where its first attempt is not the last."""
-    known = log.counters[r, COUNTERS.index("involuntary_switches")] if log.attempts[r] == 1 else 0.0
-    return float(np.nan_to_num(known))
+def _explained(log: RawLog, r: int, later: Floats) -> int:
+    """Return how many slow first visits the involuntary switches of round r may explain; 0 where
+    its first attempt is not the last."""
+    if log.attempts[r] > 1:
+        return 0
+    counted = dict(zip(COUNTERS, log.counters[r].tolist(), strict=True))
+    wall_s = counted["replay_s"] or float("nan")
+    timed_share = 1e-9 * float(later.min(axis=0).sum()) / wall_s
+    return explained_by(float(np.nan_to_num(counted["involuntary_switches"])), timed_share)
 
 
 def _later_visits(log: RawLog, total: Ints, r: int) -> Floats:

@@ -8,6 +8,7 @@ whoever reads it asks nobody. Steps are the columns of `step_columns.py`, or tho
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -26,6 +27,8 @@ WARM_UP = 0
 DISTURBED_FACTOR = 1.25
 """A round whose reference kernel took this much longer than the configuration's best is marked
 disturbed."""
+LEAST_PROCESSORS = 4.0
+"""Processes that share a core with a busy worker, at most, itself included."""
 BEYOND = 10
 """So many samples have to lie beyond a percentile before it is printed."""
 
@@ -48,6 +51,22 @@ def is_ranked(concurrency: float, machine_id: str, of_folder: str) -> bool:
     machine_id : of the run; of_folder : of `machine.json`.
     """
     return bool(np.isnan(concurrency)) or (concurrency <= 1.0 and machine_id == of_folder)
+
+
+def explained_by(switches: float, timed_share: float) -> int:
+    """Return how many late timings involuntary context switches may explain.
+
+    A switch comes at any moment of the process's own time, of which the timed calls take
+    `timed_share` of the wall time over the share of a processor that the process gets, at least a
+    quarter. Three standard deviations of a Poisson count are added.
+
+    Parameters
+    ----------
+    timed_share : base time of the timed calls over the wall time of the run; NaN where that is not
+        known, which leaves all switches as an explanation.
+    """
+    hits = switches * (1.0 if math.isnan(timed_share) else min(1.0, LEAST_PROCESSORS * timed_share))
+    return int(min(switches, math.ceil(hits + 3.0 * math.sqrt(hits))))
 
 
 def is_disturbed(reference_kernel_ns: Floats) -> Flags:

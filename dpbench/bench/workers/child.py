@@ -39,6 +39,8 @@ WITHOUT_TEMPLATE = Outcome(
 )
 _UNHEARD = 255
 """The exit code that `multiprocessing` gives a process whose template died."""
+STARTS = 3
+"""Attempts to start a process whose template is killed meanwhile."""
 _DYING_S = 1.0
 """For a process of which it is known that it was killed, until it is gone."""
 _STARTING = threading.Lock()
@@ -308,9 +310,9 @@ class ServingChild(Child):
 
 
 def _start(process: ForkServerProcess, notice: Notice) -> None:
-    """Start a process, once more where its template dies meanwhile; NoProcessError if that too
-    fails. Of two that its template forked and did not live to tell of, one lives."""
-    for attempt in range(2):
+    """Start a process, again where its template dies meanwhile; NoProcessError if the last of
+    `STARTS` fails. Of two that its template forked and did not live to tell of, one lives."""
+    for attempt in range(STARTS):
         if began := notice.start_anew():
             _end(began)
         try:
@@ -318,7 +320,7 @@ def _start(process: ForkServerProcess, notice: Notice) -> None:
                 process.start()
             return
         except (OSError, EOFError) as error:
-            if attempt:
+            if attempt == STARTS - 1:
                 why = f"no process can be started any more ({error!r})"
                 raise NoProcessError(f"{why}; finished cells are kept") from error
 

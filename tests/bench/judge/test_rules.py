@@ -19,6 +19,7 @@ from dpbench.bench.judge.rules import (
     decided,
     disturbed_rounds,
     errors,
+    explained_by,
     failed_steps,
     is_ranked,
     largest,
@@ -318,3 +319,21 @@ def test_the_error_of_a_cascade_is_the_larger_of_its_two() -> None:
     np.testing.assert_array_equal(errors(steps), [1.0, 2.0, np.nan, 4.0])
     steps["allocation_error"] = np.array([3.0, 1.0, 5.0, np.nan])
     assert errors(steps).tolist() == [3.0, 2.0, 5.0, 4.0]
+
+
+@pytest.mark.parametrize(
+    ("switches", "timed_share", "explained"),
+    [
+        (0.0, 0.5, 0),
+        (100.0, 0.01, 10),  # 4 hits and three times 2
+        (100.0, 0.0625, 40),  # 25 hits and three times 5
+        (100.0, 0.5, 100),  # all may hit
+        (7.0, float("nan"), 7),
+    ],
+)
+def test_switches_explain_late_timings_in_proportion_to_timed_calls(
+    switches: float, timed_share: float, explained: int
+) -> None:
+    """A process gets a quarter of a core at least, so a share of 1 % is hit by 4 % of the
+    switches, and three standard deviations are added."""
+    assert explained_by(switches, timed_share) == explained
