@@ -87,6 +87,7 @@ def test_the_best_outcome_of_a_solver_counts(records: Any) -> None:
     _with_forces(records, "piqp")
     _with_forces(records, "scs", error=0.5)
     records.loop("osqp", scenario="calm", cell="")
+    records.loop("qoco", cell=FORCES)
     _with_thrusters(records, "daqp", error=0.5)
     _with_thrusters(records, "daqp", settings="high")
     _with_thrusters(records, "piqp", outcome="hung", done=0)
@@ -94,7 +95,12 @@ def test_the_best_outcome_of_a_solver_counts(records: Any) -> None:
     records.refused("ecos", "it takes no start", cell=THRUSTERS)
     found = steering_of(records.view(), DEMAND)
     assert found.forces == ("paper",)
-    assert found.with_forces == {"daqp": "meets", "piqp": "meets", "scs": "misses"}
+    assert found.with_forces == {
+        "daqp": "meets",
+        "piqp": "meets",
+        "scs": "misses",
+        "qoco": "open",
+    }
     assert found.with_thrusters == {"daqp": "meets", "piqp": "misses", "scs": "misses"}
     assert found.faults == {"piqp": "too late", "scs": "wrong"}
     assert (found.fine, found.only_with_forces) == (["daqp"], ["piqp"])
