@@ -115,6 +115,13 @@ def test_a_paired_difference_by_hand() -> None:
     assert found.estimate.error == pytest.approx(math.sqrt(4.0 / 3.0))
     assert found.spread == pytest.approx(2.0)
     assert found.unpaired == pytest.approx(1.0)
+    lost = paired_difference(one.iloc[:5], other)
+    assert (lost.pairs, lost.points) == (5, 2)
+    longer = one.reindex(pd.MultiIndex.from_product([[0, 1], [1, 2, 3, 4]], names=index.names))
+    longer[0, 4] = 11.0
+    seven = paired_difference(longer, 0.0 * longer)
+    assert seven.pairs == 7
+    assert seven.spread == pytest.approx(seven.estimate.error * math.sqrt(3.5))
     empty = paired_difference(one.iloc[:0], other)
     assert (empty.pairs, empty.points, empty.is_constant) == (0, 0, False)
     assert math.isnan(empty.spread) and math.isnan(empty.unpaired)
@@ -199,6 +206,7 @@ def test_the_figures_of_a_configuration() -> None:
     assert reference.cost == pytest.approx((0.5 + 1.0 + 1.0 + 1.0) / 4)
     assert reference.r_95_m == pytest.approx((0.5 + 0.75) / 4)
     assert (reference.behind, reference.dearer, law.name) == (None, None, "law")
+    assert (reference.p_differs, reference.p_cheap) == (1.0, 1.0)
     assert law.behind is not None and law.behind.pairs == 1
     assert (study.replicates, study.realisations) == (2, 2)
     assert study.points["hs_m"].to_dict() == {0: 0.0, 1: 1.0}
