@@ -14,12 +14,14 @@ from dpbench.analysis.statistics import (
     UNKNOWN,
     Interval,
     MeanEstimate,
+    holm,
     mean_of_steps,
     none_of,
     paired_ratio,
     percentile_interval,
     pooled_mean,
     resampled_error,
+    rounds_to_zero,
 )
 from dpbench.bench.judge.rules import percentile, supports
 
@@ -170,3 +172,165 @@ def test_nothing_is_claimed_of_a_mean_without_an_error() -> None:
 def test_none_of_a_few_bounds_little() -> None:
     """3/R, at most 1: of thirty draws without a loss up to a tenth may be lost."""
     assert [none_of(count) for count in (0, 2, 3, 30)] == [1.0, 1.0, 1.0, 0.1]
+
+
+@pytest.mark.parametrize(
+    ("number", "inside"), [(0.999, False), (1.0, True), (3.0, True), (3.001, False)]
+)
+def test_an_interval_holds_its_ends(number: float, inside: bool) -> None:
+    """The ends belong to the interval."""
+    assert Interval(2.0, 1.0, 3.0).spans(number) is inside
+
+
+def test_one_degree_of_freedom_is_enough() -> None:
+    """The quantile of Student's t with one degree of freedom is tan(0.475 π) = 12.7."""
+    reach = 2.0 * math.tan(0.475 * math.pi)
+    interval = MeanEstimate(3.0, 2.0, 1.0).interval
+    assert (interval.low, interval.high) == pytest.approx((3.0 - reach, 3.0 + reach))
+    assert MeanEstimate(3.0, 2.0, 0.999).interval.low == -math.inf
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_skewed_mean_by_hand(sign: float) -> None:
+    """A skewness of -2/3 counts as -1: 3 becomes 3 - 3 + 1 - 1/6 = 5/6, with p of a Cauchy tail."""
+    found = MeanEstimate(3.0 * sign, 1.0, 1.0, -2.0 / 3.0 * sign)
+    p = found.p_above(0.0) if sign > 0 else found.p_below(0.0)
+    assert p == pytest.approx(0.5 - math.atan(5.0 / 6.0) / math.pi)
+
+
+def test_the_interval_of_a_skewed_mean_by_hand() -> None:
+    """With q = 1.96 and a skewness that counts as 1 the upper end is 3 (1 + (q - 5/6)^(1/3)) away.
+
+    The lower end, 3 ((q + 5/6)^(1/3) - 1) = 1.22 away, would be nearer than q and stays there.
+    """
+    quantile = 1.959963985
+    interval = MeanEstimate(5.0, 2.0, 1e12, 2.0 / 3.0).interval
+    assert interval.high == pytest.approx(5.0 + 6.0 * (1.0 + math.cbrt(quantile - 5.0 / 6.0)))
+    assert interval.low == pytest.approx(5.0 - 2.0 * quantile)
+
+
+@pytest.mark.parametrize(
+    ("value", "bound", "p"),
+    [(3.0, 2.0, 0.5), (-3.0, 2.0, 0.5), (0.0, 1.0, 1.0), (3.0, 0.0, 0.2048328)],
+)
+def test_a_mean_beyond_a_bound_on_either_side(value: float, bound: float, p: float) -> None:
+    """One error beyond the bound is a Cauchy tail of 1/4, twice that for both sides."""
+    assert MeanEstimate(value, 1.0, 1.0).p_beyond(bound) == pytest.approx(p)
+
+
+@pytest.mark.parametrize(
+    ("spread", "size", "zero"),
+    [(0.0, 0.0, True), (1e-12, 1.0, True), (1.1e-12, 1.0, False), (1.5e-12, 2.0, True)],
+)
+def test_a_spread_of_rounding_is_none(spread: float, size: float, zero: bool) -> None:
+    """Up to 1e-12 of the size a spread is rounding."""
+    assert rounds_to_zero(spread, size) is zero
+
+
+def test_adjusted_p_values_rise_in_their_order_up_to_one() -> None:
+    """0.01 * 4, then 0.2 * 3 = 0.6, 0.25 * 2 = 0.5 that stays at 0.6, and 0.9."""
+    assert holm(np.array([0.25, 0.9, 0.01, 0.2])) == pytest.approx([0.6, 0.9, 0.04, 0.6])
+    assert holm(np.array([0.7, 0.6])).tolist() == [1.0, 1.0]
+
+
+@pytest.mark.parametrize(("count", "share"), [(0.5, 1.0), (1, 1.0), (4, 0.75), (6, 0.5)])
+def test_the_rule_of_three(count: float, share: float) -> None:
+    """Three over the count, at most one."""
+    assert none_of(count) == share
+
+
+def _in_turn(parts: int, each: int) -> np.ndarray:
+    """0, 1, 2, ... in an order that takes one of each part of the range in turn."""
+    return np.arange(float(parts * each)).reshape(parts, each).T.ravel()
+
+
+@pytest.mark.parametrize(
+    ("percent", "value", "low", "high"), [(50, 499.5, 483.0, 515.0), (90, 899.1, 889.0, 909.0)]
+)
+def test_the_interval_of_a_percentile_of_even_parts(
+    percent: float, value: float, low: float, high: float
+) -> None:
+    """Equal shares in all parts count as 4000 independent steps for 1000.
+
+    The shares of 2000 and of 400 in 4000 lie within 0.4844 and 0.5156, and within 0.0909 and
+    0.1097: 1000 times the rest is rounded outwards and gives the steps in order, counted from one.
+    """
+    found = percentile_interval(_in_turn(10, 100), percent)
+    assert (found.value, found.low, found.high) == pytest.approx((value, low, high))
+
+
+def test_the_interval_of_a_median_of_uneven_parts() -> None:
+    """Shares of 0.6, 0.4, 0.6, 0.4 and 0.5 have a variance of 0.04 / 4 / 5 = 0.002.
+
+    Widened by (2.776 / 1.960)^2 it is that of 0.25 / 0.00401 = 62.3 steps. The share of 31.1 in
+    62.3 lies within 0.3706 and 0.6294 (Clopper and Pearson).
+    """
+    below, above = iter(range(250)), iter(range(250, 500))
+    values = [
+        float(next(above if k < beyond else below))
+        for beyond in (60, 40, 60, 40, 50)
+        for k in range(100)
+    ]
+    found = percentile_interval(np.array(values), 50)
+    assert (found.value, found.low, found.high) == (249.5, 184.0, 314.0)
+
+
+@pytest.mark.parametrize("percent", [2, 98])
+def test_an_extreme_percentile_has_one_end(percent: float) -> None:
+    """All ten extreme steps of 500 in one part: their share may be next to nothing."""
+    found = percentile_interval(np.arange(500.0), percent)
+    if percent == 98:
+        assert math.isinf(found.high) and 0.0 < found.low < found.value
+    else:
+        assert found.low == 0.0 and found.value < found.high < 500.0
+
+
+def test_a_pooled_mean_by_hand() -> None:
+    """Means 2 and 3 with errors sqrt(0.2) and 4 degrees of freedom each.
+
+    The pooled error is sqrt(0.4) / 2 with 0.4^2 / (2 * 0.2^2 / 4) = 8 degrees of freedom, of which
+    the quantile is 2.306.
+    """
+    parts = np.array([1.0, 3.0, 1.0, 3.0, 2.0])
+    found = pooled_mean([np.repeat(parts, 100), np.repeat(parts + 1.0, 100)])
+    reach = 2.306004135 * math.sqrt(0.4) / 2.0
+    expected = (math.exp(2.5), math.exp(2.5 - reach), math.exp(2.5 + reach))
+    assert (found.value, found.low, found.high) == pytest.approx(expected)
+
+
+def test_two_of_three_sequences_without_spread_leave_an_interval() -> None:
+    """An error of 3 sqrt(0.2) / 3 with the 4 degrees of freedom of its only sequence."""
+    parts = 3.0 * np.array([1.0, 3.0, 1.0, 3.0, 2.0])
+    found = pooled_mean([np.zeros(500), np.repeat(parts, 100), np.zeros(500)])
+    assert found.value == pytest.approx(math.exp(2.0))
+    assert found.high == pytest.approx(math.exp(2.0 + 2.776445105 * math.sqrt(0.2)))
+
+
+@pytest.mark.parametrize(
+    ("values", "block", "error"),
+    [
+        ([0.0, 0.0, 3.0, 3.0], 2, 0.75),
+        ([0.0, 0.0, 0.0, 0.0, 5.0], 2, 0.8),
+        ([0.0, 0.0, 0.0, 0.0, 5.0], 0, math.sqrt(20.0) / 5.0),
+        ([0.0, 0.0, 0.0, 0.0, 5.0], 1, math.sqrt(20.0) / 5.0),
+        ([0.0, 0.0, 0.0, 0.0, 5.0], 5, 0.0),
+        ([0.0, 0.0, 0.0, 0.0, 5.0], 9, 0.0),
+    ],
+)
+def test_the_error_of_resampled_blocks_by_hand(
+    values: list[float], block: int, error: float
+) -> None:
+    """Sums of two of 0, 0, 0, 0, 5 in a circle have a variance of 6, single values of 4.
+
+    Two blocks of two and one of one: sqrt(2 * 6 + 4) / 5 = 0.8.
+    """
+    assert resampled_error(np.array(values), block) == pytest.approx(error)
+
+
+def test_a_mean_of_499_steps_has_no_error() -> None:
+    """From 500 steps on a mean has an error."""
+    values = np.repeat([1.0, 3.0, 1.0, 3.0, 2.0], 100)
+    assert mean_of_steps(values).error > 0.0
+    assert math.isnan(mean_of_steps(values[1:]).error)
+    constant = mean_of_steps(np.full(500, 2.0))
+    assert (constant.value, constant.error, constant.df) == (2.0, 0.0, 4)

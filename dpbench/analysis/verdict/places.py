@@ -96,10 +96,11 @@ class PlacedRuns:
         common = {run.run_id for run in records.runs}
         ships = [r for r in records.all_runs if not (r.is_baseline_law or r.has_topic)]
         for run in [*ships, *studied[:kept]]:
-            if run.window_of:
-                windows[placed_configuration(run), run.scenario] = run
-                continue
             usual = run.slowdown > 0.0 or run.run_id in common
+            if run.window_of:
+                if usual and run.units == "scaled":
+                    windows[placed_configuration(run), run.scenario] = run
+                continue
             key = placed_configuration(run), Place.of(run, "" if usual else run.formulation)
             other = runs.get(key)
             if other is None or run.steps_planned > other.steps_planned:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import Any
 
 import pytest
@@ -97,3 +98,43 @@ def test_the_largest_stall_is_that_of_a_calibration_run(records: Any) -> None:
     frame.loc[(frame["repeat"] == 2) & (frame["k"] == 7), "total_ns"] = 5_000_000
     records.replay("daqp", median_us=20.0, spread=0.0)
     assert largest_stall_ns(records.view()) == pytest.approx(4.98e6, rel=1e-4)
+
+
+def test_a_short_replay_bounds_the_deadline_alone(records: Any) -> None:
+    """300 steps of 60 µs support no p99: that of 1000 steps of 20 µs holds."""
+    records.replay("daqp", median_us=20.0, spread=0.0)
+    records.replay("daqp", "calm", steps=300, median_us=60.0, spread=0.0)
+    margin = _margin(records)
+    assert (margin.hardest.run.sequence, margin.p99.run.sequence) == ("calm", "paper")
+    assert margin.deadline == pytest.approx(5000.0, rel=1e-4)
+    assert margin.p99_limit == pytest.approx(150.0, rel=1e-4)
+
+
+def test_the_largest_p99_of_two_replays(records: Any) -> None:
+    """The p99 is that of the slower replay, the hardest step that of the other."""
+    records.replay("daqp", median_us=20.0, spread=0.0, slow={700: 9.0})
+    records.replay("daqp", "calm", median_us=40.0, spread=0.0)
+    margin = _margin(records)
+    assert (margin.hardest.run.sequence, margin.hardest.k) == ("paper", 700)
+    assert margin.p99.run.sequence == "calm"
+    assert margin.p99_limit == pytest.approx(75.0, rel=1e-4)
+
+
+def test_only_scaled_replays_with_steps_have_a_margin(records: Any) -> None:
+    """Loops, SI units and replays without a step leave none; settings have their own."""
+    records.loop("scs")
+    records.replay("scs", done=0)
+    records.replay("scs", units="si")
+    records.replay("daqp", median_us=20.0, spread=0.0)
+    records.replay("daqp", median_us=30.0, spread=0.0, settings="high")
+    margins = speed_margins(records.view(), DEMAND)
+    limits = {(c.solver, c.settings): round(margin.p99_limit) for c, margin in margins.items()}
+    assert limits == {("daqp", "default"): 150, ("daqp", "high"): 100}
+
+
+def test_without_a_calibration_run_there_is_no_stall(records: Any) -> None:
+    """A calibration run without a delay shows none either."""
+    records.replay("daqp", median_us=20.0, spread=0.0)
+    assert math.isnan(largest_stall_ns(records.view()))
+    records.replay(COPY_ONLY, median_us=20.0, spread=0.0, route="native", policy="reuse")
+    assert math.isnan(largest_stall_ns(records.view()))

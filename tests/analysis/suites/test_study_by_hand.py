@@ -1,0 +1,244 @@
+"""Claims of studies worked by hand: costs, references, claims of a configuration, tables."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dpbench.analysis.statistics import MeanEstimate
+from dpbench.analysis.suites.study import (
+    PairedDifference,
+    StudiedConfiguration,
+    Study,
+    mean_over_points,
+    paired_difference,
+    studies,
+)
+
+LOST = math.nan
+
+
+def _run(name: str, point: int, replicate: int, **columns: Any) -> Any:
+    """A finished run of a solver with a cost of 2, where the reference loop has 1."""
+    usual = {
+        "run_id": f"{name} {point} {replicate}",
+        "name": name,
+        "solver": name,
+        "settings": "default",
+        "study_point": float(point),
+        "replicate": float(replicate),
+        "x": {"hs_m": float(point)},
+        "outcome": "finished",
+        "r_tail_max_m": 0.5,
+        "r_95_m": 0.25,
+        "closed_loop_cost": 2.0,
+        "exact_cost": 1.0,
+        "is_baseline_law": False,
+    }
+    return SimpleNamespace(**usual | columns)
+
+
+def _difference(
+    value: float, error: float = 1e-9, *, spread: float = LOST, df: float = 9.0
+) -> PairedDifference:
+    return PairedDifference(MeanEstimate(value, error, df), 6, 1, spread, 1.0, is_constant=False)
+
+
+def _configuration(
+    behind: PairedDifference | None, dearer: PairedDifference | None, **columns: Any
+) -> StudiedConfiguration:
+    usual = {"runs": 6, "finished": 6, "held": 1.0, "cost": 0.0, "r_95_m": 0.25}
+    return StudiedConfiguration(
+        "osqp", "osqp", "1e-4", behind=behind, dearer=dearer, **(usual | columns)
+    )
+
+
+@pytest.mark.parametrize(
+    ("values", "mean", "error2", "df"),
+    [
+        ([[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]], 3.5, 17.5 / 30, 5.0),
+        ([[1.0], [2.0], [3.0], [4.0], [5.0], [6.0]], 3.5, 17.5 / 30, 5.0),
+        ([[0.0, 2.0, 4.0], [3.0, 5.0, 7.0]], 3.5, 4.0 / 3.0, 2.0),
+        ([[0.0, 2.0, 4.0], [7.0, 5.0, 3.0]], 3.5, 0.0, 2.0),
+    ],
+)
+def test_the_mean_over_points_by_hand(
+    values: list[list[float]], mean: float, error2: float, df: float
+) -> None:
+    """Squares of 1 to 6 about 3.5 are 17.5; opposite deviations at two points cancel."""
+    found = mean_over_points(np.array(values))
+    assert (found.value, found.df) == pytest.approx((mean, df))
+    assert found.error == pytest.approx(max(1e-6, math.sqrt(error2)))
+
+
+@pytest.mark.parametrize(
+    ("values", "supported"),
+    [
+        ([[1.0, 2.0, 3.0, 4.0, 5.0]], False),
+        ([[1.0], [2.0], [3.0], [4.0], [5.0]], False),
+        ([[1.0, 2.0, 4.0, 3.0, 5.0, LOST], [1.0, LOST, LOST, LOST, LOST, LOST]], True),
+        ([[1.0, 2.0, 4.0, 3.0, LOST], [1.0, LOST, LOST, LOST, LOST]], False),
+    ],
+)
+def test_six_values_are_enough(values: list[list[float]], supported: bool) -> None:
+    """Fewer than six, of whichever points, have no error; half of the points must be repeated."""
+    assert math.isnan(mean_over_points(np.array(values)).error) is not supported
+
+
+def test_the_skewness_of_a_mean_by_hand() -> None:
+    """Deviations -1 five times and 5: squares 30, cubes 120.
+
+    The sum of the cubes of u over the 3/2 power of that of the squares is 120 / 30^1.5, and the
+    factor of five degrees of freedom sqrt(30) / 4.
+    """
+    found = mean_over_points(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 6.0]]))
+    assert found.error == pytest.approx(1.0)
+    assert found.skew == pytest.approx(math.sqrt(30.0) / 4.0 * 120.0 / 30.0**1.5)
+
+
+def test_a_paired_difference_by_hand() -> None:
+    """Differences 0, 2, 4 at each of two points: mean 2, error sqrt(4/3), spread sqrt(4).
+
+    Alone, one has 10, 12, 14 with the same error and the other has none but the least.
+    """
+    index = pd.MultiIndex.from_product([[0, 1], [1, 2, 3]], names=["point", "replicate"])
+    one = pd.Series([10.0, 12.0, 14.0, 20.0, 22.0, 24.0], index=index)
+    other = pd.Series([10.0, 10.0, 10.0, 20.0, 20.0, 20.0], index=index)
+    found = paired_difference(one, other)
+    assert (found.pairs, found.points, found.is_constant) == (6, 2, False)
+    assert found.estimate.value == pytest.approx(2.0)
+    assert found.estimate.error == pytest.approx(math.sqrt(4.0 / 3.0))
+    assert found.spread == pytest.approx(2.0)
+    assert found.unpaired == pytest.approx(1.0)
+    lost = paired_difference(one.iloc[:5], other)
+    assert (lost.pairs, lost.points) == (5, 2)
+    longer = one.reindex(pd.MultiIndex.from_product([[0, 1], [1, 2, 3, 4]], names=index.names))
+    longer[0, 4] = 11.0
+    seven = paired_difference(longer, 0.0 * longer)
+    assert seven.pairs == 7
+    assert seven.spread == pytest.approx(seven.estimate.error * math.sqrt(3.5))
+    empty = paired_difference(one.iloc[:0], other)
+    assert (empty.pairs, empty.points, empty.is_constant) == (0, 0, False)
+    assert math.isnan(empty.spread) and math.isnan(empty.unpaired)
+
+
+@pytest.mark.parametrize(
+    ("difference", "count"), [(9.0, 2), (8.98, 3), (2.49, 3), (2.48, 4), (1.6, 4), (1.59, 5)]
+)
+def test_replicates_for_a_difference(difference: float, count: int) -> None:
+    """The quantiles 12.71, 4.303, 3.182 over the roots of 2, 3, 4 are 8.98, 2.48, 1.591."""
+    assert _difference(0.0, spread=1.0).replicates_for(difference) == count
+    assert _difference(0.0).replicates_for(difference) is None
+
+
+@pytest.mark.parametrize(
+    ("behind", "dearer", "cheap"),
+    [
+        (0.0099, 0.0099, True),
+        (0.0101, 0.0, False),
+        (0.0, 0.01, False),
+        (-1.0, -1.0, True),
+    ],
+)
+def test_a_cheap_configuration_costs_less_than_a_percent_and_a_centimetre(
+    behind: float, dearer: float, cheap: bool
+) -> None:
+    """The logarithm of 1.01 is 0.00995; both have to be below their limit."""
+    found = _configuration(_difference(behind), _difference(dearer))
+    p = found.p_unadjusted[1]
+    assert (p < 1e-3) is cheap and (p > 0.999) is not cheap
+
+
+def test_a_configuration_differs_on_either_side() -> None:
+    """A difference of a millimetre is more than nothing, of a ten-millionth less."""
+    p_values = [
+        _configuration(_difference(value), _difference(0.0)).p_unadjusted[0]
+        for value in (1e-3, -1e-3, 1e-7)
+    ]
+    assert [p < 1e-3 for p in p_values] == [True, True, False]
+    for lacking in ((None, None), (None, _difference(0.0)), (_difference(0.0), None)):
+        assert _configuration(*lacking).p_unadjusted == (1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("p", "value", "differs", "behind"),
+    [
+        (0.05, 0.1, True, True),
+        (0.051, 0.1, False, False),
+        (0.05, -0.1, True, False),
+        (0.05, 0.0, True, False),
+    ],
+)
+def test_who_is_significantly_behind(p: float, value: float, differs: bool, behind: bool) -> None:
+    """At a family-wise error of 5 %, and with a larger radial error."""
+    found = _configuration(_difference(value), None, p_differs=p)
+    assert (found.differs, found.is_behind) == (differs, behind)
+    assert not _configuration(None, None, p_differs=p).is_behind
+
+
+def test_who_is_cheap() -> None:
+    """The reference always is, others at 5 %; a lost run excludes it."""
+    difference = _difference(0.0)
+    assert _configuration(difference, None, p_cheap=0.05).is_cheap
+    assert not _configuration(difference, None, p_cheap=0.051).is_cheap
+    assert _configuration(None, None).is_cheap
+    assert not _configuration(None, None, finished=5).is_cheap
+
+
+def test_the_figures_of_a_configuration() -> None:
+    """Means over its runs: a stopped run and one beyond the radius are not held."""
+    runs = [
+        _run("osqp", 0, 1, closed_loop_cost=3.0, exact_cost=2.0, r_95_m=0.5),
+        _run("osqp", 0, 2, r_tail_max_m=1.0),
+        _run("osqp", 1, 1, r_tail_max_m=1.001),
+        _run("osqp", 1, 2, outcome="timed_out"),
+        _run("law", 0, 1, is_baseline_law=True, solver="daqp"),
+    ]
+    study = Study("seas", runs, 1.0)
+    assert study.reference == "osqp"
+    reference, law = study.configurations
+    assert (reference.runs, reference.finished, reference.held) == (4, 3, 0.5)
+    assert reference.cost == pytest.approx((0.5 + 1.0 + 1.0 + 1.0) / 4)
+    assert reference.r_95_m == pytest.approx((0.5 + 0.75) / 4)
+    assert (reference.behind, reference.dearer, law.name) == (None, None, "law")
+    assert (reference.p_differs, reference.p_cheap) == (1.0, 1.0)
+    assert law.behind is not None and law.behind.pairs == 1
+    assert (study.replicates, study.realisations) == (2, 2)
+    assert study.points["hs_m"].to_dict() == {0: 0.0, 1: 1.0}
+    held = study.held_map("osqp")
+    assert held["runs"].to_list() == [2, 2] and held["held"].to_list() == [1.0, 0.0]
+
+
+def test_points_that_are_run_once_are_the_realisations() -> None:
+    """Three points with one sea each are three draws; the law alone is its own reference."""
+    study = Study("seas", [_run("law", p, 4, is_baseline_law=True) for p in (2, 0, 1)], 1.0)
+    assert (study.replicates, study.realisations, study.reference) == (1, 3, "law")
+    assert list(study.points.index) == [0, 1, 2]
+
+
+def test_configurations_are_in_the_order_of_their_cost() -> None:
+    """After the reference the nearest to the cost of the reference loop, on either side."""
+    costs = {"c": 0.7, "a": 1.2, "daqp": 5.0, "d": LOST, "b": 1.1}
+    runs = [_run(name, 0, 1, closed_loop_cost=cost) for name, cost in costs.items()]
+    study = Study("seas", runs, 1.0)
+    assert [c.name for c in study.configurations] == ["daqp", "b", "a", "c", "d"]
+
+
+def test_the_studies_of_a_folder(records: Any) -> None:
+    """Each has the radius of its table, 1 m without one."""
+    records.suite["study"] = [
+        {"base": "paper", "name": "seas", "radius_m": 3.0},
+        {"base": "calm", "radius_m": 4.0},
+        {"base": "rough", "name": "plain"},
+    ]
+    records.sea("daqp", 0, 1, {"hs_m": 1.0})
+    records.sea("scs", 0, 1, {"hs_m": 1.0})
+    for name in ("calm", "plain", "other"):
+        records.loop("daqp", study=name, study_point=0, replicate=1)
+    found = [(s.name, len(s.runs), s.radius_m) for s in studies(records.view())]
+    assert found == [("seas", 2, 3.0), ("calm", 1, 4.0), ("plain", 1, 1.0), ("other", 1, 1.0)]

@@ -1,0 +1,87 @@
+"""Findings and requirements without a result folder."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from dpbench.analysis.verdict.demand import Demand, cost_ratio, is_right, survived
+from dpbench.analysis.verdict.findings import (
+    DOUBTS,
+    LATE,
+    NEAR,
+    OUTCOMES,
+    OWN_DOING,
+    STATES,
+    Finding,
+    worst_first,
+)
+
+
+def test_the_worst_run_is_first_and_the_others_keep_their_order() -> None:
+    """Of two equal figures the first is the worst; without a run there is no finding."""
+    runs: list[Any] = [
+        SimpleNamespace(name=n, x=x) for n, x in zip("abcd", (2, 5, 1, 5), strict=True)
+    ]
+    (found,) = worst_first("failed", runs, lambda run: float(run.x))
+    assert [run.name for run in found.runs] == ["b", "a", "c", "d"]
+    assert (found.kind, found.value, found.steps) == ("failed", 5.0, 0)
+    assert math.isnan(found.machine)
+    assert worst_first("failed", [], lambda run: 0.0) == []
+
+
+def test_a_finding_without_a_figure() -> None:
+    """It has no run, no steps and no number."""
+    found = Finding("absent")
+    assert (found.runs, found.steps) == ((), 0)
+    assert math.isnan(found.value) and math.isnan(found.machine)
+
+
+def test_outcomes_and_states_are_ordered_from_best_to_worst() -> None:
+    """A failed verdict is late or wrong; a crash is wrong, a hang is late."""
+    assert OUTCOMES == ("meets", "borderline", "open", "misses", "not run")
+    assert STATES == ("meets", "borderline", "open", "late", "wrong", "not run")
+    assert [kind in LATE for kind in OWN_DOING] == [False, True]
+    assert not {*DOUBTS} & {*NEAR} and not {*LATE} & {*DOUBTS, *NEAR}
+
+
+def test_the_requirements_of_a_suite() -> None:
+    """Entries replace the defaults, unknown ones are ignored, limits are in ns as well."""
+    assert Demand.of({}) == Demand(1e-2, 0, 3.0, 300.0)
+    found = Demand.of({"demand": {"p99_ms": 2.0, "deadline_ms": 50.0, "failed_steps": 1, "x": 1}})
+    assert found == Demand(1e-2, 1, 2.0, 50.0)
+    assert (found.p99_ns, found.deadline_ns) == (2e6, 5e7)
+
+
+@pytest.mark.parametrize(
+    ("columns", "right"),
+    [
+        ({}, True),
+        ({"outcome": "timed_out"}, True),
+        ({"outcome": "invalid"}, False),
+        ({"done": 119}, False),
+        ({"loop_ratio": 40.0}, False),
+        ({"error": math.nan}, False),
+    ],
+)
+def test_a_run_is_right_with_all_steps_and_no_memory(
+    records: Any, columns: dict[str, Any], right: bool
+) -> None:
+    """Every planned step has an answer within the limit that was not remembered."""
+    records.loop("daqp", **columns)
+    (run,) = records.view().runs
+    assert is_right(run, Demand()) is right
+
+
+@pytest.mark.parametrize(("done", "ratio"), [(119, None), (120, 1.5), (121, 1.5)])
+def test_the_cost_of_a_complete_loop(records: Any, done: int, ratio: float | None) -> None:
+    """Three over two; a loop that was cut has no ratio and did not survive."""
+    columns = {"closed_loop_cost": 3.0, "exact_cost": 2.0, "limit_violations": 0}
+    records.loop("daqp", steps=120, done=done, **columns)
+    (run,) = records.view().runs
+    found = cost_ratio(run)
+    assert math.isnan(found) if ratio is None else found == ratio
+    assert not survived(run)

@@ -1,0 +1,269 @@
+"""P-values of late timings worked by hand: stalls of the machine, loops, replays, the deadline."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.lateness import (
+    LateTimings,
+    Machine,
+    estimate_machine,
+    find_late_timings,
+    trusted,
+)
+from dpbench.analysis.verdict.uncertainty import Uncertainty
+from dpbench.solvers.calibration import COPY_ONLY
+
+DEMAND = Demand(p99_ms=3.0, deadline_ms=300.0)
+UNCERTAINTY = Uncertainty({}, {}, {}, 2.0)
+"""A loop is late from 6 ms on."""
+BASE_NS = 20_000
+
+
+def _found(records: Any) -> dict[str, list[LateTimings]]:
+    """The late timings by solver."""
+    view = records.view()
+    by_run = find_late_timings(view, DEMAND, UNCERTAINTY)
+    solvers = {run.run_id: run.solver for run in view.runs}
+    return {solvers[run_id]: found for run_id, found in by_run.items()}
+
+
+def _loop(records: Any, steps: int, slow_ns: dict[int, float], **columns: Any) -> None:
+    """A loop of 20 µs a step but for some slow ones."""
+    records.loop("daqp", steps=steps, **columns)
+    times = np.full(steps, BASE_NS)
+    for k, ns in slow_ns.items():
+        times[k] = ns
+    records._steps[-1]["total_ns"] = times
+
+
+def _replay(records: Any, solver: str, late: dict[int, int], ns: int = 10_000_000) -> None:
+    """A replay of 1000 steps of 20 µs in four rounds, with so many late timings in some rounds.
+
+    A round has a base time of 20 ms, all four have 80 ms.
+    """
+    native = {"route": "native", "policy": "reuse"} if solver == COPY_ONLY else {}
+    records.replay(solver, rounds=4, median_us=BASE_NS / 1e3, spread=0.0, **native)
+    frame = records._steps[-1]
+    for r, count in late.items():
+        frame.loc[(frame["repeat"] == r) & (frame["k"] < count), "total_ns"] = ns
+
+
+@pytest.mark.parametrize(
+    ("count", "allowed", "below"),
+    [
+        (-1, 0, 0.0),
+        (0, 0, 0.0),
+        (1, 0, 0.25),
+        (2, 0, 0.5),
+        (3, 0, 0.6875),
+        (0, 2, 0.0),
+        (1, 1, 0.25 * 0.99),
+        (1, 2, 0.25 * 0.9801),
+        (2, 2, 0.25 * (0.9801 + 0.9801 + 0.0198)),
+        (3, 2, 0.1875 * 0.9801 + 0.25 * (0.9801 + 0.0198 + 0.9801 + 0.0198 + 0.0001)),
+    ],
+)
+def test_the_tail_of_the_stalls(count: int, allowed: int, below: float) -> None:
+    """A mean of 2 and a shape of 2 give 1/4, 1/4, 3/16 for 0, 1 and 2 stalls.
+
+    The allowed timings are late with 1 %: of two, 0, 1 and 2 with 0.9801, 0.0198 and 0.0001.
+    """
+    machine = Machine(rate=1e-3, shape=2.0)
+    assert machine.tail(count, 2000.0, allowed) == pytest.approx(1.0 - below, rel=1e-9)
+
+
+def test_a_machine_of_two_rounds() -> None:
+    """Nine stalls in 4 ns and none in 2 ns: the rate is 9.5 / 6, the means are 19/3 and 19/6.
+
+    The moments give (361/9 + 361/36) / (64/9 - 9 + 361/36) = 1805/293.
+    """
+    machine = estimate_machine(np.array([9.0, 0.0]), np.array([4.0, 2.0]))
+    assert machine.rate == pytest.approx(19 / 12)
+    assert machine.shape == pytest.approx(1805 / 293)
+
+
+class _Stalls:
+    """Delays with these stalls in each round."""
+
+    def __init__(self, *counts: int) -> None:
+        self.counts = np.array(counts)
+
+    def count_stalls(self, longer_than_ns: float) -> Any:
+        """Return the counts; the limit is half that of the p99."""
+        assert longer_than_ns == 1.5e6
+        return self.counts
+
+
+@pytest.mark.parametrize(
+    ("solvers", "expected"),
+    [("", ""), ("a", "aa"), ("ab", "b"), ("abc", "b"), ("abcd", "bd"), ("abcde", "bd")],
+)
+def test_the_half_of_the_solvers_with_fewer_stalls_is_trusted(solvers: str, expected: str) -> None:
+    """The stalls of a solver are those of all its replays and rounds: 6, 1, 4, 3 and 9."""
+    stalls: Any = {
+        "a1": _Stalls(2, 3),
+        "a2": _Stalls(1, 0),
+        "b1": _Stalls(0, 1),
+        "c1": _Stalls(2, 2),
+        "d1": _Stalls(1, 2),
+        "e1": _Stalls(9, 0),
+    }
+    replays: list[Any] = [
+        SimpleNamespace(run_id=name, solver=name[0]) for name in stalls if name[0] in solvers
+    ]
+    assert "".join(run.solver for run in trusted(replays, [], stalls, DEMAND)) == expected
+    arm: Any = SimpleNamespace(run_id="arm", solver="arm")
+    assert trusted(replays, [arm], stalls, DEMAND) == [arm]
+
+
+def test_a_loop_against_one_late_timing_in_a_hundred(records: Any) -> None:
+    """Of 14 late timings 3 are explained: at least 11 of 450 have a share of 0.6 %."""
+    slow = dict.fromkeys(range(14), 6_000_001.0) | {100 + k: 6_000_000.0 for k in range(30)}
+    _loop(records, 450, slow, involuntary_switches=3)
+    (found,) = _found(records)["daqp"]
+    fewer = sum(math.comb(450, n) * 0.01**n * 0.99 ** (450 - n) for n in range(11))
+    assert (found.kind, found.late, found.samples) == ("late timings", 14, 450)
+    assert found.machine == 3 / 450 and found.share == 14 / 450
+    assert found.p == pytest.approx(1.0 - fewer, rel=1e-6)
+    assert not found.proven
+
+
+@pytest.mark.parametrize(("switches", "p"), [(0, 1.0 - 0.99**3), (1, None), (2, None)])
+def test_a_single_late_timing_of_a_short_loop(records: Any, switches: int, p: float | None) -> None:
+    """One late timing of three is doubtful unless a context switch explains it."""
+    _loop(records, 3, {1: 7e6}, involuntary_switches=switches)
+    found = [late.p for late in _found(records).get("daqp", [])]
+    assert found == ([] if p is None else [pytest.approx(p)])
+
+
+@pytest.mark.parametrize(("middle_ns", "count"), [(6_000_000.0, 1), (6_000_001.0, 0)])
+def test_a_loop_that_is_late_in_the_median_is_not_tested(
+    records: Any, middle_ns: float, count: int
+) -> None:
+    """225 of 451 timings are late; beyond the limit the median is a cause of its own."""
+    slow = dict.fromkeys(range(225), 7e6) | {225: middle_ns}
+    _loop(records, 451, slow, involuntary_switches=0)
+    assert len(_found(records).get("daqp", [])) == count
+
+
+def test_hidden_switches_leave_a_doubt(records: Any) -> None:
+    """Without a count of context switches the p-value is at the limit of a doubt."""
+    _loop(records, 450, dict.fromkeys(range(40), 7e6))
+    (found,) = _found(records)["daqp"]
+    assert found.p == 0.05 and math.isnan(found.machine)
+
+
+def test_few_late_timings_with_hidden_switches_are_no_doubt(records: Any) -> None:
+    """Four of 450 are fewer than a p99 allows."""
+    _loop(records, 450, dict.fromkeys(range(4), 7e6))
+    assert _found(records) == {}
+
+
+def test_runs_that_are_not_tested(records: Any) -> None:
+    """SI units, slower computers and the baseline law have no late timings."""
+    slow = dict.fromkeys(range(40), 7e6)
+    for columns in ({"units": "si"}, {"slowdown": 0.5}, {"formulation": "none"}):
+        _loop(records, 450, slow, involuntary_switches=0, **columns)
+    assert _found(records) == {}
+    _loop(records, 450, slow, involuntary_switches=0, slowdown=0.0)
+    assert list(_found(records)) == ["daqp"]
+
+
+def test_a_replay_of_one_round_is_tested_like_a_loop(records: Any) -> None:
+    """Of 1000 timings 40 exceed 6 ms, where ten are allowed."""
+    records.replay("daqp", rounds=1, median_us=20.0, spread=0.0, involuntary_switches=0)
+    frame = records._steps[-1]
+    frame.loc[frame["counts"] & (frame["k"] < 40), "total_ns"] = 6_000_001
+    (found,) = _found(records)["daqp"]
+    assert (found.kind, found.late, found.samples, found.machine) == ("late timings", 40, 1000, 0)
+    assert found.proven
+
+
+@pytest.mark.parametrize(
+    ("late", "found"),
+    [
+        ({2: 11, 3: 11, 4: 11}, True),
+        ({3: 11, 4: 11}, False),
+        ({2: 10, 3: 11, 4: 11}, False),
+        ({2: 11, 3: 1000, 4: 1000}, True),
+    ],
+)
+def test_a_replay_without_others_is_doubtful_in_its_middle_round(
+    records: Any, late: dict[int, int], found: bool
+) -> None:
+    """The second smallest count of four rounds decides; ten of 1000 are allowed."""
+    _replay(records, "daqp", late)
+    tests = _found(records).get("daqp", [])
+    assert [test.kind for test in tests] == ["late at random", "late timings"] * found
+    assert all((test.p, test.late) == (0.05, sum(late.values())) for test in tests)
+    assert all(test.samples == 4000 and math.isnan(test.machine) for test in tests)
+
+
+def test_a_replay_beside_a_solver_without_stalls(records: Any) -> None:
+    """Half a stall in four even rounds is a mean of 1/8 with a shape of 1.
+
+    Two stalls in a round then have a share of (1/9)^2, in three of four rounds 4 q^3 (1 - q) + q^4.
+    """
+    _replay(records, "daqp", {2: 2, 3: 2, 4: 2})
+    _replay(records, "piqp", {})
+    (found,) = _found(records)["daqp"]
+    q = 1 / 81
+    assert (found.kind, found.late, found.samples) == ("late at random", 6, 4000)
+    assert found.p == pytest.approx(4 * q**3 * (1 - q) + q**4, rel=1e-9)
+    assert found.machine == pytest.approx(0.5 / 4000)
+    assert found.proven
+
+
+def test_a_replay_with_more_late_timings_than_a_p99_allows(records: Any) -> None:
+    """Thirty late timings in a round of 1000 are proven late of either kind."""
+    _replay(records, "daqp", {2: 30, 3: 30, 4: 30})
+    _replay(records, "piqp", {})
+    found = _found(records)["daqp"]
+    assert [(late.kind, late.proven) for late in found] == [
+        ("late at random", True),
+        ("late timings", True),
+    ]
+    assert found[1].machine == pytest.approx(0.5 / 4000)
+
+
+@pytest.mark.parametrize(
+    ("other", "excess_ns", "stalls", "tests"),
+    [
+        ("piqp", 150_000_000, 0, 2),
+        (COPY_ONLY, 150_000_000, 0, 1),
+        (COPY_ONLY, 150_000_001, 1, 1),
+    ],
+)
+def test_timings_past_the_deadline_against_the_stalls_of_others(
+    records: Any, other: str, excess_ns: int, stalls: int, tests: int
+) -> None:
+    """Stalls longer than half the deadline in 80 ms of the other give the rate of a shape of 1/2.
+
+    With m the mean in the 9 ms of the loop and s = 1 / (1 + 2 m), no stall has a probability of
+    s^(1/2), one of half of (1 - s) s^(1/2). A tested replay doubles the p-value (Holm).
+    """
+    _loop(records, 450, {7: 3e8 + 1, 8: 4e8, 9: 3e8}, involuntary_switches=3)
+    _replay(records, other, {3: 1}, BASE_NS + excess_ns)
+    mean = (stalls + 0.5) / 80e6 * 9e6
+    s = 1.0 / (1.0 + 2.0 * mean)
+    expected = tests * (1.0 - math.sqrt(s) - 0.5 * (1.0 - s) * math.sqrt(s))
+    (found,) = _found(records)["daqp"]
+    assert (found.kind, found.late, found.samples) == ("past the deadline", 2, 450)
+    assert found.p == pytest.approx(expected, rel=1e-6)
+    assert found.machine == pytest.approx(mean / 450)
+
+
+def test_a_timing_past_the_deadline_without_others_is_a_doubt(records: Any) -> None:
+    """The replay of the same solver shows nothing of the machine."""
+    _loop(records, 450, {7: 4e8}, involuntary_switches=3)
+    _replay(records, "daqp", {})
+    (found,) = _found(records)["daqp"]
+    assert (found.kind, found.late, found.p) == ("past the deadline", 1, 0.05)
+    assert math.isnan(found.machine)

@@ -1,0 +1,269 @@
+"""Findings on times at and beside the limits of the requirements."""
+
+from __future__ import annotations
+
+import json
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.findings import Finding
+from dpbench.analysis.verdict.lateness import LateTimings
+from dpbench.analysis.verdict.time_findings import (
+    find_hidden_work,
+    find_slow_loops,
+    judge_times,
+    p99_ns,
+    report_late_timings,
+)
+from dpbench.analysis.verdict.uncertainty import Uncertainty
+
+DEMAND = Demand(p99_ms=1.0, deadline_ms=8.0)
+"""Limits of 1e6 and 8e6 ns."""
+FACTOR = 2.0
+"""The times are uncertain by a factor of two: products and quotients of it are exact."""
+UNCERTAINTY = Uncertainty({}, {}, {}, FACTOR)
+
+
+def _kinds(findings: list[Finding]) -> list[str]:
+    return [finding.kind for finding in findings]
+
+
+def _found(findings: list[Finding]) -> list[tuple[str, list[str], float]]:
+    """Kind, solvers and value of each finding."""
+    return [(one.kind, [run.solver for run in one.runs], one.value) for one in findings]
+
+
+@pytest.mark.parametrize(
+    ("steps", "p50_ns", "kind"),
+    [
+        (200, 2e6 + 1, "slow loop"),
+        (200, 2e6, "loop borderline"),
+        (200, 1e6, "loop borderline"),
+        (200, 5e5, "loop borderline"),
+        (200, 5e5 - 1, ""),
+        (199, 2e6 + 1, "short slow loop"),
+        (199, 1e6 + 1, "short slow loop"),
+        (199, 1e6, "loop borderline"),
+        (201, 1e6 + 1, "loop borderline"),
+        (199, 5e5 - 1, ""),
+    ],
+)
+def test_the_median_of_a_loop_beside_the_limit(
+    records: Any, steps: int, p50_ns: float, kind: str
+) -> None:
+    """From 200 steps on a median beyond twice the limit is late, from half of it borderline."""
+    records.loop("daqp", steps=steps, raw_p50_ns=p50_ns)
+    found = find_slow_loops(records.view().runs, DEMAND, UNCERTAINTY)
+    assert _found(found) == ([(kind, ["daqp"], p50_ns)] if kind else [])
+
+
+def test_only_loops_of_the_measured_computer_are_slow(records: Any) -> None:
+    """Replays and loops on a slower computer give no finding and hide none that follows."""
+    records.replay("daqp", raw_p50_ns=9e6)
+    records.loop("daqp", slowdown=0.5, steps=200, raw_p50_ns=9e6)
+    records.loop("piqp", slowdown=0.0, steps=200, raw_p50_ns=3e6)
+    records.loop("scs", steps=200, raw_p50_ns=4e6)
+    records.loop("osqp", steps=60, raw_p50_ns=2e6)
+    found = find_slow_loops(records.view().all_runs, DEMAND, UNCERTAINTY)
+    assert _found(found) == [
+        ("slow loop", ["scs", "piqp"], 4e6),
+        ("short slow loop", ["osqp"], 2e6),
+    ]
+
+
+def test_threads_that_work_longer_than_the_timed_calls_are_hidden_work(records: Any) -> None:
+    """A processor time of 1.1 of the timed calls is allowed; windows are left out."""
+    records.replay("equal", thread_s=1.1, solve_s=1.0)
+    records.replay("twice", thread_s=2.0, solve_s=1.0)
+    records.replay("thrice", thread_s=1.5, solve_s=0.5)
+    records.replay("idle", thread_s=0.25, solve_s=1.0)
+    source = {"kind": "hardest", "name": "paper hardest 30", "of": 450}
+    cell = json.dumps({"source": source})
+    records.replay("window", steps=30, thread_s=9.0, solve_s=1.0, cell=cell)
+    found = find_hidden_work(records.view().runs)
+    assert _found(found) == [("hidden work", ["thrice", "twice"], 3.0)]
+
+
+def _late(run: Any, kind: Any, late: int, p: float) -> LateTimings:
+    return LateTimings(kind, run, late, 100, 0.25, p)
+
+
+def test_late_timings_are_reported_by_kind_with_the_worst_run_first() -> None:
+    """Proven and doubtful ones are two kinds; of both the largest share is the figure."""
+    runs: list[Any] = [SimpleNamespace(run_id=name, solver=name) for name in "abcd"]
+    a, b, c, d = runs
+    late = {
+        "a": [_late(a, "late timings", 10, 0.0005), _late(a, "late at random", 8, 0.04)],
+        "b": [_late(b, "late timings", 30, 0.0005), _late(b, "past the deadline", 1, 0.02)],
+        "c": [_late(c, "late timings", 20, 0.001), _late(c, "late at random", 2, 0.0005)],
+        "d": [_late(d, "late timings", 40, 0.002), _late(d, "past the deadline", 2, 0.0001)],
+        "e": [_late(d, "late timings", 90, 0.0001)],
+    }
+    found = report_late_timings(runs, late)
+    assert _found(found) == [
+        ("late timings", ["b", "c", "a"], 0.3),
+        ("late at random", ["a", "c"], 0.08),
+        ("perhaps past the deadline", ["b"], 0.01),
+        ("perhaps late timings", ["d"], 0.4),
+        ("past the deadline", ["d"], 0.02),
+    ]
+    assert {(finding.steps, finding.machine) for finding in found} == {(100, 0.25)}
+    assert report_late_timings(runs, {}) == []
+
+
+def _judged(records: Any) -> tuple[list[Finding], dict[str, Any]]:
+    view = records.view()
+    return judge_times(view, view.runs, DEMAND, UNCERTAINTY)
+
+
+def _even_replay(records: Any, ns: float, steps: int, **columns: Any) -> None:
+    """A replay whose steps all take `ns`."""
+    records.replay("daqp", steps=steps, median_us=ns / 1e3, spread=0.0, **columns)
+
+
+@pytest.mark.parametrize(
+    ("steps", "ns", "kinds"),
+    [
+        (1000, 499_999, []),
+        (1000, 500_000, ["p99 borderline"]),
+        (1000, 2_000_000, ["p99 borderline"]),
+        (1000, 2_000_001, ["p99 late"]),
+        (1000, 3_999_999, ["p99 late"]),
+        (1000, 4_000_000, ["deadline borderline", "p99 late"]),
+        (1000, 16_000_000, ["deadline borderline", "p99 late"]),
+        (1000, 16_000_001, ["deadline late", "p99 late"]),
+        (999, 499_999, []),
+        (999, 500_000, ["p95 borderline"]),
+        (999, 1_000_000, ["p95 borderline"]),
+        (999, 1_000_001, ["no p99"]),
+        (999, 2_000_000, ["no p99"]),
+        (999, 2_000_001, ["p95 late"]),
+        (199, 1_000_000, []),
+        (199, 1_000_001, ["no p99"]),
+    ],
+)
+def test_the_times_of_a_replay_beside_each_limit(
+    records: Any, steps: int, ns: int, kinds: list[str]
+) -> None:
+    """All steps take the same time, so that p95, p99 and maximum are equal.
+
+    A p99 requires 1000 steps, a p95 requires 200.
+    """
+    _even_replay(records, ns, steps)
+    findings, _ = _judged(records)
+    assert _found(findings) == [(kind, ["daqp"], float(ns)) for kind in kinds]
+    assert [f.steps for f in findings if f.kind == "no p99"] == [steps] * kinds.count("no p99")
+
+
+@pytest.mark.parametrize(("slow", "kinds"), [(20, []), (21, ["p95 borderline"])])
+def test_a_p95_is_judged_where_no_step_exceeds_the_limit(
+    records: Any, slow: int, kinds: list[str]
+) -> None:
+    """Of 400 steps the p95 is at index 0.95 * 399 = 379.05.
+
+    With 20 steps of 0.8 ms it is 0.4 + 0.05 * 0.4 = 0.42 ms, with 21 it is 0.8 ms.
+    """
+    _even_replay(records, 400_000, 400, slow=dict.fromkeys(range(slow), 2.0))
+    findings, _ = _judged(records)
+    assert _found(findings) == [(kind, ["daqp"], 800_000.0) for kind in kinds]
+
+
+def _window(records: Any, of: int, ns: float, steps: int = 30, **columns: Any) -> None:
+    source = {"kind": "hardest", "name": "turn hardest 30", "of": of}
+    _even_replay(
+        records, ns, steps, sequence="turn hardest", cell=json.dumps({"source": source}), **columns
+    )
+
+
+@pytest.mark.parametrize(
+    ("ns", "kinds"),
+    [(2_000_001, ["window late"]), (2_000_000, ["p99 borderline"]), (400_000, [])],
+)
+def test_a_window_that_is_too_slow_has_its_own_cause(
+    records: Any, ns: int, kinds: list[str]
+) -> None:
+    """A window always has a p99: that of its stretch."""
+    _window(records, 450, ns)
+    findings, figures = _judged(records)
+    assert _kinds(findings) == kinds
+    assert (figures["p99_ns"], figures["timed_on"]) == (ns, "turn hardest")
+
+
+@pytest.mark.parametrize(
+    ("of", "expected"),
+    [(99, 50.0), (100, 40.0), (199, 40.0), (200, 30.0), (400, 10.0), (500, 10.0), (9000, 10.0)],
+)
+def test_the_p99_of_a_stretch_by_hand(of: int, expected: float) -> None:
+    """Of 100 steps one may be slower than the p99, of 200 two; a window ends at its fastest."""
+    run: Any = SimpleNamespace(window_of=of)
+    assert p99_ns(run, np.array([20.0, 50.0, 10.0, 40.0, 30.0])) == expected
+
+
+def test_a_replay_of_all_steps_has_the_usual_p99() -> None:
+    """Without a window the percentile is that of the steps, and needs 1000 of them."""
+    run: Any = SimpleNamespace(window_of=0)
+    assert p99_ns(run, np.arange(1001.0)) == 990.0
+    assert math.isnan(p99_ns(run, np.arange(999.0)))
+
+
+def test_replays_without_times_are_doubts_and_hide_no_other(records: Any) -> None:
+    """Times beside other load and remembered answers are reported; the last replay is timed."""
+    records.replay("daqp", concurrency=2.0, first_visit_ratio=40.0)
+    records.replay("daqp", "rough[0:300]", steps=300, done=0)
+    records.replay("daqp", "rough[300:600]", steps=300, done=0, outcome="timed_out")
+    records.replay("daqp", "rough[600:900]", steps=300, median_us=20.0, loop_ratio=40.0)
+    findings, figures = _judged(records)
+    assert [(f.kind, f.runs[0].sequence) for f in findings] == [
+        ("remembered", "paper"),
+        ("not alone", "paper"),
+        ("no step", "rough[0:300]"),
+        ("remembered", "rough[600:900]"),
+    ]
+    assert figures["timed_on"] == "rough[600:900]"
+
+
+def test_replays_that_leave_no_times_leave_no_figures(records: Any) -> None:
+    """A run that was stopped before its first step says nothing of the times."""
+    records.replay("daqp", done=0, outcome="timed_out")
+    assert _judged(records) == ([], {})
+
+
+def test_the_figures_are_of_the_replay_with_the_worst_p99(records: Any) -> None:
+    """A shorter replay has no p99 and a window counts for the p99 alone.
+
+    The largest step is that of the shorter replay, the largest p99 that of the window.
+    """
+    _even_replay(records, 10_000, 1000, sequence="paper", rounds=1, raw_p99_ns=1.0)
+    _even_replay(records, 20_000, 1000, sequence="calm", rounds=2, raw_p99_ns=2.0)
+    _even_replay(records, 90_000, 300, sequence="rough", rounds=1, raw_p99_ns=3.0)
+    _window(records, 450, 50_000, rounds=1, raw_p99_ns=4.0)
+    steps = records._steps[1]
+    chosen = steps["counts"] & (steps["repeat"] == 2)
+    steps.loc[chosen, "total_ns"] = 25_000
+    findings, figures = _judged(records)
+    assert findings == []
+    assert figures == {
+        "p50_ns": 20e3,
+        "p99_ns": 50e3,
+        "p99_on": "turn hardest",
+        "timed_on": "calm",
+        "rounds_ns": (20e3, 25e3),
+        "replay_p99_ns": 20e3,
+        "raw_p99_ns": 2.0,
+        "algo_max_ns": 90e3,
+        "raw_max_ns": 90e3,
+    }
+
+
+def test_without_a_p99_the_figures_are_of_the_largest_median(records: Any) -> None:
+    """Of short replays the one of the larger p50 is named, without a p99."""
+    for name, ns in (("paper", 10_000), ("calm", 30_000), ("rough", 20_000)):
+        _even_replay(records, ns, 300, sequence=name, slow={0: 50.0 if name == "rough" else 1.0})
+    _, figures = _judged(records)
+    assert (figures["timed_on"], figures["p50_ns"]) == ("calm", 30e3)
+    assert math.isnan(figures["p99_ns"]) and figures["algo_max_ns"] == 1e6

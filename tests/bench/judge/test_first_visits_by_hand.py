@@ -1,0 +1,189 @@
+"""First visits and loop ratios worked by hand."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dpbench.bench.judge.memory_of_answers import is_remembered, memory_metrics, with_loop_ratio
+from dpbench.bench.record.raw_log import COUNTERS
+
+NAN = math.nan
+
+
+@pytest.mark.parametrize(
+    ("figures", "remembered"),
+    [
+        ((3.0, 10.0, 0.05, 15.0), False),
+        ((3.001, NAN, NAN, NAN), True),
+        ((NAN, 10.001, NAN, NAN), True),
+        ((NAN, NAN, 0.0501, NAN), True),
+        ((NAN, NAN, NAN, 15.001), True),
+        ((NAN, NAN, NAN, NAN), False),
+    ],
+)
+def test_each_figure_beyond_its_limit_shows_a_memory(
+    figures: tuple[float, float, float, float], remembered: bool
+) -> None:
+    """A figure at its limit shows none, a missing one neither."""
+    assert is_remembered(*figures) is remembered
+
+
+def _log(first: list[float], *rounds: list[float], warm_up: int = 0, **columns: Any) -> Any:
+    """A log of a warm-up round and of rounds with these times [ns] of their steps.
+
+    The first visits are given apart; all rounds have one attempt.
+    """
+    steps, count = len(first), 1 + len(rounds)
+    total = np.zeros((count, steps), np.int64)
+    for r, times in enumerate(rounds, 1):
+        total[r, : len(times)] = times
+    times = np.zeros((count, steps, 3), np.int64)
+    times[:, :, 1] = total
+    usual = {
+        "times": times,
+        "done": np.array([warm_up, *map(len, rounds)]),
+        "first_ns": np.array(first, np.int64),
+        "attempts": np.ones(count, np.int64),
+        "counters": np.zeros((count, len(COUNTERS))),
+        "reference_kernel_ns": np.full((count, 2), 100.0),
+        "first_reference_kernel_ns": np.full(count, 100.0),
+    }
+    return SimpleNamespace(**usual | columns)
+
+
+def _metrics(log: Any) -> tuple[float, float]:
+    found = memory_metrics(log)
+    return found["first_visit_ratio"], found["first_visit_excess"]
+
+
+def test_the_ratio_of_first_visits() -> None:
+    """The shortest later visit counts: 30 over 10, whatever the round of the first visit took."""
+    found = _metrics(_log([30] * 20, [99] * 20, [10] * 20, [15] * 20))
+    assert found == (3.0, 0.0)
+
+
+@pytest.mark.parametrize(("steps", "known"), [(19, False), (20, True)])
+def test_twenty_pairs_of_visits_are_needed(steps: int, known: bool) -> None:
+    """With 19 steps nothing is known; a step that was not visited counts for none."""
+    log = _log([30] * steps + [0], [1] * (steps + 1), [10] * (steps + 1))
+    assert (not math.isnan(_metrics(log)[0])) is known
+
+
+def test_slow_first_visits_beyond_those_of_later_rounds() -> None:
+    """Five of 20 first visits exceed four times the shortest later one, one later visit does.
+
+    The excess is (5 - 2 - 1) / 20 with one involuntary switch, and a visit of four times is none.
+    """
+    first = [41.0] * 5 + [40.0] + [10.0] * 14
+    third = [10.0] * 18 + [40.0, 41.0]
+    log = _log(first, first, [10] * 20, third)
+    assert _metrics(log) == (1.0, pytest.approx((5 - 2) / 20))
+    log.counters[1, COUNTERS.index("involuntary_switches")] = 1.0
+    assert _metrics(log)[1] == pytest.approx(0.1)
+    log.counters[1, COUNTERS.index("involuntary_switches")] = math.nan
+    assert _metrics(log)[1] == pytest.approx(0.15)
+
+
+def test_a_slow_machine_explains_slow_first_visits() -> None:
+    """The kernel took 1.5 times its best: a ratio of 3 becomes 2, and the limit is six times."""
+    kernels = np.array([[0.0, 0.0], [150.0, 120.0], [100.0, 110.0]])
+    slower = {
+        "reference_kernel_ns": kernels,
+        "first_reference_kernel_ns": np.array([900, 150, 100]),
+    }
+    first = [61.0] * 4 + [60.0] * 2 + [30.0] * 14
+    assert _metrics(_log(first, first, [10] * 20, **slower)) == (2.0, 0.2)
+    slower["first_reference_kernel_ns"] = np.array([900, 50, 100])
+    assert _metrics(_log(first, first, [10] * 20, **slower))[0] == 3.0
+    slower["first_reference_kernel_ns"] = np.array([900, 0, 100])
+    assert _metrics(_log(first, first, [10] * 20, **slower))[0] == 3.0
+
+
+def test_a_round_that_was_run_again_is_a_later_visit() -> None:
+    """Its last attempt is a visit like others, and its switches are not those of the first."""
+    log = _log([30] * 20, [10] * 20, [15] * 20, attempts=np.array([1, 2, 1]))
+    log.counters[1, COUNTERS.index("involuntary_switches")] = 8.0
+    assert _metrics(log) == (3.0, 0.0)
+
+
+def test_the_warm_up_is_asked_where_too_few_steps_follow_it() -> None:
+    """Of 30 steps 20 were visited in the warm-up: all rounds that follow are later visits."""
+    log = _log([40] * 20 + [90] * 10, [10] * 30, [20] * 30, warm_up=20)
+    assert _metrics(log) == (4.0, 0.0)
+
+
+def test_a_round_without_steps_is_no_visit() -> None:
+    """A replay that was stopped has steps without a later visit."""
+    log = _log([30] * 40, [99] * 40, [10] * 20, [])
+    assert _metrics(log) == (3.0, 0.0)
+    assert math.isnan(_metrics(_log([30] * 40, [99] * 40, []))[0])
+
+
+def _rows(*rows: dict[str, Any]) -> pd.DataFrame:
+    usual = {
+        "scenario": "paper",
+        "solver": "daqp",
+        "route": "native",
+        "policy": "warm",
+        "settings": "default",
+        "formulation": "condensed_box",
+        "units": "scaled",
+        "mode": "closed_loop",
+        "outcome": "finished",
+        "failed_steps": 0,
+        "slowdown": 0.0,
+        "steps_done": 100,
+        "raw_p50_ns": 10.0,
+        "raw_p90_ns": 20.0,
+    }
+    return pd.DataFrame([usual | row for row in rows])
+
+
+REPLAY = {"mode": "replay", "raw_p50_ns": 2.0, "raw_p90_ns": 8.0}
+
+
+@pytest.mark.parametrize(
+    ("loop", "ratios"),
+    [
+        ({}, (5.0, 2.5)),
+        ({"steps_done": 101, "raw_p50_ns": 6.0, "raw_p90_ns": 12.0}, (3.0, 1.5)),
+        ({"steps_done": 99, "raw_p50_ns": 6.0}, (5.0, 2.5)),
+        ({"steps_done": 101, "raw_p50_ns": 6.0, "failed_steps": 1}, (5.0, 2.5)),
+        ({"steps_done": 101, "raw_p50_ns": 6.0, "outcome": "timed_out"}, (5.0, 2.5)),
+        ({"steps_done": 101, "raw_p50_ns": 6.0, "slowdown": 8.0}, (5.0, 2.5)),
+        ({"steps_done": 101, "raw_p50_ns": 6.0, "policy": "reuse"}, (5.0, 2.5)),
+        ({"steps_done": 101, "raw_p50_ns": 6.0, "scenario": "calm"}, (5.0, 2.5)),
+    ],
+)
+def test_the_longest_sound_loop_of_a_configuration_over_its_replay(
+    loop: dict[str, Any], ratios: tuple[float, float]
+) -> None:
+    """A loop that failed, was stopped, ran on a slow computer or is of another one is left out."""
+    found = with_loop_ratio(_rows({}, REPLAY, loop))
+    assert found.loc[1, ["loop_ratio", "loop_tail_ratio"]].to_list() == list(ratios)
+    assert found.loc[[0, 2], ["loop_ratio", "loop_tail_ratio"]].isna().all().all()
+
+
+def test_loop_ratios_without_their_columns() -> None:
+    """Without a loop, a percentile or the failed steps there is no ratio."""
+    columns = ["loop_ratio", "loop_tail_ratio"]
+    assert with_loop_ratio(_rows(REPLAY))[columns].isna().all().all()
+    assert (
+        with_loop_ratio(_rows({}, REPLAY).drop(columns="failed_steps"))[columns].isna().all().all()
+    )
+    found = with_loop_ratio(_rows({}, REPLAY).drop(columns="raw_p90_ns"))
+    assert found.loc[1, "loop_ratio"] == 5.0 and found["loop_tail_ratio"].isna().all()
+
+
+def test_a_cascade_is_compared_by_its_controller() -> None:
+    """The time of the controller alone counts where it is known."""
+    found = with_loop_ratio(_rows({"controller_p50_ns": 4.0}, REPLAY))
+    assert found.loc[1, ["loop_ratio", "loop_tail_ratio"]].to_list() == [2.0, 2.5]
+    found = with_loop_ratio(_rows({"controller_p50_ns": NAN}, REPLAY))
+    assert found.loc[1, "loop_ratio"] == 5.0
