@@ -116,7 +116,8 @@ class PlacedRuns:
             placed.runs[at] = run
             there = {("", ""): run}
             window = windows.get((configuration, run.scenario))
-            if window is not None and run.mode == "closed_loop" and run.units == "scaled":
+            where = place.mode, place.units, place.slowdown
+            if window is not None and where == ("closed_loop", "scaled", 0.0):
                 there["replay", "window"] = window
             placed.states[at] = verdict_of(records, configuration, there, [], verdicts.demand)
         return placed
