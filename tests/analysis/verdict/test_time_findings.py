@@ -251,7 +251,6 @@ def test_the_figures_are_of_the_replay_with_the_worst_p99(records: Any) -> None:
     assert figures == {
         "p50_ns": 20e3,
         "p99_ns": 50e3,
-        "replay_p99_ns": 20e3,
         "timed_on": "calm",
         "rounds_ns": (20e3, 25e3),
         "replay_p99_ns": 20e3,
