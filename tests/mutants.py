@@ -158,7 +158,7 @@ def _pytest(arguments: list[str], mutant: Mutant | None = None) -> int:
             return compile(mutant.text, str(mutant.path), "exec", dont_inherit=True)
         return get_code(loader, name)
 
-    SourceFileLoader.get_code = get_mutated_code  # type: ignore[method-assign,assignment]
+    SourceFileLoader.get_code = get_mutated_code  # type: ignore[method-assign,assignment] # the patch
     # One failing example is enough, and none is kept for the next mutant.
     phases = hypothesis.Phase.explicit, hypothesis.Phase.generate
     checks = list(hypothesis.HealthCheck)

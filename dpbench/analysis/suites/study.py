@@ -54,7 +54,7 @@ EXACT_FIRST = ("paper_active_set", "daqp")
 
 @dataclass(frozen=True)
 class PairedDifference:
-    """How much more one configuration has of something than another in the same realisations.
+    """Difference of a figure between two configurations in the same realisations.
 
     Parameters
     ----------
@@ -258,7 +258,7 @@ class Study:
 
     @property
     def realisations(self) -> int:
-        """How many independent draws there are: of the sea, or of points that are all run once."""
+        """Number of independent draws: of the sea, or of points that are all run once."""
         return self.replicates if self.replicates > 1 else len(self.points)
 
     @cached_property

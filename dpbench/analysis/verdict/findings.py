@@ -1,5 +1,4 @@
-"""What is found for or against a configuration: its outcome, causes, doubts, and times near a
-limit."""
+"""Findings on a configuration: its outcome, causes, doubts, and times near a limit."""
 
 from __future__ import annotations
 

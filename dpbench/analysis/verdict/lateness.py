@@ -56,7 +56,7 @@ DISPERSION = (0.5, 50.0)
 DEADLINE_SHAPE = 0.5
 """Its shape for stalls past the deadline, too rare for an estimate."""
 PASSES = 3
-"""How often the machine is estimated: first from the trusted, then without those proven late."""
+"""Estimates of the machine: first from the trusted, then without those proven late."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class LateTimings:
 
     @property
     def proven(self) -> bool:
-        """Whether the machine is excluded as the cause; otherwise it is doubtful."""
+        """True where the machine is excluded as the cause; otherwise that is doubtful."""
         return self.p <= PROVEN
 
 

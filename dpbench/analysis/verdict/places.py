@@ -159,7 +159,7 @@ class PlacedRuns:
         return self._seas[place]
 
     def state(self, c: int, p: int) -> str:
-        """What a run alone says of the demand: meets, borderline, late, wrong, open or not run.
+        """Return the state of a run alone: meets, borderline, late, wrong, open or not run.
 
         On a slower computer the ship has to be held, too, or the answers were late.
         """

@@ -96,11 +96,6 @@ _DOUBTFUL: Mapping[str, Doubt] = {
     "late at random": "late at random",
 }
 """Findings on late timings that prove no miss of the demand."""
-_PROVEN: Mapping[str, Cause | Doubt] = {
-    "late timings": "late timings",
-    "past the deadline": "past the deadline",
-    "late at random": "late at random",
-}
 
 
 def report_late_timings(
@@ -108,7 +103,9 @@ def report_late_timings(
 ) -> list[Finding]:
     """Return findings on the single timings of runs, the worst run of each kind first."""
     found = [one for run in runs for one in late.get(run.run_id, ())]
-    by_kind = grouped(found, lambda one: (_PROVEN if one.proven else _DOUBTFUL)[one.kind])
+    by_kind: dict[Cause | Doubt, list[LateTimings]] = grouped(
+        found, lambda one: one.kind if one.proven else _DOUBTFUL[one.kind]
+    )
     findings = []
     for kind, of_kind in by_kind.items():
         worst, *others = sorted(of_kind, key=lambda one: -one.share)

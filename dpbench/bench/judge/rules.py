@@ -56,9 +56,9 @@ def is_ranked(concurrency: float, machine_id: str, of_folder: str) -> bool:
 def explained_by(switches: float, timed_share: float) -> int:
     """Return how many late timings involuntary context switches may explain.
 
-    A switch comes at any moment of the process's own time, of which the timed calls take
-    `timed_share` of the wall time over the share of a processor that the process gets, at least a
-    quarter. Three standard deviations of a Poisson count are added.
+    A switch comes at any moment of the process's own time. A process gets at least a quarter of a
+    core, so at most four times `timed_share` of that time is spent in timed calls. Three standard
+    deviations of a Poisson count are added.
 
     Parameters
     ----------

@@ -147,7 +147,9 @@ def test_a_hard_step_opens(opened: Any) -> None:
     page = opened()
     page.select_option("#choose-place", label="paper (replay)")
     settled(page)
-    button = page.locator("#hard p", has_not_text=re.compile("all |windows")).locator("button").first
+    button = (
+        page.locator("#hard p", has_not_text=re.compile("all |windows")).locator("button").first
+    )
     k = re.match(r"k (\d+):", button.inner_text())
     assert k
     button.click()
