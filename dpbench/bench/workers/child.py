@@ -315,9 +315,11 @@ class ServingChild(Child):
         )
 
     def _word(self, wait_s: float, overdue: str) -> object:
+        # What the process started may hold the other end of its pipe open when it ends.
+        ready = wait([self._orders, self.process.sentinel], wait_s)
         try:
-            if self._orders.poll(wait_s):
-                return self._orders.recv()
+            if ready:
+                return self._orders.recv() if self._orders.poll() else None
         except (EOFError, OSError):
             return None
         self.kill(f"{overdue} and was killed")
