@@ -86,6 +86,12 @@ def limit_memory(size: int) -> None:
     resource.setrlimit(resource.RLIMIT_DATA, (least, least))
 
 
+def memory_limit() -> str:
+    """The limit of this process in words; "" for none."""
+    least = resource.getrlimit(resource.RLIMIT_DATA)[0]
+    return "" if least == resource.RLIM_INFINITY else f"a limit of {least / 1e9:.3g} GB"
+
+
 def prefer_for_killing() -> None:
     """Have the kernel end this process before any other when the memory of the machine is full."""
     with suppress(OSError):

@@ -140,7 +140,8 @@ class Child:
         self._limit_s = limit_s
         self._born, self._memory_kills = time.monotonic(), _memory_kills()
         self._running_since = None if logs else self._born
-        self._killed_for, self.orphaned, self.alone = "", False, False
+        self._killed_for, self._was_killed = "", False
+        self.orphaned, self.alone = False, False
         self._stopped_since: float | None = None
         self._peak_bytes = 0.0
         self.notice = Notice()
@@ -204,15 +205,20 @@ class Child:
     def kill(self, reason: str) -> bool:
         """Kill the process for a stated reason."""
         self._peak_bytes = max(self._peak_bytes, self._resident_peak())
-        self._killed_for = reason
+        self._killed_for, self._was_killed = reason, True
         self.process.kill()
-        self.process.join()
+        self._join_process()
         return True
+
+    def _join_process(self) -> None:
+        # A stopped template does not say who ended, and a stopped keeper does not let it go on.
+        signal_process(self.notice.keeper, signal.SIGCONT)
+        self.process.join()
 
     def join(self) -> None:
         """Wait for its end, and end what it started; one whose template died is ended, as that
         would have ended it."""
-        self.process.join()
+        self._join_process()
         end_orphans(self.notice.keeper, self.notice.template)
         if self.orphaned or self.process.exitcode != _UNHEARD:
             return
@@ -229,7 +235,9 @@ class Child:
     def outcome(self) -> Outcome:
         """What became of it, once it ended."""
         self.join()
-        if self.has_verdict:
+        # Its solver may end it in untimed steps behind its verdict.
+        by_itself = self.notice.who is AtWork.SOLVER and not self._was_killed
+        if self.has_verdict and (self.orphaned or not by_itself):
             return self.verdict_of(self._verdict)
         if self.orphaned:
             guilty = self.alone and self.notice.who.blames_solver

@@ -105,7 +105,7 @@ def _opened(cell: Cell, *, settled: bool = False) -> Workspace:
     if not settled:
         limit_memory(round(cell.memory_gb * 1e9) or round(MEMORY_SHARE * memory_bytes()))
         if cell.solver_module:
-            load_solver_module(cell.solver_module)
+            load_solver_module(cell.solver_module, tried=True)
         isolate(cell.solver)
     workspace = open_workspace(
         cell.solver, route=cell.route, policy=cell.policy, settings=cell.settings
@@ -256,11 +256,13 @@ def _serve_replay(
     log.footprint[:3] = (memory.peak_bytes(), *threads())
     verdict = _verdict(cell, workspace, timed_solver, "" if complete else _in_round(log))
     leave_verdict(folder / f"{name}.json", verdict)
-    # The verdict stands: what happens from here on is no part of the replay. It takes as long as
-    # four rounds, and shows the same in every replay of a process.
+    # The verdict stands unless the solver ends the process: how long this takes is no part of the
+    # replay. It takes as long as four rounds, and shows the same in every replay of a process.
     if complete and not (settled or cell.is_window):
         steps = affordable_steps(log)
+        post(AtWork.SOLVER)
         log.footprint[3:] = measure_steps(configuration.sequence, timed_solver, steps)
+        post(AtWork.HARNESS)
     return True
 
 
