@@ -141,7 +141,7 @@ class CellBatch:
         ended, rest = child.split()
         if self._to_run:
             self.outcomes |= ended
-            if child.is_suspect:
+            if child.is_suspect and child.name not in ended:
                 discard(self._folder / f"{child.name}.raw")
             if not rest:
                 self._to_run = False
