@@ -350,10 +350,13 @@ def signalled(place: Place, number: signal.Signals, level: int) -> str:
     # A worker that somebody kills cannot be told from one that its solver kills; a cell may have
     # two rows, one for each name of its settings.
     _check(len(lost) <= 2 * (level == 3), "; ".join(lost))
-    if not lost:
+    if "lost" in set(runs["outcome"]):
+        place.complete()
+        place.same()
+    elif not lost:
         place.same()
     place.nothing_left()
-    return f"exit {process.returncode}, {len(lost)} row not finished, all others right"
+    return f"exit {process.returncode}, {len(lost)} rows not finished; rows right in the end"
 
 
 def disk_full(place: Place) -> str:

@@ -138,6 +138,10 @@ def test_what_a_plugin_raises_is_an_answer(sequence):
         ("from example import RECORD", "ModuleNotFoundError"),
         (EXAMPLE.read_text().replace("open = ", "shut = "), "open: found None"),
         (EXAMPLE.read_text().replace('"admm", method', '"daqp", method'), "RECORD.name.*'daqp'"),
+        ("raise SystemExit(0)", "SystemExit: 0"),
+        ("raise type('Own', (BaseException,), {})('two\\nlines')", "Own: two lines"),
+        ("import os; os._exit(0)", "an end of its process, exit code 0"),
+        ("import signal; signal.raise_signal(signal.SIGSEGV)", "an end of its process, SIGSEGV"),
     ],
 )
 def test_what_is_no_plugin_is_refused(tmp_path, text, words):
@@ -145,7 +149,17 @@ def test_what_is_no_plugin_is_refused(tmp_path, text, words):
     file = tmp_path / "mine.py"
     if text is not None:
         file.write_text(text)
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=words) as caught:
+        load_solver_module(file)
+    assert "mine.py" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_an_import_without_end_is_refused(tmp_path, monkeypatch):
+    """It is ended after a stated time, and named."""
+    monkeypatch.setattr(plugins, "TRIAL_S", 1.0)
+    file = tmp_path / "mine.py"
+    file.write_text("while True:\n    pass\n")
+    with pytest.raises(InputError, match=r"mine.py: found an import that takes more than 1 s"):
         load_solver_module(file)
 
 

@@ -213,3 +213,51 @@ def test_the_keeper_has_no_children_but_the_template(
     assert children_of(notice.keeper) == [notice.template]
     assert child.process.pid in children_of(notice.template)
     child.kill("seen")
+
+
+MEASURED = """
+import os
+
+solved, calls = solve, iter(range(10**6))
+
+
+def solve(qp):
+    # The replay takes 3 steps before its first and two rounds; what comes then is not timed.
+    if next(calls) == 3 + 2 * STEPS + 2:
+        os._exit(0)
+    return solved(qp)
+
+
+open = opener("hostile", solve)
+"""
+
+
+@pytest.mark.slow
+def test_an_exit_in_an_untimed_step_is_a_crash(tmp_path: Path) -> None:
+    """A replay whose allocations are being counted is not `finished` when its process leaves."""
+    path, module = tmp_path / "tiny.toml", tmp_path / "mine.py"
+    steps = 6
+    head = SUITE.split("[[random]]")[0].replace(', "quadprog"', "")
+    replay = f'[[replay]]\nscenario = "paper"\nsteps = {steps}\n'
+    path.write_text(head + replay, encoding="utf-8")
+    text = HOSTILE.read_text(encoding="utf-8") + MEASURED.replace("STEPS", str(steps))
+    module.write_text(text, encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plugins, "_LOADED", {})
+        out = run_campaign(path, tmp_path / "out", solver_module=module)
+    (row,) = load_results(out).runs.itertuples()
+    assert (row.outcome, row.steps_done) == ("crashed", steps), row.outcome_detail
+    assert "exit code 0" in row.outcome_detail
+
+
+@pytest.mark.slow
+def test_what_a_cell_started_ends_before_the_next(tmp_path: Path) -> None:
+    """Children and daemons alike, and no cell pays for it."""
+    running = set(psutil.pids())
+    became = run(tmp_path, 8, 9, 20)
+    assert {found.outcome for found in became.values()} == {"finished"}
+    left = []
+    for process in psutil.process_iter(["pid", "cmdline"]):
+        if process.pid not in running and process.info["cmdline"] == ["sleep", "600"]:
+            left.append(process.pid)
+    assert not any(map(is_running, left))
