@@ -3,8 +3,8 @@
 `make chaos` runs all scenarios and prints a line for each: its name, what was done, what was found.
 CHAOS='--quick' runs those that CI runs, CHAOS='NAME ...' the named ones. Exit 1 where one failed.
 
-Processes are found by a variable of their environment; a row is right where it has every column
-that is no time equal to that of the undisturbed run.
+Processes are found by a variable of their environment; a row is right if all its columns but times
+equal those of the undisturbed run.
 """
 
 from __future__ import annotations
@@ -92,6 +92,7 @@ FOUND = {
 """By variables of the random problem: what `hostile_plugin.py` does, the outcome of that cell, and
 words of its detail."""
 MARK = "DPBENCH_CHAOS"
+SKIPPED = "skipped: mounting is not permitted"
 GONE_S = 10.0
 """In which all processes of a run that was killed must be gone."""
 DAMAGE: dict[str, Callable[[bytes], bytes]] = {
@@ -228,27 +229,23 @@ def _scratch() -> list[str]:
 
 
 def _scratch_of_others() -> list[str]:
-    """Scratch folders that some process has open: of other runs on this machine."""
+    """What some process has open: scratch folders of other runs on this machine among it."""
     found = []
     for link in Path("/proc").glob("[0-9]*/fd/*"):
-        try:
-            target = os.readlink(link)
-        except OSError:
-            continue
-        if "dpbench-scratch-" in target:
-            found.append(target)
+        with suppress(OSError):
+            found.append(os.readlink(link))
     return found
 
 
 def sigkills(place: Place, times: int) -> str:
     """Kill the main program at moments spread over the run, and go on with the same command."""
-    killed, moments = 0, []
+    killed = runs = 0
     while killed < times:
-        # Multiples of the golden ratio are spread evenly, however many they are.
-        moments.append((len(moments) + 1) * 0.618034 % 1.0)
+        runs += 1
         process = place.start()
         try:
-            process.communicate(timeout=0.3 + moments[-1] * place.took_s)
+            # Multiples of the golden ratio are spread evenly, however many they are.
+            process.communicate(timeout=0.3 + runs * 0.618034 % 1.0 * place.took_s)
         except subprocess.TimeoutExpired:
             process.kill()
             process.communicate()
@@ -361,14 +358,14 @@ def signalled(place: Place, number: signal.Signals, level: int) -> str:
 
 def disk_full(place: Place) -> str:
     """A file system of the results that is too small, then large enough."""
+    place.out.mkdir()
     head = _mounted(place.out, "40k")
     if not head:
-        return "skipped: mounting is not permitted"
+        return SKIPPED
     script = (
         'c="$*"; $c; first=$?; mount -o remount,size=64m "$OUT"; $c || exit $?; '
         'cp -r "$OUT" "$OUT.copy"; test $first -ne 0'
     )
-    place.out.mkdir()
     place.complete("env", f"OUT={place.out}", *head, "sh", "-c", script, "sh")
     place.out.rmdir()
     place.out.with_name("out.copy").rename(place.out)
@@ -381,7 +378,7 @@ def shared_memory_full(place: Place) -> str:
     """A /dev/shm of 64 kB."""
     head = _mounted(Path("/dev/shm"), "64k")
     if not head:
-        return "skipped: mounting is not permitted"
+        return SKIPPED
     place.complete(*head)
     place.same()
     place.nothing_left()
@@ -392,11 +389,7 @@ def _mounted(folder: Path, size: str) -> list[str]:
     """Words before a command that has a small file system at a folder; none if not permitted."""
     mount = f'mount -t tmpfs -o size={size} tmpfs "{folder}" && exec "$@"'
     head = ["unshare", "--mount", "sh", "-c", mount, "sh"]
-    made = not folder.exists()
-    folder.mkdir(exist_ok=True)
     allowed = subprocess.run([*head, "true"], capture_output=True, check=False).returncode == 0
-    if made:
-        folder.rmdir()
     return head if allowed else []
 
 
@@ -435,7 +428,6 @@ SCENARIOS = [
     Scenario("plugin", "a hostile plug-in", hostile, True, True),
     Scenario("sigkill-3", "SIGKILL of the run, 3 times", lambda p: sigkills(p, 3), True),
     Scenario("sigkill", "SIGKILL of the run, 20 times", lambda p: sigkills(p, 20)),
-    Scenario("damage-cut", "results cut", lambda p: damaged(p, ["cut"]), True),
     Scenario("damage", "results damaged", lambda p: damaged(p, sorted(DAMAGE))),
     Scenario("scratch", "scratch folder removed", scratch_removed, True),
     Scenario("kill-keeper", "keeper killed", lambda p: signalled(p, KILL, 1)),
@@ -445,7 +437,7 @@ SCENARIOS = [
     Scenario("stop-server", "fork server stopped", lambda p: signalled(p, STOP, 2)),
     Scenario("stop-worker", "worker stopped", lambda p: signalled(p, STOP, 3)),
     Scenario("disk", "disk of the results full", disk_full),
-    Scenario("memory", "shared memory full", shared_memory_full, True),
+    Scenario("memory", "shared memory full", shared_memory_full),
 ]
 
 

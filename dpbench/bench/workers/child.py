@@ -88,7 +88,11 @@ def _template() -> Iterator[None]:
         before = {name: os.environ.get(name) for name in (*THREAD_VARIABLES, TEMPORARY)}
         pin_threads()
         try:
-            os.environ[TEMPORARY] = multiprocessing.util.get_temp_dir()
+            # A process that multiprocessing started shares the folder of its parent.
+            if multiprocessing.parent_process() is None:
+                os.environ[TEMPORARY] = multiprocessing.util.get_temp_dir()
+            else:
+                os.environ.pop(TEMPORARY, None)
             # This lets Ctrl-C through when it starts its own process, and does nothing the second
             # time.
             multiprocessing.resource_tracker.ensure_running()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from multiprocessing import Pipe
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +20,9 @@ from dpbench import (
 )
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
 from dpbench.bench.plan.suite import sequence_suite
-from dpbench.bench.record.cell import Cell
 from dpbench.bench.sequences.recording import record
 from dpbench.bench.sequences.sequence_file import load_recorded
 from dpbench.bench.workers import child as supervise
-from dpbench.bench.workers import worker
 from dpbench.bench.worst_case import search as case_search
 from dpbench.bench.worst_case.find import find_worst_case
 from dpbench.bench.worst_case.goal import worst_of
@@ -159,19 +156,6 @@ def test_a_solver_that_dies_or_hangs_does_not_end_the_search(
     assert backs_off(found.failures[outcome]) and not backs_off(out)
     assert load_sequence(found.failures[outcome]).meta["worst_case_outcome"] == outcome
     assert any(f"in {count} cases" in line for line in found.lines)
-
-
-def test_a_process_that_comes_after_the_search_says_nothing(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    """Ctrl-C while it was on its way took the folder along; it ends without a traceback."""
-    ours, theirs = Pipe()
-    cell = Cell("replay", {}, "daqp", "native", "fresh", "default", steps=1)
-    with pytest.raises(SystemExit) as ended:
-        worker.answer_sequences(cell.to_json(), tmp_path / "gone", "searched", theirs)
-    assert ended.value.code is None
-    assert not ours.poll()
-    assert capfd.readouterr() == ("", "")
 
 
 class _Interrupts:
