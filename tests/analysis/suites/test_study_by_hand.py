@@ -248,10 +248,13 @@ def test_the_reference_is_the_most_exact(order: list[str]) -> None:
 
 
 def test_points_that_are_run_once_are_the_realisations() -> None:
-    """Three points with one sea each are three draws; the law alone is its own reference."""
+    """Three points with one sea each are three draws, with two seas they are two; the law alone is
+    its own reference."""
     study = Study("seas", [_run("law", p, 4, is_baseline_law=True) for p in (2, 0, 1)], 1.0)
     assert (study.replicates, study.realisations, study.reference) == (1, 3, "law")
     assert list(study.points.index) == [0, 1, 2]
+    twice = [_run("law", p, r, is_baseline_law=True) for p in (0, 1, 2) for r in (1, 2)]
+    assert Study("seas", twice, 1.0).realisations == 2
 
 
 def test_configurations_are_in_the_order_of_their_cost() -> None:
