@@ -91,6 +91,12 @@ def test_a_machine_of_two_rounds() -> None:
     assert machine.shape == pytest.approx(1805 / 293)
 
 
+def test_a_machine_more_even_than_chance() -> None:
+    """One stall in two equal rounds has a rate of 0.75 and moments of -15/16 + 9/16 < 0."""
+    machine = estimate_machine(np.array([1.0, 0.0]), np.array([1.0, 1.0]))
+    assert (machine.rate, machine.shape) == (0.75, 50.0)
+
+
 class _Stalls:
     """Delays with these stalls in each round."""
 
