@@ -254,6 +254,17 @@ def test_a_replay_beside_a_solver_without_stalls(records: Any) -> None:
     assert found.proven
 
 
+@pytest.mark.parametrize(("excess_ns", "stalls"), [(1_500_000, 0), (1_500_001, 1)])
+def test_stalls_of_others_are_longer_than_half_the_limit(
+    records: Any, excess_ns: int, stalls: int
+) -> None:
+    """The machine leads to expect half a stall more than the other solver had in as much time."""
+    _replay(records, "daqp", {2: 3, 3: 3, 4: 3})
+    _replay(records, "piqp", {3: 1}, BASE_NS + excess_ns)
+    (found,) = _found(records)["daqp"]
+    assert found.machine == pytest.approx((stalls + 0.5) / 4000)
+
+
 def test_a_replay_with_more_late_timings_than_a_p99_allows(records: Any) -> None:
     """Thirty late timings in a round of 1000 are proven late of either kind."""
     _replay(records, "daqp", {2: 30, 3: 30, 4: 30})
