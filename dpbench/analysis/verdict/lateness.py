@@ -241,7 +241,7 @@ def _test_once(run: RunRecord, own: Delays, limit_ns: float) -> LateTimings:
     switches = run.involuntary_switches
     timed_share = 1e-9 * float(own.base_ns.sum()) / run.replay_s
     unexplained = late - explained_by(float(np.nan_to_num(switches)), timed_share)
-    p = float(binom.sf(unexplained - 1, samples, ALLOWED)) if unexplained > 0 else 1.0
+    p = float(binom.sf(unexplained - 1, samples, ALLOWED))
     if own.step_ns > limit_ns:
         # The median is the plainer answer.
         p = 1.0
