@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import dask
-from distributed import Client, Nanny, Scheduler, SpecCluster
+from cryptography import x509  # noqa: F401 # Dask makes certificates with it and looks late
+from distributed import Client, Nanny, Scheduler, SpecCluster, Worker
 from distributed.comm.addressing import parse_address, parse_host_port
 from distributed.comm.registry import get_backend
+from distributed.security import Security
 
 from dpbench.bench.engines.on_worker import About, about
 from dpbench.bench.record.cell import HARNESS_VERSION
@@ -37,6 +39,26 @@ _OWN = {
     "distributed.admin.system-monitor.interval": "10s",
 }
 """Configuration of a cluster of this machine."""
+
+
+LOOPBACK = "127.0.0.1"
+"""Where all of a cluster of this machine listens."""
+
+
+class _WithoutHttp:
+    """A node of Dask whose pages nobody asked for: they have no TLS, and no option leaves them
+    out."""
+
+    def start_http_server(self, *_: object, **__: object) -> None:
+        """Listen nowhere."""
+
+
+class OwnScheduler(_WithoutHttp, Scheduler):  # type: ignore[misc] # Dask is untyped here
+    """The scheduler of a cluster of this machine."""
+
+
+class OwnWorker(_WithoutHttp, Worker):  # type: ignore[misc] # Dask is untyped here
+    """A worker of a cluster of this machine."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +112,12 @@ def own_cluster(workers: int) -> Iterator[Client]:
         scratch_folder(Path(tempfile.gettempdir())) as folder,
         dask.config.set(_OWN),
     ):
+        # Whoever reaches a scheduler or a worker runs Python as this user: other users of this
+        # machine reach its loopback too, but have no certificate.
+        closed = {"host": LOOPBACK, "protocol": "tls://", "security": Security.temporary()}
         plain = {
+            **closed,
+            "worker_class": OwnWorker,
             "nthreads": 1,
             "memory_limit": 0,
             "dashboard": False,
@@ -101,10 +128,11 @@ def own_cluster(workers: int) -> Iterator[Client]:
             i: {"cls": Nanny, "options": {**plain, "resources": {EXCLUSIVE: 1} if i == 0 else {}}}
             for i in range(workers)
         }
-        options = {"host": "127.0.0.1", "dashboard": False, "dashboard_address": ":0"}
-        scheduler = {"cls": Scheduler, "options": options}
+        scheduler = {"cls": OwnScheduler, "options": {**closed, "dashboard": False}}
         with (
-            SpecCluster(spec, scheduler, silence_logs=logging.CRITICAL) as cluster,
+            SpecCluster(
+                spec, scheduler, security=closed["security"], silence_logs=logging.CRITICAL
+            ) as cluster,
             Client(cluster, set_as_default=False) as client,
         ):
             yield client
