@@ -7,7 +7,7 @@ import socket
 import tempfile
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,9 +19,10 @@ from distributed.comm.addressing import parse_address, parse_host_port
 from distributed.comm.registry import get_backend
 from distributed.security import Security
 
-from dpbench.bench.engines.on_worker import About, about
+from dpbench.bench.engines.on_worker import About, about, end_tasks
 from dpbench.bench.record.cell import HARNESS_VERSION
 from dpbench.bench.workers.child import without_main
+from dpbench.bench.workers.interrupts import signals_wait, terminal_signals_blocked
 from dpbench.bench.workers.scratch import scratch_folder
 from dpbench.errors import InputError
 
@@ -59,6 +60,11 @@ class OwnScheduler(_WithoutHttp, Scheduler):  # type: ignore[misc] # Dask is unt
 
 class OwnWorker(_WithoutHttp, Worker):  # type: ignore[misc] # Dask is untyped here
     """A worker of a cluster of this machine."""
+
+    async def close(self, *args: Any, **kwargs: Any) -> Any:
+        """Dask would wait for its task for some seconds, then kill it with what lies around it."""
+        end_tasks()
+        return await super().close(*args, **kwargs)
 
 
 @dataclass(frozen=True)
@@ -106,22 +112,36 @@ def own_cluster(workers: int) -> Iterator[Client]:
     """A client of so many workers on this machine, one of which times replays; the program that
     started the campaign is hidden meanwhile, for a worker may have to be started again at any
     time."""
+    stack = ExitStack()
+    try:
+        # Half a cluster cannot be closed.
+        with signals_wait():
+            client = stack.enter_context(_own_cluster(workers))
+        yield client
+    finally:
+        with signals_wait():
+            stack.close()
+
+
+@contextmanager
+def _own_cluster(workers: int) -> Iterator[Client]:
     with (
         _quiet(),
         without_main(),
         scratch_folder(Path(tempfile.gettempdir())) as folder,
-        dask.config.set(_OWN),
+        dask.config.set({**_OWN, "temporary-directory": str(folder)}),
+        ExitStack() as stack,
     ):
         # Whoever reaches a scheduler or a worker runs Python as this user: other users of this
         # machine reach its loopback too, but have no certificate.
-        closed = {"host": LOOPBACK, "protocol": "tls://", "security": Security.temporary()}
+        security = Security.temporary()
+        closed = {"host": LOOPBACK, "protocol": "tls://", "security": security}
         plain = {
             **closed,
             "worker_class": OwnWorker,
             "nthreads": 1,
             "memory_limit": 0,
             "dashboard": False,
-            "local_directory": str(folder),
             "silence_logs": logging.CRITICAL,
         }
         spec = {
@@ -129,13 +149,11 @@ def own_cluster(workers: int) -> Iterator[Client]:
             for i in range(workers)
         }
         scheduler = {"cls": OwnScheduler, "options": {**closed, "dashboard": False}}
-        with (
-            SpecCluster(
-                spec, scheduler, security=closed["security"], silence_logs=logging.CRITICAL
-            ) as cluster,
-            Client(cluster, set_as_default=False) as client,
-        ):
-            yield client
+        with terminal_signals_blocked():
+            cluster = SpecCluster(spec, scheduler, security=security, silence_logs=logging.CRITICAL)
+            stack.enter_context(cluster)
+            client = stack.enter_context(Client(cluster, set_as_default=False))
+        yield client
 
 
 def fleet_of(client: Client) -> Fleet:

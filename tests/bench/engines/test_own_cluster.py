@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from contextlib import suppress
@@ -97,3 +98,59 @@ def test_nobody_else_reaches_a_cluster_of_this_machine(
         assert isinstance(plain, str) and isinstance(other, str) and page == ""
     assert set(load_results(out).runs["outcome"]) == {"finished"}
     assert capfd.readouterr() == ("", "")
+
+
+PRESSED_TWICE = """
+import os, signal, sys
+from distributed import Nanny, SpecCluster
+from dpbench.bench.record.cell_store import CellStore
+from dpbench.cli.main import main
+
+def pressed_before(owner, name):
+    call = getattr(owner, name)
+    def pressing(*given, **more):
+        os.killpg(0, signal.SIGINT)
+        return call(*given, **more)
+    setattr(owner, name, pressing)
+
+if __name__ == "__main__":
+    # A shell that runs the tests in the background has it ignored.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    moments = {"starting": (Nanny, "instantiate"), "running": (CellStore, "append")}
+    pressed_before(*moments[sys.argv[1]])
+    pressed_before(SpecCluster, "close")
+    raise SystemExit(main(sys.argv[2:]))
+"""
+
+
+@pytest.mark.parametrize("when", ["starting", "running"])
+def test_ctrl_c_twice_is_one_line_and_leaves_nothing(
+    suite: Path, tmp_path: Path, when: str
+) -> None:
+    """As a terminal sends it, to all processes: once as the cluster starts or runs, once more as
+    it ends."""
+    script, place = tmp_path / "pressed.py", tmp_path / "t"
+    script.write_text(PRESSED_TWICE, encoding="utf-8")
+    place.mkdir()
+    words = ["run", str(suite), "--out", str(tmp_path / "out"), "--quiet"]
+    process = subprocess.Popen(
+        [sys.executable, str(script), when, *words, "--engine", "dask", "--jobs", "2"],
+        env=os.environ | {"TMPDIR": str(place)},
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    _, said = process.communicate()
+    (line,) = said.splitlines()
+    assert line.startswith("dpbench: interrupted") and process.returncode == 130
+    left = [other for other in psutil.process_iter() if _session(other) == process.pid]
+    # That of Python which counts what is shared ends a moment after the others.
+    _, alive = psutil.wait_procs(left, timeout=30)
+    assert alive == []
+    assert {path.name for path in place.iterdir()} <= {f"dpbench-leases-{os.getuid()}"}
+
+
+def _session(process: psutil.Process) -> int:
+    with suppress(ProcessLookupError):
+        return os.getsid(process.pid)
+    return 0
