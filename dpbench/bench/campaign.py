@@ -18,7 +18,7 @@ import pandas as pd
 
 from dpbench.bench.capability.table import CAPABILITY_FILE, write_capability
 from dpbench.bench.design import Design, DesignStudy, plan_designs
-from dpbench.bench.engines.engine import Engine, by_source, longest
+from dpbench.bench.engines.engine import Engine, TlsFiles, by_source, longest
 from dpbench.bench.engines.opened import opened
 from dpbench.bench.engines.shards import WHOLE, Shard, ShardRecord
 from dpbench.bench.engines.sources import SourceFiles
@@ -250,6 +250,7 @@ def run_campaign(
     sequence: str | Path | None = None,
     engine: str = "local",
     scheduler: str | None = None,
+    tls: TlsFiles | None = None,
     shard: str | None = None,
     progress: Progress | None = None,
 ) -> Path:
@@ -268,6 +269,8 @@ def run_campaign(
     engine : who runs the cells: "local", the processes of this machine, or "dask", the workers of a
         Dask cluster; without a `scheduler` so many as `jobs` on this machine.
     scheduler : the address of a Dask scheduler.
+    tls : of a scheduler at tls://HOST:8786 the files of its certificate authority, of a client's
+        certificate and of its key; those of Dask's configuration by default.
     shard : "i/n": only the i-th of n parts of about the same work, for `gather`.
     fresh : run every cell again, also those finished before.
     solver_module : a Python file with a plug-in, whose solver then has a name like any other.
@@ -296,7 +299,7 @@ def run_campaign(
     designs = designs_of(plan) if some.index == 1 else []
     folder = Path(out) if out is not None else Path("results") / f"{plan.name}{'-part' * plan.part}"
     progress = progress or Silent()
-    with opened(engine, jobs, scheduler) as crew, claimed(folder, plan.name):
+    with opened(engine, jobs, scheduler, tls) as crew, claimed(folder, plan.name):
         for remark in remarks_on(plan.cells):
             progress.remark(remark)
         if shard is not None:

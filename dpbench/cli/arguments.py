@@ -71,6 +71,12 @@ def _run(commands: Commands) -> None:
     _option(run, "--engine", "E", "local (default), or dask", default="local")
     _option(run, "--scheduler", "ADDRESS", "of Dask (default: --jobs workers on this machine)")
     run.add_argument(
+        "--tls",
+        nargs=3,
+        metavar=("CA", "CERT", "KEY"),
+        help="PEM files for a scheduler at tls://HOST:PORT (default: Dask's configuration)",
+    )
+    run.add_argument(
         "--dry-run",
         action="store_true",
         help="say how many cells that is, how long and how large; run a few of them to know",

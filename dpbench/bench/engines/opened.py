@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from contextlib import AbstractContextManager
 
-from dpbench.bench.engines.engine import Engine
+from dpbench.bench.engines.engine import Engine, TlsFiles
 from dpbench.bench.engines.local import LocalEngine
 from dpbench.errors import InputError
 
@@ -13,7 +13,10 @@ ENGINES = ("local", "dask")
 
 
 def opened(
-    name: str, jobs: int | None = None, scheduler: str | None = None
+    name: str,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    tls: TlsFiles | None = None,
 ) -> AbstractContextManager[Engine]:
     """The engine of that name, for one campaign.
 
@@ -21,6 +24,7 @@ def opened(
     ----------
     jobs : cells at a time; all cores of this machine by default.
     scheduler : of engine dask: the address of its scheduler; None for workers on this machine.
+    tls : files to reach that scheduler with; what Dask's configuration names by default.
 
     Raises
     ------
@@ -31,6 +35,8 @@ def opened(
         raise InputError("--engine", "", repr(name), " or ".join(ENGINES))
     if name == "local" and scheduler is not None:
         raise InputError("--scheduler", "", f"{scheduler} with engine local", "--engine dask")
+    if tls is not None and scheduler is None:
+        raise InputError("--tls", "", "files without --scheduler", "--scheduler tls://HOST:8786")
     cores = len(os.sched_getaffinity(0))
     if scheduler is not None and jobs is not None:
         found, allowed = f"{jobs} with --scheduler", "one of the two: its workers are there"
@@ -45,4 +51,4 @@ def opened(
     except ModuleNotFoundError as error:
         found, allowed = f"dask, without {error.name}", "pip install 'dpbench[cluster]', or local"
         raise InputError("--engine", "", found, allowed) from error
-    return dask_engine(scheduler, jobs or cores)
+    return dask_engine(scheduler, jobs or cores, tls)

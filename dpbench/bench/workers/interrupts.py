@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import multiprocessing.resource_tracker
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -50,3 +52,40 @@ def forget_interrupts() -> None:
     heard = signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     signal.signal(signal.SIGINT, heard)
+
+
+@contextmanager
+def signals_wait() -> Iterator[None]:
+    """Ctrl-C, SIGTERM and SIGHUP are heard at the end of the block: what is half begun or half
+    ended there cannot be undone. Where an exception already ends the program they are not heard
+    again. Nothing changes outside the main thread, nor where nobody listens to them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    numbers = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+    before = {number: signal.getsignal(number) for number in numbers}
+    heard: list[int] = []
+    for number, handler in before.items():
+        if callable(handler):
+            signal.signal(number, lambda number, frame: heard.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            if callable(handler):
+                signal.signal(number, handler)
+        if heard and sys.exception() is None:
+            signal.raise_signal(heard[0])
+
+
+@contextmanager
+def terminal_signals_blocked() -> Iterator[None]:
+    """Threads and processes started in the block never hear Ctrl-C, nor that their terminal is
+    gone: a terminal sends both to all processes of a program, and one of them answers for all."""
+    # It would let them through again while it starts its own process, and does nothing later.
+    multiprocessing.resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
