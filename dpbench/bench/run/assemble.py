@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from dpbench.bench.record.cell import Cell, Formulation
 from dpbench.bench.record.raw_log import Layout, RawLog, loop_layout, replay_layout
+from dpbench.bench.run.backup import Backup
 from dpbench.bench.run.closed_loop import ClosedLoopSetup
 from dpbench.bench.run.exact_loop import base_problem
 from dpbench.bench.run.formulation import Box, in_loop, in_replay
@@ -17,7 +18,9 @@ from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence
 from dpbench.scenario.scenario import Scenario, no_delay
-from dpbench.solvers.contract import Workspace
+from dpbench.solvers.contract import Route, Workspace
+from dpbench.solvers.open import open_workspace
+from dpbench.solvers.table import record
 
 NO_LIMIT_NS = 2**62
 NewLog = Callable[[Layout], RawLog]
@@ -32,7 +35,7 @@ def closed_loop_setup(
     Raises
     ------
     InputError : "sparse" for a scenario that has no stages, a slow-down or deadline that cannot
-        be, or a cascade whose second workspace cannot be opened.
+        be, or a backup or a cascade's second workspace that cannot be opened.
     """
     scenario = as_run(cell, scenario)
     delay = delay_of(cell, scenario.sample_s)
@@ -40,12 +43,16 @@ def closed_loop_setup(
     if delay.simulated and why:
         raise InputError("closed loop", "slowdown", cell.slowdown, f"0 ({why})")
     builder = QPBuilder(scenario, cell.units, sparse=cell.formulation == "sparse")
-    log = new_log(loop_layout(scenario.steps, *builder.sizes))
+    layout = loop_layout(scenario.steps, *builder.sizes, backup=bool(cell.backup))
+    log = new_log(layout)
     formulated = in_loop(cell.formulation, builder, base_problem(builder.condensed))
     solver = TimedSolver(workspace, formulated, clock)
     setup = ClosedLoopSetup(
         scenario, builder, solver, log, cell.fallback, limit_ns, clock, delay, usage_of_process
     )
+    if log.backup is not None:
+        second_solver = TimedSolver(open_backup(cell.backup), formulated, clock)
+        setup.backup = Backup(second_solver, builder.condensed.moves, log.backup)
     if builder.allocation is not None:
         # As it is in every formulation: it has no states, and equalities no well-posed one-sided
         # form.
@@ -54,6 +61,15 @@ def closed_loop_setup(
         # What a library says of a failure counts whichever of the two QPs it failed on.
         setup.allocating.details = solver.details
     return setup
+
+
+def open_backup(solver: str) -> Workspace:
+    """The workspace of a backup, by its own interface where the solver has that, that is set up
+    from nothing at every step; InputError where it cannot be opened."""
+    route: Route = "native" if "native" in record(solver).routes else "qpsolvers"
+    workspace = open_workspace(solver, route=route)
+    workspace.setup_every_step = True
+    return workspace
 
 
 def as_run(cell: Cell, scenario: Scenario) -> Scenario:

@@ -8,15 +8,13 @@ the load kernel what else runs on the machine.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit
 
 from dpbench.arrays import Floats
 from dpbench.bench.record.disturbance import counters
 from dpbench.bench.record.raw_log import RawLog, spent_ns
-from dpbench.bench.run.timed_solver import Clock, TimedSolver, record_answer
+from dpbench.bench.run.timed_solver import Clock, TimedSolver, is_usable, record_answer
 from dpbench.qp.program import QPSequence
 
 KERNEL_REPEATS = 12
@@ -141,7 +139,7 @@ class ReplayRun:
             step = solver.formulate(sequence.step(k))
             solution = solver.answer(step)
             record_answer(log, r, k, solution)
-            if not (solution.status.usable and math.isfinite(solution.z.sum())):
+            if not is_usable(solution):
                 solver.reset()
             times[k] = (-1, *solver.phases_ns, -1)
             if log.first_ns[k] == 0:

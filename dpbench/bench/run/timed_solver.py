@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -15,6 +16,11 @@ from dpbench.solvers.contract import Workspace
 Clock = Callable[[], int]
 UNFINISHED = frozenset({Status.INACCURATE, Status.MAX_ITERATIONS})
 """Of the usable answers those that are applied and marked."""
+
+
+def is_usable(solution: Solution) -> bool:
+    """Whether a closed loop can apply an answer: by its status, and all of z is finite."""
+    return solution.status.usable and math.isfinite(solution.z.sum())
 
 
 class TimedSolver:

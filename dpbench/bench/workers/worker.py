@@ -106,7 +106,7 @@ def _opened(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Wo
     if not settled:
         if cell.solver_module:
             load_solver_module(cell.solver_module)
-        isolate(cell.solver)
+        isolate(cell.solver, *filter(None, [cell.backup]))
     workspace = open_workspace(
         cell.solver, route=cell.route, policy=cell.policy, settings=cell.settings
     )
@@ -157,7 +157,10 @@ def _steer(cell: Cell, workspace: Workspace, raw: Path, source: Path) -> Outcome
     """Let the solver steer the ship, in the weather of the exactly solved loop; the verdict."""
     scenario = scenario_once(cell.scenario).first(cell.steps)
     limit_ns, new_log = round(cell.limit_s * 1e9), partial(RawLog.create, raw)
-    setup = closed_loop_setup(cell, scenario, workspace, new_log, limit_ns)
+    try:
+        setup = closed_loop_setup(cell, scenario, workspace, new_log, limit_ns)
+    except InputError as error:
+        return Outcome("refused", str(error))
     with kept(source) as stored:
         setup.drawn = drawn_of(stored)
     before = counters()
