@@ -188,8 +188,10 @@ def replay(
         raise InputError("replay", "repeats", repeats, "1 or more")
     warmup_steps = min(warmup_steps, len(sequence))
     steps, solver, log = replay_parts(sequence, workspace, formulation, repeats, RawLog.in_memory)
-    limits = {"warmup_steps": warmup_steps, "limit_ns": NO_LIMIT_NS}
-    ReplayRun(steps, solver, log, clock=clock, **limits).rounds()
+    replaying = ReplayRun(
+        steps, solver, log, warmup_steps=warmup_steps, limit_ns=NO_LIMIT_NS, clock=clock
+    )
+    replaying.rounds()
     cell = _cell_of(
         workspace,
         mode="replay",

@@ -7,7 +7,7 @@ answer means is in `slow_computer.py`; of a cascade, the backup is one of its fi
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.bench.record.raw_log import BackupLog
@@ -27,12 +27,20 @@ class Backup:
     ----------
     solver : timed; its workspace is set up at every step.
     moves : maps z to the plan (N_c, n_u); log : where its answers go.
+    hung : steps in which it hung in an earlier process, each for `limit_ns`.
     """
 
     def __init__(
-        self, solver: TimedSolver, moves: Callable[[Vector], Matrix], log: BackupLog
+        self,
+        solver: TimedSolver,
+        moves: Callable[[Vector], Matrix],
+        log: BackupLog,
+        *,
+        hung: Collection[int] = (),
+        limit_ns: int = 0,
     ) -> None:
         self.solver, self.log, self._moves = solver, log, moves
+        self._hung, self._limit_ns = hung, limit_ns
         log.times[:], log.ready_ns[:] = -1, -1
 
     def prepare(self) -> None:
@@ -41,13 +49,18 @@ class Backup:
 
     def plan(self, k: int, step: QPStep) -> Matrix | None:
         """The plan (N_c, n_u) of its answer to the QP of step k; None without a usable one."""
+        if k in self._hung:
+            return self.record(k, self.solver.missing(self._limit_ns))
         return self.record(k, self.solver.answer(step))
 
     def record(self, k: int, answer: Solution) -> Matrix | None:
         """Record its answer to the QP of step k; its plan (N_c, n_u), None if it is unusable."""
         record_answer(self.log, 0, k, answer)
         self.log.times[0, k] = (-1, *self.solver.phases_ns, -1)
-        return self._moves(answer.z) if is_usable(answer) else None
+        if is_usable(answer):
+            return self._moves(answer.z)
+        self.solver.reset()
+        return None
 
 
 class LoopWithBackup:
