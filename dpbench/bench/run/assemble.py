@@ -41,7 +41,8 @@ def closed_loop_setup(
     Parameters
     ----------
     hung : steps in which an earlier process of the cell hung, in their order; `new_log` opens its
-        log. Where one is there twice, the backup has hung in it too.
+        log. The controller's solver is taken for the one that hung; where a step is there twice,
+        the backup and the second solver of a cascade too.
 
     Raises
     ------
@@ -57,14 +58,15 @@ def closed_loop_setup(
     layout = loop_layout(scenario.steps, *builder.sizes, backup=bool(cell.backup))
     log = new_log(layout)
     formulated = in_loop(cell.formulation, builder, base_problem(builder.condensed))
-    solver = _timed(workspace, formulated, log, hung, limit_ns)
+    last = hung[-1] if hung else None
+    twice = [k for k in hung if hung.count(k) > 1]
+    solver = _timed(workspace, formulated, log, last, limit_ns)
     setup = ClosedLoopSetup(
         scenario, builder, solver, log, cell.fallback, limit_ns, clock, delay, usage_of_process
     )
     if log.backup is not None:
         limit_s = None if limit_ns == NO_LIMIT_NS else STEP_SHARE * limit_ns * 1e-9
         second_solver = TimedSolver(open_backup(cell.backup, limit_s), formulated, clock)
-        twice = [k for k in hung if hung.count(k) > 1]
         setup.backup = Backup(
             second_solver, builder.condensed.moves, log.backup, hung=twice, limit_ns=limit_ns
         )
@@ -72,7 +74,9 @@ def closed_loop_setup(
         # As it is in every formulation: it has no states, and equalities no well-posed one-sided
         # form.
         second = Box(builder.allocation.base())
-        setup.allocating = _timed(workspace.another(), second, log.allocation, hung, limit_ns)
+        setup.allocating = _timed(
+            workspace.another(), second, log.allocation, last, limit_ns, skips=last in twice
+        )
         # What a library says of a failure counts whichever of the two QPs it failed on.
         setup.allocating.details = solver.details
     return setup
@@ -82,14 +86,16 @@ def _timed(
     workspace: Workspace,
     formulated: Formulated,
     answers: AnswerLog,
-    hung: Sequence[int],
+    hung: int | None,
     limit_ns: int,
+    *,
+    skips: bool = True,
 ) -> TimedSolver:
-    """A solver of a loop; in one that goes on behind steps that hung, their answers first."""
-    if not hung:
+    """A solver of a loop; of one that goes on behind the step `hung`, as in `ResumedSolver`."""
+    if hung is None:
         return TimedSolver(workspace, formulated, clock)
     return ResumedSolver(
-        workspace, formulated, clock, answers=answers, hung=hung, limit_ns=limit_ns
+        workspace, formulated, clock, answers=answers, at=hung, skips=skips, limit_ns=limit_ns
     )
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
@@ -190,8 +190,9 @@ class ResumedSolver(TimedSolver):
 
     Parameters
     ----------
-    answers : the log of the loop so far; hung : the steps that hung, in their order.
-    limit_ns : what such a step is said to have taken.
+    answers : the log of the loop so far; at : the step that hung.
+    skips : whether this solver has no answer to that step, which then is said to have taken
+        `limit_ns`; false for one that is not known to have hung.
     """
 
     def __init__(
@@ -201,11 +202,12 @@ class ResumedSolver(TimedSolver):
         clock: Clock,
         *,
         answers: AnswerLog,
-        hung: Sequence[int],
+        at: int,
+        skips: bool,
         limit_ns: int,
     ) -> None:
         super().__init__(workspace, formulated, clock)
-        self._answers, self._hung, self._limit_ns = answers, hung, limit_ns
+        self._answers, self._at, self._skips, self._limit_ns = answers, at, skips, limit_ns
         self._k, self._updates = -1, int(answers.matrix_updates[0])
 
     @property
@@ -214,13 +216,15 @@ class ResumedSolver(TimedSolver):
         return self._updates + super().matrix_updates
 
     def answer(self, step: QPStep) -> Solution:
-        """The recorded answer, none in a step that hung, and the solver's own behind it."""
+        """The recorded answer up to the step that hung, and the solver's own behind it."""
         self._k += 1
         k, answers = self._k, self._answers
-        if k > self._hung[-1]:
+        if k == self._at:
+            self.renew()
+            if self._skips:
+                return self.missing(self._limit_ns)
+        if k >= self._at:
             return super().answer(step)
-        if k in self._hung:
-            return self.missing(self._limit_ns)
         setup, update, solve, read = answers.times[0, k, _OWN].tolist()
         self.phases_ns = setup, update, solve, read
         return Solution(
@@ -233,10 +237,8 @@ class ResumedSolver(TimedSolver):
         )
 
     def reset(self) -> None:
-        """As inherited; behind the step that hung the workspace is set up with its matrices."""
-        if self._k == self._hung[-1]:
-            self.renew()
-        elif self._k > self._hung[-1]:
+        """As inherited, of answers of its own."""
+        if self._k > self._at or (self._k == self._at and not self._skips):
             super().reset()
 
 
