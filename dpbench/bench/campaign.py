@@ -25,6 +25,7 @@ from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.plan.asked import Asked, Plan
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.choices import remarks_on
+from dpbench.bench.plan.configurations import identity_of
 from dpbench.bench.plan.suite import naming
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
@@ -85,7 +86,8 @@ class Campaign:
 
     def _job(self, planned: PlannedCell) -> CellJob:
         library = self._libraries[planned.cell.solver]
-        run_id = planned.cell.run_id(library.identity, self.machine["id"], HARNESS_VERSION)
+        identity = identity_of(planned.cell, library)
+        run_id = planned.cell.run_id(identity, self.machine["id"], HARNESS_VERSION)
         return CellJob(planned, run_id, library, self.machine["id"])
 
     def run(self, engine: Engine, progress: Progress) -> None:
@@ -96,7 +98,8 @@ class Campaign:
         progress.start(work)
         if not work and self._is_written():
             return
-        engine.prepare(self.sources, [job.cell.solver for job in pending], progress)
+        solvers = [name for job in pending for name in (job.cell.solver, job.cell.backup) if name]
+        engine.prepare(self.sources, solvers, progress)
         self._make_plots(engine, pending)
         by_id = {job.run_id: job for job in pending}
         for result in engine.run(pending):

@@ -9,6 +9,7 @@ import pyarrow.compute as pc
 
 from dpbench.bench.judge.memory_of_answers import with_loop_ratio
 from dpbench.bench.judge.rows import run_row
+from dpbench.bench.plan.configurations import identity_of
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.cell_store import CellStore, StepFile
 from dpbench.bench.record.schema import RUN_COLUMNS, as_runs, study_columns
@@ -29,7 +30,8 @@ class Wanted:
             self.jobs[job.run_id] = job, job.cell.settings
             for settings in job.planned.alias_settings:
                 cell = job.cell.with_settings(settings)
-                run_id = cell.run_id(job.library.identity, job.machine_id, HARNESS_VERSION)
+                identity = identity_of(cell, job.library)
+                run_id = cell.run_id(identity, job.machine_id, HARNESS_VERSION)
                 self.jobs[run_id] = job, settings
 
     def rows(self, finished: pd.DataFrame) -> pd.DataFrame:

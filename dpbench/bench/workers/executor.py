@@ -370,7 +370,7 @@ def batch_cells(cells: int, slots: int) -> int:
 
 def configuration_key(cell: Cell) -> tuple[str, ...]:
     """Cells with the same key may share a process."""
-    return (cell.mode, *(getattr(cell, name) for name in COLUMNS))
+    return (cell.mode, cell.backup, *(getattr(cell, name) for name in COLUMNS))
 
 
 def alternating(of_configurations: Iterable[Sequence[Batch]]) -> list[Batch]:
