@@ -20,8 +20,8 @@ from distributed.comm.registry import get_backend
 from dpbench.bench.engines.on_worker import About, about
 from dpbench.bench.record.cell import HARNESS_VERSION
 from dpbench.bench.workers.child import without_main
-from dpbench.bench.workers.scratch import scratch_folder
 from dpbench.errors import InputError
+from dpbench.own_folders import own_folder
 
 EXCLUSIVE = "exclusive"
 """The resource of which a machine's workers offer one together, if replays may be timed there."""
@@ -87,7 +87,7 @@ def own_cluster(workers: int) -> Iterator[Client]:
     with (
         _quiet(),
         without_main(),
-        scratch_folder(Path(tempfile.gettempdir())) as folder,
+        own_folder(Path(tempfile.gettempdir())) as folder,
         dask.config.set(_OWN),
     ):
         plain = {

@@ -66,9 +66,8 @@ from collections.abc import Callable
 from math import inf, sqrt
 from typing import Any
 
-from numba import njit
-
 from dpbench.arrays import Matrix
+from dpbench.kernel_cache import njit
 from dpbench.solvers.own.active_set.changed_rows import (
     change,
 )
