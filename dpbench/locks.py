@@ -11,11 +11,10 @@ import fcntl
 import json
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
 from dpbench.errors import InputError
 
@@ -26,6 +25,34 @@ ALONE, TOGETHER = fcntl.LOCK_EX, fcntl.LOCK_SH
 MAX_BYTES = 2**16
 """Of a lock file that is read."""
 _POLL_S = 0.1
+
+
+@dataclass(frozen=True)
+class Holder:
+    """A process that holds a lock, as it says in the file.
+
+    Parameters
+    ----------
+    work : what it does meanwhile: its result folder.
+    since : when it began that [s since the epoch].
+    """
+
+    work: str
+    since: float = field(default_factory=time.time)
+    pid: int = field(default_factory=os.getpid)
+
+    def __str__(self) -> str:
+        began = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(self.since))
+        return f"process {self.pid} ({self.work}, since {began})"
+
+    @classmethod
+    def read(cls, line: str) -> Holder:
+        """The holder that a line names; ValueError, KeyError or TypeError where it names none."""
+        entry = json.loads(line)
+        work = "".join(c for c in str(entry["work"]) if c.isprintable())
+        holder = cls(work, float(entry["since"]), int(entry["pid"]))
+        str(holder)
+        return holder
 
 
 @dataclass(frozen=True)
@@ -68,7 +95,7 @@ def lease(path: Path, opened_as: int, how: int = ALONE | fcntl.LOCK_NB) -> Itera
 def lock_file(
     path: Path,
     how: int,
-    work: str,
+    holder: Holder,
     *,
     where: str,
     patience: Patience = Patience(),
@@ -79,7 +106,7 @@ def lock_file(
     Parameters
     ----------
     how : ALONE, or TOGETHER with others that ask for that.
-    work : what this process does meanwhile, for those who wait for it.
+    holder : this process, for those who wait for it.
     where : what is locked, for the error.
     say_waiting : called once with the holders, before a wait.
 
@@ -88,82 +115,68 @@ def lock_file(
     BusyError : see `Patience`.
     """
     with ExitStack() as stack:
-        try:
+        held = False
+        # Without a folder for the file, or on a disk that knows no locks.
+        with suppress(OSError):
             lock = os.open(path, FILE, 0o600)
-        except OSError:
-            yield False
-            return
-        stack.callback(os.close, lock)
-        held = _acquire(lock, how, where, patience, say_waiting)
-        if held:
-            _rewrite(lock, {"pid": os.getpid(), "work": work, "since": time.time()})
-            stack.callback(_rewrite, lock)
+            stack.callback(os.close, lock)
+            if not _locked(lock, how | fcntl.LOCK_NB):
+                _wait(lock, how, where, patience, say_waiting)
+            held = _locked(lock, how | fcntl.LOCK_NB)
+            if held:
+                _write(lock, [*_others(lock), holder])
+                stack.callback(lambda: _write(lock, _others(lock)))
         yield held
 
 
-def _acquire(
+def _wait(
     lock: int, how: int, where: str, patience: Patience, say_waiting: Callable[[str], None]
-) -> bool:
-    """Lock an open file, waiting for others as long as `patience` allows."""
-    if _locked(lock, how | fcntl.LOCK_NB):
-        return True
-    if patience.limit_s == 0.0 and not patience.required:
-        return False
+) -> None:
+    """Wait for the lock of an open file as long as there is time for it."""
     if patience.limit_s != 0.0:
         say_waiting(holders(lock))
     if patience.limit_s is None:
         # In the kernel's queue, where another that releases and locks again goes to the end.
-        return _locked(lock, how)
+        fcntl.flock(lock, how)
+        return
     end_s = time.monotonic() + patience.limit_s
     while time.monotonic() < end_s:
         time.sleep(_POLL_S)
         if _locked(lock, how | fcntl.LOCK_NB):
-            return True
+            return
     if patience.required:
-        waited = f" after {patience.limit_s:g} s" if patience.limit_s else ""
+        waited = f" after a wait of {patience.limit_s:g} s" if patience.limit_s else ""
         found = f"in use by {holders(lock)}{waited}"
-        raise BusyError(where, "", found, "to wait for it (--wait SECONDS), or another")
-    return False
+        raise BusyError(where, "", found, "to wait for it, without --no-wait or longer")
 
 
 def _locked(lock: int, how: int) -> bool:
+    """Lock an open file if nobody else has it; OSError where there are no locks."""
     try:
         fcntl.flock(lock, how)
-    except OSError:
+    except BlockingIOError:
         return False
     return True
 
 
 def holders(lock: int) -> str:
-    """Who holds the lock of an open file, in words: process, work, and since when."""
-    others = [_in_words(entry) for entry in _entries(lock)]
-    return " and ".join(others) or "another process, which left no name"
+    """Who holds the lock of an open file, in words."""
+    return " and ".join(map(str, _others(lock))) or "another process, which left no name"
 
 
-def _in_words(entry: dict[str, Any]) -> str:
-    since = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(entry["since"]))
-    return f"process {entry['pid']} ({entry['work']}, since {since})"
-
-
-def _entries(lock: int) -> list[dict[str, Any]]:
-    """What other processes that live wrote into a lock file; anybody may have damaged it."""
+def _others(lock: int) -> list[Holder]:
+    """The other holders that a lock file names and that live; anybody may have damaged it."""
     found = []
     for line in os.pread(lock, MAX_BYTES, 0).decode(errors="replace").splitlines():
-        with suppress(ValueError, KeyError, TypeError, OverflowError):
-            entry = json.loads(line)
-            pid, since = int(entry["pid"]), float(entry["since"])
-            work = "".join(c for c in str(entry["work"]) if c.isprintable())
-            if pid > 0 and pid != os.getpid() and Path(f"/proc/{pid}").exists():
-                time.localtime(since)
-                found.append({"pid": pid, "work": work, "since": since})
+        with suppress(ValueError, KeyError, TypeError, OverflowError, OSError):
+            holder = Holder.read(line)
+            if holder.pid != os.getpid() and Path(f"/proc/{holder.pid}").exists():
+                found.append(holder)
     return found
 
 
-def _rewrite(lock: int, own: dict[str, Any] | None = None) -> None:
-    """Write the entries of others and the own one into a lock file; without `own`, those of others
-    alone. Of two that do so at once one may go unnamed."""
-    entries = [*_entries(lock), *([own] if own else [])]
-    data = "".join(f"{json.dumps(entry)}\n" for entry in entries).encode()
+def _write(lock: int, named: Sequence[Holder]) -> None:
+    """Write holders into a lock file. Of two that do so at once one may go unnamed."""
     with suppress(OSError):
         os.ftruncate(lock, 0)
-        os.pwrite(lock, data, 0)
+        os.pwrite(lock, "".join(f"{json.dumps(asdict(one))}\n" for one in named).encode(), 0)

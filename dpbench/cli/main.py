@@ -97,7 +97,7 @@ def _given(arguments: argparse.Namespace, *without: str) -> dict[str, Any]:
     return {name: value for name, value in vars(arguments).items() if name not in others}
 
 
-_NOT_DRY = ("dry_run", "out", "fresh", "scheduler")
+_NOT_DRY = ("dry_run", "out", "fresh", "scheduler", "wait_s")
 """Arguments of a run that have no part in what it takes."""
 
 

@@ -7,13 +7,18 @@ from contextlib import AbstractContextManager
 
 from dpbench.bench.engines.engine import Engine
 from dpbench.bench.engines.local import LocalEngine
+from dpbench.bench.workers.leases import lease_folder
 from dpbench.errors import InputError
+from dpbench.locks import Patience
 
 ENGINES = ("local", "dask")
 
 
 def opened(
-    name: str, jobs: int | None = None, scheduler: str | None = None
+    name: str,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    patience: Patience = Patience(),  # noqa: B008 - frozen
 ) -> AbstractContextManager[Engine]:
     """The engine of that name, for one campaign.
 
@@ -21,6 +26,7 @@ def opened(
     ----------
     jobs : cells at a time; all cores of this machine by default.
     scheduler : of engine dask: the address of its scheduler; None for workers on this machine.
+    patience : of engine local: with other campaigns on this machine.
 
     Raises
     ------
@@ -37,8 +43,12 @@ def opened(
         raise InputError("--jobs", "", found, allowed)
     if jobs is not None and not 1 <= jobs <= cores:
         raise InputError("--jobs", "", jobs, f"a number from 1 to {cores}, the cores available")
+    # Before anything is written: a folder that cannot be trusted refuses.
+    lease_folder()
     if name == "local":
-        return LocalEngine(jobs or cores)
+        return LocalEngine(jobs or cores, patience)
+    if patience != Patience():
+        raise InputError("--wait", "", f"a limit with engine {name}", "engine local")
     try:
         # What an extra installs is imported only where it is asked for.
         from dpbench.bench.engines.dask_engine import dask_engine
