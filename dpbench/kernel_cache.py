@@ -22,34 +22,43 @@ from numba.misc.appdirs import AppDirs
 from dpbench.own_folders import process_folder
 
 PACKAGE = Path(__file__).parent
+Function = Callable[..., Any]
+# Some releases have types for a part of these names, older ones have none.
+_numba_njit: Any = numba.njit
+_config: Any = numba.config  # type: ignore[attr-defined,unused-ignore] # as above
+_app_dirs: Any = AppDirs
+_locator: Any = UserProvidedCacheLocator
 _NO_PLACE = "cannot cache function"
 """How Numba's complaint begins where it finds no folder to write to."""
 
 
-def njit(*signature: str, **options: Any) -> Callable[[Any], Any]:
+def njit(*signature: str, **options: Any) -> Callable[[Function], Function]:
     """`numba.njit` with these arguments, whatever can be written; without a cache at the last."""
 
-    def compiled(function: Any) -> Any:
+    def compiled(function: Function) -> Function:
+        def with_options(given: dict[str, Any]) -> Function:
+            kernel: Function = _numba_njit(*signature, **given)(function)
+            return kernel
+
         try:
-            return numba.njit(*signature, **options)(function)
+            return with_options(options)
         except RuntimeError as error:
             if not str(error).startswith(_NO_PLACE):
                 raise
-        in_memory = {**options, "cache": False}
-        return numba.njit(*signature, **(options if _has_own_cache() else in_memory))(function)
+        return with_options(options if _has_own_cache() else {**options, "cache": False})
 
     return compiled
 
 
 def cache_folders() -> list[Path]:
     """The folders below which Numba keeps compiled kernels."""
-    given = numba.config.CACHE_DIR
+    given = _config.CACHE_DIR
     return [Path(given)] if given else [PACKAGE, _of_user()]
 
 
 def _of_user() -> Path:
     """Numba's cache folder in the user's home."""
-    return Path(AppDirs(appname="numba", appauthor=False).user_cache_dir)
+    return Path(_app_dirs(appname="numba", appauthor=False).user_cache_dir)
 
 
 @cache
@@ -63,14 +72,14 @@ def _has_own_cache() -> bool:
             _link(sources, own)
     except OSError:
         return False
-    numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"] = str(own)
+    _config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"] = str(own)
     return True
 
 
 def _link(sources: Path, own: Path) -> None:
     """Link what was compiled of one folder of sources into the cache, as Numba names it there."""
-    name = UserProvidedCacheLocator.get_suitable_cache_subpath(str(sources / "any.py"))
-    given = [Path(folder) / name for folder in filter(None, [numba.config.CACHE_DIR])]
+    name = _locator.get_suitable_cache_subpath(str(sources / "any.py"))
+    given = [Path(folder) / name for folder in filter(None, [_config.CACHE_DIR])]
     for place in (*given, sources / "__pycache__", _of_user() / name):
         files: list[Path] = []
         with suppress(OSError):
