@@ -19,6 +19,8 @@ from dpbench.locks import FOLDER, lease
 
 PREFIX = "dpbench-scratch-"
 """What names of such folders begin with, and no other."""
+ATTEMPTS = 10
+"""To remove a folder that others still write to."""
 
 
 @contextmanager
@@ -32,8 +34,7 @@ def own_folder(place: Path) -> Iterator[Path]:
         try:
             yield folder
         finally:
-            # A worker that was interrupted as well may write its last file while the folder goes.
-            shutil.rmtree(folder, ignore_errors=True)
+            _remove(folder)
 
 
 def clear_abandoned(place: Path) -> None:
@@ -41,7 +42,15 @@ def clear_abandoned(place: Path) -> None:
     for folder in place.glob(f"{PREFIX}*"):
         with lease(folder, FOLDER) as abandoned:
             if abandoned:
-                shutil.rmtree(folder, ignore_errors=True)
+                _remove(folder)
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder; a worker that was interrupted may still write its last files meanwhile."""
+    for _ in range(ATTEMPTS):
+        shutil.rmtree(folder, ignore_errors=True)
+        if not folder.exists():
+            return
 
 
 @cache
