@@ -13,12 +13,15 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
+from multiprocessing.util import get_temp_dir
 from pathlib import Path
 
 from dpbench.locks import FOLDER, lease
 
 PREFIX = "dpbench-scratch-"
 """What names of such folders begin with, and no other."""
+LONGEST = 70
+"""Bytes of the path of a folder of sockets: Linux allows 107, and Python adds up to 33."""
 ATTEMPTS = 10
 """To remove a folder that others still write to."""
 
@@ -71,3 +74,16 @@ def process_folder() -> Path:
 
     atexit.register(remove)
     return folder
+
+
+def keep_sockets() -> None:
+    """Have `multiprocessing` keep its sockets in the folder of this process, so that those of a
+    killed one go too; where Python keeps them else if that path is too long for a socket."""
+    before = tempfile.tempdir
+    try:
+        folder = process_folder()
+        if len(os.fsencode(folder)) <= LONGEST:
+            tempfile.tempdir = str(folder)
+        get_temp_dir()  # made at the first call, and kept
+    finally:
+        tempfile.tempdir = before

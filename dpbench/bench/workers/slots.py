@@ -34,24 +34,19 @@ def in_slots(tasks: Sequence[AnyTask], cores: Sequence[int]) -> Iterator[AnyTask
     """
     waiting, free = list(reversed(tasks)), list(cores)
     running: list[tuple[AnyTask, Child, int]] = []
-    try:
-        while waiting or running:
-            while waiting and free:
-                task, core = waiting.pop(), free.pop()
-                running.append((task, task.start(core), core))
-            wait([child.process.sentinel for _, child, _ in running], POLL_S)
-            for entry in list(running):
-                task, child, core = entry
-                if child.process.is_alive() and not child.overdue():
-                    continue
-                running.remove(entry)
-                following = task.follow(child, core)
-                if following is None:
-                    free.append(core)
-                    yield task
-                else:
-                    running.append((task, following, core))
-    finally:
-        # Of an interrupted campaign: none writes on while its folder is removed.
-        for _, child, _ in running:
-            child.kill("interrupted")
+    while waiting or running:
+        while waiting and free:
+            task, core = waiting.pop(), free.pop()
+            running.append((task, task.start(core), core))
+        wait([child.process.sentinel for _, child, _ in running], POLL_S)
+        for entry in list(running):
+            task, child, core = entry
+            if child.process.is_alive() and not child.overdue():
+                continue
+            running.remove(entry)
+            following = task.follow(child, core)
+            if following is None:
+                free.append(core)
+                yield task
+            else:
+                running.append((task, following, core))
