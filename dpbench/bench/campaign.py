@@ -7,6 +7,7 @@ loses at most the cells in flight.
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -42,7 +43,8 @@ from dpbench.bench.sequences.source import is_at_edge, is_sound
 from dpbench.bench.tabulate import Wanted, is_tabulated, tabulate
 from dpbench.bench.workers.executor import CellJob, Result, work_of
 from dpbench.bench.workers.worker import make_source
-from dpbench.errors import ResultsError
+from dpbench.errors import InputError, ResultsError
+from dpbench.locks import Patience
 from dpbench.solvers.table import available
 
 
@@ -255,6 +257,7 @@ def run_campaign(
     scheduler: str | None = None,
     tls: TlsFiles | None = None,
     shard: str | None = None,
+    wait_s: float | None = None,
     progress: Progress | None = None,
 ) -> Path:
     """Run a suite and write `runs.parquet`, `steps.parquet`, `machine.json`, `suite.json`.
@@ -276,6 +279,8 @@ def run_campaign(
         certificate and of its key; those of Dask's configuration by default.
     shard : "i/n": only the i-th of n parts of about the same work, for `gather`.
     fresh : run every cell again, also those finished before.
+    wait_s : the longest wait for another campaign that times replays on this machine; None without
+        a limit, 0 for none.
     solver_module : a Python file with a plug-in, whose solver then has a name like any other.
     sequence : instead of a suite: a stored sequence by name, a `.npz` of `dpbench export` or a
         folder of qpsolvers problems, replayed through every solver at default and high settings.
@@ -288,6 +293,7 @@ def run_campaign(
     Raises
     ------
     InputError : for a bad suite, scenario, solver, job count or engine, before anything runs.
+    BusyError : the machine was busy longer than `wait_s`; finished cells are kept.
     """
     asked = Asked(
         suite=None if suite is None else str(suite),
@@ -298,11 +304,16 @@ def run_campaign(
         steps=steps,
         solver_module=None if solver_module is None else str(solver_module),
     )
+    if wait_s is not None and not 0.0 <= wait_s < math.inf:
+        raise InputError("--wait", "", wait_s, "a number of seconds, 0 or more")
     plan, some = asked.plan(), Shard.of_text(shard)
     designs = designs_of(plan) if some.index == 1 else []
     folder = Path(out) if out is not None else Path("results") / f"{plan.name}{'-part' * plan.part}"
     progress = progress or Silent()
-    with opened(engine, jobs, scheduler, tls) as crew, claimed(folder, plan.name):
+    with (
+        opened(engine, jobs, scheduler, tls, Patience(wait_s)) as crew,
+        claimed(folder, plan.name),
+    ):
         for remark in remarks_on(plan.cells):
             progress.remark(remark)
         if shard is not None:

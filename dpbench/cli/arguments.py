@@ -107,6 +107,22 @@ def _what_to_run(run: Any) -> None:
     _option(run, "--jobs", "J", "loops or random configurations at a time", type=int)
     _option(run, "--solver-module", "FILE.py", "a plug-in that brings a solver")
     run.add_argument("--fresh", action="store_true", help="run finished cells again too")
+    wait = run.add_mutually_exclusive_group()
+    _option(
+        wait,
+        "--wait",
+        "SECONDS",
+        "the longest wait for another campaign on this machine (no limit)",
+        type=float,
+        dest="wait_s",
+    )
+    wait.add_argument(
+        "--no-wait",
+        action="store_const",
+        const=0.0,
+        dest="wait_s",
+        help="exit with 2 where another campaign would be waited for",
+    )
 
 
 def _cells(commands: Commands) -> None:

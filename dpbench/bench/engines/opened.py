@@ -7,7 +7,9 @@ from contextlib import AbstractContextManager
 
 from dpbench.bench.engines.engine import Engine, TlsFiles
 from dpbench.bench.engines.local import LocalEngine
+from dpbench.bench.workers.leases import lease_folder
 from dpbench.errors import InputError
+from dpbench.locks import Patience
 
 ENGINES = ("local", "dask")
 
@@ -17,6 +19,7 @@ def opened(
     jobs: int | None = None,
     scheduler: str | None = None,
     tls: TlsFiles | None = None,
+    patience: Patience = Patience(),  # noqa: B008 - frozen
 ) -> AbstractContextManager[Engine]:
     """The engine of that name, for one campaign.
 
@@ -25,6 +28,7 @@ def opened(
     jobs : cells at a time; all cores of this machine by default.
     scheduler : of engine dask: the address of its scheduler; None for workers on this machine.
     tls : files to reach that scheduler with; what Dask's configuration names by default.
+    patience : of engine local: with other campaigns on this machine.
 
     Raises
     ------
@@ -43,8 +47,12 @@ def opened(
         raise InputError("--jobs", "", found, allowed)
     if jobs is not None and not 1 <= jobs <= cores:
         raise InputError("--jobs", "", jobs, f"a number from 1 to {cores}, the cores available")
+    # Before anything is written: a folder that cannot be trusted refuses.
+    lease_folder()
     if name == "local":
-        return LocalEngine(jobs or cores)
+        return LocalEngine(jobs or cores, patience)
+    if patience != Patience():
+        raise InputError("--wait", "", f"a limit with engine {name}", "engine local")
     try:
         # What an extra installs is imported only where it is asked for.
         from dpbench.bench.engines.dask_engine import dask_engine

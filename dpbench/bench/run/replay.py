@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
 from dpbench.arrays import Floats
 from dpbench.bench.record.disturbance import counters
 from dpbench.bench.record.raw_log import RawLog, spent_ns
 from dpbench.bench.run.timed_solver import Clock, TimedSolver, is_usable, record_answer
+from dpbench.kernel_cache import njit
 from dpbench.qp.program import QPSequence
 
 KERNEL_REPEATS = 12

@@ -27,6 +27,7 @@ from dpbench.bench.workers.compiled import OWN, compile_in_processes, missing, n
 from dpbench.bench.workers.interrupts import interrupts_wait
 from dpbench.bench.workers.notice import AtWork, Notice
 from dpbench.errors import DpbenchError
+from dpbench.own_folders import keep_sockets
 
 START_ALLOWANCE_S = 60.0
 """For importing a library; after it a cell that has not started its loop is killed."""
@@ -78,6 +79,7 @@ def _template() -> Iterator[None]:
             # This lets Ctrl-C through when it starts its own process, and does nothing the second
             # time.
             multiprocessing.resource_tracker.ensure_running()
+            keep_sockets()
             # Until it has loaded, Ctrl-C would end the template with a traceback of its own.
             with interrupts_wait():
                 multiprocessing.forkserver.ensure_running()
