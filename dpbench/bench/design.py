@@ -273,7 +273,7 @@ def held_in_still_water(scenario: Scenario, holds: Holds = is_held) -> Bracket:
 def run_design(text: str, folder: Path, name: str, core: int, path: Path) -> None:
     """Look into a design, in a process of its own; its record appears in `path`."""
     pin(core)
-    settle(folder / f"{name}.noise")
+    settle()
     _write(path, Designs((design_record(Design(**json.loads(text))),)))
     leave_verdict(folder / f"{name}.json", Outcome("finished", ""))
 

@@ -15,14 +15,19 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import json
+import os
+import signal
+import subprocess
 import sys
 from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import metadata
 from inspect import getsource
 from pathlib import Path
-from types import MappingProxyType
+from types import MappingProxyType, ModuleType
 from typing import Any, get_args
 
 from dpbench.errors import InputError, renamed
@@ -40,6 +45,20 @@ from dpbench.solvers.record import (
 )
 
 GROUP = "dpbench.solvers"
+TRIAL_S = 60.0
+"""Time for a plug-in's file to run in `try_file`."""
+_RAN = b"\ndpbench: ran\n"
+"""The last line that the process of `try_file` prints."""
+_TRIAL = f"""
+import json, os, sys
+sys.path[:], where, file = json.loads(sys.argv[1])
+from dpbench.solvers.plugins import run_quietly
+out = os.dup(1)
+os.dup2(2, 1)
+run_quietly(where, file)
+os.write(out, {_RAN!r})
+os._exit(0)
+"""
 
 
 @dataclass(frozen=True)
@@ -107,10 +126,65 @@ def load_file(path: str | Path, taken: Collection[str]) -> SolverRecord:
     ------
     InputError : the file is missing, fails when run, or is no plug-in; says which and why.
     """
-    where = f"solver module {path}"
-    file = Path(path).resolve()
+    where, file = _plugin_file(path)
+    module = _run_file(where, file)
+    version = hashlib.sha256(getsource(module).encode()).hexdigest()[:12]
+    return _register(where, module, version, str(file), taken).record
+
+
+def try_file(path: str | Path) -> None:
+    """Run a plug-in's file in a process of its own first, for a program that must outlive it.
+
+    Raises
+    ------
+    InputError : the file is missing, or its process ended or did not come to an end. What it raises
+        is left for `load_file` to report.
+    """
+    where, file = _plugin_file(path)
+    inputs = json.dumps([sys.path, where, str(file)])
+    command = [sys.executable, "-c", _TRIAL, inputs]
+    nowhere = subprocess.DEVNULL
+    process = subprocess.Popen(
+        command, stdin=nowhere, stdout=subprocess.PIPE, stderr=nowhere, start_new_session=True
+    )
+    try:
+        said, _ = process.communicate(timeout=TRIAL_S)
+        found = "" if said.endswith(_RAN) else _how_it_ended(process.returncode)
+    except subprocess.TimeoutExpired:
+        found = f"an import that takes more than {TRIAL_S:g} s"
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        assert process.stdout is not None, "it is a pipe"
+        process.stdout.close()
+    if found:
+        raise InputError(where, "", found, "a file that runs")
+
+
+def _how_it_ended(code: int) -> str:
+    """The end of a process that did not come to its last line, in words."""
+    if code >= 0:
+        return f"an end of its process, exit code {code}"
+    return f"an end of its process, {signal.Signals(-code).name}"
+
+
+def run_quietly(where: str, file: str) -> None:
+    """Run a plug-in's file, whatever it raises: `try_file` calls this in its process."""
+    with suppress(InputError):
+        _run_file(where, Path(file))
+
+
+def _plugin_file(path: str | Path) -> tuple[str, Path]:
+    """What an error calls a plug-in's file, and its full path; InputError where there is none."""
+    where, file = f"solver module {path}", Path(path).resolve()
     if not file.is_file():
         raise InputError(where, "", "no such file", "a Python file with RECORD and open")
+    return where, file
+
+
+def _run_file(where: str, file: Path) -> ModuleType:
+    """The module that a file makes when it is run; InputError for whatever it raises."""
     digest = hashlib.sha256(str(file).encode()).hexdigest()[:12]
     spec = importlib.util.spec_from_file_location(f"dpbench_plugin_{digest}", file)
     if spec is None or spec.loader is None:
@@ -120,12 +194,17 @@ def load_file(path: str | Path, taken: Collection[str]) -> SolverRecord:
     sys.modules[spec.name] = module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # a stranger's code may raise anything; it becomes an InputError
-        raise InputError(
-            where, "", f"{type(error).__name__}: {error}", "a file that runs"
-        ) from error
-    version = hashlib.sha256(getsource(module).encode()).hexdigest()[:12]
-    return _register(where, module, version, str(file), taken).record
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # a stranger's code may raise anything; it becomes an InputError
+        raise InputError(where, "", _raised(error), "a file that runs") from error
+    return module
+
+
+def _raised(error: BaseException) -> str:
+    """What was raised, on one line."""
+    text = " ".join(str(error).split())[:300]
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def entry_point_names() -> tuple[str, ...]:
@@ -154,9 +233,10 @@ def find_plugin(name: str) -> Plugin | None:
     where = f"entry point {point.name} = {point.value}"
     try:
         module = point.load()
-    except Exception as error:  # a stranger's code may raise anything; it becomes an InputError
-        reason = f"{type(error).__name__}: {error}"
-        raise InputError(where, "", reason, "an object that loads") from error
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # a stranger's code may raise anything; it becomes an InputError
+        raise InputError(where, "", _raised(error), "an object that loads") from error
     version = point.dist.version if point.dist is not None else ""
     plugin = _register(where, module, version, point.value)
     if plugin.record.name != name:

@@ -16,7 +16,13 @@ from dpbench.solvers.contract import words_of
 from dpbench.solvers.libraries import NATIVE, THROUGH_QPSOLVERS
 from dpbench.solvers.libraries.generic import generic_adapter, is_served
 from dpbench.solvers.own.adapters import OWN
-from dpbench.solvers.plugins import entry_point_names, find_plugin, load_file, loaded_names
+from dpbench.solvers.plugins import (
+    entry_point_names,
+    find_plugin,
+    load_file,
+    loaded_names,
+    try_file,
+)
 from dpbench.solvers.record import UNREAD, Build, SolverRecord
 
 _ON_NATIVE: dict[str, NativeAdapter] = {**NATIVE, **OWN}
@@ -87,13 +93,19 @@ def qpsolvers_adapter(name: str) -> QpsolversAdapter:
     return THROUGH_QPSOLVERS[name] if name in THROUGH_QPSOLVERS else generic_adapter(name)
 
 
-def load_solver_module(path: str | Path) -> SolverRecord:
+def load_solver_module(path: str | Path, *, tried: bool = False) -> SolverRecord:
     """Load a plug-in from a Python file, so that its name is one of a solver in this process.
+
+    Parameters
+    ----------
+    tried : whether the file is known not to end the process that runs it, or may do so.
 
     Raises
     ------
     InputError : the file is missing, fails when run, is no plug-in, or takes a name of the table.
     """
+    if not tried:
+        try_file(path)
     return load_file(path, {**TABLE, **CALIBRATION})
 
 

@@ -79,6 +79,7 @@ def run_row(
         "seed": cell.seed,
         "outcome": outcome.outcome,
         "outcome_detail": outcome.detail,
+        "process_peak_bytes": np.nan if outcome.peak_bytes is None else outcome.peak_bytes,
         "machine_id": machine_id,
         "schema": SCHEMA_VERSION,
         "cell": cell.to_json(),

@@ -83,6 +83,7 @@ def cell_of(
         units=configuration.units,
         limit_s=(_own_limit_s(table) or suite.cell_limit_s) + _waiting_s(configuration, **fields),
         solver_module=module_of(configuration.solver),
+        memory_gb=suite.cell_memory_gb,
         **fields,
     )
     planned = PlannedCell(cell, refusal_of(configuration), configuration.alias)

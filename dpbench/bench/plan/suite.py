@@ -237,6 +237,8 @@ class SuiteFile(FileModel):
     """Whether the harness's own configurations, whose cost is known, take part in replays."""
     cell_limit_s: Positive = 5.0
     """Run time of its own after which a cell stops [s]."""
+    cell_memory_gb: NotNegative = 0.0
+    """Memory of its own that a cell's process may have [GB]; 0: 40 % of the machine's."""
     replay_budget_s: NotNegative = 0.0
     """Run time after which a replay gets no further round [s]; 0: none."""
     repeat_budget_s: NotNegative = 0.25

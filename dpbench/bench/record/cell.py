@@ -22,7 +22,16 @@ SLOWEST = 1e9
 HARDEST = "hardest"
 """The kind of a source that is a window of the loop of the scenario, around its hardest step."""
 _PROBLEM = ("mode", "source", "scenario", "units", "first", "steps")
-_OPTIONAL = ("source", "study", "slowdown", "deadline_s", "budget_s", "repeat_budget_s", "backup")
+_OPTIONAL = (
+    "source",
+    "study",
+    "slowdown",
+    "deadline_s",
+    "budget_s",
+    "repeat_budget_s",
+    "backup",
+    "memory_gb",
+)
 
 
 @dataclass(frozen=True)
@@ -38,6 +47,8 @@ class Cell:
         chosen from.
     rounds, warmup_steps : replay only: counting rounds, and steps of the round before them.
     limit_s : the cell's own run time after which it stops.
+    memory_gb : memory of its own that its process may have; 0 for the usual share of the machine's
+        (`footprint.py`).
     budget_s : replay only: run time after which the rounds that are left are left out, once
         `FEWEST_ROUNDS` count (`interleaved.py`); 0 for none.
     repeat_budget_s : replay only: run time for rounds that were robbed, again (`interleaved.py`).
@@ -79,6 +90,7 @@ class Cell:
     budget_s: float = 0.0
     repeat_budget_s: float = 0.0
     backup: str = ""
+    memory_gb: float = 0.0
 
     @property
     def scenario_name(self) -> str:
@@ -168,6 +180,7 @@ class Outcome:
     """What became of a process: `outcome` as in `runs.parquet`, its cause, the solver's form.
 
     n, m : size of the QP the solver was given; None where it never got one.
+    peak_bytes : largest resident memory of its process; None where it is not known.
     """
 
     outcome: str
@@ -175,6 +188,7 @@ class Outcome:
     form: str = ""
     n: int | None = None
     m: int | None = None
+    peak_bytes: float | None = None
 
 
 HARNESS_VERSION = version("dpbench")

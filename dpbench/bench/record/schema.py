@@ -265,6 +265,11 @@ TIMING_COLUMNS: Columns = {
 }
 
 MACHINE_COLUMNS: Columns = {
+    "process_peak_bytes": (
+        "float64",
+        "largest resident memory of the cell's process, harness and shared pages included; of one "
+        "that was killed, as it was seen last",
+    ),
     "replay_s": (
         "float64",
         "wall time of the rounds of a replay, or of a closed loop, with all between steps",
@@ -423,6 +428,7 @@ ADDED = frozenset(
         "backup_p50_ns",
         "backup_max_ns",
         "backup_error_max",
+        "process_peak_bytes",
     }
 )
 """Columns that files of earlier schemas have not: read as missing there."""

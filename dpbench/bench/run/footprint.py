@@ -1,12 +1,14 @@
 """What a worker takes beside time: memory at its peak, threads, allocations of a step.
 
 Calls of `malloc` inside a library cannot be counted without taking its place, so they are not:
-what Python and NumPy allocate is traced, and of the C heap it is seen whether it grows.
+what Python and NumPy allocate is traced, and of the C heap it is seen whether it grows. What memory
+a worker may take is limited here too.
 """
 
 from __future__ import annotations
 
 import ctypes
+import resource
 import sys
 import tracemalloc
 from collections.abc import Callable
@@ -17,6 +19,7 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
+import psutil
 from threadpoolctl import threadpool_info
 
 from dpbench.bench.record.raw_log import FOOTPRINT, RawLog, step_ns
@@ -29,10 +32,20 @@ LIMIT_NS = 2e8
 _PASSES = 4
 
 
-def _status(key: str) -> float:
-    """A number of /proc/self/status (proc(5)), kB as bytes; NaN where it is not shown."""
+MEMORY_SHARE = 0.4
+"""Of the memory of the machine, what a cell's process may take unless its suite says otherwise."""
+_MEMORY_LIMITS = (
+    "/sys/fs/cgroup/memory.max",
+    "/sys/fs/cgroup/memory/memory.limit_in_bytes",
+)
+"""Where a container shows its own limit, of either version of control groups."""
+
+
+def _status(key: str, process: int | str = "self") -> float:
+    """A number of /proc/<process>/status (proc(5)), kB as bytes; NaN where it is not shown."""
     with suppress(OSError):
-        for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+        text = Path(f"/proc/{process}/status").read_text(encoding="utf-8", errors="replace")
+        for line in text.splitlines():
             name, _, value = line.partition(":")
             if name == key:
                 number, *unit = value.split()
@@ -40,9 +53,49 @@ def _status(key: str) -> float:
     return float("nan")
 
 
-def _forget_peak() -> None:
+def forget_peak() -> None:
+    """Begin the peak of this process's memory anew; a kernel may refuse that."""
     with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+
+
+def peak_bytes_of(process: int | str = "self") -> float:
+    """The largest resident memory of a process [B], shared pages too; NaN where it is gone."""
+    return _status("VmHWM", process)
+
+
+@cache
+def memory_bytes() -> int:
+    """The memory of this machine, or of the container this runs in [B]."""
+    sizes = [int(psutil.virtual_memory().total)]
+    for path in _MEMORY_LIMITS:
+        with suppress(OSError, ValueError):
+            sizes.append(int(Path(path).read_text(encoding="ascii")))
+    return min(sizes)
+
+
+def limit_memory(size: int) -> None:
+    """Let this process and each that it starts have no more than `size` bytes of data of its own.
+
+    Files and what is only reserved do not count (RLIMIT_DATA, getrlimit(2)): libraries map far
+    more address space than they use, so RLIMIT_AS would refuse them. An allocation beyond the limit
+    fails in the process that asks for it.
+    """
+    hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
+    least = size if hard == resource.RLIM_INFINITY else min(size, hard)
+    resource.setrlimit(resource.RLIMIT_DATA, (least, least))
+
+
+def memory_limit() -> str:
+    """The limit of this process in words; "" for none."""
+    least = resource.getrlimit(resource.RLIMIT_DATA)[0]
+    return "" if least == resource.RLIM_INFINITY else f"a limit of {least / 1e9:.3g} GB"
+
+
+def prefer_for_killing() -> None:
+    """Have the kernel end this process before any other when the memory of the machine is full."""
+    with suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")
 
 
 class MemoryWatch:
@@ -54,14 +107,14 @@ class MemoryWatch:
     """
 
     def __init__(self) -> None:
-        _forget_peak()
+        forget_peak()
         self._at_birth = _status("VmRSS")
         self._peak_of_import = self._imported = self._harness = float("nan")
         self._left = 0.0
 
     def begin_again(self) -> None:
         """Begin another replay in the same process; memory left by earlier ones is not counted."""
-        _forget_peak()
+        forget_peak()
         self._left = _status("VmRSS") - self._imported
 
     def opened(self) -> None:

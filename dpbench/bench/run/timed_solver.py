@@ -86,7 +86,8 @@ class TimedSolver:
         self.details.clear()
 
     def answer(self, step: QPStep) -> Solution:
-        """Solve one step and map the answer to the condensed QP; never raises for a solver.
+        """Solve one step and map the answer to the condensed QP; never raises for a solver, except
+        MemoryError.
 
         An answer that is malformed is none, with the status ERROR.
         """
@@ -109,6 +110,9 @@ class TimedSolver:
             if not is_plain(solution, n, m):
                 solution = received(solution, n, m)
                 t3 = clock()
+        except MemoryError:
+            # It is at its limit, where the harness would find no memory either.
+            raise
         # An adapter that raises is a failed solve of that solver, which is data of the run.
         except Exception as error:
             now = clock()

@@ -18,7 +18,7 @@ from typing import Generic, Protocol, TypeVar
 
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import discard
-from dpbench.bench.workers.child import Child
+from dpbench.bench.workers.child import GRACE_S, Child
 from dpbench.bench.workers.notice import AtWork, post
 from dpbench.bench.workers.worker import BatchCell, evaluate_batch, hang_of, run_batch
 
@@ -46,7 +46,7 @@ class _Run(Child, Generic[AnyItem]):
 
     Parameters
     ----------
-    again : the item at work when the template of an earlier process died; it has no third time.
+    alone : whether only the first item runs, and nothing beside it; the others come after it.
     """
 
     def __init__(
@@ -59,10 +59,10 @@ class _Run(Child, Generic[AnyItem]):
         *,
         verdict: str = "json",
         logs: bool = True,
-        again: str = "",
+        alone: bool = False,
     ) -> None:
+        items, self._later = (items[:1], list(items[1:])) if alone else (items, [])
         self._items, self._suffix, self._at, self._logs = list(items), verdict, 0, logs
-        self._again = again
         args = (tuple(items), folder, core)
         for item in items:
             (folder / f"{item.name}.{verdict}").unlink(missing_ok=True)
@@ -70,21 +70,25 @@ class _Run(Child, Generic[AnyItem]):
         super().__init__(
             context, target, args, folder, first, limit_s=limit_s, verdict=verdict, logs=logs
         )
+        self.alone = alone
 
     def _advance(self) -> None:
         """Watch the first item that has no verdict yet."""
         while self._at < len(self._items) and self._verdict.exists():
             self._at += 1
+            self._born, self._peak_bytes = time.monotonic(), 0.0
             if self._at < len(self._items):
                 self.name = self._items[self._at].name
                 self._limit_s = self._items[self._at].limit_s
                 self._verdict = self.folder / f"{self.name}.{self._suffix}"
-                self._born = time.monotonic()
                 self._running_since = None if self._logs else self._born
 
     def overdue(self) -> bool:
         self._advance()
-        return self._at < len(self._items) and super().overdue()
+        if self._at < len(self._items):
+            return super().overdue()
+        # Behind its last verdict it has nothing to do but to end.
+        return time.monotonic() - self._born > GRACE_S and self.kill("")
 
     def split(self) -> tuple[dict[str, Outcome], list[AnyItem]]:
         """Once the process ended: what became of the items it came to, and those still to do."""
@@ -95,11 +99,10 @@ class _Run(Child, Generic[AnyItem]):
             outcomes[item.name] = self.verdict_of(self.folder / f"{item.name}.{self._suffix}")
         # A library may bring its process down when it is let go, between two cells.
         not_begun = self._at > 0 and self.notice.place < self._at
-        once_more = self.orphaned and self.name != self._again
-        if not_begun or once_more or self._at == len(self._items):
-            return outcomes, self._items[self._at :]
+        if not_begun or self.is_suspect or self._at == len(self._items):
+            return outcomes, self._items[self._at :] + self._later
         outcomes[self.name] = self.outcome()
-        return outcomes, self._items[self._at + 1 :]
+        return outcomes, self._items[self._at + 1 :] + self._later
 
 
 class CellBatch:
@@ -136,12 +139,11 @@ class CellBatch:
         """Take down what became of the process that ended; the next one, or None at the end."""
         assert isinstance(child, _Run), "the processes of a batch are its own"
         ended, rest = child.split()
-        again = child.name if child.orphaned else ""
         if self._to_run:
             rest = self._behind_hang(ended) + rest
             self.outcomes |= ended
-            if again:
-                discard(self._folder / f"{again}.raw")
+            if child.is_suspect:
+                discard(self._folder / f"{child.name}.raw")
             if not rest:
                 self._to_run = False
                 ran = [cell for cell in self._cells if self._left_steps(cell)]
@@ -149,7 +151,7 @@ class CellBatch:
         else:
             for name, verdict in ended.items():
                 self._take_record(name, verdict)
-        return self._process(rest, core, again) if rest else None
+        return self._process(rest, core, alone=child.is_suspect) if rest else None
 
     def _behind_hang(self, ended: dict[str, Outcome]) -> list[BatchCell]:
         """The cell that was killed as it hung in a step, to go on behind it, and no longer among
@@ -182,13 +184,13 @@ class CellBatch:
         lost = self.outcomes[cell.name].outcome == "lost"
         return not lost and (self._folder / f"{cell.name}.raw").exists()
 
-    def _process(self, cells: Sequence[BatchCell], core: int, again: str = "") -> Child:
-        """A process that runs cells, or judges them when all are run; `again` as in `_Run`."""
+    def _process(self, cells: Sequence[BatchCell], core: int, *, alone: bool = False) -> Child:
+        """A process that runs cells, or judges them when all are run; `alone` as in `_Run`."""
         target, verdict = run_batch, "json"
         if not self._to_run:
             target, verdict = evaluate_batch, "evaluated.json"
             cells = [replace(cell, limit_s=EVALUATION_LIMIT_S) for cell in cells]
-        return _Run(self._context, target, cells, self._folder, core, verdict=verdict, again=again)
+        return _Run(self._context, target, cells, self._folder, core, verdict=verdict, alone=alone)
 
 
 Target = Callable[[str, Path, str, int, Path], None]
@@ -213,7 +215,7 @@ class Errand:
 
     @property
     def name(self) -> str:
-        """Under which its process leaves noise and verdict."""
+        """Under which its process leaves its verdict."""
         return self.path.stem
 
 
@@ -229,7 +231,7 @@ class ErrandBatch:
 
     Parameters
     ----------
-    target : makes one of them, and leaves its noise and its verdict in `folder`.
+    target : makes one of them, and leaves its verdict in `folder`.
     """
 
     def __init__(
@@ -249,11 +251,9 @@ class ErrandBatch:
         for errand in self.errands:
             errand.outcome = ended.get(errand.name, errand.outcome)
         for name in ended:
-            for suffix in ("json", "noise"):
-                (self._folder / f"{name}.{suffix}").unlink(missing_ok=True)
-        again = child.name if child.orphaned else ""
-        return self._process(rest, core, again) if rest else None
+            (self._folder / f"{name}.json").unlink(missing_ok=True)
+        return self._process(rest, core, alone=child.is_suspect) if rest else None
 
-    def _process(self, errands: Sequence[Errand], core: int, again: str = "") -> Child:
+    def _process(self, errands: Sequence[Errand], core: int, *, alone: bool = False) -> Child:
         target = partial(make_in_turn, self._target)
-        return _Run(self._context, target, errands, self._folder, core, logs=False, again=again)
+        return _Run(self._context, target, errands, self._folder, core, logs=False, alone=alone)

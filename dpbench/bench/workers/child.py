@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from multiprocessing.connection import wait
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
@@ -22,10 +23,12 @@ from typing import Any
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.record.machine import THREAD_VARIABLES, pin_threads
 from dpbench.bench.record.raw_log import RawLog, is_whole
+from dpbench.bench.run.footprint import peak_bytes_of
 from dpbench.bench.workers import notice
 from dpbench.bench.workers.compiled import OWN, compile_in_processes, missing, needed
 from dpbench.bench.workers.interrupts import interrupts_wait
-from dpbench.bench.workers.notice import AtWork, Notice
+from dpbench.bench.workers.notice import CUT, AtWork, Notice
+from dpbench.bench.workers.orphans import end_orphans, signal_process
 from dpbench.errors import DpbenchError
 from dpbench.own_folders import keep_sockets
 
@@ -34,9 +37,14 @@ START_ALLOWANCE_S = 60.0
 GRACE_S = 3.0
 """Beyond a cell's own limit, for one call that does not return; for a round of a replay no longer
 than the limit."""
+STOPPED_S = 10.0
+"""A process that somebody stopped (SIGSTOP) is killed after this time."""
 _BY_MEMORY = "killed by SIGKILL, as by the out-of-memory killer"
 WITHOUT_TEMPLATE = Outcome(
     "lost", "the template of its process was killed, as by the out-of-memory killer"
+)
+ENDED_TEMPLATE = Outcome(
+    "crashed", "the process that starts the workers was killed twice while it ran, then alone"
 )
 _UNHEARD = 255
 """The exit code that `multiprocessing` gives a process whose template died."""
@@ -46,6 +54,10 @@ _DYING_S = 1.0
 """For a process of which it is known that it was killed, until it is gone."""
 _STARTING = threading.Lock()
 """Held while a process starts: what that changes for the moment is seen all over this one."""
+
+
+KEEPER = "dpbench.bench.workers.keeper"
+"""The module that puts a keeper above the template, before that loads anything."""
 
 
 class NoProcessError(DpbenchError):
@@ -64,7 +76,7 @@ def template_context(solvers: Iterable[str]) -> ForkServerContext:
     if OWN in absent:
         compile_in_processes(absent)
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(modules)
+    context.set_forkserver_preload([KEEPER, *modules])
     with _template():
         return context
 
@@ -100,13 +112,14 @@ class Child:
     target, args : called in the process as target(*args); it writes `verdict` before it ends, and
         says in `notice.py` when its solver is at work. Whoever is at work when it ends without a
         verdict has ended it.
-    folder, name : where its raw log, noise and verdict appear.
+    folder, name : where its raw log and verdict appear.
     limit_s : own run time allowed once its log says it started; None for none.
     logs : whether it leaves a raw log; the time of one that leaves none runs from its start.
 
     Attributes
     ----------
     orphaned : whether its template died before it, so that nobody hears of its end.
+    alone : whether it runs while nothing else does, because an earlier template died.
 
     Raises
     ------
@@ -129,7 +142,10 @@ class Child:
         self._limit_s = limit_s
         self._born, self._memory_kills = time.monotonic(), _memory_kills()
         self._running_since = None if logs else self._born
-        self._killed_for, self.orphaned = "", False
+        self._killed_for, self._was_killed = "", False
+        self.orphaned, self.alone = False, False
+        self._stopped_since: float | None = None
+        self._peak_bytes = 0.0
         self.notice = Notice()
         self.process: ForkServerProcess = context.Process(
             target=notice.run, args=(self.notice, target, args), daemon=True
@@ -138,11 +154,11 @@ class Child:
         self.notice.handed_over()
 
     def _name_files(self, folder: Path, name: str, verdict: str) -> None:
-        """Set where its log, noise and verdict appear from here on; no old verdict is there."""
+        """Set where its log and verdict appear from here on; no old verdict is there."""
         self.folder, self.name = folder, name
         # Somebody else may have removed the folder, which costs those that had files in it.
         folder.mkdir(0o700, parents=True, exist_ok=True)
-        self._verdict, self._noise = folder / f"{name}.{verdict}", folder / f"{name}.noise"
+        self._verdict = folder / f"{name}.{verdict}"
         self._verdict.unlink(missing_ok=True)
 
     @property
@@ -155,9 +171,17 @@ class Child:
         """Whether it wrote what became of it; what it does after that changes nothing."""
         return self._verdict.exists()
 
+    @property
+    def is_suspect(self) -> bool:
+        """Whether it may have ended its template, and runs once more to know."""
+        return self.orphaned and not self.alone
+
     def overdue(self) -> bool:
         """Kill the process when a limit has passed; true if it did."""
         now = time.monotonic()
+        self._peak_bytes = max(self._peak_bytes, self._resident_peak())
+        if self._was_stopped(now):
+            return self.kill(f"it was stopped by a signal for {STOPPED_S:g} s and was killed")
         if self._running_since is None and self._has_started():
             self._running_since = now
         if self._running_since is None:
@@ -167,16 +191,37 @@ class Child:
             return self.kill(f"one call ran beyond the limit of {self._limit_s:g} s and was killed")
         return False
 
+    def _resident_peak(self) -> float:
+        """The peak of its memory so far [B]; 0 where it is gone."""
+        peak = peak_bytes_of(self.process.pid or 0)
+        return peak if peak == peak else 0.0
+
+    def _was_stopped(self, now: float) -> bool:
+        """Whether it has been stopped for `STOPPED_S`."""
+        if not is_stopped(self.process.pid or 0):
+            self._stopped_since = None
+        elif self._stopped_since is None:
+            self._stopped_since = now
+        return self._stopped_since is not None and now - self._stopped_since > STOPPED_S
+
     def kill(self, reason: str) -> bool:
         """Kill the process for a stated reason."""
-        self._killed_for = reason
+        self._peak_bytes = max(self._peak_bytes, self._resident_peak())
+        self._killed_for, self._was_killed = reason, True
         self.process.kill()
-        self.process.join()
+        self._join_process()
         return True
 
-    def join(self) -> None:
-        """Wait for its end; one whose template died is ended, as that would have ended it."""
+    def _join_process(self) -> None:
+        # A stopped template does not say who ended, and a stopped keeper does not let it go on.
+        signal_process(self.notice.keeper, signal.SIGCONT)
         self.process.join()
+
+    def join(self) -> None:
+        """Wait for its end, and end what it started; one whose template died is ended, as that
+        would have ended it."""
+        self._join_process()
+        end_orphans(self.notice.keeper, self.notice.template)
         if self.orphaned or self.process.exitcode != _UNHEARD:
             return
         self.orphaned = _ends(self.notice.template)
@@ -192,10 +237,19 @@ class Child:
     def outcome(self) -> Outcome:
         """What became of it, once it ended."""
         self.join()
-        if self.has_verdict:
+        # Its solver may end it in untimed steps behind its verdict.
+        by_itself = self.notice.who is AtWork.SOLVER and not self._was_killed
+        if self.has_verdict and (self.orphaned or not by_itself):
             return self.verdict_of(self._verdict)
         if self.orphaned:
-            return WITHOUT_TEMPLATE
+            guilty = self.alone and self.notice.who.blames_solver
+            return ENDED_TEMPLATE if guilty else WITHOUT_TEMPLATE
+        ended = self._end_without_verdict()
+        cut = f"; {CUT}" if self.notice.output.is_full else ""
+        peak = max(self._peak_bytes, self.notice.peak_bytes)
+        return replace(ended, detail=f"{ended.detail}{cut}", peak_bytes=peak or None)
+
+    def _end_without_verdict(self) -> Outcome:
         by_solver = self.notice.who.blames_solver
         if self._killed_for:
             return Outcome("hung" if by_solver else "lost", self._killed_for)
@@ -221,7 +275,8 @@ class Child:
             return f"killed by {_signal_name(-code)}"
         words = self.notice.words
         if not words:
-            words = f"its process left with exit code {code}: {self._last_words()}"
+            last = self.notice.output.last_line or "no output"
+            words = f"its process left with exit code {code}: {last}"
         where = " while it was opened" if self.notice.who is AtWork.OPENING else ""
         return f"{words}{where}"
 
@@ -232,14 +287,6 @@ class Child:
             return Outcome(**json.loads(path.read_text(encoding="utf-8")))
         except (OSError, ValueError) as error:
             return Outcome("lost", f"its verdict cannot be read: {error}")
-
-    def _last_words(self) -> str:
-        try:
-            text = self._noise.read_text(encoding="utf-8", errors="replace")
-        except OSError:
-            return "no output"
-        lines = text.strip().splitlines()
-        return lines[-1][:300] if lines else "no output"
 
 
 class ServingChild(Child):
@@ -278,16 +325,19 @@ class ServingChild(Child):
         )
 
     def _word(self, wait_s: float, overdue: str) -> object:
+        # What the process started may hold the other end of its pipe open when it ends.
+        ready = wait([self._orders, self.process.sentinel], wait_s)
         try:
-            if self._orders.poll(wait_s):
-                return self._orders.recv()
+            if ready:
+                return self._orders.recv() if self._orders.poll() else None
         except (EOFError, OSError):
             return None
         self.kill(f"{overdue} and was killed")
         return None
 
     def take_up(self, folder: Path, name: str) -> None:
-        """Begin another cell: its log, noise and verdict have another folder and name."""
+        """Begin another cell: its log and verdict have another folder and name."""
+        self._peak_bytes = 0.0
         self._name_files(folder, name, "json")
 
     def finish(self) -> Outcome:
@@ -317,6 +367,8 @@ def _start(process: ForkServerProcess, notice: Notice) -> None:
     for attempt in range(STARTS):
         if began := notice.start_anew():
             _end(began)
+        # Nobody else lets a stopped keeper go on, and only that a stopped template.
+        signal_process(_keeper(), signal.SIGCONT)
         try:
             with _template(), without_main():
                 process.start()
@@ -325,6 +377,23 @@ def _start(process: ForkServerProcess, notice: Notice) -> None:
             if attempt == STARTS - 1:
                 why = f"no process can be started any more ({error!r})"
                 raise NoProcessError(f"{why}; finished cells are kept") from error
+            # A template that ended has its keeper end; another begins after that.
+            _ends(_keeper())
+
+
+def _keeper() -> int:
+    """The keeper of the template that runs; 0 for none."""
+    server = multiprocessing.forkserver._forkserver
+    return server._forkserver_pid or 0  # type: ignore[attr-defined] # not public
+
+
+def is_stopped(pid: int) -> bool:
+    """Whether a signal stopped a process (proc(5))."""
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return False
+    return text.rpartition(")")[2].split()[0] == "T"
 
 
 def _end(pid: int) -> None:

@@ -26,7 +26,7 @@ from dpbench.bench.record.raw_log import discard
 from dpbench.bench.record.step_table import no_steps
 from dpbench.bench.sequences.source import is_timed, log_size, source_key
 from dpbench.bench.workers.batch import CellBatch, Errand, ErrandBatch, Target
-from dpbench.bench.workers.child import WITHOUT_TEMPLATE
+from dpbench.bench.workers.child import ENDED_TEMPLATE, WITHOUT_TEMPLATE
 from dpbench.bench.workers.interleaved import IdleWorkers, ReplayGroup
 from dpbench.bench.workers.leases import leased_machine
 from dpbench.bench.workers.scratch import NoRoomError, Scratch
@@ -242,28 +242,45 @@ class Bench:
     def _by_turns(
         self, jobs: Sequence[CellJob], source: Path, folder: Path, processes: IdleWorkers
     ) -> dict[str, Outcome]:
-        """What became of replays that took turns, by run_id; of those whose template died, the
-        second time."""
-        outcomes: dict[str, Outcome] = {}
+        """What became of replays that took turns, by run_id.
+
+        Those whose template died run apart, one after the other, where the one that ends the next
+        template is known; all others of them take turns once more.
+        """
         cells = [(job.run_id, self._here(job.cell)) for job in jobs]
-        name, core = jobs[0].cell.sequence, self._cores[-1]
+        outcomes = self._turns(cells, source, folder, processes)
+        suspects = [entry for entry in cells if outcomes[entry[0]] == WITHOUT_TEMPLATE]
+        for entry in suspects:
+            outcomes |= self._turns([entry], source, folder, processes, alone=True)
+        ended = (WITHOUT_TEMPLATE, ENDED_TEMPLATE)
+        cleared = [entry for entry in suspects if outcomes[entry[0]] not in ended]
+        if cleared:
+            outcomes |= self._turns(cleared, source, folder, processes)
+        return outcomes
+
+    def _turns(
+        self,
+        cells: list[tuple[str, Cell]],
+        source: Path,
+        folder: Path,
+        processes: IdleWorkers,
+        *,
+        alone: bool = False,
+    ) -> dict[str, Outcome]:
+        """What became of replays of one sequence that took turns once."""
+        name, core = cells[0][1].sequence, self._cores[-1]
         rounds = max(cell.rounds for _, cell in cells)
         share = sum(work_of(cell) for _, cell in cells) // (rounds + 1)
-        for _ in range(2):
-            for run_id, _ in cells:
-                discard(folder / f"{run_id}.raw")
-            group = ReplayGroup(processes, folder, source, cells)
-            how = ALONE if self._concurrency == 1 else TOGETHER
-            with self._machine(how) as held, _away_from(core):
-                for r in group.run():
-                    self.progress.advance(share, f"replay {name}, round {r}")
-            if not held:
-                self._concurrency = max(2, self._concurrency)
-            outcomes |= group.outcomes
-            cells = [entry for entry in cells if outcomes[entry[0]] == WITHOUT_TEMPLATE]
-            if not cells:
-                break
-        return outcomes
+        for run_id, _ in cells:
+            discard(folder / f"{run_id}.raw")
+        group = ReplayGroup(processes, folder, source, cells, alone=alone)
+        how = ALONE if self._concurrency == 1 else TOGETHER
+        with self._machine(how) as held, _away_from(core):
+            for r in group.run():
+                self.progress.advance(share, f"replay {name}, round {r}")
+        if not held:
+            self._concurrency = max(2, self._concurrency)
+        return group.outcomes
 
     def _sizes(
         self, jobs: Sequence[CellJob], sources: Mapping[str, Path]
@@ -373,7 +390,7 @@ class Bench:
             row = run_row(*about, None, None, concurrency=self._concurrency_of(job.cell))
             record = packed(row, no_steps())
         discard(folder / f"{job.run_id}.raw")
-        for suffix in ("json", "judged", "evaluated.json", "noise"):
+        for suffix in ("json", "judged", "evaluated.json"):
             # What stands in a file's place by somebody else's doing goes with the folder.
             with suppress(OSError):
                 (folder / f"{job.run_id}.{suffix}").unlink()

@@ -130,6 +130,7 @@ class ReplayGroup:
     ----------
     cells : (run_id, cell) of each configuration; all see the same QPs.
     source : the file the sequence is made from.
+    alone : whether nothing else runs because a template died, see `Child`.
     """
 
     def __init__(
@@ -138,9 +139,11 @@ class ReplayGroup:
         folder: Path,
         source: Path,
         cells: list[tuple[str, Cell]],
+        *,
+        alone: bool = False,
     ) -> None:
         self._processes, self._folder, self._source = processes, folder, source
-        self._cells = cells
+        self._cells, self._alone = cells, alone
         self.outcomes: dict[str, Outcome] = {}
 
     def run(self) -> Iterator[int]:
@@ -182,7 +185,9 @@ class ReplayGroup:
 
     def _child(self, run_id: str, cell: Cell, hung: tuple[Hang, ...] = ()) -> ServingChild:
         order = ReplayOrder(cell.to_json(), self._source, self._folder, run_id, hung)
-        return self._processes.start(order, cell)
+        child = self._processes.start(order, cell)
+        child.alone = self._alone
+        return child
 
     def serve(self, worker: ReplayWorker, r: int) -> None:
         """Have a worker run round r, once more where it was disturbed."""

@@ -1,31 +1,46 @@
-"""Who is at work in a process: harness or solver, where its supervisor reads it whatever happens.
+"""Who is at work in a process, harness or solver, and what it prints, where its supervisor reads it
+whatever happens.
 
-A page of memory without a name that both share: no file system can be too full for it, nobody can
-remove it, and it outlives the process. Without it a death is charged to whoever it happened to.
+Memory without a name that both share: no file system can be too full for it, nobody can remove it,
+and it outlives the process. Without it a death is charged to whoever it happened to.
 """
 
 from __future__ import annotations
 
+import fcntl
+import io
 import mmap
 import os
 import struct
+import sys
+import weakref
 from collections.abc import Callable
+from contextlib import suppress
 from enum import IntEnum
 from multiprocessing import reduction
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from dpbench.bench.run.footprint import memory_limit, peak_bytes_of, prefer_for_killing
+from dpbench.bench.workers import orphans
+
+OUTPUT_BYTES = 2**20
+"""What is kept of the output of one cell; the rest is dropped."""
+CUT = f"its output was cut at {OUTPUT_BYTES // 2**20} MiB"
 _HEAD = struct.Struct("iiI")
 """Who is at work, on which of its cells, and the bytes of the words behind it."""
-_TEMPLATE = struct.Struct("i")
-"""What the process was forked from, behind the head."""
+_TEMPLATE = struct.Struct("ii")
+"""What the process was forked from, and the keeper of that; behind the head."""
 _NUMBER = struct.Struct("i")
 _COUNTS = _HEAD.size + _TEMPLATE.size
 """Where it stands which start of the process counts, written by its supervisor."""
 _BEGAN = _COUNTS + _NUMBER.size
 """Where it stands which process began, written by that."""
-_WORDS = _BEGAN + _NUMBER.size
+_PEAK = struct.Struct("d")
+_PEAK_AT = _BEGAN + _NUMBER.size
+"""Where the peak of its memory [B] stands, of a process that ended by an exception."""
+_WORDS = _PEAK_AT + _PEAK.size
 _PACKAGE = Path(__file__).parents[2]
 _BY_SOLVERS = (
     f"{_PACKAGE / 'solvers'}{os.sep}",
@@ -48,6 +63,70 @@ class AtWork(IntEnum):
         return self >= AtWork.OPENING
 
 
+class Output:
+    """What a process and those that it starts print: a file in memory that does not grow.
+
+    Supervisor and process share the position in it, so the supervisor sees how far it is filled.
+    """
+
+    def __init__(self, descriptor: int | None = None) -> None:
+        if descriptor is None:
+            descriptor = os.memfd_create("dpbench-output", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+            os.truncate(descriptor, OUTPUT_BYTES)
+            seals = fcntl.F_SEAL_GROW | fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_SEAL
+            fcntl.fcntl(descriptor, fcntl.F_ADD_SEALS, seals)
+        self._descriptor = descriptor
+        weakref.finalize(self, os.close, descriptor)
+
+    def __reduce__(self) -> tuple[Callable[..., Output], tuple[Any, ...]]:
+        return _received, (reduction.DupFd(self._descriptor),)
+
+    def take(self) -> None:
+        """Send what this process prints here from now on."""
+        for number, name in ((1, "stdout"), (2, "stderr")):
+            os.dup2(self._descriptor, number)
+            sink = io.BufferedWriter(_Sink(number, "w", closefd=False))
+            text = io.TextIOWrapper(sink, "utf-8", "replace", line_buffering=True)
+            setattr(sys, name, text)
+
+    def begin_again(self) -> None:
+        """Forget what was printed so far."""
+        with suppress(ValueError):
+            sys.stdout.flush()
+        os.lseek(self._descriptor, 0, os.SEEK_SET)
+
+    @property
+    def is_full(self) -> bool:
+        """Whether some of it was dropped."""
+        # A write may be refused whole for its last bytes.
+        return self._end > OUTPUT_BYTES - 2**14
+
+    @property
+    def last_line(self) -> str:
+        """The last line of it; "" where there is none."""
+        start = max(0, self._end - 4096)
+        text = os.pread(self._descriptor, self._end - start, start).decode(errors="replace")
+        return (text.strip().splitlines() or [""])[-1][:300]
+
+    @property
+    def _end(self) -> int:
+        return os.lseek(self._descriptor, 0, os.SEEK_CUR)
+
+
+class _Sink(io.FileIO):
+    """A file that drops what it has no room for: a solver that prints must not fail by it."""
+
+    def write(self, data: Any) -> int:
+        try:
+            return super().write(data)
+        except OSError:
+            return len(data)
+
+
+def _received(descriptor: Any) -> Output:
+    return Output(descriptor.detach())
+
+
 class Notice:
     """One process's page, shared with its supervisor; sent to the process as an argument.
 
@@ -56,8 +135,10 @@ class Notice:
     start : which start of the process it was sent with.
     """
 
-    def __init__(self, descriptor: int | None = None, start: int = 0) -> None:
-        self._start = start
+    def __init__(
+        self, descriptor: int | None = None, start: int = 0, output: Output | None = None
+    ) -> None:
+        self._start, self.output = start, output or Output()
         self._descriptor = os.memfd_create("dpbench-notice") if descriptor is None else descriptor
         if descriptor is None:
             # Written, not only made longer: this page must exist whatever becomes scarce.
@@ -65,7 +146,7 @@ class Notice:
         self._page = mmap.mmap(self._descriptor, mmap.PAGESIZE)
 
     def __reduce__(self) -> tuple[Callable[..., Notice], tuple[Any, ...]]:
-        return _attached, (reduction.DupFd(self._descriptor), self._start)
+        return _attached, (reduction.DupFd(self._descriptor), self._start, self.output)
 
     def handed_over(self) -> None:
         """The process has it; the descriptor is needed no more."""
@@ -86,7 +167,10 @@ class Notice:
         _NUMBER.pack_into(self._page, _BEGAN, os.getpid())
         if _NUMBER.unpack_from(self._page, _COUNTS)[0] != self._start:
             os._exit(0)
-        _TEMPLATE.pack_into(self._page, _HEAD.size, os.getppid())
+        template = os.getppid()
+        orphans.end_with_parent(template)
+        orphans.adopt_orphans()
+        _TEMPLATE.pack_into(self._page, _HEAD.size, template, orphans.keeper_of_template)
         self.post(AtWork.HARNESS)
 
     def post(self, who: AtWork, place: int | None = None) -> None:
@@ -98,6 +182,7 @@ class Notice:
         """Say by whose doing the process ends, and why."""
         text = " ".join(words.split()).encode()[: mmap.PAGESIZE - _WORDS]
         self._page[_WORDS : _WORDS + len(text)] = text
+        _PEAK.pack_into(self._page, _PEAK_AT, peak_bytes_of())
         _HEAD.pack_into(self._page, 0, who, self.place, len(text))
 
     @property
@@ -116,6 +201,16 @@ class Notice:
         return int(_TEMPLATE.unpack_from(self._page, _HEAD.size)[0])
 
     @property
+    def keeper(self) -> int:
+        """The process above that, which gets orphans; 0 before it began."""
+        return int(_TEMPLATE.unpack_from(self._page, _HEAD.size)[1])
+
+    @property
+    def peak_bytes(self) -> float:
+        """The peak of its memory when an exception ended it; 0 for none."""
+        return float(_PEAK.unpack_from(self._page, _PEAK_AT)[0])
+
+    @property
     def words(self) -> str:
         """Why the process ended, in its own words; "" where it had none."""
         length = _HEAD.unpack_from(self._page)[2]
@@ -123,10 +218,10 @@ class Notice:
         return text.decode(errors="replace")
 
 
-def _attached(descriptor: Any, start: int) -> Notice:
+def _attached(descriptor: Any, start: int, output: Output) -> Notice:
     """The notice in the process that it was sent to."""
     number = descriptor.detach()
-    notice = Notice(number, start)
+    notice = Notice(number, start, output)
     notice.handed_over()
     return notice
 
@@ -141,10 +236,23 @@ def post(who: AtWork, place: int | None = None) -> None:
         notice.post(who, place)
 
 
+def begin_output() -> None:
+    """Forget what this process printed: another cell begins."""
+    for notice in _here:
+        notice.output.begin_again()
+
+
+def output_cut() -> str:
+    """`CUT` where this process printed more than is kept; "" else."""
+    return CUT if any(notice.output.is_full for notice in _here) else ""
+
+
 def run(notice: Notice, target: Callable[..., None], args: tuple[Any, ...]) -> None:
     """Run a process's target; what it raises ends the process, and is said on its notice."""
     _here[:] = [notice]
     notice.begin()
+    notice.output.take()
+    prefer_for_killing()
     try:
         target(*args)
     except BaseException as error:  # SystemExit and a panic of Rust, too, are said and end here
@@ -159,7 +267,8 @@ def in_words(error: BaseException) -> str:
     """What was raised, in half a line."""
     if isinstance(error, SystemExit):
         return f"SystemExit({error.code!r})"
-    return f"{type(error).__name__}: {error}"[:300]
+    limit = memory_limit() if isinstance(error, MemoryError) else ""
+    return f"{type(error).__name__}: {error}"[:300] + (f"; {limit}" if limit else "")
 
 
 def _through_solver(trace: TracebackType | None) -> bool:

@@ -31,11 +31,22 @@ from dpbench.bench.record.step_table import step_batch
 from dpbench.bench.run.assemble import clock, closed_loop_setup, replay_parts
 from dpbench.bench.run.closed_loop import closed_loop
 from dpbench.bench.run.exact_loop import ExactLoop, drawn_of
-from dpbench.bench.run.footprint import MemoryWatch, affordable_steps, measure_steps, threads
+from dpbench.bench.run.footprint import (
+    MEMORY_SHARE,
+    MemoryWatch,
+    affordable_steps,
+    forget_peak,
+    limit_memory,
+    measure_steps,
+    memory_bytes,
+    peak_bytes_of,
+    threads,
+)
 from dpbench.bench.run.replay import PREROLL, ReplayRun
 from dpbench.bench.run.timed_solver import MOST_HANGS, STEP_SHARE, TimedSolver, interrupting
 from dpbench.bench.sequences.source import replayed, source_of
-from dpbench.bench.workers.notice import AtWork, post
+from dpbench.bench.workers.notice import AtWork, begin_output, output_cut, post
+from dpbench.bench.workers.orphans import has_children
 from dpbench.errors import CertificateError, InputError
 from dpbench.qp.program import QPSequence
 from dpbench.scenario.scenario import scenario_once
@@ -49,27 +60,12 @@ Hang = tuple[int, int]
 """Round, 0 in a closed loop, and step in which a process hung."""
 
 
-def settle(noise: Path) -> None:
-    """Send what libraries print to a file, ignore warnings and stop the garbage collector."""
-    redirect(noise)
+def settle() -> None:
+    """Ignore warnings and stop the garbage collector."""
     warnings.simplefilter("ignore")
     gc.collect()
     gc.freeze()
     gc.disable()
-
-
-def redirect(noise: Path) -> None:
-    """Send what libraries print to a file."""
-    try:
-        sink = os.open(noise, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-    except FileNotFoundError:
-        # Ctrl-C while this process was on its way took its folder along, and nobody waits for it;
-        # or somebody else removed the folder, which the supervisor sees for itself.
-        raise SystemExit from None
-    os.dup2(sink, 1)
-    os.dup2(sink, 2)
-    if sink > 2:
-        os.close(sink)
 
 
 def pin(core: int) -> None:
@@ -130,14 +126,18 @@ def hang_of(cell: Cell, raw: Path, before: Sequence[Hang]) -> Hang | None:
     return r, next(k for k in range(first, cell.steps + 1) if k not in known)
 
 
-def _opened(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Workspace:
+def _opened(cell: Cell, *, settled: bool = False) -> Workspace:
     """Settle the process and open the cell's solver in it; InputError where that is refused."""
-    if not settled:
-        settle(folder / f"{name}.noise")
+    if settled:
+        begin_output()
+        forget_peak()
+    else:
+        settle()
     post(AtWork.OPENING)
     if not settled:
+        limit_memory(round(cell.memory_gb * 1e9) or round(MEMORY_SHARE * memory_bytes()))
         if cell.solver_module:
-            load_solver_module(cell.solver_module)
+            load_solver_module(cell.solver_module, tried=True)
         isolate(cell.solver, *filter(None, [cell.backup]))
     workspace = open_workspace(
         cell.solver,
@@ -153,7 +153,7 @@ def _opened(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Wo
 def _open(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Workspace | None:
     """As `_opened`; None leaves a verdict `refused`."""
     try:
-        return _opened(cell, folder, name, settled=settled)
+        return _opened(cell, settled=settled)
     except InputError as error:
         post(AtWork.HARNESS)
         leave_verdict(folder / f"{name}.json", Outcome("refused", str(error)))
@@ -187,6 +187,9 @@ def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
         # The collector is off while a solver works.
         del workspace
         gc.collect()
+        # What a cell started ends with it: the supervisor ends that of a process that ended.
+        if has_children():
+            return
 
 
 def _log_at(raw: Path, hung: Sequence[Hang]) -> Callable[[Layout], RawLog]:
@@ -244,8 +247,10 @@ def _verdict(cell: Cell, workspace: Workspace, timed_solver: TimedSolver, stoppe
     if stopped:
         stop = f"stopped after {cell.limit_s:g} s {stopped}"
         detail = f"{stop}; {detail}" if detail else stop
+    if cut := output_cut():
+        detail = f"{detail}; {cut}" if detail else cut
     outcome = "timed_out" if stopped else "finished"
-    return Outcome(outcome, detail, workspace.form, *timed_solver.size)
+    return Outcome(outcome, detail, workspace.form, *timed_solver.size, peak_bytes_of())
 
 
 @dataclass(frozen=True)
@@ -265,13 +270,13 @@ def serve_replays(core: int, orders: Connection) -> None:
 
     An order is a `ReplayOrder`, then round numbers until None ends the replay. The replies are
     True when it is ready, whether each round was completed, and True when its verdict is left;
-    None and no more where the configuration is refused. None in place of a replay ends the service.
+    None and no more where the configuration is refused, no reply to None where the replay leaves
+    processes behind. None in place of a replay ends the service.
     """
     memory, anywhere, settled = MemoryWatch(), os.sched_getaffinity(0), False
     while (order := orders.recv()) is not None:
         os.sched_setaffinity(0, anywhere)
         if settled:
-            redirect(order.folder / f"{order.name}.noise")
             memory.begin_again()
         if not _serve_replay(order, core, orders, memory, settled=settled):
             orders.send(None)
@@ -279,6 +284,8 @@ def serve_replays(core: int, orders: Connection) -> None:
         settled = True
         # The collector is off while a solver works.
         gc.collect()
+        if has_children():
+            return
         orders.send(True)
 
 
@@ -307,11 +314,13 @@ def _serve_replay(
     log.footprint[:3] = (memory.peak_bytes(), *threads())
     verdict = _verdict(cell, workspace, timed_solver, "" if complete else _in_round(log))
     leave_verdict(folder / f"{name}.json", verdict)
-    # The verdict stands: what happens from here on is no part of the replay. It takes as long as
-    # four rounds, and shows the same in every replay of a process.
+    # The verdict stands unless the solver ends the process: how long this takes is no part of the
+    # replay. It takes as long as four rounds, and shows the same in every replay of a process.
     if complete and not (settled or cell.is_window):
         steps = affordable_steps(log)
+        post(AtWork.SOLVER)
         log.footprint[3:] = measure_steps(configuration.sequence, timed_solver, steps)
+        post(AtWork.HARNESS)
     return True
 
 
@@ -353,7 +362,7 @@ def answer_sequences(text: str, folder: Path, name: str, orders: Connection) -> 
     """
     cell = Cell.from_json(text)
     try:
-        _opened(cell, folder, name)
+        _opened(cell)
     except InputError as error:
         orders.send(error)
         return
@@ -361,7 +370,7 @@ def answer_sequences(text: str, folder: Path, name: str, orders: Connection) -> 
     while (order := orders.recv()) is not None:
         sequence, limit_s = order
         limited = replace(cell, limit_s=limit_s, warmup_steps=min(cell.warmup_steps, len(sequence)))
-        workspace = _opened(cell, folder, name, settled=True)
+        workspace = _opened(cell, settled=True)
         configuration, _, _ = _replay_run(limited, workspace, folder / f"{name}.raw", sequence)
         complete = all(configuration.round(r) for r in range(cell.rounds + 1))
         post(AtWork.HARNESS)
@@ -373,7 +382,7 @@ def answer_sequences(text: str, folder: Path, name: str, orders: Connection) -> 
 def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> None:
     """Make the file behind a cell's QPs at `path` (.npz); a verdict appears in `folder`."""
     pin(core)
-    settle(folder / f"{name}.noise")
+    settle()
     part = path.with_suffix(".part.npz")
     try:
         source_of(Cell.from_json(text)).make(part)
@@ -393,7 +402,7 @@ def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
     Runs in a process of its own, in which the solver under test was never loaded.
     """
     pin(core)
-    settle(folder / f"{cells[0].name}.noise")
+    settle()
     for i, batch_cell in enumerate(cells):
         post(AtWork.HARNESS, i)
         log = RawLog.open(folder / f"{batch_cell.name}.raw")

@@ -48,7 +48,7 @@ class SearchedSolver:
 
     Parameters
     ----------
-    context : what forks its processes; folder : where they leave raw logs and noise.
+    context : what forks its processes; folder : where they leave raw logs.
     cell : the configuration: solver, route, policy, settings, formulation, rounds, plug-in; what
         else a cell says is not looked at.
 

@@ -1,0 +1,87 @@
+"""Importing this module puts a keeper above the process that imports it.
+
+The fork server imports it before all else and splits: the child becomes the template that workers
+are forked from (`template.py`), the parent keeps it. The keeper
+
+- gets the orphans of workers, for `orphans.end_orphans` to end,
+- lets the template go on when somebody stops it,
+- ends all that is below it when the template or the main program ends, and then itself.
+
+It sleeps until one of these happens, and does not end by what a terminal sends. If it is killed,
+the kernel kills the template, and thereby the workers.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+
+from dpbench.bench.workers import orphans
+from dpbench.bench.workers.orphans import (
+    adopt_orphans,
+    end_children,
+    end_with_parent,
+    signal_process,
+)
+
+_IGNORED = (signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP, signal.SIGPIPE)
+
+
+def _split() -> None:
+    """Return in the child; the parent keeps it and never returns."""
+    main, keeper = os.getppid(), os.getpid()
+    adopt_orphans()
+    template = os.fork()
+    if template == 0:
+        end_with_parent(keeper)
+        orphans.keeper_of_template = keeper
+        return
+    try:
+        _keep(template, main)
+        end_children()
+    finally:
+        os._exit(0)
+
+
+def _keep(template: int, main: int) -> None:
+    """Return when the template or the main program ended."""
+    for number in _IGNORED:
+        signal.signal(number, signal.SIG_IGN)
+    # The template's socket must refuse a connection when it is dead.
+    os.closerange(3, os.sysconf("SC_OPEN_MAX"))
+    heard, hears = os.pipe()
+    os.set_blocking(heard, False)
+    os.set_blocking(hears, False)
+    signal.set_wakeup_fd(hears, warn_on_full_buffer=False)
+    signal.signal(signal.SIGCHLD, lambda number, frame: None)
+    try:
+        program = os.pidfd_open(main)
+    except OSError:
+        return
+    poll = select.poll()
+    poll.register(heard, select.POLLIN)
+    poll.register(program, select.POLLIN)
+    while os.getppid() == main and _is_kept(template):
+        if program in dict(poll.poll()):
+            return
+        os.read(heard, 4096)
+
+
+def _is_kept(template: int) -> bool:
+    """Wait for children that ended, continue a stopped template; False when that ended."""
+    while True:
+        try:
+            state = os.waitid(os.P_ALL, 0, os.WEXITED | os.WSTOPPED | os.WNOHANG)
+        except ChildProcessError:
+            return False
+        if state is None:
+            return True
+        if state.si_pid != template:
+            continue
+        if state.si_code != os.CLD_STOPPED:
+            return False
+        signal_process(template, signal.SIGCONT)
+
+
+_split()

@@ -1,0 +1,104 @@
+"""Processes that a worker started and left: finding them and ending them.
+
+The kernel hands an orphan to the nearest ancestor that asked for it (PR_SET_CHILD_SUBREAPER,
+prctl(2)), however often it forked and whatever session it made for itself. A worker asks while it
+lives; what it leaves goes to the keeper (`keeper.py`), which has no other child but the template.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import time
+from contextlib import suppress
+from pathlib import Path
+
+_SET_PDEATHSIG, _SET_CHILD_SUBREAPER = 1, 36
+_ALL_CHILDREN = 0x40000000
+"""`__WALL` of waitpid(2): children made by clone(2) too."""
+END_S = 5.0
+"""Time in which all orphans must be gone; a process in an uninterruptible call may take longer."""
+_libc = ctypes.CDLL(None)
+keeper_of_template = 0
+"""The keeper above this process, in a template and what is forked from it; 0 elsewhere."""
+
+
+def adopt_orphans() -> None:
+    """Become the parent of descendants whose own parent ends."""
+    _libc.prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+
+
+def end_with_parent(parent: int) -> None:
+    """Have the kernel kill this process when `parent`, which forked it, ends."""
+    _libc.prctl(_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
+    if os.getppid() != parent:
+        os._exit(0)
+
+
+def has_children() -> bool:
+    """Whether this process has any child, dead ones that nobody waited for included."""
+    flags = os.WEXITED | os.WNOHANG | os.WNOWAIT | _ALL_CHILDREN
+    try:
+        os.waitid(os.P_ALL, 0, flags)
+    except ChildProcessError:
+        return False
+    return True
+
+
+def children_of(pid: int) -> list[int]:
+    """The children of a process of one thread; none where it is gone."""
+    try:
+        text = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii")
+    except OSError:
+        return _search_children(pid)
+    return [int(number) for number in text.split()]
+
+
+def _search_children(pid: int) -> list[int]:
+    """As `children_of`, on a kernel that does not list them."""
+    import psutil  # the keeper does without it
+
+    try:
+        return [child.pid for child in psutil.Process(pid).children()]
+    except psutil.NoSuchProcess:
+        return []
+
+
+def signal_process(pid: int, number: signal.Signals) -> None:
+    """Send a signal to a process that may be gone."""
+    if pid > 0:
+        with suppress(ProcessLookupError, PermissionError):
+            os.kill(pid, number)
+
+
+def end_orphans(keeper: int, template: int) -> None:
+    """End what ended workers left to the keeper; nothing where either of the two is gone.
+
+    A keeper whose template ended ends all by itself.
+    """
+    deadline = time.monotonic() + END_S
+    while time.monotonic() < deadline:
+        children = children_of(keeper) if keeper else []
+        if template not in children or len(children) == 1:
+            return
+        # It waits for those that end, unless somebody stopped it.
+        signal_process(keeper, signal.SIGCONT)
+        for child in children:
+            if child != template:
+                signal_process(child, signal.SIGKILL)
+        time.sleep(0.001)
+
+
+def end_children() -> None:
+    """End all children of this process, and those they leave, and wait for them."""
+    deadline = time.monotonic() + END_S
+    while time.monotonic() < deadline:
+        for child in children_of(os.getpid()):
+            signal_process(child, signal.SIGKILL)
+        try:
+            while os.waitpid(-1, os.WNOHANG)[0]:
+                pass
+        except ChildProcessError:
+            return
+        time.sleep(0.001)
