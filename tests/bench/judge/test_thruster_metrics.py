@@ -247,3 +247,11 @@ def test_an_azimuth_that_turns_too_fast_is_a_violation(across: float, violations
     slow = AzimuthTurning(np.array([0]), np.array([0.02]), np.array([5.0]))
     assert metrics_of(run, turning=slow)["limit_violations"] == violations
     assert metrics_of(run)["limit_violations"] == 0.0
+
+
+@pytest.mark.parametrize(("share", "violations"), [(1e-6, 0), (1.01e-6, 1)])
+def test_a_millionth_of_an_increment_is_no_turning(share: float, violations: int) -> None:
+    """An azimuth that cannot turn may move across by 1e-6 of its increment of 5 N."""
+    run = [[5.0, 0, 0, 0], [5.0, share * 5.0, 0, 0]]
+    fixed = AzimuthTurning(np.array([0]), np.array([0.0]), np.array([5.0]))
+    assert metrics_of(run, turning=fixed)["limit_violations"] == violations
