@@ -9,7 +9,7 @@ from __future__ import annotations
 import gc
 import os
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from multiprocessing.connection import Connection
@@ -102,7 +102,10 @@ class BatchCell:
 def hang_of(cell: Cell, raw: Path, before: Sequence[Hang]) -> Hang | None:
     """Round and step in which the killed process of a cell hung, by its log `raw`; None where the
     cell cannot go on behind it: it hung too often, outside of its steps, or on a slow computer,
-    whose latencies another process does not measure again."""
+    whose latencies another process does not measure again.
+
+    The log counts as not started again, so that the next process has time to open its library.
+    """
     if len(before) >= MOST_HANGS or cell.slowdown > 0.0:
         return None
     try:
@@ -111,6 +114,15 @@ def hang_of(cell: Cell, raw: Path, before: Sequence[Hang]) -> Hang | None:
         return None
     if not log.started[0]:
         return None
+    hang = _open_step(cell, log, {k for _, k in before})
+    if hang is not None:
+        log.started[0] = 0
+    return hang
+
+
+def _open_step(cell: Cell, log: RawLog, known: Set[int]) -> Hang | None:
+    """Round and step that a log waits for, none of the `known` ones in a replay; None if it is
+    full."""
     if cell.mode == "closed_loop":
         return (0, int(log.done[0])) if log.done[0] < cell.steps else None
     planned = np.full(len(log.done), cell.steps)
@@ -119,7 +131,6 @@ def hang_of(cell: Cell, raw: Path, before: Sequence[Hang]) -> Hang | None:
     if not len(open_rounds):
         return None
     r = int(open_rounds[-1])
-    known = {k for _, k in before}
     # Before its round a process solves the first steps without a record.
     done = int(log.done[r])
     first = int(np.argmax(log.first_ns == 0)) if r == 0 and not done else done
