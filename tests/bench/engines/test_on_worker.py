@@ -17,7 +17,7 @@ from dpbench.bench.engines.on_worker import Order, run_cells
 from dpbench.bench.plan.asked import Asked
 from dpbench.bench.record.cell import HARNESS_VERSION
 from dpbench.bench.workers.executor import CellJob, Result
-from dpbench.bench.workers.scratch import scratch_folder
+from dpbench.own_folders import own_folder
 from dpbench.solvers.table import available
 
 pytestmark = pytest.mark.slow
@@ -53,7 +53,7 @@ def test_what_a_killed_worker_left_goes_with_the_next_task(place: Path) -> None:
     leases = f"dpbench-leases-{os.getuid()}"
     left = {path.name for path in place.glob("dpbench-*")} - {leases}
     assert left, "nobody tidied up"
-    with scratch_folder(place) as folder:
+    with own_folder(place) as folder:
         assert {path.name for path in place.glob("dpbench-*")} == {leases, folder.name}
 
 
