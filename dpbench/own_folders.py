@@ -6,14 +6,13 @@ goes when the next one makes a folder in the same place.
 
 from __future__ import annotations
 
-import atexit
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
-from multiprocessing.util import get_temp_dir
+from multiprocessing.util import Finalize, get_temp_dir
 from pathlib import Path
 
 from dpbench.locks import FOLDER, lease
@@ -22,6 +21,8 @@ PREFIX = "dpbench-scratch-"
 """What names of such folders begin with, and no other."""
 LONGEST = 70
 """Bytes of the path of a folder of sockets: Linux allows 107, and Python adds up to 33."""
+_LAST = -200
+"""Behind what `multiprocessing` does at the end of a process, whose last is −100."""
 ATTEMPTS = 10
 """To remove a folder that others still write to."""
 
@@ -65,14 +66,9 @@ def process_folder() -> Path:
     OSError : there is no place for one.
     """
     made = own_folder(Path(tempfile.gettempdir()))
-    folder, maker = made.__enter__(), os.getpid()
-
-    def remove() -> None:
-        # A fork has the same end and must leave the folder to its parent.
-        if os.getpid() == maker:
-            made.__exit__(None, None, None)
-
-    atexit.register(remove)
+    folder = made.__enter__()
+    # In this process and in no fork of it, after the sockets in it are closed.
+    Finalize(None, made.__exit__, args=(None, None, None), exitpriority=_LAST)
     return folder
 
 

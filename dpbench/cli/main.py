@@ -106,6 +106,9 @@ def _no_codes_at_exit() -> None:
 
 def _exit_code(arguments: argparse.Namespace, interruption: Interruption) -> int:
     try:
+        if sys.flags.optimize > 1:
+            found = f"{sys.flags.optimize}, which removes docstrings that Altair reads"
+            raise InputError("PYTHONOPTIMIZE", "", found, "0 or 1")
         code = int(arguments.call(arguments))
         # Here, where a full disk or a closed pipe gets its line, and not at the end of Python.
         sys.stdout.flush()
@@ -127,6 +130,9 @@ def _exit_code(arguments: argparse.Namespace, interruption: Interruption) -> int
             file=sys.stderr,
         )
         return 2
+    except MemoryError as error:
+        print(f"dpbench: out of memory: {error or 'no details'}", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         return _say_interrupted(arguments)
     except Exception:

@@ -9,7 +9,7 @@ from dpbench.bench.capability.table import load_capability
 from dpbench.bench.design import load_designs
 from dpbench.bench.record.result_folder import load_results
 from dpbench.errors import InputError
-from dpbench.report.charts.render import FORMATS, save
+from dpbench.report.charts.render import FORMATS, can_draw, save
 from dpbench.report.csv_tables import write_tables
 from dpbench.report.documents.comment import beside, worst_text
 from dpbench.report.documents.markdown import report_markdown
@@ -91,8 +91,8 @@ def report_and_ending(
 
 
 def _page(folder: Path, report: Report, *, light: bool = False) -> str:
-    """The page, with links to the files in `folder`."""
-    r = report
+    """The page, with links to the files in `folder`; a light one where nothing can be drawn."""
+    r, light = report, light or not can_draw()
     return page_html(folder, r.results, r.facts, r.answer, r.charts, r.topics, light=light)
 
 

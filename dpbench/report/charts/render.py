@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import json
+import resource
+import subprocess
+import sys
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
 import altair as alt
+import psutil
 import vl_convert as vlc
 
+from dpbench.errors import InputError
 from dpbench.report.charts.style import FONT, NAMES
 
 FORMATS = ("svg", "pdf", "png")
@@ -40,12 +45,36 @@ def svg(chart: Any, *, titled: bool = True) -> str:
     return _drawn(_compiled(_Same(chart)) if titled else json.dumps(vega(chart)))
 
 
+PROBE = """
+import resource, sys
+import vl_convert
+_, hard = resource.getrlimit(resource.RLIMIT_AS)
+resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]), hard))
+vl_convert.vega_to_svg({"width": 1, "height": 1, "marks": []})
+"""
+NOT_DRAWN = "not drawn: their renderer needs more address space than the limit (ulimit -v) leaves"
+
+
+@cache
+def can_draw() -> bool:
+    """Whether the address space that this process may have is enough for the renderer, which
+    otherwise ends the process; tried in another one where there is a limit."""
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit == resource.RLIM_INFINITY:
+        return True
+    rest = max(0, limit - psutil.Process().memory_info().vms)
+    command = [sys.executable, "-c", PROBE, str(rest)]
+    return subprocess.run(command, capture_output=True, check=False).returncode == 0
+
+
 @lru_cache(maxsize=64)
 def _compiled(chart: _Same) -> str:
     """The specification as Vega, where names keep clear of each other: Vega-Lite cannot say so.
 
     Kept, since a figure is asked for as a file, as a picture on the page and for the browser.
     """
+    if not can_draw():
+        raise InputError("figures", "", NOT_DRAWN, "no limit, or 80 GB")
     simple = json.dumps(_json(chart.chart))
     specification: dict[str, Any] = vlc.vegalite_to_vega(simple, vl_version=_version())
     marks = specification["marks"]
