@@ -26,7 +26,7 @@ export MKL_NUM_THREADS := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: setup environments bench full test test-fast test-core test-lowest test-casadi mutants lint docs bench-ci bench-compare vendored report clean clean-results help
+.PHONY: setup environments bench full test test-fast test-core test-lowest test-casadi mutants chaos lint docs bench-ci bench-compare vendored report clean clean-results help
 
 setup: $(STAMP) ## make .venv with all solvers and the development tools
 
@@ -84,6 +84,10 @@ test-casadi: setup ## run the tests of the solvers whose library is an extra (HP
 mutants: setup ## plant a sample of faults and check that the quick tests find 90 % (some ten minutes)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[mutants]'
 	$(BIN)/python -m tests.mutants $(MUTANTS)
+
+# Which: CHAOS='--quick', or names of scenarios.
+chaos: setup ## run a small suite under accidents and check its rows (some ten minutes)
+	$(BIN)/python -m tests.chaos $(CHAOS)
 
 lint: setup ## ruff, mypy --strict, import floors
 	$(BIN)/ruff check .

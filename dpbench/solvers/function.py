@@ -44,6 +44,8 @@ class FunctionWorkspace(Workspace):
             answer = self._function(self._qp, **self._options)
             # None stands for no call here, so a function that gives it is answered for.
             self._solution = received(answer, self._qp.n, self._qp.m) if answer is None else answer
+        except MemoryError:
+            raise
         except Exception as error:
             self._solution = self._missing(f"{type(error).__name__}: {error}")
 

@@ -6,6 +6,7 @@ import json
 import multiprocessing
 import multiprocessing.forkserver
 import multiprocessing.resource_tracker
+import multiprocessing.util
 import os
 import signal
 import sys
@@ -28,7 +29,7 @@ from dpbench.bench.workers import notice
 from dpbench.bench.workers.compiled import OWN, compile_in_processes, missing, needed
 from dpbench.bench.workers.interrupts import interrupts_wait
 from dpbench.bench.workers.notice import CUT, AtWork, Notice
-from dpbench.bench.workers.orphans import end_orphans, signal_process
+from dpbench.bench.workers.orphans import TEMPORARY, end_orphans, signal_process
 from dpbench.errors import DpbenchError
 from dpbench.own_folders import keep_sockets
 
@@ -85,9 +86,10 @@ def template_context(solvers: Iterable[str]) -> ForkServerContext:
 def _template() -> Iterator[None]:
     """The template runs, started anew if it died, and processes may be forked in the block."""
     with _STARTING:
-        before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+        before = {name: os.environ.get(name) for name in (*THREAD_VARIABLES, TEMPORARY)}
         pin_threads()
         try:
+            os.environ[TEMPORARY] = multiprocessing.util.get_temp_dir()
             # This lets Ctrl-C through when it starts its own process, and does nothing the second
             # time.
             multiprocessing.resource_tracker.ensure_running()
