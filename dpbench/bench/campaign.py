@@ -34,7 +34,7 @@ from dpbench.bench.record.cell_store import CellStore
 from dpbench.bench.record.result_folder import (
     claimed,
     load_descriptions,
-    read_json,
+    read_suite,
     write_json,
 )
 from dpbench.bench.record.revision import Revision, revision, revisions
@@ -163,7 +163,7 @@ class Campaign:
         previous = self._out / "suite.json"
         if self._fresh or not previous.is_file():
             return []
-        earlier: list[Revision] = read_json(previous).get("revisions", [])
+        earlier: list[Revision] = read_suite(self._out).get("revisions", [])
         return earlier
 
     def write(

@@ -26,6 +26,7 @@ from dpbench.bench.record.cell_store import DAMAGE, CellStore
 from dpbench.bench.record.result_folder import claimed
 from dpbench.bench.workers.executor import CellJob
 from dpbench.errors import InputError
+from dpbench.files.tables import in_full, opened_table
 from dpbench.solvers.record import Build
 from dpbench.solvers.table import Availability
 
@@ -62,7 +63,7 @@ def gather(
         if others:
             remarks.append(
                 f"cells ran on {len(others) + 1} kinds of machines: times of replays are ranked "
-                f"on {machine['cpu_model']} ({machine['id']}) alone"
+                f"on {machine.get('cpu_model', 'an unnamed CPU')} ({machine['id']}) alone"
             )
         kept = machine | ({"others": others} if others else {})
         campaign = Campaign(plan, designs, Path(out), kept)
@@ -153,7 +154,9 @@ def _unfinished(folder: Path) -> Iterator[tuple[str, Outcome]]:
     """What a shard says of cells that it could not finish, by their descriptions."""
     with suppress(*DAMAGE):
         columns = ["cell", "outcome", "outcome_detail"]
-        rows = pd.read_parquet(folder / "runs.parquet", columns=columns)
+        path = folder / "runs.parquet"
+        with opened_table(path) as file:
+            rows = in_full(file.read(columns=columns), path).to_pandas()
         for cell, outcome, detail in rows.itertuples(index=False):
             if outcome in ("lost", "invalid"):
                 yield str(cell), Outcome(str(outcome), str(detail))

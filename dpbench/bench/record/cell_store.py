@@ -19,7 +19,7 @@ import os
 import struct
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs
 from dpbench.bench.record.step_table import (
     OF_FILE,
     OF_RUNS,
-    WORDS,
+    OF_STEPS,
     frame_of_runs,
     of_runs,
     step_writer,
@@ -44,6 +44,10 @@ from dpbench.bench.record.step_table import (
     write_runs,
     write_steps,
 )
+from dpbench.errors import InputError
+from dpbench.files.documents import parse_json
+from dpbench.files.opening import opened
+from dpbench.files.tables import in_full, opened_table
 
 _HEAD = struct.Struct("<4sQI")
 """Mark, length and CRC-32 of the record behind it."""
@@ -71,6 +75,24 @@ def unpacked(record: bytes) -> tuple[Row, pa.RecordBatch]:
         batch = stream.read_next_batch()
     row: Row = json.loads(batch.schema.metadata[_ROW])
     return row, batch.replace_schema_metadata(None)
+
+
+def _is_sound(row: Row, batch: pa.RecordBatch) -> bool:
+    """Whether a record, whose check sum anybody can make, is of a run of this schema; ValueError or
+    ArrowInvalid where its parts do not fit."""
+    batch.validate(full=True)
+    described = isinstance(parse_json(str(row["cell"])), dict)
+    return described and row["schema"] == SCHEMA_VERSION and batch.schema.equals(OF_STEPS)
+
+
+def _of_right_types(rows: Mapping[str, Row]) -> dict[str, Row]:
+    """Rows without those that have a value of another type."""
+    try:
+        as_runs(pd.DataFrame(list(rows.values())))
+    except (ValueError, TypeError, OverflowError):
+        alone = [_of_right_types({name: row}) for name, row in rows.items() if len(rows) > 1]
+        return {name: row for one in alone for name, row in one.items()}
+    return dict(rows)
 
 
 def _plain(value: object) -> object:
@@ -113,8 +135,9 @@ def records_in(path: Path) -> Iterator[bytes]:
     Behind a damaged head nothing can be found any more.
     """
     try:
-        data = memoryview(path.read_bytes())
-    except OSError:
+        with opened(path) as file:
+            data = memoryview(file.read())
+    except (OSError, InputError):
         return
     at = 0
     while at + _HEAD.size <= len(data):
@@ -152,8 +175,8 @@ class Part:
         """The rows of finished runs, as `OF_RUNS`; none where the table is damaged or not there."""
         try:
             # Hundreds of columns of some hundred rows: threads would cost more than they save.
-            with pq.ParquetFile(self.runs, page_checksum_verification=True) as file:
-                rows = stored_runs(file.read(use_threads=False))
+            with opened_table(self.runs) as file:
+                rows = stored_runs(in_full(file.read(use_threads=False), self.runs))
         except DAMAGE:
             return OF_RUNS.empty_table()
         became = pc.is_in(rows["outcome"], pa.array(sorted(_FINISHED)))
@@ -166,21 +189,18 @@ class Part:
     def names(self) -> list[str]:
         """The run_ids of all its rows, in their order."""
         try:
-            return [
-                str(n) for n in pq.read_table(self.runs, columns=["run_id"])["run_id"].to_pylist()
-            ]
+            with opened_table(self.runs) as file:
+                return [str(n) for n in file.read(columns=["run_id"])["run_id"].to_pylist()]
         except DAMAGE:
             return []
 
     def groups(self) -> Iterator[pa.Table]:
         """The row groups of the steps that can be read."""
-        try:
-            file = pq.ParquetFile(
-                self.steps, read_dictionary=WORDS, page_checksum_verification=True
-            )
-        except DAMAGE:
-            return
-        with file:
+        with ExitStack() as stack:
+            try:
+                file = stack.enter_context(opened_table(self.steps))
+            except DAMAGE:
+                return
             for i in range(file.num_row_groups):
                 with suppress(*DAMAGE):
                     yield file.read_row_group(i).select(OF_FILE.names).cast(OF_FILE)
@@ -189,7 +209,7 @@ class Part:
         """Of each finished run its outcome; a run whose steps cannot be read is none."""
         finished: dict[str, str] = {}
         try:
-            with pq.ParquetFile(self.runs, page_checksum_verification=True) as file:
+            with opened_table(self.runs) as file:
                 # All columns, which tells whether they can be read; some rows at a time, as the
                 # descriptions of cells are long.
                 for rows in file.iter_batches(batch_size=CHECKED_ROWS, use_threads=False):
@@ -231,7 +251,7 @@ class Part:
 def _check_sum(path: Path) -> bytes:
     """CRC-32 of a file; of one that is not there, of nothing."""
     check = 0
-    with suppress(OSError), path.open("rb") as file:
+    with suppress(OSError, InputError), opened(path) as file:
         while block := file.read(2**20):
             check = zlib.crc32(block, check)
     return b"%08x" % check
@@ -341,11 +361,14 @@ class CellStore:
         rows: dict[str, Row] = {}
         steps: dict[str, pa.RecordBatch] = {}
         for record in records_in(self._journal_path):
-            row, batch = unpacked(record)
-            if row.get("schema") != SCHEMA_VERSION:
+            try:
+                row, batch = unpacked(record)
+                name = str(row["run_id"])
+                if _is_sound(row, batch):
+                    rows[name], steps[name] = row, batch
+            except DAMAGE:
                 continue
-            name = str(row["run_id"])
-            rows[name], steps[name] = row, batch
+        rows = _of_right_types(rows)
         if rows:
             part = self.new_part()
             file = StepFile(part.steps.with_suffix(".part"))

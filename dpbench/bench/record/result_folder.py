@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-import pyarrow.parquet as pq
 
+from dpbench.bench.record.descriptions import MachineFile, SuiteFile, validated
 from dpbench.bench.record.recorded_steps import (
     StepsInMemory,
     StepsOnDisk,
@@ -23,6 +23,7 @@ from dpbench.bench.record.recorded_steps import (
     of_another_type,
     readable,
 )
+from dpbench.bench.record.run_checks import check_runs
 from dpbench.bench.record.schema import (
     ADDED,
     READABLE,
@@ -33,6 +34,8 @@ from dpbench.bench.record.schema import (
     as_steps,
 )
 from dpbench.errors import InputError, ResultsError, renamed
+from dpbench.files.documents import read_json_object
+from dpbench.files.tables import in_full, opened_table
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +110,7 @@ def accidents(out: Path) -> tuple[int, list[str]]:
     ------
     ResultsError : `suite.json` is missing or damaged.
     """
-    suite = read_json(out / "suite.json")
+    suite = read_suite(out)
     lost = int(suite.get("lost_cells", 0)) + int(suite.get("lost_designs", 0))
     return lost, [str(line) for line in suite.get("remarks", [])]
 
@@ -142,16 +145,24 @@ def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
 def load_descriptions(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """`machine.json` and `suite.json`; ResultsError, naming the file, when one is missing or
     damaged."""
-    machine, suite = read_json(folder / "machine.json"), read_json(folder / "suite.json")
-    if "id" not in machine:
-        raise ResultsError(str(folder / "machine.json"), "id", "nothing", "a machine description")
-    return machine, suite
+    machine = read_json(folder / "machine.json")
+    validated(machine, MachineFile, folder / "machine.json")
+    return machine, read_suite(folder)
+
+
+def read_suite(folder: Path) -> dict[str, Any]:
+    """`suite.json`; ResultsError, naming file and key, when it is missing or damaged."""
+    suite = read_json(folder / "suite.json")
+    validated(suite, SuiteFile, folder / "suite.json")
+    return suite
 
 
 def _read_runs(folder: Path) -> pd.DataFrame:
     path = folder / "runs.parquet"
-    with readable(path):
-        frame = pq.read_table(path).to_pandas()
+    with readable(path), opened_table(path, error=ResultsError) as file:
+        table = in_full(file.read(), path, error=ResultsError)
+        # What pandas noted of the types is not followed: those of the schema are asked for below.
+        frame = table.to_pandas(ignore_metadata=True)
     if "schema" in frame:
         versions = set(frame["schema"].unique().tolist())
         if versions - READABLE:
@@ -166,22 +177,16 @@ def _read_runs(folder: Path) -> pd.DataFrame:
     if missing:
         raise lacking(path, missing)
     try:
-        return as_runs(frame)
+        runs = as_runs(frame)
     except (ValueError, TypeError) as error:
         raise of_another_type(path, str(error)[:80]) from error
+    check_runs(runs, path)
+    return runs
 
 
 def read_json(path: Path) -> dict[str, Any]:
     """A JSON object; ResultsError, naming the file, where there is none."""
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ResultsError(str(path), "", error.strerror or "unreadable", "a JSON file") from error
-    except ValueError as error:
-        raise ResultsError(str(path), "", f"no JSON ({error})", "a JSON document") from error
-    if not isinstance(document, dict):
-        raise ResultsError(str(path), "", type(document).__name__, "a JSON object")
-    return document
+    return read_json_object(path, "a JSON document", error=ResultsError)
 
 
 def hashes(folder: Path, names: Iterable[str]) -> dict[str, str]:

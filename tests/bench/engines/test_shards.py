@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from dpbench import load_results, run_campaign
-from dpbench.bench.engines.shards import SHARD_FILE, Shard
+from dpbench.bench.engines.shards import SHARD_FILE, Shard, ShardRecord
 from dpbench.bench.gather import gather
+from dpbench.bench.plan.asked import Asked
 from dpbench.bench.record.cell_store import CellStore
 from dpbench.cli.main import main
 from dpbench.errors import InputError
@@ -145,4 +146,40 @@ def test_another_machine_is_kept_for_each_cell(copies: list[Path], tmp_path: Pat
 def test_what_is_no_shard_is_refused(text: str) -> None:
     """In one line that shows how one is written."""
     with pytest.raises(InputError, match="1/4, with i from 1 to n"):
+        Shard.of_text(text)
+
+
+@pytest.mark.parametrize(
+    "entries",
+    [
+        {"shard": {"index": 1, "count": 10**9}},
+        {"shard": {"index": 0, "count": 3}},
+        {"shard": {"index": "1", "count": 3}},
+        {"shard": []},
+        {"asked": {"suite": 5}},
+        {"asked": {"suite": "smoke", "other": 1}},
+        {"machine": {}},
+        {"machine": []},
+        {"digest": None},
+        {"revision": 1},
+        {"more": 1},
+    ],
+)
+def test_a_damaged_description_of_a_shard_is_one_line(
+    entries: dict[str, object], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It names file and key, and no list of a thousand million shards is made."""
+    about = {"id": "abc", "cpu_model": "x"}
+    ShardRecord(Asked(suite="smoke"), Shard(1, 3), "0" * 16, about).write(tmp_path)
+    assert str(ShardRecord.read(tmp_path).shard) == "1/3"
+    changed(tmp_path, **entries)
+    assert main(["gather", str(tmp_path), "--out", str(tmp_path / "out"), "--quiet"]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert f"{SHARD_FILE}: {next(iter(entries))}" in line
+
+
+@pytest.mark.parametrize("text", ["0/3", "4/3", "1/1000000000", "1", "a/b", "1/" + "9" * 5000])
+def test_what_is_no_part_is_refused(text: str) -> None:
+    """Also of more parts than anybody has machines."""
+    with pytest.raises(InputError, match="--shard: found"):
         Shard.of_text(text)
