@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, StringConstraints
 from dpbench.bench.capability.table import CAPABILITY_FILE, load_capability
 from dpbench.bench.record.result_folder import Results, hashes, load_results, read_json
 from dpbench.errors import InputError, ResultsError
+from dpbench.files.writing import replaced, write_text
 from dpbench.report.formats import and_list, plural
 from dpbench.scenario.problem_files import read_model
 
@@ -71,11 +72,12 @@ def prepare(folder: Path, target: Path) -> None:
     for name in WHERE_THERE:
         (target / name).unlink(missing_ok=True)
     for name in _copied(folder):
-        shutil.copyfile(folder / name, target / name)
+        with replaced(target / name) as part:
+            shutil.copyfile(folder / name, part)
     started = str(read_json(folder / "suite.json").get("started_utc", ""))[:10]
-    if not (target / SENDER).exists():
+    if not (target / SENDER).is_file():
         when = started or datetime.datetime.now(datetime.UTC).date().isoformat()
-        (target / SENDER).write_text(_BLANK.format(when=when), encoding="utf-8")
+        write_text(target / SENDER, _BLANK.format(when=when))
 
 
 def check_sent(folder: Path) -> str:
