@@ -40,7 +40,7 @@ from dpbench.bench.record.result_folder import (
 from dpbench.bench.record.revision import Revision, revision, revisions
 from dpbench.bench.sequences.at_edge import capability_in
 from dpbench.bench.sequences.source import is_at_edge, is_sound
-from dpbench.bench.tabulate import Wanted, is_tabulated, tabulate
+from dpbench.bench.tabulate import Wanted, is_tabulated, refuse_other_selection, tabulate
 from dpbench.bench.workers.executor import CellJob, Result, work_of
 from dpbench.bench.workers.worker import make_source
 from dpbench.errors import InputError, ResultsError
@@ -258,6 +258,7 @@ def run_campaign(
     tls: TlsFiles | None = None,
     shard: str | None = None,
     wait_s: float | None = None,
+    may_leave_out: bool = False,
     progress: Progress | None = None,
 ) -> Path:
     """Run a suite and write `runs.parquet`, `steps.parquet`, `machine.json`, `suite.json`.
@@ -281,6 +282,8 @@ def run_campaign(
     fresh : run every cell again, also those finished before.
     wait_s : the longest wait for another campaign that times replays on this machine; None without
         a limit, 0 for none.
+    may_leave_out : whether finished runs of the folder may go from its tables, where they are not
+        asked for.
     solver_module : a Python file with a plug-in, whose solver then has a name like any other.
     sequence : instead of a suite: a stored sequence by name, a `.npz` of `dpbench export` or a
         folder of qpsolvers problems, replayed through every solver at default and high settings.
@@ -292,7 +295,8 @@ def run_campaign(
 
     Raises
     ------
-    InputError : for a bad suite, scenario, solver, job count or engine, before anything runs.
+    InputError : for a bad suite, scenario, solver, job count or engine, or a folder with finished
+        runs that are not asked for, before anything runs.
     BusyError : the machine was busy longer than `wait_s`; finished cells are kept.
     """
     asked = Asked(
@@ -316,9 +320,14 @@ def run_campaign(
     ):
         for remark in remarks_on(plan.cells):
             progress.remark(remark)
+        campaign = Campaign(plan, designs, folder, crew.machine, fresh=fresh, shard=some)
+        if not (fresh or may_leave_out):
+            work = [job.planned for job in campaign.work]
+            refuse_other_selection(work, folder, "--fresh to replace them, or another --out")
+        for remark in campaign.store.remarks:
+            progress.remark(remark)
         if shard is not None:
             record = ShardRecord(asked.from_anywhere(), some, plan.digest, crew.machine)
             record.write(folder)
-        campaign = Campaign(plan, designs, folder, crew.machine, fresh=fresh, shard=some)
         campaign.run(crew, progress)
     return folder

@@ -149,6 +149,7 @@ def _gather(commands: Commands) -> None:
     gather.add_argument("folders", metavar="DIR", nargs="+", help="a folder of each shard")
     _option(gather, "--out", "DIR", "result folder", required=True)
     _option(gather, "--suite", "FILE", "where the suite lies, if it lay elsewhere")
+    _option(gather, "--solver-module", "FILE.py", "the plug-in that the shards were run with")
     _how_to_end(gather)
 
 

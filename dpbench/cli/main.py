@@ -23,6 +23,7 @@ from dpbench.cli.completion import complete
 from dpbench.cli.ending import say_ending
 from dpbench.cli.streams import PIPE_CLOSED, flush_streams, is_output_lost, open_streams
 from dpbench.errors import DpbenchError, InputError, RenamedWarning, renamed
+from dpbench.files.writing import write_given
 
 if TYPE_CHECKING:
     from dpbench.report.table import Table
@@ -283,7 +284,7 @@ def _say_compared(
         print(markdown, end="")
         return
     if file is not None:
-        Path(file).write_text(markdown, encoding="utf-8")
+        write_given(Path(file), markdown.encode())
     screen = console()
     for table in tables:
         screen.print(report_table(table, screen))

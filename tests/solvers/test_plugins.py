@@ -138,6 +138,8 @@ def test_what_a_plugin_raises_is_an_answer(sequence):
         ("from example import RECORD", "ModuleNotFoundError"),
         (EXAMPLE.read_text().replace("open = ", "shut = "), "open: found None"),
         (EXAMPLE.read_text().replace('"admm", method', '"daqp", method'), "RECORD.name.*'daqp'"),
+        (EXAMPLE.read_text().replace('"admm", method', '"../../x", method'), "RECORD.name.*x'"),
+        (EXAMPLE.read_text().replace('"admm", method', '"a\\x1b", method'), "RECORD.name.*x1b'"),
     ],
 )
 def test_what_is_no_plugin_is_refused(tmp_path, text, words):

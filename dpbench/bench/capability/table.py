@@ -18,6 +18,7 @@ from dpbench.bench.capability.batch import Point
 from dpbench.bench.capability.study import FROM_DEG, Capability
 from dpbench.errors import ResultsError
 from dpbench.files.tables import in_full, opened_table
+from dpbench.files.writing import replaced
 
 CAPABILITY_FILE = "capability.parquet"
 COLUMNS = {
@@ -65,9 +66,8 @@ def table_of(
 def write_capability(out: Path, tables: Sequence[dict[str, list[Any]]]) -> None:
     """Write the plots into a result folder."""
     frame = pd.concat([pd.DataFrame(table) for table in tables], ignore_index=True)
-    part = out / f"{CAPABILITY_FILE}.part"
-    frame.astype(COLUMNS).to_parquet(part, index=False, compression="zstd")
-    part.replace(out / CAPABILITY_FILE)
+    with replaced(out / CAPABILITY_FILE) as part:
+        frame.astype(COLUMNS).to_parquet(part, index=False, compression="zstd")
 
 
 def load_capability(folder: Path) -> pd.DataFrame | None:

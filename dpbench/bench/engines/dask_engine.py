@@ -60,6 +60,7 @@ from dpbench.bench.workers.executor import (
 )
 from dpbench.bench.workers.worker import make_source
 from dpbench.errors import CertificateError, InputError
+from dpbench.files.writing import write_bytes
 
 RETRIES = 2
 """How often a task is run again that failed by an error of the harness."""
@@ -191,9 +192,7 @@ class DaskEngine(ExitStack):
             path, answer = paths[future.key], self._answer(future)
             (made,) = answer if isinstance(answer, list) else [Made(self._lost(answer))]
             if made.data:
-                part = path.with_name(f"{path.name}.part")
-                part.write_bytes(made.data)
-                part.replace(path)
+                write_bytes(path, made.data)
             yield path, made.outcome
         for path in descriptions.keys() - futures.keys():
             yield path, self._lost(self._gone)

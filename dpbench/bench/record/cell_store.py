@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import struct
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
@@ -48,6 +49,7 @@ from dpbench.errors import InputError
 from dpbench.files.documents import parse_json
 from dpbench.files.opening import opened
 from dpbench.files.tables import in_full, opened_table
+from dpbench.files.writing import new_file, own_folder, put
 
 _HEAD = struct.Struct("<4sQI")
 """Mark, length and CRC-32 of the record behind it."""
@@ -108,7 +110,7 @@ class Journal:
     """Appends records to a new file at `path`; OSError where it cannot be made."""
 
     def __init__(self, path: Path) -> None:
-        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
+        self._file = os.open(new_file(path), os.O_WRONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
         self.size = 0
 
     def append(self, record: bytes) -> None:
@@ -160,6 +162,14 @@ CHECKED_ROWS = 512
 _FINISHED = set(OUTCOMES) - {"lost", "invalid"}
 _CHECK = "steps_crc32"
 """What the metadata of a table of runs say of the file of its steps."""
+_PART = re.compile(r"(?P<kind>runs|steps)-(?P<number>\d{5}|[1-9]\d{5,8})\.parquet")
+_STEM = r"(?:(?:runs|steps)-\d{5,9}|(?:exact|design)-\w+)"
+_LEFT_OVER = re.compile(rf"{_STEM}(?:\.\w+)*\.part|exact-\w+(?:\.part)+\.npz")
+"""What a file is called before it is whole."""
+_OWN = re.compile(
+    rf"{_PART.pattern}|{_LEFT_OVER.pattern}|exact-\w+\.npz|design-\w+\.json|open\.cells|\.\w+"
+)
+"""The names of all files that campaigns write beside their cells."""
 DAMAGE = (OSError, ValueError, KeyError, pa.ArrowException)
 """What reading a damaged table raises."""
 
@@ -239,13 +249,18 @@ class Part:
         """Write the rows beside `steps`, and put those in their place before."""
         check = _check_sum(steps)
         if steps != self.steps:
-            steps.replace(self.steps)
+            put(steps, self.steps)
         write_runs(self.runs, rows, {_CHECK: check.decode()})
 
     def remove(self) -> None:
         """Both files, the runs first."""
         self.runs.unlink(missing_ok=True)
         self.steps.unlink(missing_ok=True)
+
+
+def public_part(out: Path) -> Part:
+    """The tables of a result folder that others read."""
+    return Part(out / "runs.parquet", out / "steps.parquet")
 
 
 def _check_sum(path: Path) -> bytes:
@@ -261,7 +276,7 @@ class StepFile:
     """A file of steps on its way: tables of whole runs, gathered into row groups."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.rows = path, 0
+        self.path, self.rows = new_file(path), 0
         self._writer, self._waiting, self._count = step_writer(path), list[pa.Table](), 0
 
     def add(self, table: pa.Table) -> None:
@@ -303,7 +318,8 @@ class CellStore:
 
     def __init__(self, out: Path) -> None:
         self.out, self.folder = out, out / "cells"
-        self.folder.mkdir(parents=True, exist_ok=True)
+        out.mkdir(parents=True, exist_ok=True)
+        own_folder(self.folder)
         self._journal_path = self.folder / "open.cells"
         self._journal: Journal | None = None
         self._cells, self._turn_at = 0, PART_CELLS
@@ -318,20 +334,35 @@ class CellStore:
     @property
     def public(self) -> Part:
         """The tables that others read."""
-        return Part(self.out / "runs.parquet", self.out / "steps.parquet")
+        return public_part(self.out)
 
     def parts(self) -> list[Part]:
         """All there are, the public tables first, the latest last."""
-        numbers = sorted(self.folder.glob("runs-*.parquet"))
-        return [self.public, *(self._part(path.stem.removeprefix("runs-")) for path in numbers)]
+        return [self.public, *map(self._part, self._numbers("runs"))]
 
-    def _part(self, number: str) -> Part:
-        return Part(self.folder / f"runs-{number}.parquet", self.folder / f"steps-{number}.parquet")
+    def _numbers(self, kind: str) -> list[int]:
+        """Those of the files of runs or of steps, in their order."""
+        names = (_PART.fullmatch(path.name) for path in self.folder.iterdir())
+        return sorted(int(name["number"]) for name in names if name and name["kind"] == kind)
+
+    def _part(self, number: int) -> Part:
+        runs, steps = (self.folder / f"{kind}-{number:05d}.parquet" for kind in ("runs", "steps"))
+        return Part(runs, steps)
 
     def new_part(self) -> Part:
         """The next one."""
-        last = max((p.runs.stem for p in self.parts()[1:]), default="runs-00000")
-        return self._part(f"{int(last.removeprefix('runs-')) + 1:05d}")
+        return self._part(max(self._numbers("runs"), default=0) + 1)
+
+    @property
+    def remarks(self) -> list[str]:
+        """A line on the files in it that no campaign writes, such as copies of a program that
+        keeps folders in sync; none of them is read."""
+        others = sorted(p.name for p in self.folder.iterdir() if not _OWN.fullmatch(p.name))
+        more = f" and {len(others) - 1} more" if len(others) > 1 else ""
+        said = (
+            f"{self.folder}: ignored {others[0]!r}{more}, which no campaign wrote" if others else ""
+        )
+        return [said] if said else []
 
     def forget(self, run_ids: Iterable[str]) -> None:
         """Take these cells as unfinished, whatever is there of them."""
@@ -387,11 +418,13 @@ class CellStore:
 
     def _tidy(self) -> None:
         """Remove what a killed campaign left half done."""
-        for path in (*self.folder.glob("*.part"), *self.out.glob("*.parquet.part")):
-            path.unlink(missing_ok=True)
-        for path in self.folder.glob("steps-*.parquet"):
-            if not path.with_name(path.name.replace("steps-", "runs-")).exists():
+        for path in (self.public.runs, self.public.steps):
+            path.with_name(f"{path.name}.part").unlink(missing_ok=True)
+        for path in self.folder.iterdir():
+            if _LEFT_OVER.fullmatch(path.name):
                 path.unlink(missing_ok=True)
+        for number in set(self._numbers("steps")) - set(self._numbers("runs")):
+            self._part(number).steps.unlink(missing_ok=True)
 
     def adopt(self, other: CellStore, rows: pd.DataFrame) -> None:
         """Take over the finished cells of another store, as a part; what cannot be read is none.

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from dpbench.arrays import Floats
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.opening import check_unpacked, opened
+from dpbench.files.writing import replaced, write_bytes
 
 Arrays = dict[str, NDArray[Any]]
 FIXED_DATE = (1980, 1, 1, 0, 0, 0)
@@ -56,18 +57,12 @@ DAMAGE = (
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write the arrays to `path` in their order, compressed, whole or not at all."""
-    part = path.with_name(path.name + ".part")
-    try:
-        with zipfile.ZipFile(part, "w") as archive:
-            for name, array in arrays.items():
-                member = io.BytesIO()
-                np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
-                info = zipfile.ZipInfo(f"{name}.npy", FIXED_DATE)
-                archive.writestr(info, member.getvalue(), zipfile.ZIP_DEFLATED, LEVEL)
-        part.replace(path)
-    finally:
-        # Still there where the disk is full, or a folder stands in the file's place.
-        part.unlink(missing_ok=True)
+    with replaced(path) as part, zipfile.ZipFile(part, "w") as archive:
+        for name, array in arrays.items():
+            member = io.BytesIO()
+            np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
+            info = zipfile.ZipInfo(f"{name}.npy", FIXED_DATE)
+            archive.writestr(info, member.getvalue(), zipfile.ZIP_DEFLATED, LEVEL)
 
 
 def keep(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -76,12 +71,7 @@ def keep(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     parts = [json.dumps(layout).encode(), *(array.tobytes() for array in arrays.values())]
     size = -(-(_HEAD.size + len(parts[0])) // _ALIGN) * _ALIGN - _HEAD.size
     body = parts[0].ljust(size) + b"".join(_padded(array) for array in parts[1:])
-    part = path.with_suffix(".part.npz")
-    try:
-        part.write_bytes(_HEAD.pack(_MARK, size, zlib.crc32(body)) + body)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    write_bytes(path, _HEAD.pack(_MARK, size, zlib.crc32(body)) + body)
 
 
 def _padded(array: bytes) -> bytes:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import json
+import os
+import sys
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -36,6 +38,7 @@ from dpbench.bench.record.schema import (
 from dpbench.errors import InputError, ResultsError, renamed
 from dpbench.files.documents import read_json_object
 from dpbench.files.tables import in_full, opened_table
+from dpbench.files.writing import is_file_name, own_folder, write_text
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,10 +67,12 @@ class Results:
 def claimed(folder: Path, suite: str) -> Iterator[None]:
     """Hold a result folder for one campaign of `suite`, making it if need be.
 
+    A report that is being written there is waited for.
+
     Raises
     ------
-    InputError : when it cannot be written, holds other things or the results of another suite, or
-        another campaign is running in it. Nothing is changed then.
+    InputError : when it cannot be written, holds other things or the results of another suite, its
+        folder of cells is a link, or another campaign is running in it. Nothing is changed then.
     """
     where = "--out"
     if str(folder) in ("", "."):
@@ -81,25 +86,49 @@ def claimed(folder: Path, suite: str) -> Iterator[None]:
     elif folder.is_dir() and any(folder.iterdir()) and not (folder / "cells").is_dir():
         raise InputError(where, "", f"{folder} with other files", "a new or an empty folder")
     try:
-        (folder / "cells").mkdir(parents=True, exist_ok=True)
-        lock = (folder / "cells" / ".lock").open("w")
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = _lock_file(own_folder(folder / "cells") / ".lock")
     except OSError as error:
         found = f"{folder}: {error.strerror}"
         raise InputError(where, "", found, "a folder that can be written") from error
-    with lock:
+    with ExitStack() as stack:
+        stack.callback(os.close, lock)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             allowed = "to wait for it, or another folder"
             raise InputError(where, "", f"{folder} in use by a campaign", allowed) from error
+        with writing(folder):
+            yield
+
+
+def _lock_file(path: Path) -> int:
+    """Open a file that is locked, and never written."""
+    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+
+
+@contextmanager
+def writing(folder: Path) -> Iterator[None]:
+    """Hold a folder for a campaign or a report that writes into it, once no other does.
+
+    A wait is said on stderr. Where there is no folder, or its disk knows no locks, none is held.
+    """
+    with ExitStack() as stack:
+        with suppress(OSError):
+            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+            stack.callback(os.close, lock)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                said = f"dpbench: waiting for the run or report that writes into {folder}"
+                print(said, file=sys.stderr, flush=True)
+                fcntl.flock(lock, fcntl.LOCK_EX)
         yield
 
 
 def write_json(path: Path, document: dict[str, Any]) -> None:
     """Write `document` to `path`, whole or not at all."""
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-    part.replace(path)
+    write_text(path, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
 
 
 def accidents(out: Path) -> tuple[int, list[str]]:
@@ -181,7 +210,15 @@ def _read_runs(folder: Path) -> pd.DataFrame:
     except (ValueError, TypeError) as error:
         raise of_another_type(path, str(error)[:80]) from error
     check_runs(runs, path)
+    _check_solvers(path, runs)
     return runs
+
+
+def _check_solvers(path: Path, runs: pd.DataFrame) -> None:
+    """ResultsError for a solver by whose name no file can be called, as `report --for` does."""
+    for name in runs["solver"].unique():
+        if not is_file_name(str(name)):
+            raise ResultsError(str(path), "solver", repr(name)[:80], "a name without a folder")
 
 
 def read_json(path: Path) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from dpbench.bench.capability.table import CAPABILITY_FILE, load_capability
 from dpbench.bench.record.result_folder import Results, hashes, load_results, read_suite
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.opening import read_bytes
+from dpbench.files.writing import replaced, write_text
 from dpbench.report.documents.passive_page import check_passive
 from dpbench.report.formats import and_list, plural
 from dpbench.scenario.problem_files import read_model
@@ -74,11 +75,12 @@ def prepare(folder: Path, target: Path) -> None:
     for name in WHERE_THERE:
         (target / name).unlink(missing_ok=True)
     for name in _copied(folder):
-        shutil.copyfile(folder / name, target / name)
+        with replaced(target / name) as part:
+            shutil.copyfile(folder / name, part)
     started = str(read_suite(folder).get("started_utc", ""))[:10]
-    if not (target / SENDER).exists():
+    if not (target / SENDER).is_file():
         when = started or datetime.datetime.now(datetime.UTC).date().isoformat()
-        (target / SENDER).write_text(_BLANK.format(when=when), encoding="utf-8")
+        write_text(target / SENDER, _BLANK.format(when=when))
 
 
 def check_sent(folder: Path) -> str:
