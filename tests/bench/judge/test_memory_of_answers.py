@@ -459,25 +459,6 @@ def test_nothing_is_said_of_fewer_than_twenty_pairs() -> None:
     assert ratio(made_log([1] + [40] * 20, [[], [4] * 21, [10] * 21])) == 4.0
 
 
-def test_a_warm_up_alone_is_compared_with_its_last_attempt() -> None:
-    """Without another round there are later visits only where the warm-up was run again."""
-    log = made_log([40] * 20, [[4] * 20], warm_up=20)
-    assert np.isnan(ratio(log))
-    log.attempts[0] = 2
-    assert ratio(log) == 10.0
-
-
-def test_switches_explain_slow_first_visits_by_the_share_of_timed_calls() -> None:
-    """Shortest visits of 40 steps take 1 ms of a round of 40 ms: of 50 switches at most 4/40 hit.
-
-    Five with three standard deviations are 5 + 3·sqrt(5) = 11.7, so that 12 of 20 are explained.
-    """
-    first = [250_000] * 20 + [25_000] * 20
-    log = made_log(first, [[], [25_000] * 40, [25_000] * 40, [25_000] * 40])
-    log.counters[1] = [0.04, 0.0, 50.0, 0.0, 0.0, 0.0]
-    assert memory_metrics(log)["first_visit_excess"] == pytest.approx((20 - 12) / 40)
-
-
 def test_first_visits_are_those_beyond_the_warm_up_where_there_are_enough() -> None:
     """The warm-up took 60 ns a step and the first round 40: of 20 steps each the latter counts, of
     21 and 19 the warm-up, whose later visits start in round 1."""
