@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import signal
 import subprocess
@@ -15,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import dpbench
+from dpbench.own_folders import PREFIX
 
 # A signal goes to all processes of a group.
 pytestmark = [pytest.mark.slow, pytest.mark.alone]
@@ -76,19 +76,10 @@ def _is_replaying(tmp_path: Path) -> bool:
     return (cells / "open.cells").exists() and any(cells.glob("exact-*.npz"))
 
 
-def _abandoned() -> list[str]:
-    """Scratch folders in memory that no process holds."""
-    left = []
-    for folder in Path("/dev/shm").glob("dpbench-scratch-*"):
-        lock = os.open(folder, os.O_RDONLY)
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            left.append(folder.name)
-        except BlockingIOError:
-            pass
-        finally:
-            os.close(lock)
-    return left
+def _folders(process: subprocess.Popen[str]) -> list[Path]:
+    """The folders that a run holds by a lock, in memory and elsewhere."""
+    places = [Path(os.readlink(link)) for link in Path(f"/proc/{process.pid}/fd").iterdir()]
+    return [place for place in places if place.name.startswith(PREFIX)]
 
 
 @pytest.mark.parametrize(
@@ -100,6 +91,8 @@ def test_a_signal_ends_a_run_in_one_line(
 ) -> None:
     """Whether the program alone gets it or all its processes; more of them change nothing."""
     process = started(tmp_path, place)
+    folders = _folders(process)
+    assert len(folders) == 2
     send = os.killpg if whole_group else os.kill
     for number in signals:
         send(process.pid, number)
@@ -108,12 +101,15 @@ def test_a_signal_ends_a_run_in_one_line(
     assert (err, process.returncode) == (LINE, 128 + signals[0])
     assert "Traceback" not in out
     left = [path.name for path in place.iterdir()]
-    assert left == [f"dpbench-leases-{os.getuid()}"] and _abandoned() == []
+    assert left == [f"dpbench-leases-{os.getuid()}"]
+    assert not any(folder.exists() for folder in folders)
 
 
 def test_what_a_killed_run_left_goes_with_the_next(tmp_path: Path, place: Path) -> None:
     """Its sockets and logs, by the first command that makes such a folder."""
     process = started(tmp_path, place)
+    folders = _folders(process)
+    assert len(folders) == 2
     process.kill()
     process.communicate(timeout=60)
     again = [sys.executable, "-m", "dpbench", "run", "smoke", "--steps", "2", "--out", "out2"]
@@ -122,7 +118,8 @@ def test_what_a_killed_run_left_goes_with_the_next(tmp_path: Path, place: Path) 
     env = {**os.environ, "TMPDIR": str(place), "PYTHONPATH": package}
     subprocess.run(again, cwd=tmp_path, env=env, check=True, timeout=300)
     left = [path.name for path in place.iterdir()]
-    assert left == [f"dpbench-leases-{os.getuid()}"] and _abandoned() == []
+    assert left == [f"dpbench-leases-{os.getuid()}"]
+    assert not any(folder.exists() for folder in folders)
 
 
 def test_a_hang_up_that_is_ignored_stays_ignored() -> None:

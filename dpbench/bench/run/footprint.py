@@ -75,21 +75,18 @@ def memory_bytes() -> int:
 
 
 def limit_memory(size: int) -> None:
-    """Let this process and each that it starts have no more than `size` bytes of data of its own.
+    """Let this process have no more than `size` bytes of data beside what it has now.
 
-    Files and what is only reserved do not count (RLIMIT_DATA, getrlimit(2)): libraries map far
-    more address space than they use, so RLIMIT_AS would refuse them. An allocation beyond the limit
-    fails in the process that asks for it.
+    Each process that it starts has the same limit for itself. Files and what is only reserved do
+    not count (RLIMIT_DATA, getrlimit(2)): libraries map far more address space than they use, so
+    RLIMIT_AS would refuse them. An allocation beyond the limit fails in the process that asks for
+    it.
     """
-    hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
-    least = size if hard == resource.RLIM_INFINITY else min(size, hard)
-    resource.setrlimit(resource.RLIMIT_DATA, (least, least))
-
-
-def memory_limit() -> str:
-    """The limit of this process in words; "" for none."""
-    least = resource.getrlimit(resource.RLIMIT_DATA)[0]
-    return "" if least == resource.RLIM_INFINITY else f"a limit of {least / 1e9:.3g} GB"
+    hard, size_now = resource.getrlimit(resource.RLIMIT_DATA)[1], _status("VmData")
+    most = size + (0 if isnan(size_now) else int(size_now))
+    if hard != resource.RLIM_INFINITY:
+        most = min(most, hard)
+    resource.setrlimit(resource.RLIMIT_DATA, (most, most))
 
 
 def prefer_for_killing() -> None:

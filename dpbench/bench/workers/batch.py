@@ -142,7 +142,7 @@ class CellBatch:
         if self._to_run:
             rest = self._behind_hang(ended) + rest
             self.outcomes |= ended
-            if child.is_suspect:
+            if child.is_suspect and child.name not in ended:
                 discard(self._folder / f"{child.name}.raw")
             if not rest:
                 self._to_run = False

@@ -22,7 +22,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from dpbench.bench.run.footprint import memory_limit, peak_bytes_of, prefer_for_killing
+from dpbench.bench.run.footprint import peak_bytes_of, prefer_for_killing
 from dpbench.bench.workers import orphans
 
 OUTPUT_BYTES = 2**20
@@ -267,8 +267,7 @@ def in_words(error: BaseException) -> str:
     """What was raised, in half a line."""
     if isinstance(error, SystemExit):
         return f"SystemExit({error.code!r})"
-    limit = memory_limit() if isinstance(error, MemoryError) else ""
-    return f"{type(error).__name__}: {error}"[:300] + (f"; {limit}" if limit else "")
+    return f"{type(error).__name__}: {error}"[:300]
 
 
 def _through_solver(trace: TracebackType | None) -> bool:

@@ -1,0 +1,215 @@
+"""A plug-in that harms what is around it costs its own cells alone, and leaves nothing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from multiprocessing.context import ForkServerContext
+from pathlib import Path
+
+import psutil
+import pytest
+
+from dpbench import load_results, run_campaign
+from dpbench.bench.record.cell import Outcome
+from dpbench.bench.workers import child as supervise
+from dpbench.bench.workers.child import ENDED_TEMPLATE, Child, template_context
+from dpbench.bench.workers.notice import CUT, OUTPUT_BYTES
+from dpbench.bench.workers.orphans import children_of
+from dpbench.solvers import plugins
+
+HOSTILE = Path(__file__).parents[1] / "hostile_plugin.py"
+SUITE = """
+title = "A suite for one test"
+solvers = ["hostile", "quadprog"]
+baseline_law = false
+cell_limit_s = 60.0
+cell_memory_gb = 0.3
+rounds = 1
+warmup_steps = 0
+
+[[random]]
+families = ["no_rows"]
+sizes = [{sizes}]
+steps = 3
+"""
+SOLVER = """
+import os, signal, subprocess, time
+from dpbench.bench.workers.notice import AtWork, post
+post(AtWork.SOLVER)
+"""
+"""The head of a process in which the solver is at work."""
+DAEMON = """
+if os.fork() == 0:
+    os.setsid()
+    if (pid := os.fork()) == 0:
+        os.execvp("sleep", ["sleep", "600"])
+    with open(NUMBER, "w") as file:
+        file.write(str(pid))
+    os._exit(0)
+while not os.path.exists(NUMBER) or not open(NUMBER).read():
+    time.sleep(0.01)
+"""
+"""Leaves a process in a session of its own, whose parent ended."""
+
+
+@pytest.fixture
+def context() -> ForkServerContext:
+    return template_context([])
+
+
+def run(tmp_path: Path, *sizes: int) -> dict[tuple[str, int], Outcome]:
+    """What became of random problems of so many variables, by solver and variables."""
+    path = tmp_path / "tiny.toml"
+    text = ", ".join(f"[{n}, 0]" for n in sizes)
+    path.write_text(SUITE.replace("{sizes}", text), encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plugins, "_LOADED", {})
+        out = run_campaign(path, tmp_path / "out", solver_module=HOSTILE)
+    rows = load_results(out).runs
+    assert rows["run_id"].is_unique and len(rows) == 2 * len(sizes)
+    assert set(rows.loc[rows["solver"] == "quadprog", "outcome"]) == {"finished"}
+    keep = rows[["solver", "sequence", "outcome", "outcome_detail", "process_peak_bytes"]]
+    return {
+        (solver, int(sequence.split("-n")[1].split("-")[0])): Outcome(
+            outcome, detail, peak_bytes=peak
+        )
+        for solver, sequence, outcome, detail, peak in keep.itertuples(index=False)
+    }
+
+
+def is_running(pid: int) -> bool:
+    """Whether there is such a process, and it is not dead."""
+    try:
+        return bool(psutil.Process(pid).status() != psutil.STATUS_ZOMBIE)
+    except psutil.NoSuchProcess:
+        return False
+
+
+@pytest.mark.slow
+def test_output_is_cut_and_said(tmp_path: Path) -> None:
+    """A flood costs no other cell, and not even its own; one without output has no such words."""
+    became = run(tmp_path, 7, 20)
+    assert (became["hostile", 7].outcome, became["hostile", 7].detail) == ("finished", CUT)
+    assert became["hostile", 20].detail == ""
+
+
+@pytest.mark.slow
+def test_a_hog_ends_at_its_limit_with_its_peak(tmp_path: Path) -> None:
+    """It is charged with it, in words; the peak stands in the row, and no other cell is lost."""
+    became = run(tmp_path, 6, 20)
+    hog, modest = became["hostile", 6], became["hostile", 20]
+    assert hog.outcome == "crashed", hog.detail
+    assert "MemoryError" in hog.detail
+    assert hog.peak_bytes is not None and modest.peak_bytes is not None
+    assert modest.peak_bytes + 5e7 < hog.peak_bytes < modest.peak_bytes + 3.5e8
+
+
+@pytest.mark.slow
+def test_who_ends_the_template_is_found_and_pays(tmp_path: Path) -> None:
+    """The fork server and its keeper alike, beside cells of others that run meanwhile."""
+    became = run(tmp_path, 11, 12, 20)
+    for n in (11, 12):
+        found = became["hostile", n]
+        assert (found.outcome, found.detail) == (ENDED_TEMPLATE.outcome, ENDED_TEMPLATE.detail)
+    assert became["hostile", 20].outcome == "finished"
+
+
+@pytest.mark.slow
+def test_stopping_the_template_costs_nothing(tmp_path: Path) -> None:
+    """It goes on, and so does its keeper."""
+    became = run(tmp_path, 13, 14)
+    assert {found.outcome for found in became.values()} == {"finished"}
+
+
+@pytest.mark.parametrize("end", ["", "os._exit(0)", "os.abort()", "os.kill(os.getppid(), 9)"])
+def test_a_daemon_ends_with_its_worker(
+    end: str, context: ForkServerContext, tmp_path: Path
+) -> None:
+    """However its worker ends, a process that left its session and its parent ends too."""
+    number = tmp_path / "number"
+    code = SOLVER + f"NUMBER = {str(number)!r}\n" + DAEMON + end
+    child = Child(context, exec, (code,), tmp_path, "cell", limit_s=5.0)
+    child.join()
+    deadline = time.monotonic() + 20.0
+    # Where the fork server ended, the keeper ends it, by itself.
+    while is_running(int(number.read_text())):
+        assert time.monotonic() < deadline, "it lives"
+        time.sleep(0.01)
+
+
+def test_all_end_with_the_main_program(tmp_path: Path) -> None:
+    """A program that is killed leaves no keeper, no fork server, no worker, and no folder."""
+    program = (
+        "import sys, time\n"
+        "from pathlib import Path\n"
+        "from dpbench.bench.workers.child import Child, template_context\n"
+        "child = Child(template_context([]), time.sleep, (600.0,), Path(sys.argv[1]), 'cell',"
+        " limit_s=None)\n"
+        "print('ready', flush=True)\n"
+        "time.sleep(600.0)\n"
+    )
+    # A socket's path is short.
+    temporary = Path(tempfile.mkdtemp(prefix="hostile-"))
+    environment = os.environ | {"TMPDIR": str(temporary)}
+    with psutil.Popen(
+        [sys.executable, "-c", program, str(tmp_path)],
+        env=environment,
+        stdout=subprocess.PIPE,
+    ) as process:
+        process.stdout.readline()
+        below = process.children(recursive=True)
+        assert len(below) >= 3
+        process.send_signal(signal.SIGKILL)
+    _, alive = psutil.wait_procs(below, timeout=20.0)
+    assert not alive
+    deadline = time.monotonic() + 20.0
+    while list(temporary.glob("pymp-*")):
+        assert time.monotonic() < deadline, "sockets are left"
+        time.sleep(0.01)
+    temporary.rmdir()
+
+
+def test_a_stopped_worker_is_given_up(
+    context: ForkServerContext, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After the stated time, whether it has a limit or not."""
+    monkeypatch.setattr(supervise, "STOPPED_S", 0.2)
+    code = SOLVER + "os.kill(os.getpid(), signal.SIGSTOP)"
+    child = Child(context, exec, (code,), tmp_path, "cell", limit_s=None, logs=False)
+    deadline = time.monotonic() + 20.0
+    while not child.overdue():
+        assert time.monotonic() < deadline, "it is waited for"
+        time.sleep(0.01)
+    found = child.outcome()
+    assert found.outcome == "hung" and "stopped by a signal" in found.detail
+
+
+def test_output_of_children_counts(context: ForkServerContext, tmp_path: Path) -> None:
+    """What a process of the solver's prints is cut with its own, at the stated size."""
+    code = SOLVER + (
+        "subprocess.run(['head', '-c', '9000000', '/dev/zero'], stderr=subprocess.DEVNULL)\n"
+        "print('still here', flush=True)\nos._exit(3)"
+    )
+    child = Child(context, exec, (code,), tmp_path, "cell", limit_s=5.0)
+    assert child.outcome().detail.endswith(CUT)
+    assert child.notice.output.is_full and OUTPUT_BYTES == 2**20
+
+
+def test_the_keeper_has_no_children_but_the_template(
+    context: ForkServerContext, tmp_path: Path
+) -> None:
+    """Workers are below the template, so whatever else the keeper has is an orphan."""
+    child = Child(context, exec, (SOLVER + "time.sleep(600.0)",), tmp_path, "cell", limit_s=5.0)
+    deadline = time.monotonic() + 20.0
+    while not child.notice.template:
+        assert time.monotonic() < deadline, "it does not begin"
+        time.sleep(0.01)
+    notice = child.notice
+    assert children_of(notice.keeper) == [notice.template]
+    assert child.process.pid in children_of(notice.template)
+    child.kill("seen")
