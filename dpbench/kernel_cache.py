@@ -19,7 +19,7 @@ import numba
 from numba.core.caching import UserProvidedCacheLocator
 from numba.misc.appdirs import AppDirs
 
-from dpbench.own_folders import process_folder
+from dpbench.temporary_folders import process_folder
 
 PACKAGE = Path(__file__).parent
 Function = Callable[..., Any]

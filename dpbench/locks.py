@@ -10,11 +10,14 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import stat
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+
+import psutil
 
 from dpbench.errors import InputError
 
@@ -24,6 +27,8 @@ FILE = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
 ALONE, TOGETHER = fcntl.LOCK_EX, fcntl.LOCK_SH
 MAX_BYTES = 2**16
 """Of a lock file that is read."""
+MAX_WORK = 100
+"""Characters of the command of a holder."""
 _POLL_S = 0.1
 
 
@@ -129,6 +134,22 @@ def lock_file(
         yield held
 
 
+@contextmanager
+def lock_folder(
+    folder: Path, *, patience: Patience, say_waiting: Callable[[str], None]
+) -> Iterator[bool]:
+    """Lock a folder alone as long as the block lasts; parameters and errors as in `lock_file`."""
+    with ExitStack() as stack:
+        held = False
+        with suppress(OSError):
+            lock = os.open(folder, FOLDER)
+            stack.callback(os.close, lock)
+            if not _locked(lock, ALONE | fcntl.LOCK_NB):
+                _wait(lock, ALONE, str(folder), patience, say_waiting)
+            held = _locked(lock, ALONE | fcntl.LOCK_NB)
+        yield held
+
+
 def _wait(
     lock: int, how: int, where: str, patience: Patience, say_waiting: Callable[[str], None]
 ) -> None:
@@ -160,13 +181,34 @@ def _locked(lock: int, how: int) -> bool:
 
 
 def holders(lock: int) -> str:
-    """Who holds the lock of an open file, in words."""
-    return " and ".join(map(str, _others(lock))) or "another process, which left no name"
+    """Describe the holders of the lock of an open file or folder."""
+    named = _others(lock) or _known_to_kernel(lock)
+    return " and ".join(map(str, named)) or "another process, which left no name"
+
+
+def _known_to_kernel(lock: int) -> list[Holder]:
+    """Return the holders of a lock that the kernel lists; none where it does not show them."""
+    status = os.fstat(lock)
+    device = status.st_dev
+    place = f"{os.major(device):02x}:{os.minor(device):02x}:{status.st_ino}"
+    found = []
+    with suppress(OSError, ValueError, psutil.Error):
+        for line in Path("/proc/locks").read_text(encoding="ascii").splitlines():
+            # Those that wait for the lock have an arrow in the second column.
+            kind, _, _, pid, file = line.split()[1:6]
+            if kind == "FLOCK" and file == place and int(pid) != os.getpid():
+                process = psutil.Process(int(pid))
+                work = "".join(c for c in " ".join(process.cmdline()[1:]) if c.isprintable())
+                found.append(Holder(work[:MAX_WORK], process.create_time(), process.pid))
+    return found
 
 
 def _others(lock: int) -> list[Holder]:
-    """The other holders that a lock file names and that live; anybody may have damaged it."""
-    found = []
+    """Return the other live holders that a lock file names; none of a folder."""
+    found: list[Holder] = []
+    if stat.S_ISDIR(os.fstat(lock).st_mode):
+        return found
+    # Anybody may have damaged the file.
     for line in os.pread(lock, MAX_BYTES, 0).decode(errors="replace").splitlines():
         with suppress(ValueError, KeyError, TypeError, OverflowError, OSError):
             holder = Holder.read(line)

@@ -316,7 +316,7 @@ def run_campaign(
     progress = progress or Silent()
     with (
         opened(engine, jobs, scheduler, tls, Patience(wait_s)) as crew,
-        claimed(folder, plan.name),
+        claimed(folder, plan.name, Patience(wait_s)),
     ):
         for remark in remarks_on(plan.cells):
             progress.remark(remark)

@@ -25,7 +25,7 @@ def is_file_name(text: str) -> bool:
     return plain and 0 < len(text.encode()) <= MOST_NAME_BYTES
 
 
-def own_folder(path: Path) -> Path:
+def make_folder(path: Path) -> Path:
     """Make a folder where there is none.
 
     Raises
@@ -108,7 +108,7 @@ def write_together(folder: Path, contents: Mapping[str, Callable[[], bytes]]) ->
     for name in contents:
         if not is_file_name(name):
             raise InputError(str(folder), "", f"a file called {name!r}", "a name without a folder")
-    earlier, now = _written(own_folder(folder)), set(contents)
+    earlier, now = _written(make_folder(folder)), set(contents)
     # Should this be interrupted, the next time has to know the files of both.
     _note(folder, earlier | now)
     for name in earlier - now:

@@ -10,7 +10,7 @@ from dpbench.bench.capability.table import load_capability
 from dpbench.bench.design import load_designs
 from dpbench.bench.record.result_folder import load_results, writing
 from dpbench.errors import InputError
-from dpbench.files.writing import own_folder, write_text, write_together
+from dpbench.files.writing import make_folder, write_text, write_together
 from dpbench.report.charts.render import FORMATS, can_draw, encoded
 from dpbench.report.csv_tables import write_tables
 from dpbench.report.documents.comment import beside, worst_text
@@ -75,7 +75,7 @@ def report_and_ending(
         beside_it = load_designs(folder), baseline, load_capability(folder)
         report = Report.of(load_results(folder), *beside_it)
         comment, worst = ("", []) if solver is None else beside(report, solver, against)
-        drawn, tables = own_folder(folder / "figures"), own_folder(folder / "tables")
+        drawn, tables = make_folder(folder / "figures"), make_folder(folder / "tables")
         if statement is not None:
             write_statement(Path(statement), folder, report.results, report.facts)
         _write_figures(drawn, report, ("svg", *figures))

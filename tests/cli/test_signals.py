@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 import dpbench
-from dpbench.own_folders import PREFIX
+from dpbench.temporary_folders import PREFIX
 
 # A signal goes to all processes of a group.
 pytestmark = [pytest.mark.slow, pytest.mark.alone]

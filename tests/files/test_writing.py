@@ -12,8 +12,8 @@ from dpbench.errors import InputError
 from dpbench.files.writing import (
     is_file_name,
     list_of,
+    make_folder,
     new_file,
-    own_folder,
     put,
     replaced,
     write_given,
@@ -57,7 +57,7 @@ def test_a_folder_that_is_a_link_is_refused(tmp_path: Path) -> None:
     (tmp_path / "pictures").mkdir()
     (tmp_path / "figures").symlink_to(tmp_path / "pictures")
     with pytest.raises(InputError, match="figures: found a link"):
-        own_folder(tmp_path / "figures")
+        make_folder(tmp_path / "figures")
 
 
 def test_what_fails_leaves_the_old_file(tmp_path: Path) -> None:
@@ -89,7 +89,7 @@ def test_only_files_that_were_written_before_are_removed(tmp_path: Path) -> None
 )
 def test_a_list_that_others_wrote_removes_nothing_elsewhere(tmp_path: Path, names: object) -> None:
     """It can name no file of another folder, and no folder."""
-    folder = own_folder(tmp_path / "out")
+    folder = make_folder(tmp_path / "out")
     (folder / "tables").mkdir()
     (tmp_path / "thesis.txt").write_text("mine", encoding="utf-8")
     list_of(folder).write_text(json.dumps(names), encoding="utf-8")

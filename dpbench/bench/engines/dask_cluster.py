@@ -29,7 +29,7 @@ from dpbench.bench.record.cell import HARNESS_VERSION
 from dpbench.bench.workers.child import without_main
 from dpbench.bench.workers.interrupts import signals_wait, terminal_signals_blocked
 from dpbench.errors import InputError
-from dpbench.own_folders import own_folder
+from dpbench.temporary_folders import temporary_folder
 
 EXCLUSIVE = "exclusive"
 """The resource of which a machine's workers offer one together, if replays may be timed there."""
@@ -179,7 +179,7 @@ def _own_cluster(workers: int) -> Iterator[Client]:
     with (
         _quiet(),
         without_main(),
-        own_folder(Path(tempfile.gettempdir())) as folder,
+        temporary_folder(Path(tempfile.gettempdir())) as folder,
         dask.config.set({**_OWN, "temporary-directory": str(folder)}),
         ExitStack() as stack,
     ):

@@ -30,8 +30,8 @@ from dpbench.bench.workers.leases import leased_core
 from dpbench.bench.workers.scratch import Scratch
 from dpbench.bench.workers.worker import make_source
 from dpbench.errors import DpbenchError
-from dpbench.own_folders import own_folder
 from dpbench.solvers.table import available
+from dpbench.temporary_folders import temporary_folder
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,7 @@ def _context(solvers: tuple[str, ...]) -> ForkServerContext:
 def _bench(order: Order, cores: list[int], concurrency: int = 1) -> Iterator[tuple[Bench, Path]]:
     """A bench with one slot on these cores, and a folder for the files it runs from."""
     with ExitStack() as stack:
-        place = stack.enter_context(own_folder(Path(tempfile.gettempdir())))
+        place = stack.enter_context(temporary_folder(Path(tempfile.gettempdir())))
         modules = {}
         for i, (path, text) in enumerate(order.modules.items()):
             modules[path] = str(place / str(i) / Path(path).name)

@@ -49,7 +49,7 @@ from dpbench.errors import InputError
 from dpbench.files.documents import parse_json
 from dpbench.files.opening import opened
 from dpbench.files.tables import in_full, opened_table
-from dpbench.files.writing import new_file, own_folder, put
+from dpbench.files.writing import make_folder, new_file, put
 
 _HEAD = struct.Struct("<4sQI")
 """Mark, length and CRC-32 of the record behind it."""
@@ -319,7 +319,7 @@ class CellStore:
     def __init__(self, out: Path) -> None:
         self.out, self.folder = out, out / "cells"
         out.mkdir(parents=True, exist_ok=True)
-        own_folder(self.folder)
+        make_folder(self.folder)
         self._journal_path = self.folder / "open.cells"
         self._journal: Journal | None = None
         self._cells, self._turn_at = 0, PART_CELLS

@@ -8,7 +8,7 @@ import json
 import os
 import sys
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -38,7 +38,8 @@ from dpbench.bench.record.schema import (
 from dpbench.errors import InputError, ResultsError, renamed
 from dpbench.files.documents import read_json_object
 from dpbench.files.tables import in_full, opened_table
-from dpbench.files.writing import is_file_name, own_folder, write_text
+from dpbench.files.writing import is_file_name, make_folder, write_text
+from dpbench.locks import Patience, holders, lock_folder
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,10 +65,14 @@ class Results:
 
 
 @contextmanager
-def claimed(folder: Path, suite: str) -> Iterator[None]:
+def claimed(
+    folder: Path,
+    suite: str,
+    patience: Patience = Patience(),  # noqa: B008 - frozen
+) -> Iterator[None]:
     """Hold a result folder for one campaign of `suite`, making it if need be.
 
-    A report that is being written there is waited for.
+    A report that is being written there is waited for with `patience`.
 
     Raises
     ------
@@ -87,7 +92,7 @@ def claimed(folder: Path, suite: str) -> Iterator[None]:
         raise InputError(where, "", f"{folder} with other files", "a new or an empty folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        lock = _lock_file(own_folder(folder / "cells") / ".lock")
+        lock = _lock_file(make_folder(folder / "cells") / ".lock")
     except OSError as error:
         found = f"{folder}: {error.strerror}"
         raise InputError(where, "", found, "a folder that can be written") from error
@@ -96,9 +101,9 @@ def claimed(folder: Path, suite: str) -> Iterator[None]:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            allowed = "to wait for it, or another folder"
-            raise InputError(where, "", f"{folder} in use by a campaign", allowed) from error
-        with writing(folder):
+            found = f"{folder} in use by a campaign: {holders(lock)}"
+            raise InputError(where, "", found, "to wait for it, or another folder") from error
+        with writing(folder, patience):
             yield
 
 
@@ -108,21 +113,21 @@ def _lock_file(path: Path) -> int:
 
 
 @contextmanager
-def writing(folder: Path) -> Iterator[None]:
+def writing(folder: Path, patience: Patience = Patience()) -> Iterator[None]:  # noqa: B008 - frozen
     """Hold a folder for a campaign or a report that writes into it, once no other does.
 
     A wait is said on stderr. Where there is no folder, or its disk knows no locks, none is held.
+
+    Raises
+    ------
+    BusyError : another still writes there at the end of the wait.
     """
-    with ExitStack() as stack:
-        with suppress(OSError):
-            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-            stack.callback(os.close, lock)
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                said = f"dpbench: waiting for the run or report that writes into {folder}"
-                print(said, file=sys.stderr, flush=True)
-                fcntl.flock(lock, fcntl.LOCK_EX)
+
+    def say_waiting(others: str) -> None:
+        said = f"dpbench: waiting for {others}, which writes into {folder}"
+        print(said, file=sys.stderr, flush=True)
+
+    with lock_folder(folder, patience=patience, say_waiting=say_waiting):
         yield
 
 

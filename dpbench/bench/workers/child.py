@@ -31,7 +31,7 @@ from dpbench.bench.workers.interrupts import interrupts_wait
 from dpbench.bench.workers.notice import CUT, AtWork, Notice
 from dpbench.bench.workers.orphans import TEMPORARY, end_orphans, signal_process
 from dpbench.errors import DpbenchError
-from dpbench.own_folders import keep_sockets
+from dpbench.temporary_folders import keep_sockets
 
 START_ALLOWANCE_S = 60.0
 """For importing a library; after it a cell that has not started its loop is killed."""

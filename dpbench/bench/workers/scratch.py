@@ -4,7 +4,7 @@ In memory where that can be, so that no write-back of a disk disturbs a step. A 
 64 MB of it where the replays of a suite can need 200, so the room is computed beforehand, and the
 next place is taken where it is short.
 
-What a killed campaign has left (`own_folders.py`) goes when the next one looks for room.
+What a killed campaign has left (`temporary_folders.py`) goes when the next one looks for room.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pathlib import Path
 import psutil
 
 from dpbench.errors import DpbenchError
-from dpbench.own_folders import clear_abandoned, own_folder
+from dpbench.temporary_folders import clear_abandoned, temporary_folder
 
 MEMORY = Path("/dev/shm")
 """The file system in memory that every Linux has, of whatever size."""
@@ -33,7 +33,7 @@ class NoRoomError(DpbenchError):
 
 def scratch_folder() -> AbstractContextManager[Path]:
     """A folder for what processes leave behind until it is kept; in memory where that can be."""
-    return own_folder(MEMORY if os.access(MEMORY, os.W_OK) else Path(tempfile.gettempdir()))
+    return temporary_folder(MEMORY if os.access(MEMORY, os.W_OK) else Path(tempfile.gettempdir()))
 
 
 def free_bytes(place: Path) -> int:
@@ -95,7 +95,7 @@ class Scratch(ExitStack):
 
     def _folder(self, place: Path) -> Path:
         if place not in self._made:
-            self._made[place] = self.enter_context(own_folder(place))
+            self._made[place] = self.enter_context(temporary_folder(place))
         return self._made[place]
 
 

@@ -20,8 +20,8 @@ from dpbench.bench.engines.on_worker import Order, TaskEndedError, end_tasks, ru
 from dpbench.bench.plan.asked import Asked
 from dpbench.bench.record.cell import HARNESS_VERSION
 from dpbench.bench.workers.executor import CellJob, Result
-from dpbench.own_folders import PREFIX, own_folder
 from dpbench.solvers.table import available
+from dpbench.temporary_folders import PREFIX, temporary_folder
 
 pytestmark = pytest.mark.slow
 
@@ -56,7 +56,7 @@ def test_what_a_killed_worker_left_goes_with_the_next_task(place: Path) -> None:
     leases = f"dpbench-leases-{os.getuid()}"
     left = {path.name for path in place.glob("dpbench-*")} - {leases}
     assert left, "nobody tidied up"
-    with own_folder(place) as folder:
+    with temporary_folder(place) as folder:
         assert {path.name for path in place.glob("dpbench-*")} == {leases, folder.name}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 import threading
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 
 from dpbench.bench.record.result_folder import claimed, writing
 from dpbench.errors import InputError
+from dpbench.locks import Patience
 
 
 class _Said:
@@ -52,6 +54,33 @@ def test_a_report_and_a_campaign_wait_for_each_other(
     assert order == ["first", "second"]
     (line,) = said.text.splitlines()
     assert line.startswith("dpbench: waiting for") and str(folder) in line
+
+
+HOLD = """
+import sys
+from pathlib import Path
+from dpbench.bench.record.result_folder import claimed, writing
+folder = Path(sys.argv[2])
+with claimed(folder, "smoke") if sys.argv[1] == "campaign" else writing(folder):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.parametrize("first", ["campaign", "report"])
+def test_the_holder_of_a_folder_is_named(tmp_path: Path, first: str) -> None:
+    """By its process, whether the second waits for it or is refused."""
+    (tmp_path / "out").mkdir()
+    command = [sys.executable, "-c", HOLD, first, str(tmp_path / "out")]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdout is not None and other.stdout.readline() == "held\n"
+        name = rf"process {other.pid} \(.*since"
+        impatient = claimed(tmp_path / "out", "smoke", Patience(0.0))
+        with pytest.raises(InputError, match=name), impatient:
+            pass
+        other.communicate("")
 
 
 def test_two_campaigns_do_not_wait(tmp_path: Path) -> None:

@@ -57,7 +57,7 @@ def holding(lease: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
 
 
 @pytest.fixture(autouse=True)
-def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def temporary_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Leases of this test alone, also for the processes that it starts."""
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(leases, "tempfile", SimpleNamespace(gettempdir=lambda: str(tmp_path)))

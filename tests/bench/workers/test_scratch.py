@@ -16,8 +16,8 @@ from dpbench.bench.workers.scratch import Scratch
 HOLD = """
 import sys, time
 from pathlib import Path
-from dpbench.own_folders import own_folder
-with own_folder(Path(sys.argv[1])) as folder:
+from dpbench.temporary_folders import temporary_folder
+with temporary_folder(Path(sys.argv[1])) as folder:
     (folder / "log").write_bytes(b"a log")
     print(folder, flush=True)
     time.sleep(600)

@@ -28,7 +28,7 @@ ATTEMPTS = 10
 
 
 @contextmanager
-def own_folder(place: Path) -> Iterator[Path]:
+def temporary_folder(place: Path) -> Iterator[Path]:
     """A folder for this user alone, with all that is in it gone at the end of the block."""
     clear_abandoned(place)
     # Nobody looks for this name: it gets the other when it is locked.
@@ -65,7 +65,7 @@ def process_folder() -> Path:
     ------
     OSError : there is no place for one.
     """
-    made = own_folder(Path(tempfile.gettempdir()))
+    made = temporary_folder(Path(tempfile.gettempdir()))
     folder = made.__enter__()
     # In this process and in no fork of it, after the sockets in it are closed.
     Finalize(None, made.__exit__, args=(None, None, None), exitpriority=_LAST)

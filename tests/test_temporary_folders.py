@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from dpbench.own_folders import PREFIX, own_folder
+from dpbench.temporary_folders import PREFIX, temporary_folder
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from dpbench.own_folders import own_folder
-with own_folder(Path(sys.argv[1])) as folder:
+from dpbench.temporary_folders import temporary_folder
+with temporary_folder(Path(sys.argv[1])) as folder:
     (folder / "log").write_bytes(b"a log")
     print(folder, flush=True)
     time.sleep(600)
@@ -29,7 +29,7 @@ def _names(place: Path) -> list[str]:
 
 def test_a_folder_goes_with_its_campaign(tmp_path: Path) -> None:
     """With what is in it; after an error too."""
-    with pytest.raises(KeyError), own_folder(tmp_path) as folder:
+    with pytest.raises(KeyError), temporary_folder(tmp_path) as folder:
         (folder / "log").write_bytes(b"a log")
         assert _names(tmp_path) == [folder.name] and folder.name.startswith(PREFIX)
         raise KeyError
@@ -44,9 +44,9 @@ def test_what_a_killed_campaign_left_goes_with_the_next(tmp_path: Path) -> None:
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
         assert holder.stdout is not None
         left = Path(holder.stdout.readline().strip())
-        with own_folder(tmp_path):
+        with temporary_folder(tmp_path):
             assert (left / "log").is_file()
         os.kill(holder.pid, signal.SIGKILL)
     assert (left / "log").is_file(), "nobody tidied up"
-    with own_folder(tmp_path) as folder:
+    with temporary_folder(tmp_path) as folder:
         assert sorted(_names(tmp_path)) == sorted(["dpbench-notes", folder.name])
