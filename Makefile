@@ -13,6 +13,8 @@ TEST_TOOLS := hypothesis markdown-it-py packaging pytest pytest-xdist
 LOWEST_TESTS := tests/solvers tests/scenario tests/mpc tests/report/page/test_answer.py
 # Seconds of rounds of each benchmark.
 BENCH_S := 1.0
+# Of the mutants of `make soak`; all of them take some hours.
+SHARE := 1.0
 # Tests beside each other, one a core; `alone` are those that need the machine to themselves, looked
 # for only in files that name that mark.
 SIDE_BY_SIDE := -n 2 --dist worksteal
@@ -26,7 +28,7 @@ export MKL_NUM_THREADS := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: setup environments bench full test test-fast test-core test-lowest test-casadi mutants chaos lint docs bench-ci bench-compare vendored report clean clean-results help
+.PHONY: setup environments bench full test test-fast test-core test-lowest test-casadi mutants chaos soak lint docs bench-ci bench-compare vendored report clean clean-results help
 
 setup: $(STAMP) ## make .venv with all solvers and the development tools
 
@@ -88,6 +90,10 @@ mutants: setup ## plant a sample of faults and check that the quick tests find 9
 # Which: CHAOS='--quick', or names of scenarios.
 chaos: setup ## run a small suite under accidents and check its rows (some ten minutes)
 	$(BIN)/python -m tests.chaos $(CHAOS)
+
+# How many of 100 000 mutants of each kind, and which kinds: SHARE=0.01 SOAK='--only toml,hulls'.
+soak: setup ## read seeded mutants of all files that others may send, SHARE=0.01 for 1 % of them (a minute)
+	$(BIN)/python -m tests.soak.run --share $(SHARE) $(SOAK)
 
 lint: setup ## ruff, mypy --strict, import floors
 	$(BIN)/ruff check .

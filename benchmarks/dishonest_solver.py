@@ -1,7 +1,7 @@
-"""DAQP under the name `dishonest`, whose times or answers are those of a stated fault.
+"""DAQP under another name, whose times or answers are those of a stated fault.
 
-The fault is that of the environment variable DPBENCH_FAULT, for example `busy 23 10`: every 23rd
-call takes 10 ms longer. `FAULTS` lists them all. Without one it is DAQP.
+Name and fault are those of the file: in a copy called `busy-23-10.py` every 23rd call takes 10 ms
+longer. `FAULTS` lists them all. A copy called `honest.py` is DAQP.
 """
 
 import os
@@ -19,21 +19,22 @@ from dpbench.solvers.libraries.daqp import NATIVE, DaqpWorkspace
 from dpbench.solvers.plugins import solver_record
 
 FAULTS = (
-    *("busy 3 10", "busy 23 10", "busy 200 10", "busy 211 400"),
-    *("sleep 3 10", "sleep 23 10", "sleep 200 10", "sleep 211 400"),
-    *("chance 3 10", "chance 23 10", "chance 200 10", "chance 211 400"),
-    *("remember all 5", "remember hard 10", "remember slow 10"),
-    *("index all 5", "index hard 10", "disk all 5", "disk hard 10"),
-    *("thread 2", "thread 0.5"),
-    *("first slow", "first wrong"),
+    *("busy-3-10", "busy-23-10", "busy-200-10", "busy-211-400"),
+    *("sleep-3-10", "sleep-23-10", "sleep-200-10", "sleep-211-400"),
+    *("chance-3-10", "chance-23-10", "chance-200-10", "chance-211-400"),
+    *("remember-all-5", "remember-hard-10", "remember-slow-10"),
+    *("index-all-5", "index-hard-10", "disk-all-5", "disk-hard-10"),
+    *("thread-2", "thread-0.5"),
+    *("first-slow", "first-wrong"),
 )
 """busy, sleep: every so manieth call takes so many ms longer, at work or asleep. chance: the same
 at random. remember, index, disk: all, hard or slow steps take so many ms unless they are remembered
 by their vectors, by the number of the step, or in a file. thread: a thread is busy for so many ms
 after each answer. first: the first visit of a step is slow, or wrong."""
 
-RECORD = solver_record("dishonest", method="active set", policies=("warm",), module="daqp")
-WORDS = os.environ.get("DPBENCH_FAULT", "honest").split()
+NAME = Path(__file__).stem
+RECORD = solver_record(NAME, method="active set", policies=("warm",), module="daqp")
+WORDS = NAME.split("-")
 SHARES = {"all": 1, "hard": 4, "slow": 12}
 """One in so many QPs, whichever its vectors choose, is one of the steps that are remembered."""
 
@@ -59,7 +60,7 @@ class DishonestWorkspace(DaqpWorkspace):
         super().__init__(record, policy, options)
         self._calls, self._index, self._known = 0, -1, {}
         self._random = random.Random(7)
-        self._disk = Path(tempfile.gettempdir()) / f"dpbench-dishonest-{os.getuid()}"
+        self._disk = Path(tempfile.gettempdir()) / f"dpbench-dishonest-{os.getuid()}" / NAME
 
     def update(self, step):
         self._index += 1
@@ -105,7 +106,7 @@ class DishonestWorkspace(DaqpWorkspace):
             return
         key = self._index if fault == "index" else zlib.crc32(self._key)
         if fault == "disk":
-            self._disk.mkdir(exist_ok=True)
+            self._disk.mkdir(parents=True, exist_ok=True)
             path = self._disk / f"{key:x}"
             if not path.exists():
                 _busy(ms)

@@ -7,6 +7,7 @@ loses at most the cells in flight.
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -18,13 +19,14 @@ import pandas as pd
 
 from dpbench.bench.capability.table import CAPABILITY_FILE, write_capability
 from dpbench.bench.design import Design, DesignStudy, plan_designs
-from dpbench.bench.engines.engine import Engine, by_source, longest
+from dpbench.bench.engines.engine import Engine, TlsFiles, by_source, longest
 from dpbench.bench.engines.opened import opened
 from dpbench.bench.engines.shards import WHOLE, Shard, ShardRecord
 from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.plan.asked import Asked, Plan
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.choices import remarks_on
+from dpbench.bench.plan.configurations import identity_of
 from dpbench.bench.plan.suite import naming
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
@@ -32,16 +34,17 @@ from dpbench.bench.record.cell_store import CellStore
 from dpbench.bench.record.result_folder import (
     claimed,
     load_descriptions,
-    read_json,
+    read_suite,
     write_json,
 )
 from dpbench.bench.record.revision import Revision, revision, revisions
 from dpbench.bench.sequences.at_edge import capability_in
 from dpbench.bench.sequences.source import is_at_edge, is_sound
-from dpbench.bench.tabulate import Wanted, is_tabulated, tabulate
+from dpbench.bench.tabulate import Wanted, is_tabulated, refuse_other_selection, tabulate
 from dpbench.bench.workers.executor import CellJob, Result, work_of
 from dpbench.bench.workers.worker import make_source
-from dpbench.errors import ResultsError
+from dpbench.errors import InputError, ResultsError
+from dpbench.locks import Patience
 from dpbench.solvers.table import available
 
 
@@ -85,7 +88,8 @@ class Campaign:
 
     def _job(self, planned: PlannedCell) -> CellJob:
         library = self._libraries[planned.cell.solver]
-        run_id = planned.cell.run_id(library.identity, self.machine["id"], HARNESS_VERSION)
+        identity = identity_of(planned.cell, library)
+        run_id = planned.cell.run_id(identity, self.machine["id"], HARNESS_VERSION)
         return CellJob(planned, run_id, library, self.machine["id"])
 
     def run(self, engine: Engine, progress: Progress) -> None:
@@ -96,7 +100,8 @@ class Campaign:
         progress.start(work)
         if not work and self._is_written():
             return
-        engine.prepare(self.sources, [job.cell.solver for job in pending], progress)
+        solvers = [name for job in pending for name in (job.cell.solver, job.cell.backup) if name]
+        engine.prepare(self.sources, solvers, progress)
         self._make_plots(engine, pending)
         by_id = {job.run_id: job for job in pending}
         for result in engine.run(pending):
@@ -158,7 +163,7 @@ class Campaign:
         previous = self._out / "suite.json"
         if self._fresh or not previous.is_file():
             return []
-        earlier: list[Revision] = read_json(previous).get("revisions", [])
+        earlier: list[Revision] = read_suite(self._out).get("revisions", [])
         return earlier
 
     def write(
@@ -250,7 +255,10 @@ def run_campaign(
     sequence: str | Path | None = None,
     engine: str = "local",
     scheduler: str | None = None,
+    tls: TlsFiles | None = None,
     shard: str | None = None,
+    wait_s: float | None = None,
+    may_leave_out: bool = False,
     progress: Progress | None = None,
 ) -> Path:
     """Run a suite and write `runs.parquet`, `steps.parquet`, `machine.json`, `suite.json`.
@@ -268,8 +276,14 @@ def run_campaign(
     engine : who runs the cells: "local", the processes of this machine, or "dask", the workers of a
         Dask cluster; without a `scheduler` so many as `jobs` on this machine.
     scheduler : the address of a Dask scheduler.
+    tls : of a scheduler at tls://HOST:8786 the files of its certificate authority, of a client's
+        certificate and of its key; those of Dask's configuration by default.
     shard : "i/n": only the i-th of n parts of about the same work, for `gather`.
     fresh : run every cell again, also those finished before.
+    wait_s : the longest wait for another campaign that times replays on this machine; None without
+        a limit, 0 for none.
+    may_leave_out : whether finished runs of the folder may go from its tables, where they are not
+        asked for.
     solver_module : a Python file with a plug-in, whose solver then has a name like any other.
     sequence : instead of a suite: a stored sequence by name, a `.npz` of `dpbench export` or a
         folder of qpsolvers problems, replayed through every solver at default and high settings.
@@ -281,7 +295,9 @@ def run_campaign(
 
     Raises
     ------
-    InputError : for a bad suite, scenario, solver, job count or engine, before anything runs.
+    InputError : for a bad suite, scenario, solver, job count or engine, or a folder with finished
+        runs that are not asked for, before anything runs.
+    BusyError : the machine was busy longer than `wait_s`; finished cells are kept.
     """
     asked = Asked(
         suite=None if suite is None else str(suite),
@@ -292,16 +308,26 @@ def run_campaign(
         steps=steps,
         solver_module=None if solver_module is None else str(solver_module),
     )
+    if wait_s is not None and not 0.0 <= wait_s < math.inf:
+        raise InputError("--wait", "", wait_s, "a number of seconds, 0 or more")
     plan, some = asked.plan(), Shard.of_text(shard)
     designs = designs_of(plan) if some.index == 1 else []
     folder = Path(out) if out is not None else Path("results") / f"{plan.name}{'-part' * plan.part}"
     progress = progress or Silent()
-    with opened(engine, jobs, scheduler) as crew, claimed(folder, plan.name):
+    with (
+        opened(engine, jobs, scheduler, tls, Patience(wait_s)) as crew,
+        claimed(folder, plan.name, Patience(wait_s)),
+    ):
         for remark in remarks_on(plan.cells):
+            progress.remark(remark)
+        campaign = Campaign(plan, designs, folder, crew.machine, fresh=fresh, shard=some)
+        if not (fresh or may_leave_out):
+            work = [job.planned for job in campaign.work]
+            refuse_other_selection(work, folder, "--fresh to replace them, or another --out")
+        for remark in campaign.store.remarks:
             progress.remark(remark)
         if shard is not None:
             record = ShardRecord(asked.from_anywhere(), some, plan.digest, crew.machine)
             record.write(folder)
-        campaign = Campaign(plan, designs, folder, crew.machine, fresh=fresh, shard=some)
         campaign.run(crew, progress)
     return folder

@@ -19,12 +19,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import ConfigDict
 
 from dpbench.bench.engines.engine import Engine
 from dpbench.bench.plan.suite import DesignTable
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
+from dpbench.bench.record.descriptions import validated
 from dpbench.bench.record.result_folder import read_json, write_json
 from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.workers.worker import leave_verdict, pin, settle
@@ -375,11 +376,4 @@ def _read(path: Path) -> Designs:
     if document.get("schema") != DESIGN_SCHEMA:
         schema = f"schema {document.get('schema')}"
         raise ResultsError(str(path), "schema", schema, f"schema {DESIGN_SCHEMA}; run again")
-    try:
-        return TypeAdapter(Designs).validate_json(json.dumps(document))
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        key = ".".join(str(part) for part in first["loc"])
-        value = "nothing" if first["type"] == "missing" else repr(first["input"])[:80]
-        allowed = f"what `dpbench run` writes ({first['msg']}); run again"
-        raise ResultsError(str(path), key, value, allowed) from error
+    return validated(document, Designs, path)

@@ -32,6 +32,7 @@ from dpbench.bench.record.recorded_steps import read_steps
 from dpbench.bench.record.result_folder import claimed
 from dpbench.bench.sequences.source import is_at_edge, is_untimed
 from dpbench.errors import InputError
+from dpbench.locks import FOR_NOBODY
 
 FEW, MANY = 10, 100
 """Steps of the sampled cells, at most."""
@@ -227,7 +228,7 @@ def estimate_campaign(
     (progress or Silent()).advance(0, "running a few of the cells")
 
     def run(cells: Sequence[PlannedCell], folder: Path) -> None:
-        with opened(engine, jobs) as crew, claimed(folder, plan.name):
+        with opened(engine, jobs, patience=FOR_NOBODY) as crew, claimed(folder, plan.name):
             sample = replace(plan, cells=list(cells))
             Campaign(sample, [], folder, crew.machine).run(crew, Silent())
 

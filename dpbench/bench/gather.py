@@ -6,7 +6,8 @@ is missing or damaged is a lost cell, which `dpbench run` into that folder runs.
 
 from __future__ import annotations
 
-import shutil
+import re
+import stat
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,24 +25,32 @@ from dpbench.bench.plan.asked import Plan
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.cell_store import DAMAGE, CellStore
 from dpbench.bench.record.result_folder import claimed
+from dpbench.bench.tabulate import refuse_other_selection
 from dpbench.bench.workers.executor import CellJob
 from dpbench.errors import InputError
+from dpbench.files.tables import in_full, opened_table
+from dpbench.files.writing import write_bytes
 from dpbench.solvers.record import Build
 from dpbench.solvers.table import Availability
 
 _WHERE = "gather"
-_BESIDE = ("design-*.json", "exact-*.npz")
+_BESIDE = re.compile(r"design-\w+\.json|exact-\w+\.npz")
 """Files of a folder of cells that are shown too: designs, and capability plots with their QPs."""
 
 
 def gather(
-    folders: Sequence[str | Path], out: str | Path, *, suite: str | Path | None = None
+    folders: Sequence[str | Path],
+    out: str | Path,
+    *,
+    suite: str | Path | None = None,
+    solver_module: str | Path | None = None,
 ) -> Path:
     """Write one result folder of those that `dpbench cells` wrote.
 
     Parameters
     ----------
     folders : one of each shard; suite : where the suite lies now, if it lay elsewhere.
+    solver_module : the plug-in that they were run with. None is run because a shard names it.
 
     Returns
     -------
@@ -49,20 +58,23 @@ def gather(
 
     Raises
     ------
-    InputError : for folders of different suites, plans or versions, one that is in use, or a suite
-        that has changed since.
+    InputError : for folders of different suites, plans or versions, one that is in use, a suite
+        that has changed since, shards of a plug-in without `solver_module`, or a finished result
+        in `out` that has other cells.
     """
     started_utc, started_s = datetime.now(UTC), time.monotonic()
     shards = {Path(folder): ShardRecord.read(Path(folder)) for folder in folders}
-    plan, records = _plan_of(shards, suite), list(shards.values())
+    plan, records = _plan_of(shards, suite, solver_module), list(shards.values())
     designs, remarks = designs_of(plan), _missing(records)
     with claimed(Path(out), plan.name):
-        finished = _collected(list(shards), Path(out), plan.name)
+        refuse_other_selection(plan.cells, Path(out), "another folder")
+        finished, ignored = _collected(list(shards), Path(out), plan.name)
+        remarks += ignored
         machine, others = _machines(records, finished)
         if others:
             remarks.append(
                 f"cells ran on {len(others) + 1} kinds of machines: times of replays are ranked "
-                f"on {machine['cpu_model']} ({machine['id']}) alone"
+                f"on {machine.get('cpu_model', 'an unnamed CPU')} ({machine['id']}) alone"
             )
         kept = machine | ({"others": others} if others else {})
         campaign = Campaign(plan, designs, Path(out), kept)
@@ -78,7 +90,11 @@ def gather(
     return Path(out)
 
 
-def _plan_of(shards: Mapping[Path, ShardRecord], suite: str | Path | None) -> Plan:
+def _plan_of(
+    shards: Mapping[Path, ShardRecord],
+    suite: str | Path | None,
+    solver_module: str | Path | None,
+) -> Plan:
     """The plan that all shards are of; InputError where there is none."""
     where, first = next(iter(shards.items()))
     for folder, shard in shards.items():
@@ -88,15 +104,21 @@ def _plan_of(shards: Mapping[Path, ShardRecord], suite: str | Path | None) -> Pl
         if shard.digest != first.digest:
             found = f"{folder} of another suite, or another choice of it, than {where}"
             raise InputError(_WHERE, "", found, "shards of one plan")
+        if shard.asked.solver_module is not None and solver_module is None:
+            found = f"{folder} run with the plug-in {shard.asked.solver_module!r}"
+            raise InputError(_WHERE, "", found, "its file, if you trust it, by --solver-module")
     # The same suite may lie elsewhere on each of their machines.
     asked = next((one.asked for one in shards.values() if one.asked.is_here), first.asked)
     asked = asked if suite is None else replace(asked, suite=str(suite))
+    # What a folder says is data: a file that is run comes from the command line alone.
+    asked = replace(asked, solver_module=None if solver_module is None else str(solver_module))
     if not asked.is_here:
         raise InputError(_WHERE, "", f"no file {asked.suite}", "the suite's, by --suite")
     plan = asked.plan()
     if plan.digest != first.digest:
         found = f"{plan.path} changed since {where} was run from it"
-        raise InputError(_WHERE, "", found, "the suite as it was, by --suite")
+        allowed = "the suite as it was, by --suite, and a plug-in at the path it had"
+        raise InputError(_WHERE, "", found, allowed)
     return plan
 
 
@@ -111,8 +133,8 @@ def _missing(shards: Sequence[ShardRecord]) -> list[str]:
     return [f"shards that are not among them: {named}"] if absent else []
 
 
-def _collected(folders: Sequence[Path], out: Path, name: str) -> pd.DataFrame:
-    """The rows of all finished cells, once they are copied into `out`."""
+def _collected(folders: Sequence[Path], out: Path, name: str) -> tuple[pd.DataFrame, list[str]]:
+    """The rows of all finished cells, once they are copied into `out`; remarks on the folders."""
     with ExitStack() as stack:
         for folder in folders:
             stack.enter_context(claimed(folder, name))
@@ -121,10 +143,14 @@ def _collected(folders: Sequence[Path], out: Path, name: str) -> pd.DataFrame:
         _refuse_versions(pd.concat([store.rows(), *rows]))
         for other, of_other in zip(others, rows, strict=True):
             store.adopt(other, of_other)
-            for pattern in _BESIDE:
-                for path in other.folder.glob(pattern):
-                    shutil.copy2(path, store.folder / path.name)
-        return store.rows()
+            for path in filter(_is_beside, other.folder.iterdir()):
+                write_bytes(store.folder / path.name, path.read_bytes())
+        return store.rows(), [line for one in (store, *others) for line in one.remarks]
+
+
+def _is_beside(path: Path) -> bool:
+    """Whether it is shown too: a design, or a capability plot with its QPs; no link to others."""
+    return _BESIDE.fullmatch(path.name) is not None and stat.S_ISREG(path.lstat().st_mode)
 
 
 def _refuse_versions(rows: pd.DataFrame) -> None:
@@ -153,7 +179,9 @@ def _unfinished(folder: Path) -> Iterator[tuple[str, Outcome]]:
     """What a shard says of cells that it could not finish, by their descriptions."""
     with suppress(*DAMAGE):
         columns = ["cell", "outcome", "outcome_detail"]
-        rows = pd.read_parquet(folder / "runs.parquet", columns=columns)
+        path = folder / "runs.parquet"
+        with opened_table(path) as file:
+            rows = in_full(file.read(columns=columns), path).to_pandas()
         for cell, outcome, detail in rows.itertuples(index=False):
             if outcome in ("lost", "invalid"):
                 yield str(cell), Outcome(str(outcome), str(detail))

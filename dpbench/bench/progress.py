@@ -17,6 +17,9 @@ class Progress(Protocol):
     def remark(self, text: str) -> None:
         """Something worth knowing before it goes on."""
 
+    def waiting(self, text: str) -> None:
+        """What it waits for, shown even where all else is silent."""
+
 
 class Silent:
     """A progress that shows nothing."""
@@ -28,4 +31,7 @@ class Silent:
         """Show nothing."""
 
     def remark(self, text: str) -> None:
+        """Say nothing."""
+
+    def waiting(self, text: str) -> None:
         """Say nothing."""

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
+from pathlib import Path
 
 import pandas as pd
 import pyarrow.compute as pc
 
 from dpbench.bench.judge.memory_of_answers import with_loop_ratio
 from dpbench.bench.judge.rows import run_row
-from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
-from dpbench.bench.record.cell_store import CellStore, StepFile
+from dpbench.bench.plan.cells import PlannedCell
+from dpbench.bench.plan.configurations import identity_of
+from dpbench.bench.record.cell import HARNESS_VERSION, Cell, Outcome
+from dpbench.bench.record.cell_store import CellStore, StepFile, public_part
 from dpbench.bench.record.schema import RUN_COLUMNS, as_runs, study_columns
 from dpbench.bench.record.step_table import of_runs, renamed_runs
 from dpbench.bench.workers.executor import CellJob
+from dpbench.errors import InputError
 
 
 class Wanted:
@@ -29,7 +33,8 @@ class Wanted:
             self.jobs[job.run_id] = job, job.cell.settings
             for settings in job.planned.alias_settings:
                 cell = job.cell.with_settings(settings)
-                run_id = cell.run_id(job.library.identity, job.machine_id, HARNESS_VERSION)
+                identity = identity_of(cell, job.library)
+                run_id = cell.run_id(identity, job.machine_id, HARNESS_VERSION)
                 self.jobs[run_id] = job, settings
 
     def rows(self, finished: pd.DataFrame) -> pd.DataFrame:
@@ -72,6 +77,45 @@ class Wanted:
             for run_id, (job, _) in self.jobs.items()
             if run_id not in finished.index and job.run_id in finished.index
         }
+
+
+_SELECTED = (
+    *("mode", "scenario", "sequence", "solver", "route", "policy", "formulation", "units"),
+    *("slowdown", "steps_planned", "study", "study_point", "replicate", "settings"),
+)
+"""Columns by which a row is the same cell, whichever version and machine ran it."""
+
+
+def refuse_other_selection(cells: Iterable[PlannedCell], out: Path, remedy: str) -> None:
+    """InputError where the tables of `out` have finished runs that none of `cells` is.
+
+    Parameters
+    ----------
+    remedy : what to do then.
+    """
+    asked = {
+        (*_selected(planned.cell), settings)
+        for planned in cells
+        for settings in (planned.cell.settings, *planned.alias_settings)
+    }
+    rows = public_part(out).rows()
+    rows = rows[rows["outcome"] != "refused"]
+    values = rows[list(_SELECTED)].astype(object).where(rows[list(_SELECTED)].notna(), None)
+    others = [row for row in values.itertuples(index=False, name=None) if row not in asked]
+    if others:
+        first = dict(zip(_SELECTED, others[0], strict=True))
+        place = first["sequence"] or first["scenario"]
+        example = f"{first['solver']} in {place}, {first['steps_planned']} steps"
+        found = f"{out} with {len(others)} finished runs that are not asked for, as of {example}"
+        raise InputError("--out", "", found, remedy)
+
+
+def _selected(cell: Cell) -> tuple[object, ...]:
+    """What `_SELECTED` is of a cell, less its settings."""
+    asked = (cell.route, cell.policy, cell.formulation, cell.units, cell.slowdown, cell.steps)
+    study = (cell.study.get(name) for name in ("point", "replicate"))
+    named = (cell.mode, cell.scenario_name, cell.sequence, cell.solver)
+    return (*named, *asked, cell.study.get("name", ""), *study)
 
 
 def is_tabulated(work: Sequence[CellJob], store: CellStore) -> bool:

@@ -71,6 +71,12 @@ def _run(commands: Commands) -> None:
     _option(run, "--engine", "E", "local (default), or dask", default="local")
     _option(run, "--scheduler", "ADDRESS", "of Dask (default: --jobs workers on this machine)")
     run.add_argument(
+        "--tls",
+        nargs=3,
+        metavar=("CA", "CERT", "KEY"),
+        help="PEM files for a scheduler at tls://HOST:PORT (default: Dask's configuration)",
+    )
+    run.add_argument(
         "--dry-run",
         action="store_true",
         help="say how many cells that is, how long and how large; run a few of them to know",
@@ -101,6 +107,22 @@ def _what_to_run(run: Any) -> None:
     _option(run, "--jobs", "J", "loops or random configurations at a time", type=int)
     _option(run, "--solver-module", "FILE.py", "a plug-in that brings a solver")
     run.add_argument("--fresh", action="store_true", help="run finished cells again too")
+    wait = run.add_mutually_exclusive_group()
+    _option(
+        wait,
+        "--wait",
+        "SECONDS",
+        "the longest wait for another campaign on this machine (no limit)",
+        type=float,
+        dest="wait_s",
+    )
+    wait.add_argument(
+        "--no-wait",
+        action="store_const",
+        const=0.0,
+        dest="wait_s",
+        help="exit with 2 where another campaign would be waited for",
+    )
 
 
 def _cells(commands: Commands) -> None:
@@ -127,6 +149,7 @@ def _gather(commands: Commands) -> None:
     gather.add_argument("folders", metavar="DIR", nargs="+", help="a folder of each shard")
     _option(gather, "--out", "DIR", "result folder", required=True)
     _option(gather, "--suite", "FILE", "where the suite lies, if it lay elsewhere")
+    _option(gather, "--solver-module", "FILE.py", "the plug-in that the shards were run with")
     _how_to_end(gather)
 
 

@@ -85,7 +85,7 @@ def _asked(
             capability = capability_of(frontier, bar)
     suite = write_batch(frontier, capability, out)
     with Bar(transient=True, quiet=quiet) as bar:
-        folder = run_campaign(suite, out / "run", solvers=solvers, progress=bar)
+        folder = run_campaign(suite, out / "run", solvers=solvers, may_leave_out=True, progress=bar)
     records = Records(load_results(folder))
     return answers_of(records, [run for run in records.runs if run.default_route])
 

@@ -17,21 +17,62 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
+from dpbench.bench.workers.interrupts import Interruption, one_interrupt
 from dpbench.cli.arguments import HOW_TO_END, parser
 from dpbench.cli.completion import complete
 from dpbench.cli.ending import say_ending
+from dpbench.cli.streams import PIPE_CLOSED, flush_streams, is_output_lost, open_streams
 from dpbench.errors import DpbenchError, InputError, RenamedWarning, renamed
+from dpbench.files.writing import write_given
 
 if TYPE_CHECKING:
     from dpbench.report.table import Table
 
+INTERRUPTED = 130
+"""The exit code after Ctrl-C; after another signal 128 and its number."""
 OLD_COMMANDS = {"hunt": "worst-case"}
 """Old names of commands that are still read, with what they are called now."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    words = list(sys.argv[1:] if argv is None else argv)
+    """Run the command line; returns the exit code.
+
+    Parameters
+    ----------
+    argv : the words after the command; None for those of this process, which ends with it.
+    """
+    if argv is not None:
+        with one_interrupt() as interruption:
+            return _ended(argv, interruption)
+    open_streams()
+    try:
+        with one_interrupt(for_good=True) as interruption:
+            return _ended(sys.argv[1:], interruption)
+    finally:
+        flush_streams()
+
+
+def _ended(argv: Sequence[str], interruption: Interruption) -> int:
+    """The exit code of a command, also where a signal or the reader of its output ended it."""
+    try:
+        code = _called(argv, interruption)
+    except KeyboardInterrupt:
+        code = INTERRUPTED
+    except OSError:
+        # To a terminal that was closed nothing is said any more.
+        if not interruption.signal and not is_output_lost():
+            raise
+        code = PIPE_CLOSED
+    if interruption.signal:
+        # Python kills itself with SIGINT at its end if a KeyboardInterrupt once left a call of
+        # `exec` (as of dataclasses), although it was caught; the next call makes it forget that.
+        exec("")
+    return 128 + interruption.signal if interruption.signal and code else code
+
+
+def _called(argv: Sequence[str], interruption: Interruption) -> int:
+    """Call the command that the words name; returns the exit code."""
+    words = list(argv)
     with warnings.catch_warnings():
         warnings.simplefilter("always", RenamedWarning)
         warnings.showwarning = _one_line
@@ -41,7 +82,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         whole = parser(_CALLS)
         if "_ARGCOMPLETE" in os.environ:
             complete(whole)
-        return _exit_code(whole.parse_args(words))
+        return _exit_code(whole.parse_args(words), interruption)
 
 
 def _one_line(
@@ -64,9 +105,15 @@ def _no_codes_at_exit() -> None:
         atexit.unregister(colorama.reset_all)
 
 
-def _exit_code(arguments: argparse.Namespace) -> int:
+def _exit_code(arguments: argparse.Namespace, interruption: Interruption) -> int:
     try:
-        return int(arguments.call(arguments))
+        if sys.flags.optimize > 1:
+            found = f"{sys.flags.optimize}, which removes docstrings that Altair reads"
+            raise InputError("PYTHONOPTIMIZE", "", found, "0 or 1")
+        code = int(arguments.call(arguments))
+        # Here, where a full disk or a closed pipe gets its line, and not at the end of Python.
+        sys.stdout.flush()
+        return code
     except InputError as error:
         print(f"dpbench: {error}", file=sys.stderr)
         return 2
@@ -74,6 +121,8 @@ def _exit_code(arguments: argparse.Namespace) -> int:
         print(f"dpbench: {error}", file=sys.stderr)
         return 1
     except OSError as error:
+        if is_output_lost():
+            raise
         # The last net under all that is read and written: a full disk, a folder in a file's place.
         name = f"{error.filename}: " if error.filename else ""
         print(
@@ -82,13 +131,25 @@ def _exit_code(arguments: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         return 2
+    except MemoryError as error:
+        print(f"dpbench: out of memory: {error or 'no details'}", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
-        resumes = arguments.call in (_run, _cells)
-        kept = "; finished cells are kept, run again to go on" if resumes else ""
-        print(f"dpbench: interrupted{kept}", file=sys.stderr)
-        return 130
+        return _say_interrupted(arguments)
+    except Exception:
+        # A library whose code is loading when a signal comes makes an error of its own of it.
+        if not interruption.signal:
+            raise
+        return _say_interrupted(arguments)
     finally:
         _no_codes_at_exit()
+
+
+def _say_interrupted(arguments: argparse.Namespace) -> int:
+    resumes = arguments.call in (_run, _cells)
+    kept = "; finished cells are kept, run again to go on" if resumes else ""
+    print(f"dpbench: interrupted{kept}", file=sys.stderr)
+    return INTERRUPTED
 
 
 def _given(arguments: argparse.Namespace, *without: str) -> dict[str, Any]:
@@ -97,7 +158,7 @@ def _given(arguments: argparse.Namespace, *without: str) -> dict[str, Any]:
     return {name: value for name, value in vars(arguments).items() if name not in others}
 
 
-_NOT_DRY = ("dry_run", "out", "fresh", "scheduler")
+_NOT_DRY = ("dry_run", "out", "fresh", "scheduler", "tls", "wait_s")
 """Arguments of a run that have no part in what it takes."""
 
 
@@ -223,7 +284,7 @@ def _say_compared(
         print(markdown, end="")
         return
     if file is not None:
-        Path(file).write_text(markdown, encoding="utf-8")
+        write_given(Path(file), markdown.encode())
     screen = console()
     for table in tables:
         screen.print(report_table(table, screen))
@@ -255,7 +316,7 @@ def _worst_case(arguments: argparse.Namespace) -> int:
     with Bar() as bar:
         worst_case = find_worst_case(**_given(arguments), progress=bar)
     say(worst_case.lines)
-    return 130 if worst_case.search.stopped == "interrupted" else 0
+    return INTERRUPTED if worst_case.search.stopped == "interrupted" else 0
 
 
 def _paper(arguments: argparse.Namespace) -> int:

@@ -145,6 +145,10 @@ class Bar:
         elif not self._quiet:
             print(f"dpbench: {text}", file=sys.stderr)
 
+    def waiting(self, text: str) -> None:
+        """A line beside the output, also where that is quiet."""
+        print(f"dpbench: {text}", file=sys.stderr, flush=True)
+
     def advance(self, work: int, what: str) -> None:
         """So much is done now, the last of it on `what`."""
         self._progress.update(self._task, advance=work, description=what[:44])

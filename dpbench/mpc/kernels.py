@@ -36,7 +36,8 @@ F = (2, 4, 8), so F_x = ΦᵀF = (2 + 8 + 32, 4 + 16) and F_held = −Φᵀ(1, 1
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from dpbench.kernel_cache import njit
 
 TILE = 32
 """Rows and columns of a tile of P: 8 kB, of which two fit the smallest cache."""

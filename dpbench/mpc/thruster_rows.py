@@ -17,9 +17,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from dpbench.arrays import Indices, Matrix, Vector
+from dpbench.kernel_cache import njit
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
 

@@ -127,6 +127,7 @@ def run_closed_loop(
     units: UnitSystem = "scaled",
     formulation: Formulation = "condensed_box",
     fallback: Fallback = "shifted_plan",
+    backup: str = "",
     slowdown: float = 0.0,
     deadline_s: float = 0.0,
     steps: int | None = None,
@@ -136,14 +137,15 @@ def run_closed_loop(
     Parameters
     ----------
     steps : only the first so many; by default the whole scenario.
+    backup : name of a second solver, asked before the fallback acts; "" for none.
     slowdown : how much slower than this machine the ship's computer is (≥ 1), so that answers
         arrive late; 0 for a ship that waits for each. Time is simulated, not waited for.
     deadline_s : what a step may take of its time [s], at most the sample; 0 for the sample.
 
     Raises
     ------
-    InputError : for an unknown formulation or fallback, "sparse" for a scenario that has none, or
-        a slow-down, deadline or number of steps that cannot be.
+    InputError : for an unknown formulation, fallback or backup, "sparse" for a scenario that has
+        none, or a slow-down, deadline or number of steps that cannot be.
     """
     _check("fallback", fallback, FALLBACKS)
     _check_workspace(workspace, formulation)
@@ -157,6 +159,7 @@ def run_closed_loop(
         formulation=formulation,
         units=units,
         fallback=fallback,
+        backup=backup,
         slowdown=slowdown,
         deadline_s=deadline_s,
     )
@@ -185,8 +188,10 @@ def replay(
         raise InputError("replay", "repeats", repeats, "1 or more")
     warmup_steps = min(warmup_steps, len(sequence))
     steps, solver, log = replay_parts(sequence, workspace, formulation, repeats, RawLog.in_memory)
-    limits = {"warmup_steps": warmup_steps, "limit_ns": NO_LIMIT_NS}
-    ReplayRun(steps, solver, log, clock=clock, **limits).rounds()
+    replaying = ReplayRun(
+        steps, solver, log, warmup_steps=warmup_steps, limit_ns=NO_LIMIT_NS, clock=clock
+    )
+    replaying.rounds()
     cell = _cell_of(
         workspace,
         mode="replay",

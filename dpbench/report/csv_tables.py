@@ -4,6 +4,7 @@ and the data frames of `load_results`."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import pandas as pd
@@ -17,6 +18,8 @@ from dpbench.analysis.times.solver_tables import (
 )
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import RUN_COLUMNS
+from dpbench.files.writing import write_together
+from dpbench.report.escaped import csv_bytes, markdown_text
 from dpbench.report.page.answer import Answer
 from dpbench.report.page.facts import Facts
 from dpbench.report.page.topic import Topic
@@ -53,21 +56,22 @@ def tables_of(
 
 def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
     """Write those that have rows into `folder`, and what they say into `README.md`; those of an
-    earlier report go."""
-    folder.mkdir(exist_ok=True)
-    for stale in folder.glob("*.csv"):
-        stale.unlink()
+    earlier report go.
+
+    Raises
+    ------
+    InputError : the folder is a link.
+    """
     written = {name: table for name, table in tables.items() if len(table)}
-    for name, table in written.items():
-        table.to_csv(folder / f"{name}.csv", index=False)
-    (folder / LEGEND).write_text(_legend(written), encoding="utf-8")
+    contents = {f"{name}.csv": partial(csv_bytes, table) for name, table in written.items()}
+    write_together(folder, {**contents, LEGEND: lambda: _legend(written).encode()})
 
 
 def _legend(tables: Mapping[str, pd.DataFrame]) -> str:
     """What each table holds, and what its columns mean in which unit."""
     known = {name: RUN_MEANINGS if name == "runs" else COLUMNS for name in tables}
     said = {
-        name: (
+        markdown_text(name): (
             TABLES.get(name, "A table of a part of the page."),
             {column: known[name][column] for column in table if column in known[name]},
         )

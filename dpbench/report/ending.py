@@ -10,6 +10,7 @@ from dpbench.analysis.times.machine import (
     disturbance_of,
     timed_runs,
 )
+from dpbench.report.charts.render import NOT_DRAWN, can_draw
 from dpbench.report.machine_verdict import calibration_text, verdict_text
 from dpbench.report.page.answer import Answer
 from dpbench.report.page.facts import Facts
@@ -39,4 +40,6 @@ def ending(facts: Facts, answer: Answer, topics: Sequence[Topic]) -> list[tuple[
         rows.append(("machine", f"{verdict_text(disturbance)}."))
     if medians := calibration_medians(records.calibration):
         rows.append(("harness", f"{calibration_text(medians)}."))
+    if not can_draw():
+        rows.append(("figures", f"{NOT_DRAWN}."))
     return rows

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -14,6 +14,7 @@ from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.bench.design import Designs
 from dpbench.bench.record.result_folder import Results
+from dpbench.report.charts.render import can_draw
 from dpbench.report.csv_tables import tables_of
 from dpbench.report.page.answer import Answer, answer_of
 from dpbench.report.page.facts import Facts
@@ -53,12 +54,14 @@ class Report:
             named = None  # a part of the suite was run, without it
         answer = answer_of(facts, results.machine, baseline or named)
         topics = topics_of(records, facts.verdicts, designs, capability, facts.studies)
+        if not can_draw():
+            topics = [replace(topic, figures=()) for topic in topics]
         return cls(results, facts, answer, topics)
 
     @cached_property
     def charts(self) -> Mapping[str, Any]:
         """The figures of the page that follow what is chosen there, by name."""
-        return charts_of(self.facts)
+        return charts_of(self.facts) if can_draw() else {}
 
     @cached_property
     def tables(self) -> Mapping[str, pd.DataFrame]:

@@ -15,7 +15,9 @@ from dpbench.bench.design import Designs, linear_record
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.result_folder import Results, accidents, load_results
 from dpbench.bench.record.revision import made_by
-from dpbench.report.charts.render import save
+from dpbench.files.writing import write_bytes, write_text
+from dpbench.report.charts.render import encoded
+from dpbench.report.escaped import csv_bytes
 from dpbench.report.formats import plural, unmarked
 from dpbench.report.page.topic import Topic
 from dpbench.report.table import markdown
@@ -84,8 +86,8 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
         nothing = f"nothing is reproduced: no loop of the paper's case was finished; see {runs}"
         return Reproduction((nothing,), tuple(remarks), complete=False)
     _write_figures(folder, topic, laws_of(records), scenario)
-    topic.tables[0].frame.to_csv(folder / "claims.csv", index=False)
-    (folder / "claims.md").write_text(_document(topic, results), encoding="utf-8")
+    write_bytes(folder / "claims.csv", csv_bytes(topic.tables[0].frame))
+    write_text(folder / "claims.md", _document(topic, results))
     judged = claims(records)
     radius = linear_record(scenario).spectral_radius
     stable = (
@@ -101,9 +103,9 @@ def _write_figures(folder: Path, topic: Topic, laws: Sequence[Law], scenario: Sc
         short = figure.name.removeprefix(f"{topic.id}-")
         name = f"figure{number}_{short}"
         for kind in FORMATS:
-            save(figure.chart, folder / f"{name}.{kind}")
+            write_bytes(folder / f"{name}.{kind}", encoded(figure.chart, kind))
         data = pd.concat([data_behind(short, law, scenario) for law in laws])
-        data.to_csv(folder / f"{name}.csv", index=False)
+        write_bytes(folder / f"{name}.csv", csv_bytes(data))
 
 
 def _document(topic: Topic, results: Results) -> str:

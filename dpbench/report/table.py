@@ -9,6 +9,7 @@ from typing import Any, Self
 import pandas as pd
 
 from dpbench.display import table_html
+from dpbench.report.escaped import markdown_cell, markdown_line, markdown_text
 from dpbench.report.formats import unmarked
 
 
@@ -62,9 +63,11 @@ def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]], text_columns: 
 
 def document(title: str, lines: Sequence[str], tables: Sequence[Table]) -> str:
     """A Markdown document: the lines as a list, then every table under its title and note."""
-    parts = [f"# {title}", "\n".join(f"- {line}" for line in lines)]
+    parts = [f"# {markdown_text(title)}", "\n".join(f"- {markdown_text(line)}" for line in lines)]
     parts += [
-        f"## {t.title}\n\n{t.note}\n\n{markdown(t.heads, t.rows, t.text_columns)}" for t in tables
+        f"## {markdown_text(t.title)}\n\n{markdown_line(t.note)}\n\n"
+        f"{markdown(t.heads, t.rows, t.text_columns)}"
+        for t in tables
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -75,4 +78,4 @@ def html(table: Table) -> str:
 
 
 def _line(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+    return f"| {' | '.join(map(markdown_cell, cells))} |"

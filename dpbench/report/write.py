@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from dpbench.bench.capability.table import load_capability
 from dpbench.bench.design import load_designs
-from dpbench.bench.record.result_folder import load_results
+from dpbench.bench.record.result_folder import load_results, writing
 from dpbench.errors import InputError
-from dpbench.report.charts.render import FORMATS, save
+from dpbench.files.writing import make_folder, write_text, write_together
+from dpbench.report.charts.render import FORMATS, can_draw, encoded
 from dpbench.report.csv_tables import write_tables
 from dpbench.report.documents.comment import beside, worst_text
 from dpbench.report.documents.markdown import report_markdown
@@ -35,7 +37,8 @@ def write_report(out: str | Path, *, baseline: str | None = None) -> Path:
     Raises
     ------
     ResultsError : when the folder holds no readable results.
-    InputError : for a baseline that was not run; nothing is written then.
+    InputError : for a baseline that was not run, or a link in place of a folder to write into;
+        nothing is written then.
     """
     return report_and_ending(out, baseline=baseline)[0]
 
@@ -68,40 +71,40 @@ def report_and_ending(
         if kind not in FORMATS:
             raise InputError("--figures", "", repr(kind), " | ".join(FORMATS))
     folder = Path(out)
-    beside_it = load_designs(folder), baseline, load_capability(folder)
-    report = Report.of(load_results(folder), *beside_it)
-    comment, worst = ("", []) if solver is None else beside(report, solver, against)
-    if statement is not None:
-        write_statement(Path(statement), folder, report.results, report.facts)
-    _write_figures(folder / "figures", report, ("svg", *figures))
-    write_tables(folder / "tables", report.tables)
-    text = report_markdown(report.results, report.facts, report.answer, report.topics)
-    (folder / "report.md").write_text(text, encoding="utf-8")
-    page = folder / "report.html"
-    page.write_text(_page(folder, report), encoding="utf-8")
-    if send is not None:
-        prepare(folder, Path(send))
-        light = _page(Path(send), report, light=True)
-        (Path(send) / PAGE).write_text(light, encoding="utf-8")
-    ended = ending(report.facts, report.answer, report.topics)
-    if solver is not None:
-        (folder / f"{solver}.md").write_text(comment, encoding="utf-8")
-        ended += [*worst_text(worst), ("comment", str(folder / f"{solver}.md"))]
+    with writing(folder):
+        beside_it = load_designs(folder), baseline, load_capability(folder)
+        report = Report.of(load_results(folder), *beside_it)
+        comment, worst = ("", []) if solver is None else beside(report, solver, against)
+        drawn, tables = make_folder(folder / "figures"), make_folder(folder / "tables")
+        if statement is not None:
+            write_statement(Path(statement), folder, report.results, report.facts)
+        _write_figures(drawn, report, ("svg", *figures))
+        write_tables(tables, report.tables)
+        text = report_markdown(report.results, report.facts, report.answer, report.topics)
+        write_text(folder / "report.md", text)
+        page = folder / "report.html"
+        write_text(page, _page(folder, report))
+        if send is not None:
+            prepare(folder, Path(send))
+            write_text(Path(send) / PAGE, _page(Path(send), report, light=True))
+        ended = ending(report.facts, report.answer, report.topics)
+        if solver is not None:
+            write_text(folder / f"{solver}.md", comment)
+            ended += [*worst_text(worst), ("comment", str(folder / f"{solver}.md"))]
     return page, ended
 
 
 def _page(folder: Path, report: Report, *, light: bool = False) -> str:
-    """The page, with links to the files in `folder`."""
-    r = report
+    """The page, with links to the files in `folder`; a light one where nothing can be drawn."""
+    r, light = report, light or not can_draw()
     return page_html(folder, r.results, r.facts, r.answer, r.charts, r.topics, light=light)
 
 
 def _write_figures(folder: Path, report: Report, formats: Sequence[str]) -> None:
     """Every figure that stands alone, in each format; those of an earlier report go."""
-    folder.mkdir(exist_ok=True)
-    for kind in FORMATS:
-        for stale in folder.glob(f"*.{kind}"):
-            stale.unlink()
-    for name, chart in report.figures.items():
-        for kind in dict.fromkeys(formats):
-            save(chart, folder / f"{name}.{kind}")
+    files = {
+        f"{name}.{kind}": partial(encoded, chart, kind)
+        for name, chart in report.figures.items()
+        for kind in dict.fromkeys(formats)
+    }
+    write_together(folder, files)

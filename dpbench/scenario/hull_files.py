@@ -20,17 +20,22 @@ be left out and are zero then, D62 is then D26.
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.io
+from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix
 from dpbench.errors import InputError
+from dpbench.files.mat import read_structure
+from dpbench.files.opening import MOST_TEXT_BYTES, read_bytes
 
+_Fields = Mapping[str, NDArray[Any]]
+_NOTHING = np.zeros(0)
 _SURGE_SWAY_YAW = np.ix_([0, 1, 5], [0, 1, 5])
 NEXT_DIFFERS = 0.1
 """From here on it is said how far off the added mass at the next frequency is."""
@@ -89,35 +94,26 @@ def read_mss(path: Path) -> Hull:
     return Hull(M, D, _main(vessel), method, remarks)
 
 
-def _structure(path: Path) -> Mapping[str, Any]:
-    try:
-        # Opened here: scipy would not say why it cannot be.
-        with path.open("rb"):
-            content = scipy.io.loadmat(path, simplify_cells=True)
-    except OSError as error:
-        raise InputError(str(path), "", error.strerror or str(error), "a readable file") from error
-    except Exception as error:  # of what is no such file scipy may raise anything: an InputError
-        allowed = "a .mat file of version 7 or older (in MATLAB: save -v7)"
-        raise InputError(str(path), "", f"no MATLAB file ({error})", allowed) from error
-    vessel = content.get("vessel")
-    if not isinstance(vessel, dict):
-        names = ", ".join(name for name in content if not name.startswith("__")) or "nothing"
-        raise InputError(str(path), "vessel", names, "a structure `vessel` of the MSS toolbox")
-    return vessel
+def _structure(path: Path) -> _Fields:
+    names, fields = read_structure(path, "vessel")
+    if not fields:
+        found = ", ".join(names)[:200] or "nothing"
+        raise InputError(str(path), "vessel", found, "a structure `vessel` of the MSS toolbox")
+    return fields
 
 
-def _field(vessel: Mapping[str, Any], path: Path, key: str) -> Matrix:
-    try:
-        array = np.asarray(vessel[key], dtype=np.float64)
-    except (KeyError, TypeError, ValueError) as error:
-        found = "nothing" if key not in vessel else "no numbers"
-        raise InputError(str(path), f"vessel.{key}", found, "an array of numbers") from error
+def _field(vessel: _Fields, path: Path, key: str) -> Matrix:
+    array = vessel.get(f"vessel.{key}", _NOTHING)
+    if not array.size:
+        found = "no numbers" if f"vessel.{key}" in vessel else "nothing"
+        raise InputError(str(path), f"vessel.{key}", found, "an array of numbers")
+    array = array.astype(np.float64)
     if not np.isfinite(array).all():
         raise InputError(str(path), f"vessel.{key}", "NaN or infinity", "finite numbers")
     return array
 
 
-def _by_frequency(vessel: Mapping[str, Any], path: Path, key: str, omega: Matrix) -> Matrix:
+def _by_frequency(vessel: _Fields, path: Path, key: str, omega: Matrix) -> Matrix:
     """A field (6, 6, frequencies) or (6, 6, frequencies, speeds) as (frequencies, 6, 6)."""
     array = _field(vessel, path, key)
     # One frequency alone loses its axis in MATLAB.
@@ -129,9 +125,9 @@ def _by_frequency(vessel: Mapping[str, Any], path: Path, key: str, omega: Matrix
     return np.moveaxis(array, -1, 0)
 
 
-def _viscous(vessel: Mapping[str, Any], path: Path, omega: Matrix) -> Matrix:
+def _viscous(vessel: _Fields, path: Path, omega: Matrix) -> Matrix:
     """Bv at each frequency; one matrix stands for all, and potential damping alone is refused."""
-    if "Bv" not in vessel:
+    if "vessel.Bv" not in vessel:
         allowed = "viscous damping (MSS: ABCtransform, viscous): at low frequency there is no other"
         raise InputError(str(path), "vessel.Bv", "nothing", allowed)
     if _field(vessel, path, "Bv").ndim == 2:
@@ -139,18 +135,15 @@ def _viscous(vessel: Mapping[str, Any], path: Path, omega: Matrix) -> Matrix:
     return _by_frequency(vessel, path, "Bv", omega)
 
 
-def _main(vessel: Mapping[str, Any]) -> dict[str, float]:
+def _main(vessel: _Fields) -> dict[str, float]:
     """The particulars of `vessel.main`, as far as it has them as numbers above zero."""
-    main = vessel.get("main")
-    if not isinstance(main, dict):
-        return {}
     keys = {"length_m": "Lpp", "breadth_m": "B", "draught_m": "T", "displacement_t": "m"}
     per = {"displacement_t": 1000.0}
-    numbers = {name: main.get(key) for name, key in keys.items()}
+    numbers = {name: vessel.get(f"vessel.main.{key}", _NOTHING) for name, key in keys.items()}
     return {
         name: float(number) / per.get(name, 1.0)
         for name, number in numbers.items()
-        if isinstance(number, (int, float, np.number)) and float(number) > 0.0
+        if number.ndim == 0 and 0.0 < float(number) < np.inf
     }
 
 
@@ -176,12 +169,13 @@ def read_table(path: Path) -> Hull:
 
 
 def _values(path: Path) -> dict[str, float]:
+    what = "a readable CSV file in UTF-8"
+    content = read_bytes(path, what, most_bytes=MOST_TEXT_BYTES)
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = [row for row in csv.reader(file) if row and not row[0].startswith("#")]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(str(path), "", reason, "a readable CSV file in UTF-8") from error
+        lines = io.StringIO(content.decode("utf-8-sig"), newline="")
+        rows = [row for row in csv.reader(lines) if row and not row[0].startswith("#")]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(str(path), "", str(error), what) from error
     if not rows or [cell.strip() for cell in rows[0][:2]] != ["coefficient", "value"]:
         first = ",".join(rows[0]) if rows else "an empty file"
         raise InputError(str(path), "first row", repr(first)[:80], "coefficient,value")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import os
+import re
 import tomllib
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -21,12 +22,18 @@ from pydantic import (
 )
 
 from dpbench.errors import InputError, UnknownNameError, one_of, renamed
+from dpbench.files.documents import MOST_DEPTH, check_values
+from dpbench.files.opening import MOST_TEXT_BYTES, read_bytes
 
 KINDS = ("vessels", "scenarios", "suites")
 SEQUENCES = "sequences"
 """The kind of the recorded sequences, which are `.npz` files beside one TOML file."""
 OLD_NAMES = {("suites", "ladder"): "levels"}
 """Old names of shipped files that are still read, with what they are called now."""
+# tomllib keeps every beginning of a dotted key: one of 50 000 parts takes 7 GB. Each part is
+# matched whole, and from its beginning alone, so that the search takes linear time.
+_PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
+_LONG_KEY = re.compile(rf"(?<![\w-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MOST_DEPTH}}}")
 _PACKAGE = Path(__file__).resolve().parents[1]
 _Model = TypeVar("_Model", bound=BaseModel)
 
@@ -128,12 +135,23 @@ def unknown_name(kind: str, text: str, otherwise: str) -> UnknownNameError:
 
 def read_toml(path: Path) -> dict[str, Any]:
     """The TOML document at `path`; InputError when it cannot be read or parsed."""
+    where, content = str(path), read_bytes(path, "a readable file", most_bytes=MOST_TEXT_BYTES)
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(str(path), "", error.strerror or str(error), "a readable file") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(str(path), "", f"no TOML ({error})", "a TOML document in UTF-8") from error
+        text = content.decode("utf-8-sig")
+        if long := _LONG_KEY.search(text):
+            line = text.count("\n", 0, long.start()) + 1
+            found = f"a key of more than {MOST_DEPTH} parts"
+            raise InputError(where, f"line {line}", found, f"at most {MOST_DEPTH}")
+        document = tomllib.loads(text)
+        check_values(document)
+    except InputError:
+        raise
+    except RecursionError as error:
+        raise InputError(where, "", "nested too deep", f"{MOST_DEPTH} levels") from error
+    # Besides TOMLDecodeError a plain ValueError: an integer of thousands of digits.
+    except ValueError as error:
+        raise InputError(where, "", f"no TOML ({error})", "a TOML document in UTF-8") from error
+    return document
 
 
 def read_model(path: Path, model: type[_Model]) -> _Model:

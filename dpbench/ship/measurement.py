@@ -6,9 +6,9 @@ measured = [ν; η] + [R(ψ)ᵀ η̇_w; η_w] + [0; noise]
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from dpbench.arrays import Vector
+from dpbench.kernel_cache import njit
 from dpbench.ship.environment import Environment
 from dpbench.ship.layout import (
     AXES,

@@ -24,9 +24,9 @@ the cost of the ship that has no wind, current or drift.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from dpbench.arrays import Matrix, Vector
+from dpbench.kernel_cache import njit
 from dpbench.ship.actuators import Actuators, SteeredThrusters
 from dpbench.ship.layout import (
     AIR_EAST,

@@ -25,21 +25,21 @@ OTHERS = (
 )
 
 
-def isolate(solver: str) -> None:
-    """Hide every solver library but that of `solver` from this process, for good.
+def isolate(*solvers: str) -> None:
+    """Hide every solver library but those of `solvers` from this process, for good.
 
     Raises
     ------
     UnknownNameError : there is no such solver.
     DpbenchError : qpsolvers was imported before, so it is too late.
     """
-    row = record(solver)
+    rows = [record(solver) for solver in solvers]
     if "qpsolvers" in sys.modules:
         raise DpbenchError("isolate comes too late: qpsolvers has been imported in this process")
-    keep = {row.module, *row.needs_modules}
+    keep = {module for row in rows for module in (row.module, *row.needs_modules)}
     modules = {entry.module for entry in TABLE.values() if entry.module}
     # What a solver outside the table needs is not known.
-    others = () if row.extra == "qpsolvers" else OTHERS
+    others = () if any(row.extra == "qpsolvers" for row in rows) else OTHERS
     for module in (*modules, *others):
         if module not in keep:
             sys.modules[module] = None  # type: ignore[assignment]  # None is how Python hides one

@@ -6,7 +6,7 @@ import warnings
 from functools import partial
 
 from dpbench.errors import PolicyError, SolverUnavailableError
-from dpbench.solvers.contract import Policy, Route, Settings, Workspace
+from dpbench.solvers.contract import Options, Policy, Route, Settings, Workspace
 from dpbench.solvers.record import POLICIES, SolverRecord
 from dpbench.solvers.settings import resolve
 from dpbench.solvers.table import available, native_adapter, qpsolvers_adapter, record
@@ -18,6 +18,7 @@ def open_workspace(
     route: Route | None = None,
     policy: Policy = "fresh",
     settings: Settings = "default",
+    step_limit_s: float | None = None,
 ) -> Workspace:
     """A workspace of `solver`, not yet set up.
 
@@ -27,6 +28,8 @@ def open_workspace(
     route : "qpsolvers" or "native"; None takes the solver's own default.
     policy : "fresh", "reuse" or "warm", where the route has it.
     settings : a name of its settings, or a mapping of the solver's own keys.
+    step_limit_s : time after which a library that has an option for it ends a solve [s], unless
+        its settings say otherwise; None for the library's own.
 
     Raises
     ------
@@ -38,22 +41,31 @@ def open_workspace(
     row = record(solver)
     route = row.default_route if route is None else route
     _check_policy(row, route, policy)
-    workspace = _opened(row, route, policy, settings)
-    workspace.opened_again = partial(_opened, row, route, policy, settings)
+    opened = partial(_opened, row, route, policy, settings, step_limit_s)
+    workspace = opened()
+    workspace.opened_again = opened
     return workspace
 
 
-def _opened(row: SolverRecord, route: Route, policy: Policy, settings: Settings) -> Workspace:
+def _opened(
+    row: SolverRecord,
+    route: Route,
+    policy: Policy,
+    settings: Settings,
+    step_limit_s: float | None,
+) -> Workspace:
     """A workspace of a route and policy that the solver has."""
     solver = row.name
     here = available(solver)
     if not here.ok:
         raise SolverUnavailableError("solver", solver, here.reason, f"after {row.remedy}")
+    limited = row.time_limit and step_limit_s is not None
+    limits: Options = {row.time_limit: step_limit_s} if limited else {}
     if route == "native":
         native = native_adapter(solver)
-        return native.workspace(row, policy, resolve(settings, native))
+        return native.workspace(row, policy, {**limits, **resolve(settings, native)})
     adapter = qpsolvers_adapter(solver)
-    options = resolve(settings, adapter)
+    options = {**limits, **resolve(settings, adapter)}
     if adapter.prepare is not None:
         adapter.prepare()
     # qpsolvers imports every library it finds, so it is imported only when it is needed, and

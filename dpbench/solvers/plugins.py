@@ -31,6 +31,7 @@ from types import MappingProxyType, ModuleType
 from typing import Any, get_args
 
 from dpbench.errors import InputError, renamed
+from dpbench.files.writing import is_file_name
 from dpbench.solvers.adapter import NativeAdapter, Opened
 from dpbench.solvers.contract import Form, Options, Policy, Workspace
 from dpbench.solvers.record import (
@@ -257,6 +258,8 @@ def _register(
         raise InputError(where, "RECORD", repr(record), "a SolverRecord, see solver_record")
     if not callable(opener):
         raise InputError(where, "open", repr(opener), "a function of (policy, options)")
+    if not is_file_name(record.name):
+        raise InputError(where, "RECORD.name", repr(record.name), "a name without a folder")
     other = _LOADED.get(record.name)
     if record.name in taken or (other is not None and other.origin != origin):
         owner = "dpbench's own table" if other is None else other.origin

@@ -217,6 +217,7 @@ class SolverRecord:
     needs_modules : further libraries that it imports, which isolation must not hide.
     build : reads from the installed library how it was built, where that can be read and decides
         how fast it is.
+    time_limit : its option that ends a solve after so many seconds; "" without one.
     """
 
     name: str
@@ -232,6 +233,7 @@ class SolverRecord:
     needs_strict_convexity: bool = False
     needs_modules: tuple[str, ...] = ()
     build: Callable[[], Build] = unread
+    time_limit: str = ""
 
     @property
     def default_route(self) -> Route:

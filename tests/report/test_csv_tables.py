@@ -12,6 +12,7 @@ import pytest
 
 from dpbench.analysis.records.counting_rows import counting_of
 from dpbench.analysis.records.run_steps import run_steps
+from dpbench.files.writing import write_together
 from dpbench.report.csv_tables import TABLES, tables_of
 from dpbench.report.page.answer import Answer
 from dpbench.report.page.topic import Topic
@@ -103,8 +104,7 @@ def test_what_ended_early_stands_with_its_reason(records: Any, tmp_path: Path) -
     records.refused("ecos", "it keeps no workspace", policy="reuse")
     records.loop("highs", outcome="crashed", outcome_detail="signal 11", done=0)
     out = records.write(tmp_path / "out")
-    (out / "tables").mkdir()
-    (out / "tables" / "old.csv").write_text("x\n1\n")
+    write_together(out / "tables", {"old.csv": lambda: b"x\n1\n"})
     write_report(out)
     table = _table(out, "runs").set_index("solver")
     assert table["outcome"].to_dict() == {

@@ -15,6 +15,7 @@ import pytest
 import scipy.io
 
 from dpbench.errors import InputError
+from dpbench.files import mat
 from dpbench.scenario.hull_files import read_mss, read_table
 from dpbench.scenario.own_ship import Particulars, regression_added_mass
 from dpbench.scenario.scenario import load_vessel
@@ -123,6 +124,36 @@ def test_files_that_are_no_such_structure_are_refused(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=part) as caught:
             read_mss(tmp_path / f"{name}.mat")
         assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_kills_scipy_is_one_line(tmp_path: Path) -> None:
+    """Two elements whose types and lengths SciPy's C code follows out of the file: in this process
+    it would end the tests with a segmentation fault."""
+    path = save(tmp_path / "ship.mat", {"MRB": np.eye(6), "main": {"Lpp": 82.8}, "name": "x"})
+    whole = path.read_bytes()
+    for at in (260, 668):
+        path.write_bytes(whole[:at] + b"\x10" + whole[at + 1 :])
+        with pytest.raises(
+            InputError, match=r"ship\.mat: found .*; allowed: a \.mat file"
+        ) as caught:
+            read_mss(path)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_reader_that_is_killed_or_does_not_end_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a signal, or after the time it has."""
+    path = save(tmp_path / "ship.mat", structure())
+    child = tmp_path / "mat_child.py"
+    monkeypatch.setattr(mat, "__file__", str(tmp_path / "mat.py"))
+    child.write_text("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "utf-8")
+    with pytest.raises(InputError, match=r"a file that SciPy dies of \(SIGSEGV\)"):
+        read_mss(path)
+    child.write_text("import time; time.sleep(60)", "utf-8")
+    monkeypatch.setattr(mat, "WAIT_S", 0.2)
+    with pytest.raises(InputError, match=r"nothing in 0\.2 s"):
+        read_mss(path)
 
 
 @pytest.mark.parametrize("name", ["supply_fs99", "supply_mss", "osv"])

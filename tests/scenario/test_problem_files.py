@@ -212,3 +212,37 @@ def test_a_sequence_is_a_stored_name_or_a_path(
     for name in ("paper-30-6", "x" * 300):
         with pytest.raises(UnknownNameError, match=r"one of .*paper-30-5.*; or a .npz path"):
             sequence_path(name)
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("a" + ".a" * 50_000 + " = 1", "line 1: found a key of more than 32 parts"),
+        ('\n\n["a"' + ' . "b"' * 50_000 + "]", "line 3: found a key of more than 32 parts"),
+        ("x = {a" + ".'a'" * 50_000 + " = 1}", "line 1: found a key"),
+        ("a = " + "[" * 100_000, "nested too deep"),
+        ("a = " + "[" * 50 + "]" * 50, "more than 32 nested levels"),
+        ("a = " + "9" * 5000, "no TOML"),
+        ("[[a]]\nb = [0x" + "f" * 5000 + "]", "an integer of more than 300 digits"),
+        ("a = 1\n" * 300_000, "1800000 bytes; allowed: at most 1048576"),
+    ],
+    ids=["key", "header", "inline", "brackets", "levels", "digits", "hexadecimal", "size"],
+)
+def test_what_a_parser_would_choke_on_is_refused(text: str, found: str, tmp_path: Path) -> None:
+    """In one line with the number of the line in the file; tomllib takes gigabytes for a key."""
+    path = tmp_path / "ship.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        read_toml(path)
+    assert found in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_dots_that_join_no_key_are_read(tmp_path: Path) -> None:
+    """Numbers in a row, sentences in a text, and a key of many parts."""
+    key = ".".join("a" * 31)
+    numbers = ", ".join(["0.1"] * 100)
+    text = f'remark = "{"Yes. No. " * 10}"\nrow = [{numbers}]\n{key} = 1\n# {"... " * 99}\n'
+    path = tmp_path / "ship.toml"
+    path.write_text(text, encoding="utf-8")
+    document = read_toml(path)
+    assert document["row"] == [0.1] * 100 and document["remark"].count("Yes") == 10

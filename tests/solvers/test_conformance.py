@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import gc
+import time
 
 import numpy as np
 import psutil
 import pytest
 
+from dpbench.bench.run.formulation import Box
+from dpbench.bench.run.timed_solver import StepTimeLimitError, TimedSolver, is_usable
 from dpbench.errors import ShapeError
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.referee.referee import certify
@@ -301,6 +304,44 @@ def test_recovery(configuration, sequence, fault, reset, solve_at_once):
     if configuration.exact_again:
         expected = solve_at_once(configuration.open(**patience(configuration)), qp)
         np.testing.assert_array_equal(answer.z, expected.z)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:invalid value encountered")
+@pytest.mark.parametrize("fault", ["infeasible", "nan in q", "nan in u", "interrupted"])
+def test_no_state_of_a_failed_step_survives(configuration, sequence, fault, monkeypatch):
+    """Driven as in a loop, the answers after a failed step are those the referee certifies.
+
+    A solve that is interrupted has changed whatever it changes, and its answer is lost.
+    """
+    workspace = configuration.open(**patience(configuration))
+    solver = TimedSolver(workspace, Box(sequence.base), time.perf_counter_ns)
+    solver.prepare()
+    first, bad, *after = sequence.steps[:5]
+    assert solver.answer(solver.formulate(first)).status is Status.SOLVED
+    with monkeypatch.context() as patch:
+        if fault == "interrupted":
+            patch.setattr(workspace, "read", interrupted(solver))
+        answer = solver.answer(bad if fault == "interrupted" else spoil(bad, fault))
+    known = f"solved despite a {fault}" in configuration.record.faults
+    assert known or answer.status is not Status.SOLVED
+    if not is_usable(answer):
+        solver.reset()
+    for step in after:
+        answer = solver.answer(solver.formulate(step))
+        exact = certify(sequence.base.at(step))
+        assert answer.status is Status.SOLVED
+        np.testing.assert_allclose(answer.z, exact.z, rtol=0, atol=configuration.tolerance)
+
+
+def interrupted(solver):
+    """What reading an answer comes to after an alarm."""
+
+    def read():
+        solver.interrupted = "interrupted"
+        raise StepTimeLimitError(solver.interrupted)
+
+    return read
 
 
 # Multipliers may come back infinite.

@@ -142,6 +142,8 @@ def test_what_a_plugin_raises_is_an_answer(sequence):
         ("raise type('Own', (BaseException,), {})('two\\nlines')", "Own: two lines"),
         ("import os; os._exit(0)", "an end of its process, exit code 0"),
         ("import signal; signal.raise_signal(signal.SIGSEGV)", "an end of its process, SIGSEGV"),
+        (EXAMPLE.read_text().replace('"admm", method', '"../../x", method'), "RECORD.name.*x'"),
+        (EXAMPLE.read_text().replace('"admm", method', '"a\\x1b", method'), "RECORD.name.*x1b'"),
     ],
 )
 def test_what_is_no_plugin_is_refused(tmp_path, text, words):

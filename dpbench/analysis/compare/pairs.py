@@ -13,7 +13,7 @@ from dpbench.errors import ResultsError
 
 KEY = ("mode", "scenario", "sequence", *COLUMNS, "steps_planned")
 """Columns that two cells share when they ask the same question of the same configuration."""
-PROBLEM = ("scenario", "source", "first", "fallback")
+PROBLEM = ("scenario", "source", "first", "fallback", "backup")
 """Parts of a cell's description that they share too."""
 LASTING = ("cpu_model", "cores", "memory_GiB", "kernel", "python", "versions")
 

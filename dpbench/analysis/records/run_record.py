@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from dpbench.bench.judge.memory_of_answers import is_remembered
 from dpbench.bench.record.cell import HARDEST, Formulation, Units
 from dpbench.bench.record.configuration import COMMON, Configuration
 from dpbench.bench.record.schema import RUN_COLUMNS
+from dpbench.errors import ResultsError
+from dpbench.files.documents import parse_json
 from dpbench.scenario.horizons import Horizons
 from dpbench.solvers.contract import Policy, Route
 
@@ -137,9 +139,10 @@ class RunRecord:
     def of(cls, columns: Mapping[str, Any], description: dict[str, Any]) -> RunRecord:
         """The record of a row of `runs.parquet`: the columns that it has, read, and `cell`."""
         source = description.get("source", {})
-        family = str(source["recipe"]["family"]) if source.get("kind") == "random" else ""
-        group = str(source["group"]) if source.get("kind") == "consequence" else ""
-        vessel = str(source["vessel_name"]) if source.get("kind") == "capability" else ""
+        kind, recipe = source.get("kind"), source.get("recipe") or {}
+        family = str(recipe.get("family", "")) if kind == "random" else ""
+        group = str(source.get("group", "")) if kind == "consequence" else ""
+        vessel = str(source.get("vessel_name", "")) if kind == "capability" else ""
         return cls(
             **columns,
             description=description,
@@ -185,7 +188,7 @@ class RunRecord:
     def window_of(self) -> int:
         """Steps of the stretch whose hardest steps it replays; 0 of every other run."""
         source = self.description.get("source", {})
-        return int(source["of"]) if source.get("kind") == HARDEST else 0
+        return int(source.get("of", 0)) if source.get("kind") == HARDEST else 0
 
     @property
     def problem(self) -> str:
@@ -253,6 +256,44 @@ class RunRecord:
         return ", ".join(names if common else [*names, self.formulation.replace("_", " ")])
 
 
+class _Table(BaseModel):
+    model_config = ConfigDict(strict=True, extra="allow")
+
+
+class _Scenario(_Table):
+    controller: dict[str, Any]
+
+
+class _Files(_Table):
+    scenario: _Scenario | None = None
+
+
+class _Recipe(_Table):
+    family: str
+
+
+class _Source(_Table):
+    kind: str = ""
+    path: str = ""
+    group: str = ""
+    vessel_name: str = ""
+    of: int = 0
+    recipe: _Recipe | None = None
+
+
+class _Study(_Table):
+    x: dict[str, Any] = {}
+
+
+class _Described(_Table):
+    """What of the description of a cell is read here."""
+
+    scenario: _Files | None = None
+    source: _Source = _Source()
+    study: _Study = _Study()
+    first: int = 0
+
+
 def records_of(runs: pd.DataFrame) -> list[RunRecord]:
     """The records of a table of runs."""
     names = [name for name in RunRecord.__annotations__ if name in RUN_COLUMNS]
@@ -267,7 +308,16 @@ def records_of(runs: pd.DataFrame) -> list[RunRecord]:
 def _described(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
     """What `cell` says. The runs of a campaign say nearly the same: a part that another run has too
     is kept once, in `shared`."""
-    described: dict[str, Any] = json.loads(cell) if cell.startswith("{") else {}
+    if not cell.startswith("{"):
+        return {}
+    try:
+        described: dict[str, Any] = parse_json(cell)
+        _Described.model_validate(described)
+    except ValueError as error:
+        first = error.errors()[0] if isinstance(error, ValidationError) else None
+        key = ".".join(["cell", *map(str, first["loc"])]) if first else "cell"
+        found = first["msg"] if first else f"no JSON ({str(error)[:80]})"
+        raise ResultsError("runs.parquet", key, found, "the description of a cell") from error
     for whole in (described, *(described.get("scenario") or {}).values()):
         if isinstance(whole, dict):
             for name, part in whole.items():

@@ -21,11 +21,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import itemgetter
 
 import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
+from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.statistics import LEAST_SKEW_DF, TAILS, Interval, MeanEstimate, holm
@@ -317,15 +319,12 @@ class Study:
     def loosest(self) -> dict[str, StudiedConfiguration | None]:
         """Of each solver that was run at stated tolerances, the loosest that is cheap; None where
         none is."""
-        stated = [c for c in self.configurations if c.tolerance is not None]
-        solvers = dict.fromkeys(c.solver for c in stated)
-        cheap = {
-            solver: [c for c in stated if c.solver == solver and c.is_cheap] for solver in solvers
-        }
-        return {
-            solver: max(of, key=lambda c: c.tolerance or 0.0) if of else None
-            for solver, of in cheap.items()
-        }
+        stated = [(c.tolerance, c) for c in self.configurations if c.tolerance is not None]
+        loosest: dict[str, StudiedConfiguration | None] = {}
+        for solver, of_solver in grouped(stated, lambda one: one[1].solver).items():
+            cheap = [one for one in of_solver if one[1].is_cheap]
+            loosest[solver] = max(cheap, key=itemgetter(0))[1] if cheap else None
+        return loosest
 
     def held_map(self, configuration: str) -> pd.DataFrame:
         """Share of seas held at each point: the keys' values, `runs`, `held` (a share)."""

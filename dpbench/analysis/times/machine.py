@@ -58,7 +58,8 @@ def _own_apart(runs: Sequence[RunRecord]) -> list[RunRecord]:
 
 def _switches_a_step(run: RunRecord) -> float:
     rounds = 1.0 if run.mode == "closed_loop" else run.rounds
-    return run.involuntary_switches / (rounds * run.steps_done)
+    # One that was stopped before its first round that counts has none.
+    return run.involuntary_switches / (rounds * run.steps_done) if rounds else np.nan
 
 
 def _once_each(records: Records) -> list[RunRecord]:

@@ -17,6 +17,8 @@ import pyarrow as pa
 from dpbench.bench.capability.batch import Point
 from dpbench.bench.capability.study import FROM_DEG, Capability
 from dpbench.errors import ResultsError
+from dpbench.files.tables import in_full, opened_table
+from dpbench.files.writing import replaced
 
 CAPABILITY_FILE = "capability.parquet"
 COLUMNS = {
@@ -64,9 +66,8 @@ def table_of(
 def write_capability(out: Path, tables: Sequence[dict[str, list[Any]]]) -> None:
     """Write the plots into a result folder."""
     frame = pd.concat([pd.DataFrame(table) for table in tables], ignore_index=True)
-    part = out / f"{CAPABILITY_FILE}.part"
-    frame.astype(COLUMNS).to_parquet(part, index=False, compression="zstd")
-    part.replace(out / CAPABILITY_FILE)
+    with replaced(out / CAPABILITY_FILE) as part:
+        frame.astype(COLUMNS).to_parquet(part, index=False, compression="zstd")
 
 
 def load_capability(folder: Path) -> pd.DataFrame | None:
@@ -80,7 +81,12 @@ def load_capability(folder: Path) -> pd.DataFrame | None:
     if not path.exists():
         return None
     try:
-        return pd.read_parquet(path)[list(COLUMNS)].astype(COLUMNS)
+        with opened_table(path, error=ResultsError) as file:
+            table = in_full(file.read(columns=list(COLUMNS)), path, error=ResultsError)
+        plots: pd.DataFrame = table.to_pandas(ignore_metadata=True)[list(COLUMNS)]
+        return plots.astype(COLUMNS)
+    except ResultsError:
+        raise
     except (OSError, ValueError, TypeError, KeyError, pa.ArrowException) as error:
         found = f"a damaged file ({str(error)[:80]})"
         raise ResultsError(str(path), "", found, "a parquet table; run again") from error

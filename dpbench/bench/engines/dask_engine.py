@@ -36,6 +36,7 @@ from dpbench.bench.engines.engine import (
     Kind,
     MadeFile,
     Target,
+    TlsFiles,
     by_source,
     interleaved,
     longest,
@@ -59,6 +60,7 @@ from dpbench.bench.workers.executor import (
 )
 from dpbench.bench.workers.worker import make_source
 from dpbench.errors import CertificateError, InputError
+from dpbench.files.writing import write_bytes
 
 RETRIES = 2
 """How often a task is run again that failed by an error of the harness."""
@@ -94,13 +96,13 @@ class Chunk:
         return [Chunk(self.kind, jobs, suspect=True) for jobs in apart]
 
 
-def dask_engine(scheduler: str | None, workers: int) -> DaskEngine:
+def dask_engine(scheduler: str | None, workers: int, tls: TlsFiles | None = None) -> DaskEngine:
     """The engine of a scheduler's workers, or of so many on this machine."""
     engine = DaskEngine(workers)
     with ExitStack() as until_connected:
         until_connected.push(engine)
         if scheduler is not None:
-            engine.connect(scheduler)
+            engine.connect(scheduler, tls)
         until_connected.pop_all()
     return engine
 
@@ -125,9 +127,10 @@ class DaskEngine(ExitStack):
         # Two campaigns may ask one scheduler for the same.
         self._names = (f"{i}-{token}" for i in count())
 
-    def connect(self, scheduler: str) -> None:
+    def connect(self, scheduler: str, tls: TlsFiles | None) -> None:
         """Take the workers of a scheduler; InputError where that cannot be."""
-        self._client, self._where = self.enter_context(connected(scheduler)), f"at {scheduler}"
+        self._client = self.enter_context(connected(scheduler, tls))
+        self._where = f"at {scheduler}"
         self._fleet = fleet_of(self._client)
         self.machine = self._fleet.machine
 
@@ -189,9 +192,7 @@ class DaskEngine(ExitStack):
             path, answer = paths[future.key], self._answer(future)
             (made,) = answer if isinstance(answer, list) else [Made(self._lost(answer))]
             if made.data:
-                part = path.with_name(f"{path.name}.part")
-                part.write_bytes(made.data)
-                part.replace(path)
+                write_bytes(path, made.data)
             yield path, made.outcome
         for path in descriptions.keys() - futures.keys():
             yield path, self._lost(self._gone)

@@ -24,6 +24,9 @@ Target = Callable[[str, Path, str, int, Path], None]
 """What makes a file in a process of its own; see `Errand`."""
 MadeFile = tuple[Path, Outcome]
 """A file, and what became of whoever made it."""
+TlsFiles = Sequence[str | Path]
+"""Of a cluster with TLS, in PEM format: its certificate authority, a client's certificate, its
+key."""
 
 
 class Engine(AbstractContextManager["Engine"], Protocol):

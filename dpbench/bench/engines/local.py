@@ -21,12 +21,13 @@ from dpbench.bench.engines.engine import (
 from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.machine import describe_machine
-from dpbench.bench.sequences.source import is_sound
+from dpbench.bench.sequences.source import is_sound, is_timed
 from dpbench.bench.workers.child import template_context
 from dpbench.bench.workers.compiled import missing, needed
 from dpbench.bench.workers.executor import Bench, CellJob, Result
 from dpbench.bench.workers.scratch import Scratch
 from dpbench.bench.workers.worker import make_source
+from dpbench.locks import Patience
 
 COMPILING = "compiling the kernels, once after an installation: up to a minute"
 
@@ -37,12 +38,13 @@ class LocalEngine(ExitStack):
     Parameters
     ----------
     slots : processes at a time, on as many cores; timed replays run one at a time.
+    patience : with other campaigns on this machine.
     """
 
-    def __init__(self, slots: int) -> None:
+    def __init__(self, slots: int, patience: Patience) -> None:
         super().__init__()
         self.machine = describe_machine()
-        self._slots = slots
+        self._slots, self._patience = slots, patience
 
     @property
     def remarks(self) -> list[str]:
@@ -58,11 +60,22 @@ class LocalEngine(ExitStack):
         cores = sorted(os.sched_getaffinity(0))
         context = template_context(solvers)
         machine_id = str(self.machine["id"])
-        self._bench = Bench(context, self._scratch, cores, self._slots, progress, machine_id)
+        self._bench = Bench(
+            context,
+            self._scratch,
+            cores,
+            self._slots,
+            progress,
+            machine_id,
+            work=str(sources.folder.parent),
+            patience=self._patience,
+        )
 
     def run(self, jobs: Sequence[CellJob]) -> Iterator[Result]:
         """Run cells kind by kind, in waves of as many sources as are kept at a time."""
         waiting = {job.run_id: job for job in jobs}
+        if jobs:
+            self._bench.find_machine_free(times=any(is_timed(job.cell) for job in jobs))
         for kind, alike in stages(jobs):
             for wave in waves(alike):
                 for result in self._run_wave(kind, wave):

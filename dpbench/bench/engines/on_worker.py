@@ -7,9 +7,11 @@ the network are bytes. Nothing here needs Dask.
 
 from __future__ import annotations
 
+import ctypes
 import multiprocessing
 import os
 import tempfile
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -25,9 +27,11 @@ from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.workers.child import template_context
 from dpbench.bench.workers.executor import BATCH_CELLS, Bench, CellJob, Result
 from dpbench.bench.workers.leases import leased_core
-from dpbench.bench.workers.scratch import Scratch, scratch_folder
+from dpbench.bench.workers.scratch import Scratch
 from dpbench.bench.workers.worker import make_source
+from dpbench.errors import DpbenchError
 from dpbench.solvers.table import available
+from dpbench.temporary_folders import temporary_folder
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,38 @@ def about() -> About:
     return About(HARNESS_VERSION, may_start, describe_machine())
 
 
+class TaskEndedError(DpbenchError):
+    """The campaign of a task ended before it."""
+
+
+_TASKS: set[int] = set()
+"""The threads of tasks that run in this process."""
+_ENDING = threading.Lock()
+
+
+@contextmanager
+def _task() -> Iterator[None]:
+    """`end_tasks` may end the block."""
+    thread = threading.get_ident()
+    with _ENDING:
+        _TASKS.add(thread)
+    try:
+        yield
+    finally:
+        with _ENDING:
+            _TASKS.remove(thread)
+
+
+def end_tasks() -> None:
+    """End the tasks of this process, as Ctrl-C ends a campaign: what they wait for wakes them
+    within a tenth of a second, and their folders go with them."""
+    with _ENDING:
+        for thread in _TASKS:
+            set_error = ctypes.pythonapi.PyThreadState_SetAsyncExc
+            set_error(ctypes.c_ulong(thread), ctypes.py_object(TaskEndedError))
+
+
+@_task()
 def make_files(
     order: Order, target: Target, texts: Mapping[str, str], limit_s: float | None
 ) -> list[Made]:
@@ -90,6 +126,7 @@ def given(made: Made) -> Made:
     return made
 
 
+@_task()
 def run_cells(
     order: Order,
     kind: Kind,
@@ -177,7 +214,7 @@ def _context(solvers: tuple[str, ...]) -> ForkServerContext:
 def _bench(order: Order, cores: list[int], concurrency: int = 1) -> Iterator[tuple[Bench, Path]]:
     """A bench with one slot on these cores, and a folder for the files it runs from."""
     with ExitStack() as stack:
-        place = stack.enter_context(scratch_folder(Path(tempfile.gettempdir())))
+        place = stack.enter_context(temporary_folder(Path(tempfile.gettempdir())))
         modules = {}
         for i, (path, text) in enumerate(order.modules.items()):
             modules[path] = str(place / str(i) / Path(path).name)

@@ -5,15 +5,21 @@ from __future__ import annotations
 import os
 from contextlib import AbstractContextManager
 
-from dpbench.bench.engines.engine import Engine
+from dpbench.bench.engines.engine import Engine, TlsFiles
 from dpbench.bench.engines.local import LocalEngine
+from dpbench.bench.workers.leases import lease_folder
 from dpbench.errors import InputError
+from dpbench.locks import Patience
 
 ENGINES = ("local", "dask")
 
 
 def opened(
-    name: str, jobs: int | None = None, scheduler: str | None = None
+    name: str,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    tls: TlsFiles | None = None,
+    patience: Patience = Patience(),  # noqa: B008 - frozen
 ) -> AbstractContextManager[Engine]:
     """The engine of that name, for one campaign.
 
@@ -21,6 +27,8 @@ def opened(
     ----------
     jobs : cells at a time; all cores of this machine by default.
     scheduler : of engine dask: the address of its scheduler; None for workers on this machine.
+    tls : files to reach that scheduler with; what Dask's configuration names by default.
+    patience : of engine local: with other campaigns on this machine.
 
     Raises
     ------
@@ -31,18 +39,24 @@ def opened(
         raise InputError("--engine", "", repr(name), " or ".join(ENGINES))
     if name == "local" and scheduler is not None:
         raise InputError("--scheduler", "", f"{scheduler} with engine local", "--engine dask")
+    if tls is not None and scheduler is None:
+        raise InputError("--tls", "", "files without --scheduler", "--scheduler tls://HOST:8786")
     cores = len(os.sched_getaffinity(0))
     if scheduler is not None and jobs is not None:
         found, allowed = f"{jobs} with --scheduler", "one of the two: its workers are there"
         raise InputError("--jobs", "", found, allowed)
     if jobs is not None and not 1 <= jobs <= cores:
         raise InputError("--jobs", "", jobs, f"a number from 1 to {cores}, the cores available")
+    # Before anything is written: a folder that cannot be trusted refuses.
+    lease_folder()
     if name == "local":
-        return LocalEngine(jobs or cores)
+        return LocalEngine(jobs or cores, patience)
+    if patience != Patience():
+        raise InputError("--wait", "", f"a limit with engine {name}", "engine local")
     try:
         # What an extra installs is imported only where it is asked for.
         from dpbench.bench.engines.dask_engine import dask_engine
     except ModuleNotFoundError as error:
         found, allowed = f"dask, without {error.name}", "pip install 'dpbench[cluster]', or local"
         raise InputError("--engine", "", found, allowed) from error
-    return dask_engine(scheduler, jobs or cores)
+    return dask_engine(scheduler, jobs or cores, tls)

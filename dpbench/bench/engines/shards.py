@@ -9,25 +9,37 @@ from heapq import heapify, heapreplace
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel, ConfigDict
+
 from dpbench.bench.engines.engine import by_source, interleaved
 from dpbench.bench.plan.asked import Asked
 from dpbench.bench.record.cell import HARNESS_VERSION
+from dpbench.bench.record.descriptions import MachineFile, validated
 from dpbench.bench.record.result_folder import read_json, write_json
 from dpbench.bench.record.revision import Revision, revision
 from dpbench.bench.sequences.source import is_timed
 from dpbench.bench.workers.executor import BATCH_CELLS, CellJob, configuration_key, work_of
-from dpbench.errors import InputError, ResultsError
+from dpbench.errors import InputError
 
 SHARD_FILE = "shard.json"
 """What a folder of a shard says of it, from its beginning on."""
 
 
+MOST_SHARDS = 10_000
+"""A study of a million loops of a minute each takes two hours in as many."""
+
+
 @dataclass(frozen=True)
 class Shard:
-    """The part `index` of `count`, from 1."""
+    """The part `index` of `count`, from 1; InputError for what is no part."""
 
     index: int
     count: int
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.index <= self.count <= MOST_SHARDS:
+            allowed = f"i/n, as 1/4, with i from 1 to n and n up to {MOST_SHARDS}"
+            raise InputError("--shard", "", repr(str(self)), allowed)
 
     def __str__(self) -> str:
         return f"{self.index}/{self.count}"
@@ -37,11 +49,10 @@ class Shard:
         """Of "i/n"; the whole for None. InputError for what is no part."""
         if text is None:
             return WHOLE
-        parts = re.fullmatch(r"(\d+)/(\d+)", text)
-        shard = cls(*map(int, parts.groups())) if parts else cls(0, 0)
-        if not 1 <= shard.index <= shard.count:
-            raise InputError("--shard", "", repr(text), "i/n, as 1/4, with i from 1 to n")
-        return shard
+        parts = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text)
+        if parts is None:
+            raise InputError("--shard", "", repr(text)[:80], "i/n, as 1/4, with i from 1 to n")
+        return cls(*map(int, parts.groups()))
 
     def of_jobs(self, jobs: list[CellJob]) -> list[CellJob]:
         """The jobs of this part, in their order: the same wherever it is asked for.
@@ -113,11 +124,30 @@ class ShardRecord:
 
     @classmethod
     def read(cls, folder: Path) -> ShardRecord:
-        """That of a folder; InputError where it has none."""
-        try:
-            document = read_json(folder / SHARD_FILE)
-            asked, shard = Asked(**document.pop("asked")), Shard(**document.pop("shard"))
-            return cls(asked=asked, shard=shard, **document)
-        except (ResultsError, KeyError, TypeError) as error:
-            allowed = "a folder of `dpbench cells`"
-            raise InputError("gather", "", f"{folder} without a shard", allowed) from error
+        """That of a folder; InputError where it has none, or a damaged one."""
+        path = folder / SHARD_FILE
+        if not path.exists():
+            found, allowed = f"{folder} without a shard", "a folder of `dpbench cells`"
+            raise InputError("gather", "", found, allowed)
+        read = validated(read_json(path), _ShardFile, path)
+        validated({"machine": read.machine}, _WithMachine, path)
+        return cls(**{name: getattr(read, name) for name in _ShardFile.model_fields})
+
+
+class _ShardFile(BaseModel):
+    """`shard.json`."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+
+    asked: Asked
+    shard: Shard
+    digest: str
+    machine: dict[str, Any]
+    harness_version: str
+    revision: Revision
+
+
+class _WithMachine(BaseModel):
+    """That the machine in it is one, of which all that is said is kept."""
+
+    machine: MachineFile

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Container
 from pathlib import Path
+
+_SOURCE = re.compile(r"exact-(?P<key>\w+)(?:\.part)*\.npz")
 
 
 class SourceFiles:
@@ -23,7 +26,7 @@ class SourceFiles:
 
     def drop(self, needed: Container[str] = ()) -> None:
         """Remove all but those that cells still need, and those that are kept."""
-        for path in self.folder.glob("exact-*.npz"):
-            key = path.stem.removeprefix("exact-")
-            if key not in needed and key not in self._kept:
+        for path in self.folder.iterdir():
+            own = _SOURCE.fullmatch(path.name)
+            if own and own["key"] not in needed and own["key"] not in self._kept:
                 path.unlink(missing_ok=True)

@@ -75,8 +75,10 @@ def _replayed(name: str) -> tuple[float, Disturbance]:
     steps, timed_solver, log = replay_parts(
         _made_up(), open_calibration(name), "condensed_box", _ROUNDS, RawLog.in_memory
     )
-    limits = {"warmup_steps": _STEPS, "limit_ns": NO_LIMIT_NS}
-    ReplayRun(steps, timed_solver, log, clock=clock, **limits).rounds()
+    replaying = ReplayRun(
+        steps, timed_solver, log, warmup_steps=_STEPS, limit_ns=NO_LIMIT_NS, clock=clock
+    )
+    replaying.rounds()
     rounds = np.arange(_ROUNDS + 1, dtype=np.int32)
     slowed = disturbed_rounds(rounds, log.reference_kernel_ns) != WARM_UP
     seen = disturbance_metrics(log)

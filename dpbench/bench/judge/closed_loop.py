@@ -39,6 +39,8 @@ Columns = dict[str, NDArray[Any]]
 """Arrays of several types over the recorded rows of a cell."""
 OF_SECOND = "allocation_"
 """Before the names of columns that belong to the second QPs of a cascade."""
+OF_BACKUP = "backup_"
+"""Before the names of columns that belong to the backup."""
 Rebuilt = Callable[[int], tuple[QPStep, QPStep]]
 """The QP of a step in scaled units and in those the solver was given."""
 EVALUATION = (
@@ -187,6 +189,7 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
         return Evaluated(columns, {})
     thrust = log.thrust[:done]
     columns |= shares_of_full(scenario, thrust) | _allocation(scenario, scaled, own, log)
+    columns |= _backup(cell, scenario, log)
     limits, state = (scaled.u_min, scaled.u_max), columns["state"]
     run = columns["tau"] if scenario.steered is None else thrust
     metrics = control_metrics(scenario, state, run, scaled.reference, limits, exact)
@@ -202,18 +205,22 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
 
 def _controller(scaled: QPBuilder, own: QPBuilder, log: RawLog) -> tuple[Columns, int]:
     """The columns of a controller's QPs, and how many steps brought matrices of their own."""
+    # On a slow computer a step may pass without a computation: it has no answer to evaluate.
+    asked = log.times[0, : int(log.done[0]), _SOLVE] >= 0
+    columns, matrix_steps = _evaluate_steps(log, *_rebuilt(scaled, own, log), asked)
+    return columns | {"asked": asked}, matrix_steps
+
+
+def _rebuilt(scaled: QPBuilder, own: QPBuilder, log: RawLog) -> tuple[StepEvaluator, Rebuilt]:
+    """An evaluator of answers to a controller's QPs, and the QPs from the recorded θ."""
     base = base_problem(scaled.condensed)
     own_base = base if own is scaled else base_problem(own.condensed)
-    evaluator = StepEvaluator(base, own_base, own.condensed.scale)
 
     def rebuilt(k: int) -> tuple[QPStep, QPStep]:
         step = scaled.rebuild(k, log.theta[k])
         return step, step if own is scaled else own.rebuild(k, log.theta[k])
 
-    # On a slow computer a step may pass without a computation: it has no answer to evaluate.
-    asked = log.times[0, : int(log.done[0]), _SOLVE] >= 0
-    columns, matrix_steps = _evaluate_steps(log, evaluator, rebuilt, asked)
-    return columns | {"asked": asked}, matrix_steps
+    return StepEvaluator(base, own_base, own.condensed.scale), rebuilt
 
 
 def _allocation(scenario: Scenario, scaled: QPBuilder, own: QPBuilder, log: RawLog) -> Columns:
@@ -239,6 +246,23 @@ def _allocation(scenario: Scenario, scaled: QPBuilder, own: QPBuilder, log: RawL
     evaluator = StepEvaluator(base, own_base, second_own.scale)
     evaluated, _ = _evaluate_steps(answers, evaluator, rebuilt, np.ones(done, dtype=np.bool_))
     return columns | {f"{OF_SECOND}{name}": column for name, column in evaluated.items()}
+
+
+def _backup(cell: Cell, scenario: Scenario, log: RawLog) -> Columns:
+    """The columns of a backup, `OF_BACKUP` before their names: those of its answers, in steps in
+    which it was asked, whether it acted, and when it was ready; none without a backup."""
+    answers = log.backup
+    if answers is None:
+        return {}
+    # Builders that have emitted nothing yet, as matrices are emitted where they change.
+    scaled = QPBuilder(scenario)
+    own = scaled if cell.units == "scaled" else QPBuilder(scenario, cell.units)
+    done = int(log.done[0])
+    asked = answers.times[0, :done, _SOLVE] >= 0
+    evaluated, _ = _evaluate_steps(answers, *_rebuilt(scaled, own, log), asked)
+    acted, ready_ns = answers.acted[:done].astype(bool), answers.ready_ns[:done].copy()
+    facts = evaluated | {"asked": asked, "acted": acted, "ready_ns": ready_ns}
+    return {f"{OF_BACKUP}{name}": column for name, column in facts.items()}
 
 
 def _evaluate_steps(

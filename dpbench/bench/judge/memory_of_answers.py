@@ -121,7 +121,7 @@ def _later_visits(log: RawLog, total: Ints, r: int) -> Floats:
 def _slower(log: RawLog, r: int) -> float:
     """How much slower the machine was around the first attempt of round r than at its best."""
     seen = log.reference_kernel_ns[log.reference_kernel_ns > 0]
-    if not len(seen) or not log.first_reference_kernel_ns[r] > 0:
+    if not len(seen):
         return 1.0
     return max(1.0, float(log.first_reference_kernel_ns[r] / seen.min()))
 

@@ -99,7 +99,7 @@ def run_row(
     if cell.solver not in CALIBRATION:
         row |= _accuracy(judged) | _worst_of_all(_evaluated(cell, steps))
     if cell.mode == "closed_loop":
-        row |= _failures(steps) | deadline_metrics(steps, cell.slowdown)
+        row |= _failures(steps) | _backup(steps) | deadline_metrics(steps, cell.slowdown)
     return row
 
 
@@ -171,6 +171,22 @@ def _worst_of_all(steps: StepColumns) -> dict[str, Any]:
 def _mean(flags: Flags) -> float:
     """Their share; NaN of none."""
     return float(flags.mean()) if len(flags) else float("nan")
+
+
+def _backup(steps: StepColumns) -> dict[str, Any]:
+    """The columns on a backup; none without one."""
+    if "backup" not in steps:
+        return {}
+    asked = steps["backup_ns"] > ABSENT
+    times = steps["backup_ns"][asked].astype(np.float64)
+    return {
+        "backup_asked": int(asked.sum()),
+        "backup_acted": int(steps["backup"].sum()),
+        "backup_failures": int(steps["backup_failed"].sum()),
+        "backup_p50_ns": median(times),
+        "backup_max_ns": largest(times),
+        "backup_error_max": largest(steps["backup_error"][asked]),
+    }
 
 
 def _failures(steps: StepColumns) -> dict[str, Any]:

@@ -12,7 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Ints
-from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, OF_SECOND, Columns, Evaluated
+from dpbench.bench.judge.closed_loop import (
+    CERTIFICATES,
+    EVALUATION,
+    OF_BACKUP,
+    OF_SECOND,
+    Columns,
+    Evaluated,
+)
 from dpbench.bench.judge.deadlines import late_columns
 from dpbench.bench.judge.rules import (
     INFEASIBLE,
@@ -63,8 +70,37 @@ def step_columns(cell: Cell, evaluated: Evaluated) -> StepColumns:
         return steps
     steps["counts"] = np.ones(rows, dtype=np.bool_)
     delay = delay_of(cell, scenario_once(cell.scenario).sample_s)
-    steps |= late_columns(delay, columns["latency_ns"], steps["total_ns"])
+    steps |= _of_backup(columns)
+    steps |= late_columns(delay, columns["latency_ns"], _waited_ns(steps))
+    if "backup" in steps and delay.simulated:
+        ready_ns = columns[f"{OF_BACKUP}ready_ns"]
+        steps["late"] |= ready_ns > delay.budget_ns
+        steps["backup_failed"] |= ready_ns > delay.sample_ns
     return steps | _of_ship(columns)
+
+
+def _of_backup(columns: Columns) -> StepColumns:
+    """What is recorded of a backup in each step; nothing without one."""
+    if f"{OF_BACKUP}asked" not in columns:
+        return {}
+    own = {
+        name.removeprefix(OF_BACKUP): column
+        for name, column in columns.items()
+        if name.startswith(OF_BACKUP)
+    }
+    answers = _of_qps(own, own["asked"])
+    return {
+        "backup": own["acted"],
+        "backup_failed": own["asked"] & unusable(answers),
+        "backup_ns": total_of({phase: answers[phase] for phase in INSIDE}),
+        "backup_error": answers["error_move"],
+    }
+
+
+def _waited_ns(steps: StepColumns) -> Ints:
+    """(K,) what a loop that waits for answers waited in each step: for the backup too."""
+    total = steps["total_ns"]
+    return total + np.maximum(steps["backup_ns"], 0) if "backup" in steps else total
 
 
 def chosen(steps: StepColumns, rows: Flags) -> StepColumns:

@@ -97,7 +97,7 @@ def _at_limits(
     near = AT_LIMIT * unit
     # A thruster that was lost is at nothing, not at a limit.
     at_limit = (((along >= high - near) | (along <= low + near)) & (low < high)).any(axis=1)
-    beyond = (along > high + 1e-9 * unit) | (along < low - 1e-9 * unit)
+    beyond = ((along > high) | (along < low)).any(axis=1)
     too_fast: Flags = np.any(np.abs(f - before) > step_max * (1.0 + 1e-12), axis=1)
     if control.turning is not None:
         for k in np.flatnonzero(~too_fast).tolist():
@@ -106,7 +106,7 @@ def _at_limits(
             too_fast[k] = bool((away > 1e-6 * step_max).any())
     retreat = Retreat(control.rows, step_max, unit, 1)
     violated = int(too_fast.sum())
-    for k in np.flatnonzero(beyond.any(axis=1) & ~too_fast).tolist():
+    for k in np.flatnonzero(beyond & ~too_fast).tolist():
         change = along[k] - G @ before[k]
         least, most = (side[0] * unit for side in retreat.limits(before[k], low[k], high[k]))
         outside = (change > most + 1e-9 * unit) | (change < least - 1e-9 * unit)

@@ -15,6 +15,7 @@ from dpbench.bench.plan.suite import (
     ReplayTable,
     SuiteFile,
 )
+from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.configuration import Configuration
 from dpbench.errors import InputError, SettingsError, UnknownNameError
 from dpbench.solvers.calibration import CALIBRATION
@@ -22,7 +23,7 @@ from dpbench.solvers.contract import Route
 from dpbench.solvers.own.adapters import UNCONSTRAINED_CLIPPED
 from dpbench.solvers.plugins import find_plugin
 from dpbench.solvers.settings import has_setting, setting_names, settings_matter
-from dpbench.solvers.table import TABLE, available, record, solver_names
+from dpbench.solvers.table import TABLE, Availability, available, record, solver_names
 
 BASELINE_LAW = UNCONSTRAINED_CLIPPED.name
 Table = ClosedLoopTable | ReplayTable | RandomTable | RecordedTable | CapabilityTable
@@ -78,6 +79,31 @@ def _named(names: Sequence[str]) -> list[str]:
 
 def _by_default(solver: str) -> bool:
     return record(solver).extra not in ("jax", "casadi") or available(solver).ok
+
+
+def checked_backup(name: str) -> tuple[str, str]:
+    """The backup of a closed loop and why it cannot be opened here; "" for no backup or reason.
+
+    Raises
+    ------
+    UnknownNameError : there is no such solver.
+    InputError : a plug-in of a file, which the workers of another solver do not load.
+    """
+    if not name:
+        return "", ""
+    (solver,) = _asked("closed_loop.backup", [name]) if name != "all" else ("",)
+    if not solver or module_of(solver) or solver in CALIBRATION:
+        allowed = "one solver of `dpbench list solvers`, or of an installed plug-in"
+        raise InputError("suite", "closed_loop.backup", repr(name), allowed)
+    here = available(solver)
+    return solver, "" if here.ok else f"backup {solver}: {here.reason}"
+
+
+def identity_of(cell: Cell, library: Availability) -> str:
+    """Version and build of the library of a cell's solver, and of that of its backup."""
+    if not cell.backup:
+        return library.identity
+    return f"{library.identity}, backup {available(cell.backup).identity}"
 
 
 def module_of(solver: str) -> str:

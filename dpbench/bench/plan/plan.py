@@ -15,7 +15,12 @@ from dpbench.bench.plan.cells import (
     recorded_cells,
     replay_cells,
 )
-from dpbench.bench.plan.configurations import BASELINE_LAW, choose_solvers, configurations_of
+from dpbench.bench.plan.configurations import (
+    BASELINE_LAW,
+    checked_backup,
+    choose_solvers,
+    configurations_of,
+)
 from dpbench.bench.plan.study_cells import study_cells
 from dpbench.bench.plan.suite import ClosedLoopTable, ReplayTable, SuiteFile
 from dpbench.bench.sequences.consequence import steered_rows
@@ -118,6 +123,7 @@ def _closed_loop_cells(
     if table.deadline_s > scenario.sample_s:
         where, allowed = f"suite: closed loop of {scenario.name}", f"at most {scenario.sample_s:g}"
         raise InputError(where, "deadline_s", table.deadline_s, f"{allowed}, its sample")
+    backup, missing = checked_backup(table.backup)
     # The baseline law does not look at units or settings: it runs where the default configurations
     # do.
     plain = ("scaled", "default", "fresh")
@@ -131,6 +137,7 @@ def _closed_loop_cells(
             scenario=scenario.files,
             steps=steps,
             fallback=table.fallback,
+            backup=backup,
             slowdown=slowdown,
             deadline_s=table.deadline_s,
         )
@@ -140,6 +147,7 @@ def _closed_loop_cells(
         or (configuration.units, configuration.settings, configuration.policy) == plain
     ]
     why = no_delay(scenario)
+    cells = [replace(planned, refused=planned.refused or missing) for planned in cells]
     return [
         replace(planned, refused=planned.refused or why) if planned.cell.slowdown else planned
         for planned in cells

@@ -72,6 +72,8 @@ class ClosedLoopTable(RunsTable):
     """Forms of the QP a solver is given."""
     fallback: Fallback = "shifted_plan"
     """What acts where there is no usable answer."""
+    backup: str = ""
+    """Second solver that is asked first where there is no usable answer in time; "" for none."""
     slowdowns: Annotated[list[Slowdown], Field(min_length=1)] = [0.0]
     """How much slower the ship's computer is, 1 to 1e9; 0: the ship waits for every answer."""
     deadline_s: NotNegative = 0.0

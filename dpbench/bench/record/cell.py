@@ -29,6 +29,7 @@ _OPTIONAL = (
     "deadline_s",
     "budget_s",
     "repeat_budget_s",
+    "backup",
     "memory_gb",
 )
 
@@ -52,6 +53,8 @@ class Cell:
         `FEWEST_ROUNDS` count (`interleaved.py`); 0 for none.
     repeat_budget_s : replay only: run time for rounds that were robbed, again (`interleaved.py`).
     fallback : what acts when there is no usable answer.
+    backup : closed loop only: the second solver that steps in before the fallback does
+        (`bench/run/backup.py`); "" for none.
     slowdown, deadline_s : closed loop only: how much slower than this machine the ship's computer
         is, ≥ 1, and what a step may take of its time; 0 for a loop that waits for every answer,
         and for the whole sample (`slow_computer.py`).
@@ -86,14 +89,19 @@ class Cell:
     deadline_s: float = 0.0
     budget_s: float = 0.0
     repeat_budget_s: float = 0.0
+    backup: str = ""
     memory_gb: float = 0.0
 
     @property
     def scenario_name(self) -> str:
-        """Name of the scenario, with the fallback where that is not the usual one; may be empty."""
+        """Name of the scenario, with the backup and the fallback where these are not the usual
+        ones; may be empty."""
         name = str(self.scenario["name"]) if self.scenario else ""
-        usual = self.mode == "replay" or self.fallback == "shifted_plan"
-        return name if usual else f"{name} ({self.fallback})"
+        if self.mode == "replay":
+            return name
+        backup = [f"backup {self.backup}"] if self.backup else []
+        unusual = backup + [self.fallback] * (self.fallback != "shifted_plan")
+        return f"{name} ({', '.join(unusual)})" if unusual else name
 
     @property
     def sequence(self) -> str:

@@ -16,10 +16,11 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import struct
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,7 @@ from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs
 from dpbench.bench.record.step_table import (
     OF_FILE,
     OF_RUNS,
-    WORDS,
+    OF_STEPS,
     frame_of_runs,
     of_runs,
     step_writer,
@@ -44,6 +45,11 @@ from dpbench.bench.record.step_table import (
     write_runs,
     write_steps,
 )
+from dpbench.errors import InputError
+from dpbench.files.documents import parse_json
+from dpbench.files.opening import opened
+from dpbench.files.tables import in_full, opened_table
+from dpbench.files.writing import make_folder, new_file, put
 
 _HEAD = struct.Struct("<4sQI")
 """Mark, length and CRC-32 of the record behind it."""
@@ -73,6 +79,24 @@ def unpacked(record: bytes) -> tuple[Row, pa.RecordBatch]:
     return row, batch.replace_schema_metadata(None)
 
 
+def _is_sound(row: Row, batch: pa.RecordBatch) -> bool:
+    """Whether a record, whose check sum anybody can make, is of a run of this schema; ValueError or
+    ArrowInvalid where its parts do not fit."""
+    batch.validate(full=True)
+    described = isinstance(parse_json(str(row["cell"])), dict)
+    return described and row["schema"] == SCHEMA_VERSION and batch.schema.equals(OF_STEPS)
+
+
+def _of_right_types(rows: Mapping[str, Row]) -> dict[str, Row]:
+    """Rows without those that have a value of another type."""
+    try:
+        as_runs(pd.DataFrame(list(rows.values())))
+    except (ValueError, TypeError, OverflowError):
+        alone = [_of_right_types({name: row}) for name, row in rows.items() if len(rows) > 1]
+        return {name: row for one in alone for name, row in one.items()}
+    return dict(rows)
+
+
 def _plain(value: object) -> object:
     """What JSON has for a number of NumPy, and for one that is missing."""
     if value is pd.NA:
@@ -86,7 +110,7 @@ class Journal:
     """Appends records to a new file at `path`; OSError where it cannot be made."""
 
     def __init__(self, path: Path) -> None:
-        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
+        self._file = os.open(new_file(path), os.O_WRONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
         self.size = 0
 
     def append(self, record: bytes) -> None:
@@ -113,8 +137,9 @@ def records_in(path: Path) -> Iterator[bytes]:
     Behind a damaged head nothing can be found any more.
     """
     try:
-        data = memoryview(path.read_bytes())
-    except OSError:
+        with opened(path) as file:
+            data = memoryview(file.read())
+    except (OSError, InputError):
         return
     at = 0
     while at + _HEAD.size <= len(data):
@@ -137,6 +162,14 @@ CHECKED_ROWS = 512
 _FINISHED = set(OUTCOMES) - {"lost", "invalid"}
 _CHECK = "steps_crc32"
 """What the metadata of a table of runs say of the file of its steps."""
+_PART = re.compile(r"(?P<kind>runs|steps)-(?P<number>\d{5}|[1-9]\d{5,8})\.parquet")
+_STEM = r"(?:(?:runs|steps)-\d{5,9}|(?:exact|design)-\w+)"
+_LEFT_OVER = re.compile(rf"{_STEM}(?:\.\w+)*\.part|exact-\w+(?:\.part)+\.npz")
+"""What a file is called before it is whole."""
+_OWN = re.compile(
+    rf"{_PART.pattern}|{_LEFT_OVER.pattern}|exact-\w+\.npz|design-\w+\.json|open\.cells|\.\w+"
+)
+"""The names of all files that campaigns write beside their cells."""
 DAMAGE = (OSError, ValueError, KeyError, pa.ArrowException)
 """What reading a damaged table raises."""
 
@@ -152,8 +185,8 @@ class Part:
         """The rows of finished runs, as `OF_RUNS`; none where the table is damaged or not there."""
         try:
             # Hundreds of columns of some hundred rows: threads would cost more than they save.
-            with pq.ParquetFile(self.runs, page_checksum_verification=True) as file:
-                rows = stored_runs(file.read(use_threads=False))
+            with opened_table(self.runs) as file:
+                rows = stored_runs(in_full(file.read(use_threads=False), self.runs))
         except DAMAGE:
             return OF_RUNS.empty_table()
         became = pc.is_in(rows["outcome"], pa.array(sorted(_FINISHED)))
@@ -166,21 +199,18 @@ class Part:
     def names(self) -> list[str]:
         """The run_ids of all its rows, in their order."""
         try:
-            return [
-                str(n) for n in pq.read_table(self.runs, columns=["run_id"])["run_id"].to_pylist()
-            ]
+            with opened_table(self.runs) as file:
+                return [str(n) for n in file.read(columns=["run_id"])["run_id"].to_pylist()]
         except DAMAGE:
             return []
 
     def groups(self) -> Iterator[pa.Table]:
         """The row groups of the steps that can be read."""
-        try:
-            file = pq.ParquetFile(
-                self.steps, read_dictionary=WORDS, page_checksum_verification=True
-            )
-        except DAMAGE:
-            return
-        with file:
+        with ExitStack() as stack:
+            try:
+                file = stack.enter_context(opened_table(self.steps))
+            except DAMAGE:
+                return
             for i in range(file.num_row_groups):
                 with suppress(*DAMAGE):
                     yield file.read_row_group(i).select(OF_FILE.names).cast(OF_FILE)
@@ -189,7 +219,7 @@ class Part:
         """Of each finished run its outcome; a run whose steps cannot be read is none."""
         finished: dict[str, str] = {}
         try:
-            with pq.ParquetFile(self.runs, page_checksum_verification=True) as file:
+            with opened_table(self.runs) as file:
                 # All columns, which tells whether they can be read; some rows at a time, as the
                 # descriptions of cells are long.
                 for rows in file.iter_batches(batch_size=CHECKED_ROWS, use_threads=False):
@@ -219,7 +249,7 @@ class Part:
         """Write the rows beside `steps`, and put those in their place before."""
         check = _check_sum(steps)
         if steps != self.steps:
-            steps.replace(self.steps)
+            put(steps, self.steps)
         write_runs(self.runs, rows, {_CHECK: check.decode()})
 
     def remove(self) -> None:
@@ -228,10 +258,15 @@ class Part:
         self.steps.unlink(missing_ok=True)
 
 
+def public_part(out: Path) -> Part:
+    """The tables of a result folder that others read."""
+    return Part(out / "runs.parquet", out / "steps.parquet")
+
+
 def _check_sum(path: Path) -> bytes:
     """CRC-32 of a file; of one that is not there, of nothing."""
     check = 0
-    with suppress(OSError), path.open("rb") as file:
+    with suppress(OSError, InputError), opened(path) as file:
         while block := file.read(2**20):
             check = zlib.crc32(block, check)
     return b"%08x" % check
@@ -241,7 +276,7 @@ class StepFile:
     """A file of steps on its way: tables of whole runs, gathered into row groups."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.rows = path, 0
+        self.path, self.rows = new_file(path), 0
         self._writer, self._waiting, self._count = step_writer(path), list[pa.Table](), 0
 
     def add(self, table: pa.Table) -> None:
@@ -283,7 +318,8 @@ class CellStore:
 
     def __init__(self, out: Path) -> None:
         self.out, self.folder = out, out / "cells"
-        self.folder.mkdir(parents=True, exist_ok=True)
+        out.mkdir(parents=True, exist_ok=True)
+        make_folder(self.folder)
         self._journal_path = self.folder / "open.cells"
         self._journal: Journal | None = None
         self._cells, self._turn_at = 0, PART_CELLS
@@ -298,20 +334,35 @@ class CellStore:
     @property
     def public(self) -> Part:
         """The tables that others read."""
-        return Part(self.out / "runs.parquet", self.out / "steps.parquet")
+        return public_part(self.out)
 
     def parts(self) -> list[Part]:
         """All there are, the public tables first, the latest last."""
-        numbers = sorted(self.folder.glob("runs-*.parquet"))
-        return [self.public, *(self._part(path.stem.removeprefix("runs-")) for path in numbers)]
+        return [self.public, *map(self._part, self._numbers("runs"))]
 
-    def _part(self, number: str) -> Part:
-        return Part(self.folder / f"runs-{number}.parquet", self.folder / f"steps-{number}.parquet")
+    def _numbers(self, kind: str) -> list[int]:
+        """Those of the files of runs or of steps, in their order."""
+        names = (_PART.fullmatch(path.name) for path in self.folder.iterdir())
+        return sorted(int(name["number"]) for name in names if name and name["kind"] == kind)
+
+    def _part(self, number: int) -> Part:
+        runs, steps = (self.folder / f"{kind}-{number:05d}.parquet" for kind in ("runs", "steps"))
+        return Part(runs, steps)
 
     def new_part(self) -> Part:
         """The next one."""
-        last = max((p.runs.stem for p in self.parts()[1:]), default="runs-00000")
-        return self._part(f"{int(last.removeprefix('runs-')) + 1:05d}")
+        return self._part(max(self._numbers("runs"), default=0) + 1)
+
+    @property
+    def remarks(self) -> list[str]:
+        """A line on the files in it that no campaign writes, such as copies of a program that
+        keeps folders in sync; none of them is read."""
+        others = sorted(p.name for p in self.folder.iterdir() if not _OWN.fullmatch(p.name))
+        more = f" and {len(others) - 1} more" if len(others) > 1 else ""
+        said = (
+            f"{self.folder}: ignored {others[0]!r}{more}, which no campaign wrote" if others else ""
+        )
+        return [said] if said else []
 
     def forget(self, run_ids: Iterable[str]) -> None:
         """Take these cells as unfinished, whatever is there of them."""
@@ -341,11 +392,14 @@ class CellStore:
         rows: dict[str, Row] = {}
         steps: dict[str, pa.RecordBatch] = {}
         for record in records_in(self._journal_path):
-            row, batch = unpacked(record)
-            if row.get("schema") != SCHEMA_VERSION:
+            try:
+                row, batch = unpacked(record)
+                name = str(row["run_id"])
+                if _is_sound(row, batch):
+                    rows[name], steps[name] = row, batch
+            except DAMAGE:
                 continue
-            name = str(row["run_id"])
-            rows[name], steps[name] = row, batch
+        rows = _of_right_types(rows)
         if rows:
             part = self.new_part()
             file = StepFile(part.steps.with_suffix(".part"))
@@ -364,11 +418,13 @@ class CellStore:
 
     def _tidy(self) -> None:
         """Remove what a killed campaign left half done."""
-        for path in (*self.folder.glob("*.part"), *self.out.glob("*.parquet.part")):
-            path.unlink(missing_ok=True)
-        for path in self.folder.glob("steps-*.parquet"):
-            if not path.with_name(path.name.replace("steps-", "runs-")).exists():
+        for path in (self.public.runs, self.public.steps):
+            path.with_name(f"{path.name}.part").unlink(missing_ok=True)
+        for path in self.folder.iterdir():
+            if _LEFT_OVER.fullmatch(path.name):
                 path.unlink(missing_ok=True)
+        for number in set(self._numbers("steps")) - set(self._numbers("runs")):
+            self._part(number).steps.unlink(missing_ok=True)
 
     def adopt(self, other: CellStore, rows: pd.DataFrame) -> None:
         """Take over the finished cells of another store, as a part; what cannot be read is none.

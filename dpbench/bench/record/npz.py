@@ -12,7 +12,10 @@ from __future__ import annotations
 import io
 import json
 import math
+import os
 import struct
+import sys
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -25,19 +28,26 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Floats
 from dpbench.errors import InputError, ResultsError
+from dpbench.files.opening import check_unpacked, opened
+from dpbench.files.writing import replaced, write_bytes
 
 Arrays = dict[str, NDArray[Any]]
 FIXED_DATE = (1980, 1, 1, 0, 0, 0)
 """The date of every member, the earliest a zip file knows; a real one would change the bytes."""
 _HEAD = struct.Struct("<8sQI")
 _MARK, _ALIGN = b"dpbench\1", 64
+_SURROGATES = 0xD800 >> 11
 LEVEL = 9
 """Of the deflate compression. The same zlib makes the same bytes of the same array at it."""
 DAMAGE = (
     zipfile.BadZipFile,
     zlib.error,
     struct.error,
+    tokenize.TokenError,
     ValueError,
+    TypeError,
+    LookupError,
+    ArithmeticError,
     EOFError,
     RuntimeError,
     MemoryError,
@@ -47,18 +57,12 @@ DAMAGE = (
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write the arrays to `path` in their order, compressed, whole or not at all."""
-    part = path.with_name(path.name + ".part")
-    try:
-        with zipfile.ZipFile(part, "w") as archive:
-            for name, array in arrays.items():
-                member = io.BytesIO()
-                np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
-                info = zipfile.ZipInfo(f"{name}.npy", FIXED_DATE)
-                archive.writestr(info, member.getvalue(), zipfile.ZIP_DEFLATED, LEVEL)
-        part.replace(path)
-    finally:
-        # Still there where the disk is full, or a folder stands in the file's place.
-        part.unlink(missing_ok=True)
+    with replaced(path) as part, zipfile.ZipFile(part, "w") as archive:
+        for name, array in arrays.items():
+            member = io.BytesIO()
+            np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
+            info = zipfile.ZipInfo(f"{name}.npy", FIXED_DATE)
+            archive.writestr(info, member.getvalue(), zipfile.ZIP_DEFLATED, LEVEL)
 
 
 def keep(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -67,12 +71,7 @@ def keep(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     parts = [json.dumps(layout).encode(), *(array.tobytes() for array in arrays.values())]
     size = -(-(_HEAD.size + len(parts[0])) // _ALIGN) * _ALIGN - _HEAD.size
     body = parts[0].ljust(size) + b"".join(_padded(array) for array in parts[1:])
-    part = path.with_suffix(".part.npz")
-    try:
-        part.write_bytes(_HEAD.pack(_MARK, size, zlib.crc32(body)) + body)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    write_bytes(path, _HEAD.pack(_MARK, size, zlib.crc32(body)) + body)
 
 
 def _padded(array: bytes) -> bytes:
@@ -102,15 +101,20 @@ def kept(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
     ResultsError : the file is damaged, or gone; also for what the block misses in it.
     """
     try:
-        with path.open("rb") as file:
+        with opened(path, error=ResultsError) as file:
             is_own = file.read(len(_MARK)) == _MARK
             file.seek(0)
             if is_own:
                 yield _in_one_piece(np.fromfile(file, np.uint8))
                 return
+            with zipfile.ZipFile(file) as archive:
+                _check_members(archive, path)
+            file.seek(0)
             with np.load(file, allow_pickle=False) as arrays:
                 yield arrays
-    except (*DAMAGE, OSError, KeyError, IndexError) as error:
+    except ResultsError:
+        raise
+    except (*DAMAGE, OSError) as error:
         words = f"a damaged file ({type(error).__name__}: {str(error)[:120]})"
         allowed = "what the campaign wrote there; run again"
         raise ResultsError(str(path), "", words, allowed) from error
@@ -127,41 +131,73 @@ def read_npz(path: Path, what: str) -> tuple[Arrays, dict[str, bytes]]:
     ------
     InputError : when it cannot be read or is damaged.
     """
-    where = str(path)
     arrays: Arrays = {}
     objects: dict[str, bytes] = {}
-    try:
-        with zipfile.ZipFile(path) as archive:
-            for name in archive.namelist():
-                with archive.open(name) as member:
-                    header = _header(member)
-                key = name.removesuffix(".npy")
-                if header.hasobject:
-                    objects[key] = archive.read(name)
-                    continue
-                with archive.open(name) as member:
-                    # An array read from the stream itself: its check sum is compared at the end.
-                    arrays[key] = np.lib.format.read_array(member, allow_pickle=False)
-                    if member.read(1):
-                        raise ValueError(f"{name} goes on after its array")
-    except DAMAGE as error:
-        found = f"a damaged file ({str(error)[:120]})"
-        raise InputError(where, "", found, what) from error
-    except OSError as error:
-        raise InputError(where, "", error.strerror or "unreadable", what) from error
+    with opened(path, what) as file:
+        try:
+            with zipfile.ZipFile(file) as archive:
+                for member in _check_members(archive, path):
+                    key = member.filename.removesuffix(".npy")
+                    if _header(archive, member).hasobject:
+                        objects[key] = archive.read(member)
+                    else:
+                        arrays[key] = _array(archive, member)
+        except DAMAGE as error:
+            if isinstance(error, InputError):
+                raise
+            found = f"a damaged file ({str(error)[:120]})"
+            raise InputError(str(path), "", found, what) from error
+        except OSError as error:
+            raise InputError(str(path), "", error.strerror or "unreadable", what) from error
     return arrays, objects
 
 
-def _header(member: Any) -> np.dtype[Any]:
-    """The type of the array in an open member."""
-    version = np.lib.format.read_magic(member)
-    read = {
-        (1, 0): np.lib.format.read_array_header_1_0,
-        (2, 0): np.lib.format.read_array_header_2_0,
-    }.get(version)
-    if read is None:
-        raise ValueError(f"array format {version}")
-    dtype: np.dtype[Any] = read(member)[2]
+def _check_members(archive: zipfile.ZipFile, path: Path) -> list[zipfile.ZipInfo]:
+    """The members of a zip file, once their sizes and compression are known to be sensible."""
+    members = archive.infolist()
+    for member in members:
+        # Of these alone zipfile unpacks no more than a member declares, and NumPy writes no other.
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            found = f"compression method {member.compress_type}"
+            raise InputError(str(path), member.filename[:80], found, "deflated, or stored")
+    check_unpacked(path, sum(member.file_size for member in members), os.path.getsize(path))
+    return members
+
+
+def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
+    with archive.open(member) as stream:
+        # An array read from the stream itself: its check sum is compared at the end.
+        array: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
+        if stream.read(1):
+            raise ValueError(f"{member.filename} goes on after its array")
+    if array.dtype.kind == "U":
+        codes = array.reshape(-1).view(np.dtype("u4").newbyteorder(array.dtype.byteorder))
+        # Python builds a broken text of such, and crashes when that is used.
+        if ((codes > sys.maxunicode) | (codes >> 11 == _SURROGATES)).any():
+            raise ValueError(f"{member.filename} has codes that are no characters")
+    return array
+
+
+def _header(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.dtype[Any]:
+    """The type of the array in a member, which has the size that its header declares."""
+    with archive.open(member) as stream:
+        version = np.lib.format.read_magic(stream)
+        read = {
+            (1, 0): np.lib.format.read_array_header_1_0,
+            (2, 0): np.lib.format.read_array_header_2_0,
+        }.get(version)
+        if read is None:
+            raise ValueError(f"array format {version}")
+        shape, _, dtype = read(stream)
+        length = member.file_size - stream.tell()
+    # True is an integer for NumPy's own check, and no length of an array.
+    if any(type(axis) is not int or axis < 0 for axis in shape):
+        raise ValueError(f"{member.filename} of shape {shape}")
+    count = math.prod(shape)
+    # Texts without a character take no bytes, however many they are.
+    if not dtype.hasobject and (count * dtype.itemsize != length or count > max(length, 1)):
+        declared = f"{dtype} of shape {shape}"
+        raise ValueError(f"{member.filename} has {length} bytes and declares {declared}")
     return dtype
 
 

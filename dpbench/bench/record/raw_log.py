@@ -32,6 +32,9 @@ OF_SOLVER = TIMES[_OWN]
 ALLOCATION = "allocation."
 """Prefix of the arrays that hold the answers to the second QP of a cascade."""
 
+BACKUP = "backup."
+"""Prefix of the arrays that hold the answers of the backup (`bench/run/backup.py`)."""
+
 LOAD_PASSES = 4
 """Timings of the load kernel before a round, and as many after it (`replay.py`)."""
 COUNTERS = (
@@ -62,6 +65,8 @@ def loop_layout(
     n_theta: int,
     n_f: int = 0,
     allocation: tuple[int, int] | None = None,
+    *,
+    backup: bool = False,
 ) -> Layout:
     """Arrays of a closed-loop log of `steps` steps.
 
@@ -71,6 +76,7 @@ def loop_layout(
     n_f : entries of the thrusters' forces, where they are commanded.
     allocation : n and m of the second QP of a cascade, (0, 0) where it has none; None where the
         controller is no cascade.
+    backup : whether there is a backup.
     """
     layout = _answers(1, steps, n, m) | {
         "theta": ("f8", (steps, n_theta)),
@@ -82,6 +88,10 @@ def loop_layout(
         "latency_ns": ("i8", (steps,)),
         "counters": ("f8", (1, len(COUNTERS))),
     }
+    if backup:
+        of_backup = _answers(1, steps, n, m)
+        of_backup |= {"acted": ("u1", (steps,)), "ready_ns": ("i8", (steps,))}
+        layout |= {f"{BACKUP}{name}": array for name, array in of_backup.items()}
     if allocation is None:
         return layout
     second = _answers(1, steps, *allocation) if any(allocation) else {}
@@ -134,6 +144,18 @@ class AnswerLog:
     y_box: Floats
 
 
+class BackupLog(AnswerLog):
+    """Answers of the backup in the steps in which it was asked; a step it was not asked in has −1
+    for all its times.
+
+    `acted` (steps,) whether its plan was applied in the step, or began to be; `ready_ns` (steps,)
+    of a slow computer, when its answer was there, counted from t_k; −1 where there is none.
+    """
+
+    acted: NDArray[np.uint8]
+    ready_ns: Ints
+
+
 class RawLog(AnswerLog):
     """Named arrays over one buffer; attribute access by name, e.g. `log.times[r, k]`.
 
@@ -144,7 +166,7 @@ class RawLog(AnswerLog):
     round r; `tau` the force applied and `thrust` the forces of thrusters, where they are commanded;
     `latency_ns` (steps,) what `slow_computer.py` writes, nothing in other loops. Of a cascade,
     `demand` (steps, 3) is the force asked of the thrusters, and `allocation` the answers to its
-    second QP, None where there is none.
+    second QP, None where there is none. `backup` holds the answers of the backup, None without one.
     """
 
     theta: Floats
@@ -167,11 +189,13 @@ class RawLog(AnswerLog):
         offset = 0
         self._buffer = buffer
         self.allocation = AnswerLog() if f"{ALLOCATION}z" in layout else None
+        self.backup = BackupLog() if f"{BACKUP}z" in layout else None
+        parts = {ALLOCATION: self.allocation, BACKUP: self.backup}
         for name, (dtype, shape) in layout.items():
             count = math.prod(shape)
-            owner = self.allocation if name.startswith(ALLOCATION) else self
+            prefix = next((prefix for prefix in parts if name.startswith(prefix)), "")
             array = np.frombuffer(buffer, dtype, count, offset).reshape(shape)
-            setattr(owner, name.removeprefix(ALLOCATION), array)
+            setattr(parts.get(prefix, self), name.removeprefix(prefix), array)
             offset += -(-count * np.dtype(dtype).itemsize // _ALIGN) * _ALIGN
 
     @classmethod

@@ -43,6 +43,7 @@ from dpbench.bench.record.step_table import (
     with_derived,
 )
 from dpbench.errors import ResultsError, renamed
+from dpbench.files.tables import in_full, opened_table
 
 ALL = tuple(STEP_COLUMNS)
 KEPT_GROUPS = 2
@@ -147,7 +148,7 @@ class StepsOnDisk(StepTable):
 
     def __init__(self, folder: Path) -> None:
         self._folder, self._path = folder, folder / "steps.parquet"
-        with readable(self._path), pq.ParquetFile(self._path) as file:
+        with readable(self._path), opened_table(self._path, error=ResultsError) as file:
             schema, self.rows = file.schema_arrow, file.metadata.num_rows
         self._stored = {RENAMED.get(name, name): name for name in schema.names}
         self._complete = is_complete(self._stored)
@@ -280,17 +281,16 @@ def read_clock(folder: Path) -> pd.DataFrame:
     """The columns of `runs.parquet` that times of steps follow from, by run_id."""
     path = folder / "runs.parquet"
     with readable(path):
-        there = set(pq.read_schema(path).names)
-        wanted = [name for name in ("run_id", *OF_CLOCK) if name in there]
-        clock: pd.DataFrame = pq.read_table(path, columns=wanted).to_pandas()
-    return clock.set_index("run_id")
+        with opened_table(path, error=ResultsError) as file:
+            wanted = [name for name in ("run_id", *OF_CLOCK) if name in file.schema_arrow.names]
+            table = in_full(file.read(columns=wanted), path, error=ResultsError)
+        clock: pd.DataFrame = table.to_pandas(ignore_metadata=True)
+        return clock.set_index("run_id")
 
 
 @contextmanager
 def readable(path: Path) -> Iterator[None]:
     """What goes wrong as a table is read, as `ResultsError`."""
-    if not path.is_file():
-        raise ResultsError(str(path), "", "no such file", "a table written by `dpbench run`")
     try:
         yield
     except (OSError, ValueError, KeyError, pa.ArrowException) as error:

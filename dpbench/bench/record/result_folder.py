@@ -5,16 +5,18 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import json
+import os
+import sys
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
-import pyarrow.parquet as pq
 
+from dpbench.bench.record.descriptions import MachineFile, SuiteFile, validated
 from dpbench.bench.record.recorded_steps import (
     StepsInMemory,
     StepsOnDisk,
@@ -23,6 +25,7 @@ from dpbench.bench.record.recorded_steps import (
     of_another_type,
     readable,
 )
+from dpbench.bench.record.run_checks import check_runs
 from dpbench.bench.record.schema import (
     ADDED,
     READABLE,
@@ -33,6 +36,10 @@ from dpbench.bench.record.schema import (
     as_steps,
 )
 from dpbench.errors import InputError, ResultsError, renamed
+from dpbench.files.documents import read_json_object
+from dpbench.files.tables import in_full, opened_table
+from dpbench.files.writing import is_file_name, make_folder, write_text
+from dpbench.locks import Patience, holders, lock_folder
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,13 +65,19 @@ class Results:
 
 
 @contextmanager
-def claimed(folder: Path, suite: str) -> Iterator[None]:
+def claimed(
+    folder: Path,
+    suite: str,
+    patience: Patience = Patience(),  # noqa: B008 - frozen
+) -> Iterator[None]:
     """Hold a result folder for one campaign of `suite`, making it if need be.
+
+    A report that is being written there is waited for with `patience`.
 
     Raises
     ------
-    InputError : when it cannot be written, holds other things or the results of another suite, or
-        another campaign is running in it. Nothing is changed then.
+    InputError : when it cannot be written, holds other things or the results of another suite, its
+        folder of cells is a link, or another campaign is running in it. Nothing is changed then.
     """
     where = "--out"
     if str(folder) in ("", "."):
@@ -78,25 +91,49 @@ def claimed(folder: Path, suite: str) -> Iterator[None]:
     elif folder.is_dir() and any(folder.iterdir()) and not (folder / "cells").is_dir():
         raise InputError(where, "", f"{folder} with other files", "a new or an empty folder")
     try:
-        (folder / "cells").mkdir(parents=True, exist_ok=True)
-        lock = (folder / "cells" / ".lock").open("w")
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = _lock_file(make_folder(folder / "cells") / ".lock")
     except OSError as error:
         found = f"{folder}: {error.strerror}"
         raise InputError(where, "", found, "a folder that can be written") from error
-    with lock:
+    with ExitStack() as stack:
+        stack.callback(os.close, lock)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            allowed = "to wait for it, or another folder"
-            raise InputError(where, "", f"{folder} in use by a campaign", allowed) from error
+            found = f"{folder} in use by a campaign: {holders(lock)}"
+            raise InputError(where, "", found, "to wait for it, or another folder") from error
+        with writing(folder, patience):
+            yield
+
+
+def _lock_file(path: Path) -> int:
+    """Open a file that is locked, and never written."""
+    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+
+
+@contextmanager
+def writing(folder: Path, patience: Patience = Patience()) -> Iterator[None]:  # noqa: B008 - frozen
+    """Hold a folder for a campaign or a report that writes into it, once no other does.
+
+    A wait is said on stderr. Where there is no folder, or its disk knows no locks, none is held.
+
+    Raises
+    ------
+    BusyError : another still writes there at the end of the wait.
+    """
+
+    def say_waiting(others: str) -> None:
+        said = f"dpbench: waiting for {others}, which writes into {folder}"
+        print(said, file=sys.stderr, flush=True)
+
+    with lock_folder(folder, patience=patience, say_waiting=say_waiting):
         yield
 
 
 def write_json(path: Path, document: dict[str, Any]) -> None:
     """Write `document` to `path`, whole or not at all."""
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-    part.replace(path)
+    write_text(path, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
 
 
 def accidents(out: Path) -> tuple[int, list[str]]:
@@ -107,7 +144,7 @@ def accidents(out: Path) -> tuple[int, list[str]]:
     ------
     ResultsError : `suite.json` is missing or damaged.
     """
-    suite = read_json(out / "suite.json")
+    suite = read_suite(out)
     lost = int(suite.get("lost_cells", 0)) + int(suite.get("lost_designs", 0))
     return lost, [str(line) for line in suite.get("remarks", [])]
 
@@ -142,16 +179,24 @@ def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
 def load_descriptions(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """`machine.json` and `suite.json`; ResultsError, naming the file, when one is missing or
     damaged."""
-    machine, suite = read_json(folder / "machine.json"), read_json(folder / "suite.json")
-    if "id" not in machine:
-        raise ResultsError(str(folder / "machine.json"), "id", "nothing", "a machine description")
-    return machine, suite
+    machine = read_json(folder / "machine.json")
+    validated(machine, MachineFile, folder / "machine.json")
+    return machine, read_suite(folder)
+
+
+def read_suite(folder: Path) -> dict[str, Any]:
+    """`suite.json`; ResultsError, naming file and key, when it is missing or damaged."""
+    suite = read_json(folder / "suite.json")
+    validated(suite, SuiteFile, folder / "suite.json")
+    return suite
 
 
 def _read_runs(folder: Path) -> pd.DataFrame:
     path = folder / "runs.parquet"
-    with readable(path):
-        frame = pq.read_table(path).to_pandas()
+    with readable(path), opened_table(path, error=ResultsError) as file:
+        table = in_full(file.read(), path, error=ResultsError)
+        # What pandas noted of the types is not followed: those of the schema are asked for below.
+        frame = table.to_pandas(ignore_metadata=True)
     if "schema" in frame:
         versions = set(frame["schema"].unique().tolist())
         if versions - READABLE:
@@ -166,22 +211,24 @@ def _read_runs(folder: Path) -> pd.DataFrame:
     if missing:
         raise lacking(path, missing)
     try:
-        return as_runs(frame)
+        runs = as_runs(frame)
     except (ValueError, TypeError) as error:
         raise of_another_type(path, str(error)[:80]) from error
+    check_runs(runs, path)
+    _check_solvers(path, runs)
+    return runs
+
+
+def _check_solvers(path: Path, runs: pd.DataFrame) -> None:
+    """ResultsError for a solver by whose name no file can be called, as `report --for` does."""
+    for name in runs["solver"].unique():
+        if not is_file_name(str(name)):
+            raise ResultsError(str(path), "solver", repr(name)[:80], "a name without a folder")
 
 
 def read_json(path: Path) -> dict[str, Any]:
     """A JSON object; ResultsError, naming the file, where there is none."""
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ResultsError(str(path), "", error.strerror or "unreadable", "a JSON file") from error
-    except ValueError as error:
-        raise ResultsError(str(path), "", f"no JSON ({error})", "a JSON document") from error
-    if not isinstance(document, dict):
-        raise ResultsError(str(path), "", type(document).__name__, "a JSON object")
-    return document
+    return read_json_object(path, "a JSON document", error=ResultsError)
 
 
 def hashes(folder: Path, names: Iterable[str]) -> dict[str, str]:

@@ -83,10 +83,20 @@ STEP_COLUMNS: Columns = {
     "optimum_bound": ("float64", "certified error bound of the optimum itself"),
     "certificate": ("str", "kind of certificate"),
     "n_active": ("int32", "active limits at the optimum"),
-    "fallback": ("bool", "no usable answer in time, and none arrived late: the fallback acted"),
+    "fallback": (
+        "bool",
+        "no usable answer of the solver in time, and none arrived late: fallback or backup acted",
+    ),
     "unconverged": ("bool", "an inaccurate or unfinished iterate was applied"),
     "clipped": ("bool", "the answer violated a limit and was clipped"),
     "late": ("bool", "no answer by the deadline of the step; a deadline missed"),
+    "backup": ("bool", "the plan of the backup solver was applied"),
+    "backup_failed": (
+        "bool",
+        "the backup was asked and had no usable answer by the end of the sample",
+    ),
+    "backup_ns": ("Int64", "set-up, solve and read of the backup; null where it was not asked"),
+    "backup_error": ("float64", "error_move of the backup's answer"),
     "n_m": ("float64", "north position at the start of the step"),
     "e_m": ("float64", "east position"),
     "psi_rad": ("float64", "heading, unwrapped"),
@@ -301,12 +311,18 @@ MACHINE_COLUMNS: Columns = {
 }
 
 CONTROL_COLUMNS: Columns = {
-    "fallbacks": ("Int64", "steps in which the fallback acted"),
+    "fallbacks": ("Int64", "steps in which the fallback or the backup acted"),
     "fallback_longest": ("Int64", "longest run of such steps"),
     "recover_steps_max": (
         "Int64",
         "most steps from a failure to the next true answer; null if none or never",
     ),
+    "backup_asked": ("Int64", "steps in which the backup solver was asked; null without a backup"),
+    "backup_acted": ("Int64", "steps in which the backup's plan was applied"),
+    "backup_failures": ("Int64", "steps in which the backup failed"),
+    "backup_p50_ns": ("float64", "median time of the backup, of the steps in which it was asked"),
+    "backup_max_ns": ("float64", "largest time of the backup"),
+    "backup_error_max": ("float64", "largest error of the backup's first move"),
     "deadline_misses": ("Int64", "steps without an answer by their deadline"),
     "longest_miss_streak": ("Int64", "longest run of such steps"),
     "miss_recover_steps_max": (
@@ -402,6 +418,16 @@ ADDED = frozenset(
         "loop_tail_ratio",
         "solve_s",
         "thread_s",
+        "backup",
+        "backup_failed",
+        "backup_ns",
+        "backup_error",
+        "backup_asked",
+        "backup_acted",
+        "backup_failures",
+        "backup_p50_ns",
+        "backup_max_ns",
+        "backup_error_max",
         "process_peak_bytes",
     }
 )

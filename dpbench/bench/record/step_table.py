@@ -28,6 +28,7 @@ from dpbench.bench.record.schema import (
     DType,
     as_runs,
 )
+from dpbench.files.writing import new_file, put
 
 ARROW: dict[DType, pa.DataType] = {
     "str": pa.string(),
@@ -141,14 +142,14 @@ def write_runs(path: Path, runs: pd.DataFrame, metadata: Mapping[str, str]) -> N
     ----------
     metadata : kept beside them in the file.
     """
-    part, runs = path.with_name(path.name + ".part"), runs.reset_index(drop=True)
+    part, runs = new_file(path.with_name(f"{path.name}.part")), runs.reset_index(drop=True)
     try:
         keys = pa.Schema.from_pandas(runs[[name for name in runs if name not in RUN_COLUMNS]])
         schema = pa.schema([*OF_RUNS, *keys])
         table = pa.Table.from_pandas(runs, schema, preserve_index=False)
         table = table.replace_schema_metadata(dict(metadata))
         pq.write_table(table, part, compression="zstd", write_page_checksum=True)
-        part.replace(path)
+        put(part, path)
     finally:
         part.unlink(missing_ok=True)
 

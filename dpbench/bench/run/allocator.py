@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.fallback import ThrusterLimit
 from dpbench.bench.run.qp_builder import QPBuilder
-from dpbench.bench.run.timed_solver import UNFINISHED, Clock, TimedSolver, record_answer
+from dpbench.bench.run.timed_solver import (
+    UNFINISHED,
+    Clock,
+    TimedSolver,
+    is_usable,
+    record_answer,
+)
 from dpbench.scenario.commanded_thrusters import Allocation
 
 
@@ -80,7 +84,7 @@ class Allocator:
         answers.times[0, k] = (t1 - t0, *solver.phases_ns, -1)
         record_answer(answers, 0, k, solution)
         answers.matrix_updates[0] = solver.matrix_updates
-        if solution.status.usable and math.isfinite(solution.z.sum()):
+        if is_usable(solution):
             return builder.moves(solution.z), solution.status in UNFINISHED, spent_ns
         solver.reset()
         return None, False, spent_ns

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from dpbench.bench.record.cell import Cell, Formulation
-from dpbench.bench.record.raw_log import Layout, RawLog, loop_layout, replay_layout
+from dpbench.bench.record.raw_log import AnswerLog, Layout, RawLog, loop_layout, replay_layout
+from dpbench.bench.run.backup import Backup
 from dpbench.bench.run.closed_loop import ClosedLoopSetup
 from dpbench.bench.run.exact_loop import base_problem
-from dpbench.bench.run.formulation import Box, in_loop, in_replay
+from dpbench.bench.run.formulation import Box, Formulated, in_loop, in_replay
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.slow_computer import delay_of, usage_of_process
-from dpbench.bench.run.timed_solver import TimedSolver
+from dpbench.bench.run.timed_solver import STEP_SHARE, ResumedSolver, TimedSolver
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence
 from dpbench.scenario.scenario import Scenario, no_delay
-from dpbench.solvers.contract import Workspace
+from dpbench.solvers.contract import Route, Workspace
+from dpbench.solvers.open import open_workspace
+from dpbench.solvers.table import record
 
 NO_LIMIT_NS = 2**62
 NewLog = Callable[[Layout], RawLog]
@@ -25,14 +28,26 @@ clock = time.perf_counter_ns
 
 
 def closed_loop_setup(
-    cell: Cell, scenario: Scenario, workspace: Workspace, new_log: NewLog, limit_ns: int
+    cell: Cell,
+    scenario: Scenario,
+    workspace: Workspace,
+    new_log: NewLog,
+    limit_ns: int,
+    *,
+    hung: Sequence[int] = (),
 ) -> ClosedLoopSetup:
     """The closed loop that a cell describes, along a scenario of as many steps.
+
+    Parameters
+    ----------
+    hung : steps in which an earlier process of the cell hung, in their order; `new_log` opens its
+        log. The controller's solver is taken for the one that hung; where a step is there twice,
+        the backup and the second solver of a cascade too.
 
     Raises
     ------
     InputError : "sparse" for a scenario that has no stages, a slow-down or deadline that cannot
-        be, or a cascade whose second workspace cannot be opened.
+        be, or a backup or a cascade's second workspace that cannot be opened.
     """
     scenario = as_run(cell, scenario)
     delay = delay_of(cell, scenario.sample_s)
@@ -40,20 +55,57 @@ def closed_loop_setup(
     if delay.simulated and why:
         raise InputError("closed loop", "slowdown", cell.slowdown, f"0 ({why})")
     builder = QPBuilder(scenario, cell.units, sparse=cell.formulation == "sparse")
-    log = new_log(loop_layout(scenario.steps, *builder.sizes))
+    layout = loop_layout(scenario.steps, *builder.sizes, backup=bool(cell.backup))
+    log = new_log(layout)
     formulated = in_loop(cell.formulation, builder, base_problem(builder.condensed))
-    solver = TimedSolver(workspace, formulated, clock)
+    last = hung[-1] if hung else None
+    twice = [k for k in hung if hung.count(k) > 1]
+    solver = _timed(workspace, formulated, log, last, limit_ns)
     setup = ClosedLoopSetup(
         scenario, builder, solver, log, cell.fallback, limit_ns, clock, delay, usage_of_process
     )
-    if builder.allocation is not None:
+    if log.backup is not None:
+        limit_s = None if limit_ns == NO_LIMIT_NS else STEP_SHARE * limit_ns * 1e-9
+        second_solver = TimedSolver(open_backup(cell.backup, limit_s), formulated, clock)
+        setup.backup = Backup(
+            second_solver, builder.condensed.moves, log.backup, hung=twice, limit_ns=limit_ns
+        )
+    if builder.allocation is not None and log.allocation is not None:
         # As it is in every formulation: it has no states, and equalities no well-posed one-sided
         # form.
         second = Box(builder.allocation.base())
-        setup.allocating = TimedSolver(workspace.another(), second, clock)
+        setup.allocating = _timed(
+            workspace.another(), second, log.allocation, last, limit_ns, skips=last in twice
+        )
         # What a library says of a failure counts whichever of the two QPs it failed on.
         setup.allocating.details = solver.details
     return setup
+
+
+def _timed(
+    workspace: Workspace,
+    formulated: Formulated,
+    answers: AnswerLog,
+    hung: int | None,
+    limit_ns: int,
+    *,
+    skips: bool = True,
+) -> TimedSolver:
+    """A solver of a loop; of one that goes on behind the step `hung`, as in `ResumedSolver`."""
+    if hung is None:
+        return TimedSolver(workspace, formulated, clock)
+    return ResumedSolver(
+        workspace, formulated, clock, answers=answers, at=hung, skips=skips, limit_ns=limit_ns
+    )
+
+
+def open_backup(solver: str, step_limit_s: float | None) -> Workspace:
+    """The workspace of a backup, by its own interface where the solver has that, that is set up
+    from nothing at every step; InputError where it cannot be opened."""
+    route: Route = "native" if "native" in record(solver).routes else "qpsolvers"
+    workspace = open_workspace(solver, route=route, step_limit_s=step_limit_s)
+    workspace.setup_every_step = True
+    return workspace
 
 
 def as_run(cell: Cell, scenario: Scenario) -> Scenario:

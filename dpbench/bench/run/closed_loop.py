@@ -10,7 +10,6 @@ of it is u. Only the solver's call stands between two clock reads of its phases.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -20,10 +19,17 @@ from dpbench.arrays import Vector
 from dpbench.bench.record.cell import Fallback
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.allocator import Allocator
+from dpbench.bench.run.backup import Backup, LoopWithBackup
 from dpbench.bench.run.fallback import FallbackLaw, limit_of
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.slow_computer import ComputationalDelay, SlowComputer, Usage, never_preempted
-from dpbench.bench.run.timed_solver import UNFINISHED, Clock, TimedSolver, record_answer
+from dpbench.bench.run.timed_solver import (
+    UNFINISHED,
+    Clock,
+    TimedSolver,
+    is_usable,
+    record_answer,
+)
 from dpbench.qp.program import QPStep
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.environment import Drawn
@@ -41,7 +47,8 @@ class ClosedLoopSetup:
     `fallback` acts without a usable answer; `limit_ns` of own run time end the run; `clock`
     tells nanoseconds. `delay` is that of a slow computer, whose answers come late; None where the
     ship waits for them; `usage` is what the kernel says of this process there. `allocating` is the
-    solver of a cascade's second QP; `drawn` what is known of the weather beforehand.
+    solver of a cascade's second QP; `drawn` what is known of the weather beforehand; `backup` the
+    second solver, where there is one.
     """
 
     scenario: Scenario
@@ -55,6 +62,7 @@ class ClosedLoopSetup:
     usage: Usage = never_preempted
     allocating: TimedSolver | None = None
     drawn: Drawn | None = None
+    backup: Backup | None = None
 
 
 def closed_loop(setup: ClosedLoopSetup) -> bool:
@@ -104,7 +112,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
         t2 = clock()
         solution = answer(step)
         t3 = clock()
-        usable = solution.status.usable and math.isfinite(solution.z.sum())
+        usable = is_usable(solution)
         if usable:
             du = law.remember(moves(solution.z))
         else:
@@ -134,14 +142,23 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
 
 def _steering(
     setup: ClosedLoopSetup,
-) -> tuple[TimedSolver | SlowComputer, FallbackLaw | SlowComputer, Emit]:
-    """Who answers, who acts without an answer, and who emits: on a slow computer one and all."""
-    law = FallbackLaw(setup.fallback, setup.builder.condensed)
-    if setup.delay is None or not setup.delay.simulated:
-        return setup.solver, law, setup.builder.emit
-    latency_ns = setup.log.latency_ns
-    computer = SlowComputer(setup.delay, setup.solver, setup.builder, law, latency_ns, setup.usage)
-    return computer, computer, computer.emit
+) -> tuple[
+    TimedSolver | LoopWithBackup | SlowComputer, FallbackLaw | LoopWithBackup | SlowComputer, Emit
+]:
+    """Return the objects that answer, act without an answer, and emit: one object for all three
+    with a backup or on a slow computer."""
+    builder, solver, backup = setup.builder, setup.solver, setup.backup
+    law = FallbackLaw(setup.fallback, builder.condensed)
+    if setup.delay is not None and setup.delay.simulated:
+        latency_ns = setup.log.latency_ns
+        computer = SlowComputer(
+            setup.delay, solver, builder, law, latency_ns, setup.usage, backup=backup
+        )
+        return computer, computer, computer.emit
+    if backup is None:
+        return solver, law, builder.emit
+    both = LoopWithBackup(solver, backup, law, builder.emit)
+    return both, both, both.emit
 
 
 def _allocator(setup: ClosedLoopSetup) -> Allocator | None:

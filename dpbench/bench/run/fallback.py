@@ -6,10 +6,10 @@ from functools import partial
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.bench.record.cell import Fallback
+from dpbench.kernel_cache import njit
 from dpbench.mpc.condense import CondensedMatrices
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.law import Gains, gains

@@ -8,15 +8,15 @@ the load kernel what else runs on the machine.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
 from dpbench.arrays import Floats
 from dpbench.bench.record.disturbance import counters
 from dpbench.bench.record.raw_log import RawLog, spent_ns
-from dpbench.bench.run.timed_solver import Clock, TimedSolver, record_answer
+from dpbench.bench.run.timed_solver import Clock, TimedSolver, is_usable, record_answer
+from dpbench.kernel_cache import njit
 from dpbench.qp.program import QPSequence
 
 KERNEL_REPEATS = 12
@@ -88,6 +88,8 @@ class ReplayRun:
     warmup_steps : length of round 0; preroll : steps solved before each round without a record.
     limit_ns : own run time of all rounds together after which the configuration stops; of a round
         that is run again because the machine was slow, the last attempt counts.
+    hung : (round, step) in which earlier processes of the replay hung, in their order; the log is
+        theirs. The last of these rounds goes on where it was, and no such step is tried again.
     """
 
     def __init__(
@@ -100,11 +102,14 @@ class ReplayRun:
         limit_ns: int,
         clock: Clock,
         preroll: int = PREROLL,
+        hung: Sequence[tuple[int, int]] = (),
     ) -> None:
         self.sequence, self._solver, self._log, self._clock = sequence, solver, log, clock
         self._warmup_steps = warmup_steps
         self._limit_ns, self._preroll = limit_ns, preroll
         self._spent_ns = np.zeros(len(log.done), dtype=np.int64)
+        self._hung = frozenset(k for _, k in hung)
+        self._goes_on = {r: int(log.done[r]) for r, _ in hung[-1:]}
         log.footprint[:] = np.nan
         log.setup_once_ns[0] = solver.prepare()
         log.started[0] = 1
@@ -113,6 +118,17 @@ class ReplayRun:
         """Replay the warm-up and every round that the log has room for."""
         for r in range(len(self._log.done)):
             self.round(r)
+
+    def _warm_caches(self, steps: int) -> None:
+        """Solve the first `preroll` of so many steps, and forget them."""
+        log, solver = self._log, self._solver
+        for k in range(min(self._preroll, steps)):
+            if k in self._hung:
+                continue
+            solver.answer(solver.formulate(self.sequence.step(k)))
+            # Whoever remembers answers has seen this step now, and its time is in no row.
+            log.first_ns[k] = log.first_ns[k] or -1
+        solver.reset()
 
     def round(self, r: int) -> bool:
         """Replay round r into its rows; False when the time limit stopped it.
@@ -123,25 +139,23 @@ class ReplayRun:
         log, clock, solver, sequence = self._log, self._clock, self._solver, self.sequence
         steps = self._warmup_steps if r == 0 else len(sequence)
         times = log.times[r]
-        log.done[r] = 0
-        log.attempts[r] += 1
+        begin = self._goes_on.pop(r, 0)
+        log.done[r] = begin
+        log.attempts[r] += begin == 0
         log.counters[r] = np.nan
         self._spent_ns[r] = 0
         limit_ns = self._limit_ns - int(self._spent_ns.sum())
         before = counters()
         log.reference_kernel_ns[r, 0] = reference_kernel_ns(clock, log.load_kernel_ns[r, 0])
         start_ns = clock()
-        for k in range(min(self._preroll, steps)):
-            solver.answer(solver.formulate(sequence.step(k)))
-            # Whoever remembers answers has seen this step now, and its time is in no row.
-            log.first_ns[k] = log.first_ns[k] or -1
-        solver.reset()
-        updates_before = solver.matrix_updates
-        for k in range(steps):
+        self._warm_caches(steps)
+        updates_before, hung = solver.matrix_updates, self._hung
+        for k in range(begin, steps):
             step = solver.formulate(sequence.step(k))
-            solution = solver.answer(step)
+            is_skipped = hung and k in hung
+            solution = solver.missing(self._limit_ns) if is_skipped else solver.answer(step)
             record_answer(log, r, k, solution)
-            if not (solution.status.usable and math.isfinite(solution.z.sum())):
+            if not is_usable(solution):
                 solver.reset()
             times[k] = (-1, *solver.phases_ns, -1)
             if log.first_ns[k] == 0:

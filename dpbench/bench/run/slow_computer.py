@@ -15,6 +15,13 @@ delay in nonlinear model predictive control"): its moves before were planned fro
 moves have meanwhile changed, so that move alone would not lead to the force it was planned for.
 After N_c moves the planned force stays. If the answer to the QP of that very step is in time too,
 it supersedes the late one.
+
+With a backup (`backup.py`) nothing is computed beyond the sample. The backup begins when the first
+solver fails, or at the deadline, at which the first is stopped and its answer is lost. An answer of
+the backup that is there by the deadline is applied at t_k; one that is there by the end of the
+sample arrives at k + 1, as a late plan does; a later one is stopped too, and the fallback acts. A
+deadline that is the whole sample leaves a late solver's backup no time: then it steps in for
+failures alone, and a late answer arrives as it does without a backup.
 """
 
 from __future__ import annotations
@@ -28,17 +35,16 @@ import numpy as np
 from dpbench.arrays import Ints, Matrix, Vector
 from dpbench.bench.record.cell import SLOWEST, Cell
 from dpbench.bench.record.raw_log import spent_ns
+from dpbench.bench.run.backup import WARM_UP_SOLVES, Backup
 from dpbench.bench.run.fallback import FallbackLaw
 from dpbench.bench.run.qp_builder import QPBuilder
-from dpbench.bench.run.timed_solver import TimedSolver
+from dpbench.bench.run.timed_solver import TimedSolver, is_usable
 from dpbench.errors import InputError
 from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Solution, Status
 
 Usage = Callable[[], tuple[int, int]]
 """Counts so far: how often the kernel took the processor away, and processor time used [ns]."""
-WARM_UP_SOLVES = 3
-"""Solves before the first step: what a library does once, when first called, is no latency."""
 NOT_RUN = (-1, -1, -1, -1)
 NO_STEP = QPStep(np.empty(0), np.empty(0), np.empty(0))
 """Stands for the QP of a step in which the processor is busy."""
@@ -103,12 +109,13 @@ class SlowComputer:
     delay : how slow; solver : timed; builder : of the run; law : what acts without an answer.
     latency_ns : (K,) where the latency of each answer goes, −1 where no computation began.
     usage : what the kernel says of this process.
+    backup : steps in where the solver fails or is stopped at its deadline; None for none.
 
     Attributes
     ----------
     phases_ns : as of `TimedSolver`, all −1 in a step in which no computation began.
-    acted : whether the last move was the fallback's, and not one of an answer that is in time or
-        arrived just now.
+    acted : whether the last move was the fallback's or the backup's, and not one of an answer of
+        the solver that is in time or arrived just now.
     """
 
     def __init__(
@@ -119,9 +126,11 @@ class SlowComputer:
         law: FallbackLaw,
         latency_ns: Ints,
         usage: Usage,
+        *,
+        backup: Backup | None = None,
     ) -> None:
         self._delay, self._solver, self._builder, self._law = delay, solver, builder, law
-        self._usage, self._latency_ns = usage, latency_ns
+        self._usage, self._latency_ns, self._backup = usage, latency_ns, backup
         latency_ns[:] = -1
         n, m, *_ = builder.sizes
         self._nothing = Solution.missing(n, m, Status.UNKNOWN)
@@ -135,6 +144,10 @@ class SlowComputer:
         self._plan: Matrix | None = None
         self._since = self._started = 0
         self._busy = self._late = self._arrived = False
+        # Of the backup: the plan that is there in time, whether the solver was stopped for it, and
+        # whether the late plan that comes or has arrived is its.
+        self._in_place: Matrix | None = None
+        self._stopped = self._of_backup = self._of_backup_arrived = False
         self.phases_ns, self.acted = NOT_RUN, False
 
     @property
@@ -146,6 +159,8 @@ class SlowComputer:
         """Set up as `TimedSolver.prepare`, then solve without a record until nothing is cold."""
         spent = self._solver.prepare()
         self._solver.warm_up(WARM_UP_SOLVES)
+        if self._backup is not None:
+            self._backup.prepare()
         return spent
 
     def emit(self, k: int, x: Vector, u_prev: Vector) -> QPStep:
@@ -155,6 +170,7 @@ class SlowComputer:
         self._arrived = not self._busy and self._coming is not None
         if self._arrived:
             self._plan, self._since, self._coming = self._coming, self._started, None
+            self._of_backup_arrived = self._of_backup
         return NO_STEP if self._busy else self._builder.emit(k, x, u_prev)
 
     def formulate(self, step: QPStep) -> QPStep:
@@ -166,24 +182,54 @@ class SlowComputer:
         if self._busy:
             self.phases_ns = NOT_RUN
             return self._nothing
-        switches, used_ns = self._usage()
-        solution = self._solver.answer(step)
-        switches_after, used_after_ns = self._usage()
+        solution, latency_ns = self._timed(self._solver, step)
         self.phases_ns = self._solver.phases_ns
-        step_ns = spent_ns(self.phases_ns)
-        if switches_after > switches:
-            step_ns = min(step_ns, used_after_ns - used_ns)
-        latency_ns = self._delay.latency_ns(step_ns)
         samples = self._delay.samples_late(latency_ns)
         self._latency_ns[self._k] = latency_ns
         self._late = samples > 0
         self._started, self._free = self._k, self._k + max(1, samples)
+        if self._backup is not None:
+            self._in_place, self._stopped = None, False
+            begins_ns = min(latency_ns, self._delay.budget_ns)
+            missing = self._late or not is_usable(solution)
+            if missing and begins_ns < self._delay.sample_ns:
+                self._step_in(self._backup, step, begins_ns)
         return solution
+
+    def _timed(self, solver: TimedSolver, step: QPStep) -> tuple[Solution, int]:
+        """A solver's answer and its latency [ns]."""
+        switches, used_ns = self._usage()
+        solution = solver.answer(step)
+        switches_after, used_after_ns = self._usage()
+        step_ns = spent_ns(solver.phases_ns)
+        if switches_after > switches:
+            step_ns = min(step_ns, used_after_ns - used_ns)
+        return solution, self._delay.latency_ns(step_ns)
+
+    def _step_in(self, backup: Backup, step: QPStep, begins_ns: int) -> None:
+        """Let the backup solve the step from `begins_ns` after t_k on, until the sample ends."""
+        answer, latency_ns = self._timed(backup.solver, step)
+        plan, ready_ns = backup.record(self._k, answer), begins_ns + latency_ns
+        backup.log.ready_ns[self._k] = ready_ns
+        self._stopped, self._free = self._late, self._k + 1
+        if plan is None or ready_ns > self._delay.sample_ns:
+            return
+        if ready_ns <= self._delay.budget_ns:
+            self._in_place = plan
+        else:
+            self._expect(plan, of_backup=True)
+
+    def _expect(self, moves: Matrix, *, of_backup: bool) -> None:
+        """Keep a plan (N_c, n_u) that arrives when the processor is free."""
+        self._coming, self._of_backup = self._u + np.cumsum(moves, axis=0), of_backup
 
     def remember(self, moves: Matrix) -> Vector:
         """Take the usable plan (N_c, n_u) of this step; Δu (n_u,) of what is at hand by now."""
+        if self._stopped:
+            self._solver.reset()
+            return self._go_on()
         if self._late:
-            self._coming = self._u + np.cumsum(moves, axis=0)
+            self._expect(moves, of_backup=False)
             return self._go_on()
         self._plan, self.acted = None, False
         return self._law.remember(moves)
@@ -191,7 +237,17 @@ class SlowComputer:
     def move(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
         """Δu (n_u,) in a step that has no usable answer of its own."""
         del x, y_ref, u_prev  # those of the step are known from `emit`
-        return self._go_on()
+        if self._busy or self._in_place is None:
+            return self._go_on()
+        self._plan = None
+        self._backup_acts()
+        return self._law.remember(self._in_place)
+
+    def _backup_acts(self) -> None:
+        """Mark the move of this step as one of the backup."""
+        assert self._backup is not None, "a plan of its is at hand"
+        self.acted = True
+        self._backup.log.acted[self._k] = 1
 
     def reset(self) -> None:
         """As `TimedSolver.reset`, unless the solver was not asked."""
@@ -201,6 +257,8 @@ class SlowComputer:
     def _go_on(self) -> Vector:
         """Δu (n_u,) without an answer in time: of the plan that arrives now, or the fallback's."""
         self.acted = not self._arrived
+        if self._arrived and self._of_backup_arrived:
+            self._backup_acts()
         if self._plan is not None and (self._arrived or self._law.kind == "shifted_plan"):
             age = min(self._k - self._since, len(self._plan) - 1)
             to_plan: Vector = self._plan[age] - self._u

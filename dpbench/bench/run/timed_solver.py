@@ -1,12 +1,22 @@
-"""The harness's side of a solver: its phases between two clock reads, its failures as data."""
+"""The harness's side of a solver: its phases between two clock reads, its failures as data.
+
+A step that hangs is ended after `step_limit_s`: by the library itself where it has an option for
+that, else by an alarm, which reaches whatever runs Python. A library that holds the interpreter is
+killed with its process, and the run goes on in another one behind that step (`ResumedSolver`, and
+`ReplayRun` of a replay).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
 
 import numpy as np
 
-from dpbench.bench.record.raw_log import AnswerLog
+from dpbench.bench.record.raw_log import OF_SOLVER, TIMES, AnswerLog
 from dpbench.bench.run.formulation import Formulated
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status, is_plain, received
@@ -15,6 +25,23 @@ from dpbench.solvers.contract import Workspace
 Clock = Callable[[], int]
 UNFINISHED = frozenset({Status.INACCURATE, Status.MAX_ITERATIONS})
 """Of the usable answers those that are applied and marked."""
+STEP_SHARE = 0.25
+"""Of the run time that a cell is allowed: what one step may take of it."""
+MOST_HANGS = 3
+"""Steps of a run that may hang and be killed before its cell ends by it."""
+HUNG = "did not return and was killed"
+"""What is said of a step whose process hung in it."""
+_OF_WORKSPACE = frozenset({"setup", "update", "solve", "read"})
+_OWN = slice(TIMES.index(OF_SOLVER[0]), TIMES.index(OF_SOLVER[-1]) + 1)
+
+
+class StepTimeLimitError(TimeoutError):
+    """A step that ran beyond its limit was interrupted."""
+
+
+def is_usable(solution: Solution) -> bool:
+    """Whether a closed loop can apply an answer: by its status, and all of z is finite."""
+    return solution.status.usable and math.isfinite(solution.z.sum())
 
 
 class TimedSolver:
@@ -34,6 +61,8 @@ class TimedSolver:
         self.size = formulated.base.n, formulated.base.m
         self.phases_ns = (-1, -1, -1, -1)
         self.details: dict[str, int] = {}
+        # Set by the alarm, whatever became of what it raised.
+        self.interrupted = ""
 
     @property
     def matrix_updates(self) -> int:
@@ -93,12 +122,18 @@ class TimedSolver:
         prepared = t1 - t0
         handed_over = (prepared, -1) if setup_every_step else (-1, prepared)
         self.phases_ns = (*handed_over, t2 - t1, t3 - t2)
+        if self.interrupted:
+            solution = Solution.missing(n, m, Status.TIME_LIMIT, self.interrupted)
         if solution.detail:
-            self.details[solution.detail] = self.details.get(solution.detail, 0) + 1
+            self._count(solution.detail)
         return formulated.solution(solution)
 
     def _problem(self, step: QPStep) -> QuadraticProgram:
         """The whole problem of a step, with matrices as they were before a solver wrote to them."""
+        return self._unwritten().at(step)
+
+    def _unwritten(self) -> QuadraticProgram:
+        """The problem that was handed over last, as it was before a solver wrote to it."""
         if self._formulated.base is not self._whole:
             self._whole = self._formulated.base
             self._given = self._whole.copy()
@@ -107,15 +142,39 @@ class TimedSolver:
         np.copyto(given.A, whole.A)
         np.copyto(given.lb, whole.lb)
         np.copyto(given.ub, whole.ub)
-        return given.at(step)
+        return given
 
     def reset(self) -> None:
-        """Make the workspace forget an answer that was not usable."""
+        """Make the workspace forget an answer that was not usable; after an interrupt, which may
+        have left anything, it is set up anew."""
+        if self.interrupted:
+            self.interrupted = ""
+            self.renew()
+            return
         try:
             self._workspace.reset()
         except Exception as error:
-            detail = f"reset: {type(error).__name__}: {error}"
-            self.details[detail] = self.details.get(detail, 0) + 1
+            self._count(f"reset: {type(error).__name__}: {error}")
+
+    def renew(self) -> None:
+        """Set the workspace up from nothing, with the matrices that hold now."""
+        if self._workspace.setup_every_step:
+            return
+        try:
+            self._workspace.setup(self._unwritten())
+        except Exception as error:
+            self._count(f"setup: {type(error).__name__}: {error}")
+
+    def _count(self, detail: str) -> None:
+        self.details[detail] = self.details.get(detail, 0) + 1
+
+    def missing(self, limit_ns: int) -> Solution:
+        """The answer to a step in which an earlier process hung for so long and was killed."""
+        self.phases_ns = (-1, 0, limit_ns, 0)
+        n, m = self.size
+        answer = Solution.missing(n, m, Status.TIME_LIMIT, HUNG)
+        self._count(HUNG)
+        return self._formulated.solution(answer)
 
 
 def record_answer(log: AnswerLog, r: int, k: int, solution: Solution) -> None:
@@ -126,3 +185,92 @@ def record_answer(log: AnswerLog, r: int, k: int, solution: Solution) -> None:
     log.z[r, k] = solution.z
     log.y[r, k] = solution.y
     log.y_box[r, k] = solution.y_box
+
+
+class ResumedSolver(TimedSolver):
+    """Repeats the answers of a loop up to the step in which its process hung, then solves.
+
+    The loop around it is deterministic, so the ship comes to the very state that it had.
+
+    Parameters
+    ----------
+    answers : the log of the loop so far; at : the step that hung.
+    skips : whether this solver has no answer to that step, which then is said to have taken
+        `limit_ns`; false for one that is not known to have hung.
+    """
+
+    def __init__(
+        self,
+        workspace: Workspace,
+        formulated: Formulated,
+        clock: Clock,
+        *,
+        answers: AnswerLog,
+        at: int,
+        skips: bool,
+        limit_ns: int,
+    ) -> None:
+        super().__init__(workspace, formulated, clock)
+        self._answers, self._at, self._skips, self._limit_ns = answers, at, skips, limit_ns
+        self._k, self._updates = -1, int(answers.matrix_updates[0])
+
+    @property
+    def matrix_updates(self) -> int:
+        """Those of the earlier process too."""
+        return self._updates + super().matrix_updates
+
+    def answer(self, step: QPStep) -> Solution:
+        """The recorded answer up to the step that hung, and the solver's own behind it."""
+        self._k += 1
+        k, answers = self._k, self._answers
+        if k == self._at:
+            self.renew()
+            if self._skips:
+                return self.missing(self._limit_ns)
+        if k >= self._at:
+            return super().answer(step)
+        setup, update, solve, read = answers.times[0, k, _OWN].tolist()
+        self.phases_ns = setup, update, solve, read
+        return Solution(
+            Status(int(answers.status[0, k])),
+            answers.z[0, k].copy(),
+            answers.y[0, k].copy(),
+            answers.y_box[0, k].copy(),
+            int(answers.iterations[0, k]),
+            int(answers.reported_ns[0, k]),
+        )
+
+    def reset(self) -> None:
+        """As inherited, of answers of its own."""
+        if self._k > self._at or (self._k == self._at and not self._skips):
+            super().reset()
+
+
+@contextmanager
+def interrupting(limit_s: float, clock: Clock) -> Iterator[None]:
+    """Raise `StepTimeLimitError` in a call of a workspace that takes longer than `limit_s` [s].
+
+    It reaches what runs Python; a library that does not return gets to know nothing of it. No
+    alarm goes off in a run that is over before; a step that began since the last one is let be.
+    """
+    limit_ns = round(limit_s * 1e9)
+
+    def alarm(number: int, frame: FrameType | None) -> None:
+        called = None
+        while frame is not None and frame.f_code is not TimedSolver.answer.__code__:
+            called, frame = frame, frame.f_back
+        # Only within a call of the workspace `answer` takes what is raised for its failure.
+        if frame is None or called is None or called.f_code.co_name not in _OF_WORKSPACE:
+            return
+        if clock() - frame.f_locals["t0"] >= limit_ns:
+            words = f"interrupted, as it ran beyond the limit of {limit_s:g} s of a step"
+            frame.f_locals["self"].interrupted = words
+            raise StepTimeLimitError(words)
+
+    before = signal.signal(signal.SIGALRM, alarm)
+    signal.setitimer(signal.ITIMER_REAL, limit_s, limit_s)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)

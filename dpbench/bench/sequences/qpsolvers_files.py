@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from dpbench.arrays import Vector
-from dpbench.bench.record.npz import Arrays, float_array, read_npz
+from dpbench.bench.record.npz import DAMAGE, Arrays, float_array, read_npz
 from dpbench.errors import InputError
+from dpbench.files.opening import opened
 from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram
 
 WHAT = "a problem written by `qpsolvers.Problem.save` (.npz)"
@@ -48,9 +49,9 @@ def _parts(text: str) -> list[tuple[int, int, str]]:
 def is_problem(path: Path) -> bool:
     """Whether a file has the arrays of one problem, and no array that says it is anything else."""
     try:
-        with zipfile.ZipFile(path) as archive:
+        with opened(path) as file, zipfile.ZipFile(file) as archive:
             names = {name.removesuffix(".npy") for name in archive.namelist()}
-    except (OSError, zipfile.BadZipFile):
+    except (OSError, *DAMAGE):
         return False
     return bool(names & {"P", "q"}) and "format" not in names
 

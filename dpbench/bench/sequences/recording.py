@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import hashlib
+import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,6 +18,7 @@ from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.sequences.qpsolvers_files import is_problem, natural_order, read_folder
 from dpbench.bench.sequences.sequence_file import Recorded, load_recorded
 from dpbench.errors import InputError
+from dpbench.files.opening import opened
 from dpbench.qp.program import CONSTANT, QPSequence
 from dpbench.qp.referee.referee import Optimum, certified
 from dpbench.scenario.scenario import Scenario, scenario_of
@@ -135,8 +137,11 @@ def digest(path: Path) -> str:
     total = hashlib.sha256()
     try:
         for file in natural_order(path) if path.is_dir() else [path]:
-            data = file.read_bytes()
-            total.update(f"{file.name if path.is_dir() else ''}:{len(data)}:".encode() + data)
+            with opened(file, WHAT) as stream:
+                size = os.fstat(stream.fileno()).st_size
+                total.update(f"{file.name if path.is_dir() else ''}:{size}:".encode())
+                while block := stream.read(2**20):
+                    total.update(block)
     except OSError as error:
         found = error.strerror or "unreadable"
         raise InputError(str(error.filename or path), "", found, WHAT) from error

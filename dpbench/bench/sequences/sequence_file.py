@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from dpbench.bench.record.npz import Arrays, count_of, float_array, read_npz, text_of, write_npz
 from dpbench.errors import InputError
+from dpbench.files.documents import parse_json
 from dpbench.mpc.condense import UnitSystem
 from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram, Units, in_own_units
 from dpbench.qp.referee.joint import Kind
@@ -229,7 +230,7 @@ def _two_axes(arrays: Arrays, where: str, name: str) -> NDArray[Any]:
 
 def _document(where: str, name: str, texts: dict[str, str]) -> dict[str, Any]:
     try:
-        document = json.loads(texts[name])
+        document = parse_json(texts[name])
     except ValueError as error:
         raise InputError(where, name, f"no JSON ({error})", "a JSON object") from error
     if not isinstance(document, dict):

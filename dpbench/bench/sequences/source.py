@@ -139,7 +139,9 @@ def log_size(cell: Cell, path: Path) -> int:
         if cell.mode == "closed_loop":
             n_theta, n_f = stored["theta"].shape[1], stored["thrust"].shape[1]
             second = allocation_sizes(stored)
-            return log_bytes(loop_layout(cell.steps, n, m, n_theta, n_f, second))
+            return log_bytes(
+                loop_layout(cell.steps, n, m, n_theta, n_f, second, backup=bool(cell.backup))
+            )
     return log_bytes(replay_layout(cell.rounds + 1, cell.steps, n, m))
 
 

@@ -2,8 +2,8 @@
 
 Importing a library takes up to most of a second, and so it is for a batch where its cells take some
 milliseconds each. Nothing of a batch is compared by its times: only replays are (`interleaved.py`).
-A cell that crashes or hangs costs only itself; those after it go on
-in a new process.
+A cell that crashes costs only itself, and one that hangs the step it hung in where it can go on
+behind that; it, and those after it, go on in a new process.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from multiprocessing.context import ForkServerContext
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
-from dpbench.bench.record.cell import Outcome
+from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import discard
 from dpbench.bench.workers.child import GRACE_S, Child
 from dpbench.bench.workers.notice import AtWork, post
-from dpbench.bench.workers.worker import BatchCell, evaluate_batch, run_batch
+from dpbench.bench.workers.worker import BatchCell, evaluate_batch, hang_of, run_batch
 
 EVALUATION_LIMIT_S = 600.0
 NOT_RUN = Outcome("lost", "it was not run")
@@ -140,6 +140,7 @@ class CellBatch:
         assert isinstance(child, _Run), "the processes of a batch are its own"
         ended, rest = child.split()
         if self._to_run:
+            rest = self._behind_hang(ended) + rest
             self.outcomes |= ended
             if child.is_suspect and child.name not in ended:
                 discard(self._folder / f"{child.name}.raw")
@@ -151,6 +152,21 @@ class CellBatch:
             for name, verdict in ended.items():
                 self._take_record(name, verdict)
         return self._process(rest, core, alone=child.is_suspect) if rest else None
+
+    def _behind_hang(self, ended: dict[str, Outcome]) -> list[BatchCell]:
+        """The cell that was killed as it hung in a step, to go on behind it, and no longer among
+        those that ended; none where there is no such cell."""
+        for i, batch_cell in enumerate(self._cells):
+            outcome = ended.get(batch_cell.name)
+            if outcome is None or outcome.outcome != "hung":
+                continue
+            raw = self._folder / f"{batch_cell.name}.raw"
+            hang = hang_of(Cell.from_json(batch_cell.cell), raw, batch_cell.hung)
+            if hang is not None:
+                del ended[batch_cell.name]
+                self._cells[i] = replace(batch_cell, hung=(*batch_cell.hung, hang))
+                return [self._cells[i]]
+        return []
 
     def _take_record(self, name: str, verdict: Outcome) -> None:
         """Take what the referee left of a cell; without it the cell is lost."""

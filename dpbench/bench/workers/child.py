@@ -31,6 +31,7 @@ from dpbench.bench.workers.interrupts import interrupts_wait
 from dpbench.bench.workers.notice import CUT, AtWork, Notice
 from dpbench.bench.workers.orphans import TEMPORARY, end_orphans, signal_process
 from dpbench.errors import DpbenchError
+from dpbench.temporary_folders import keep_sockets
 
 START_ALLOWANCE_S = 60.0
 """For importing a library; after it a cell that has not started its loop is killed."""
@@ -96,6 +97,7 @@ def _template() -> Iterator[None]:
             # This lets Ctrl-C through when it starts its own process, and does nothing the second
             # time.
             multiprocessing.resource_tracker.ensure_running()
+            keep_sockets()
             # Until it has loaded, Ctrl-C would end the template with a traceback of its own.
             with interrupts_wait():
                 multiprocessing.forkserver.ensure_running()

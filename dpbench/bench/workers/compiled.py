@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
+from dpbench.kernel_cache import cache_folders
 from dpbench.solvers.own.adapters import WITH_KERNELS
 
 LOOP, OWN = "dpbench.bench.workers.template", "dpbench.solvers.own.primed"
@@ -23,9 +22,8 @@ def needed(solvers: Iterable[str]) -> list[str]:
 
 def missing(modules: Sequence[str]) -> list[str]:
     """Those of the modules that were not compiled before on this machine, into Numba's cache."""
-    kept = os.environ.get("NUMBA_CACHE_DIR")
-    folder = Path(kept) if kept else Path(__file__).parents[2]
-    return [module for module in modules if not any(folder.rglob(_LAST[module]))]
+    folders = cache_folders()
+    return [m for m in modules if not any(any(f.rglob(_LAST[m])) for f in folders)]
 
 
 def compile_in_processes(modules: Sequence[str]) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import zip_longest
@@ -28,18 +28,20 @@ from dpbench.bench.sequences.source import is_timed, log_size, source_key
 from dpbench.bench.workers.batch import CellBatch, Errand, ErrandBatch, Target
 from dpbench.bench.workers.child import ENDED_TEMPLATE, WITHOUT_TEMPLATE
 from dpbench.bench.workers.interleaved import IdleWorkers, ReplayGroup
-from dpbench.bench.workers.leases import ALONE, TOGETHER, leased_machine
+from dpbench.bench.workers.leases import leased_machine
 from dpbench.bench.workers.scratch import NoRoomError, Scratch
 from dpbench.bench.workers.slots import AnyTask, in_slots
 from dpbench.bench.workers.worker import BatchCell
 from dpbench.errors import InputError
+from dpbench.locks import ALONE, TOGETHER, Holder, Patience
 from dpbench.solvers.table import Availability
 
 Batch = TypeVar("Batch")
 BATCH_CELLS, BATCH_BYTES = 32, 2**23
 """Closed loops that share a process, and the bytes of their logs, at most."""
 WAITING = (
-    "waiting for another campaign on this machine: while one times replays, no other runs cells"
+    "waiting for {}: while one campaign times replays on this machine, no other runs cells "
+    "(--no-wait, --wait SECONDS)"
 )
 
 
@@ -114,6 +116,8 @@ class Bench:
     machine_id : of this machine, for the rows of the cells.
     modules : where the files of plug-ins lie here, by where they lie for whoever planned the cells.
     concurrency : of timed replays, see the column of that name.
+    work : the result folder, for campaigns that wait for this one.
+    patience : with other campaigns on this machine.
     """
 
     def __init__(
@@ -127,11 +131,14 @@ class Bench:
         *,
         modules: Mapping[str, str] | None = None,
         concurrency: int = 1,
+        work: str = "a campaign",
+        patience: Patience = Patience(),  # noqa: B008 - frozen
     ) -> None:
         self._context, self._scratch, self.progress = context, scratch, progress
         self._cores, self._slots = cores, cores[:slots]
         self._machine_id, self._modules = machine_id, modules or {}
-        self._concurrency, self._waited = concurrency, False
+        self._concurrency, self._waited_for = concurrency, ""
+        self._holder, self._patience = Holder(work), patience
 
     def make_files(
         self,
@@ -268,7 +275,7 @@ class Bench:
             discard(folder / f"{run_id}.raw")
         group = ReplayGroup(processes, folder, source, cells, alone=alone)
         how = ALONE if self._concurrency == 1 else TOGETHER
-        with leased_machine(how, self._say_waiting) as held, _away_from(core):
+        with self._machine(how) as held, _away_from(core):
             for r in group.run():
                 self.progress.advance(share, f"replay {name}, round {r}")
         if not held:
@@ -324,13 +331,29 @@ class Bench:
     def _in_slots(self, tasks: Sequence[AnyTask], cores: Sequence[int]) -> Iterator[AnyTask]:
         """As `in_slots`, while nobody times replays on this machine."""
         if tasks:
-            with leased_machine(TOGETHER, self._say_waiting):
+            with self._machine(TOGETHER):
                 yield from in_slots(tasks, cores)
 
-    def _say_waiting(self) -> None:
-        if not self._waited:
-            self.progress.remark(WAITING)
-        self._waited = True
+    def find_machine_free(self, *, times: bool) -> None:
+        """Before anything runs, where patience ends: BusyError at its end.
+
+        Parameters
+        ----------
+        times : whether replays will be timed, which takes all of the machine.
+        """
+        if self._patience.required and self._patience.limit_s is not None:
+            with self._machine(ALONE if times and self._concurrency == 1 else TOGETHER):
+                pass
+
+    def _machine(self, how: int) -> AbstractContextManager[bool]:
+        return leased_machine(
+            how, self._holder, patience=self._patience, say_waiting=self._say_waiting
+        )
+
+    def _say_waiting(self, holders: str) -> None:
+        if holders != self._waited_for:
+            self.progress.waiting(WAITING.format(holders))
+        self._waited_for = holders
 
     def _batch_cell(
         self, job: CellJob, sources: Mapping[str, Path], outcome: Outcome | None
@@ -387,7 +410,7 @@ def batch_cells(cells: int, slots: int) -> int:
 
 def configuration_key(cell: Cell) -> tuple[str, ...]:
     """Cells with the same key may share a process."""
-    return (cell.mode, *(getattr(cell, name) for name in COLUMNS))
+    return (cell.mode, cell.backup, *(getattr(cell, name) for name in COLUMNS))
 
 
 def alternating(of_configurations: Iterable[Sequence[Batch]]) -> list[Batch]:

@@ -32,7 +32,7 @@ from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.configuration import COLUMNS
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.workers.child import ServingChild
-from dpbench.bench.workers.worker import ReplayOrder, serve_replays
+from dpbench.bench.workers.worker import Hang, ReplayOrder, hang_of, serve_replays
 
 STARTED_TOGETHER = 4
 DISTURBED_RETRIES = 1
@@ -53,6 +53,7 @@ class ReplayWorker:
     ----------
     serving : whether it may be asked for further rounds.
     spent_s : what its rounds took so far; clean_rounds : those of them that were not disturbed.
+    hung : where processes of it hung, of which it is now another.
     """
 
     def __init__(self, run_id: str, cell: Cell, child: ServingChild) -> None:
@@ -60,6 +61,7 @@ class ReplayWorker:
         self.serving = True
         self.spent_s = 0.0
         self.clean_rounds = 0
+        self.hung: tuple[Hang, ...] = ()
 
     @property
     def sated(self) -> bool:
@@ -179,10 +181,13 @@ class ReplayGroup:
         )
 
     def _start(self, run_id: str, cell: Cell) -> ReplayWorker:
-        order = ReplayOrder(cell.to_json(), self._source, self._folder, run_id)
+        return ReplayWorker(run_id, cell, self._child(run_id, cell))
+
+    def _child(self, run_id: str, cell: Cell, hung: tuple[Hang, ...] = ()) -> ServingChild:
+        order = ReplayOrder(cell.to_json(), self._source, self._folder, run_id, hung)
         child = self._processes.start(order, cell)
         child.alone = self._alone
-        return ReplayWorker(run_id, cell, child)
+        return child
 
     def serve(self, worker: ReplayWorker, r: int) -> None:
         """Have a worker run round r, once more where it was disturbed."""
@@ -192,13 +197,27 @@ class ReplayGroup:
             done = worker.child.reply(worker.cell.limit_s)
             worker.spent_s += time.monotonic() - started
             if done is not True:
-                worker.serving = False
+                worker.serving = self._goes_on(worker)
+                if worker.serving:
+                    self.serve(worker, r)
                 return
             if r == 0:
                 return
             if not self._disturbed(worker, r):
                 worker.clean_rounds += 1
                 return
+
+    def _goes_on(self, worker: ReplayWorker) -> bool:
+        """Whether a worker that was killed as it hung goes on behind that step in a new process."""
+        if worker.child.outcome().outcome != "hung":
+            return False
+        hang = hang_of(worker.cell, worker.child.raw_path, worker.hung)
+        if hang is None:
+            return False
+        worker.child.dismiss()
+        worker.hung = (*worker.hung, hang)
+        worker.child = self._child(worker.run_id, worker.cell, worker.hung)
+        return worker.child.ready() is True
 
     def _disturbed(self, worker: ReplayWorker, r: int) -> bool:
         """Whether the reference kernel around round r was slow against the worker's other

@@ -1,44 +1,56 @@
-"""What processes that know nothing of each other share on a machine, by locks of the kernel.
+"""What processes that know nothing of each other share on a machine: its cores, and its quiet.
 
-A lock (flock) is on a file or a folder that all of them know, and ends with the process that holds
-it, however that ends.
+By locks of files in a folder of this user in the temporary directory.
 """
 
 from __future__ import annotations
 
-import fcntl
 import os
+import pwd
+import stat
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
-FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
-FILE = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
-"""How what is locked is opened."""
-ALONE, TOGETHER = fcntl.LOCK_EX, fcntl.LOCK_SH
+from dpbench.errors import InputError
+from dpbench.locks import FILE, Holder, Patience, lease, lock_file
 
 
-@contextmanager
-def lease(path: Path, opened_as: int, how: int = ALONE | fcntl.LOCK_NB) -> Iterator[bool]:
-    """A lock as long as the block lasts; false where another holds it, where it is another user's,
-    or where the disk knows no locks."""
-    with ExitStack() as stack:
-        held = False
-        with suppress(OSError):
-            lock = os.open(path, opened_as, 0o600)
-            stack.callback(os.close, lock)
-            fcntl.flock(lock, how)
-            held = True
-        yield held
+def lease_folder() -> Path:
+    """The folder of the files that all processes of this user on this machine lock.
 
-
-def _of_user(name: str) -> Path:
-    """A file that all processes of this user on this machine know."""
+    Raises
+    ------
+    InputError : what has its name is a link or a file, belongs to another user, or can be written
+        by others.
+    """
     folder = Path(tempfile.gettempdir()) / f"dpbench-leases-{os.getuid()}"
     with suppress(OSError):
-        folder.mkdir(0o700, exist_ok=True)
-    return folder / name
+        folder.mkdir(0o700)
+    with suppress(FileNotFoundError):
+        if fault := _fault(folder.lstat()):
+            allowed = "a folder of your own that only you can write; remove it, or set TMPDIR"
+            raise InputError(str(folder), "", fault, allowed)
+    return folder
+
+
+def _fault(found: os.stat_result) -> str:
+    """Why a folder cannot be trusted; "" where it can."""
+    if not stat.S_ISDIR(found.st_mode):
+        return "a link" if stat.S_ISLNK(found.st_mode) else "a file"
+    if found.st_uid != os.getuid():
+        return f"a folder of {_name(found.st_uid)}"
+    if found.st_mode & 0o022:
+        return f"a folder that others can write (mode {stat.S_IMODE(found.st_mode):o})"
+    return ""
+
+
+def _name(uid: int) -> str:
+    try:
+        return f"user {pwd.getpwuid(uid).pw_name}"
+    except KeyError:
+        return f"user {uid}"
 
 
 @contextmanager
@@ -47,29 +59,26 @@ def leased_core() -> Iterator[int]:
 
     Where all are leased, the first of them: more work was given to the machine than it has cores.
     """
-    cores = sorted(os.sched_getaffinity(0))
+    cores, folder = sorted(os.sched_getaffinity(0)), lease_folder()
     for core in cores:
-        with lease(_of_user(f"core-{core}"), FILE) as held:
+        with lease(folder / f"core-{core}", FILE) as held:
             if held:
                 yield core
                 return
     yield cores[0]
 
 
-@contextmanager
-def leased_machine(how: int, say_waiting: Callable[[], None]) -> Iterator[bool]:
+def leased_machine(
+    how: int,
+    holder: Holder,
+    *,
+    patience: Patience = Patience(),  # noqa: B008 - frozen
+    say_waiting: Callable[[str], None] = lambda holders: None,
+) -> AbstractContextManager[bool]:
     """This machine, for whoever times on it ALONE, or TOGETHER with all who do not; false where
     there is no knowing of others.
 
-    Parameters
-    ----------
-    say_waiting : called once where others have it.
+    Parameters and errors as in `lock_file`.
     """
-    path = _of_user("machine")
-    with lease(path, FILE, how | fcntl.LOCK_NB) as held:
-        if held:
-            yield True
-            return
-    say_waiting()
-    with lease(path, FILE, how) as held:
-        yield held
+    path, where = lease_folder() / "machine", "this machine"
+    return lock_file(path, how, holder, where=where, patience=patience, say_waiting=say_waiting)

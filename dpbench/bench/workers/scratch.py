@@ -4,60 +4,36 @@ In memory where that can be, so that no write-back of a disk disturbs a step. A 
 64 MB of it where the replays of a suite can need 200, so the room is computed beforehand, and the
 next place is taken where it is short.
 
-A folder is leased (`leases.py`) as long as the process of its campaign lives. What a killed one has
-left is locked by nobody, and goes when the next one looks for room.
+What a killed campaign has left (`temporary_folders.py`) goes when the next one looks for room.
 """
 
 from __future__ import annotations
 
 import os
-import shutil
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 
 import psutil
 
-from dpbench.bench.workers.leases import FOLDER, lease
 from dpbench.errors import DpbenchError
+from dpbench.temporary_folders import clear_abandoned, temporary_folder
 
 MEMORY = Path("/dev/shm")
 """The file system in memory that every Linux has, of whatever size."""
 MARGIN_BYTES = 2**21
 """For what lies beside the logs: verdicts, and what libraries print."""
-PREFIX = "dpbench-scratch-"
-"""What names of scratch folders begin with, and no other."""
 
 
 class NoRoomError(DpbenchError):
     """No place has room enough."""
 
 
-@contextmanager
-def scratch_folder(place: Path | None = None) -> Iterator[Path]:
+def scratch_folder() -> AbstractContextManager[Path]:
     """A folder for what processes leave behind until it is kept; in memory where that can be."""
-    if place is None:
-        place = MEMORY if os.access(MEMORY, os.W_OK) else Path(tempfile.gettempdir())
-    clear_abandoned(place)
-    # Nobody looks for this name: it gets the other when it is locked.
-    made = Path(tempfile.mkdtemp(prefix=f".{PREFIX}", dir=place))
-    with lease(made, FOLDER):
-        folder = made.rename(made.with_name(made.name.removeprefix(".")))
-        try:
-            yield folder
-        finally:
-            # A worker that was interrupted as well may write its last file while the folder goes.
-            shutil.rmtree(folder, ignore_errors=True)
-
-
-def clear_abandoned(place: Path) -> None:
-    """Remove the scratch folders at a place whose campaign lives no more."""
-    for folder in place.glob(f"{PREFIX}*"):
-        with lease(folder, FOLDER) as abandoned:
-            if abandoned:
-                shutil.rmtree(folder, ignore_errors=True)
+    return temporary_folder(MEMORY if os.access(MEMORY, os.W_OK) else Path(tempfile.gettempdir()))
 
 
 def free_bytes(place: Path) -> int:
@@ -119,7 +95,7 @@ class Scratch(ExitStack):
 
     def _folder(self, place: Path) -> Path:
         if place not in self._made:
-            self._made[place] = self.enter_context(scratch_folder(place))
+            self._made[place] = self.enter_context(temporary_folder(place))
         return self._made[place]
 
 

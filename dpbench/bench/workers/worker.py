@@ -9,7 +9,7 @@ from __future__ import annotations
 import gc
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from multiprocessing.connection import Connection
@@ -25,7 +25,7 @@ from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.cell_store import packed
 from dpbench.bench.record.disturbance import counters
 from dpbench.bench.record.npz import kept
-from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.record.raw_log import Layout, RawLog
 from dpbench.bench.record.result_folder import write_json
 from dpbench.bench.record.step_table import step_batch
 from dpbench.bench.run.assemble import clock, closed_loop_setup, replay_parts
@@ -43,7 +43,7 @@ from dpbench.bench.run.footprint import (
     threads,
 )
 from dpbench.bench.run.replay import PREROLL, ReplayRun
-from dpbench.bench.run.timed_solver import TimedSolver
+from dpbench.bench.run.timed_solver import MOST_HANGS, STEP_SHARE, TimedSolver, interrupting
 from dpbench.bench.sequences.source import replayed, source_of
 from dpbench.bench.workers.notice import AtWork, begin_output, output_cut, post
 from dpbench.bench.workers.orphans import has_children
@@ -55,6 +55,9 @@ from dpbench.solvers.contract import Workspace
 from dpbench.solvers.isolation import isolate
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import Availability, load_solver_module
+
+Hang = tuple[int, int]
+"""Round, 0 in a closed loop, and step in which a process hung."""
 
 
 def settle() -> None:
@@ -80,6 +83,7 @@ class BatchCell:
     """A cell of a batch: its run_id and JSON, its own run time, the file behind its QPs.
 
     outcome : what became of it, once it ran; library, machine_id, concurrency : for its row.
+    hung : where earlier processes of it hung; its log is theirs.
     module : where the plug-in of its solver lies on this machine; "" for none.
     """
 
@@ -92,6 +96,45 @@ class BatchCell:
     machine_id: str
     module: str = ""
     concurrency: int | None = None
+    hung: tuple[Hang, ...] = ()
+
+
+def hang_of(cell: Cell, raw: Path, before: Sequence[Hang]) -> Hang | None:
+    """Round and step in which the killed process of a cell hung, by its log `raw`; None where the
+    cell cannot go on behind it: it hung too often, outside of its steps, or on a slow computer,
+    whose latencies another process does not measure again.
+
+    The log counts as not started again, so that the next process has time to open its library.
+    """
+    if len(before) >= MOST_HANGS or cell.slowdown > 0.0:
+        return None
+    try:
+        log = RawLog.open(raw)
+    except (OSError, ValueError):
+        return None
+    if not log.started[0]:
+        return None
+    hang = _open_step(cell, log, {k for _, k in before})
+    if hang is not None:
+        log.started[0] = 0
+    return hang
+
+
+def _open_step(cell: Cell, log: RawLog, known: Set[int]) -> Hang | None:
+    """Round and step that a log waits for, none of the `known` ones in a replay; None if it is
+    full."""
+    if cell.mode == "closed_loop":
+        return (0, int(log.done[0])) if log.done[0] < cell.steps else None
+    planned = np.full(len(log.done), cell.steps)
+    planned[0] = cell.warmup_steps
+    open_rounds = np.flatnonzero((log.done < planned) & (log.attempts > 0))
+    if not len(open_rounds):
+        return None
+    r = int(open_rounds[-1])
+    # Before its round a process solves the first steps without a record.
+    done = int(log.done[r])
+    first = int(np.argmax(log.first_ns == 0)) if r == 0 and not done else done
+    return r, next(k for k in range(first, cell.steps + 1) if k not in known)
 
 
 def _opened(cell: Cell, *, settled: bool = False) -> Workspace:
@@ -106,9 +149,13 @@ def _opened(cell: Cell, *, settled: bool = False) -> Workspace:
         limit_memory(round(cell.memory_gb * 1e9) or round(MEMORY_SHARE * memory_bytes()))
         if cell.solver_module:
             load_solver_module(cell.solver_module, tried=True)
-        isolate(cell.solver)
+        isolate(cell.solver, *filter(None, [cell.backup]))
     workspace = open_workspace(
-        cell.solver, route=cell.route, policy=cell.policy, settings=cell.settings
+        cell.solver,
+        route=cell.route,
+        policy=cell.policy,
+        settings=cell.settings,
+        step_limit_s=STEP_SHARE * cell.limit_s,
     )
     post(AtWork.HARNESS)
     return workspace
@@ -144,9 +191,9 @@ def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
             continue
         raw = folder / f"{name}.raw"
         if cell.mode == "closed_loop":
-            verdict = _steer(cell, workspace, raw, batch_cell.source)
+            verdict = _steer(cell, workspace, raw, batch_cell.source, batch_cell.hung)
         else:
-            verdict = _replay_untimed(cell, workspace, raw, batch_cell.source)
+            verdict = _replay_untimed(cell, workspace, raw, batch_cell.source, batch_cell.hung)
         leave_verdict(folder / f"{name}.json", verdict)
         # The collector is off while a solver works.
         del workspace
@@ -156,28 +203,47 @@ def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
             return
 
 
-def _steer(cell: Cell, workspace: Workspace, raw: Path, source: Path) -> Outcome:
+def _log_at(raw: Path, hung: Sequence[Hang]) -> Callable[[Layout], RawLog]:
+    """Makes the log of a cell at `raw`, or opens that of the process that hung before."""
+    return (lambda layout: RawLog.open(raw)) if hung else partial(RawLog.create, raw)
+
+
+def _steer(
+    cell: Cell, workspace: Workspace, raw: Path, source: Path, hung: Sequence[Hang]
+) -> Outcome:
     """Let the solver steer the ship, in the weather of the exactly solved loop; the verdict."""
     scenario = scenario_once(cell.scenario).first(cell.steps)
-    limit_ns, new_log = round(cell.limit_s * 1e9), partial(RawLog.create, raw)
-    setup = closed_loop_setup(cell, scenario, workspace, new_log, limit_ns)
+    limit_ns, new_log = round(cell.limit_s * 1e9), _log_at(raw, hung)
+    try:
+        setup = closed_loop_setup(
+            cell, scenario, workspace, new_log, limit_ns, hung=[k for _, k in hung]
+        )
+    except InputError as error:
+        return Outcome("refused", str(error))
     with kept(source) as stored:
         setup.drawn = drawn_of(stored)
     before = counters()
     post(AtWork.SOLVER)
-    complete = closed_loop(setup)
+    with interrupting(STEP_SHARE * cell.limit_s, clock):
+        complete = closed_loop(setup)
     post(AtWork.HARNESS)
     np.subtract(counters(), before, out=setup.log.counters[0])
     stopped = "" if complete else f"with {int(setup.log.done[0])} steps"
     return _verdict(cell, workspace, setup.solver, stopped)
 
 
-def _replay_untimed(cell: Cell, workspace: Workspace, raw: Path, source: Path) -> Outcome:
+def _replay_untimed(
+    cell: Cell, workspace: Workspace, raw: Path, source: Path, hung: Sequence[Hang]
+) -> Outcome:
     """Replay all rounds, whatever they take; the verdict."""
     sequence = source_of(cell).load(cell, source).sequence
     # Without a time to take, cold caches do no harm, and a step that hangs should be recorded.
-    configuration, timed_solver, log = _replay_run(cell, workspace, raw, sequence, preroll=0)
-    complete = all(configuration.round(r) for r in range(cell.rounds + 1))
+    configuration, timed_solver, log = _replay_run(
+        cell, workspace, raw, sequence, preroll=0, hung=hung
+    )
+    begin = hung[-1][0] if hung else 0
+    with interrupting(STEP_SHARE * cell.limit_s, clock):
+        complete = all(configuration.round(r) for r in range(begin, cell.rounds + 1))
     post(AtWork.HARNESS)
     return _verdict(cell, workspace, timed_solver, "" if complete else _in_round(log))
 
@@ -200,12 +266,14 @@ def _verdict(cell: Cell, workspace: Workspace, timed_solver: TimedSolver, stoppe
 
 @dataclass(frozen=True)
 class ReplayOrder:
-    """A replay to serve: the JSON of its cell, the file behind its QPs, where its files appear."""
+    """A replay to serve: the JSON of its cell, the file behind its QPs, where its files appear, and
+    where earlier processes of it hung."""
 
     cell: str
     source: Path
     folder: Path
     name: str
+    hung: tuple[Hang, ...] = ()
 
 
 def serve_replays(core: int, orders: Connection) -> None:
@@ -243,14 +311,15 @@ def _serve_replay(
     memory.opened()
     sequence = source_of(cell).load(cell, order.source).sequence
     configuration, timed_solver, log = _replay_run(
-        cell, workspace, folder / f"{name}.raw", sequence, memory=memory
+        cell, workspace, folder / f"{name}.raw", sequence, memory=memory, hung=order.hung
     )
     # Pinned only now, so that several workers can import their libraries side by side.
     pin(core)
     orders.send(True)
     complete = True
     while (r := orders.recv()) is not None:
-        complete = configuration.round(r)
+        with interrupting(STEP_SHARE * cell.limit_s, clock):
+            complete = configuration.round(r)
         orders.send(complete)
     post(AtWork.HARNESS)
     log.footprint[:3] = (memory.peak_bytes(), *threads())
@@ -274,10 +343,11 @@ def _replay_run(
     *,
     preroll: int = PREROLL,
     memory: MemoryWatch | None = None,
+    hung: Sequence[Hang] = (),
 ) -> tuple[ReplayRun, TimedSolver, RawLog]:
     """A replay ready for its rounds; from here on its solver is at work."""
     steps, timed_solver, log = replay_parts(
-        sequence, workspace, cell.formulation, cell.rounds, partial(RawLog.create, raw)
+        sequence, workspace, cell.formulation, cell.rounds, _log_at(raw, hung)
     )
     if memory is not None:
         memory.loaded(log)
@@ -290,6 +360,7 @@ def _replay_run(
         limit_ns=round(cell.limit_s * 1e9),
         clock=clock,
         preroll=preroll,
+        hung=hung,
     )
     return configuration, timed_solver, log
 

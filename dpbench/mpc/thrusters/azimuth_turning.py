@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from typing import Unpack
 
 import numpy as np
-from numba import njit
 
 from dpbench.arrays import Matrix, Vector
+from dpbench.kernel_cache import njit
 from dpbench.mpc.condense import ControlProblem
 from dpbench.mpc.condensed_qp import CondensedQP, Form
 from dpbench.mpc.soft_limits import Layer

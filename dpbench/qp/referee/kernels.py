@@ -40,7 +40,8 @@ And what that proves of x: X = ⅓ rounded finds x from nothing, and its error i
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from dpbench.kernel_cache import njit
 
 UNIT = float(np.finfo(np.float64).eps)
 """Twice the unit roundoff, which leaves room."""

@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import io
 import json
+import re
+import resource
+import subprocess
+import sys
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
 import altair as alt
+import psutil
 import vl_convert as vlc
 
+from dpbench.errors import InputError
+from dpbench.files.writing import write_given
 from dpbench.report.charts.style import FONT, NAMES
 
 FORMATS = ("svg", "pdf", "png")
+# The renderer aborts the process on an SVG that is no XML.
+_NOT_IN_XML = re.compile(r"(?<!\\)((?:\\\\)*)\\(?:[bf]|u00[01][0-9a-f]|ufff[ef])")
+"""Characters that XML does not have, as JSON writes them, behind an even number of backslashes."""
 
 
 class _Same:
@@ -40,13 +51,37 @@ def svg(chart: Any, *, titled: bool = True) -> str:
     return _drawn(_compiled(_Same(chart)) if titled else json.dumps(vega(chart)))
 
 
+PROBE = """
+import resource, sys
+import vl_convert
+_, hard = resource.getrlimit(resource.RLIMIT_AS)
+resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]), hard))
+vl_convert.vega_to_svg({"width": 1, "height": 1, "marks": []})
+"""
+NOT_DRAWN = "not drawn: their renderer needs more address space than the limit (ulimit -v) leaves"
+
+
+@cache
+def can_draw() -> bool:
+    """Whether the address space that this process may have is enough for the renderer, which
+    otherwise ends the process; tried in another one where there is a limit."""
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit == resource.RLIM_INFINITY:
+        return True
+    rest = max(0, limit - psutil.Process().memory_info().vms)
+    command = [sys.executable, "-c", PROBE, str(rest)]
+    return subprocess.run(command, capture_output=True, check=False).returncode == 0
+
+
 @lru_cache(maxsize=64)
 def _compiled(chart: _Same) -> str:
     """The specification as Vega, where names keep clear of each other: Vega-Lite cannot say so.
 
     Kept, since a figure is asked for as a file, as a picture on the page and for the browser.
     """
-    simple = json.dumps(_json(chart.chart))
+    if not can_draw():
+        raise InputError("figures", "", NOT_DRAWN, "no limit, or 80 GB")
+    simple = _NOT_IN_XML.sub(r"\1 ", json.dumps(_json(chart.chart)))
     specification: dict[str, Any] = vlc.vegalite_to_vega(simple, vl_version=_version())
     marks = specification["marks"]
     if any(mark.get("name") == f"{NAMES}_marks" for mark in marks):
@@ -84,18 +119,22 @@ def _names() -> dict[str, Any]:
     }
 
 
-def save(chart: Any, path: Path) -> Path:
-    """Write the figure in the format that the name of the file ends with; .html for a page of its
-    own that fetches nothing."""
-    kind = path.suffix.lstrip(".")
+def encoded(chart: Any, kind: str) -> bytes:
+    """The figure as a file of that kind, of `FORMATS`, or as an html page that fetches nothing."""
     if kind == "html":
-        chart.save(path, inline=True)
-    elif kind == "svg":
-        path.write_text(svg(chart), encoding="utf-8")
-    elif kind == "pdf":
-        path.write_bytes(vlc.vega_to_pdf(_compiled(_Same(chart))))
-    else:
-        path.write_bytes(vlc.vega_to_png(_compiled(_Same(chart)), scale=2))
+        page = io.StringIO()
+        chart.save(page, format="html", inline=True)
+        return page.getvalue().encode()
+    if kind == "svg":
+        return svg(chart).encode()
+    drawn = _compiled(_Same(chart))
+    made: bytes = vlc.vega_to_pdf(drawn) if kind == "pdf" else vlc.vega_to_png(drawn, scale=2)
+    return made
+
+
+def save(chart: Any, path: Path) -> Path:
+    """Write the figure in the format that the name of the file ends with, as `encoded` does."""
+    write_given(path, encoded(chart, path.suffix.lstrip(".")))
     return path
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from dpbench.analysis.compare.ratio_table import claims_first, furthest, ratio_table
 from dpbench.analysis.compare.times import Compared, Timing
+from dpbench.files.writing import write_given
 from dpbench.report.charts.pairs import pairs
 from dpbench.report.charts.style import ROW_STEP
 from dpbench.report.compare.comparison import Comparison
@@ -50,7 +51,7 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
         tables=[replace(t, shown=MOST_ROWS) for t in comparison.tables if not _is_times(t)],
         block="" if times is None else _block(order, charts, times),
     )
-    path.write_text(text, encoding="utf-8")
+    write_given(path, text.encode())
     return path
 
 

@@ -13,6 +13,7 @@ import altair as alt
 import pandas as pd
 
 from dpbench.analysis.compare.releases import FIGURES, release_table
+from dpbench.files.writing import write_given
 from dpbench.report.charts import style
 from dpbench.report.compare.releases import Releases
 from dpbench.report.formats import MISSING
@@ -46,7 +47,7 @@ def write_releases(path: Path, releases: Releases) -> Path:
         tables=[table for table in releases.tables if table.rows],
         missing=MISSING,
     )
-    path.write_text(text, encoding="utf-8")
+    write_given(path, text.encode())
     return path
 
 

@@ -12,6 +12,7 @@ from dpbench.analysis.verdict.fastest import best_of_each, fastest_first
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.errors import UnknownNameError, one_of
 from dpbench.report.documents.markdown import cut, solver_table
+from dpbench.report.escaped import markdown_line, markdown_text, one_line
 from dpbench.report.formats import and_list, count_text, error_text, time_text
 from dpbench.report.page.facts import Facts
 from dpbench.report.report import Report
@@ -48,13 +49,13 @@ def beside(report: Report, solver: str, others: Sequence[str] = ()) -> tuple[str
     own_ways = fastest_first([v for v in facts.verdicts.of[solver] if v.outcome != "not run"])
     names = and_list([v.configuration.solver for v in chosen]) or "nobody"
     parts = [
-        f"# {solver} beside {names}",
-        _sentence(facts, best[solver]),
+        f"# {markdown_text(solver)} beside {markdown_text(names)}",
+        markdown_line(_sentence(facts, best[solver])),
         solver_table(facts, [*own_ways[:MOST_WAYS], *chosen]),
-        "\n".join(f"- {_paired(facts, best[solver], other)}" for other in chosen),
+        "\n".join(f"- {markdown_text(_paired(facts, best[solver], v))}" for v in chosen),
         _worst_table(facts, worst, chosen),
-        "\n".join(f"    {step.export}" for step in worst),
-        f"{demand_text(facts.demand)} {_made_by(report)} {report.answer.machine}",
+        "\n".join(f"    {one_line(step.export)}" for step in worst),
+        markdown_line(f"{demand_text(facts.demand)} {_made_by(report)} {report.answer.machine}"),
     ]
     return cut("\n\n".join(part for part in parts if part) + "\n", MOST_BYTES, "report.md"), worst
 

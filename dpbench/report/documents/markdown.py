@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from dpbench.analysis.verdict.fastest import best_of_each
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.result_folder import Results
+from dpbench.report.escaped import markdown_line, markdown_text
 from dpbench.report.formats import MISSING, error_text, rounded_down, time_text
 from dpbench.report.page.answer import Answer
 from dpbench.report.page.facts import Facts
@@ -31,13 +32,16 @@ def report_markdown(results: Results, facts: Facts, answer: Answer, topics: Sequ
         if facts.verdicts.of or not lead
         else []
     )
-    parts = [f"# dpbench: {suite.get('name', 'results')}", *lead, *said]
-    parts.append(solver_table(facts, best_of_each(facts.verdicts)))
     held = ", ".join(chip.text for chip in answer.chips)
-    if held:
-        parts.append(f"Valid for: {held}.")
-    parts += [answer.demand, answer.machine]
-    parts += [f"{topic.title}: {topic.lines[0]}" for topic in topics if not topic.leads]
+    after = [f"Valid for: {held}."] if held else []
+    after += [answer.demand, answer.machine]
+    after += [f"{topic.title}: {topic.lines[0]}" for topic in topics if not topic.leads]
+    parts = [
+        f"# dpbench: {markdown_text(str(suite.get('name', 'results')))}",
+        *map(markdown_line, [*lead, *said]),
+        solver_table(facts, best_of_each(facts.verdicts)),
+        *map(markdown_line, after),
+    ]
     parts.append(
         "Everything else: `report.html` (figures, every step), `tables/*.csv`, `figures/*.svg`, "
         "`runs.parquet`, `steps.parquet`."

@@ -14,8 +14,11 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, StringConstraints
 
 from dpbench.bench.capability.table import CAPABILITY_FILE, load_capability
-from dpbench.bench.record.result_folder import Results, hashes, load_results, read_json
+from dpbench.bench.record.result_folder import Results, hashes, load_results, read_suite
 from dpbench.errors import InputError, ResultsError
+from dpbench.files.opening import read_bytes
+from dpbench.files.writing import replaced, write_text
+from dpbench.report.documents.passive_page import check_passive
 from dpbench.report.formats import and_list, plural
 from dpbench.scenario.problem_files import read_model
 
@@ -27,6 +30,7 @@ SENT = (PAGE, *COPIED, SENDER)
 """The files of every folder that is sent."""
 MOST_BYTES = 1_000_000
 """Everybody who clones the repository gets every folder."""
+_MADE_BY = "one made by `dpbench report DIR --send FOLDER`"
 _Words = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
 _BLANK = """\
 # Who ran this, when, and how. `dpbench check` says what is missing.
@@ -71,11 +75,12 @@ def prepare(folder: Path, target: Path) -> None:
     for name in WHERE_THERE:
         (target / name).unlink(missing_ok=True)
     for name in _copied(folder):
-        shutil.copyfile(folder / name, target / name)
-    started = str(read_json(folder / "suite.json").get("started_utc", ""))[:10]
-    if not (target / SENDER).exists():
+        with replaced(target / name) as part:
+            shutil.copyfile(folder / name, part)
+    started = str(read_suite(folder).get("started_utc", ""))[:10]
+    if not (target / SENDER).is_file():
         when = started or datetime.datetime.now(datetime.UTC).date().isoformat()
-        (target / SENDER).write_text(_BLANK.format(when=when), encoding="utf-8")
+        write_text(target / SENDER, _BLANK.format(when=when))
 
 
 def check_sent(folder: Path) -> str:
@@ -86,20 +91,20 @@ def check_sent(folder: Path) -> str:
     ResultsError : naming the first file at fault: missing, damaged, too much, of another machine,
         or a page of other runs. InputError : for what `sender.toml` says.
     """
-    results = load_results(folder, without_steps=True)
     where = str(folder)
+    size = sum(path.lstat().st_size for path in folder.glob("*"))
+    if size > MOST_BYTES:
+        raise ResultsError(where, "", f"{size} bytes", f"at most {MOST_BYTES} in all")
+    results = load_results(folder, without_steps=True)
     strangers = _strangers(folder)
     if strangers:
         raise ResultsError(
             f"{where}/{strangers[0]}", "", "a file", f"only {and_list([*SENT, *WHERE_THERE])}"
         )
-    sender = read_model(_there(folder / SENDER), Sender)
+    sender = read_model(folder / SENDER, Sender)
     load_capability(folder)
     _check_runs(folder, results)
     _check_page(folder)
-    size = sum(path.stat().st_size for path in folder.iterdir())
-    if size > MOST_BYTES:
-        raise ResultsError(where, "", f"{size} bytes", f"at most {MOST_BYTES} in all")
     solvers = plural(results.runs["solver"].nunique(), "solver")
     cpu = results.machine.get("cpu_model", "an unnamed CPU")
     return (
@@ -118,13 +123,6 @@ def _copied(folder: Path) -> list[str]:
     return [*COPIED, *(name for name in WHERE_THERE if (folder / name).exists())]
 
 
-def _there(path: Path) -> Path:
-    if not path.is_file():
-        allowed = "one made by `dpbench report DIR --send FOLDER`"
-        raise ResultsError(str(path), "", "no such file", allowed)
-    return path
-
-
 def _check_runs(folder: Path, results: Results) -> None:
     """Runs there are, all of the machine described, none lost by the harness."""
     path, runs = str(folder / "runs.parquet"), results.runs
@@ -140,9 +138,12 @@ def _check_runs(folder: Path, results: Results) -> None:
 
 
 def _check_page(folder: Path) -> None:
-    """The page names the very files beside it, by their hashes."""
-    page = _there(folder / PAGE).read_text(encoding="utf-8", errors="replace")
+    """The page names the very files beside it, by their hashes, and has no script."""
+    path = folder / PAGE
+    data = read_bytes(path, _MADE_BY, most_bytes=MOST_BYTES, error=ResultsError)
+    page = data.decode("utf-8", errors="replace")
     for name, sha in hashes(folder, _copied(folder)).items():
         if sha not in page:
             allowed = "the page of these files: `dpbench report DIR --send FOLDER`"
-            raise ResultsError(str(folder / PAGE), "", f"a page of another {name}", allowed)
+            raise ResultsError(str(path), "", f"a page of another {name}", allowed)
+    check_passive(page, str(path))

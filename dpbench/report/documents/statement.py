@@ -21,6 +21,7 @@ from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.result_folder import Results, hashes
 from dpbench.bench.record.revision import made_by
 from dpbench.errors import InputError
+from dpbench.files.writing import write_given
 from dpbench.report.charts.style import INK, LINE, SOFT
 from dpbench.report.page.answer import slower_text
 from dpbench.report.page.facts import Facts
@@ -62,9 +63,9 @@ def write_statement(path: Path, folder: Path, results: Results, facts: Facts) ->
     """Write the statement as the name of the file ends: .pdf or .svg."""
     drawn = statement_svg(folder, results, facts)
     if path.suffix == ".svg":
-        path.write_text(drawn, encoding="utf-8")
+        write_given(path, drawn.encode())
     elif path.suffix == ".pdf":
-        path.write_bytes(vlc.svg_to_pdf(drawn))
+        write_given(path, vlc.svg_to_pdf(drawn))
     else:
         raise InputError("--statement", "", str(path), "a file that ends in .pdf or .svg")
     return path

@@ -50,6 +50,9 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "latency_max_ns",
         "fallbacks",
         "recover_steps_max",
+        "backup_acted",
+        "backup_failures",
+        "backup_max_ns",
     ),
     "memory": (
         "peak_rss_bytes",

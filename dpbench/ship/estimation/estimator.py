@@ -12,10 +12,10 @@ import math
 from abc import ABC, abstractmethod
 
 import numpy as np
-from numba import njit
 
 from dpbench.arrays import Vector
 from dpbench.errors import ShapeError
+from dpbench.kernel_cache import njit
 from dpbench.ship.layout import HEADING, STATE
 
 TURN = 2.0 * math.pi

@@ -58,11 +58,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.linalg import LinAlgError, expm, solve_discrete_are
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
+from dpbench.kernel_cache import njit
 from dpbench.ship.estimation.estimator import nearest_turn
 from dpbench.ship.estimation.observer import (
     BIAS,

@@ -19,10 +19,10 @@ a Kalman filter that alone keeps the rate limits active. The model says the same
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from scipy.linalg import expm
 
 from dpbench.arrays import Matrix, Vector
+from dpbench.kernel_cache import njit
 from dpbench.ship.estimation.estimator import Estimator
 from dpbench.ship.layout import AXES, EAST, HEADING, NORTH, POSE, STATE, VELOCITY
 from dpbench.ship.vessel import Vessel

@@ -22,9 +22,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from dpbench.arrays import Matrix, Vector
+from dpbench.kernel_cache import njit
 from dpbench.ship.estimation.estimator import nearest_turn
 from dpbench.ship.estimation.observer import (
     BIAS,

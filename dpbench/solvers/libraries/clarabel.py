@@ -36,6 +36,7 @@ RECORD = SolverRecord(
         language=("Rust", "Clarabel, metadata of its distribution"),
         single_precision=("yes, generic in its float type", "Clarabel.rs source, algebra/floats"),
     ),
+    time_limit="time_limit",
 )
 
 # The "almost" infeasibility claims meet the reduced tolerances; they are claims all the same.

@@ -64,6 +64,7 @@ RECORD = SolverRecord(
             "DAQPSettings", "daqp_default_settings", "DAQP source, include/types.h and api.h"
         ),
     ),
+    time_limit="time_limit",
 )
 
 DATA = {"H", "f", "A", "bupper", "blower", "sense", "break_points", "is_avi"}

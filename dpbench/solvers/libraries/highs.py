@@ -15,6 +15,8 @@ from dpbench.solvers.adapter import Claim, QpsolversAdapter, found_is_all, made_
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point
 from dpbench.solvers.record import NAN_IGNORED, RouteRecord, SolverRecord, by_tolerance, stated
 
+TIME_LIMIT = "time_limit"
+
 RECORD = SolverRecord(
     name="highs",
     family="active set",
@@ -42,6 +44,7 @@ RECORD = SolverRecord(
         licence=("MIT", "HiGHS, metadata of its distribution"),
         language=("C++, C interface", "HiGHS documentation, front page"),
     ),
+    time_limit=TIME_LIMIT,
 )
 
 
@@ -117,6 +120,10 @@ class HighsWorkspace(NativeWorkspace):
             self._check(solver.changeRowsBounds(self._m, self._row_numbers, low, high))
 
     def _call(self) -> None:
+        if TIME_LIMIT in self._options:
+            # HiGHS compares the limit with the run time of all solves of the object so far.
+            limit_s = float(str(self._options[TIME_LIMIT]))
+            self._solver.setOptionValue(TIME_LIMIT, self._solver.getRunTime() + limit_s)
         self._solver.run()
 
     def _claimed(self) -> Claim:

@@ -73,6 +73,7 @@ RECORD = SolverRecord(
         ),
     ),
     build=build,
+    time_limit="time_limit",
 )
 
 STATUS = {

@@ -46,6 +46,7 @@ RECORD = SolverRecord(
             "QPALMSettings", "qpalm_set_default_settings", "QPALM source, types.h"
         ),
     ),
+    time_limit="time_limit",
 )
 
 STATUS = {

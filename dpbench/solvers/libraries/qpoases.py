@@ -47,6 +47,7 @@ RECORD = SolverRecord(
         language=("C++", "qpOASES manual, Introduction"),
         single_precision=("yes, __USE_SINGLE_PRECISION__", "qpOASES source, Constants.hpp"),
     ),
+    time_limit="CPUtime",
 )
 
 # casadi's unified return status.

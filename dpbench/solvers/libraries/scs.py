@@ -41,6 +41,7 @@ RECORD = SolverRecord(
         single_precision=("yes, a flag of its build", "SCS source, scs.mk"),
         c_settings=CSettings("ScsSettings", "scs_set_default_settings", "SCS source, scs.h"),
     ),
+    time_limit="time_limit_secs",
 )
 
 STATUS = {

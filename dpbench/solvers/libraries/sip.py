@@ -29,6 +29,7 @@ RECORD = SolverRecord(
     ),
     # It orders its matrices with the AMD of CVXOPT.
     needs_modules=("cvxopt",),
+    time_limit="time_limit",
 )
 
 STATUS = {

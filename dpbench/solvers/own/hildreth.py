@@ -48,10 +48,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from dpbench.arrays import Matrix
 from dpbench.errors import SettingsError
+from dpbench.kernel_cache import njit
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.contract import Policy, Route
 from dpbench.solvers.own.active_set import layout as layout

@@ -77,8 +77,9 @@ def test_lost_runs_worked_by_hand() -> None:
 
 
 def test_points_run_once_beside_one_repeated_give_no_interval() -> None:
-    """2, 1, 1, 1 replicates: the spread of one point is none of four, however many they are."""
-    for singles, supported in ((1, True), (3, False)):
+    """2, 1, 1, 1 replicates: the spread of one point is none of three or four, however many they
+    are."""
+    for singles, supported in ((1, True), (2, False), (3, False)):
         values = np.full((1 + singles, 6), np.nan)
         values[:, 0], values[0] = 1.0, np.arange(6.0)
         assert mean_over_points(values).is_supported is supported
@@ -244,6 +245,14 @@ def test_the_loosest_tolerance_that_costs_little() -> None:
     loosest = study.loosest
     assert set(loosest) == {"osqp", "piqp"} and loosest["piqp"] is None
     assert loosest["osqp"] is not None and loosest["osqp"].settings == "1e-4"
+
+
+def test_the_loosest_tolerance_is_one_of_the_same_solver() -> None:
+    """Solvers before and after it in the alphabet have looser ones that cost nothing."""
+    tolerances = {"clarabel": "1e-3", "osqp": "1e-6", "piqp": "1e-4"}
+    away = {f"{solver}/{tolerance}": 0.0 for solver, tolerance in tolerances.items()}
+    found = _study(_runs({"daqp": 0.0} | away)).loosest
+    assert {solver: one and one.settings for solver, one in found.items()} == tolerances
 
 
 def test_a_solver_that_is_not_known_here_has_no_tolerance() -> None:

@@ -90,15 +90,34 @@ def test_six_values_are_enough(values: list[list[float]], supported: bool) -> No
     assert math.isnan(mean_over_points(np.array(values)).error) is not supported
 
 
-def test_the_skewness_of_a_mean_by_hand() -> None:
+@pytest.mark.parametrize("unit", [1.0, 3.0])
+def test_the_skewness_of_a_mean_by_hand(unit: float) -> None:
     """Deviations -1 five times and 5: squares 30, cubes 120.
 
-    The sum of the cubes of u over the 3/2 power of that of the squares is 120 / 30^1.5, and the
-    factor of five degrees of freedom sqrt(30) / 4.
+    The sum of the cubes of u over the 3/2 power of that of the squares is 120 / 30^1.5 in any unit,
+    and the factor of five degrees of freedom sqrt(30) / 4.
     """
-    found = mean_over_points(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 6.0]]))
-    assert found.error == pytest.approx(1.0)
+    found = mean_over_points(unit * np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 6.0]]))
+    assert found.error == pytest.approx(unit)
     assert found.skew == pytest.approx(math.sqrt(30.0) / 4.0 * 120.0 / 30.0**1.5)
+
+
+def test_an_error_as_small_as_nothing_has_no_skewness(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is set to the error itself, then to the next smaller number."""
+    values = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 6.0]])
+    error = mean_over_points(values).error
+    for nothing, is_skewed in ((error, False), (math.nextafter(error, 0.0), True)):
+        monkeypatch.setattr("dpbench.analysis.suites.study.NOTHING", nothing)
+        found = mean_over_points(values)
+        assert found.error == error and (found.skew > 0.0) is is_skewed
+
+
+@pytest.mark.parametrize(("extent", "constant"), [(1e-6, True), (2e-6, False)])
+def test_differences_within_a_millionth_are_constant(extent: float, constant: bool) -> None:
+    """The largest less the smallest difference of a point."""
+    index = pd.MultiIndex.from_product([[0], [1, 2, 3]], names=["point", "replicate"])
+    one = pd.Series([0.0, extent, 0.0], index=index)
+    assert paired_difference(one, 0.0 * one).is_constant is constant
 
 
 def test_a_paired_difference_by_hand() -> None:
@@ -212,13 +231,30 @@ def test_the_figures_of_a_configuration() -> None:
     assert study.points["hs_m"].to_dict() == {0: 0.0, 1: 1.0}
     held = study.held_map("osqp")
     assert held["runs"].to_list() == [2, 2] and held["held"].to_list() == [1.0, 0.0]
+    assert study.held_map("law")["runs"].to_dict() == {0: 1}
+
+
+@pytest.mark.parametrize(
+    "order", [["paper_active_set", "daqp", "osqp (1e-9)"], ["daqp", "daqp (1e-9)", "daqp (1e-6)"]]
+)
+def test_the_reference_is_the_most_exact(order: list[str]) -> None:
+    """Of two active sets the first of their list; the tolerance that one is given comes second."""
+    runs = [
+        _run(name, 0, 1, solver=name.split()[0], settings=name.partition("(")[2].rstrip(")"))
+        for name in order
+    ]
+    while runs:
+        assert Study("seas", runs, 1.0).reference == runs.pop(0).name
 
 
 def test_points_that_are_run_once_are_the_realisations() -> None:
-    """Three points with one sea each are three draws; the law alone is its own reference."""
+    """Three points with one sea each are three draws, with two seas they are two; the law alone is
+    its own reference."""
     study = Study("seas", [_run("law", p, 4, is_baseline_law=True) for p in (2, 0, 1)], 1.0)
     assert (study.replicates, study.realisations, study.reference) == (1, 3, "law")
     assert list(study.points.index) == [0, 1, 2]
+    twice = [_run("law", p, r, is_baseline_law=True) for p in (0, 1, 2) for r in (1, 2)]
+    assert Study("seas", twice, 1.0).realisations == 2
 
 
 def test_configurations_are_in_the_order_of_their_cost() -> None:

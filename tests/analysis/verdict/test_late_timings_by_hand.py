@@ -43,13 +43,15 @@ def _loop(records: Any, steps: int, slow_ns: dict[int, float], **columns: Any) -
     records._steps[-1]["total_ns"] = times
 
 
-def _replay(records: Any, solver: str, late: dict[int, int], ns: int = 10_000_000) -> None:
+def _replay(
+    records: Any, solver: str, late: dict[int, int], ns: int = 10_000_000, rounds: int = 4
+) -> None:
     """A replay of 1000 steps of 20 µs in four rounds, with so many late timings in some rounds.
 
     A round has a base time of 20 ms, all four have 80 ms.
     """
     native = {"route": "native", "policy": "reuse"} if solver == COPY_ONLY else {}
-    records.replay(solver, rounds=4, median_us=BASE_NS / 1e3, spread=0.0, **native)
+    records.replay(solver, rounds=rounds, median_us=BASE_NS / 1e3, spread=0.0, **native)
     frame = records._steps[-1]
     for r, count in late.items():
         frame.loc[(frame["repeat"] == r) & (frame["k"] < count), "total_ns"] = ns
@@ -87,6 +89,12 @@ def test_a_machine_of_two_rounds() -> None:
     machine = estimate_machine(np.array([9.0, 0.0]), np.array([4.0, 2.0]))
     assert machine.rate == pytest.approx(19 / 12)
     assert machine.shape == pytest.approx(1805 / 293)
+
+
+def test_a_machine_more_even_than_chance() -> None:
+    """One stall in two equal rounds has a rate of 0.75 and moments of -15/16 + 9/16 < 0."""
+    machine = estimate_machine(np.array([1.0, 0.0]), np.array([1.0, 1.0]))
+    assert (machine.rate, machine.shape) == (0.75, 50.0)
 
 
 class _Stalls:
@@ -133,6 +141,19 @@ def test_a_loop_against_one_late_timing_in_a_hundred(records: Any) -> None:
     assert found.machine == 3 / 450 and found.share == 14 / 450
     assert found.p == pytest.approx(1.0 - fewer, rel=1e-6)
     assert not found.proven
+
+
+def test_switches_outside_of_the_timed_calls_explain_nothing(records: Any) -> None:
+    """Timed calls are 9 ms of 0.36 s, a share of 1/40: of 50 switches at most 4/40 hit them.
+
+    Five with three standard deviations are 5 + 3·sqrt(5) = 11.7, so that 12 of 23 are explained.
+    """
+    slow = dict.fromkeys(range(23), 7e6)
+    _loop(records, 450, slow, involuntary_switches=50, replay_s=0.36)
+    (found,) = _found(records)["daqp"]
+    fewer = sum(math.comb(450, n) * 0.01**n * 0.99 ** (450 - n) for n in range(11))
+    assert found.machine == 12 / 450
+    assert found.p == pytest.approx(1.0 - fewer, rel=1e-6)
 
 
 @pytest.mark.parametrize(("switches", "p"), [(0, 1.0 - 0.99**3), (1, None), (2, None)])
@@ -206,19 +227,51 @@ def test_a_replay_without_others_is_doubtful_in_its_middle_round(
     assert all(test.samples == 4000 and math.isnan(test.machine) for test in tests)
 
 
+@pytest.mark.parametrize(
+    ("rounds", "late", "found"),
+    [(3, 1, False), (3, 2, True), (5, 2, False), (5, 3, True), (6, 3, False), (6, 4, True)],
+)
+def test_the_middle_round_is_the_lower_median(
+    records: Any, rounds: int, late: int, found: bool
+) -> None:
+    """Of three rounds the second smallest count decides, of five and six the third."""
+    _replay(records, "daqp", {rounds - i: 11 for i in range(late)}, rounds=rounds)
+    assert bool(_found(records)) is found
+
+
 def test_a_replay_beside_a_solver_without_stalls(records: Any) -> None:
     """Half a stall in four even rounds is a mean of 1/8 with a shape of 1.
 
     Two stalls in a round then have a share of (1/9)^2, in three of four rounds 4 q^3 (1 - q) + q^4.
+    The better of two multiples of the limit doubles it (Bonferroni).
     """
     _replay(records, "daqp", {2: 2, 3: 2, 4: 2})
     _replay(records, "piqp", {})
     (found,) = _found(records)["daqp"]
     q = 1 / 81
     assert (found.kind, found.late, found.samples) == ("late at random", 6, 4000)
-    assert found.p == pytest.approx(4 * q**3 * (1 - q) + q**4, rel=1e-9)
+    assert found.p == pytest.approx(2 * (4 * q**3 * (1 - q) + q**4), rel=1e-9)
     assert found.machine == pytest.approx(0.5 / 4000)
     assert found.proven
+
+
+@pytest.mark.parametrize(("long_ns", "found"), [(9_000_000, False), (9_000_001, True)])
+def test_long_delays_among_many_short_stalls(records: Any, long_ns: int, found: bool) -> None:
+    """Four delays beyond 9 ms in most rounds are found, where as many short ones are not."""
+    _replay(records, "daqp", dict.fromkeys((2, 3, 4), 4), long_ns)
+    _replay(records, "piqp", dict.fromkeys((2, 3, 4), 4), 4_000_000)
+    assert bool(_found(records)) is found
+
+
+@pytest.mark.parametrize(("excess_ns", "stalls"), [(1_500_000, 0), (1_500_001, 1)])
+def test_stalls_of_others_are_longer_than_half_the_limit(
+    records: Any, excess_ns: int, stalls: int
+) -> None:
+    """The machine leads to expect half a stall more than the other solver had in as much time."""
+    _replay(records, "daqp", {2: 3, 3: 3, 4: 3})
+    _replay(records, "piqp", {3: 1}, BASE_NS + excess_ns)
+    (found,) = _found(records)["daqp"]
+    assert found.machine == pytest.approx((stalls + 0.5) / 4000)
 
 
 def test_a_replay_with_more_late_timings_than_a_p99_allows(records: Any) -> None:

@@ -227,9 +227,10 @@ def test_replays_without_times_are_doubts_and_hide_no_other(records: Any) -> Non
     assert figures["timed_on"] == "rough[600:900]"
 
 
-def test_replays_that_leave_no_times_leave_no_figures(records: Any) -> None:
-    """A run that was stopped before its first step says nothing of the times."""
-    records.replay("daqp", done=0, outcome="timed_out")
+@pytest.mark.parametrize("outcome", ["timed_out", "crashed"])
+def test_replays_that_leave_no_times_leave_no_figures(records: Any, outcome: str) -> None:
+    """A run that did not reach its first step says nothing of the times."""
+    records.replay("daqp", done=0, outcome=outcome)
     assert _judged(records) == ([], {})
 
 

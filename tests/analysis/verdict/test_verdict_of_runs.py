@@ -154,12 +154,16 @@ def test_the_reference_has_loops_and_replays(records: Any) -> None:
 
 
 def test_gaps_of_a_configuration(records: Any) -> None:
-    """Absent runs are one finding; refused and short ones follow, with the planned steps."""
-    for scenario in ("paper", "calm", "rough", "turn"):
+    """Absent runs are one finding; refused and short ones follow, with the planned steps.
+
+    A run as long as that of the reference is no gap, nor is a longer one.
+    """
+    for scenario in ("paper", "calm", "rough", "turn", "move"):
         outcome = {"outcome": "timed_out", "done": 90} if scenario == "turn" else {}
         records.loop("daqp", scenario, **outcome)
     records.refused("daqp", "no model", scenario="wrap")
     records.loop("daqp", "rough", settings="high", steps=119, done=119)
+    records.loop("daqp", "move", settings="high", steps=121)
     records.loop("daqp", "calm", settings="high", outcome="refused", done=0)
     reference, high = _all(records)
     assert reference.gaps == ()

@@ -6,6 +6,8 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,12 +15,13 @@ from tempfile import TemporaryDirectory
 
 import pytest
 
-from dpbench.bench.engines.on_worker import Order, run_cells
+from dpbench.bench.engines import on_worker
+from dpbench.bench.engines.on_worker import Order, TaskEndedError, end_tasks, run_cells
 from dpbench.bench.plan.asked import Asked
 from dpbench.bench.record.cell import HARNESS_VERSION
 from dpbench.bench.workers.executor import CellJob, Result
-from dpbench.bench.workers.scratch import scratch_folder
 from dpbench.solvers.table import available
+from dpbench.temporary_folders import PREFIX, temporary_folder
 
 pytestmark = pytest.mark.slow
 
@@ -53,7 +56,7 @@ def test_what_a_killed_worker_left_goes_with_the_next_task(place: Path) -> None:
     leases = f"dpbench-leases-{os.getuid()}"
     left = {path.name for path in place.glob("dpbench-*")} - {leases}
     assert left, "nobody tidied up"
-    with scratch_folder(place) as folder:
+    with temporary_folder(place) as folder:
         assert {path.name for path in place.glob("dpbench-*")} == {leases, folder.name}
 
 
@@ -85,3 +88,34 @@ def test_a_worker_with_another_solver_does_not_run_it(jobs: list[CellJob]) -> No
     results = results_of(Order(), jobs)
     assert all(result.is_lost for result in results) and len(results) == len(jobs)
     assert {"0.0.1 where the campaign was started" in r.outcome.detail for r in results} == {True}
+
+
+def test_a_task_that_is_ended_leaves_nothing(
+    jobs: list[CellJob], place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In whatever it waits; its folders go, and others are not ended later."""
+    monkeypatch.setattr(tempfile, "tempdir", str(place))
+    running, ended = threading.Event(), threading.Event()
+
+    def waiting(*given: object, **more: object) -> None:
+        running.set()
+        while True:
+            ended.wait(0.01)
+
+    monkeypatch.setattr(on_worker.Bench, "batches", waiting)
+    became: list[BaseException] = []
+
+    def task() -> None:
+        try:
+            results_of(Order(), jobs[:1])
+        except TaskEndedError as error:
+            became.append(error)
+
+    thread = threading.Thread(target=task)
+    thread.start()
+    assert running.wait(60.0)
+    end_tasks()
+    thread.join()
+    assert len(became) == 1
+    assert not list(place.glob(f"{PREFIX}*"))
+    end_tasks()

@@ -9,14 +9,17 @@ from pathlib import Path
 import pytest
 
 from dpbench import load_results, run_campaign
-from dpbench.bench.engines.shards import SHARD_FILE, Shard
+from dpbench.bench.engines.shards import SHARD_FILE, Shard, ShardRecord
 from dpbench.bench.gather import gather
+from dpbench.bench.plan.asked import Asked
 from dpbench.bench.record.cell_store import CellStore
 from dpbench.cli.main import main
 from dpbench.errors import InputError
+from dpbench.solvers import plugins
 from tests.bench.deterministic import assert_same
 
 pytestmark = pytest.mark.slow
+PLUGIN = Path(__file__).parents[2] / "solvers" / "example_plugin.py"
 
 
 @pytest.fixture(scope="module")
@@ -125,6 +128,50 @@ def test_where_each_host_had_the_suite_does_not_matter(
     assert_same(gather(copies, tmp_path / "other", suite=suite), undisturbed)
 
 
+def test_a_plug_in_is_not_run_because_a_shard_names_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Gathering needs it on the command line; whatever the folder says is no program."""
+    monkeypatch.setattr(plugins, "_LOADED", {})
+    suite, module, marker = (tmp_path / name for name in ("one.toml", "admm.py", "was run"))
+    head = 'title = "x"\ncell_limit_s = 60.0\n[[closed_loop]]\n'
+    suite.write_text(f'{head}scenarios = ["calm"]\nsteps = 5\n', encoding="utf-8")
+    text = f"open({str(marker)!r}, 'w').close()\n{PLUGIN.read_text(encoding='utf-8')}"
+    module.write_text(text, encoding="utf-8")
+    shard, out = tmp_path / "shard", tmp_path / "out"
+    plugin = ["--solver-module", str(module)]
+    words = ["cells", str(suite), "--solver", "admm", "--out", str(shard), *plugin]
+    assert main(words) == 0
+    marker.unlink()
+    capsys.readouterr()
+    monkeypatch.setattr(plugins, "_LOADED", {})
+    command = ["gather", str(shard), "--out", str(out), "--quiet"]
+    assert main(command) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "admm.py" in line and "--solver-module" in line
+    assert not marker.exists() and not out.exists()
+    asked = json.loads((shard / SHARD_FILE).read_text())["asked"]
+    changed(shard, asked=asked | {"solver_module": str(tmp_path / "other.py")})
+    (tmp_path / "other.py").write_text(f"open({str(marker)!r} + '2', 'w')", encoding="utf-8")
+    assert main([*command, *plugin]) == 0
+    assert not Path(f"{marker}2").exists()
+    assert load_results(out).runs["outcome"].tolist() == ["finished"]
+
+
+def test_links_and_copies_in_a_shard_are_not_gathered(
+    copies: list[Path], undisturbed: Path, tmp_path: Path
+) -> None:
+    """A link would bring a file of this machine into the result; a copy is named and ignored."""
+    (tmp_path / "secret").write_text("{}", encoding="utf-8")
+    (copies[0] / "cells" / f"design-{16 * 'a'}.json").symlink_to(tmp_path / "secret")
+    (copies[1] / "cells" / "runs-00001 (copy).parquet").touch()
+    out = gather(copies, tmp_path / "out")
+    assert_same(out, undisturbed)
+    assert not list((out / "cells").glob("design-*"))
+    (remark,) = load_results(out).suite["remarks"]
+    assert "ignored 'runs-00001 (copy).parquet'" in remark
+
+
 def test_another_machine_is_kept_for_each_cell(copies: list[Path], tmp_path: Path) -> None:
     """Cells of two machines stand in one table, each with its own."""
     other = "ffffffffffff"
@@ -145,4 +192,40 @@ def test_another_machine_is_kept_for_each_cell(copies: list[Path], tmp_path: Pat
 def test_what_is_no_shard_is_refused(text: str) -> None:
     """In one line that shows how one is written."""
     with pytest.raises(InputError, match="1/4, with i from 1 to n"):
+        Shard.of_text(text)
+
+
+@pytest.mark.parametrize(
+    "entries",
+    [
+        {"shard": {"index": 1, "count": 10**9}},
+        {"shard": {"index": 0, "count": 3}},
+        {"shard": {"index": "1", "count": 3}},
+        {"shard": []},
+        {"asked": {"suite": 5}},
+        {"asked": {"suite": "smoke", "other": 1}},
+        {"machine": {}},
+        {"machine": []},
+        {"digest": None},
+        {"revision": 1},
+        {"more": 1},
+    ],
+)
+def test_a_damaged_description_of_a_shard_is_one_line(
+    entries: dict[str, object], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It names file and key, and no list of a thousand million shards is made."""
+    about = {"id": "abc", "cpu_model": "x"}
+    ShardRecord(Asked(suite="smoke"), Shard(1, 3), "0" * 16, about).write(tmp_path)
+    assert str(ShardRecord.read(tmp_path).shard) == "1/3"
+    changed(tmp_path, **entries)
+    assert main(["gather", str(tmp_path), "--out", str(tmp_path / "out"), "--quiet"]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert f"{SHARD_FILE}: {next(iter(entries))}" in line
+
+
+@pytest.mark.parametrize("text", ["0/3", "4/3", "1/1000000000", "1", "a/b", "1/" + "9" * 5000])
+def test_what_is_no_part_is_refused(text: str) -> None:
+    """Also of more parts than anybody has machines."""
+    with pytest.raises(InputError, match="--shard: found"):
         Shard.of_text(text)

@@ -157,6 +157,17 @@ def test_a_calibration_leaves_the_process_as_it_was(
         (gc.enable if was_collecting else gc.disable)()
 
 
+def test_a_calibration_pins_no_other_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Zero names the process itself: of its cores 3 and 5 it takes the last, then both again."""
+    calls: list[tuple[int, set[int]]] = []
+    quiet = _quiet()
+    monkeypatch.setattr(os, "sched_getaffinity", {0: {3, 5}}.__getitem__)
+    monkeypatch.setattr(os, "sched_setaffinity", lambda *call: calls.append(call))
+    monkeypatch.setattr(calibration, "_replayed", lambda name: quiet())
+    calibrate()
+    assert calls == [(0, {5}), (0, {3, 5})]
+
+
 def _quiet() -> Callable[[], object]:
     """A replay of 1 ns a step that nothing disturbed."""
     nothing = dict.fromkeys(("disturbed", "rerun", "seconds", "involuntary"), 0.0)

@@ -177,3 +177,52 @@ def test_an_answer_in_other_units_has_residuals_in_both() -> None:
     assert (wrong["primal"], wrong["primal_own"]) == (0.5, 0.125)
     assert (wrong["dual"], wrong["dual_own"]) == (0.5, 2.0)
     assert (wrong["error_move"], wrong["true"]) == (0.5, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("off", "true"),
+    [(9e-6, [1, 1, 1]), (1.1e-5, [1, 1, 0]), (9e-4, [1, 1, 0]), (1.1e-3, [1, 0, 0])],
+)
+def test_an_answer_is_true_at_the_tolerances_it_satisfies(off: float, true: list[int]) -> None:
+    """A plan may be ten tolerances of 1e-3, 1e-4, 1e-6 away; its residuals are zero here.
+
+    The optimum is (1, 0) with a multiplier of 1, which grows by as much as z falls short.
+    """
+    qp = problem([-2.0, 0.0])
+    evaluator = StepEvaluator(qp, qp, Units(np.ones(2), np.ones(2)))
+    step = QPStep(qp.q, qp.l, qp.u)
+    z, y_box = np.array([1.0 - off, 0.0]), np.array([1.0 + off, 0.0])
+    answer = Solution(Status.SOLVED, z, np.zeros(2), y_box)
+    evaluator.add(step, step, answer, evaluator.certify(step))
+    found = dict(zip(EVALUATION, evaluator.evaluations()[0], strict=True))
+    assert [found[name] for name in ("true", "true_1e4", "true_1e6")] == true
+
+
+@pytest.mark.parametrize(("short", "dual"), [(1e-6, 0.0), (3e-6, 1.000003)])
+def test_an_answer_without_multipliers_gets_those_of_the_limits_it_meets(
+    short: float, dual: float
+) -> None:
+    """A limit of 1 is met to within 1e-6·(1 + 1); its multiplier then balances z - 2."""
+    qp = problem([-2.0, 0.0])
+    evaluator = StepEvaluator(qp, qp, Units(np.ones(2), np.ones(2)))
+    step, unknown = QPStep(qp.q, qp.l, qp.u), np.full(2, np.nan)
+    answer = Solution(Status.SOLVED, np.array([1.0 - short, 0.0]), unknown, unknown)
+    evaluator.add(step, step, answer, evaluator.certify(step))
+    found = dict(zip(EVALUATION, evaluator.evaluations()[0], strict=True))
+    assert found["dual"] == pytest.approx(dual, rel=1e-9, abs=1e-12)
+
+
+def test_residuals_of_an_allocation_in_its_own_units() -> None:
+    """A surge slack that is 5 N too large breaks its equality by 5 N, in scaled units by 5 N over
+    the rate limit; no bound holds a slack."""
+
+    def change(log: RawLog) -> None:
+        assert log.allocation is not None
+        log.allocation.z[0, 2, -3] += 5.0
+
+    case = load_scenario("thrusters_cascade")
+    found, _ = judged(change, "thrusters_cascade", "si")
+    second = found.columns["allocation_evaluations"]
+    own, scaled = (second[:, EVALUATION.index(name)] for name in ("primal_own", "primal"))
+    assert own[2] == pytest.approx(5.0, rel=1e-6) and np.delete(own, 2).max() < 1e-3
+    assert scaled[2] == pytest.approx(5.0 / case.force_step_max[0], rel=1e-6)

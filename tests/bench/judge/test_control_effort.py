@@ -171,6 +171,22 @@ def test_shares_of_steps_at_an_amplitude_limit() -> None:
     assert [found[f"at_amplitude_{axis}"] for axis in FORCES] == [0.75, 0.25, 0.5]
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_margin_of_a_limit_belongs_to_it(side: float) -> None:
+    """Increments and forces exactly 1e-6 increments from their limits are at them."""
+    near = [du - 1e-6 * du for du in (10.0, 5.0, 2.0)]
+    limits = (
+        [[side * most for most in (10.0, 5.0, 2.0)]],
+        [[side * -200.0, side * -50.0, side * -20.0]],
+    )
+    high, low = (np.maximum(*limits), np.minimum(*limits))
+    found = metrics_of(
+        [STILL] * 2, [[side * force for force in near]], limits=(low.tolist(), high.tolist())
+    )
+    assert [found[f"at_rate_{axis}"] for axis in FORCES] == [1.0] * 3
+    assert [found[f"at_amplitude_{axis}"] for axis in FORCES] == [1.0] * 3
+
+
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_an_increment_beyond_the_rate_is_a_violation(axis: int, side: float) -> None:

@@ -90,6 +90,18 @@ def test_slow_first_visits_beyond_those_of_later_rounds() -> None:
     assert _metrics(log)[1] == pytest.approx(0.15)
 
 
+def test_switches_explain_slow_first_visits_by_the_share_of_timed_calls() -> None:
+    """Shortest visits of 40 steps take 1 ms of a round of 40 ms: of 50 switches at most 4/40 hit.
+
+    Five with three standard deviations are 5 + 3·sqrt(5) = 11.7, so that 12 of 20 are explained.
+    """
+    usual = [25_000.0] * 40
+    log = _log([250_000.0] * 20 + [25_000.0] * 20, usual, usual, usual)
+    log.counters[1, COUNTERS.index("replay_s")] = 0.04
+    log.counters[1, COUNTERS.index("involuntary_switches")] = 50.0
+    assert _metrics(log)[1] == pytest.approx((20 - 12) / 40)
+
+
 def test_a_slow_machine_explains_slow_first_visits() -> None:
     """The kernel took 1.5 times its best: a ratio of 3 becomes 2, and the limit is six times."""
     kernels = np.array([[0.0, 0.0], [150.0, 120.0], [100.0, 110.0]])
@@ -110,6 +122,13 @@ def test_a_round_that_was_run_again_is_a_later_visit() -> None:
     log = _log([30] * 20, [10] * 20, [15] * 20, attempts=np.array([1, 2, 1]))
     log.counters[1, COUNTERS.index("involuntary_switches")] = 8.0
     assert _metrics(log) == (3.0, 0.0)
+
+
+@pytest.mark.parametrize(("attempts", "ratio"), [(1, NAN), (2, 40.0)])
+def test_a_warm_up_alone_is_compared_with_its_last_attempt(attempts: int, ratio: float) -> None:
+    """Its visits of 0 ns count as 1 ns; run once, it has first visits alone."""
+    log = _log([40] * 20, warm_up=20, attempts=np.array([attempts]))
+    assert _metrics(log)[0] == pytest.approx(ratio, nan_ok=True)
 
 
 def test_the_warm_up_is_asked_where_too_few_steps_follow_it() -> None:

@@ -144,6 +144,10 @@ def test_a_cell_without_steps_has_its_identity_only() -> None:
     """Who it was, on which machine, what became of it, and no figure."""
     none = {name: column[:0] for name, column in loop_steps().items()}
     assert row_of(LOOP, none) == row_of(LOOP, None)
+    judged = Evaluated(OF_TIMING, {"r_rms_m": 0.5})
+    for known in ((judged, None), (None, loop_steps())):
+        row = run_row("a1", LOOP, ENDED, Availability(True), "m", *known)
+        assert row == row_of(LOOP, None)
     row = run_row("a1", LOOP, ENDED, Availability(True), "m", None, None, concurrency=2)
     assert (row["run_id"], row["machine_id"], row["concurrency"]) == ("a1", "m", 2)
     assert row_of(LOOP, None)["concurrency"] is pd.NA

@@ -26,8 +26,8 @@ THRUSTERS = ThrusterSet(
 )
 # With four sides the azimuth is limited by |X| + |Y| ≤ 100 N.
 ROWS = thruster_rows(THRUSTERS, 4)
-BOW = 2
-"""Row of the tunnel thruster, behind the two rows of the azimuth."""
+BOW, MAIN = 2, 3
+"""Rows of the tunnel and the main thruster, behind the two rows of the azimuth."""
 Forces = Sequence[Sequence[float]]
 
 
@@ -162,6 +162,8 @@ def test_a_lost_thruster_is_at_no_limit() -> None:
         ([0, 0, 0, 20.0 + 1e-6], 1),
         # 1e-12 of an increment is rounding
         ([5.0 * (1 + 5e-13), 0, 0, 0], 0),
+        ([5.0 * (1.0 + 1e-12), 0, 0, 0], 0),
+        ([5.0 * (1 + 2e-12), 0, 0, 0], 1),
         ([6.0, 6.0, 2.0, 30.0], 1),
     ],
 )
@@ -213,6 +215,19 @@ def test_a_limit_that_drops_leaves_the_way_back(
     assert metrics_of(run, low, high)["limit_violations"] == violations
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(("beyond", "violations"), [(1.9e-8, 0), (2.1e-8, 1)])
+def test_rounding_of_the_way_back_is_a_share_of_the_increment(
+    side: float, beyond: float, violations: int
+) -> None:
+    """From 100 N the main thruster returns to 100 - 0.9·20 = 82 N; 1e-9 of 20 N are rounding."""
+    run = [[0, 0, 0, side * 20.0 * i] for i in range(1, 6)]
+    run.append([0, 0, 0, side * (82.0 + beyond)])
+    low, high = (np.tile(of_rows, (6, 1)) for of_rows in (ROWS.low, ROWS.high))
+    low[-1, MAIN], high[-1, MAIN] = -50.0, 50.0
+    assert metrics_of(run, low, high)["limit_violations"] == violations
+
+
 def test_a_step_beyond_several_limits_is_one_violation() -> None:
     """Violations count steps, not thrusters or limits."""
     run = [[0, 0, 1.25 * i, 20.0 * i] for i in range(1, 6)]
@@ -232,3 +247,11 @@ def test_an_azimuth_that_turns_too_fast_is_a_violation(across: float, violations
     slow = AzimuthTurning(np.array([0]), np.array([0.02]), np.array([5.0]))
     assert metrics_of(run, turning=slow)["limit_violations"] == violations
     assert metrics_of(run)["limit_violations"] == 0.0
+
+
+@pytest.mark.parametrize(("share", "violations"), [(1e-6, 0), (1.01e-6, 1)])
+def test_a_millionth_of_an_increment_is_no_turning(share: float, violations: int) -> None:
+    """An azimuth that cannot turn may move across by 1e-6 of its increment of 5 N."""
+    run = [[5.0, 0, 0, 0], [5.0, share * 5.0, 0, 0]]
+    fixed = AzimuthTurning(np.array([0]), np.array([0.0]), np.array([5.0]))
+    assert metrics_of(run, turning=fixed)["limit_violations"] == violations

@@ -45,6 +45,7 @@ from dpbench.bench.record.step_table import (
     with_names,
     write_runs,
 )
+from dpbench.errors import InputError
 
 SAMPLE_S = 0.3
 """0.1·3 in binary is another number: products with it tell a formula from its like."""
@@ -305,3 +306,104 @@ def test_public_steps_that_are_newer_than_their_runs_cost_nothing(tmp_path: Path
     both.close()
     store = CellStore(tmp_path)
     assert list(store.finished) == ["a", "b"] and names_in(store) == ["a", "b"]
+
+
+COPIES = (
+    *("runs-00001 (copy).parquet", "steps-00001 (copy).parquet", "steps-00007 (copy).parquet"),
+    *("runs-00001 (conflicted copy 2026-11-22).parquet", "open (copy).cells", "runs-x.parquet"),
+    "runs-00001.sync-conflict-20261122-101500-ABCDEFG.parquet",
+)
+
+
+def test_copies_that_sync_tools_leave_are_ignored_and_named(tmp_path: Path) -> None:
+    """They are neither read nor removed, and the next part has the next number."""
+    filled(tmp_path, "a", "b").close()
+    source = tmp_path / "cells" / "runs-00001.parquet"
+    for name in COPIES:
+        (tmp_path / "cells" / name).write_bytes(source.read_bytes())
+    store = CellStore(tmp_path)
+    assert list(store.finished) == ["a", "b"] and names_in(store) == ["a", "b"]
+    store.append("c", "finished", record("c"))
+    store.close()
+    assert [part.runs.stem for part in store.parts()[1:]] == ["runs-00001", "runs-00002"]
+    (remark,) = store.remarks
+    assert "ignored 'open (copy).cells' and 6 more" in remark and str(tmp_path) in remark
+    assert all((tmp_path / "cells" / name).exists() for name in COPIES)
+
+
+def test_own_files_are_not_remarked_on(tmp_path: Path) -> None:
+    """Those of a campaign at work, whole and half done, and of designs and sources."""
+    store = filled(tmp_path, "a")
+    own = ["exact-0123456789ab.npz", "exact-0123456789ab.part.npz", "design-0123456789abcdef.json"]
+    for name in (*own, ".lock", "steps-00002.part", "design-0123456789abcdef.json.part"):
+        (tmp_path / "cells" / name).touch()
+    assert store.remarks == []
+    assert [path.name for path in tmp_path.rglob("*.part")] and CellStore(tmp_path).remarks == []
+    assert not list(tmp_path.rglob("*.part"))
+
+
+@pytest.mark.parametrize("link", [os.symlink, os.link], ids=["soft", "hard"])
+def test_nothing_is_written_through_a_link(tmp_path: Path, link: Any) -> None:
+    """Be it in place of the journal, a table, or a file that is not whole yet."""
+    mine, out = tmp_path / "thesis.txt", tmp_path / "out"
+    mine.write_text("mine", encoding="utf-8")
+    (out / "cells").mkdir(parents=True)
+    for name in (
+        "open.cells",
+        "steps-00001.part",
+        "steps-00001.parquet",
+        "runs-00001.parquet.part",
+    ):
+        link(mine, out / "cells" / name)
+    store = filled(out, "a")
+    store.close()
+    link(mine, out / "cells" / "open.cells")
+    store.append("b", "finished", record("b", 1))
+    store.close()
+    assert mine.read_text("utf-8") == "mine" and mine.stat().st_nlink == 1
+    assert names_in(store) == ["a", "b"]
+
+
+def test_a_linked_folder_of_cells_is_refused(tmp_path: Path) -> None:
+    """Nothing is written or removed where it points to."""
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "steps-00001.parquet").touch()
+    (tmp_path / "cells").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match="cells: found a link"):
+        CellStore(tmp_path)
+    assert [path.name for path in (tmp_path / "elsewhere").iterdir()] == ["steps-00001.parquet"]
+
+
+def test_tables_are_on_the_disk_before_the_journal_goes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both files, and then the names in their folder."""
+    events: list[tuple[str, str]] = []
+    store, fsync, replace, unlink = filled(tmp_path, "a"), os.fsync, Path.replace, Path.unlink
+
+    def watched_fsync(number: int) -> None:
+        events.append(("sync", Path(os.readlink(f"/proc/self/fd/{number}")).name))
+        fsync(number)
+
+    def watched_replace(path: Path, target: Path) -> Path:
+        events.append(("name", target.name))
+        return replace(path, target)
+
+    def watched_unlink(path: Path, missing_ok: bool = False) -> None:
+        if path.exists():
+            events.append(("remove", path.name))
+        unlink(path, missing_ok)
+
+    monkeypatch.setattr(os, "fsync", watched_fsync)
+    monkeypatch.setattr(Path, "replace", watched_replace)
+    monkeypatch.setattr(Path, "unlink", watched_unlink)
+    store.close()
+    assert events == [
+        ("sync", "steps-00001.part"),
+        ("name", "steps-00001.parquet"),
+        ("sync", "cells"),
+        ("sync", "runs-00001.parquet.part"),
+        ("name", "runs-00001.parquet"),
+        ("sync", "cells"),
+        ("remove", "open.cells"),
+    ]

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import struct
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from dpbench.bench.record.npz import keep, kept, write_npz
-from dpbench.errors import ResultsError
+from dpbench.bench.record.npz import keep, kept, read_npz, write_npz
+from dpbench.errors import InputError, ResultsError
 
 ARRAYS = {
     "numbers": np.array([[1.5, -0.0, np.nan], [np.inf, 1e-320, 2.0]]),
@@ -47,3 +49,51 @@ def test_every_changed_byte_is_seen(tmp_path: Path) -> None:
         path.write_bytes(whole[:at])
         with pytest.raises(ResultsError), kept(path):
             raise AssertionError(f"{at} bytes are no damage")
+
+
+def npy(shape: str, data: bytes, dtype: str = "<f8") -> bytes:
+    """An array as NumPy writes it, with whatever shape and type in its header."""
+    header = f"{{'descr': '{dtype}', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    return b"\x93NUMPY\1\0" + struct.pack("<H", len(header)) + header + data
+
+
+def zipped(path: Path, member: bytes, method: int = zipfile.ZIP_DEFLATED) -> Path:
+    """A file of one array `q`."""
+    with zipfile.ZipFile(path, "w", method) as archive:
+        archive.writestr("q.npy", member)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("member", "method", "found"),
+    [
+        (npy("(True, 15)", bytes(120)), zipfile.ZIP_DEFLATED, r"shape \(True, 15\)"),
+        (npy("(1000000000,)", bytes(120)), zipfile.ZIP_DEFLATED, "120 bytes and declares"),
+        (npy("(1000000000000,)", b"", "<U0"), zipfile.ZIP_DEFLATED, "0 bytes and declares"),
+        (npy("(15,)", bytes(120)), zipfile.ZIP_LZMA, "compression method 14"),
+        (npy("(15,)", bytes(120)), zipfile.ZIP_BZIP2, "compression method 12"),
+        (npy("(12500000,)", bytes(10**8)), zipfile.ZIP_DEFLATED, r"unpack to 1000000\d\d"),
+        (npy("(1,)", b"\xff\xff\xff\x7f", "<U1"), zipfile.ZIP_STORED, "no characters"),
+        (npy("(1,)", b"\x00\xd8\x00\x00", "<U1"), zipfile.ZIP_STORED, "no characters"),
+        (npy("(" * 4000, b""), zipfile.ZIP_DEFLATED, "a damaged file"),
+    ],
+)
+def test_what_numpy_would_not_write_is_refused(
+    member: bytes, method: int, found: str, tmp_path: Path
+) -> None:
+    """Lengths that are truths or more than there is, other compression, bombs, broken texts."""
+    with pytest.raises(InputError, match=found) as caught:
+        read_npz(zipped(tmp_path / "a.npz", member, method), "a sequence")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_member_that_unpacks_to_more_than_it_declares(tmp_path: Path) -> None:
+    """No more than is declared is unpacked; its check sum is wrong then."""
+    path = zipped(tmp_path / "a.npz", npy("(15,)", bytes(10**8)))
+    head = len(npy("(15,)", b""))
+    declared, less = (struct.pack("<I", head + length) for length in (10**8, 120))
+    data = path.read_bytes()
+    assert declared in data
+    path.write_bytes(data.replace(declared, less))
+    with pytest.raises(InputError, match="CRC"):
+        read_npz(path, "a sequence")

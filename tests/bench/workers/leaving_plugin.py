@@ -1,6 +1,7 @@
 """A solver that leaves, or never comes back, at its sixth call in a process."""
 
 import os
+import signal
 import sys
 import time
 
@@ -10,11 +11,19 @@ from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.function import opener
 from dpbench.solvers.plugins import solver_record
 
+
+def stay():
+    """As a library that holds the interpreter: no alarm reaches it."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM})
+    time.sleep(600.0)
+
+
 LEAVE = {
     "exit": lambda: os._exit(0),
     "system_exit": lambda: sys.exit(0),
     "abort": os.abort,
     "sleep": lambda: time.sleep(600.0),
+    "stay": stay,
 }["system_exit"]
 CALLS = iter(range(1, 10**6))
 

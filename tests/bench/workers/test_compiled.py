@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numba
 import pytest
 
 from dpbench.bench.workers.compiled import LOOP, OWN, missing, needed
@@ -18,7 +19,7 @@ def test_an_empty_cache_is_told_from_one_with_kernels(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """By the index files that Numba leaves, each part by its own."""
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     assert missing([OWN, LOOP]) == [OWN, LOOP]
     (tmp_path / "kernel").mkdir()
     (tmp_path / "kernel" / "replay._reference_kernel-26.py311.nbi").touch()

@@ -10,7 +10,13 @@ from collections.abc import Iterator
 
 import pytest
 
-from dpbench.bench.workers.interrupts import forget_interrupts, interrupts_wait, one_interrupt
+from dpbench.bench.workers.interrupts import (
+    forget_interrupts,
+    interrupts_wait,
+    one_interrupt,
+    signals_wait,
+    terminal_signals_blocked,
+)
 
 # Ctrl-C goes to all processes of a group.
 pytestmark = pytest.mark.alone
@@ -98,5 +104,34 @@ def test_a_process_that_holds_nothing_back_is_left_alone() -> None:
     handler = signal.getsignal(signal.SIGINT)
     forget_interrupts()
     assert signal.getsignal(signal.SIGINT) is handler
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_signals_wait_for_what_must_be_whole() -> None:
+    """However often: heard once at the end, and not at all where an exception is on its way."""
+    reached = []
+    with pytest.raises(KeyboardInterrupt):
+        with signals_wait():
+            for _ in range(2):
+                signal.raise_signal(signal.SIGINT)
+            reached.append("end")
+        reached.append("behind it")
+    assert reached == ["end"]
+    with pytest.raises(ZeroDivisionError):
+        try:
+            _ = 1 / 0
+        finally:
+            with signals_wait():
+                signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_what_a_terminal_sends_does_not_reach_some_processes() -> None:
+    """One started in the block goes on after Ctrl-C and a hang-up; the block itself hears both."""
+    words = "import os, signal; [os.kill(os.getpid(), n) for n in (signal.SIGINT, signal.SIGHUP)]"
+    with terminal_signals_blocked():
+        process = subprocess.Popen([sys.executable, "-c", words])
+    assert process.wait() == 0
     with pytest.raises(KeyboardInterrupt):
         signal.raise_signal(signal.SIGINT)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,8 +15,13 @@ import pytest
 from dpbench import load_results, run_campaign
 from dpbench.bench.progress import Silent
 from dpbench.bench.workers import leases
-from dpbench.bench.workers.executor import WAITING
-from dpbench.bench.workers.leases import leased_core
+from dpbench.bench.workers.leases import lease_folder, leased_core
+from dpbench.cli.main import main
+from dpbench.errors import InputError
+from dpbench.locks import BusyError
+from dpbench.notebook.runs import run_closed_loop
+from dpbench.scenario.scenario import load_scenario
+from dpbench.solvers.open import open_workspace
 
 pytestmark = pytest.mark.slow
 
@@ -30,8 +35,10 @@ warmup_steps = 0
 """
 LOOPS = HEAD + '[[closed_loop]]\nscenarios = ["paper"]\nsteps = 5\n'
 REPLAYS = HEAD + '[[replay]]\nscenario = "paper"\nsteps = 5\n'
+OTHERS = "leased_machine({}, Holder('results/other'))"
 HOLDING = """
-from dpbench.bench.workers.leases import ALONE, TOGETHER, leased_core, leased_machine
+from dpbench.bench.workers.leases import leased_core, leased_machine
+from dpbench.locks import ALONE, TOGETHER, Holder
 with {lease} as held:
     print(held, flush=True)
     input()
@@ -50,7 +57,7 @@ def holding(lease: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
 
 
 @pytest.fixture(autouse=True)
-def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def temporary_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Leases of this test alone, also for the processes that it starts."""
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(leases, "tempfile", SimpleNamespace(gettempdir=lambda: str(tmp_path)))
@@ -71,16 +78,16 @@ def test_a_core_is_leased_to_one_process_at_a_time() -> None:
 
 
 class Remarks(Silent):
-    """A progress that counts how often a wait was said, and kills who is waited for."""
+    """A progress that keeps what a wait was said for, and kills who is waited for."""
 
     def __init__(self, other: subprocess.Popen[str]) -> None:
-        self.waits, self._other = 0, other
+        self.waits: list[str] = []
+        self._other = other
 
-    def remark(self, text: str) -> None:
-        """Count it, and end the other."""
-        if text == WAITING:
-            self.waits += 1
-            self._other.kill()
+    def waiting(self, text: str) -> None:
+        """Keep it, and end the other."""
+        self.waits.append(text)
+        self._other.kill()
 
 
 @pytest.mark.parametrize(
@@ -97,11 +104,12 @@ def test_replays_are_timed_while_no_other_campaign_runs_cells(
 ) -> None:
     """Who has to wait says so once, and goes on when the other was killed; nobody else waits."""
     (tmp_path / "tiny.toml").write_text(suite, encoding="utf-8")
-    with holding(f"leased_machine({lease}, lambda: None)") as (other, held):
+    with holding(OTHERS.format(lease)) as (other, held):
         assert held == "True"
         progress = Remarks(other)
         out = run_campaign(tmp_path / "tiny.toml", tmp_path / "out", progress=progress)
-    assert progress.waits == waits
+        named = f"process {other.pid} (results/other, since 20"
+    assert [named in text for text in progress.waits] == [True] * waits
     runs = load_results(out).runs
     assert set(runs["outcome"]) == {"finished"}
     assert runs["concurrency"].dropna().eq(1).all()
@@ -116,3 +124,84 @@ def test_where_there_are_no_locks_replays_are_not_ranked(
     (tmp_path / "tiny.toml").write_text(REPLAYS, encoding="utf-8")
     runs = load_results(run_campaign(tmp_path / "tiny.toml", tmp_path / "out")).runs
     assert runs["outcome"].tolist() == ["finished"] and runs["concurrency"].tolist() == [2]
+
+
+@pytest.mark.parametrize(("option", "seconds"), [("--no-wait", []), ("--wait", ["0.3"])])
+def test_a_wait_ends_where_it_was_asked_to(
+    option: str, seconds: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """With 2 and one line that names the other; a wait is said before, `--quiet` or not."""
+    (tmp_path / "tiny.toml").write_text(REPLAYS, encoding="utf-8")
+    words = ["run", str(tmp_path / "tiny.toml"), "--out", str(tmp_path / "out"), "--quiet"]
+    with holding(OTHERS.format("TOGETHER")) as (other, _):
+        assert main([*words, option, *seconds]) == 2
+    out, err = capfd.readouterr()
+    named = f"process {other.pid} (results/other, since 20"
+    lines = [line for line in err.splitlines() if "compiling" not in line]
+    assert out == "" and len(lines) == 1 + len(seconds) and all(named in line for line in lines)
+    assert "this machine: found in use by" in lines[-1]
+
+
+def test_nobody_is_waited_for_without_measurements_that_are_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Neither by a dry run nor by a run in this process."""
+    (tmp_path / "tiny.toml").write_text(REPLAYS, encoding="utf-8")
+    with holding(OTHERS.format("ALONE")):
+        assert main(["run", str(tmp_path / "tiny.toml"), "--dry-run", "--quiet"]) == 0
+        assert run_closed_loop(load_scenario("paper").first(3), open_workspace("daqp"))
+    assert "1 cells to run" in capsys.readouterr().out
+
+
+def test_a_campaign_that_was_killed_is_not_named(tmp_path: Path) -> None:
+    """Only processes that live are; what else lies in the file does no harm."""
+    (tmp_path / "tiny.toml").write_text(REPLAYS, encoding="utf-8")
+    with holding(OTHERS.format("TOGETHER")) as (killed, _):
+        named = (lease_folder() / "machine").read_text(encoding="utf-8")
+    assert f'"pid": {killed.pid}' in named
+    with holding(OTHERS.format("TOGETHER")) as (other, _):
+        with (lease_folder() / "machine").open("a", encoding="utf-8") as file:
+            file.write('null\n{"pid": 1, "since": 1e99, "work": ""}\n\x00[[[\n')
+        with pytest.raises(BusyError) as busy:
+            run_campaign(tmp_path / "tiny.toml", tmp_path / "out", wait_s=0.0)
+    assert f"process {other.pid} " in str(busy.value) and str(killed.pid) not in str(busy.value)
+
+
+def _linked(folder: Path) -> None:
+    folder.with_name("elsewhere").mkdir()
+    folder.symlink_to(folder.with_name("elsewhere"))
+
+
+def _open_to_all(folder: Path) -> None:
+    folder.mkdir()
+    folder.chmod(0o777)
+
+
+def _of_another(folder: Path) -> None:
+    folder.mkdir()
+    os.chown(folder, 65534, 65534)
+
+
+@pytest.mark.parametrize(
+    ("make", "fault"),
+    [
+        (_linked, "a link"),
+        (Path.touch, "a file"),
+        (_open_to_all, "a folder that others can write (mode 777)"),
+        pytest.param(
+            _of_another,
+            "a folder of user",
+            marks=pytest.mark.skipif(os.getuid() != 0, reason="only root gives folders away"),
+        ),
+    ],
+)
+def test_a_folder_of_leases_that_others_can_write_is_refused(
+    make: Callable[[Path], object], fault: str, tmp_path: Path
+) -> None:
+    """One line that names it, and no result folder."""
+    folder = tmp_path / f"dpbench-leases-{os.getuid()}"
+    make(folder)
+    with pytest.raises(InputError) as refused:
+        run_campaign("smoke", tmp_path / "out")
+    assert f"{folder}: found {fault}" in str(refused.value)
+    assert not (tmp_path / "out").exists()

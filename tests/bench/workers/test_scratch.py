@@ -1,4 +1,4 @@
-"""Scratch folders: gone with their campaign, and of one that was killed with the next."""
+"""Room for logs: what a killed campaign left takes none."""
 
 from __future__ import annotations
 
@@ -11,46 +11,17 @@ from pathlib import Path
 import pytest
 
 from dpbench.bench.workers import scratch
-from dpbench.bench.workers.scratch import PREFIX, Scratch, scratch_folder
+from dpbench.bench.workers.scratch import Scratch
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from dpbench.bench.workers.scratch import scratch_folder
-with scratch_folder(Path(sys.argv[1])) as folder:
+from dpbench.temporary_folders import temporary_folder
+with temporary_folder(Path(sys.argv[1])) as folder:
     (folder / "log").write_bytes(b"a log")
     print(folder, flush=True)
     time.sleep(600)
 """
-
-
-def _names(place: Path) -> list[str]:
-    return [path.name for path in place.iterdir()]
-
-
-def test_a_folder_goes_with_its_campaign(tmp_path: Path) -> None:
-    """With what is in it; after an error too."""
-    with pytest.raises(KeyError), scratch_folder(tmp_path) as folder:
-        (folder / "log").write_bytes(b"a log")
-        assert _names(tmp_path) == [folder.name] and folder.name.startswith(PREFIX)
-        raise KeyError
-    assert _names(tmp_path) == []
-
-
-@pytest.mark.slow
-def test_what_a_killed_campaign_left_goes_with_the_next(tmp_path: Path) -> None:
-    """Not before its process is dead; what else lies there stays."""
-    (tmp_path / "dpbench-notes").mkdir()
-    command = [sys.executable, "-c", HOLD, str(tmp_path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
-        assert holder.stdout is not None
-        left = Path(holder.stdout.readline().strip())
-        with scratch_folder(tmp_path):
-            assert (left / "log").is_file()
-        os.kill(holder.pid, signal.SIGKILL)
-    assert (left / "log").is_file(), "nobody tidied up"
-    with scratch_folder(tmp_path) as folder:
-        assert sorted(_names(tmp_path)) == sorted(["dpbench-notes", folder.name])
 
 
 @pytest.mark.slow

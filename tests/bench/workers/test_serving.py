@@ -32,6 +32,7 @@ SUITE = HEAD + "".join(
 )
 SERVING = """
 import os
+import signal
 import time
 from pathlib import Path
 
@@ -44,10 +45,17 @@ from dpbench.solvers.plugins import solver_record
 
 HERE = Path(__file__).parent
 PIDS, FATE = HERE / "pids", HERE / "fate"
+
+
+def stay():
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM})
+    time.sleep(600.0)
+
+
 LEAVE = {
     "exit": lambda: os._exit(0),
     "abort": os.abort,
-    "sleep": lambda: time.sleep(600.0),
+    "stay": stay,
 }
 
 
@@ -62,7 +70,7 @@ def fated(*ways):
 
 
 def solve(qp):
-    if way := fated("exit", "abort", "sleep"):
+    if way := fated("exit", "abort", "stay"):
         LEAVE[way]()
     z = np.clip(-np.linalg.solve(qp.P, qp.q), qp.lb, qp.ub)
     return Solution(Status.MAX_ITERATIONS, z, np.zeros(qp.m), np.zeros(qp.n))
@@ -135,18 +143,13 @@ def test_one_process_serves_all_sequences_of_a_configuration(suite: Path) -> Non
     [
         ("exit", "crashed"),
         ("abort", "crashed"),
-        # What else runs could use up a limit of one second.
-        pytest.param("sleep", "hung", marks=pytest.mark.alone),
     ],
 )
 @pytest.mark.parametrize("place", [1, 2, 3])
 def test_an_end_in_one_sequence_costs_no_other(
-    place: int, way: str, outcome: str, suite: Path, monkeypatch: pytest.MonkeyPatch
+    place: int, way: str, outcome: str, suite: Path
 ) -> None:
     """The next sequence of that configuration has a new process."""
-    if way == "sleep":
-        monkeypatch.setattr(supervise, "GRACE_S", 0.5)
-        suite.write_text(SUITE.replace("60.0", "1.0"), encoding="utf-8")
     results = run(suite, f"{place} {way}")
     wanted = ["finished"] * len(SEQUENCES)
     wanted[place - 1] = outcome
@@ -156,6 +159,24 @@ def test_an_end_in_one_sequence_costs_no_other(
     assert len(set(served[place:])) <= 1
     assert not set(served[:place]) & set(served[place:])
     assert not any(map(is_alive, served))
+
+
+@pytest.mark.alone  # What else runs could use up a limit of one second.
+@pytest.mark.parametrize("place", [1, 3])
+def test_a_hang_is_followed_by_a_process_that_goes_on(
+    place: int, suite: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has the sequence from the next step on, and those after it; the step has no answer in any
+    round, as it is not tried again."""
+    monkeypatch.setattr(supervise, "GRACE_S", 0.5)
+    suite.write_text(SUITE.replace("60.0", "1.0"), encoding="utf-8")
+    results = run(suite, f"{place} stay")
+    assert set(results.runs["outcome"]) == {"finished"}, list(results.runs["outcome_detail"])
+    assert set(results.runs["steps_done"]) == {STEPS}
+    hung = results.steps[results.steps["status"] == "TIME_LIMIT"]
+    assert set(hung["run_id"]) == {results.runs["run_id"].iloc[place - 1]}
+    assert hung["k"].nunique() == 1 and set(hung["repeat"]) == {1, 2}
+    assert len(set(pids(suite))) == 2 and not any(map(is_alive, pids(suite)))
 
 
 def test_a_configuration_that_is_refused_once_is_asked_again(suite: Path) -> None:

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from dpbench.report.charts.capability import COLUMNS, rose
-from dpbench.report.charts.render import save
+from dpbench.report.charts.render import encoded, save
 
 
 @pytest.fixture(scope="module")
@@ -74,3 +74,10 @@ def test_it_is_written_in_four_formats(
     written = save(chart, tmp_path / f"rose.{suffix}").read_bytes()
     assert written.lstrip().startswith(begins)
     assert b"<script src=" not in written
+
+
+def test_names_that_xml_cannot_hold_are_drawn() -> None:
+    """The renderer would end the process; a backslash in a name is none of an escape."""
+    rows = [("a\x1b\x00\x0c\\\ufffeb", 0.0, 1.0, 7), ("c\\u001b", 0.0, 1.0, 7)]
+    drawn = encoded(rose(pd.DataFrame(rows, columns=list(COLUMNS)), "x"), "svg").decode()
+    assert "c\\u001b" in drawn and not {"\x1b", "\x00", "\x0c", "\ufffe"} & set(drawn)

@@ -149,6 +149,36 @@ def test_a_fault_is_one_line(
     assert all(part in line for part in parts), line
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "found"),
+    [
+        ("</main>", "</main><script>alert(1)</script>", "<script>"),
+        ("</main>", "</main><SCRIPT src=//evil.example/x.js>", "<SCRIPT src="),
+        ("</main>", '</main><iframe height="1">', "<iframe>"),
+        ("</main>", "</main><!-- --!><script>alert(1)</script> -->", "<!-- "),
+        ("<main>", '<main onload="alert(1)">', 'onload="alert(1)" in <main>'),
+        ('href="suite.json"', 'href="javascript:alert(1)"', 'href="javascript:alert(1)" in <a>'),
+        ('href="suite.json"', 'href="https://evil.example"', 'href="https://evil.example" in'),
+        ("</style>", "@import '//evil.example';</style>", "@import in <style>"),
+        ("</style>", "p{background:u\\72l(//e.example)}</style>", "\\ in <style>"),
+        ("</main>", '</main><meta http-equiv="refresh" name="x">', "http-equiv"),
+        ("</main>", '</main><path fill="url(//evil.example/x.svg#a)"/>', "url( in"[:3]),
+        ("</main>", "</main><p a='<b>'>", "<p a='"),
+    ],
+)
+def test_a_page_that_runs_or_loads_something_is_refused(
+    copy: Path, old: str, new: str, found: str, capsys: Any
+) -> None:
+    """The line of the page and the tag or attribute are named."""
+    page = (copy / "report.html").read_text("utf-8")
+    assert old in page
+    line = page[: page.index(old)].count("\n") + 1
+    (copy / "report.html").write_text(page.replace(old, new, 1), encoding="utf-8")
+    assert main(["check", str(copy)]) == 2
+    (said,) = capsys.readouterr().err.strip().splitlines()
+    assert f"report.html: line {line}: found" in said and found in said, said
+
+
 def test_a_folder_that_is_too_large(copy: Path, capsys: Any) -> None:
     """A page with scripts and steps is for the sender's own disk."""
     with (copy / "report.html").open("a", encoding="utf-8") as page:

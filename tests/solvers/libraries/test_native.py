@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 
@@ -237,3 +239,48 @@ def test_arrays_given_before_are_known_and_new_ones_are_taken(sequence):
     workspace.setup(base)
     workspace.solve()
     np.testing.assert_allclose(workspace.read().z, certify(base).z, atol=1e-6)
+
+
+LIMITED = [
+    (name, route, policy)
+    for name, row in TABLE.items()
+    if row.time_limit and available(name).ok
+    for route, policies in row.policies.items()
+    for policy in policies
+]
+"""Configurations of libraries that end a solve after a time by themselves."""
+
+
+@pytest.mark.parametrize(("solver", "route", "policy"), LIMITED)
+def test_a_time_limit_that_is_not_met_changes_no_bit(solver, route, policy, sequence):
+    """Answers, iterations and statuses are those without a limit."""
+    with_limit, without = (
+        open_workspace(solver, route=route, policy=policy, step_limit_s=limit)
+        for limit in (60.0, None)
+    )
+    pairs = zip(
+        answers(with_limit, sequence.base, sequence.steps),
+        answers(without, sequence.base, sequence.steps),
+        strict=True,
+    )
+    for one, other in pairs:
+        assert (one.status, one.iterations) == (other.status, other.iterations)
+        np.testing.assert_array_equal(one.z, other.z)
+
+
+@pytest.mark.parametrize(
+    "solver", sorted({name for name, route, _ in LIMITED if route == "native"})
+)
+def test_a_time_limit_is_one_of_each_solve(solver, sequence):
+    """Solves that take longer than it together, and no single one, are all solved."""
+    limit_s = 0.2
+    workspace = opened(solver)
+    workspace = open_workspace(
+        solver, route="native", policy=workspace.policy, step_limit_s=limit_s
+    )
+    workspace.setup(sequence.base)
+    until = time.monotonic() + 1.5 * limit_s
+    while time.monotonic() < until:
+        workspace.update(sequence.steps[0])
+        workspace.solve()
+        assert workspace.read().status is Status.SOLVED

@@ -66,9 +66,8 @@ from collections.abc import Callable
 from math import inf, sqrt
 from typing import Any
 
-from numba import njit
-
 from dpbench.arrays import Matrix
+from dpbench.kernel_cache import njit
 from dpbench.solvers.own.active_set.changed_rows import (
     change,
 )
@@ -380,7 +379,8 @@ def _entry_points(version: int) -> tuple[Callable[..., Any], ...]:
         mark_all(S, K, P, H, J, n)
 
     # Without Numba's dispatcher, which takes 0.1 µs a call to find the type of S again.
-    step = solve_step.get_overload(solve_step.signatures[0])
+    dispatcher: Any = solve_step
+    step = dispatcher.get_overload(dispatcher.signatures[0])
     return step, take_over, take_over_rows, excess_of, mark_spans
 
 

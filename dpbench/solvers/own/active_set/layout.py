@@ -37,9 +37,8 @@ from collections.abc import Callable
 from types import CodeType, FunctionType
 from typing import TypeVar, cast
 
-from numba import njit
-
 from dpbench.arrays import Matrix
+from dpbench.kernel_cache import njit
 
 # Rows of vectors. X, E, R and STEP are scratch.
 HEAD, CHECK, Q, LOW, HIGH, UNIT, SUM, V0, V = range(9)

@@ -9,9 +9,9 @@ it has to say what it takes for zero.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from dpbench.arrays import Vector
+from dpbench.kernel_cache import njit
 from dpbench.qp.program import QuadraticProgram
 
 ROUNDING = 1e-13

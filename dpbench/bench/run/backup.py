@@ -1,0 +1,128 @@
+"""The backup: a second solver that steps in where the first gave no usable answer in time.
+
+It gets the QP of that very step, is set up from nothing for it, so that no earlier step can do it
+harm, and is timed by itself. Where it has no usable answer either, the fallback acts. What a late
+answer means is in `slow_computer.py`; of a cascade, the backup is one of its first QP alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+
+from dpbench.arrays import Matrix, Vector
+from dpbench.bench.record.raw_log import BackupLog
+from dpbench.bench.run.fallback import FallbackLaw
+from dpbench.bench.run.timed_solver import TimedSolver, is_usable, record_answer
+from dpbench.qp.program import QPStep
+from dpbench.qp.solution import Solution
+
+WARM_UP_SOLVES = 3
+"""Solves before the first step: what a library does once, when first called, is no latency."""
+
+
+class Backup:
+    """The second solver of a loop and the record of its answers.
+
+    Parameters
+    ----------
+    solver : timed; its workspace is set up at every step.
+    moves : maps z to the plan (N_c, n_u); log : where its answers go.
+    hung : steps in which it hung in an earlier process, each for `limit_ns`.
+    """
+
+    def __init__(
+        self,
+        solver: TimedSolver,
+        moves: Callable[[Vector], Matrix],
+        log: BackupLog,
+        *,
+        hung: Collection[int] = (),
+        limit_ns: int = 0,
+    ) -> None:
+        self.solver, self.log, self._moves = solver, log, moves
+        self._hung, self._limit_ns = hung, limit_ns
+        log.times[:], log.ready_ns[:] = -1, -1
+
+    def prepare(self) -> None:
+        """Solve without a record until nothing is cold."""
+        self.solver.warm_up(WARM_UP_SOLVES)
+
+    def plan(self, k: int, step: QPStep) -> Matrix | None:
+        """The plan (N_c, n_u) of its answer to the QP of step k; None without a usable one."""
+        if k in self._hung:
+            return self.record(k, self.solver.missing(self._limit_ns))
+        return self.record(k, self.solver.answer(step))
+
+    def record(self, k: int, answer: Solution) -> Matrix | None:
+        """Record its answer to the QP of step k; its plan (N_c, n_u), None if it is unusable."""
+        record_answer(self.log, 0, k, answer)
+        self.log.times[0, k] = (-1, *self.solver.phases_ns, -1)
+        if is_usable(answer):
+            return self._moves(answer.z)
+        self.solver.reset()
+        return None
+
+
+class LoopWithBackup:
+    """Solver and fallback of a loop that waits for each answer; replaces both in the loop.
+
+    Parameters
+    ----------
+    solver : timed; backup : asked where that fails; law : acts where both fail.
+    emit : makes the QP of a step.
+
+    Attributes
+    ----------
+    acted : whether the last move was not one of the solver's own answer.
+    """
+
+    def __init__(
+        self,
+        solver: TimedSolver,
+        backup: Backup,
+        law: FallbackLaw,
+        emit: Callable[[int, Vector, Vector], QPStep],
+    ) -> None:
+        self._solver, self._backup, self._law, self._emit = solver, backup, law, emit
+        self.formulate, self.reset = solver.formulate, solver.reset
+        self._k, self.acted = 0, False
+        self._plan: Matrix | None = None
+
+    @property
+    def phases_ns(self) -> tuple[int, ...]:
+        """Those of the solver: the time of the backup is none of its."""
+        return self._solver.phases_ns
+
+    @property
+    def matrix_updates(self) -> int:
+        """Those of the solver."""
+        return self._solver.matrix_updates
+
+    def prepare(self) -> int:
+        """Set up as `TimedSolver.prepare`, and warm up the backup."""
+        self._backup.prepare()
+        return self._solver.prepare()
+
+    def emit(self, k: int, x: Vector, u_prev: Vector) -> QPStep:
+        """The QP of step k."""
+        self._k = k
+        return self._emit(k, x, u_prev)
+
+    def answer(self, step: QPStep) -> Solution:
+        """The solver's answer; where it is unusable, the backup has solved the step as well."""
+        solution = self._solver.answer(step)
+        self._plan = None if is_usable(solution) else self._backup.plan(self._k, step)
+        return solution
+
+    def remember(self, plan: Matrix) -> Vector:
+        """As `FallbackLaw.remember`, of the solver's own plan."""
+        self.acted = False
+        return self._law.remember(plan)
+
+    def move(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
+        """Δu (n_u,) of the backup's plan, or of the fallback where there is none."""
+        self.acted = True
+        if self._plan is None:
+            return self._law.move(x, y_ref, u_prev)
+        self._backup.log.acted[self._k] = 1
+        return self._law.remember(self._plan)

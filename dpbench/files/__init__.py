@@ -1,0 +1,1 @@
+"""Files that others made: their kind, size, depth and what they unpack to, checked first."""

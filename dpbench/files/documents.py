@@ -1,0 +1,69 @@
+"""JSON and nesting: the bounds within which a document that others wrote is parsed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from dpbench.errors import InputError
+from dpbench.files.opening import read_bytes
+
+MOST_JSON_BYTES = 2**22
+"""Of a JSON document; empty objects take 24 times as much memory."""
+MOST_DEPTH = 32
+"""Levels of nested tables and arrays, and parts of a dotted key. dpbench itself has at most 8."""
+
+_MOST_INTEGER = 2**1023
+
+
+def read_json_object(
+    path: Path, what: str, *, error: type[InputError] = InputError
+) -> dict[str, Any]:
+    """Read the JSON object of a file; `error`, naming the file, where there is none."""
+    data = read_bytes(path, "a JSON file", most_bytes=MOST_JSON_BYTES, error=error)
+    try:
+        document = parse_json(data.decode("utf-8"))
+    except ValueError as failure:
+        raise error(str(path), "", f"no JSON ({failure})", what) from failure
+    if not isinstance(document, dict):
+        raise error(str(path), "", type(document).__name__, "a JSON object")
+    return document
+
+
+def parse_json(text: str) -> Any:
+    """Parse JSON that others wrote.
+
+    Raises
+    ------
+    ValueError : it is damaged, too large, too deep, or has half a character.
+    """
+    if len(text) > MOST_JSON_BYTES:
+        raise ValueError(f"{len(text)} characters where {MOST_JSON_BYTES} are allowed")
+    try:
+        document = json.loads(text)
+    except RecursionError as failure:
+        raise ValueError("nested too deep") from failure
+    check_values(document)
+    if "\\ud" in text.lower():
+        # An escape of half a surrogate pair gives a text that can be neither printed nor written.
+        json.dumps(document, ensure_ascii=False).encode()
+    return document
+
+
+def check_values(document: object) -> None:
+    """ValueError for a document nested too deep, or with an integer that no float can be."""
+    depth, level = 0, [document]
+    while level:
+        if any(isinstance(one, int) and abs(one) >= _MOST_INTEGER for one in level):
+            raise ValueError("an integer of more than 300 digits")
+        level = [one for one in level if isinstance(one, dict | list)]
+        depth += bool(level)
+        if depth > MOST_DEPTH:
+            raise ValueError(f"more than {MOST_DEPTH} nested levels")
+        level = [inner for one in level for inner in _inner(one)]
+
+
+def _inner(one: Any) -> Iterable[object]:
+    return one.values() if isinstance(one, dict) else one

@@ -1,0 +1,91 @@
+"""Parquet tables that others wrote: what they unpack to is bounded before it is unpacked.
+
+Run-length and dictionary encoding make gigabytes of a few kilobytes, which neither the size of the
+file nor what its metadata call the uncompressed size tells: the numbers of values do, and the
+lengths of words once they are read, each word once.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from dpbench.errors import InputError
+from dpbench.files.opening import check_unpacked, opened
+
+WHAT = "a table written by `dpbench run`"
+MOST_ENTRIES = 100_000
+"""Of a list in the footer, as that of columns or of row groups: 10¹⁰ steps have as many."""
+_CODE, _NUMBER = 4, 8
+"""Bytes of a value in memory: of the code of a word, and of any number."""
+_IS_ALLOWED = (
+    pa.types.is_integer,
+    pa.types.is_floating,
+    pa.types.is_boolean,
+    pa.types.is_null,
+    pa.types.is_string,
+    pa.types.is_large_string,
+)
+
+
+@contextmanager
+def opened_table(path: Path, *, error: type[InputError] = InputError) -> Iterator[pq.ParquetFile]:
+    """Open a table of numbers and words; its words are read as dictionaries.
+
+    Raises
+    ------
+    InputError : it is no regular file, has columns of other types, or unpacks to too much.
+    OSError, ValueError, ArrowException : it is damaged.
+    """
+    with opened(path, WHAT, error=error) as file:
+        size = os.fstat(file.fileno()).st_size
+        metadata = pq.ParquetFile(file, thrift_container_size_limit=MOST_ENTRIES).metadata
+        schema = metadata.schema.to_arrow_schema()
+        for field in schema:
+            kind = field.type.value_type if pa.types.is_dictionary(field.type) else field.type
+            if not any(fits(kind) for fits in _IS_ALLOWED):
+                raise error(str(path), field.name[:80], f"type {kind}", "numbers and words")
+        words = [
+            f.name for f in schema if pa.types.is_string(f.type) or pa.types.is_large_string(f.type)
+        ]
+        check_unpacked(path, _unpacked(metadata, len(words)), size, error=error)
+    with pq.ParquetFile(
+        path, metadata=metadata, read_dictionary=words, page_checksum_verification=True
+    ) as table:
+        yield table
+
+
+def _unpacked(metadata: pq.FileMetaData, words: int) -> int:
+    """Bytes of all values in memory, each word once, with as many columns of words."""
+    a_row = _CODE * words + _NUMBER * (metadata.num_columns - words)
+    # Of row groups as a whole: where the entry of a column is damaged, asking for it aborts Python.
+    groups = [metadata.row_group(i) for i in range(metadata.num_row_groups)]
+    return sum(a_row * group.num_rows + group.total_byte_size for group in groups)
+
+
+def in_full(table: pa.Table, path: Path, *, error: type[InputError] = InputError) -> pa.Table:
+    """The table with a word of its own in each row; raises as `opened_table` does."""
+    coded = {f.name: table[f.name] for f in table.schema if pa.types.is_dictionary(f.type)}
+    check_unpacked(path, sum(map(_bytes_of, coded.values())), os.path.getsize(path), error=error)
+    for name, column in coded.items():
+        at = table.schema.get_field_index(name)
+        table = table.set_column(at, name, column.cast(column.type.value_type))
+    return table
+
+
+def _bytes_of(column: pa.ChunkedArray) -> int:
+    """Bytes of the words of a column, each as often as it occurs."""
+    total = 0
+    for chunk in column.chunks:
+        lengths = pc.binary_length(chunk.dictionary).fill_null(0).to_numpy()
+        codes = chunk.indices.drop_null().to_numpy()
+        counts = np.bincount(codes, minlength=len(lengths))
+        total += int((counts * lengths.astype(np.int64)).sum())
+    return total

@@ -1,0 +1,224 @@
+"""Locks between the processes of a machine (flock), with the name of who holds one.
+
+A lock is on a file or a folder that all processes know, and ends with the process that holds it,
+however that ends. A holder writes its process, its work and the time into the file, for those who
+wait.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import stat
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import psutil
+
+from dpbench.errors import InputError
+
+FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
+FILE = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
+"""How what is locked is opened."""
+ALONE, TOGETHER = fcntl.LOCK_EX, fcntl.LOCK_SH
+MAX_BYTES = 2**16
+"""Of a lock file that is read."""
+MAX_WORK = 100
+"""Characters of the command of a holder."""
+_POLL_S = 0.1
+
+
+@dataclass(frozen=True)
+class Holder:
+    """A process that holds a lock, as it says in the file.
+
+    Parameters
+    ----------
+    work : what it does meanwhile: its result folder.
+    since : when it began that [s since the epoch].
+    """
+
+    work: str
+    since: float = field(default_factory=time.time)
+    pid: int = field(default_factory=os.getpid)
+
+    def __str__(self) -> str:
+        began = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(self.since))
+        return f"process {self.pid} ({self.work}, since {began})"
+
+    @classmethod
+    def read(cls, line: str) -> Holder:
+        """The holder that a line names; ValueError, KeyError or TypeError where it names none."""
+        entry = json.loads(line)
+        work = "".join(c for c in str(entry["work"]) if c.isprintable())
+        holder = cls(work, float(entry["since"]), int(entry["pid"]))
+        str(holder)
+        return holder
+
+
+@dataclass(frozen=True)
+class Patience:
+    """How long a lock that others hold is waited for.
+
+    Parameters
+    ----------
+    limit_s : the longest wait, 0 for none; None without a limit.
+    required : whether `BusyError` is raised after it; else work goes on without the lock.
+    """
+
+    limit_s: float | None = None
+    required: bool = True
+
+
+FOR_NOBODY = Patience(0.0, required=False)
+"""For work whose measurements nobody keeps."""
+
+
+class BusyError(InputError):
+    """A lock that others still hold at the end of the wait; `found` names them."""
+
+
+@contextmanager
+def lease(path: Path, opened_as: int, how: int = ALONE | fcntl.LOCK_NB) -> Iterator[bool]:
+    """A lock as long as the block lasts; false where another holds it, where it is another user's,
+    or where the disk knows no locks."""
+    with ExitStack() as stack:
+        held = False
+        with suppress(OSError):
+            lock = os.open(path, opened_as, 0o600)
+            stack.callback(os.close, lock)
+            fcntl.flock(lock, how)
+            held = True
+        yield held
+
+
+@contextmanager
+def lock_file(
+    path: Path,
+    how: int,
+    holder: Holder,
+    *,
+    where: str,
+    patience: Patience = Patience(),
+    say_waiting: Callable[[str], None] = lambda holders: None,
+) -> Iterator[bool]:
+    """The lock of a file as long as the block lasts; false where there is none to be had.
+
+    Parameters
+    ----------
+    how : ALONE, or TOGETHER with others that ask for that.
+    holder : this process, for those who wait for it.
+    where : what is locked, for the error.
+    say_waiting : called once with the holders, before a wait.
+
+    Raises
+    ------
+    BusyError : see `Patience`.
+    """
+    with ExitStack() as stack:
+        held = False
+        # Without a folder for the file, or on a disk that knows no locks.
+        with suppress(OSError):
+            lock = os.open(path, FILE, 0o600)
+            stack.callback(os.close, lock)
+            if not _locked(lock, how | fcntl.LOCK_NB):
+                _wait(lock, how, where, patience, say_waiting)
+            held = _locked(lock, how | fcntl.LOCK_NB)
+            if held:
+                _write(lock, [*_others(lock), holder])
+                stack.callback(lambda: _write(lock, _others(lock)))
+        yield held
+
+
+@contextmanager
+def lock_folder(
+    folder: Path, *, patience: Patience, say_waiting: Callable[[str], None]
+) -> Iterator[bool]:
+    """Lock a folder alone as long as the block lasts; parameters and errors as in `lock_file`."""
+    with ExitStack() as stack:
+        held = False
+        with suppress(OSError):
+            lock = os.open(folder, FOLDER)
+            stack.callback(os.close, lock)
+            if not _locked(lock, ALONE | fcntl.LOCK_NB):
+                _wait(lock, ALONE, str(folder), patience, say_waiting)
+            held = _locked(lock, ALONE | fcntl.LOCK_NB)
+        yield held
+
+
+def _wait(
+    lock: int, how: int, where: str, patience: Patience, say_waiting: Callable[[str], None]
+) -> None:
+    """Wait for the lock of an open file as long as there is time for it."""
+    if patience.limit_s != 0.0:
+        say_waiting(holders(lock))
+    if patience.limit_s is None:
+        # In the kernel's queue, where another that releases and locks again goes to the end.
+        fcntl.flock(lock, how)
+        return
+    end_s = time.monotonic() + patience.limit_s
+    while time.monotonic() < end_s:
+        time.sleep(_POLL_S)
+        if _locked(lock, how | fcntl.LOCK_NB):
+            return
+    if patience.required:
+        waited = f" after a wait of {patience.limit_s:g} s" if patience.limit_s else ""
+        found = f"in use by {holders(lock)}{waited}"
+        raise BusyError(where, "", found, "to wait for it, without --no-wait or longer")
+
+
+def _locked(lock: int, how: int) -> bool:
+    """Lock an open file if nobody else has it; OSError where there are no locks."""
+    try:
+        fcntl.flock(lock, how)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def holders(lock: int) -> str:
+    """Describe the holders of the lock of an open file or folder."""
+    named = _others(lock) or _known_to_kernel(lock)
+    return " and ".join(map(str, named)) or "another process, which left no name"
+
+
+def _known_to_kernel(lock: int) -> list[Holder]:
+    """Return the holders of a lock that the kernel lists; none where it does not show them."""
+    status = os.fstat(lock)
+    device = status.st_dev
+    place = f"{os.major(device):02x}:{os.minor(device):02x}:{status.st_ino}"
+    found = []
+    with suppress(OSError, ValueError, psutil.Error):
+        for line in Path("/proc/locks").read_text(encoding="ascii").splitlines():
+            # Those that wait for the lock have an arrow in the second column.
+            kind, _, _, pid, file = line.split()[1:6]
+            if kind == "FLOCK" and file == place and int(pid) != os.getpid():
+                process = psutil.Process(int(pid))
+                work = "".join(c for c in " ".join(process.cmdline()[1:]) if c.isprintable())
+                found.append(Holder(work[:MAX_WORK], process.create_time(), process.pid))
+    return found
+
+
+def _others(lock: int) -> list[Holder]:
+    """Return the other live holders that a lock file names; none of a folder."""
+    found: list[Holder] = []
+    if stat.S_ISDIR(os.fstat(lock).st_mode):
+        return found
+    # Anybody may have damaged the file.
+    for line in os.pread(lock, MAX_BYTES, 0).decode(errors="replace").splitlines():
+        with suppress(ValueError, KeyError, TypeError, OverflowError, OSError):
+            holder = Holder.read(line)
+            if holder.pid != os.getpid() and Path(f"/proc/{holder.pid}").exists():
+                found.append(holder)
+    return found
+
+
+def _write(lock: int, named: Sequence[Holder]) -> None:
+    """Write holders into a lock file. Of two that do so at once one may go unnamed."""
+    with suppress(OSError):
+        os.ftruncate(lock, 0)
+        os.pwrite(lock, "".join(f"{json.dumps(asdict(one))}\n" for one in named).encode(), 0)

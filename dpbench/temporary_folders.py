@@ -1,0 +1,85 @@
+"""Folders that go with the process that made them.
+
+A folder is locked as long as its process lives. What a killed one has left is locked by nobody, and
+goes when the next one makes a folder in the same place.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from multiprocessing.util import Finalize, get_temp_dir
+from pathlib import Path
+
+from dpbench.locks import FOLDER, lease
+
+PREFIX = "dpbench-scratch-"
+"""What names of such folders begin with, and no other."""
+LONGEST = 70
+"""Bytes of the path of a folder of sockets: Linux allows 107, and Python adds up to 33."""
+_LAST = -200
+"""Behind what `multiprocessing` does at the end of a process, whose last is −100."""
+ATTEMPTS = 10
+"""To remove a folder that others still write to."""
+
+
+@contextmanager
+def temporary_folder(place: Path) -> Iterator[Path]:
+    """A folder for this user alone, with all that is in it gone at the end of the block."""
+    clear_abandoned(place)
+    # Nobody looks for this name: it gets the other when it is locked.
+    made = Path(tempfile.mkdtemp(prefix=f".{PREFIX}", dir=place))
+    with lease(made, FOLDER):
+        folder = made.rename(made.with_name(made.name.removeprefix(".")))
+        try:
+            yield folder
+        finally:
+            _remove(folder)
+
+
+def clear_abandoned(place: Path) -> None:
+    """Remove the folders at a place whose process lives no more."""
+    for folder in place.glob(f"{PREFIX}*"):
+        with lease(folder, FOLDER) as abandoned:
+            if abandoned:
+                _remove(folder)
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder; a worker that was interrupted may still write its last files meanwhile."""
+    for _ in range(ATTEMPTS):
+        shutil.rmtree(folder, ignore_errors=True)
+        if not folder.exists():
+            return
+
+
+@cache
+def process_folder() -> Path:
+    """A folder of this process on the disk for temporary files, gone when the process ends.
+
+    Raises
+    ------
+    OSError : there is no place for one.
+    """
+    made = temporary_folder(Path(tempfile.gettempdir()))
+    folder = made.__enter__()
+    # In this process and in no fork of it, after the sockets in it are closed.
+    Finalize(None, made.__exit__, args=(None, None, None), exitpriority=_LAST)
+    return folder
+
+
+def keep_sockets() -> None:
+    """Have `multiprocessing` keep its sockets in the folder of this process, so that those of a
+    killed one go too; where Python keeps them else if that path is too long for a socket."""
+    before = tempfile.tempdir
+    try:
+        folder = process_folder()
+        if len(os.fsencode(folder)) <= LONGEST:
+            tempfile.tempdir = str(folder)
+        get_temp_dir()  # made at the first call, and kept
+    finally:
+        tempfile.tempdir = before

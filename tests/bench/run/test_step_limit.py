@@ -1,0 +1,149 @@
+"""A step that hangs is ended, and a loop goes on behind one that was killed as if it had failed."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from dpbench import load_scenario, open_workspace
+from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.raw_log import Layout, RawLog
+from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup
+from dpbench.bench.run.closed_loop import closed_loop
+from dpbench.bench.run.formulation import Box
+from dpbench.bench.run.timed_solver import HUNG, TimedSolver, interrupting
+from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.qp.solution import Solution, Status
+from dpbench.solvers.contract import Workspace, words_of
+
+LIMIT_S = 0.05
+
+
+class Spinning(Workspace):
+    """Does not return from its first solve."""
+
+    def __init__(self, *, catches: bool) -> None:
+        super().__init__("spinning", "native", "reuse")
+        self.setups, self._solves, self._catches, self._words = 0, 0, catches, ""
+
+    def setup(self, qp: QuadraticProgram) -> None:
+        self.setups += 1
+
+    def update(self, step: QPStep) -> None:
+        pass
+
+    def solve(self) -> None:
+        self._solves += 1
+        try:
+            while self._solves == 1:
+                pass
+        except BaseException as error:
+            if not self._catches:
+                raise
+            self._words = words_of(error)
+
+    def read(self) -> Solution:
+        return Solution(Status.SOLVED, np.ones(1), np.zeros(1), np.zeros(1))
+
+
+def timed(workspace: Workspace) -> TimedSolver:
+    one = np.ones(1)
+    problem = QuadraticProgram(np.eye(1), one, np.eye(1), -one, one, -one, one)
+    return TimedSolver(workspace, Box(problem), time.perf_counter_ns)
+
+
+STEP = QPStep(np.ones(1), -np.ones(1), np.ones(1))
+
+
+@pytest.mark.parametrize("catches", [True, False])
+def test_what_runs_python_is_interrupted_and_set_up_anew(catches: bool) -> None:
+    """Whether the adapter takes what is raised for a failure or lets it pass."""
+    workspace = Spinning(catches=catches)
+    solver = timed(workspace)
+    solver.prepare()
+    with interrupting(LIMIT_S, time.perf_counter_ns):
+        answer = solver.answer(STEP)
+        assert answer.status is Status.TIME_LIMIT and "limit of 0.05 s" in answer.detail
+        assert sum(ns for ns in solver.phases_ns if ns > 0) >= LIMIT_S * 1e9
+        solver.reset()
+        assert workspace.setups == 2
+        assert solver.answer(STEP).status is Status.SOLVED
+
+
+def test_an_alarm_outside_of_a_step_is_none() -> None:
+    """The harness may take its time between two steps; behind the block no alarm goes off."""
+    solver = timed(Spinning(catches=False))
+    with interrupting(0.01, time.perf_counter_ns):
+        until = time.monotonic() + 0.05
+        while time.monotonic() < until:
+            pass
+    assert not solver.interrupted
+
+
+class Leaving(Workspace):
+    """Drives another workspace, and ends the run in one step, as a process that is killed."""
+
+    def __init__(self, inner: Workspace, at: int, *, fails: bool) -> None:
+        super().__init__(inner.solver, inner.route, inner.policy)
+        self._inner, self._at, self._fails, self._k = inner, at, fails, -1
+        self.setup_every_step = inner.setup_every_step
+        self.setup, self.reset = inner.setup, inner.reset  # type: ignore[method-assign]  # as they are
+
+    def update(self, step: QPStep) -> None:
+        self._k += 1
+        self._inner.update(step)
+
+    def solve(self) -> None:
+        if self._k == self._at and not self._fails:
+            raise SystemExit
+        self._inner.solve()
+
+    def read(self) -> Solution:
+        answer = self._inner.read()
+        if self._k == self._at and self._fails:
+            return Solution.missing(len(answer.z), len(answer.y), Status.TIME_LIMIT, HUNG)
+        return answer
+
+    def setup(self, qp: QuadraticProgram) -> None:
+        raise AssertionError("replaced")
+
+
+@pytest.mark.parametrize(
+    ("name", "backup"), [("paper", ""), ("waves", "paper_active_set"), ("thrusters_cascade", "")]
+)
+def test_a_loop_goes_on_behind_the_step_that_hung(name: str, backup: str) -> None:
+    """It ends bit for bit where a loop whose solver failed in that step ends: ship, estimator and
+    fallback are where they were, and the solver starts anew."""
+    steps, at = 30, 11
+    scenario = load_scenario(name).first(steps)
+    cell = Cell(
+        "closed_loop", scenario.files, "daqp", "native", "reuse", "default", steps, backup=backup
+    )
+    logs: list[RawLog] = []
+
+    def new_log(layout: Layout) -> RawLog:
+        logs.append(RawLog.in_memory(layout))
+        return logs[-1]
+
+    def opened() -> Workspace:
+        return open_workspace("daqp", route="native", policy="reuse")
+
+    def leaving(*, fails: bool) -> Workspace:
+        workspace = Leaving(opened(), at, fails=fails)
+        workspace.opened_again = opened
+        return workspace
+
+    failing = closed_loop_setup(cell, scenario, leaving(fails=True), new_log, NO_LIMIT_NS)
+    assert closed_loop(failing)
+    killed = closed_loop_setup(cell, scenario, leaving(fails=False), new_log, NO_LIMIT_NS)
+    with pytest.raises(SystemExit):
+        closed_loop(killed)
+    expected, log = logs
+    assert log.done[0] == at
+    again = closed_loop_setup(cell, scenario, opened(), lambda _: log, 10**9, hung=[at])
+    assert closed_loop(again)
+    for array in ("state", "tau", "z", "status", "flags", "iterations"):
+        np.testing.assert_array_equal(getattr(log, array), getattr(expected, array))
+    assert log.times[0, at, 3] == 10**9 and log.matrix_updates[0] == expected.matrix_updates[0]

@@ -1,0 +1,107 @@
+"""A finished result is replaced on request alone: another selection into its folder is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dpbench import load_results, run_campaign
+from dpbench.bench.gather import gather
+from dpbench.cli.main import main
+from dpbench.errors import InputError
+
+pytestmark = pytest.mark.slow
+
+SUITE = """
+title = "A suite for one test"
+solvers = ["quadprog", "daqp"]
+cell_limit_s = 60.0
+rounds = 1
+warmup_steps = 0
+
+[[closed_loop]]
+scenarios = ["paper", "calm"]
+settings = ["default", "high"]
+steps = 4
+
+[[replay]]
+scenario = "paper"
+steps = 4
+
+[[study]]
+base = "weather"
+name = "seas"
+steps = 4
+replicates = { key = "environment.seed", count = 2 }
+product = { "start.east_m" = [0.0] }
+"""
+
+
+@pytest.fixture(scope="module")
+def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("selection") / "tiny.toml"
+    path.write_text(SUITE, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def whole(suite: Path) -> Path:
+    """The result of all of it."""
+    return run_campaign(suite, suite.parent / "whole")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *(["--solver", "daqp"], ["--scenario", "calm"], ["--settings", "high"], ["--steps", "3"]),
+        ["--solver", "daqp", "--solver", "piqp"],
+    ],
+    ids=" ".join,
+)
+def test_another_selection_is_refused(
+    suite: Path, whole: Path, words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In one line that says what can be done; nothing in the folder changes."""
+    files = {path: path.read_bytes() for path in whole.glob("*.*")}
+    assert main(["run", str(suite), "--out", str(whole), "--quiet", *words]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "finished runs that are not asked for" in line
+    assert "--fresh" in line and "another --out" in line
+    assert {path: path.read_bytes() for path in whole.glob("*.*")} == files
+
+
+def test_the_same_selection_and_a_larger_one_go_on(suite: Path, tmp_path: Path) -> None:
+    """Finished cells are kept; a smaller selection is run anew on request."""
+    out = run_campaign(suite, tmp_path / "out", solvers=["daqp"], scenarios=["paper"])
+    first = load_results(out).runs.set_index("run_id")["raw_max_ns"]
+    run_campaign(suite, out, scenarios=["paper"], solvers=["daqp"])
+    run_campaign(suite, out)
+    runs = load_results(out).runs.set_index("run_id")
+    assert set(runs["study"]) == {"", "seas"} and len(runs) > len(first)
+    assert (runs.loc[first.index, "raw_max_ns"] == first).all()
+    run_campaign(suite, out)
+    run_campaign(suite, out, solvers=["daqp"], fresh=True)
+    assert set(load_results(out).runs["solver"]) == {"daqp"}
+
+
+def test_an_unfinished_folder_takes_another_selection(suite: Path, tmp_path: Path) -> None:
+    """Nothing was shown of it yet."""
+    out = run_campaign(suite, tmp_path / "out", solvers=["daqp"], scenarios=["calm"])
+    for name in ("suite.json", "machine.json"):
+        (out / name).unlink()
+    for name in ("runs", "steps"):
+        (out / f"{name}.parquet").rename(out / "cells" / f"{name}-00001.parquet")
+    run_campaign(suite, out, solvers=["quadprog"], scenarios=["calm"])
+    assert set(load_results(out).runs["solver"]) == {"quadprog"}
+
+
+def test_shards_are_not_gathered_into_another_result(suite: Path, tmp_path: Path) -> None:
+    """Nor is a shard written over another."""
+    shard = run_campaign(suite, tmp_path / "shard", solvers=["daqp"], shard="1/1")
+    half = run_campaign(suite, tmp_path / "half", solvers=["daqp"], shard="1/2")
+    with pytest.raises(InputError, match="not asked for"):
+        run_campaign(suite, half, solvers=["daqp"], shard="2/2")
+    out = run_campaign(suite, tmp_path / "out", solvers=["quadprog"], scenarios=["calm"])
+    with pytest.raises(InputError, match=r"not asked for.*another folder"):
+        gather([shard], out)

@@ -1,0 +1,116 @@
+"""What stands in the place of a file: whoever reads it says so in one line, and never waits."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dpbench.bench.capability.table import CAPABILITY_FILE, load_capability
+from dpbench.bench.design import load_designs
+from dpbench.bench.engines.shards import ShardRecord
+from dpbench.bench.record.npz import kept
+from dpbench.bench.record.recorded_steps import StepsOnDisk, read_clock
+from dpbench.bench.record.result_folder import load_descriptions, load_results, read_json
+from dpbench.bench.sequences.qpsolvers_files import read_problem
+from dpbench.bench.sequences.recording import digest
+from dpbench.bench.sequences.sequence_file import load_recorded
+from dpbench.errors import InputError
+from dpbench.files.opening import opened, read_bytes
+from dpbench.scenario.hull_files import read_mss, read_table
+from dpbench.scenario.problem_files import read_toml
+
+
+def _kept(path: Path) -> None:
+    with kept(path):
+        pass
+
+
+READERS: dict[str, Callable[[Path], Any]] = {
+    "ship.toml": read_toml,
+    "hull.csv": read_table,
+    "hull.mat": read_mss,
+    "sequence.npz": load_recorded,
+    "problem.npz": read_problem,
+    "digest.npz": digest,
+    "kept.npz": _kept,
+    "suite.json": read_json,
+    "machine.json": lambda path: load_descriptions(path.parent),
+    "shard.json": lambda path: ShardRecord.read(path.parent),
+    "design.json": lambda path: load_designs(path.parent),
+    CAPABILITY_FILE: lambda path: load_capability(path.parent),
+    "runs.parquet": lambda path: load_results(path.parent),
+    "clock/runs.parquet": lambda path: read_clock(path.parent),
+    "steps.parquet": lambda path: StepsOnDisk(path.parent),
+}
+"""Who reads which file of others."""
+
+
+@pytest.fixture
+def impatient() -> Iterator[None]:
+    """A reader that waits for ever fails its test instead."""
+
+    def give_up(*_: object) -> None:
+        raise TimeoutError("a reader that waits")
+
+    before = signal.signal(signal.SIGALRM, give_up)
+    signal.alarm(30)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.usefixtures("impatient")
+@pytest.mark.parametrize("kind", ["FIFO", "device", "socket", "folder", "nothing"])
+@pytest.mark.parametrize("name", READERS)
+def test_what_is_no_file_is_one_line(name: str, kind: str, tmp_path: Path) -> None:
+    """It names the path; nothing blocks, and no device is read to an end that never comes."""
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    if kind == "FIFO":
+        os.mkfifo(path)
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    elif kind == "folder":
+        path.mkdir()
+    elif kind == "socket":
+        here = os.open(tmp_path, os.O_RDONLY)
+        with socket.socket(socket.AF_UNIX) as bound:
+            # The path of a socket may have a hundred characters.
+            bound.bind(f"/proc/self/fd/{here}/{name}")
+        os.close(here)
+    if (name, kind) == ("design.json", "nothing") or (name, kind) == (CAPABILITY_FILE, "nothing"):
+        assert READERS[name](path) is None
+        return
+    with pytest.raises(InputError) as caught:
+        READERS[name](path)
+    assert "\n" not in str(caught.value) and tmp_path.name in str(caught.value)
+
+
+def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
+    """Its size is said, and what is allowed; a sparse file takes no space to try it."""
+    path = tmp_path / "large"
+    with path.open("wb") as file:
+        file.truncate(10**12)
+    with pytest.raises(InputError, match="found 1000000000000 bytes; allowed: at most 1000"):
+        read_bytes(path, "a file", most_bytes=1000)
+    for read in (read_toml, read_table, read_mss, read_json):
+        with pytest.raises(InputError, match="1000000000000 bytes"):
+            read(path)
+
+
+def test_nothing_stays_open(tmp_path: Path) -> None:
+    """Whether a file was read or refused."""
+    (tmp_path / "file").write_bytes(b"abc")
+    os.mkfifo(tmp_path / "fifo")
+    before = os.listdir("/proc/self/fd")
+    with opened(tmp_path / "file") as file:
+        assert file.read() == b"abc"
+    with pytest.raises(InputError, match="a FIFO"), opened(tmp_path / "fifo"):
+        raise AssertionError
+    assert os.listdir("/proc/self/fd") == before

@@ -1,0 +1,214 @@
+"""What is soaked: real files of each kind, how they are mutated, and who reads them."""
+
+from __future__ import annotations
+
+import json
+import random
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from dpbench.bench.capability.table import COLUMNS, load_capability, write_capability
+from dpbench.bench.design import load_designs
+from dpbench.bench.engines.shards import SHARD_FILE, Shard, ShardRecord
+from dpbench.bench.plan.asked import Asked
+from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.suite import load_suite
+from dpbench.bench.record.cell_store import CellStore, packed
+from dpbench.bench.record.recorded_steps import ALL
+from dpbench.bench.record.result_folder import accidents, load_results
+from dpbench.bench.record.step_table import step_batch
+from dpbench.bench.sequences.recording import read_sequence
+from dpbench.bench.sequences.shipped import stored_rules
+from dpbench.report.report import Report
+from dpbench.scenario.hull_files import read_mss, read_table
+from dpbench.scenario.problem_files import problems_root
+from dpbench.scenario.scenario import load_scenario, load_vessel
+from tests.conftest import MadeRecords
+from tests.soak.mutations import of_archive, of_bytes, of_journal, of_json, of_table, of_text
+
+Mutation = Callable[[bytes, random.Random], bytes]
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class Soaked(ABC):
+    """Files of one kind.
+
+    Attributes
+    ----------
+    files : their content by name, in a folder that the reader is given.
+    """
+
+    files: dict[str, bytes]
+
+    @abstractmethod
+    def mutate(self, name: str, data: bytes, rng: random.Random) -> bytes:
+        """Another content for a file."""
+
+    @abstractmethod
+    def read(self, folder: Path, name: str, rng: random.Random) -> None:
+        """Read the folder, or the file in it that was changed."""
+
+    def choose(self, rng: random.Random) -> str:
+        """The file to change."""
+        return rng.choice(sorted(self.files))
+
+    whole = False
+    """Whether the reader needs the other files too."""
+
+
+def _contents(root: Path, pattern: str) -> dict[str, bytes]:
+    return {str(p.relative_to(root)): p.read_bytes() for p in sorted(root.rglob(pattern))}
+
+
+class Toml(Soaked):
+    """Vessels, scenarios and suites as they ship, and the manifest of the sequences."""
+
+    def __init__(self, folder: Path) -> None:
+        self.files = _contents(problems_root(), "*.toml")
+
+    def mutate(self, name: str, data: bytes, rng: random.Random) -> bytes:
+        return of_text(data, rng)
+
+    def read(self, folder: Path, name: str, rng: random.Random) -> None:
+        path = folder / name
+        if name.startswith("vessels"):
+            load_vessel(path)
+        elif name.startswith("scenarios"):
+            load_scenario(path)
+        elif name.startswith("sequences"):
+            stored_rules(path)
+        else:
+            path, suite = load_suite(path)
+            if rng.random() < 0.2:
+                plan(suite, beside=path.parent)
+
+
+class Sequences(Soaked):
+    """Some of the sequences that ship, and problems by qpsolvers."""
+
+    def __init__(self, folder: Path) -> None:
+        some = ("paper-30-5", "thruster_loss_soft-30-5", "thrusters_cascade-30-5")
+        sequences = problems_root() / "sequences"
+        self.files = {f"{n}.npz": (sequences / f"{n}.npz").read_bytes() for n in some}
+        path = folder / "problem.npz"
+        np.savez(path, P=np.eye(3), q=np.ones(3), G=np.ones((2, 3)), h=np.ones(2), lb=-np.ones(3))
+        self.files[path.name] = path.read_bytes()
+
+    def mutate(self, name: str, data: bytes, rng: random.Random) -> bytes:
+        return of_archive(data, rng)
+
+    def read(self, folder: Path, name: str, rng: random.Random) -> None:
+        read_sequence(folder / name)
+
+
+class Results(Soaked):
+    """A small folder of results, with a design and a capability plot."""
+
+    whole = True
+
+    def __init__(self, folder: Path) -> None:
+        records = MadeRecords()
+        for solver in ("daqp", "osqp"):
+            records.loop(solver, steps=12)
+            records.replay(solver, steps=20)
+        records.refused("qpax", "it is not installed")
+        out = records.write(folder / "made")
+        row = ("plot", 0, "psv", 8, "intact", "", 0.0, 20.0, True, 20.0, 7)
+        write_capability(out, [{n: [value] for n, value in zip(COLUMNS, row, strict=True)}])
+        held = {"still water": {"holds_m": 8.0, "fails_m": None}}
+        design = {"vessel": "psv", "controller": "paper", "tuning": "paper", "N_p": 30, "N_c": 5}
+        design |= {"eigenvalues": [[0.9, 0.1]], "held": held}
+        document = {"records": [design], "missing": [], "schema": 2}
+        (out / "design.json").write_text(json.dumps(document), encoding="utf-8")
+        self.files = _contents(out, "*.*")
+
+    def choose(self, rng: random.Random) -> str:
+        names = ("runs.parquet", "steps.parquet", "suite.json", "machine.json")
+        rare = ("design.json", "capability.parquet")
+        return rng.choice((*3 * names, *rare))
+
+    def mutate(self, name: str, data: bytes, rng: random.Random) -> bytes:
+        return (of_table if name.endswith(".parquet") else of_json)(data, rng)
+
+    def read(self, folder: Path, name: str, rng: random.Random) -> None:
+        results = load_results(folder)
+        designs, plots = load_designs(folder), load_capability(folder)
+        accidents(folder)
+        for table in results.recorded.scan(ALL):
+            len(table)
+        if rng.random() < REPORTED:
+            _ = Report.of(results, designs, None, plots).figures
+
+
+REPORTED = 0.05
+"""The share of folders that can be read of which a report is made: it takes a second each."""
+
+
+class Shards(Soaked):
+    """The folder of a shard: its description, a part, and a journal."""
+
+    whole = True
+
+    def __init__(self, folder: Path) -> None:
+        records = MadeRecords()
+        for solver in ("daqp", "osqp", "proxqp"):
+            records.loop(solver, steps=5)
+        results = records.results()
+        out = folder / "shard"
+        store = CellStore(out)
+        rows = json.loads(results.runs.to_json(orient="records"))
+        steps = step_batch({"k": np.arange(5)})
+        for row in rows[:2]:
+            store.append(row["run_id"], row["outcome"], packed(row, steps))
+        store.close()
+        store = CellStore(out)
+        store.append(rows[2]["run_id"], rows[2]["outcome"], packed(rows[2], steps))
+        about = {"id": "abc", "cpu_model": "x"}
+        ShardRecord(Asked(suite="smoke"), Shard(1, 2), "0" * 16, about).write(out)
+        self.files = _contents(out, "*.*")
+
+    def choose(self, rng: random.Random) -> str:
+        return rng.choice([SHARD_FILE, *sorted(self.files)])
+
+    def mutate(self, name: str, data: bytes, rng: random.Random) -> bytes:
+        if name.endswith(".json"):
+            return of_json(data, rng)
+        return (of_table if name.endswith(".parquet") else of_journal)(data, rng)
+
+    def read(self, folder: Path, name: str, rng: random.Random) -> None:
+        ShardRecord.read(folder)
+        store = CellStore(folder)
+        store.rows()
+        for table in store.steps():
+            len(table)
+
+
+class Hulls(Soaked):
+    """Tables of coefficients, and one of twenty a MATLAB file, which takes a process each."""
+
+    def __init__(self, folder: Path) -> None:
+        mat = ROOT / "tests" / "scenario" / "mss" / "supply_cut.mat"
+        table = "# hull\ncoefficient,value,remark\nlength_m,82.8\nM11,7e6\nM22,8e6,with added\n"
+        table += 'M66,4e9\nD11,2e5\nD22,8e5\n"D66",3e8\nD26,-3e6\n'
+        self.files = {"hull.mat": mat.read_bytes(), "hull.csv": table.encode()}
+
+    def choose(self, rng: random.Random) -> str:
+        return "hull.mat" if rng.random() < 0.05 else "hull.csv"
+
+    def mutate(self, name: str, data: bytes, rng: random.Random) -> bytes:
+        return of_bytes(data, rng) if name.endswith(".mat") else of_text(data, rng)
+
+    def read(self, folder: Path, name: str, rng: random.Random) -> None:
+        (read_mss if name.endswith(".mat") else read_table)(folder / name)
+
+
+KINDS: dict[str, type[Soaked]] = {
+    "toml": Toml,
+    "sequences": Sequences,
+    "results": Results,
+    "shards": Shards,
+    "hulls": Hulls,
+}

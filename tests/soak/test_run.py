@@ -1,0 +1,66 @@
+"""The soak finds what it looks for: exceptions, deaths, endless loops, and memory."""
+
+from __future__ import annotations
+
+import os
+import random
+from pathlib import Path
+
+import pytest
+
+from dpbench.errors import InputError
+from tests.soak import run
+from tests.soak.readers import KINDS, Soaked
+
+
+class Faulty(Soaked):
+    """A reader with a fault of every kind, by the first byte of its file."""
+
+    files = {"a": b"\0"}
+
+    def mutate(self, name: str, data: bytes, rng: random.Random) -> bytes:
+        return bytes([rng.randrange(6)])
+
+    def read(self, folder: Path, name: str, rng: random.Random) -> None:
+        fault = (folder / name).read_bytes()[0]
+        if fault == 1:
+            raise InputError("a", "", "b", "c")
+        if fault == 2:
+            raise KeyError("a")
+        if fault == 3:
+            os._exit(7)
+        if fault == 4:
+            while True:
+                pass
+        if fault == 5:
+            bytearray(2 * 10**7)
+
+
+@pytest.mark.slow
+def test_every_fault_is_found_and_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Those behind one that dies or hangs are read too; `--again` reads one of them alone."""
+    for name, value in (("LIMIT_S", 0.3), ("LIMIT_BYTES", 10**7), ("KEPT", tmp_path)):
+        monkeypatch.setattr(run, name, value)
+    monkeypatch.setitem(KINDS, "faulty", lambda folder: Faulty())
+    count = run.soak("faulty", 0, 30, seed=1)
+    assert count.outcomes.total() == 30
+    kinds = {"read", "refused", "exception", "crash", "hang", "large"}
+    assert set(count.outcomes) == kinds and count.bad == len(count.said)
+    said = next(text for text in count.said if text.startswith("exception: a of --again faulty:1:"))
+    name = said.splitlines()[0].rpartition(" ")[2]
+    assert "KeyError" in (tmp_path / name.replace(":", "-") / "said.txt").read_text("utf-8")
+    assert run._again(name) == 1 and "KeyError" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("kind", ["toml", "sequences", "hulls"])
+def test_a_seed_makes_the_same_mutants(kind: str, tmp_path: Path) -> None:
+    """On every machine, and in whatever order they are read."""
+    soaked = KINDS[kind](tmp_path)
+    for i in range(20):
+        made = []
+        for part in ("first", "again"):
+            name, _ = run._lay_out(soaked, f"{kind}:1:{i}", tmp_path / part / str(i))
+            made.append((name, (tmp_path / part / str(i) / name).read_bytes()))
+        assert made[0] == made[1]

@@ -1,0 +1,52 @@
+"""Folders of a process: gone with it, and of one that was killed with the next."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dpbench.temporary_folders import PREFIX, temporary_folder
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from dpbench.temporary_folders import temporary_folder
+with temporary_folder(Path(sys.argv[1])) as folder:
+    (folder / "log").write_bytes(b"a log")
+    print(folder, flush=True)
+    time.sleep(600)
+"""
+
+
+def _names(place: Path) -> list[str]:
+    return [path.name for path in place.iterdir()]
+
+
+def test_a_folder_goes_with_its_campaign(tmp_path: Path) -> None:
+    """With what is in it; after an error too."""
+    with pytest.raises(KeyError), temporary_folder(tmp_path) as folder:
+        (folder / "log").write_bytes(b"a log")
+        assert _names(tmp_path) == [folder.name] and folder.name.startswith(PREFIX)
+        raise KeyError
+    assert _names(tmp_path) == []
+
+
+@pytest.mark.slow
+def test_what_a_killed_campaign_left_goes_with_the_next(tmp_path: Path) -> None:
+    """Not before its process is dead; what else lies there stays."""
+    (tmp_path / "dpbench-notes").mkdir()
+    command = [sys.executable, "-c", HOLD, str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout is not None
+        left = Path(holder.stdout.readline().strip())
+        with temporary_folder(tmp_path):
+            assert (left / "log").is_file()
+        os.kill(holder.pid, signal.SIGKILL)
+    assert (left / "log").is_file(), "nobody tidied up"
+    with temporary_folder(tmp_path) as folder:
+        assert sorted(_names(tmp_path)) == sorted(["dpbench-notes", folder.name])
