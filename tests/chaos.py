@@ -92,6 +92,7 @@ FOUND = {
 """By variables of the random problem: what `hostile_plugin.py` does, the outcome of that cell, and
 words of its detail."""
 MARK = "DPBENCH_CHAOS"
+SCRATCH = "*dpbench-scratch-*"
 SKIPPED = "skipped: mounting is not permitted"
 GONE_S = 10.0
 """In which all processes of a run that was killed must be gone."""
@@ -128,7 +129,7 @@ class Place:
     def __post_init__(self) -> None:
         (self.folder / "tmp").mkdir(parents=True)
         (self.folder / "suite.toml").write_text(self.text, encoding="utf-8")
-        self.before = set(_scratch())
+        self.before = set(Path("/dev/shm").glob(SCRATCH))
 
     @property
     def out(self) -> Path:
@@ -191,8 +192,8 @@ class Place:
         left = self.processes()
         _check(not left, f"{len(left)} processes left")
         if scratch:
-            extra = set(_scratch()) - self.before - set(_scratch_of_others())
-            _check(not extra, f"left {sorted(extra)}")
+            extra = set(Path("/dev/shm").glob(SCRATCH)) - self.before - set(_open_paths())
+            _check(not extra, f"left {sorted(map(str, extra))}")
             kept = [path for path in (self.folder / "tmp").iterdir() if "leases" not in path.name]
             _check(not kept, f"left {[path.name for path in kept]}")
             names = {path.name for path in (self.out / "cells").iterdir()}
@@ -224,16 +225,12 @@ def _ancestors(pid: int) -> Iterator[int]:
         yield pid
 
 
-def _scratch() -> list[str]:
-    return [str(path) for path in Path("/dev/shm").glob("*dpbench-scratch-*")]
-
-
-def _scratch_of_others() -> list[str]:
+def _open_paths() -> list[Path]:
     """What some process has open: scratch folders of other runs on this machine among it."""
     found = []
     for link in Path("/proc").glob("[0-9]*/fd/*"):
         with suppress(OSError):
-            found.append(os.readlink(link))
+            found.append(Path(os.readlink(link)))
     return found
 
 

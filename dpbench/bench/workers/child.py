@@ -6,7 +6,6 @@ import json
 import multiprocessing
 import multiprocessing.forkserver
 import multiprocessing.resource_tracker
-import multiprocessing.util
 import os
 import signal
 import sys
@@ -29,7 +28,7 @@ from dpbench.bench.workers import notice
 from dpbench.bench.workers.compiled import OWN, compile_in_processes, missing, needed
 from dpbench.bench.workers.interrupts import interrupts_wait
 from dpbench.bench.workers.notice import CUT, AtWork, Notice
-from dpbench.bench.workers.orphans import TEMPORARY, end_orphans, signal_process
+from dpbench.bench.workers.orphans import end_orphans, signal_process
 from dpbench.errors import DpbenchError
 from dpbench.temporary_folders import keep_sockets
 
@@ -86,14 +85,9 @@ def template_context(solvers: Iterable[str]) -> ForkServerContext:
 def _template() -> Iterator[None]:
     """The template runs, started anew if it died, and processes may be forked in the block."""
     with _STARTING:
-        before = {name: os.environ.get(name) for name in (*THREAD_VARIABLES, TEMPORARY)}
+        before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
         pin_threads()
         try:
-            # A process that multiprocessing started shares the folder of its parent.
-            if multiprocessing.parent_process() is None:
-                os.environ[TEMPORARY] = multiprocessing.util.get_temp_dir()
-            else:
-                os.environ.pop(TEMPORARY, None)
             # This lets Ctrl-C through when it starts its own process, and does nothing the second
             # time.
             multiprocessing.resource_tracker.ensure_running()

@@ -5,8 +5,7 @@ are forked from (`template.py`), the parent keeps it. The keeper
 
 - gets the orphans of workers, for `orphans.end_orphans` to end,
 - lets the template go on when somebody stops it,
-- ends all that is below it when the template or the main program ends, and then itself,
-- removes the sockets of a main program that was killed.
+- ends all that is below it when the template or the main program ends, and then itself.
 
 It sleeps until one of these happens, and does not end by what a terminal sends. If it is killed,
 the kernel kills the template, and thereby the workers.
@@ -16,13 +15,10 @@ from __future__ import annotations
 
 import os
 import select
-import shutil
 import signal
-from pathlib import Path
 
 from dpbench.bench.workers import orphans
 from dpbench.bench.workers.orphans import (
-    TEMPORARY,
     adopt_orphans,
     end_children,
     end_with_parent,
@@ -42,16 +38,14 @@ def _split() -> None:
         orphans.keeper_of_template = keeper
         return
     try:
-        is_left = _keep(template, main)
+        _keep(template, main)
         end_children()
-        if is_left:
-            _remove_sockets()
     finally:
         os._exit(0)
 
 
-def _keep(template: int, main: int) -> bool:
-    """Return when the template ended, or the main program: true for that."""
+def _keep(template: int, main: int) -> None:
+    """Return when the template or the main program ended."""
     for number in _IGNORED:
         signal.signal(number, signal.SIG_IGN)
     # The template's socket must refuse a connection when it is dead.
@@ -64,22 +58,14 @@ def _keep(template: int, main: int) -> bool:
     try:
         program = os.pidfd_open(main)
     except OSError:
-        return True
+        return
     poll = select.poll()
     poll.register(heard, select.POLLIN)
     poll.register(program, select.POLLIN)
     while os.getppid() == main and _is_kept(template):
         if program in dict(poll.poll()):
-            return True
+            return
         os.read(heard, 4096)
-    return os.getppid() != main
-
-
-def _remove_sockets() -> None:
-    """Remove what `multiprocessing` would have removed at the end of a program that was killed."""
-    folder = Path(os.environ.get(TEMPORARY, ""))
-    if folder.name.startswith("pymp-"):
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _is_kept(template: int) -> bool:
