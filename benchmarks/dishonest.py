@@ -114,6 +114,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("faults", nargs="*", metavar="FAULT", help="only these; all by default")
     parser.add_argument("--passes", type=int, default=1, metavar="N")
+    parser.add_argument(
+        "--first", type=int, default=1, metavar="N", help="number of the first pass"
+    )
     parser.add_argument("--neighbours", type=int, default=2, metavar="N", help="busy processes")
     parser.add_argument("--together", type=int, default=6, metavar="N", help="faults a campaign")
     parser.add_argument("--campaign", action="store_true", help=argparse.SUPPRESS)
@@ -122,7 +125,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _campaign(asked.faults)
     chosen, outcomes = asked.faults or [HONEST, *FAULTS], Counter[str]()
     with neighbours(asked.neighbours):
-        for i in range(asked.passes):
+        for i in range(asked.first, asked.first + asked.passes):
             drawn = Random(i).sample(chosen, len(chosen))
             for first in range(0, len(drawn), asked.together):
                 some = drawn[first : first + asked.together]
@@ -131,7 +134,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 outcomes["wrong"] += wrong
                 outcomes["all"] += len(some) + 1
             print(
-                f"pass {i + 1}: {outcomes['wrong']} of {outcomes['all']} not as they must be",
+                f"pass {i}: {outcomes['wrong']} of {outcomes['all']} not as they must be",
                 flush=True,
             )
     return int(outcomes["wrong"] > 0)
