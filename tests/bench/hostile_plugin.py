@@ -59,9 +59,16 @@ def stop(*levels):
 
 
 def take_memory():
-    taken = []
+    """Some of it is written to, which takes its time; all of it counts."""
+    taken = [np.ones(2**21) for _ in range(3)]
     while True:
-        taken.append(np.ones(2**21))
+        taken.append(np.empty(2**21))
+
+
+def hang():
+    """Never return from a call in C that holds the interpreter's lock and hears no signal."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
+    ctypes.PyDLL(None).pause()
 
 
 def flood():
@@ -78,7 +85,7 @@ FAULTS = {
     2: lambda: signal.raise_signal(signal.SIGSEGV),
     3: os.abort,
     4: lambda: os._exit(0),
-    5: lambda: ctypes.PyDLL(None).pause(),  # it holds the interpreter's lock
+    5: hang,
     6: take_memory,
     7: flood,
     8: lambda: [subprocess.Popen(FOREVER) for _ in range(5)],
