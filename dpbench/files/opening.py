@@ -52,6 +52,8 @@ def opened(
     """
     try:
         number = os.open(path, _FLAGS)
+    except FileNotFoundError as failure:
+        raise error(str(path), "", "no such file", what) from failure
     except (OSError, ValueError) as failure:
         found = getattr(failure, "strerror", None) or str(failure)
         raise error(str(path), "", found, what) from failure

@@ -120,7 +120,7 @@ def test_files_that_are_no_such_structure_are_refused(tmp_path: Path) -> None:
     """No file, no MATLAB file, another variable."""
     (tmp_path / "text.mat").write_text("nonsense " * 40, encoding="utf-8")
     scipy.io.savemat(tmp_path / "ship.mat", {"ship": 1.0})
-    for name, part in (("none", "No such file"), ("text", "save -v7"), ("ship", "found ship")):
+    for name, part in (("none", "no such file"), ("text", "save -v7"), ("ship", "found ship")):
         with pytest.raises(InputError, match=part) as caught:
             read_mss(tmp_path / f"{name}.mat")
         assert "\n" not in str(caught.value)

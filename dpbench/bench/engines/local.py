@@ -41,7 +41,7 @@ class LocalEngine(ExitStack):
     patience : with other campaigns on this machine.
     """
 
-    def __init__(self, slots: int, patience: Patience) -> None:
+    def __init__(self, slots: int, patience: Patience = Patience()) -> None:  # noqa: B008 - frozen
         super().__init__()
         self.machine = describe_machine()
         self._slots, self._patience = slots, patience

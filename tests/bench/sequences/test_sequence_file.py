@@ -229,7 +229,7 @@ def test_a_damaged_file_is_one_line(file: Path, tmp_path: Path) -> None:
         bad.write_bytes(data)
         with pytest.raises(InputError, match="damaged"):
             load_sequence(bad)
-    with pytest.raises(InputError, match="No such file"):
+    with pytest.raises(InputError, match="no such file"):
         load_sequence(tmp_path / "none.npz")
 
 
