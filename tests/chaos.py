@@ -54,7 +54,7 @@ HOSTILE_SUITE = """
 title = "A hostile plug-in beside an honest solver"
 solvers = ["quadprog", "hostile"]
 baseline_law = false
-cell_limit_s = 6.0
+cell_limit_s = 4.0
 cell_memory_gb = 0.3
 rounds = 1
 warmup_steps = 0
@@ -426,7 +426,7 @@ SCENARIOS = [
     Scenario("sigkill-3", "SIGKILL of the run, 3 times", lambda p: sigkills(p, 3), True),
     Scenario("sigkill", "SIGKILL of the run, 20 times", lambda p: sigkills(p, 20)),
     Scenario("damage", "results damaged", lambda p: damaged(p, sorted(DAMAGE))),
-    Scenario("scratch", "scratch folder removed", scratch_removed, True),
+    Scenario("scratch", "scratch folder removed", scratch_removed),
     Scenario("kill-keeper", "keeper killed", lambda p: signalled(p, KILL, 1)),
     Scenario("kill-server", "fork server killed", lambda p: signalled(p, KILL, 2)),
     Scenario("kill-worker", "worker killed", lambda p: signalled(p, KILL, 3)),
