@@ -51,11 +51,11 @@ def started(tmp_path: Path, place: Path) -> subprocess.Popen[str]:
     package = str(Path(dpbench.__file__).parents[1])
     run = [sys.executable, "-m", "dpbench", "run", "suite.toml", "--out", "out"]
     process = subprocess.Popen(
-        # A shell that runs the tests in the background has Ctrl-C ignored.
+        # A shell that runs the tests in the background ignores Ctrl-C, and nohup a hang-up.
         [
             sys.executable,
             "-c",
-            f"import os, signal; signal.signal({INT:d}, signal.SIG_DFL); "
+            f"import os, signal; [signal.signal(n, signal.SIG_DFL) for n in ({INT:d}, {HUP:d})]; "
             f"os.execv({run[0]!r}, {run!r})",
         ],
         cwd=tmp_path,
