@@ -44,6 +44,7 @@ DAMAGE = (
     zlib.error,
     struct.error,
     tokenize.TokenError,
+    SyntaxError,
     ValueError,
     TypeError,
     LookupError,

@@ -76,6 +76,7 @@ def zipped(path: Path, member: bytes, method: int = zipfile.ZIP_DEFLATED) -> Pat
         (npy("(1,)", b"\xff\xff\xff\x7f", "<U1"), zipfile.ZIP_STORED, "no characters"),
         (npy("(1,)", b"\x00\xd8\x00\x00", "<U1"), zipfile.ZIP_STORED, "no characters"),
         (npy("(" * 4000, b""), zipfile.ZIP_DEFLATED, "a damaged file"),
+        (npy("(1,)", bytes(8), "(,)f8"), zipfile.ZIP_DEFLATED, "a damaged file"),
     ],
 )
 def test_what_numpy_would_not_write_is_refused(
