@@ -8,6 +8,7 @@ homotopy from the previous problem to the next and is not shifted.
 from __future__ import annotations
 
 import io
+import math
 import re
 from contextlib import redirect_stdout
 from importlib import import_module
@@ -18,7 +19,7 @@ from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, NativeAdapter
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point
-from dpbench.solvers.record import NAN_ANSWER, RouteRecord, SolverRecord, stated
+from dpbench.solvers.record import RouteRecord, SolverRecord, stated
 
 RECORD = SolverRecord(
     name="qpoases",
@@ -38,7 +39,6 @@ RECORD = SolverRecord(
                 "reuse": "casadi keeps its working set from solve to solve and cannot reset it "
                 "without making everything anew, which is fresh"
             },
-            faults=NAN_ANSWER,
         )
     },
     levels={},
@@ -108,6 +108,9 @@ class QpoasesWorkspace(NativeWorkspace):
     def _claimed(self) -> Claim:
         flag = int(self._buffer.ret())
         iterations = int(self._buffer.stats()["iter_count"])
+        if math.isnan(self._outputs["cost"][0]):
+            # It calls a problem with NaN solved, and starts all later ones from there.
+            return Status.NUMERICAL_ERROR, iterations, -1, "a cost that is no number"
         return STATUS.get(flag, Status.UNKNOWN), iterations, -1, f"return status {flag}"
 
     def _point(self) -> Point | None:
