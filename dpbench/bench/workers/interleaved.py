@@ -197,7 +197,8 @@ class ReplayGroup:
             done = worker.child.reply(worker.cell.limit_s)
             worker.spent_s += time.monotonic() - started
             if done is not True:
-                worker.serving = self._goes_on(worker)
+                # One whose time limit stopped the round still waits for orders.
+                worker.serving = done is None and self._goes_on(worker)
                 if worker.serving:
                     self.serve(worker, r)
                 return

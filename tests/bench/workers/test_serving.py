@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pandas as pd
 import psutil
@@ -10,8 +12,11 @@ import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.bench.progress import Progress
+from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.workers import child as supervise
+from dpbench.bench.workers.child import ServingChild
+from dpbench.bench.workers.interleaved import IdleWorkers, ReplayGroup, ReplayWorker
 from dpbench.solvers import plugins
 from tests.bench.deterministic import deterministic
 
@@ -233,3 +238,27 @@ def test_ctrl_c_leaves_no_process(suite: Path) -> None:
     served = pids(suite)
     assert len(served) == 2
     assert not any(map(is_alive, served))
+
+
+class _Stopped:
+    """A child whose time limit stopped the round; it waits for orders, so it has no outcome yet."""
+
+    def order(self, order: object) -> None:
+        """Nothing."""
+
+    def reply(self, limit_s: float) -> object:
+        """The round was not completed."""
+        return False
+
+    def outcome(self) -> Outcome:
+        """Would wait for an end that nobody asked for."""
+        raise AssertionError("asked for the outcome of a process that lives")
+
+
+def test_a_worker_stopped_by_its_limit_is_not_waited_for(tmp_path: Path) -> None:
+    """It serves no more rounds, and ends when it is told to."""
+    cell = cast("Cell", SimpleNamespace(limit_s=1.0))
+    worker = ReplayWorker("a", cell, cast("ServingChild", _Stopped()))
+    group = ReplayGroup(cast("IdleWorkers", None), tmp_path, tmp_path, [])
+    group.serve(worker, 1)
+    assert not worker.serving
