@@ -260,7 +260,7 @@ BAD_VESSELS = {
         "mass_kg",
         "either inertia and damping",
     ),
-    "length of zero": ("length_m = 76.2", "length_m = 0.0", "length_m", "0.0", "greater than 0"),
+    "length of zero": ("length_m = 76.2", "length_m = 1e-320", "length_m", "1e-320", "0.001"),
 }
 
 

@@ -98,6 +98,7 @@ class RunRecord:
     loop_tail_ratio: float
     # machine: `MACHINE_COLUMNS`
     replay_s: float
+    voluntary_switches: Count
     involuntary_switches: Count
     steal_s: float
     throttle_events: float

@@ -1,9 +1,11 @@
 """Late timings that the machine does not explain, by one-sided tests with stated error rates.
 
 The algorithmic time of a step is its fastest round, so a solver that is late at random has a good
-one. The single timings show it, but so do interrupts of the machine. Both are told apart by what
-the other configurations suffered in the same interleaved rounds: a stall of the machine strikes
-whoever runs, in proportion to the time that it runs.
+one. The single timings show it, but so do interrupts of the machine. Where other programs take the
+core, the kernel shows for how long, and the timings are taken net of that. What is left of the
+machine is told apart by what the other configurations suffered in the same interleaved rounds: a
+stall strikes whoever runs, in proportion to the time that it runs. The timings of a solver that
+waits for threads of its own (`THREAD_WAITS`) are taken gross, beside the gross ones of the others.
 
 Replays. A timing is late if it exceeds the limit and twice the fastest time of its step. Let x be
 the count of late timings in the middle round (the lower median over rounds, as a burst of the
@@ -16,9 +18,9 @@ hundred, which a p99 allows ("late timings").
 
 Closed loops, and replays of one round. Each step is timed once, so hard steps and delays look the
 same, and one late timing in a hundred is allowed. Late is here what exceeds the limit by more than
-the uncertainty of the times. Each involuntary context switch explains one late timing; the others
-are held against a binomial count with a share of 1 %. Of all switches only those count that can
-have hit the base time of a timed call (`explained_by`).
+the uncertainty of the times, net, held against a binomial count with a share of 1 %. Where only
+gross timings are there, each involuntary context switch explains one that is late; of all switches
+only those count that can have hit the base time of a timed call (`explained_by`).
 
 Deadline. One stall of the machine as long as a sample is rare in a whole campaign, so its rate is
 that of all replays together, for loops and replays alike.
@@ -37,7 +39,7 @@ from typing import Literal
 import numpy as np
 from scipy.stats import binom, nbinom
 
-from dpbench.analysis.records.delays import Delays
+from dpbench.analysis.records.delays import Delays, RunDelays
 from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
@@ -59,6 +61,9 @@ DISPERSION = (0.5, 50.0)
 """Bounds of the shape of the negative binomial: the lower, the more uneven the machine."""
 DEADLINE_SHAPE = 0.5
 """Its shape for stalls past the deadline, too rare for an estimate."""
+THREAD_WAITS = 0.5
+"""A configuration that waits in so many of its steps waits for threads of its own: how long those
+wait for the core is not known."""
 PASSES = 3
 """Estimates of the machine: first from the trusted, then without those proven late."""
 
@@ -113,6 +118,27 @@ class Machine:
         return float(both.sum() + binom.sf(count - 1, allowed, ALLOWED))
 
 
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """Delays of a run as they are tested, `own`: net where it is `net`, and gross as they were."""
+
+    own: Delays
+    gross: Delays
+    net: bool
+
+    def beside(self, other: Taken) -> Delays | None:
+        """Return what another run shows of the machine for this one; None for nothing."""
+        if not self.net:
+            return other.gross
+        return other.own if other.net else None
+
+
+def _taken(run: RunRecord, delays: RunDelays) -> Taken:
+    timings = int(delays.gross.samples.sum())
+    net = None if run.voluntary_switches >= THREAD_WAITS * timings else delays.net
+    return Taken(delays.gross if net is None else net, delays.gross, net is not None)
+
+
 def find_late_timings(
     records: Records, demand: Demand, uncertainty: Uncertainty
 ) -> dict[str, list[LateTimings]]:
@@ -121,9 +147,10 @@ def find_late_timings(
     replays = [run for run in runs if run.mode == "replay" and records.is_ranked(run)]
     loops = [run for run in runs if run.mode == "closed_loop"]
     arms = [run for run in records.calibration if run.mode == "replay"]
-    delays = records.delays([*replays, *loops, *arms])
-    replays, loops, arms = ([r for r in of if r.run_id in delays] for of in (replays, loops, arms))
-    repeated = [run for run in replays if len(delays[run.run_id].samples) > 1]
+    by_run = records.delays([*replays, *loops, *arms])
+    replays, loops, arms = ([r for r in of if r.run_id in by_run] for of in (replays, loops, arms))
+    delays = {run.run_id: _taken(run, by_run[run.run_id]) for run in (*replays, *loops, *arms)}
+    repeated = [run for run in replays if len(delays[run.run_id].own.samples) > 1]
     once = [*loops, *(run for run in replays if run not in repeated)]
     tests: dict[Kind, list[LateTimings]] = {
         "late at random": _test_replays(repeated, arms, delays, demand, "late at random"),
@@ -157,7 +184,7 @@ def _is_tested(run: RunRecord) -> bool:
 def _test_replays(
     replays: Sequence[RunRecord],
     arms: Sequence[RunRecord],
-    delays: Mapping[str, Delays],
+    delays: Mapping[str, Taken],
     demand: Demand,
     kind: Kind,
 ) -> list[LateTimings]:
@@ -168,9 +195,11 @@ def _test_replays(
         machines = grouped(beside, lambda run: run.sequence)
         tests = []
         for run in replays:
+            own = delays[run.run_id]
             others = [one for one in machines.get(run.sequence, []) if one.solver != run.solver]
-            around = [delays[other.run_id] for other in others]
-            tests.append(_test_replay(run, delays[run.run_id], around, demand, kind))
+            around = [own.beside(delays[other.run_id]) for other in others]
+            seen = [one for one in around if one is not None]
+            tests.append(_test_replay(run, own, seen, demand, kind))
         late = {test.run for test in adjust(tests) if test.proven}
         beside = [run for run in (*replays, *arms) if run not in late]
     return tests
@@ -179,7 +208,7 @@ def _test_replays(
 def trusted(
     replays: Sequence[RunRecord],
     arms: Sequence[RunRecord],
-    delays: Mapping[str, Delays],
+    delays: Mapping[str, Taken],
     demand: Demand,
 ) -> list[RunRecord]:
     """Choose whom the machine is first estimated from, so that late solvers do not hide each other.
@@ -190,7 +219,7 @@ def trusted(
         return list(arms)
     stalls: dict[str, int] = {}
     for run in replays:
-        count = delays[run.run_id].count_stalls(0.5 * demand.p99_ns).sum()
+        count = delays[run.run_id].own.count_stalls(0.5 * demand.p99_ns).sum()
         stalls[run.solver] = stalls.get(run.solver, 0) + int(count)
     half = sorted(stalls, key=lambda solver: stalls[solver])[: max(1, len(stalls) // 2)]
     return [run for run in replays if run.solver in half]
@@ -216,11 +245,12 @@ def estimate_machine(stalls: Floats, exposed_ns: Floats) -> Machine:
 
 
 def _test_replay(
-    run: RunRecord, own: Delays, beside: Sequence[Delays], demand: Demand, kind: Kind
+    run: RunRecord, taken: Taken, beside: Sequence[Delays], demand: Demand, kind: Kind
 ) -> LateTimings:
     """Test the middle round of a replay; doubtful where there is no machine to compare with."""
-    counts = own.count_late(demand.p99_ns)
-    late, samples = int(counts.sum()), int(own.samples.sum())
+    own = taken.own
+    counts, samples = own.count_late(demand.p99_ns), int(own.samples.sum())
+    late = int(taken.gross.count_late(demand.p99_ns).sum())
     if not beside:
         x = int(np.sort(counts)[(len(counts) - 1) // 2])
         p = DOUBTFUL if x > ALLOWED * own.samples.mean() else 1.0
@@ -228,7 +258,8 @@ def _test_replay(
     allowed = round(float(own.samples.mean())) if kind == "late timings" else 0
     multiples = (1.0,) if allowed else MULTIPLES
     ps = [_p_of_middle_round(own, beside, m * demand.p99_ns, allowed) for m in multiples]
-    expected = machine_of(beside, demand.p99_ns).rate * float(own.base_ns.sum()) / samples
+    stalls = machine_of(beside, demand.p99_ns).rate * float(own.base_ns.sum())
+    expected = (stalls + late - int(counts.sum())) / samples
     return LateTimings(kind, run, late, samples, expected, min(1.0, len(ps) * min(ps)))
 
 
@@ -243,38 +274,46 @@ def _p_of_middle_round(
     return float(binom.sf(rounds - middle - 1, rounds, one_round))
 
 
-def _test_once(run: RunRecord, own: Delays, limit_ns: float) -> LateTimings:
-    """Test the late timings of a run of one round that no involuntary switch explains."""
-    late, samples = int(own.count_late(limit_ns).sum()), int(own.samples.sum())
-    switches = run.involuntary_switches
-    timed_share = 1e-9 * float(own.base_ns.sum()) / run.replay_s
-    unexplained = late - explained_by(float(np.nan_to_num(switches)), timed_share)
-    p = float(binom.sf(unexplained - 1, samples, ALLOWED))
-    if own.step_ns > limit_ns:
+def _test_once(run: RunRecord, taken: Taken, limit_ns: float) -> LateTimings:
+    """Test the late timings of a run of one round that the machine does not explain."""
+    gross = taken.gross
+    late, samples = int(gross.count_late(limit_ns).sum()), int(gross.samples.sum())
+    explained = _explained(run, taken, late, limit_ns)
+    p = float(binom.sf(late - np.nan_to_num(explained) - 1, samples, ALLOWED))
+    if gross.step_ns > limit_ns:
         # The median is the plainer answer.
         p = 1.0
     # Where the kernel hides its switches they may explain all of it.
-    p = DOUBTFUL if math.isnan(switches) and p < DOUBTFUL else p
-    expected = math.nan if math.isnan(switches) else explained_by(switches, timed_share) / samples
-    return LateTimings("late timings", run, late, samples, expected, p)
+    p = DOUBTFUL if math.isnan(explained) and p < DOUBTFUL else p
+    return LateTimings("late timings", run, late, samples, explained / samples, p)
+
+
+def _explained(run: RunRecord, taken: Taken, late: int, limit_ns: float) -> float:
+    """Return how many of the late timings of a run the machine explains; NaN if it is unknown."""
+    if taken.net:
+        return late - int(taken.own.count_late(limit_ns).sum())
+    if math.isnan(run.involuntary_switches):
+        return math.nan
+    timed_share = 1e-9 * float(taken.gross.base_ns.sum()) / run.replay_s
+    return explained_by(run.involuntary_switches, timed_share)
 
 
 def _test_deadline(
     loops: Sequence[RunRecord],
     replays: Sequence[RunRecord],
     arms: Sequence[RunRecord],
-    delays: Mapping[str, Delays],
+    delays: Mapping[str, Taken],
     demand: Demand,
 ) -> list[LateTimings]:
     """Test timings past the deadline against such stalls in all replays of other solvers."""
     stalls: dict[str, list[tuple[int, float]]] = {}
     for run in (*replays, *arms):
-        own = delays[run.run_id]
+        own = delays[run.run_id].own
         long = int(own.count_stalls(0.5 * demand.deadline_ns).sum())
         stalls.setdefault(run.solver, []).append((long, float(own.base_ns.sum())))
     tests = []
     for run in (*loops, *replays):
-        own = delays[run.run_id]
+        own = delays[run.run_id].own
         late, samples = int(own.count_late(demand.deadline_ns).sum()), int(own.samples.sum())
         beside = [one for solver, of in stalls.items() if solver != run.solver for one in of]
         if not late:

@@ -309,6 +309,7 @@ def common_columns(
         "status": rows(log.status),
         "iterations": rows(log.iterations),
         "reported_ns": rows(log.reported_ns),
+        "waited_ns": rows(log.waited_ns),
         "setup_once_ns": log.setup_once_ns.copy(),
         "matrix_updates": log.matrix_updates.copy(),
         "certificate": certificates,

@@ -123,7 +123,7 @@ def _of_qps(columns: Columns, asked: Flags | None) -> StepColumns:
         "certificate": _CERTIFICATE_NAMES[columns["certificate"].astype(int)],
     }
     steps |= {f"{phase}_ns": _whole(times[:, i]) for i, phase in enumerate(TIMES)}
-    steps |= {name: _whole(columns[name]) for name in ("iterations", "reported_ns")}
+    steps |= {name: _whole(columns[name]) for name in ("iterations", "reported_ns", "waited_ns")}
     for i, figure in enumerate(EVALUATION):
         values = columns["evaluations"][:, i]
         steps[figure] = values == 1.0 if figure.startswith("true") else values
@@ -149,6 +149,8 @@ def joined(first: StepColumns, second: StepColumns) -> StepColumns:
     for unknown in (UNDECIDED, UNCERTIFIED):
         either = (first["certificate"] == unknown) | (second["certificate"] == unknown)
         both["certificate"] = np.where(either, unknown, both["certificate"])
+    waited = first["waited_ns"], second["waited_ns"]
+    both["waited_ns"] = np.where(np.minimum(*waited) > ABSENT, sum(waited), ABSENT)
     both["allocation_ns"] = total_of({phase: second[phase] for phase in INSIDE})
     both["allocation_error"] = second["error_move"]
     return both

@@ -58,6 +58,11 @@ STEP_COLUMNS: Columns = {
     ),
     "overhead_ns": ("Int64", "whole closed-loop step less total_ns; null in replay"),
     "reported_ns": ("Int64", "the solver's own figure"),
+    "waited_ns": (
+        "Int64",
+        "part of total_ns in which the step was ready to run and the machine ran something else; "
+        "null where the kernel does not show it",
+    ),
     "latency_ns": (
         "Int64",
         "time of the answer on the slow computer; null without, or where no computation began",
@@ -280,8 +285,8 @@ MACHINE_COLUMNS: Columns = {
     "throttle_events": ("float64", "thermal throttle events of that core; NaN if not visible"),
     "solve_s": (
         "float64",
-        "sum of the step times over the same rounds, or over a closed loop; with `thread_s` it "
-        "shows who works outside the timed calls",
+        "sum of the step times over the same rounds, or over a closed loop, less `waited_ns`; with "
+        "`thread_s` it shows who works outside the timed calls",
     ),
     "thread_s": (
         "float64",
@@ -418,6 +423,7 @@ ADDED = frozenset(
         "loop_tail_ratio",
         "solve_s",
         "thread_s",
+        "waited_ns",
         "backup",
         "backup_failed",
         "backup_ns",

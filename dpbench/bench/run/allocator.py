@@ -82,7 +82,7 @@ class Allocator:
         solution = solver.answer(step)
         spent_ns = self._clock() - t1
         answers.times[0, k] = (t1 - t0, *solver.phases_ns, -1)
-        record_answer(answers, 0, k, solution)
+        record_answer(answers, 0, k, solution, solver.waited_ns)
         answers.matrix_updates[0] = solver.matrix_updates
         if is_usable(solution):
             return builder.moves(solution.z), solution.status in UNFINISHED, spent_ns

@@ -55,7 +55,7 @@ class Backup:
 
     def record(self, k: int, answer: Solution) -> Matrix | None:
         """Record its answer to the QP of step k; its plan (N_c, n_u), None if it is unusable."""
-        record_answer(self.log, 0, k, answer)
+        record_answer(self.log, 0, k, answer, self.solver.waited_ns)
         self.log.times[0, k] = (-1, *self.solver.phases_ns, -1)
         if is_usable(answer):
             return self._moves(answer.z)
@@ -92,6 +92,11 @@ class LoopWithBackup:
     def phases_ns(self) -> tuple[int, ...]:
         """Those of the solver: the time of the backup is none of its."""
         return self._solver.phases_ns
+
+    @property
+    def waited_ns(self) -> int:
+        """That of the solver."""
+        return self._solver.waited_ns
 
     @property
     def matrix_updates(self) -> int:

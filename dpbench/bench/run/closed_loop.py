@@ -122,7 +122,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
         clipped = limit(u, du, builder.u_min[k], builder.u_max[k], applied[k])
         u[...] = applied[k]
         log.flags[k] = (law.acted, usable and solution.status in UNFINISHED, clipped)
-        record_answer(log, 0, k, solution)
+        record_answer(log, 0, k, solution, solver.waited_ns)
         if T_e is not None:
             if allocator is not None:
                 # As the overhead is what neither solver takes.

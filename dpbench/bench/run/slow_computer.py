@@ -113,7 +113,8 @@ class SlowComputer:
 
     Attributes
     ----------
-    phases_ns : as of `TimedSolver`, all −1 in a step in which no computation began.
+    phases_ns, waited_ns : as of `TimedSolver`, all −1 and 0 in a step in which no computation
+        began.
     acted : whether the last move was the fallback's or the backup's, and not one of an answer of
         the solver that is in time or arrived just now.
     """
@@ -148,7 +149,7 @@ class SlowComputer:
         # whether the late plan that comes or has arrived is its.
         self._in_place: Matrix | None = None
         self._stopped = self._of_backup = self._of_backup_arrived = False
-        self.phases_ns, self.acted = NOT_RUN, False
+        self.phases_ns, self.waited_ns, self.acted = NOT_RUN, 0, False
 
     @property
     def matrix_updates(self) -> int:
@@ -180,10 +181,10 @@ class SlowComputer:
     def answer(self, step: QPStep) -> Solution:
         """Solve, however long it takes; without a computation, no answer."""
         if self._busy:
-            self.phases_ns = NOT_RUN
+            self.phases_ns, self.waited_ns = NOT_RUN, 0
             return self._nothing
         solution, latency_ns = self._timed(self._solver, step)
-        self.phases_ns = self._solver.phases_ns
+        self.phases_ns, self.waited_ns = self._solver.phases_ns, self._solver.waited_ns
         samples = self._delay.samples_late(latency_ns)
         self._latency_ns[self._k] = latency_ns
         self._late = samples > 0

@@ -127,6 +127,7 @@ def answers(**changes: list[Any]) -> StepColumns:
         "update_ns": [ABSENT] * 5,
         "solve_ns": [7] * 5,
         "read_ns": [3] * 5,
+        "waited_ns": [4] * 5,
         "error_move": [0.1] * 5,
         "fallback": [False] * 5,
         "unconverged": [False] * 5,
@@ -154,6 +155,7 @@ def test_a_step_is_as_good_as_the_worse_of_its_answers() -> None:
     assert steps["status"].tolist() == ["SOLVED", "SOLVED", "ERROR", "PRIMAL_INFEASIBLE", "ERROR"]
     assert steps["certificate"].tolist() == ["linear"] * 3 + ["infeasible", "linear"]
     assert total_of(steps).tolist() == [20] * 5 and steps["allocation_ns"].tolist() == [10] * 5
+    assert steps["waited_ns"].tolist() == [8] * 5
     assert errors(steps).tolist() == [0.1, 0.7, np.inf, 0.2, np.inf]
     # The loop falls back where either has no answer: a right claim of infeasibility is no failure.
     steps["fallback"] = np.array([False, False, True, True, True])

@@ -49,6 +49,7 @@ def loop_steps() -> dict[str, Any]:
         "optimum_bound": [1e-13, 3e-13, INF, 2e-13, INF, INF],
         "iterations": [3, 8, ABSENT, ABSENT, 5, ABSENT],
         "total_ns": [10, 20, 30, 40, 50, 60],
+        "waited_ns": [0] * 6,
         "emit_ns": [1] * 6,
         "overhead_ns": [2] * 6,
         "latency_ns": [30, 60, ABSENT, 120, 150, 180],

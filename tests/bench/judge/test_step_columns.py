@@ -34,6 +34,7 @@ def of_qps(times: list[list[int]], **figures: list[float]) -> dict[str, Any]:
         "status": np.array(STATUSES),
         "iterations": np.array([4, -7, 0]),
         "reported_ns": np.array([-1, 9, 0]),
+        "waited_ns": np.array([7, 0, -1]),
         "certificate": np.array([CERTIFICATES.index(kind) for kind in KINDS], dtype=np.int8),
         "evaluations": evaluations,
     }
@@ -78,6 +79,7 @@ def test_what_an_answer_claims_and_took() -> None:
     assert steps["total_ns"].tolist() == [115, 226, ABSENT]
     assert steps["iterations"].tolist() == [4, ABSENT, 0]
     assert steps["reported_ns"].tolist() == [ABSENT, 9, 0]
+    assert steps["waited_ns"].tolist() == [7, 0, ABSENT]
 
 
 def test_what_the_referee_found() -> None:
@@ -123,6 +125,7 @@ def test_the_second_answers_of_a_cascade_join_the_first() -> None:
     steps = loop(**{f"allocation_{name}": column for name, column in second.items()})
     assert steps["allocation_ns"].tolist() == [6] * 3
     assert steps["total_ns"].tolist() == [121, 232, ABSENT]
+    assert steps["waited_ns"].tolist() == [14, 0, ABSENT]
     assert steps["allocation_error"].tolist() == [9.0, 8.0, 7.0]
     assert steps["true"].tolist() == [True, False, False]
 
