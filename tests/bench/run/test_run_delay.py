@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 
-from dpbench.bench.run import run_delay as module
 from dpbench.bench.run.run_delay import RunDelay, run_delay
 
 
@@ -77,11 +76,11 @@ def test_where_the_kernel_does_not_show_it_it_is_unknown(monkeypatch: pytest.Mon
     def missing(path: str, flags: int) -> int:
         raise FileNotFoundError(path)
 
-    monkeypatch.setattr(module.os, "open", missing)
+    monkeypatch.setattr(os, "open", missing)
     assert RunDelay().since_last() == -1
     monkeypatch.undo()
     delay = RunDelay()
-    monkeypatch.setattr(module.os, "pread", lambda file, size, at: b"12")
+    monkeypatch.setattr(os, "pread", lambda file, size, at: b"12")
     assert delay.since_last() == -1
     monkeypatch.undo()
     assert delay.since_last() == -1
