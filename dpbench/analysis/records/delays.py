@@ -1,14 +1,9 @@
-"""Single timings that took much longer than their step does, round by round.
-
-A timing is taken net of its wait for the core (`waited_ns`), in which the machine ran something
-else. The wait of a solver's other threads is not known, so that the timings of a solver that waits
-for them are taken gross, and so are those that it is compared with.
-"""
+"""Single timings that took much longer than their step does, round by round."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -20,6 +15,9 @@ COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns", "waited_ns")
 """What `delays_by_run` asks of a step table."""
 DELAYED = 2.0
 """A timing over this multiple of the fastest time of its step is a delay."""
+OWN_SHARE = 0.1
+"""Of a limit: a timing is late by the step's own doing if this much is, net of the base time and of
+the wait for the core. Refilling a cache after a wait takes a hundredth of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,13 +28,18 @@ class Delays:
     run of one round, such as a closed loop, has the median over its steps as the base of all, and
     every timing above it is a delay: of slow steps or of the machine.
 
+    Where the kernel shows how long a step waited for the core (`waited_ns`), a delay in which the
+    step itself did next to nothing more than usual is neither late nor a stall: another program
+    ran.
+
     Parameters
     ----------
     samples : (R,) timings of each round.
     base_ns : (R,) sum of their base times: the time that the run is exposed to the machine.
     step_ns : median over the timings.
     round : (D,) index of the round of each delay; delay_ns : (D,) its timing; own_ns : (D,) its
-        base time.
+        base time; net_ns : (D,) its timing less the wait for the core, where that is known.
+    knows_waits : whether the wait of every timing is known.
     """
 
     samples: Ints
@@ -45,69 +48,70 @@ class Delays:
     round: Ints
     delay_ns: Floats
     own_ns: Floats
+    net_ns: Floats
+    knows_waits: bool
+
+    def gross(self) -> Delays:
+        """Return the delays as if no wait were known."""
+        return replace(self, net_ns=self.delay_ns, knows_waits=False)
 
     def count_late(self, limit_ns: float) -> Ints:
         """Count the delays beyond a limit in each round (R,)."""
-        return self._count(self.delay_ns > limit_ns)
+        by_itself = (self.net_ns > limit_ns) | (self.net_ns - self.own_ns > OWN_SHARE * limit_ns)
+        return self._count((self.delay_ns > limit_ns) & by_itself)
 
     def count_stalls(self, longer_than_ns: float) -> Ints:
-        """Count the delays that exceed their base time by more than a duration, by round (R,)."""
-        return self._count(self.delay_ns - self.own_ns > longer_than_ns)
+        """Count the delays that exceed their base time by more than a duration, by round (R,).
+
+        The duration is half a limit.
+        """
+        excess_ns, net_ns = self.delay_ns - self.own_ns, self.net_ns - self.own_ns
+        of_limit = OWN_SHARE * 2.0 * longer_than_ns
+        return self._count((excess_ns > longer_than_ns) & (net_ns > of_limit))
 
     def _count(self, chosen: Flags) -> Ints:
         return np.bincount(self.round[chosen], minlength=len(self.samples)).astype(np.int64)
 
 
-@dataclass(frozen=True, eq=False)
-class RunDelays:
-    """Delays of one run: net of its waits for the core, None if these are unknown, and gross."""
-
-    net: Delays | None
-    gross: Delays
-
-
-def delays_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, RunDelays]]:
+def delays_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, Delays]]:
     """Yield the delays of every run of a step table that left a counting row."""
     counting = steps[steps["counts"]]
     repeat, k = (counting[name].to_numpy(dtype=np.int64) for name in ("repeat", "k"))
-    total_ns = counting["total_ns"].to_numpy(dtype=np.float64, na_value=np.nan)
-    waited_ns = counting["waited_ns"].to_numpy(dtype=np.float64, na_value=np.nan)
+    total_ns, waited_ns = (
+        counting[name].to_numpy(dtype=np.float64, na_value=np.nan)
+        for name in ("total_ns", "waited_ns")
+    )
     for run_id, (first, end) in places_of(counting["run_id"]).items():
         own = slice(first, end)
-        timed = ~np.isnan(total_ns[own])
-        known = not np.isnan(waited_ns[own][timed]).any()
-        net_ns = total_ns[own] - waited_ns[own]
-        yield (
-            run_id,
-            RunDelays(
-                delays_of(repeat[own], k[own], net_ns) if known else None,
-                delays_of(repeat[own], k[own], total_ns[own]),
-            ),
-        )
+        yield run_id, delays_of(repeat[own], k[own], total_ns[own], waited_ns[own])
 
 
-def delays_of(repeat: Ints, k: Ints, timing_ns: Floats) -> Delays:
-    """Delays of the rows (N,) of one run that count: their round, step and time [ns].
+def delays_of(repeat: Ints, k: Ints, total_ns: Floats, waited_ns: Floats) -> Delays:
+    """Delays of the rows (N,) of one run that count: their round, step, time and wait [ns].
 
-    Steps without a computation, NaN, are left out.
+    Steps without a computation, NaN, are left out. Where some wait is NaN, none is known.
     """
-    timed = ~np.isnan(timing_ns)
-    repeat, k, timing_ns = repeat[timed], k[timed], timing_ns[timed]
+    timed = ~np.isnan(total_ns)
+    repeat, k, total_ns, waited_ns = repeat[timed], k[timed], total_ns[timed], waited_ns[timed]
+    knows_waits = not np.isnan(waited_ns).any()
+    net_ns = total_ns - waited_ns if knows_waits else total_ns
     rounds, index = np.unique(repeat, return_inverse=True)
-    middle = float(np.median(timing_ns)) if len(timing_ns) else np.nan
+    middle = float(np.median(total_ns)) if len(total_ns) else np.nan
     if len(rounds) > 1:
         fastest = np.full(int(k.max()) + 1, np.inf)
-        np.minimum.at(fastest, k, timing_ns)
+        np.minimum.at(fastest, k, total_ns)
         base = fastest[k]
-        delayed = timing_ns > DELAYED * base
+        delayed = total_ns > DELAYED * base
     else:
-        base = np.full(len(timing_ns), middle)
-        delayed = timing_ns > base
+        base = np.full(len(total_ns), middle)
+        delayed = total_ns > base
     return Delays(
         samples=np.bincount(index, minlength=len(rounds)).astype(np.int64),
         base_ns=np.bincount(index, weights=base, minlength=len(rounds)).astype(np.float64),
         step_ns=middle,
         round=index[delayed].astype(np.int64),
-        delay_ns=timing_ns[delayed],
+        delay_ns=total_ns[delayed],
         own_ns=base[delayed],
+        net_ns=net_ns[delayed],
+        knows_waits=knows_waits,
     )

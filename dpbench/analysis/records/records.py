@@ -12,7 +12,7 @@ import pandas as pd
 from dpbench.analysis.records import counting_rows, step_times
 from dpbench.analysis.records.counting_rows import counting_of
 from dpbench.analysis.records.delays import COLUMNS as DELAY_COLUMNS
-from dpbench.analysis.records.delays import RunDelays, delays_by_run
+from dpbench.analysis.records.delays import Delays, delays_by_run
 from dpbench.analysis.records.run_record import RunRecord, records_of
 from dpbench.analysis.records.run_steps import RunSteps, run_steps
 from dpbench.analysis.records.step_times import StepTimes, times_by_run
@@ -61,7 +61,7 @@ class Records:
         self.runs = _commonly_formulated([run for run in undelayed if not run.has_topic])
         self._steps = results.recorded
         self._times: dict[str, StepTimes | None] = {}
-        self._delays: dict[str, RunDelays] = {}
+        self._delays: dict[str, Delays] = {}
         self._scenarios: dict[str, Scenario | None] = {}
 
     @property
@@ -173,7 +173,7 @@ class Records:
         for table in self.scan(runs, step_times.COLUMNS):
             self._times |= dict(times_by_run(table))
 
-    def delays(self, runs: Sequence[RunRecord]) -> dict[str, RunDelays]:
+    def delays(self, runs: Sequence[RunRecord]) -> dict[str, Delays]:
         """Return the delays of runs by id, of those that left a counting row; read once."""
         unread = [run for run in runs if run.run_id not in self._delays]
         for table in self.scan(unread, DELAY_COLUMNS):

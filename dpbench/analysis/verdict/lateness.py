@@ -1,11 +1,12 @@
 """Late timings that the machine does not explain, by one-sided tests with stated error rates.
 
 The algorithmic time of a step is its fastest round, so a solver that is late at random has a good
-one. The single timings show it, but so do interrupts of the machine. Where other programs take the
-core, the kernel shows for how long, and the timings are taken net of that. What is left of the
-machine is told apart by what the other configurations suffered in the same interleaved rounds: a
-stall strikes whoever runs, in proportion to the time that it runs. The timings of a solver that
-waits for threads of its own (`THREAD_WAITS`) are taken gross, beside the gross ones of the others.
+one. The single timings show it, but so do interrupts of the machine. Where another program took
+the core, the kernel shows for how long, and the step is not to blame (`delays.py`). What is left of
+the machine is told apart by what the other configurations suffered in the same interleaved rounds:
+a stall strikes whoever runs, in proportion to the time that it runs. A solver that waits for
+threads of its own (`THREAD_WAITS`) is tested without regard to who had the core, and so are those
+that it is compared with.
 
 Replays. A timing is late if it exceeds the limit and twice the fastest time of its step. Let x be
 the count of late timings in the middle round (the lower median over rounds, as a burst of the
@@ -18,9 +19,9 @@ hundred, which a p99 allows ("late timings").
 
 Closed loops, and replays of one round. Each step is timed once, so hard steps and delays look the
 same, and one late timing in a hundred is allowed. Late is here what exceeds the limit by more than
-the uncertainty of the times, net, held against a binomial count with a share of 1 %. Where only
-gross timings are there, each involuntary context switch explains one that is late; of all switches
-only those count that can have hit the base time of a timed call (`explained_by`).
+the uncertainty of the times. The count is held against a binomial one with a share of 1 %. Where
+nobody knows who had the core, each involuntary context switch explains one late timing; of all
+switches only those count that can have hit the base time of a timed call (`explained_by`).
 
 Deadline. One stall of the machine as long as a sample is rare in a whole campaign, so its rate is
 that of all replays together, for loops and replays alike.
@@ -39,7 +40,7 @@ from typing import Literal
 import numpy as np
 from scipy.stats import binom, nbinom
 
-from dpbench.analysis.records.delays import Delays, RunDelays
+from dpbench.analysis.records.delays import Delays
 from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
@@ -62,8 +63,8 @@ DISPERSION = (0.5, 50.0)
 DEADLINE_SHAPE = 0.5
 """Its shape for stalls past the deadline, too rare for an estimate."""
 THREAD_WAITS = 0.5
-"""A configuration that waits in so many of its steps waits for threads of its own: how long those
-wait for the core is not known."""
+"""A configuration that waits in so many of its steps waits for threads of its own, and how long
+those wait for the core is unknown."""
 PASSES = 3
 """Estimates of the machine: first from the trusted, then without those proven late."""
 
@@ -118,27 +119,6 @@ class Machine:
         return float(both.sum() + binom.sf(count - 1, allowed, ALLOWED))
 
 
-@dataclass(frozen=True, eq=False)
-class Taken:
-    """Delays of a run as they are tested, `own`: net where it is `net`, and gross as they were."""
-
-    own: Delays
-    gross: Delays
-    net: bool
-
-    def beside(self, other: Taken) -> Delays | None:
-        """Return what another run shows of the machine for this one; None for nothing."""
-        if not self.net:
-            return other.gross
-        return other.own if other.net else None
-
-
-def _taken(run: RunRecord, delays: RunDelays) -> Taken:
-    timings = int(delays.gross.samples.sum())
-    net = None if run.voluntary_switches >= THREAD_WAITS * timings else delays.net
-    return Taken(delays.gross if net is None else net, delays.gross, net is not None)
-
-
 def find_late_timings(
     records: Records, demand: Demand, uncertainty: Uncertainty
 ) -> dict[str, list[LateTimings]]:
@@ -147,10 +127,11 @@ def find_late_timings(
     replays = [run for run in runs if run.mode == "replay" and records.is_ranked(run)]
     loops = [run for run in runs if run.mode == "closed_loop"]
     arms = [run for run in records.calibration if run.mode == "replay"]
-    by_run = records.delays([*replays, *loops, *arms])
-    replays, loops, arms = ([r for r in of if r.run_id in by_run] for of in (replays, loops, arms))
-    delays = {run.run_id: _taken(run, by_run[run.run_id]) for run in (*replays, *loops, *arms)}
-    repeated = [run for run in replays if len(delays[run.run_id].own.samples) > 1]
+    found = records.delays([*replays, *loops, *arms])
+    left = [run for run in (*replays, *loops, *arms) if run.run_id in found]
+    delays = {run.run_id: _known(run, found[run.run_id]) for run in left}
+    replays, loops, arms = ([r for r in of if r.run_id in delays] for of in (replays, loops, arms))
+    repeated = [run for run in replays if len(delays[run.run_id].samples) > 1]
     once = [*loops, *(run for run in replays if run not in repeated)]
     tests: dict[Kind, list[LateTimings]] = {
         "late at random": _test_replays(repeated, arms, delays, demand, "late at random"),
@@ -163,8 +144,21 @@ def find_late_timings(
         ],
         "past the deadline": _test_deadline(loops, replays, arms, delays, demand),
     }
-    found = [late for of_kind in tests.values() for late in adjust(of_kind) if late.p <= DOUBTFUL]
-    return grouped(found, lambda late: late.run.run_id)
+    late = [test for of_kind in tests.values() for test in adjust(of_kind) if test.p <= DOUBTFUL]
+    return grouped(late, lambda test: test.run.run_id)
+
+
+def _known(run: RunRecord, delays: Delays) -> Delays:
+    """Return the delays of a run; gross where its own threads may be what it waits for."""
+    waits = run.voluntary_switches >= THREAD_WAITS * float(delays.samples.sum())
+    return delays.gross() if waits else delays
+
+
+def _beside(own: Delays, others: Sequence[Delays]) -> list[Delays]:
+    """Return what other runs show of the machine, as the own delays are known."""
+    if own.knows_waits:
+        return [other for other in others if other.knows_waits]
+    return [other.gross() for other in others]
 
 
 def adjust(tests: Sequence[LateTimings]) -> list[LateTimings]:
@@ -184,7 +178,7 @@ def _is_tested(run: RunRecord) -> bool:
 def _test_replays(
     replays: Sequence[RunRecord],
     arms: Sequence[RunRecord],
-    delays: Mapping[str, Taken],
+    delays: Mapping[str, Delays],
     demand: Demand,
     kind: Kind,
 ) -> list[LateTimings]:
@@ -195,11 +189,10 @@ def _test_replays(
         machines = grouped(beside, lambda run: run.sequence)
         tests = []
         for run in replays:
-            own = delays[run.run_id]
             others = [one for one in machines.get(run.sequence, []) if one.solver != run.solver]
-            around = [own.beside(delays[other.run_id]) for other in others]
-            seen = [one for one in around if one is not None]
-            tests.append(_test_replay(run, own, seen, demand, kind))
+            own = delays[run.run_id]
+            around = _beside(own, [delays[other.run_id] for other in others])
+            tests.append(_test_replay(run, own, around, demand, kind))
         late = {test.run for test in adjust(tests) if test.proven}
         beside = [run for run in (*replays, *arms) if run not in late]
     return tests
@@ -208,7 +201,7 @@ def _test_replays(
 def trusted(
     replays: Sequence[RunRecord],
     arms: Sequence[RunRecord],
-    delays: Mapping[str, Taken],
+    delays: Mapping[str, Delays],
     demand: Demand,
 ) -> list[RunRecord]:
     """Choose whom the machine is first estimated from, so that late solvers do not hide each other.
@@ -219,7 +212,7 @@ def trusted(
         return list(arms)
     stalls: dict[str, int] = {}
     for run in replays:
-        count = delays[run.run_id].own.count_stalls(0.5 * demand.p99_ns).sum()
+        count = delays[run.run_id].count_stalls(0.5 * demand.p99_ns).sum()
         stalls[run.solver] = stalls.get(run.solver, 0) + int(count)
     half = sorted(stalls, key=lambda solver: stalls[solver])[: max(1, len(stalls) // 2)]
     return [run for run in replays if run.solver in half]
@@ -245,12 +238,11 @@ def estimate_machine(stalls: Floats, exposed_ns: Floats) -> Machine:
 
 
 def _test_replay(
-    run: RunRecord, taken: Taken, beside: Sequence[Delays], demand: Demand, kind: Kind
+    run: RunRecord, own: Delays, beside: Sequence[Delays], demand: Demand, kind: Kind
 ) -> LateTimings:
     """Test the middle round of a replay; doubtful where there is no machine to compare with."""
-    own = taken.own
     counts, samples = own.count_late(demand.p99_ns), int(own.samples.sum())
-    late = int(taken.gross.count_late(demand.p99_ns).sum())
+    late = int(own.gross().count_late(demand.p99_ns).sum())
     if not beside:
         x = int(np.sort(counts)[(len(counts) - 1) // 2])
         p = DOUBTFUL if x > ALLOWED * own.samples.mean() else 1.0
@@ -274,13 +266,12 @@ def _p_of_middle_round(
     return float(binom.sf(rounds - middle - 1, rounds, one_round))
 
 
-def _test_once(run: RunRecord, taken: Taken, limit_ns: float) -> LateTimings:
+def _test_once(run: RunRecord, own: Delays, limit_ns: float) -> LateTimings:
     """Test the late timings of a run of one round that the machine does not explain."""
-    gross = taken.gross
-    late, samples = int(gross.count_late(limit_ns).sum()), int(gross.samples.sum())
-    explained = _explained(run, taken, late, limit_ns)
+    late, samples = int(own.gross().count_late(limit_ns).sum()), int(own.samples.sum())
+    explained = _explained(run, own, late, limit_ns)
     p = float(binom.sf(late - np.nan_to_num(explained) - 1, samples, ALLOWED))
-    if gross.step_ns > limit_ns:
+    if own.step_ns > limit_ns:
         # The median is the plainer answer.
         p = 1.0
     # Where the kernel hides its switches they may explain all of it.
@@ -288,13 +279,13 @@ def _test_once(run: RunRecord, taken: Taken, limit_ns: float) -> LateTimings:
     return LateTimings("late timings", run, late, samples, explained / samples, p)
 
 
-def _explained(run: RunRecord, taken: Taken, late: int, limit_ns: float) -> float:
+def _explained(run: RunRecord, own: Delays, late: int, limit_ns: float) -> float:
     """Return how many of the late timings of a run the machine explains; NaN if it is unknown."""
-    if taken.net:
-        return late - int(taken.own.count_late(limit_ns).sum())
+    if own.knows_waits:
+        return late - int(own.count_late(limit_ns).sum())
     if math.isnan(run.involuntary_switches):
         return math.nan
-    timed_share = 1e-9 * float(taken.gross.base_ns.sum()) / run.replay_s
+    timed_share = 1e-9 * float(own.base_ns.sum()) / run.replay_s
     return explained_by(run.involuntary_switches, timed_share)
 
 
@@ -302,18 +293,18 @@ def _test_deadline(
     loops: Sequence[RunRecord],
     replays: Sequence[RunRecord],
     arms: Sequence[RunRecord],
-    delays: Mapping[str, Taken],
+    delays: Mapping[str, Delays],
     demand: Demand,
 ) -> list[LateTimings]:
     """Test timings past the deadline against such stalls in all replays of other solvers."""
     stalls: dict[str, list[tuple[int, float]]] = {}
     for run in (*replays, *arms):
-        own = delays[run.run_id].own
+        own = delays[run.run_id]
         long = int(own.count_stalls(0.5 * demand.deadline_ns).sum())
         stalls.setdefault(run.solver, []).append((long, float(own.base_ns.sum())))
     tests = []
     for run in (*loops, *replays):
-        own = delays[run.run_id].own
+        own = delays[run.run_id]
         late, samples = int(own.count_late(demand.deadline_ns).sum()), int(own.samples.sum())
         beside = [one for solver, of in stalls.items() if solver != run.solver for one in of]
         if not late:

@@ -115,6 +115,6 @@ def _slow_step(run: RunRecord, steps: RunSteps, time_ns: float) -> SlowStep:
 def largest_stall_ns(records: Records) -> float:
     """Return the longest that a calibration configuration exceeded its step [ns]; NaN without."""
     arms = [run for run in records.calibration if run.mode == "replay"]
-    delays = [run.gross for run in records.delays(arms).values()]
+    delays = records.delays(arms).values()
     stalls = [float((one.delay_ns - one.own_ns).max()) for one in delays if len(one.delay_ns)]
     return max(stalls, default=math.nan)

@@ -98,10 +98,10 @@ def test_a_machine_more_even_than_chance() -> None:
 
 
 class _Stalls:
-    """Delays, taken as they are, with these stalls in each round."""
+    """Delays with these stalls in each round."""
 
     def __init__(self, *counts: int) -> None:
-        self.counts, self.own = np.array(counts), self
+        self.counts = np.array(counts)
 
     def count_stalls(self, longer_than_ns: float) -> Any:
         """Return the counts; the limit is half that of the p99."""
