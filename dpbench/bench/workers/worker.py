@@ -249,7 +249,7 @@ def _replay_untimed(
 
 
 def _in_round(log: RawLog) -> str:
-    return f"in round {int((log.done > 0).sum()) - 1}"
+    return f"in round {int(np.flatnonzero(log.done)[-1])}"
 
 
 def _verdict(cell: Cell, workspace: Workspace, timed_solver: TimedSolver, stopped: str) -> Outcome:
