@@ -24,7 +24,6 @@ from dpbench.bench.run.fallback import FallbackLaw, limit_of
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.slow_computer import ComputationalDelay, SlowComputer, Usage, never_preempted
 from dpbench.bench.run.timed_solver import (
-    UNFINISHED,
     Clock,
     TimedSolver,
     is_usable,
@@ -121,7 +120,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
         np.add(u, du, out=log.command[k])
         clipped = limit(u, du, builder.u_min[k], builder.u_max[k], applied[k])
         u[...] = applied[k]
-        log.flags[k] = (law.acted, usable and solution.status in UNFINISHED, clipped)
+        log.flags[k] = (law.acted, usable and solution.status.is_unfinished, clipped)
         record_answer(log, 0, k, solution)
         if T_e is not None:
             if allocator is not None:
