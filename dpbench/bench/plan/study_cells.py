@@ -75,7 +75,6 @@ def _blanks(
             mode="closed_loop",
             scenario=base.files,
             steps=1,
-            fallback="shifted_plan",
         )
         for configuration in configurations_of(solvers, loops)
     ]

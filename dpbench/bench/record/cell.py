@@ -14,9 +14,8 @@ from dpbench.solvers.contract import Policy, Route
 
 Formulation = Literal["condensed_box", "condensed_stacked", "sparse", "none"]
 Units = Literal["scaled", "si"]
-Fallback = Literal["shifted_plan", "hold", "clip"]
 FORMULATIONS: tuple[Formulation, ...] = ("condensed_box", "condensed_stacked", "sparse", "none")
-FALLBACKS: tuple[Fallback, ...] = ("shifted_plan", "hold", "clip")
+DEFAULT_FALLBACK = "shifted_plan"
 SLOWEST = 1e9
 """Largest slow-down: with it a latency of some seconds still is a 64-bit integer [ns]."""
 HARDEST = "hardest"
@@ -52,7 +51,7 @@ class Cell:
     budget_s : replay only: run time after which the rounds that are left are left out, once
         `FEWEST_ROUNDS` count (`interleaved.py`); 0 for none.
     repeat_budget_s : replay only: run time for rounds that were robbed, again (`interleaved.py`).
-    fallback : what acts when there is no usable answer.
+    fallback : the policy that acts when there is no usable answer, of `FALLBACKS`.
     backup : closed loop only: the second solver that steps in before the fallback does
         (`bench/run/backup.py`); "" for none.
     slowdown, deadline_s : closed loop only: how much slower than this machine the ship's computer
@@ -80,7 +79,7 @@ class Cell:
     rounds: int = 0
     warmup_steps: int = 0
     limit_s: float = 5.0
-    fallback: Fallback = "shifted_plan"
+    fallback: str = DEFAULT_FALLBACK
     seed: int = 0
     solver_module: str = ""
     source: dict[str, Any] = field(default_factory=dict)
@@ -100,7 +99,7 @@ class Cell:
         if self.mode == "replay":
             return name
         backup = [f"backup {self.backup}"] if self.backup else []
-        unusual = backup + [self.fallback] * (self.fallback != "shifted_plan")
+        unusual = backup + [self.fallback] * (self.fallback != DEFAULT_FALLBACK)
         return f"{name} ({', '.join(unusual)})" if unusual else name
 
     @property
