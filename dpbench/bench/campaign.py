@@ -31,6 +31,7 @@ from dpbench.bench.plan.suite import naming
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.cell_store import CellStore
+from dpbench.bench.record.qp_source import CapabilitySource
 from dpbench.bench.record.result_folder import (
     claimed,
     load_descriptions,
@@ -38,8 +39,8 @@ from dpbench.bench.record.result_folder import (
     write_json,
 )
 from dpbench.bench.record.revision import Revision, revision, revisions
-from dpbench.bench.sequences.at_edge import capability_in
-from dpbench.bench.sequences.source import is_at_edge, is_sound
+from dpbench.bench.sequences.capability_boundary import capability_in
+from dpbench.bench.sequences.source import is_readable
 from dpbench.bench.tabulate import Wanted, is_tabulated, refuse_other_selection, tabulate
 from dpbench.bench.workers.executor import CellJob, Result, work_of
 from dpbench.bench.workers.worker import make_source
@@ -78,8 +79,9 @@ class Campaign:
             self.store.forget(Wanted(self.work).jobs)
             SourceFiles(self.store.folder).drop()
         # Capability plots stand in the files that the QPs at their edge come from.
-        self._at_edge = by_source([job for job in self.work if is_at_edge(job.cell)])
-        self.sources = SourceFiles(self.store.folder, self._at_edge)
+        at_boundary = [j for j in self.work if isinstance(j.cell.source, CapabilitySource)]
+        self._at_boundary = by_source(at_boundary)
+        self.sources = SourceFiles(self.store.folder, self._at_boundary)
 
     def look_into(self, designs: Sequence[Design], machine_id: str, *, fresh: bool = False) -> None:
         """Take designs of a machine along."""
@@ -134,9 +136,9 @@ class Campaign:
 
     def _make_plots(self, engine: Engine, pending: list[CellJob]) -> None:
         """Make the files that hold capability plots; a cell whose file fails says so itself."""
-        wanted = {job.source_key for job in pending} & set(self._at_edge)
-        cells = {self.sources.path(key): longest(self._at_edge[key]) for key in wanted}
-        unmade = {path: cell.to_json() for path, cell in cells.items() if not is_sound(cell, path)}
+        wanted = {job.source_key for job in pending} & set(self._at_boundary)
+        cells = {self.sources.path(key): longest(self._at_boundary[key]) for key in wanted}
+        unmade = {p: cell.to_json() for p, cell in cells.items() if not is_readable(cell, p)}
         for _ in engine.make_files(make_source, unmade):
             pass
 
@@ -148,7 +150,7 @@ class Campaign:
             return False
         asked = json.loads(json.dumps(self._document()))
         same = all(found.get(key) == value for key, value in asked.items())
-        if self._at_edge and not (self._out / CAPABILITY_FILE).is_file():
+        if self._at_boundary and not (self._out / CAPABILITY_FILE).is_file():
             return False
         return same and is_tabulated(self.work, self.store)
 
@@ -195,11 +197,11 @@ class Campaign:
 
     def _write_capability(self) -> None:
         """The capability plots, out of the files that the QPs at their edge come from."""
-        tables = [capability_in(self.sources.path(key)) for key in self._at_edge]
+        tables = [capability_in(self.sources.path(key)) for key in self._at_boundary]
         made = [table for table in tables if table is not None]
         if made:
             write_capability(self._out, made)
-        elif not self._at_edge:
+        elif not self._at_boundary:
             (self._out / CAPABILITY_FILE).unlink(missing_ok=True)
 
 

@@ -28,9 +28,9 @@ from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.configuration import COLUMNS
+from dpbench.bench.record.qp_source import CapabilitySource
 from dpbench.bench.record.recorded_steps import read_steps
 from dpbench.bench.record.result_folder import claimed
-from dpbench.bench.sequences.source import is_at_edge, is_untimed
 from dpbench.errors import InputError
 from dpbench.locks import FOR_NOBODY
 
@@ -110,10 +110,10 @@ def estimated(planned: Sequence[PlannedCell], slots: int, run: Run) -> Estimate:
     """
     started = time.monotonic()
     to_run = [p for p in planned if not p.refused]
-    measured = [p for p in to_run if not is_at_edge(p.cell)]
+    measured = [p for p in to_run if not isinstance(p.cell.source, CapabilitySource)]
     groups: dict[str, list[PlannedCell]] = {"loops": [], "replays": [], "untimed": []}
     for p in measured:
-        replay = "untimed" if is_untimed(p.cell) else "replays"
+        replay = "replays" if p.cell.source.is_timed else "untimed"
         groups["loops" if p.cell.mode == "closed_loop" else replay].append(p)
     samples: list[tuple[_Sample, list[PlannedCell]]] = []
     with tempfile.TemporaryDirectory(prefix="dpbench-") as folder:

@@ -113,9 +113,9 @@ def refuse_other_selection(cells: Iterable[PlannedCell], out: Path, remedy: str)
 def _selected(cell: Cell) -> tuple[object, ...]:
     """What `_SELECTED` is of a cell, less its settings."""
     asked = (cell.route, cell.policy, cell.formulation, cell.units, cell.slowdown, cell.steps)
-    study = (cell.study.get(name) for name in ("point", "replicate"))
+    study = (s.name, s.point, s.replicate) if (s := cell.study) else ("", None, None)
     named = (cell.mode, cell.scenario_name, cell.sequence, cell.solver)
-    return (*named, *asked, cell.study.get("name", ""), *study)
+    return (*named, *asked, *study)
 
 
 def is_tabulated(work: Sequence[CellJob], store: CellStore) -> bool:

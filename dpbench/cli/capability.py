@@ -19,7 +19,7 @@ from dpbench.bench.campaign import run_campaign
 from dpbench.bench.capability.frontier import INTACT, Frontier, Held
 from dpbench.bench.capability.study import FROM_DEG, Capability, capability_of, holds_most
 from dpbench.bench.record.result_folder import load_results
-from dpbench.bench.sequences.at_edge import write_batch
+from dpbench.bench.sequences.capability_boundary import write_batch
 from dpbench.cli.terminal import WIDTH, Bar
 from dpbench.errors import InputError, SolverUnavailableError
 from dpbench.report.formats import time_text

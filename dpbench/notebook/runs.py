@@ -7,6 +7,7 @@ that crashes, and no core is pinned. The assessment is the same.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,12 +18,13 @@ from dpbench.bench.judge.memory_of_answers import is_remembered
 from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.judge.rows import run_row, step_rows
 from dpbench.bench.judge.step_columns import step_columns
-from dpbench.bench.record.cell import FALLBACKS, FORMULATIONS, Cell, Fallback, Formulation, Outcome
+from dpbench.bench.record.cell import DEFAULT_FALLBACK, FORMULATIONS, Cell, Formulation, Outcome
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.record.schema import as_runs
 from dpbench.bench.run.assemble import NO_LIMIT_NS, clock, closed_loop_setup, replay_parts
 from dpbench.bench.run.closed_loop import closed_loop
 from dpbench.bench.run.exact_loop import solve_exactly
+from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.display import fields_html
@@ -126,7 +128,7 @@ def run_closed_loop(
     *,
     units: UnitSystem = "scaled",
     formulation: Formulation = "condensed_box",
-    fallback: Fallback = "shifted_plan",
+    fallback: str = DEFAULT_FALLBACK,
     backup: str = "",
     slowdown: float = 0.0,
     deadline_s: float = 0.0,
@@ -206,7 +208,7 @@ def replay(
     return _run(cell, workspace, solver, evaluate_sequence(log, sequence, sample_s))
 
 
-def _check(key: str, value: str, allowed: tuple[str, ...]) -> None:
+def _check(key: str, value: str, allowed: Collection[str]) -> None:
     if value not in allowed:
         raise InputError("run", key, repr(value), f"one of {', '.join(allowed)}")
 

@@ -44,6 +44,11 @@ class Status(IntEnum):
         return self in _USABLE
 
     @property
+    def is_unfinished(self) -> bool:
+        """Whether a usable iterate under this status is applied and marked."""
+        return self in _UNFINISHED
+
+    @property
     def denies_optimum(self) -> bool:
         """Whether it is the claim that there is no optimum."""
         return self in (Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE)
@@ -62,7 +67,8 @@ _SENTENCES = {
     Status.ERROR: "The library raised an exception or refused the problem.",
     Status.UNKNOWN: "The library's answer has no documented meaning, or makes no claim.",
 }
-_USABLE = frozenset({Status.SOLVED, Status.INACCURATE, Status.MAX_ITERATIONS, Status.UNKNOWN})
+_UNFINISHED = frozenset({Status.INACCURATE, Status.MAX_ITERATIONS})
+_USABLE = _UNFINISHED | {Status.SOLVED, Status.UNKNOWN}
 
 
 @dataclass(slots=True, eq=False)

@@ -49,13 +49,14 @@ NAN_FAULTS = {
     **NAN_IGNORED,
 }
 
-DEFAULT, LOW, MID, HIGH = LEVELS = ("default", "low", "mid", "high")
-"""The tolerance levels: the library's own choice, then 1e-3, 1e-6 and 1e-9."""
-TOLERANCES = {LOW: 1e-3, MID: 1e-6, HIGH: 1e-9}
+DEFAULT, MID, HIGH = "default", "mid", "high"
+TOLERANCES = {"low": 1e-3, MID: 1e-6, HIGH: 1e-9}
+LEVELS = (DEFAULT, *TOLERANCES)
+"""The tolerance levels: the library's own choice, then those of `TOLERANCES`."""
 
 
 def by_tolerance(*criteria: str, always: Options | None = None, **beside: object) -> Levels:
-    """The levels of a solver: at `low`, `mid` and `high` its absolute criteria are the tolerance.
+    """The levels of a solver: at those of `TOLERANCES` its absolute criteria are the tolerance.
 
     Parameters
     ----------

@@ -12,6 +12,7 @@ from dpbench.bench import estimate
 from dpbench.bench.estimate import estimated, recorded_steps
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.qp_source import CapabilitySource
 from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import SCHEMA_VERSION
@@ -67,7 +68,7 @@ def test_time_goes_by_cells_steps_and_solvers(slots: int, monkeypatch: pytest.Mo
 
 def test_what_does_not_run_takes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Refused cells are counted apart, and so are those that take too long to be tried."""
-    edge = {"mode": "replay", "scenario": {}, "source": {"kind": "capability", "name": "x"}}
+    edge = {"mode": "replay", "scenario": {}, "source": CapabilitySource("x")}
     refused = PlannedCell(cell("osqp", 400).cell, "no such policy")
     machine = Machine(monkeypatch, 1)
     found = estimated([cell("daqp", 20), refused, cell("daqp", 9, **edge)], 1, machine.run)

@@ -19,7 +19,8 @@ from dpbench.analysis.suites.study import studies
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.verdict import Outcome as Verdict
 from dpbench.bench.plan.suite import FormulationName, RouteName
-from dpbench.bench.record.cell import OUTCOMES, Cell, Fallback, Formulation, Units
+from dpbench.bench.record.cell import OUTCOMES, Cell, Formulation, Units
+from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.cli.check import ship_lines
 from dpbench.cli.doctor import doctor_lines
 from dpbench.cli.listing import listing
@@ -65,7 +66,7 @@ PRINTED = {
     "tolerance levels": tuple(LEVELS),
     "formulations": {*get_args(FormulationName), *get_args(Formulation)},
     "units": get_args(Units),
-    "fallbacks": get_args(Fallback),
+    "fallbacks": tuple(FALLBACKS),
     "certificates": get_args(Kind),
     "statuses": [status.name.lower() for status in Status],
     "verdicts": get_args(Verdict),

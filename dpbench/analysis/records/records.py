@@ -55,7 +55,7 @@ class Records:
         self.delayed = [run for run in self.all_runs if run.slowdown > 0.0]
         self.random = [run for run in self.all_runs if run.family]
         self.consequence = [run for run in self.all_runs if run.lost_group]
-        self.at_edge = [run for run in self.all_runs if run.at_edge_of]
+        self.at_edge = [run for run in self.all_runs if run.is_at_boundary]
         self.study = [run for run in self.all_runs if run.study]
         undelayed = [run for run in self.all_runs if not run.slowdown > 0.0]
         self.runs = _commonly_formulated([run for run in undelayed if not run.has_topic])

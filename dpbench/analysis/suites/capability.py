@@ -12,6 +12,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.suites.random_claims import CLAIMS, claims_by_run, claims_of
 from dpbench.bench.judge.rules import INFEASIBLE
+from dpbench.bench.record.qp_source import CapabilitySource
 
 
 @dataclass(frozen=True)
@@ -102,10 +103,13 @@ def capability_plots(records: Records, table: pd.DataFrame | None) -> list[Plot]
     for name in {**names, **dict.fromkeys(map(str, known))}:
         runs = [run for run in at_edge if run.sequence == name]
         answers = firsts(answers_of(records, runs), lambda of_solver: of_solver.solver)
-        source = runs[0].description["source"] if runs else {}
         own = known.get(name)
-        vessel = str(source["vessel_name"] if own is None else own["vessel"].iloc[0])
-        sides = int(source["sides"] if own is None else own["sides"].iloc[0])
+        if own is not None:
+            vessel, sides = str(own["vessel"].iloc[0]), int(own["sides"].iloc[0])
+        else:
+            source = runs[0].source
+            assert isinstance(source, CapabilitySource), "runs at the boundary"
+            vessel, sides = source.vessel_name, source.sides
         edges = pd.DataFrame(columns=list(EDGES)) if own is None else _edges(records, own, runs)
         plots.append(Plot(vessel, sides, edges, tuple(answers.values())))
     return plots

@@ -114,12 +114,12 @@ class PlacedRuns:
         for (configuration, place), run in runs.items():
             at = configurations.index(configuration), numbers[place]
             placed.runs[at] = run
-            there = {("", ""): run}
+            judged = [run]
             window = windows.get((configuration, run.scenario))
             where = place.mode, place.units, place.slowdown
             if window is not None and where == ("closed_loop", "scaled", 0.0):
-                there["replay", "window"] = window
-            placed.states[at] = verdict_of(records, configuration, there, [], verdicts.demand)
+                judged.append(window)
+            placed.states[at] = verdict_of(records, configuration, judged, [], verdicts.demand)
         return placed
 
     @property

@@ -48,7 +48,8 @@ from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.machine import describe_machine
-from dpbench.bench.sequences.source import is_recorded, is_sound, is_timed, source_of
+from dpbench.bench.record.qp_source import RecordedSource
+from dpbench.bench.sequences.source import is_readable, source_file
 from dpbench.bench.workers.executor import (
     CellJob,
     Result,
@@ -320,8 +321,9 @@ class DaskEngine(ExitStack):
     def _is_made(self, key: str) -> bool:
         """Whether a source is made on a worker, at any time."""
         cell = longest(self._of_key[key])
-        there = is_recorded(cell) or is_sound(cell, self._sources.path(key))
-        return not there and not any(is_timed(job.cell) for job in self._of_key[key])
+        recorded = isinstance(cell.source, RecordedSource)
+        there = recorded or is_readable(cell, self._sources.path(key))
+        return not there and not any(job.cell.is_timed for job in self._of_key[key])
 
     def _made_together(self) -> dict[str, list[str]]:
         """By the key of a source that several tasks need, those that are made with it."""
@@ -348,7 +350,7 @@ class DaskEngine(ExitStack):
         return {
             key: self._submit(given, _here(cell, path), name="source")
             for key, (cell, path) in cells.items()
-            if is_recorded(cell) or is_sound(cell, path)
+            if isinstance(cell.source, RecordedSource) or is_readable(cell, path)
         }
 
     def _made(self, keys: Sequence[str]) -> dict[str, Future]:
@@ -370,9 +372,9 @@ class DaskEngine(ExitStack):
 
 def _here(cell: Cell, path: Path) -> Made:
     """The file behind the QPs of a cell, made on this machine where it is not there."""
-    if not is_sound(cell, path):
+    if not is_readable(cell, path):
         try:
-            source_of(cell).make(path)
+            source_file(cell).make(path)
         except (CertificateError, InputError) as error:
             return Made(Outcome("invalid", str(error)))
     return Made(Outcome("finished", ""), path.read_bytes())

@@ -14,7 +14,6 @@ from typing import Any, Literal, Protocol
 from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.sequences.source import is_timed, last_step
 from dpbench.bench.workers.executor import CellJob, Result
 
 WAVE_STEPS = 100_000
@@ -67,8 +66,8 @@ def stages(jobs: Sequence[CellJob]) -> Iterator[tuple[Kind, list[CellJob]]]:
     loops = [job for job in jobs if job.cell.mode == "closed_loop"]
     replays = [job for job in jobs if job.cell.mode == "replay"]
     yield "closed loops", loops
-    yield "replays", [job for job in replays if is_timed(job.cell)]
-    yield "problems without a deadline", [job for job in replays if not is_timed(job.cell)]
+    yield "replays", [job for job in replays if job.cell.is_timed]
+    yield "problems without a deadline", [job for job in replays if not job.cell.is_timed]
 
 
 def waves(jobs: Sequence[CellJob]) -> Iterator[list[CellJob]]:
@@ -77,7 +76,7 @@ def waves(jobs: Sequence[CellJob]) -> Iterator[list[CellJob]]:
     steps = 0
     for alike in by_source(jobs).values():
         wave += alike
-        steps += max(last_step(job.cell) for job in alike)
+        steps += max(job.cell.last_step for job in alike)
         if steps >= WAVE_STEPS:
             yield wave
             wave, steps = [], 0
@@ -103,7 +102,7 @@ def interleaved(jobs: Sequence[CellJob]) -> list[list[CellJob]]:
 
 def longest(jobs: Sequence[CellJob]) -> Cell:
     """Of the cells of one source the one that needs most of it."""
-    return max((job.cell for job in jobs), key=last_step)
+    return max((job.cell for job in jobs), key=lambda cell: cell.last_step)
 
 
 def without_source(jobs: Sequence[CellJob], outcome: Outcome) -> list[Result]:

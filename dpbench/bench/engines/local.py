@@ -21,7 +21,7 @@ from dpbench.bench.engines.engine import (
 from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.machine import describe_machine
-from dpbench.bench.sequences.source import is_sound, is_timed
+from dpbench.bench.sequences.source import is_readable
 from dpbench.bench.workers.child import template_context
 from dpbench.bench.workers.compiled import missing, needed
 from dpbench.bench.workers.executor import Bench, CellJob, Result
@@ -75,7 +75,7 @@ class LocalEngine(ExitStack):
         """Run cells kind by kind, in waves of as many sources as are kept at a time."""
         waiting = {job.run_id: job for job in jobs}
         if jobs:
-            self._bench.find_machine_free(times=any(is_timed(job.cell) for job in jobs))
+            self._bench.find_machine_free(times=any(job.cell.is_timed for job in jobs))
         for kind, alike in stages(jobs):
             for wave in waves(alike):
                 for result in self._run_wave(kind, wave):
@@ -132,4 +132,4 @@ class LocalEngine(ExitStack):
 
     def _is_sound(self, alike: list[CellJob]) -> bool:
         """Whether the file behind the QPs of these cells can be read to its end."""
-        return is_sound(longest(alike), self._sources.path(alike[0].source_key))
+        return is_readable(longest(alike), self._sources.path(alike[0].source_key))

@@ -17,7 +17,6 @@ from dpbench.bench.record.cell import HARNESS_VERSION
 from dpbench.bench.record.descriptions import MachineFile, validated
 from dpbench.bench.record.result_folder import read_json, write_json
 from dpbench.bench.record.revision import Revision, revision
-from dpbench.bench.sequences.source import is_timed
 from dpbench.bench.workers.executor import BATCH_CELLS, CellJob, configuration_key, work_of
 from dpbench.errors import InputError
 
@@ -92,10 +91,10 @@ def _work(job: CellJob) -> int:
 def _units(jobs: list[CellJob]) -> list[list[CellJob]]:
     """Jobs of one source in the smallest groups that stay together: replays of one sequence, and
     batches of one configuration."""
-    units = interleaved([job for job in jobs if is_timed(job.cell)])
+    units = interleaved([job for job in jobs if job.cell.is_timed])
     alike: dict[tuple[str, ...], list[CellJob]] = {}
     for job in jobs:
-        if not is_timed(job.cell):
+        if not job.cell.is_timed:
             alike.setdefault(configuration_key(job.cell), []).append(job)
     for some in alike.values():
         units += [some[i : i + BATCH_CELLS] for i in range(0, len(some), BATCH_CELLS)]

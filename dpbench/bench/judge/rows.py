@@ -112,7 +112,7 @@ def _deadline_s(cell: Cell) -> float:
 
 def _sizes(cell: Cell, outcome: Outcome) -> dict[str, Any]:
     """Horizons and size of the QP; null where it has none, or the solver never got a QP."""
-    scenario = cell.scenario.get("scenario", {}) if cell.is_of_controller else {}
+    scenario = cell.scenario.get("scenario", {}) if cell.source.is_of_controller else {}
     controller = scenario.get("controller", {})
     sizes = {
         "N_p": controller.get("prediction_horizon"),

@@ -37,6 +37,7 @@ INFEASIBLE, UNDECIDED, UNCERTIFIED = "infeasible", "undecided", "none"
 by rounding, which is charged to nobody; nothing is proven."""
 NO_ANSWER_CLAIMS = tuple(status.name for status in Status if status.denies_optimum)
 """Status names of the claims that there is no optimum."""
+_UNFINISHED = tuple(status.name for status in Status if status.is_unfinished)
 _NO_USE = tuple(status.name for status in Status if not status.usable)
 
 
@@ -167,6 +168,11 @@ def unusable(steps: Steps) -> Flags:
     finite."""
     infinite: Flags = np.isinf(steps["error_plan"]) | np.isinf(steps["primal"])
     return _among(steps, "status", _NO_USE) | np.asarray(infinite)
+
+
+def unfinished(steps: Steps) -> Flags:
+    """(N,) steps whose answer, where it can be applied at all, is an unfinished iterate."""
+    return _among(steps, "status", _UNFINISHED)
 
 
 def errors(steps: Steps) -> Floats:

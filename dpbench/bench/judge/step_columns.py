@@ -27,6 +27,7 @@ from dpbench.bench.judge.rules import (
     UNDECIDED,
     WARM_UP,
     counting_rows,
+    unfinished,
     unusable,
 )
 from dpbench.bench.judge.timing import disturbed_rounds_of
@@ -65,7 +66,7 @@ def step_columns(cell: Cell, evaluated: Evaluated) -> StepColumns:
         disturbed = np.isin(columns["repeat"], disturbed_rounds_of(columns))
         steps["warmup"], steps["disturbed"] = steps["repeat"] == WARM_UP, disturbed
         steps["counts"] = counting_rows(columns["repeat"], disturbed)
-        steps["unconverged"] = np.isin(steps["status"], ("INACCURATE", "MAX_ITERATIONS"))
+        steps["unconverged"] = unfinished(steps)
         steps["fallback"] = unusable(steps)
         return steps
     steps["counts"] = np.ones(rows, dtype=np.bool_)

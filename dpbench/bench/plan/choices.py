@@ -18,7 +18,6 @@ from dpbench.bench.plan.suite import (
     ReplayTable,
     SuiteFile,
 )
-from dpbench.bench.sequences.source import is_untimed
 from dpbench.errors import InputError
 
 Table = TypeVar(
@@ -98,7 +97,7 @@ def _once(tables: Sequence[Table]) -> list[Table]:
 
 def remarks_on(planned: Sequence[PlannedCell]) -> list[str]:
     """What the plan cannot answer, said before it runs."""
-    cells = [p.cell for p in planned if p.cell.mode == "replay" and not is_untimed(p.cell)]
+    cells = [p.cell for p in planned if p.cell.is_timed]
     lengths = [cell.steps for cell in cells]
     if lengths and not supports(max(lengths), 99):
         return [

@@ -10,6 +10,7 @@ from dpbench.bench.plan.cells import PlannedCell, cell_of
 from dpbench.bench.plan.configurations import BASELINE_LAW, configurations_of
 from dpbench.bench.plan.study_points import MOST_CELLS, Point, StudyPoint, StudyTable, points_of
 from dpbench.bench.plan.suite import ClosedLoopTable, SuiteFile
+from dpbench.bench.record.cell import StudyRealisation
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import Scenario, load_scenario
 from dpbench.scenario.variation import SEED, Files, differ, value_of, varied, varied_files
@@ -75,7 +76,6 @@ def _blanks(
             mode="closed_loop",
             scenario=base.files,
             steps=1,
-            fallback="shifted_plan",
         )
         for configuration in configurations_of(solvers, loops)
     ]
@@ -92,12 +92,11 @@ def _at(
     blank: PlannedCell, table: StudyTable, point: StudyPoint, files: Files, steps: int
 ) -> PlannedCell:
     """The cell of a configuration at a point, whose scenario has these documents and steps."""
-    study = {"name": table.title, "point": point.index, "replicate": point.replicate}
     cell = replace(
         blank.cell,
         scenario=files,
         steps=min(table.steps or steps, steps),
-        study=study | {"x": point.values},
+        study=StudyRealisation(table.title, point.index, point.replicate, point.values),
     )
     return replace(blank, cell=cell)
 

@@ -7,10 +7,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, get_args
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, WithJsonSchema
 
 from dpbench.bench.plan.study_points import RouteName, RunsTable, StudyTable
-from dpbench.bench.record.cell import SLOWEST, Fallback, Units
+from dpbench.bench.record.cell import DEFAULT_FALLBACK, SLOWEST, Units
+from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.scenario.horizons import Horizons, different_horizons, parse_horizons
@@ -32,6 +33,15 @@ def _off_or_slower(value: float) -> float:
     return value
 
 
+def _known_fallback(name: str) -> str:
+    if name not in FALLBACKS:
+        raise ValueError(" | ".join(map(repr, FALLBACKS)))
+    return name
+
+
+Fallback = Annotated[
+    str, AfterValidator(_known_fallback), WithJsonSchema({"enum": list(FALLBACKS)})
+]
 Slowdown = Annotated[float, AfterValidator(_off_or_slower)]
 
 
@@ -70,7 +80,7 @@ class ClosedLoopTable(RunsTable):
     """Units of the QP a solver is given."""
     formulations: list[FormulationName] = ["condensed_box"]
     """Forms of the QP a solver is given."""
-    fallback: Fallback = "shifted_plan"
+    fallback: Fallback = DEFAULT_FALLBACK
     """What acts where there is no usable answer."""
     backup: str = ""
     """Second solver that is asked first where there is no usable answer in time; "" for none."""

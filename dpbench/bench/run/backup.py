@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.bench.record.raw_log import BackupLog
-from dpbench.bench.run.fallback import FallbackLaw
+from dpbench.bench.run.fallback_policies import FallbackPolicy
 from dpbench.bench.run.timed_solver import TimedSolver, is_usable, record_answer
 from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Solution
@@ -80,7 +80,7 @@ class LoopWithBackup:
         self,
         solver: TimedSolver,
         backup: Backup,
-        law: FallbackLaw,
+        law: FallbackPolicy,
         emit: Callable[[int, Vector, Vector], QPStep],
     ) -> None:
         self._solver, self._backup, self._law, self._emit = solver, backup, law, emit
@@ -120,7 +120,7 @@ class LoopWithBackup:
         return solution
 
     def remember(self, plan: Matrix) -> Vector:
-        """As `FallbackLaw.remember`, of the solver's own plan."""
+        """As `FallbackPolicy.remember`, of the solver's own plan."""
         self.acted = False
         return self._law.remember(plan)
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Floats, Matrix
+from dpbench.bench.record.cell import DEFAULT_FALLBACK
 from dpbench.bench.record.npz import keep, kept
 from dpbench.bench.record.raw_log import RawLog, loop_layout
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
@@ -191,7 +192,7 @@ def solve_exactly(scenario: Scenario) -> ExactLoop:
     clock = time.perf_counter_ns
     timed_solver = TimedSolver(workspace, Box(base), clock)
     drawn = scenario.environment.drawn(scenario.steps, scenario.sample_s, SUBSTEPS)
-    setup = ClosedLoopSetup(scenario, builder, timed_solver, log, "shifted_plan", 2**62, clock)
+    setup = ClosedLoopSetup(scenario, builder, timed_solver, log, DEFAULT_FALLBACK, 2**62, clock)
     setup.drawn = drawn
     if builder.allocation is not None:
         setup.allocating = TimedSolver(second, Box(builder.allocation.base()), clock)

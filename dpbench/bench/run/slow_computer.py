@@ -36,7 +36,7 @@ from dpbench.arrays import Ints, Matrix, Vector
 from dpbench.bench.record.cell import SLOWEST, Cell
 from dpbench.bench.record.raw_log import spent_ns
 from dpbench.bench.run.backup import WARM_UP_SOLVES, Backup
-from dpbench.bench.run.fallback import FallbackLaw
+from dpbench.bench.run.fallback_policies import FallbackPolicy
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver, is_usable
 from dpbench.errors import InputError
@@ -124,7 +124,7 @@ class SlowComputer:
         delay: ComputationalDelay,
         solver: TimedSolver,
         builder: QPBuilder,
-        law: FallbackLaw,
+        law: FallbackPolicy,
         latency_ns: Ints,
         usage: Usage,
         *,
@@ -260,7 +260,7 @@ class SlowComputer:
         self.acted = not self._arrived
         if self._arrived and self._of_backup_arrived:
             self._backup_acts()
-        if self._plan is not None and (self._arrived or self._law.kind == "shifted_plan"):
+        if self._plan is not None and (self._arrived or self._law.follows_plans):
             age = min(self._k - self._since, len(self._plan) - 1)
             to_plan: Vector = self._plan[age] - self._u
             return to_plan

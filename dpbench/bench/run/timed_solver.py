@@ -24,8 +24,6 @@ from dpbench.qp.solution import Solution, Status, is_plain, received
 from dpbench.solvers.contract import Workspace
 
 Clock = Callable[[], int]
-UNFINISHED = frozenset({Status.INACCURATE, Status.MAX_ITERATIONS})
-"""Of the usable answers those that are applied and marked."""
 STEP_SHARE = 0.25
 """Of the run time that a cell is allowed: what one step may take of it."""
 MOST_HANGS = 3

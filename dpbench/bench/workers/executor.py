@@ -24,7 +24,7 @@ from dpbench.bench.record.cell_store import packed
 from dpbench.bench.record.configuration import COLUMNS
 from dpbench.bench.record.raw_log import discard
 from dpbench.bench.record.step_table import no_steps
-from dpbench.bench.sequences.source import is_timed, log_size, source_key
+from dpbench.bench.sequences.source import log_size
 from dpbench.bench.workers.batch import CellBatch, Errand, ErrandBatch, Target
 from dpbench.bench.workers.child import ENDED_TEMPLATE, WITHOUT_TEMPLATE
 from dpbench.bench.workers.interleaved import IdleWorkers, ReplayGroup
@@ -66,7 +66,7 @@ class CellJob:
     @cached_property
     def source_key(self) -> str:
         """Of the file behind its QPs."""
-        return source_key(self.cell, HARNESS_VERSION)
+        return self.cell.source_key(HARNESS_VERSION)
 
 
 @dataclass(frozen=True)
@@ -372,7 +372,7 @@ class Bench:
 
     def _concurrency_of(self, cell: Cell) -> int | None:
         """Of a replay that is timed, the column of that name; None of every other cell."""
-        return self._concurrency if is_timed(cell) else None
+        return self._concurrency if cell.is_timed else None
 
     def _result(self, job: CellJob, outcome: Outcome, record: bytes | None, folder: Path) -> Result:
         """The result of a cell, and nothing is left in `folder` of what it left there.

@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 
-from dpbench.bench.run.fallback import limit_move
+from dpbench.bench.run.limits import limit_move
 from dpbench.bench.run.replay import reference_kernel_ns
 from dpbench.bench.workers import worker
 from dpbench.bench.workers.interrupts import forget_interrupts

@@ -44,7 +44,7 @@ from dpbench.bench.run.footprint import (
 )
 from dpbench.bench.run.replay import PREROLL, ReplayRun
 from dpbench.bench.run.timed_solver import MOST_HANGS, STEP_SHARE, TimedSolver, interrupting
-from dpbench.bench.sequences.source import replayed, source_of
+from dpbench.bench.sequences.source import replayed, source_file
 from dpbench.bench.workers.notice import AtWork, begin_output, output_cut, post
 from dpbench.bench.workers.orphans import has_children
 from dpbench.errors import CertificateError, InputError
@@ -236,7 +236,7 @@ def _replay_untimed(
     cell: Cell, workspace: Workspace, raw: Path, source: Path, hung: Sequence[Hang]
 ) -> Outcome:
     """Replay all rounds, whatever they take; the verdict."""
-    sequence = source_of(cell).load(cell, source).sequence
+    sequence = source_file(cell).load(source).sequence
     # Without a time to take, cold caches do no harm, and a step that hangs should be recorded.
     configuration, timed_solver, log = _replay_run(
         cell, workspace, raw, sequence, preroll=0, hung=hung
@@ -309,7 +309,7 @@ def _serve_replay(
     if workspace is None:
         return False
     memory.opened()
-    sequence = source_of(cell).load(cell, order.source).sequence
+    sequence = source_file(cell).load(order.source).sequence
     configuration, timed_solver, log = _replay_run(
         cell, workspace, folder / f"{name}.raw", sequence, memory=memory, hung=order.hung
     )
@@ -396,7 +396,7 @@ def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> No
     settle()
     part = path.with_suffix(".part.npz")
     try:
-        source_of(Cell.from_json(text)).make(part)
+        source_file(Cell.from_json(text)).make(part)
         part.replace(path)
     except (CertificateError, InputError) as error:
         leave_verdict(folder / f"{name}.json", Outcome("invalid", str(error)))

@@ -323,7 +323,7 @@ def _place(facts: Facts, place: Place, run: RunRecord | None) -> dict[str, Any]:
     if run is None:
         return said
     if not place.study:
-        said |= {"source": run.source, "first": run.first_step}
+        said |= {"source": run.exported_by, "first": run.first_step}
     scenario = facts.scenario(run) if run.scenario else None
     if scenario is not None:
         said["reference"] = [float(x) for x in scenario.reference]

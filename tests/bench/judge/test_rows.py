@@ -12,6 +12,7 @@ import pytest
 from dpbench.bench.judge.closed_loop import Evaluated
 from dpbench.bench.judge.rows import run_row, step_rows
 from dpbench.bench.record.cell import Cell, Outcome
+from dpbench.bench.record.qp_source import RecordedSource
 from dpbench.bench.record.schema import ABSENT
 from dpbench.scenario.scenario import load_scenario
 from dpbench.solvers.calibration import NO_OP
@@ -163,7 +164,7 @@ def test_a_cell_without_steps_has_its_identity_only() -> None:
 
 def test_sizes_that_do_not_exist_are_null() -> None:
     """A sequence from elsewhere has no horizons, and a solver that refused got no QP."""
-    elsewhere = replace(REPLAY, source={"kind": "random", "name": "r"})
+    elsewhere = replace(REPLAY, source=RecordedSource("r"))
     row = run_row("a1", elsewhere, Outcome("refused", "no"), Availability(True), "m", None, None)
     assert all(row[name] is pd.NA for name in ("N_p", "N_c", "n", "m"))
 

@@ -14,12 +14,13 @@ from hypothesis import strategies as st
 from qpsolvers import solve_qp
 
 from dpbench.bench.judge.thruster_metrics import shares_of_full, thruster_metrics
-from dpbench.bench.record.cell import Fallback, Formulation
+from dpbench.bench.record.cell import Formulation
 from dpbench.bench.record.raw_log import RawLog, loop_layout
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.exact_loop import ExactLoop, base_problem, solve_exactly
-from dpbench.bench.run.fallback import limit_of
+from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.bench.run.formulation import in_loop
+from dpbench.bench.run.limits import limit_of
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.mpc.condensed_qp import CondensedQP
@@ -175,8 +176,8 @@ def test_a_lost_group_gives_nothing_as_soon_as_its_rate_allows(case: Scenario) -
     assert np.abs(log.thrust[gone:, 2:6]).max() > 1e4
 
 
-@pytest.mark.parametrize("fallback", ["shifted_plan", "hold", "clip"])
-def test_without_answers_the_fallback_keeps_to_all_limits(fallback: Fallback) -> None:
+@pytest.mark.parametrize("fallback", FALLBACKS)
+def test_without_answers_the_fallback_keeps_to_all_limits(fallback: str) -> None:
     """A solver stopped after one iteration answers nothing usable; what is applied is allowed."""
     case = scenario(30)
     builder = QPBuilder(case)

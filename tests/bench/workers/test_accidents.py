@@ -22,7 +22,7 @@ from dpbench.bench.record.cell import HARNESS_VERSION, Cell
 from dpbench.bench.record.cell_store import CellStore, Journal
 from dpbench.bench.record.raw_log import RawLog, is_whole, replay_layout
 from dpbench.bench.record.result_folder import accidents
-from dpbench.bench.sequences.source import is_sound, source_key, source_of
+from dpbench.bench.sequences.source import is_readable, source_file
 from dpbench.bench.workers import child as supervise
 from dpbench.bench.workers import interleaved as interleave
 from dpbench.bench.workers import scratch
@@ -367,8 +367,8 @@ def copied(finished: Path, tmp_path: Path) -> Path:
 def made_source(out: Path) -> tuple[Cell, Path]:
     """A cell of a result folder, and the exactly solved loop behind it, as while it is needed."""
     cell = Cell.from_json(load_results(out).runs["cell"].iloc[0])
-    path = out / "cells" / f"exact-{source_key(cell, HARNESS_VERSION)}.npz"
-    source_of(cell).make(path)
+    path = out / "cells" / f"exact-{cell.source_key(HARNESS_VERSION)}.npz"
+    source_file(cell).make(path)
     return cell, path
 
 
@@ -376,9 +376,9 @@ def made_source(out: Path) -> tuple[Cell, Path]:
 def test_damage_of_a_source_is_seen(damage: str, copied: Path) -> None:
     """Whatever became of the exactly solved loop, reading all of it tells."""
     cell, source = made_source(copied / "out")
-    assert is_sound(cell, source)
+    assert is_readable(cell, source)
     DAMAGE[damage](source)
-    assert not is_sound(cell, source)
+    assert not is_readable(cell, source)
 
 
 def test_a_damaged_source_is_made_anew(copied: Path) -> None:

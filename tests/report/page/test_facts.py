@@ -59,8 +59,7 @@ def test_states_are_those_of_the_verdict_on_each_run_alone(records: Any) -> None
     assert _state(facts, "daqp", "paper (replay)") == "late", "its p99 is 4 ms"
     assert _state(facts, "osqp", "paper (replay)") == "not run", "there is no such run"
     for (c, p), run in facts.runs.items():
-        place = ("", "")
-        alone = verdict_of(facts.records, facts.configurations[c], {place: run}, [], DEMAND)
+        alone = verdict_of(facts.records, facts.configurations[c], [run], [], DEMAND)
         assert (facts.state(c, p) in ("late", "wrong")) == bool(alone.causes)
         assert (facts.state(c, p) == "not run") == (alone.outcome == "not run")
 

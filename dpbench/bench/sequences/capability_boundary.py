@@ -1,4 +1,4 @@
-"""The QPs at the edge of what thrusters hold: made from a ship for a suite, or kept as a file."""
+"""The QPs at a ship's capability boundary: made for a suite, or written as a file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dpbench.errors import InputError
 from dpbench.ship.vessel import Vessel
 
 
-def make_at_edge(path: Path, vessel: Vessel, sides: int, name: str) -> None:
+def make_capability_boundary(path: Path, vessel: Vessel, sides: int, name: str) -> None:
     """The capability of a ship with polygons and the QPs at its edge, certified, in one file.
 
     Raises
@@ -29,7 +29,8 @@ def make_at_edge(path: Path, vessel: Vessel, sides: int, name: str) -> None:
 
 
 def capability_in(path: Path) -> dict[str, list[Any]] | None:
-    """The table that `make_at_edge` left, as `write_capability` takes it; None where it is gone."""
+    """Return the table that `make_capability_boundary` left, as `write_capability` takes it; None
+    where it is gone."""
     try:
         table: dict[str, list[Any]] | None = load_recorded(path).documents.get("capability")
     except InputError:

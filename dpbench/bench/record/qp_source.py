@@ -1,0 +1,153 @@
+"""QP sources: what the QPs of a cell are made from, and what holds of each kind.
+
+A source is part of its cell's description. `sequences/source.py` makes and reads its QPs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+from dpbench.errors import InputError
+from dpbench.qp.random_recipe import RandomRecipe
+
+
+@dataclass(frozen=True)
+class QPSource:
+    """A source of QPs.
+
+    Parameters
+    ----------
+    name : of the replayed sequence.
+
+    Attributes
+    ----------
+    kind : its name in descriptions of cells.
+    is_timed : whether its QPs follow each other in time, so that times of replays are compared.
+    is_judged : whether replays of it are part of verdicts; others have a topic of their own.
+    is_of_controller : whether its QPs are those of the scenario's controller.
+    """
+
+    kind: ClassVar[str] = ""
+    is_timed: ClassVar[bool] = True
+    is_judged: ClassVar[bool] = True
+    is_of_controller: ClassVar[bool] = False
+
+    name: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the description as plain values, for JSON."""
+        return {"kind": self.kind, **vars(self)}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> QPSource:
+        """Return the source that `to_dict` described."""
+        return cls(**{key: value for key, value in values.items() if key != "kind"})
+
+    def stretch(self, steps: int) -> int:
+        """Return how many steps of its loop or sequence a replay of so many is chosen from."""
+        return steps
+
+
+class ControllerSource(QPSource):
+    """The controller of the cell's scenario, along the exactly solved loop."""
+
+    is_of_controller = True
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return nothing: a cell without a source has this one."""
+        return {}
+
+
+@dataclass(frozen=True)
+class HardestSource(QPSource):
+    """The hardest steps in a row of a stretch of `of` steps of the exactly solved loop."""
+
+    kind = "hardest"
+    is_of_controller = True
+
+    of: int = 0
+
+    def stretch(self, steps: int) -> int:
+        """Return the length of the stretch."""
+        return self.of
+
+
+@dataclass(frozen=True)
+class ConsequenceSource(QPSource):
+    """The loss of the failure group `group` along the exactly solved loop."""
+
+    kind = "consequence"
+    is_judged = False
+
+    group: str = ""
+
+
+@dataclass(frozen=True)
+class CapabilitySource(QPSource):
+    """The capability boundary of a ship, given as in `vessel_files`, by polygons of some sides."""
+
+    kind = "capability"
+    is_timed = is_judged = False
+
+    sides: int = 0
+    vessel_name: str = ""
+    vessel: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomSource(QPSource):
+    """A random sequence."""
+
+    kind = "random"
+    is_timed = is_judged = False
+
+    recipe: RandomRecipe
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the description as plain values, for JSON."""
+        return super().to_dict() | {"recipe": self.recipe.to_dict()}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> QPSource:
+        """Return the source that `to_dict` described."""
+        return cls.of(RandomRecipe.from_dict(values["recipe"]))
+
+    @classmethod
+    def of(cls, recipe: RandomRecipe) -> RandomSource:
+        """Return the source of a recipe, which names the sequence."""
+        return cls(name=recipe.name, recipe=recipe)
+
+
+@dataclass(frozen=True)
+class RecordedSource(QPSource):
+    """A file or a folder that others recorded, by its SHA-256."""
+
+    kind = "recorded"
+
+    path: str = ""
+    sha256: str = ""
+
+
+CONTROLLER = ControllerSource()
+SOURCES: Mapping[str, type[QPSource]] = {
+    kind.kind: kind
+    for kind in (
+        RandomSource,
+        RecordedSource,
+        HardestSource,
+        ConsequenceSource,
+        CapabilitySource,
+    )
+}
+
+
+def source_from(values: Mapping[str, Any]) -> QPSource:
+    """Return the source of a description; InputError for a kind that is not known."""
+    if not values:
+        return CONTROLLER
+    kind = str(values.get("kind"))
+    if kind not in SOURCES:
+        raise InputError("cell", "source.kind", repr(kind), ", ".join(map(repr, SOURCES)))
+    return SOURCES[kind].from_dict(values)
