@@ -99,8 +99,7 @@ def _laws(runs: tuple[JudgedRun, ...]) -> list[Any]:
 
 def _steps_of(steps: pd.DataFrame) -> pd.DataFrame:
     """The rows of `charts.strips`, one a step: times in µs, the largest timing of a replay."""
-    from dpbench.analysis.records.counting_rows import counting_of
-    from dpbench.analysis.records.run_steps import run_steps
+    from dpbench.analysis.records.run_steps import counting_of, run_steps
     from dpbench.report.charts.strips import NO_ANSWER
 
     ((_, run),) = run_steps(counting_of(steps))

@@ -10,8 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.analysis.records.counting_rows import counting_of
-from dpbench.analysis.records.run_steps import run_steps
+from dpbench.analysis.records.run_steps import counting_of, run_steps
 from dpbench.files.writing import write_together
 from dpbench.report.csv_tables import TABLES, tables_of
 from dpbench.report.page.answer import Answer

@@ -1,4 +1,4 @@
-"""Step times of one replayed configuration, out of its step rows."""
+"""Step times of a replay, and single timings that took much longer than their step does."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from dpbench.arrays import Floats, Ints
+from dpbench.arrays import Flags, Floats, Ints
 from dpbench.bench.record.recorded_steps import places_of
 
-COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns")
+TIME_COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns")
 """What `times_by_run` asks of a step table."""
 
 
@@ -50,3 +50,80 @@ def step_times_of(repeat: Ints, k: Ints, total_ns: Floats) -> StepTimes:
     done = np.flatnonzero(np.isfinite(best))
     rounds = [float(np.median(total_ns[repeat == r])) for r in np.unique(repeat)]
     return StepTimes(done, best[done], float(total_ns.max()), np.array(rounds))
+
+
+DELAYED = 2.0
+"""A timing over this multiple of the fastest time of its step is a delay."""
+
+
+@dataclass(frozen=True, eq=False)
+class Delays:
+    """Delays of one run, over the rounds that count.
+
+    The base time of a timing is the fastest time of its step where the run has several rounds. A
+    run of one round, such as a closed loop, has the median over its steps as the base of all, and
+    every timing above it is a delay: of slow steps or of the machine.
+
+    Parameters
+    ----------
+    samples : (R,) timings of each round.
+    base_ns : (R,) sum of their base times: the time that the run is exposed to the machine.
+    step_ns : median over the timings.
+    round : (D,) index of the round of each delay; delay_ns : (D,) its timing; own_ns : (D,) its
+        base time.
+    """
+
+    samples: Ints
+    base_ns: Floats
+    step_ns: float
+    round: Ints
+    delay_ns: Floats
+    own_ns: Floats
+
+    def count_late(self, limit_ns: float) -> Ints:
+        """Count the delays beyond a limit in each round (R,)."""
+        return self._count(self.delay_ns > limit_ns)
+
+    def count_stalls(self, longer_than_ns: float) -> Ints:
+        """Count the delays that exceed their base time by more than a duration, by round (R,)."""
+        return self._count(self.delay_ns - self.own_ns > longer_than_ns)
+
+    def _count(self, chosen: Flags) -> Ints:
+        return np.bincount(self.round[chosen], minlength=len(self.samples)).astype(np.int64)
+
+
+def delays_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, Delays]]:
+    """Delays of every run of a step table that left a counting row; asks for `TIME_COLUMNS`."""
+    counting = steps[steps["counts"]]
+    repeat, k = (counting[name].to_numpy(dtype=np.int64) for name in ("repeat", "k"))
+    total_ns = counting["total_ns"].to_numpy(dtype=np.float64, na_value=np.nan)
+    for run_id, (first, end) in places_of(counting["run_id"]).items():
+        own = slice(first, end)
+        yield run_id, delays_of(repeat[own], k[own], total_ns[own])
+
+
+def delays_of(repeat: Ints, k: Ints, total_ns: Floats) -> Delays:
+    """Delays of the rows (N,) of one run that count: their round, step and time [ns].
+
+    Steps without a computation, NaN, are left out.
+    """
+    timed = ~np.isnan(total_ns)
+    repeat, k, total_ns = repeat[timed], k[timed], total_ns[timed]
+    rounds, index = np.unique(repeat, return_inverse=True)
+    middle = float(np.median(total_ns)) if len(total_ns) else np.nan
+    if len(rounds) > 1:
+        fastest = np.full(int(k.max()) + 1, np.inf)
+        np.minimum.at(fastest, k, total_ns)
+        base = fastest[k]
+        delayed = total_ns > DELAYED * base
+    else:
+        base = np.full(len(total_ns), middle)
+        delayed = total_ns > base
+    return Delays(
+        samples=np.bincount(index, minlength=len(rounds)).astype(np.int64),
+        base_ns=np.bincount(index, weights=base, minlength=len(rounds)).astype(np.float64),
+        step_ns=middle,
+        round=index[delayed].astype(np.int64),
+        delay_ns=total_ns[delayed],
+        own_ns=base[delayed],
+    )

@@ -37,10 +37,10 @@ from typing import Literal
 import numpy as np
 from scipy.stats import binom, nbinom
 
-from dpbench.analysis.records.delays import Delays
 from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.step_times import Delays
 from dpbench.analysis.statistics import holm
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.uncertainty import Uncertainty

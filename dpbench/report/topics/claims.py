@@ -8,8 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.claims import State, judged
-from dpbench.analysis.suites.paper import PAPER, is_of_paper
+from dpbench.analysis.suites.paper import PAPER, State, is_of_paper, judged
 from dpbench.report.words import beside, filled
 
 _WORDS = beside(__file__)

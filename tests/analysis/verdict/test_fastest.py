@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.times.work_precision import LevelPoint, level_points
+from dpbench.analysis.times.solver_tables import LevelPoint, level_points
 from dpbench.analysis.verdict.demand import Demand, is_right
 from dpbench.analysis.verdict.fastest import fastest_of, podium, ranked
 from dpbench.analysis.verdict.verdict import Verdicts, verdicts_of

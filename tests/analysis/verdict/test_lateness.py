@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, poisson
 
-from dpbench.analysis.records.delays import delays_of
+from dpbench.analysis.records.step_times import delays_of
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.lateness import (
     DOUBTFUL,

@@ -8,10 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.analysis.records.kept_runs import FORCES, TRACK, KeptRun, track_of
+from dpbench.analysis.records.kept_runs import FORCES, TRACK, KeptRun, extremes, kept, track_of
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_steps import MEASURES, RunSteps, hardest
-from dpbench.analysis.records.thinning import extremes, kept
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.report.page import facts as facts_of_page
