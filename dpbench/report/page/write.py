@@ -34,19 +34,17 @@ from dpbench.report.charts import style
 from dpbench.report.charts.accuracy import accuracy
 from dpbench.report.charts.ladder import ladder
 from dpbench.report.charts.matrix import matrix
-from dpbench.report.charts.pairs import pairs
 from dpbench.report.charts.render import FORMATS, svg, vega
-from dpbench.report.charts.strips import COLUMNS as STRIP_COLUMNS
-from dpbench.report.charts.strips import strips
+from dpbench.report.charts.steps import COLUMNS as STRIP_COLUMNS
+from dpbench.report.charts.steps import pairs, strips
 from dpbench.report.charts.study import behind_there, design, seas_there
 from dpbench.report.glossary import topics as glossary
 from dpbench.report.page.answer import Answer, call_text
 from dpbench.report.page.cite import software
 from dpbench.report.page.facts import Facts, columns_of, number
-from dpbench.report.page.places import place_words
 from dpbench.report.page.steps import FLAGS
 from dpbench.report.page.tables import GROUPS, MOST_ROWS, drawn_tiles, runs_table
-from dpbench.report.page.terms import Terms, Word
+from dpbench.report.page.terms import Terms, Word, place_words
 from dpbench.report.page.topic import Topic
 from dpbench.report.page.vendored import script, vendored
 

@@ -12,8 +12,8 @@ from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.verdict import verdict_of, verdicts_of
 from dpbench.report.page import tables
 from dpbench.report.page.facts import Facts, columns_of, number
-from dpbench.report.page.places import place_words
 from dpbench.report.page.tables import drawn_tiles
+from dpbench.report.page.terms import place_words
 from dpbench.report.page.write import _matrix_said
 
 DEMAND = Demand()
