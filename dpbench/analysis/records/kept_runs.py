@@ -58,8 +58,8 @@ class KeptRun:
 
     @classmethod
     def of(cls, run: RunSteps, most: int, track: Track | None = None) -> KeptRun:
-        """Of a run of more than `most` steps it is thinned, see `kept`."""
-        chosen, extra = kept(run, most)
+        """Of a run of more than `most` steps it is thinned, see `thinned_indices`."""
+        chosen, extra = thinned_indices(run, most)
         hard = {measure: _hard(run, measure) for measure in MEASURES}
         is_whole = len(chosen) == len(run.k)
         return cls(run.at(chosen), extra, int(run.k[-1]), is_whole, hard, track)
@@ -107,7 +107,7 @@ def share(lengths: Sequence[int], most: int) -> int:
     return max(shortest_first, default=1)
 
 
-def kept(run: RunSteps, most: int) -> tuple[Ints, Flags]:
+def thinned_indices(run: RunSteps, most: int) -> tuple[Ints, Flags]:
     """Which steps of a run are kept, about `most`, rising; and which of them for being hard alone.
 
     Of a longer run every so manieth stays, and of the rest the hardest by each measure.

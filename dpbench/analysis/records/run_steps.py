@@ -153,11 +153,11 @@ class HardStep:
 def run_steps(counting: CountingRows) -> Iterator[tuple[str, RunSteps]]:
     """Every run that left a counting row, in the order of the table."""
     for run_id in counting.bounds:
-        yield run_id, _one(counting.of(run_id))
+        yield run_id, _merge_rounds(counting.of(run_id))
 
 
-def _one(rows: CountingRows) -> RunSteps:
-    """The steps of the rows of one run."""
+def _merge_rounds(rows: CountingRows) -> RunSteps:
+    """Merge the rounds of one run: extreme times and the largest error of each step."""
     steps, at = np.unique(rows.k, return_inverse=True)
     last = np.zeros(len(steps), dtype=np.int64)
     last[at] = np.arange(len(at))

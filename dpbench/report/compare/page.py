@@ -21,7 +21,7 @@ from dpbench.report.charts.style import ROW_STEP
 from dpbench.report.compare.comparison import Comparison
 from dpbench.report.compare.tables import answer_line, shared_line, times_table
 from dpbench.report.formats import interval_text, plural, unmarked
-from dpbench.report.page.facts import columns_of
+from dpbench.report.page.data import columns_of
 from dpbench.report.page.pack import Block
 from dpbench.report.page.write import drawn, own, rendered, specification
 from dpbench.report.table import Table

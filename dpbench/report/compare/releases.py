@@ -90,7 +90,7 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
     }
     over = histories(records, reference)
     demand = Demand.of(next(iter(records.values())).suite)
-    return Releases(over, _lead(over), _lines(over, records), _tables(over), demand)
+    return Releases(over, _lead(over), _comparability_notes(over, records), _tables(over), demand)
 
 
 def _changed(histories: Histories) -> dict[str, list[History]]:
@@ -132,7 +132,8 @@ def _took(changed: Sequence[History]) -> str:
     )
 
 
-def _lines(histories: Histories, records: Mapping[str, Records]) -> list[str]:
+def _comparability_notes(histories: Histories, records: Mapping[str, Records]) -> list[str]:
+    """List what limits the comparison: machines, reference, spread, cells left out."""
     lines = [
         f"{name}: {view.machine.get('cpu_model', 'an unnamed CPU')}, machine {view.machine['id']}, "
         f"{view.suite.get('started_utc', '')[:10] or 'no date'}"
