@@ -373,7 +373,7 @@ class MadeRecords:
     def ending(self) -> dict[str, str]:
         """What a run that left these records ends with, by what each line is about."""
         report = Report.of(self.results())
-        return dict(ending(report.facts, report.answer, report.topics))
+        return dict(ending(report.data, report.recommendation, report.topics))
 
     def write(self, folder: Path) -> Path:
         """Write a result folder."""

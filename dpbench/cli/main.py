@@ -263,12 +263,10 @@ def _compare(arguments: argparse.Namespace) -> int:
 
 
 def _releases(arguments: argparse.Namespace) -> int:
-    from dpbench.report.compare.releases import releases
+    from dpbench.report.compare.releases import releases, write_releases
 
     over = releases(arguments.folders, reference=arguments.reference)
     if arguments.html is not None:
-        from dpbench.report.compare.releases_page import write_releases
-
         write_releases(Path(arguments.html), over)
     _say_compared(over.markdown(), over.tables, [*over.lines, *over.lead], arguments.markdown)
     return 0

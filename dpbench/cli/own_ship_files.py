@@ -89,7 +89,7 @@ def vessel_text(ship: OwnShip, command: str) -> str:
 def _hull_comments(ship: OwnShip) -> list[str]:
     """How inertia and damping were made, how far that holds, and what was found odd."""
     if ship.hull is not None:
-        return [f"Hull: {ship.hull.method}.", *cautions(ship), _regressions(ship)]
+        return [f"Hull: {ship.hull.method}.", *cautions(ship), _added_mass_check(ship)]
     hull = (
         f"Hull: inertia and damping of the library vessel {ship.like} in the Bis system, "
         "M = m N Mb N and D = m sqrt(g/L) N Db N with N = diag(1, 1, L) (Fossen, Handbook of "
@@ -104,7 +104,7 @@ def _hull_comments(ship: OwnShip) -> list[str]:
         f"and of that form: {forms}; block coefficient {ship.own.block_coefficient:.2f}."
     )
     better = "Coefficients of your own ship are better: dpbench init --from-csv or --from-mss."
-    return [hull, valid, *cautions(ship), _regressions(ship), better]
+    return [hull, valid, *cautions(ship), _added_mass_check(ship), better]
 
 
 def _forms(ship: OwnShip) -> list[tuple[str, float, float]]:
@@ -129,7 +129,7 @@ def cautions(ship: OwnShip) -> list[str]:
     return [f"CAUTION: another form than that of {ship.like}: {' and '.join(others)} {differs}."]
 
 
-def _regressions(ship: OwnShip) -> str:
+def _added_mass_check(ship: OwnShip) -> str:
     """The added mass against published regressions."""
     added = np.diag(ship.vessel.M) - rigid_body(ship.own)
     ratios = added / regression_added_mass(ship.own)

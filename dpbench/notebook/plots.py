@@ -43,7 +43,7 @@ class RunPlots:
     def steps(self) -> Any:
         """Step time, error of the first move, iterations and forces over the steps."""
         from dpbench.analysis.verdict.demand import Demand
-        from dpbench.report.charts.strips import strips
+        from dpbench.report.charts.steps import strips
 
         run = self._run
         return strips(_steps_of(run.steps), _forces_of(run), Demand().error_move)
@@ -99,9 +99,8 @@ def _laws(runs: tuple[JudgedRun, ...]) -> list[Any]:
 
 def _steps_of(steps: pd.DataFrame) -> pd.DataFrame:
     """The rows of `charts.strips`, one a step: times in µs, the largest timing of a replay."""
-    from dpbench.analysis.records.counting_rows import counting_of
-    from dpbench.analysis.records.run_steps import run_steps
-    from dpbench.report.charts.strips import NO_ANSWER
+    from dpbench.analysis.records.run_steps import counting_of, run_steps
+    from dpbench.report.charts.steps import NO_ANSWER
 
     ((_, run),) = run_steps(counting_of(steps))
     return pd.DataFrame(

@@ -36,7 +36,7 @@ class Results(result_folder.Results):
         """What the page answers: which configuration to use and why, or what the suite asks."""
         from dpbench.report.ending import ending
 
-        rows = ending(self._report.facts, self._report.answer, self._report.topics)
+        rows = ending(self._report.data, self._report.recommendation, self._report.topics)
         return next((text for about, text in rows if about == "answer"), "")
 
     @property
@@ -79,7 +79,7 @@ class Results(result_folder.Results):
         """The answer, and the best configuration of each solver."""
         from dpbench.report.documents.markdown import HEAD, solver_rows
 
-        rows = solver_rows(self._report.facts, best_of_each(self._report.facts.verdicts))
+        rows = solver_rows(self._report.data, best_of_each(self._report.data.verdicts))
         title = str(self.suite.get("name", self.folder.name))
         return table_html(HEAD, rows, title=title, note=self.answer)
 

@@ -12,29 +12,31 @@ from dpbench.analysis.times.machine import (
 )
 from dpbench.report.charts.render import NOT_DRAWN, can_draw
 from dpbench.report.machine_verdict import calibration_text, verdict_text
-from dpbench.report.page.answer import Answer
-from dpbench.report.page.facts import Facts
+from dpbench.report.page.data import PageData
+from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.topic import Topic
 from dpbench.report.verdict_text import counted
 
 TERMINAL_NOTES = ("slower", "faster", "open", "next")
 """The notes of the answer that are worth a line there."""
 BESIDE = ("slowdown", "random", "consequence")
-"""Topics that have a line of their own where they are not the answer."""
+"""Topics that have a line of their own where they are not the recommendation."""
 
 
-def ending(facts: Facts, answer: Answer, topics: Sequence[Topic]) -> list[tuple[str, str]]:
-    """The answer, the notes to it, the count of the solvers, then machine and harness."""
-    records = facts.records
+def ending(
+    data: PageData, recommendation: Recommendation, topics: Sequence[Topic]
+) -> list[tuple[str, str]]:
+    """The recommendation, the notes to it, the count of the solvers, then machine and harness."""
+    records = data.records
     lead = next((topic for topic in topics if topic.leads), None)
     rows = [("answer", lead.lines[0])] if lead else []
-    if answer.sentence and not (lead and lead.id == "loops"):
-        rows.append(("solver" if lead else "answer", answer.sentence))
-    rows += [note for note in answer.notes if note[0] in TERMINAL_NOTES]
+    if recommendation.sentence and not (lead and lead.id == "loops"):
+        rows.append(("solver" if lead else "answer", recommendation.sentence))
+    rows += [note for note in recommendation.notes if note[0] in TERMINAL_NOTES]
     beside = (topic for topic in topics if topic.id in BESIDE and not topic.leads)
     rows += [(topic.id, topic.lines[0]) for topic in beside]
-    if facts.verdicts.of:
-        rows.append(("solvers", f"{counted(facts.verdicts)}."))
+    if data.verdicts.of:
+        rows.append(("solvers", f"{counted(data.verdicts)}."))
     disturbance = disturbance_of(timed_runs(records) or delayed_runs(records))
     if disturbance.seconds > 0:
         rows.append(("machine", f"{verdict_text(disturbance)}."))

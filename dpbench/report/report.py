@@ -1,4 +1,4 @@
-"""What a report is made of: the results, what is known of them, the answer, the topics."""
+"""What a report is made of: the results, what is known of them, the recommendation, the topics."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from dpbench.bench.design import Designs
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.charts.render import can_draw
 from dpbench.report.csv_tables import tables_of
-from dpbench.report.page.answer import Answer, answer_of
-from dpbench.report.page.facts import Facts
+from dpbench.report.page.data import PageData
+from dpbench.report.page.recommendation import Recommendation, build_recommendation
 from dpbench.report.page.topic import Topic
 from dpbench.report.page.write import DRAWN, charts_of
 from dpbench.report.topics.all import topics_of
@@ -28,8 +28,8 @@ class Report:
     """What a report is made of."""
 
     results: Results
-    facts: Facts
-    answer: Answer
+    data: PageData
+    recommendation: Recommendation
     topics: Sequence[Topic]
 
     @classmethod
@@ -48,25 +48,25 @@ class Report:
             `write_report`.
         """
         records, demand = Records(results), Demand.of(results.suite)
-        facts = Facts.of(records, verdicts_of(records, demand))
+        data = PageData.of(records, verdicts_of(records, demand))
         named = results.suite.get("report", {}).get("baseline")
-        if named not in {v.configuration.solver for v in facts.verdicts.all if v.steps}:
+        if named not in {v.configuration.solver for v in data.verdicts.all if v.steps}:
             named = None  # a part of the suite was run, without it
-        answer = answer_of(facts, results.machine, baseline or named)
-        topics = topics_of(records, facts.verdicts, designs, capability, facts.studies)
+        recommendation = build_recommendation(data, results.machine, baseline or named)
+        topics = topics_of(records, data.verdicts, designs, capability, data.studies)
         if not can_draw():
             topics = [replace(topic, figures=()) for topic in topics]
-        return cls(results, facts, answer, topics)
+        return cls(results, data, recommendation, topics)
 
     @cached_property
     def charts(self) -> Mapping[str, Any]:
         """The figures of the page that follow what is chosen there, by name."""
-        return charts_of(self.facts) if can_draw() else {}
+        return charts_of(self.data) if can_draw() else {}
 
     @cached_property
     def tables(self) -> Mapping[str, pd.DataFrame]:
         """All tables, by name: see `csv_tables.tables_of`."""
-        return tables_of(self.results, self.facts, self.answer, self.topics)
+        return tables_of(self.results, self.data, self.recommendation, self.topics)
 
     @property
     def figures(self) -> dict[str, Any]:

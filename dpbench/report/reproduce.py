@@ -21,8 +21,7 @@ from dpbench.report.escaped import csv_bytes
 from dpbench.report.formats import plural, unmarked
 from dpbench.report.page.topic import Topic
 from dpbench.report.table import markdown
-from dpbench.report.topics.claims import Claim, claims
-from dpbench.report.topics.paper import held_text, paper_topic
+from dpbench.report.topics.paper import Claim, claims, held_text, paper_topic
 from dpbench.report.words import document
 from dpbench.scenario.scenario import Scenario
 

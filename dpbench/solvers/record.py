@@ -255,7 +255,7 @@ class SolverRecord:
         return f"pip install {self.distribution}" if self.distribution else "install it"
 
     @property
-    def why_not_aboard(self) -> str:
+    def deployment_blocker(self) -> str:
         """Why it cannot be deployed on a ship as it is; "" where it can: a project's own compiled
         code, whose language its documentation states."""
         language = self.project.language

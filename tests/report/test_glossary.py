@@ -31,9 +31,9 @@ from dpbench.report.compare.tables import answers_table, solvers_table, times_ta
 from dpbench.report.ending import BESIDE, TERMINAL_NOTES
 from dpbench.report.glossary import as_markdown, meanings, topics
 from dpbench.report.table import Table
+from dpbench.report.topics.consequence import row_of
 from dpbench.report.topics.study import study_topic
-from dpbench.report.topics.thrusters.consequence import row_of
-from dpbench.report.topics.thrusters.thrusters import row_of as thruster_row
+from dpbench.report.topics.thrusters import row_of as thruster_row
 from dpbench.scenario.scenario import load_vessel
 from dpbench.solvers.record import POLICIES
 from dpbench.solvers.settings import LEVELS

@@ -63,7 +63,7 @@ for name in {NEWCOMERS}:
     told[name] = dict(
         routes=row.policies, ok=available(name).ok, levels=describe_levels(name).splitlines(),
         licence=row.project.licence.value, language=row.project.language.value,
-        c_code=row.project.c_code.value, aboard=row.why_not_aboard == "",
+        c_code=row.project.c_code.value, aboard=row.deployment_blocker == "",
         refusal=row.refusal(row.default_route, "reuse"), family=row.family,
         coloured=row.family in FAMILY_COLOURS)
 told["own key"] = dict(resolve({{"precision": 0.5}}, native_adapter("newcomer")))

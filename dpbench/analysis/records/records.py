@@ -9,13 +9,16 @@ from typing import Any
 
 import pandas as pd
 
-from dpbench.analysis.records import counting_rows, step_times
-from dpbench.analysis.records.counting_rows import counting_of
-from dpbench.analysis.records.delays import COLUMNS as DELAY_COLUMNS
-from dpbench.analysis.records.delays import Delays, delays_by_run
 from dpbench.analysis.records.run_record import RunRecord, records_of
-from dpbench.analysis.records.run_steps import RunSteps, run_steps
-from dpbench.analysis.records.step_times import StepTimes, times_by_run
+from dpbench.analysis.records.run_steps import COUNTING_COLUMNS, RunSteps, counting_of, run_steps
+from dpbench.analysis.records.step_times import (
+    DELAY_COLUMNS,
+    TIME_COLUMNS,
+    Delays,
+    StepTimes,
+    delays_by_run,
+    times_by_run,
+)
 from dpbench.bench.judge.rules import is_ranked
 from dpbench.bench.record.configuration import COMMON
 from dpbench.bench.record.recorded_steps import ALL, places_of
@@ -88,7 +91,7 @@ class Records:
     ) -> Iterator[tuple[str, RunSteps, pd.DataFrame]]:
         """Of some runs that left a counting row, in the order of the file: id, steps, and rows with
         the columns that are asked for."""
-        asked = tuple(dict.fromkeys([*counting_rows.COLUMNS, *columns]))
+        asked = tuple(dict.fromkeys([*COUNTING_COLUMNS, *columns]))
         for table in self.scan(runs, asked):
             rows, places = table[list(columns)], places_of(table["run_id"])
             for run_id, steps in run_steps(counting_of(table)):
@@ -170,7 +173,7 @@ class Records:
 
     def _read_times(self, runs: Sequence[RunRecord]) -> None:
         self._times |= dict.fromkeys(run.run_id for run in runs)
-        for table in self.scan(runs, step_times.COLUMNS):
+        for table in self.scan(runs, TIME_COLUMNS):
             self._times |= dict(times_by_run(table))
 
     def delays(self, runs: Sequence[RunRecord]) -> dict[str, Delays]:

@@ -2,7 +2,7 @@
 
 The algorithmic time of a step is its fastest round, so a solver that is late at random has a good
 one. The single timings show it, but so do interrupts of the machine. Where another program took
-the core, the kernel shows for how long, and the step is not to blame (`delays.py`). What is left of
+the core, the kernel shows for how long, and the step is not to blame (`step_times.py`). What is left of
 the machine is told apart by what the other configurations suffered in the same interleaved rounds:
 a stall strikes whoever runs, in proportion to the time that it runs. A solver that waits for
 threads of its own (`THREAD_WAITS`) is tested without regard to who had the core, and so are those
@@ -40,10 +40,10 @@ from typing import Literal
 import numpy as np
 from scipy.stats import binom, nbinom
 
-from dpbench.analysis.records.delays import Delays
 from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.step_times import Delays
 from dpbench.analysis.statistics import holm
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.uncertainty import Uncertainty

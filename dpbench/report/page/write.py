@@ -34,19 +34,17 @@ from dpbench.report.charts import style
 from dpbench.report.charts.accuracy import accuracy
 from dpbench.report.charts.ladder import ladder
 from dpbench.report.charts.matrix import matrix
-from dpbench.report.charts.pairs import pairs
 from dpbench.report.charts.render import FORMATS, svg, vega
-from dpbench.report.charts.strips import COLUMNS as STRIP_COLUMNS
-from dpbench.report.charts.strips import strips
+from dpbench.report.charts.steps import COLUMNS as STRIP_COLUMNS
+from dpbench.report.charts.steps import pairs, strips
 from dpbench.report.charts.study import behind_there, design, seas_there
 from dpbench.report.glossary import topics as glossary
-from dpbench.report.page.answer import Answer, call_text
 from dpbench.report.page.cite import software
-from dpbench.report.page.facts import Facts, columns_of, number
-from dpbench.report.page.places import place_words
+from dpbench.report.page.data import PageData, columns_of, number
+from dpbench.report.page.recommendation import Recommendation, call_text
 from dpbench.report.page.steps import FLAGS
 from dpbench.report.page.tables import GROUPS, MOST_ROWS, drawn_tiles, runs_table
-from dpbench.report.page.terms import Terms, Word
+from dpbench.report.page.terms import Terms, Word, place_words
 from dpbench.report.page.topic import Topic
 from dpbench.report.page.vendored import script, vendored
 
@@ -80,8 +78,8 @@ VARIABLES = {
 def page_html(
     folder: Path,
     results: Results,
-    facts: Facts,
-    answer: Answer,
+    data: PageData,
+    recommendation: Recommendation,
     charts: Mapping[str, Any],
     topics: Sequence[Topic],
     *,
@@ -98,24 +96,26 @@ def page_html(
     pictures = {name: drawn(chart) for name, chart in charts.items() if name in DRAWN}
     lead = next((topic for topic in topics if topic.leads), None)
     others = [topic for topic in topics if topic is not lead]
-    places = place_words(facts)
-    block = "" if light else facts.block.text(_document(facts, results, answer, charts, places))
+    places = place_words(data)
+    block = (
+        "" if light else data.block.text(_document(data, results, recommendation, charts, places))
+    )
     return rendered(
         "page",
         ["\n".join(own(f"scripts/{name}.js") for name in SCRIPTS)],
         title=f"dpbench: {results.suite.get('name', folder.name)}",
         subtitle=str(results.suite.get("title", "")),
         about=ABOUT,
-        sections=_sections(facts, charts, others, light),
-        answer=answer,
+        sections=_sections(data, charts, others, light),
+        answer=recommendation,
         figures=dict.fromkeys(charts, True) | pictures,
-        matrix_said=_matrix_said(facts),
+        matrix_said=_matrix_said(data),
         lead=lead,
         picture=_picture,
-        judged=bool(facts.verdicts.of) and not (lead and lead.id == "loops"),
-        runs=bool(facts.runs),
-        studies=len(facts.studies),
-        thinned=0 if light else facts.thinned,
+        judged=bool(data.verdicts.of) and not (lead and lead.id == "loops"),
+        runs=bool(data.runs),
+        studies=len(data.studies),
+        thinned=0 if light else data.thinned,
         listed=MOST_ROWS if len(results.runs) > MOST_ROWS else 0,
         run_count=len(results.runs),
         topics=others,
@@ -132,11 +132,11 @@ def page_html(
 
 
 def _sections(
-    facts: Facts, charts: Mapping[str, Any], topics: Sequence[Topic], light: bool
+    data: PageData, charts: Mapping[str, Any], topics: Sequence[Topic], light: bool
 ) -> list[tuple[str, str]]:
     """What the page has, in its order: the id of each section and its name."""
     named = [*_SECTIONS.items(), *((topic.id, topic.short or topic.title) for topic in topics)]
-    has = {"answer", *charts, *(topic.id for topic in topics), *(["one"] if facts.runs else [])}
+    has = {"answer", *charts, *(topic.id for topic in topics), *(["one"] if data.runs else [])}
     return [
         (name, title)
         for name, title in named
@@ -167,95 +167,95 @@ DRAWN = ("ladder", "matrix", "accuracy")
 """Figures that stand on the page before any script has run."""
 
 
-def charts_of(facts: Facts) -> dict[str, Any]:
+def charts_of(data: PageData) -> dict[str, Any]:
     """The figures that this folder has something for."""
     charts: dict[str, Any] = {}
-    timed = time_table(facts)
+    timed = time_table(data)
     if len(timed):
-        charts["ladder"] = ladder(timed, facts.demand.deadline_ms, facts.demand.p99_ms)
-    tiles = drawn_tiles(tile_table(facts)).replace(inf, "inf")  # JSON has no infinity
+        charts["ladder"] = ladder(timed, data.demand.deadline_ms, data.demand.p99_ms)
+    tiles = drawn_tiles(tile_table(data)).replace(inf, "inf")  # JSON has no infinity
     if len(tiles):
         charts["matrix"] = matrix(tiles)
         charts["matrix_narrow"] = matrix(tiles, stacked=True)
     nothing = pd.DataFrame(columns=["k", "force", "share"])
     no_steps = pd.DataFrame(columns=list(STRIP_COLUMNS))
-    charts["strips"] = strips(no_steps, nothing, facts.demand.error_move)
-    replayed = [c for (c, p) in facts.runs if facts.places[p].mode == "replay"]
+    charts["strips"] = strips(no_steps, nothing, data.demand.error_move)
+    replayed = [c for (c, p) in data.runs if data.places[p].mode == "replay"]
     if replayed:
-        charts["strips_replay"] = strips(no_steps, None, facts.demand.error_move)
+        charts["strips_replay"] = strips(no_steps, None, data.demand.error_move)
     if len(set(replayed)) > 1:
         # The axes are named by signals of these names, which the page adds.
         charts["pairs"] = pairs("first", "second")
-    if facts.studies:
+    if data.studies:
         charts |= {"design_tiles": design(tiles=True), "design_points": design(tiles=False)}
         charts |= {"behind": behind_there(100 * SMALL_M), "seas": seas_there()}
-    points = level_table(facts)
+    points = level_table(data)
     if len(points):
-        charts["accuracy"] = accuracy(points, facts.demand.error_move)
+        charts["accuracy"] = accuracy(points, data.demand.error_move)
     return charts
 
 
 def _document(
-    facts: Facts,
+    data: PageData,
     results: Results,
-    answer: Answer,
+    recommendation: Recommendation,
     charts: Mapping[str, Any],
     places: Mapping[int, Word],
 ) -> dict[str, Any]:
-    cells, (timed, reach) = list(facts.cells()), pair_reaches(facts)
-    verdicts = {v.configuration: v for v in facts.verdicts.all}
-    rows = [_configuration(facts, answer, c, verdicts.get(c)) for c in facts.configurations]
+    cells, (timed, reach) = list(data.cells()), pair_reaches(data)
+    verdicts = {v.configuration: v for v in data.verdicts.all}
+    rows = [_configuration(data, recommendation, c, verdicts.get(c)) for c in data.configurations]
     return {
-        "solvers": {c.solver: _solver(c.solver) for c in facts.configurations},
+        "solvers": {c.solver: _solver(c.solver) for c in data.configurations},
         "configurations": columns_of(rows),
-        "places": _places(facts, places),
+        "places": _places(data, places),
         "cells": columns_of(cells),
         "flags": FLAGS,
         "row_step": style.ROW_STEP,
         "demand": {
-            "error_move": facts.demand.error_move,
-            "deadline_ms": facts.demand.deadline_ms,
-            "p99_ms": facts.demand.p99_ms,
+            "error_move": data.demand.error_move,
+            "deadline_ms": data.demand.deadline_ms,
+            "p99_ms": data.demand.p99_ms,
         },
         "charts": _specifications(charts),
-        "answer": _opening(facts, results, answer),
-        "paired": {"c": timed, "reach": facts.block.log(reach)},
-        "studies": facts.study_documents,
-        "table": runs_table(facts, results.runs),
+        "answer": _opening(data, results, recommendation),
+        "paired": {"c": timed, "reach": data.block.log(reach)},
+        "studies": data.study_documents,
+        "table": runs_table(data, results.runs),
     }
 
 
 def _configuration(
-    facts: Facts, answer: Answer, c: Configuration, v: Verdict | None
+    data: PageData, recommendation: Recommendation, c: Configuration, v: Verdict | None
 ) -> dict[str, Any]:
     """What the page says of a configuration; of one that is not judged only what it is."""
     times = {} if v is None else {"p50": v.p50_ns, "p99": v.p99_ns, "max": v.algo_max_ns}
     return {
         **way_of(c),
         "outcome": "not judged" if v is None else v.state,
-        "why": "" if v is None else answer.why(v),
+        "why": "" if v is None else recommendation.why(v),
         **{name: number(times.get(name)) for name in ("p50", "p99", "max")},
         "replay_p99": None if v is None else number(v.replay_p99_ns),
         "raw_p99": None if v is None else number(v.raw_p99_ns),
         "p99_in": "" if v is None else v.p99_on,
         "error": None if v is None else number(v.error_move),
         "failed": None if v is None else v.failed_steps,
-        "timed_at": None if v is None else facts.timed_at(v),
+        "timed_at": None if v is None else data.timed_at(v),
         "call": call_text(c),
-        **_margin(facts, c),
-        **_longest(facts, c),
+        **_margin(data, c),
+        **_longest(data, c),
     }
 
 
-def _margin(facts: Facts, c: Configuration) -> dict[str, Any]:
+def _margin(data: PageData, c: Configuration) -> dict[str, Any]:
     """Return the speed margin of a configuration, and the steps of windows that bound it: the place
     of their loop, the sample and the time [ns]."""
-    margin = facts.margin(c)
+    margin = data.margin(c)
     if margin is None:
         return {"margin": None, "bounds": []}
     loops = {
         place.name: p
-        for p, place in enumerate(facts.places)
+        for p, place in enumerate(data.places)
         if (place.mode, place.units, place.study) == ("closed_loop", "scaled", "")
         and not place.slowdown
     }
@@ -267,12 +267,12 @@ def _margin(facts: Facts, c: Configuration) -> dict[str, Any]:
     return {"margin": number(margin.factor), "bounds": bounds}
 
 
-def _longest(facts: Facts, c: Configuration) -> dict[str, Any]:
+def _longest(data: PageData, c: Configuration) -> dict[str, Any]:
     """The largest single timing of a configuration in all its places [ns], and the place."""
-    place, run = facts.longest_timing(c) or (None, None)
+    place, run = data.longest_timing(c) or (None, None)
     if place is None or run is None:
         return {"longest": None, "longest_at": None}
-    return {"longest": number(run.raw_max_ns), "longest_at": facts.places.index(place)}
+    return {"longest": number(run.raw_max_ns), "longest_at": data.places.index(place)}
 
 
 def _specifications(charts: Mapping[str, Any]) -> dict[str, Any]:
@@ -284,39 +284,39 @@ def _specifications(charts: Mapping[str, Any]) -> dict[str, Any]:
     return made
 
 
-def _opening(facts: Facts, results: Results, answer: Answer) -> dict[str, Any]:
+def _opening(data: PageData, results: Results, recommendation: Recommendation) -> dict[str, Any]:
     """What the page opens with: two configurations, and the step that the suite is about; and of
     each solver the configuration that the figures of the answer show."""
     report = results.suite.get("report", {})
-    named = [
-        i for i, c in enumerate(facts.configurations) if c.label == report.get("configuration")
-    ]
-    first, second = (max(0, facts.index(c)) if c else None for c in (answer.first, answer.second))
-    of_study, place = facts.opening or (None, None)
+    named = [i for i, c in enumerate(data.configurations) if c.label == report.get("configuration")]
+    first, second = (
+        max(0, data.index(c)) if c else None for c in (recommendation.first, recommendation.second)
+    )
+    of_study, place = data.opening or (None, None)
     return {
         "first": named[0] if named else first or of_study or 0,
         "second": second,
         "best": {
-            v.configuration.solver: facts.index(v.configuration)
-            for v in best_of_each(facts.verdicts)
-            if facts.index(v.configuration) >= 0
+            v.configuration.solver: data.index(v.configuration)
+            for v in best_of_each(data.verdicts)
+            if data.index(v.configuration) >= 0
         },
         "place": place,
         "k": report.get("step"),
     }
 
 
-def _places(facts: Facts, words: Mapping[int, Word]) -> list[dict[str, Any]]:
+def _places(data: PageData, words: Mapping[int, Word]) -> list[dict[str, Any]]:
     """What the page says of each place, from the first run there; the seas of a study whose loops
     the page has no room for are places without one."""
     shows = {p: {"shows": word.meaning} for p, word in words.items()}
     return [
-        _place(facts, place, facts.first_runs.get(p)) | shows.get(p, {})
-        for p, place in enumerate(facts.places)
+        _place(data, place, data.first_runs.get(p)) | shows.get(p, {})
+        for p, place in enumerate(data.places)
     ]
 
 
-def _place(facts: Facts, place: Place, run: RunRecord | None) -> dict[str, Any]:
+def _place(data: PageData, place: Place, run: RunRecord | None) -> dict[str, Any]:
     said: dict[str, Any] = {"label": place.label, "mode": place.mode, "trial": place.units == "si"}
     if place.study:
         said |= {"study": place.study, "point": place.point, "sea": place.replicate}
@@ -324,7 +324,7 @@ def _place(facts: Facts, place: Place, run: RunRecord | None) -> dict[str, Any]:
         return said
     if not place.study:
         said |= {"source": run.exported_by, "first": run.first_step}
-    scenario = facts.scenario(run) if run.scenario else None
+    scenario = data.scenario(run) if run.scenario else None
     if scenario is not None:
         said["reference"] = [float(x) for x in scenario.reference]
         said["length_m"] = float(scenario.vessel.length_m)
@@ -344,22 +344,22 @@ MATRIX = (
 )
 
 
-def _matrix_said(facts: Facts) -> str:
+def _matrix_said(data: PageData) -> str:
     """What the tiles are; and how many places are left out, where there are too many."""
-    tiles = tile_table(facts)
+    tiles = tile_table(data)
     there, drawn = (t["place"].nunique() if len(t) else 0 for t in (tiles, drawn_tiles(tiles)))
     said = [MATRIX]
-    if any(facts.places[p].units == "si" for p in facts.judged_places):
-        said.append(f"In N and N·m is an extra, in no verdict{_wrong_in_si(facts, tiles)}.")
+    if any(data.places[p].units == "si" for p in data.judged_places):
+        said.append(f"In N and N·m is an extra, in no verdict{_wrong_in_si(data, tiles)}.")
     if there != drawn:
         most = f"The {drawn} of {there} places that miss it most"
         said.append(f"{most}; all are in tables/places.csv.")
     return " ".join(said)
 
 
-def _wrong_in_si(facts: Facts, tiles: pd.DataFrame) -> str:
+def _wrong_in_si(data: PageData, tiles: pd.DataFrame) -> str:
     """What who gives a solver such a QP has to know: how many are then wrong at their defaults."""
-    unscaled = [str(p) for p in facts.judged_places if facts.places[p].units == "si"]
+    unscaled = [str(p) for p in data.judged_places if data.places[p].units == "si"]
     ran = tiles[tiles["place_id"].isin(unscaled) & tiles["state"].ne("not run")]
     asked = ran[ran["settings"] == "default"]
     wrong = asked.loc[asked["state"] == "wrong", "solver"].nunique()

@@ -10,9 +10,14 @@ from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.statistics import Interval, paired_ratio
-from dpbench.analysis.times.contrasts import common_replays, fastest_forms, right_levels
+from dpbench.analysis.times.contrasts import (
+    common_replays,
+    fastest_forms,
+    native_comparisons,
+    right_levels,
+    route_comparisons,
+)
 from dpbench.analysis.times.pairs import paired
-from dpbench.analysis.times.routes import native_comparisons, route_comparisons
 from dpbench.analysis.verdict.demand import Demand, is_right
 from dpbench.bench.judge.rules import median, percentile
 from dpbench.bench.record.configuration import settings_level

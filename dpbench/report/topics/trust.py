@@ -106,7 +106,7 @@ def trust_topic(records: Records) -> Topic | None:
         figures.append(Figure("calibration", chart, "Asked and measured."))
     if disturbance.seconds > 0:
         lines.append(_quiet_text(disturbance, records.machine))
-    facts = [
+    data = [
         *machine_facts(records.machine),
         *(disturbance_facts(disturbance) if disturbance.seconds > 0 else ()),
         *own_switches(timed),
@@ -117,5 +117,5 @@ def trust_topic(records: Records) -> Topic | None:
         short="Trust",
         lines=(*lines, *COVERED),
         figures=tuple(figures),
-        tables=(Table(("machine", ""), tuple(facts)),),
+        tables=(Table(("machine", ""), tuple(data)),),
     )

@@ -50,11 +50,18 @@ def _difference(
 
 
 def _configuration(
-    behind: PairedDifference | None, dearer: PairedDifference | None, **columns: Any
+    error_excess_m: PairedDifference | None,
+    log_cost_excess: PairedDifference | None,
+    **columns: Any,
 ) -> StudiedConfiguration:
     usual = {"runs": 6, "finished": 6, "held": 1.0, "cost": 0.0, "r_95_m": 0.25}
     return StudiedConfiguration(
-        "osqp", "osqp", "1e-4", behind=behind, dearer=dearer, **(usual | columns)
+        "osqp",
+        "osqp",
+        "1e-4",
+        error_excess_m=error_excess_m,
+        log_cost_excess=log_cost_excess,
+        **(usual | columns),
     )
 
 
@@ -196,8 +203,8 @@ def test_a_configuration_differs_on_either_side() -> None:
 def test_who_is_significantly_behind(p: float, value: float, differs: bool, behind: bool) -> None:
     """At a family-wise error of 5 %, and with a larger radial error."""
     found = _configuration(_difference(value), None, p_differs=p)
-    assert (found.differs, found.is_behind) == (differs, behind)
-    assert not _configuration(None, None, p_differs=p).is_behind
+    assert (found.differs, found.has_larger_error) == (differs, behind)
+    assert not _configuration(None, None, p_differs=p).has_larger_error
 
 
 def test_who_is_cheap() -> None:
@@ -224,9 +231,9 @@ def test_the_figures_of_a_configuration() -> None:
     assert (reference.runs, reference.finished, reference.held) == (4, 3, 0.5)
     assert reference.cost == pytest.approx((0.5 + 1.0 + 1.0 + 1.0) / 4)
     assert reference.r_95_m == pytest.approx((0.5 + 0.75) / 4)
-    assert (reference.behind, reference.dearer, law.name) == (None, None, "law")
+    assert (reference.error_excess_m, reference.log_cost_excess, law.name) == (None, None, "law")
     assert (reference.p_differs, reference.p_cheap) == (1.0, 1.0)
-    assert law.behind is not None and law.behind.pairs == 1
+    assert law.error_excess_m is not None and law.error_excess_m.pairs == 1
     assert (study.replicates, study.realisations) == (2, 2)
     assert study.points["hs_m"].to_dict() == {0: 0.0, 1: 1.0}
     held = study.held_map("osqp")

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.analysis.times.routes import (
+from dpbench.analysis.times.contrasts import (
     KEPT,
     NATIVE,
     WARM,

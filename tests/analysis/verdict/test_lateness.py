@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from scipy.stats import binom, poisson
 
-from dpbench.analysis.records.delays import delays_by_run, delays_of
+from dpbench.analysis.records.step_times import delays_by_run, delays_of
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.lateness import (
     DOUBTFUL,

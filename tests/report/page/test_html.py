@@ -125,7 +125,7 @@ def test_the_block_unpacks_to_the_facts(written: Any) -> None:
     a code of those of its run."""
     (text,) = re.findall(r'<script id="block"[^>]*>(.*?)</script>', written.html, re.S)
     document, arrays = unpacked(text.strip())
-    facts = written.report.facts
+    facts = written.report.data
     assert document["configurations"]["solver"] == [c.solver for c in facts.configurations]
     assert [place["label"] for place in document["places"]] == [p.label for p in facts.places]
     cells = document["cells"]

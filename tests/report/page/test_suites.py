@@ -181,7 +181,7 @@ def test_a_suite_shows_what_it_has_and_mentions_nothing_else(
     report = Report.of(load_results(out))
     assert {topic.id for topic in report.topics} == topics | ({lead} - {""})
     first = report.topics[0] if lead else None
-    opening = first.lines[0] if first else report.answer.sentence
+    opening = first.lines[0] if first else report.recommendation.sentence
     assert answer.startswith(f"Answer {escape(opening)}") and opening in text
     assert (first is None) == (lead == "") and (first is None or first.leads)
     drawn = {path.stem for path in (out / "figures").iterdir()}
@@ -195,7 +195,7 @@ def test_without_a_solver_on_a_ship_no_demand_is_spoken_of(records: Any, kind: s
     """Its answer is that of its own question, and has no chip and nothing to paste."""
     KINDS[kind][0](records)
     report = Report.of(records.results())
-    answer, lead = report.answer, report.topics[0]
+    answer, lead = report.recommendation, report.topics[0]
     starts = {
         "random": "0 false claims on ",
         "consequence": "In thrusters[0:30] the loss of board A or of board B can be held through",

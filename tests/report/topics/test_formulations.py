@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from dpbench.analysis.times.routes import route_comparisons
+from dpbench.analysis.times.contrasts import route_comparisons
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.verdict import Verdict, verdicts_of
 from dpbench.report.table import Table

@@ -11,20 +11,20 @@ from dpbench.analysis.times.solver_tables import tile_table
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.verdict import verdict_of, verdicts_of
 from dpbench.report.page import tables
-from dpbench.report.page.facts import Facts, columns_of, number
-from dpbench.report.page.places import place_words
+from dpbench.report.page.data import PageData, columns_of, number
 from dpbench.report.page.tables import drawn_tiles
+from dpbench.report.page.terms import place_words
 from dpbench.report.page.write import _matrix_said
 
 DEMAND = Demand()
 
 
-def _facts(records: Any) -> Facts:
+def _facts(records: Any) -> PageData:
     view = records.view()
-    return Facts.of(view, verdicts_of(view, DEMAND))
+    return PageData.of(view, verdicts_of(view, DEMAND))
 
 
-def _state(facts: Facts, solver: str, place: str) -> str:
+def _state(facts: PageData, solver: str, place: str) -> str:
     (c,) = (i for i, one in enumerate(facts.configurations) if one.solver == solver)
     (p,) = (i for i, one in enumerate(facts.places) if one.label == place)
     return facts.state(c, p)

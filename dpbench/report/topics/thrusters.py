@@ -12,7 +12,11 @@ from collections.abc import Sequence
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.demand import Demand, is_right_to_the_end
-from dpbench.analysis.verdict.steering import is_about_thrusters, largest_ratio, steered_by
+from dpbench.analysis.verdict.steering import (
+    is_about_thrusters,
+    largest_ratio,
+    thruster_control_loops,
+)
 from dpbench.report.formats import MISSING, and_list, plural, significant
 from dpbench.report.page.topic import Topic
 from dpbench.report.table import Table
@@ -25,7 +29,7 @@ LIKE = 0.01
 
 def thrusters_topic(records: Records, demand: Demand) -> Topic | None:
     """The topic; None where no thruster is steered."""
-    found = steered_by(records, demand)
+    found = thruster_control_loops(records, demand)
     if not found.best:
         return None
     best, configurations = found.best, found.configurations

@@ -15,7 +15,7 @@ from dpbench.analysis.suites.consequence import (
     largest_share,
 )
 from dpbench.analysis.verdict.demand import Demand, is_right_to_the_end
-from dpbench.analysis.verdict.fastest import recommend
+from dpbench.analysis.verdict.fastest import choose_solver
 from dpbench.analysis.verdict.steering import (
     Steering,
     is_about_thrusters,
@@ -31,7 +31,7 @@ def conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
     """The topic; None of a suite that is not about thrusters."""
     if not is_about_thrusters(records):
         return None
-    demand, chosen = verdicts.demand, recommend(verdicts).chosen
+    demand, chosen = verdicts.demand, choose_solver(verdicts).chosen
     steering = steering_of(records, demand)
     if not steering.with_thrusters:
         return None

@@ -10,24 +10,24 @@ import pytest
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.verdict.demand import Demand
-from dpbench.analysis.verdict.fastest import best_of_each, recommend
+from dpbench.analysis.verdict.fastest import best_of_each, choose_solver
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.report.documents.markdown import MOST_BYTES, report_markdown
 from dpbench.report.formats import error_text, rounded_down, time_text
-from dpbench.report.page.answer import Answer, answer_of
-from dpbench.report.page.facts import Facts
+from dpbench.report.page.data import PageData
+from dpbench.report.page.recommendation import Recommendation, build_recommendation
 from dpbench.report.report import Report
 
 
-def _facts(records: Any) -> Facts:
+def _facts(records: Any) -> PageData:
     view, demand = records.view(), Demand()
-    return Facts.of(view, verdicts_of(view, demand))
+    return PageData.of(view, verdicts_of(view, demand))
 
 
-def _answer(records: Any, baseline: str | None = None) -> Answer:
-    return answer_of(_facts(records), {}, baseline)
+def _answer(records: Any, baseline: str | None = None) -> Recommendation:
+    return build_recommendation(_facts(records), {}, baseline)
 
 
 def _plain(html: str) -> str:
@@ -39,11 +39,11 @@ def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
     """The recommendation, its p99 and its speed margin are the same everywhere."""
     demand = Demand.of(written.results.suite)
     verdicts = verdicts_of(Records(written.results), demand)
-    chosen = recommend(verdicts).chosen
+    chosen = choose_solver(verdicts).chosen
     assert chosen is not None and chosen.configuration.solver == "daqp"
     page, text = _plain(written.html), written.markdown
     terminal = "\n".join(said for _, said in written.lines)
-    margin = written.report.facts.margin(chosen.configuration)
+    margin = written.report.data.margin(chosen.configuration)
     assert margin is not None
     for said in (page, text, terminal):
         assert "Use daqp (qpsolvers, fresh, default): right on every step of 4 closed loops" in said
@@ -66,8 +66,8 @@ def test_the_markdown_is_short_and_its_table_that_of_the_verdicts(written: Any) 
     assert len(written.markdown.encode()) <= MOST_BYTES
     rows = [line.strip("| ").split(" | ") for line in written.markdown.splitlines() if "|" in line]
     head, _, *body = rows
-    best = best_of_each(written.report.facts.verdicts)
-    assert len(body) == len(best) == len(written.report.facts.verdicts.of)
+    best = best_of_each(written.report.data.verdicts)
+    assert len(body) == len(best) == len(written.report.data.verdicts.of)
     for cells, verdict in zip(body, best, strict=True):
         row = dict(zip(head, cells, strict=True))
         assert row["solver"] == verdict.configuration.solver
@@ -87,7 +87,7 @@ def test_a_markdown_of_very_many_solvers_is_cut_at_a_line(records: Any) -> None:
     for i in range(150):
         records.loop(f"somebody_elses_solver_{i:03d}")
     facts = _facts(records)
-    text = report_markdown(records.results(), facts, answer_of(facts, {}), [])
+    text = report_markdown(records.results(), facts, build_recommendation(facts, {}), [])
     assert len(text.encode()) <= MOST_BYTES
     assert text.endswith("More rows: `tables/verdicts.csv`.\n")
     assert all(line.endswith("|") for line in text.splitlines() if line.startswith("|"))
@@ -265,7 +265,7 @@ def test_why_is_the_verdicts_cause(records: Any) -> None:
     records.loop("osqp", error=0.4)
     records.replay("daqp")
     records.refused("qpax", "not installed")
-    why = {v.configuration.solver: Answer.why(v) for v in _facts(records).verdicts.all}
+    why = {v.configuration.solver: Recommendation.why(v) for v in _facts(records).verdicts.all}
     assert why["osqp"].startswith("its first move is up to 0.40 of a rate-limit step off the opti")
     assert why["daqp"] == "no closed loop was run"
     assert why["qpax"] == "not installed"
@@ -307,5 +307,5 @@ def test_the_suite_names_the_baseline(records: Any, named: str | None, second: s
     for solver, us in (("daqp", 10.0), ("osqp", 20.0), ("piqp", 30.0)):
         records.replay(solver, median_us=us, steps=60)
     records.suite["report"] = {"baseline": named}
-    found = Report.of(records.results()).answer.second
+    found = Report.of(records.results()).recommendation.second
     assert found is not None and found.solver == second

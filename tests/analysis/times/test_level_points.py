@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.times.work_precision import level_points
+from dpbench.analysis.times.solver_tables import level_points
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import load_suite
 from dpbench.solvers.settings import setting_names, settings_matter

@@ -108,10 +108,10 @@ def _who(analysis: Analysis) -> str:
     silent = sum(1 for a in answers if a.silent)
     leave = "leaves" if silent == 1 else "leave"
     unanswered = f"; {silent} {leave} some without an answer" if silent else ""
-    return f"{head}; {_liars(answers)}{unanswered}."
+    return f"{head}; {_missed_alarms(answers)}{unanswered}."
 
 
-def _liars(answers: Sequence[BatchAnswers]) -> str:
+def _missed_alarms(answers: Sequence[BatchAnswers]) -> str:
     """Whose alarms are missing, the most first."""
     missed = counted_list((a.name, a.missed) for a in answers if a.missed)
     return f"alarms are missed by {missed}" if missed else "none calls a loss held that is not"

@@ -26,14 +26,14 @@ from dpbench.report.page.studies import MOST_LOOPS, opening, shown, study_docume
 
 
 @dataclass(eq=False)
-class Facts(PlacedRuns):
+class PageData(PlacedRuns):
     """What was run where, and the block that the page's arrays are in."""
 
     block: Block = field(default_factory=Block)
 
     @classmethod
     def of(cls, records: Records, verdicts: Verdicts) -> Self:
-        """The facts of some records; of studies those that the page has room for."""
+        """The data of some records; of studies those that the page has room for."""
         return cls.placed(records, verdicts, shown(records.study), MOST_LOOPS)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""The answer: which configuration to use, why, where that is valid, and what to paste."""
+"""The recommendation: which configuration to use, why, where that is valid, and what to paste."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from dpbench.analysis.times.machine import shortest_wait_ns
 from dpbench.analysis.times.pairs import faster_but_open, paired_comparison
-from dpbench.analysis.verdict.fastest import Recommendation, fastest_of, known_record, recommend
+from dpbench.analysis.verdict.fastest import SolverChoice, choose_solver, fastest_of, known_record
 from dpbench.analysis.verdict.speed_margin import SlowStep, largest_stall_ns
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
@@ -23,12 +23,12 @@ from dpbench.report.formats import (
     time_text,
     unmarked,
 )
-from dpbench.report.page.facts import Facts
+from dpbench.report.page.data import PageData
 from dpbench.report.verdict_text import (
     NOBODY,
-    aboard,
     clauses,
     demand_text,
+    deployment_facts,
     judged_on,
     paired_text,
     usual_time,
@@ -59,8 +59,8 @@ class Chip:
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
-    """What stands first on the page."""
+class Recommendation:
+    """The headline of the page."""
 
     sentence: str
     notes: tuple[tuple[str, str], ...]
@@ -81,8 +81,10 @@ class Answer:
         return unmarked(clauses(verdict.causes or verdict.missing))
 
 
-def answer_of(facts: Facts, machine: Mapping[str, Any], baseline: str | None = None) -> Answer:
-    """The answer of some facts.
+def build_recommendation(
+    data: PageData, machine: Mapping[str, Any], baseline: str | None = None
+) -> Recommendation:
+    """Build the headline of the page: solver, comparison, notes and code to paste.
 
     Parameters
     ----------
@@ -92,9 +94,9 @@ def answer_of(facts: Facts, machine: Mapping[str, Any], baseline: str | None = N
     ------
     InputError : for a baseline that was not run.
     """
-    found = recommend(facts.verdicts)
+    found = choose_solver(data.verdicts)
     chosen = found.chosen
-    known = [v.configuration for v in facts.verdicts.all if v.outcome != "not run"]
+    known = [v.configuration for v in data.verdicts.all if v.outcome != "not run"]
     first = chosen.configuration if chosen else known[0] if known else None
     other = found.faster or found.runner_up
     second = other.configuration if other else next((c for c in known if c != first), None)
@@ -103,84 +105,83 @@ def answer_of(facts: Facts, machine: Mapping[str, Any], baseline: str | None = N
         if not own:
             solvers = ", ".join(dict.fromkeys(c.solver for c in known))
             raise InputError("--baseline", "", repr(baseline), f"a solver that was run: {solvers}")
-        fastest = fastest_of(facts.verdicts, baseline)
+        fastest = fastest_of(data.verdicts, baseline)
         second = fastest.configuration if fastest else own[0]
-    return Answer(
-        sentence=_sentence(facts, found),
-        notes=tuple(_notes(facts, found)),
-        chips=tuple(_chips(facts, first)),
+    return Recommendation(
+        sentence=_sentence(data, found),
+        notes=tuple(_notes(data, found)),
+        chips=tuple(_chips(data, first)),
         snippets=tuple(_snippets(chosen.configuration)) if chosen else (),
-        demand=demand_text(facts.demand) if facts.verdicts.of else "",
+        demand=demand_text(data.demand) if data.verdicts.of else "",
         machine=_machine(machine),
         first=first,
         second=second,
     )
 
 
-def _sentence(facts: Facts, found: Recommendation) -> str:
+def _sentence(data: PageData, found: SolverChoice) -> str:
     chosen = found.chosen
     if chosen is None:
-        return _nothing(facts, found)
+        return _nothing(data, found)
     c = chosen.configuration
     heads = {"meets": "Use", "borderline": "Borderline:"}
     head = heads.get(chosen.outcome, "Nothing contradicts")
     left_open = "" if chosen.outcome == "meets" else f"; {unmarked(clauses(chosen.missing))}"
     return (
         f"{head} {c.solver} ({c.route}, {c.policy}, {c.settings}): right on every step of "
-        f"{judged_on(chosen)}{_no_solution(facts, c)}, {usual_time(chosen)}, largest error of the "
+        f"{judged_on(chosen)}{_no_solution(data, c)}, {usual_time(chosen)}, largest error of the "
         f"first move "
         f"{error_text(chosen.error_move)}{left_open}."
     )
 
 
-def _no_solution(facts: Facts, c: Configuration) -> str:
-    """Steps on which right means to say that there is no answer."""
-    steps, told = facts.without_solution(c)
+def _no_solution(data: PageData, c: Configuration) -> str:
+    """Steps on which right means to report that there is no solution."""
+    steps, told = data.without_solution(c)
     said = ", and it said so" if told else ""
     return f" ({plural(steps, 'step')} had no solution{said})" if steps else ""
 
 
-def _nothing(facts: Facts, found: Recommendation) -> str:
+def _nothing(data: PageData, found: SolverChoice) -> str:
     """Why nothing is recommended; empty where nobody asked for a recommendation."""
-    records = facts.records
+    records = data.records
     if any(not run.is_baseline_law for run in records.runs):
-        return unmarked(why_nothing(records, facts.verdicts, found))
+        return unmarked(why_nothing(records, data.verdicts, found))
     topics = records.random or records.consequence or records.at_edge or records.study
     other = topics or records.delayed or records.calibration
     return "" if other else NOBODY
 
 
-def _notes(facts: Facts, found: Recommendation) -> Iterator[tuple[str, str]]:
-    """What belongs to the answer, each with a word for what it is about."""
+def _notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
+    """What belongs to the recommendation, each with a word for what it is about."""
     chosen = found.chosen
     if chosen is None:
         return
-    yield "aboard", aboard(chosen.configuration.solver)
-    if slower := slower_text(facts, chosen):
+    yield "aboard", deployment_facts(chosen.configuration.solver)
+    if slower := slower_text(data, chosen):
         yield "slower", slower
-    shortest_ns = shortest_wait_ns(facts.records.calibration)
+    shortest_ns = shortest_wait_ns(data.records.calibration)
     if chosen.p50_ns < shortest_ns:
         p50, shortest = time_text(chosen.p50_ns), time_text(shortest_ns)
         yield "checked", f"Its p50, {p50}, lies below the shortest wait checked, {shortest}."
     if found.faster is not None:
         label = found.faster.configuration.label
         yield "faster", f"{label} is faster, and is not the answer: {found.because}."
-    yield from _open_notes(facts, found)
+    yield from _open_notes(data, found)
     if found.runner_up is not None:
-        beside = paired_text(paired_comparison(facts.records, chosen, found.runner_up))
+        beside = paired_text(paired_comparison(data.records, chosen, found.runner_up))
         label, time = found.runner_up.configuration.label, usual_time(found.runner_up)
         yield "next", f"Next: {label}, {time}, {beside}."
 
 
-def _open_notes(facts: Facts, found: Recommendation) -> Iterator[tuple[str, str]]:
-    """What would be faster than the answer, were it not open; of who is no answer anyway nothing
-    more."""
+def _open_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
+    """Faster configurations whose verdict is open; none beside one that is no answer anyway."""
     if found.chosen is None or found.chosen.outcome != "meets":
         return
     known = None if found.faster is None else found.faster.configuration.solver
     others = [
         verdict
-        for verdict in faster_but_open(facts.records, facts.verdicts, found.chosen)
+        for verdict in faster_but_open(data.records, data.verdicts, found.chosen)
         if verdict.configuration.solver != known
     ]
     for verdict in others[:MOST_OPEN]:
@@ -188,9 +189,9 @@ def _open_notes(facts: Facts, found: Recommendation) -> Iterator[tuple[str, str]
         yield "open", f"{verdict.configuration.label} is faster on average, and open: {why}."
 
 
-def slower_text(facts: Facts, chosen: Verdict) -> str:
+def slower_text(data: PageData, chosen: Verdict) -> str:
     """State how much slower a computer may be, by the steps that bound it, and the stalls apart."""
-    margin, demand = facts.margin(chosen.configuration), facts.demand
+    margin, demand = data.margin(chosen.configuration), data.demand
     if margin is None:
         return ""
     parts = [
@@ -200,7 +201,7 @@ def slower_text(facts: Facts, chosen: Verdict) -> str:
         f"The hardest step takes the deadline of {demand.deadline_ms:g} ms at × "
         f"{rounded_down(margin.deadline)}: it is {_slow_step_text(margin.hardest)}.",
     ]
-    longest, arms_ns = facts.longest_timing(chosen.configuration), largest_stall_ns(facts.records)
+    longest, arms_ns = data.longest_timing(chosen.configuration), largest_stall_ns(data.records)
     if longest is not None:
         place, run = longest
         arms = f", the largest stall of a calibration run {time_text(arms_ns)}" * (arms_ns > 0.0)
@@ -217,17 +218,17 @@ def _slow_step_text(step: SlowStep) -> str:
     return f"{time_text(step.time_ns)} in {where}, k {step.k} ({work})"
 
 
-def _chips(facts: Facts, first: Configuration | None) -> list[Chip]:
+def _chips(data: PageData, first: Configuration | None) -> list[Chip]:
     if first is None:
         return []
-    c = facts.index(first)
-    places = facts.judged_places
-    states = [facts.state(c, p) for p in places]
+    c = data.index(first)
+    places = data.judged_places
+    states = [data.state(c, p) for p in places]
     counts = Counter(states)
     counted = {s for s in counts if len(states) > MOST_CHIPS and counts[s] > FEW}
     marks = {state: "none" if state == "not run" else state for state in states}
     named = [
-        Chip(f"{_said(state)}{_otherwise(facts, first, p)}", marks[state], facts.places[p].label, p)
+        Chip(f"{_said(state)}{_otherwise(data, first, p)}", marks[state], data.places[p].label, p)
         for p, state in zip(places, states, strict=True)
         if state not in counted
     ]
@@ -247,14 +248,14 @@ def _said(state: str) -> str:
     return _STATES.get(state, state)
 
 
-def _otherwise(facts: Facts, chosen: Configuration, p: int) -> str:
+def _otherwise(data: PageData, chosen: Configuration, p: int) -> str:
     """How the solver did in a place where it was run in other ways than the chosen one alone."""
-    if (facts.index(chosen), p) in facts.runs:
+    if (data.index(chosen), p) in data.runs:
         return ""
     ways: dict[str, list[str]] = {}
-    for c, other in enumerate(facts.configurations):
+    for c, other in enumerate(data.configurations):
         if (other.solver, other.settings) == (chosen.solver, chosen.settings):
-            ways.setdefault(facts.state(c, p), []).append(f"{other.route} {other.policy}")
+            ways.setdefault(data.state(c, p), []).append(f"{other.route} {other.policy}")
     others = [
         f"{and_list(names)} {_said(state)}" for state, names in ways.items() if state != "not run"
     ]
