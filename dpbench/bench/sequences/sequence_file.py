@@ -36,7 +36,8 @@ from dpbench.files.documents import parse_json
 from dpbench.mpc.condense import UnitSystem
 from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram, Units, in_own_units
 from dpbench.qp.referee.joint import Kind
-from dpbench.qp.referee.referee import ACTIVE_MULTIPLIER, Optimum, certified
+from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
+from dpbench.qp.referee.referee import certified
 from dpbench.scenario.problem_files import sequence_path
 
 FORMAT = "dpbench-sequence"
