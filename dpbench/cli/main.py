@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any, TextIO
 from dpbench.bench.workers.interrupts import Interruption, one_interrupt
 from dpbench.cli.arguments import HOW_TO_END, parser
 from dpbench.cli.completion import complete
-from dpbench.cli.ending import say_ending
 from dpbench.cli.streams import PIPE_CLOSED, flush_streams, is_output_lost, open_streams
 from dpbench.errors import DpbenchError, InputError, RenamedWarning, renamed
 from dpbench.files.writing import write_given
@@ -179,7 +178,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.dry_run:
         return _dry_run(arguments)
     from dpbench.bench.campaign import run_campaign
-    from dpbench.cli.terminal import Bar
+    from dpbench.cli.terminal import Bar, say_ending
     from dpbench.report.write import report_and_ending
 
     with Bar(quiet=arguments.quiet or arguments.json) as bar:
@@ -212,6 +211,7 @@ def _cells(arguments: argparse.Namespace) -> int:
 
 def _gather(arguments: argparse.Namespace) -> int:
     from dpbench.bench.gather import gather
+    from dpbench.cli.terminal import say_ending
     from dpbench.report.write import report_and_ending
 
     out = gather(**_given(arguments, *HOW_TO_END))
@@ -220,6 +220,7 @@ def _gather(arguments: argparse.Namespace) -> int:
 
 
 def _report(arguments: argparse.Namespace) -> int:
+    from dpbench.cli.terminal import say_ending
     from dpbench.report.write import report_and_ending
 
     if arguments.against and arguments.solver is None:
@@ -332,10 +333,16 @@ def _paper(arguments: argparse.Namespace) -> int:
 
 
 def _list(arguments: argparse.Namespace) -> int:
-    from dpbench.cli.listing import listing
     from dpbench.cli.terminal import console
 
-    console().print(listing(arguments.what))
+    if arguments.what == "solvers":
+        from dpbench.cli.list_solvers import solver_list
+
+        console().print(solver_list())
+    else:
+        from dpbench.cli.list_problems import problem_list
+
+        console().print(problem_list(arguments.what))
     return 0
 
 

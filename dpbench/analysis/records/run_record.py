@@ -325,14 +325,6 @@ def _described(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
     return described
 
 
-def as_float(value: object) -> float:
-    """A number out of a table; a missing one (None, pd.NA, NaN) is NaN."""
-    try:
-        return float(value)  # type: ignore[arg-type] # any cell of a table; what fails is missing
-    except (TypeError, ValueError):
-        return float(np.nan)
-
-
 def _floats(column: pd.Series[Any]) -> list[float]:
     return column.to_numpy(dtype=np.float64, na_value=np.nan).tolist()
 
