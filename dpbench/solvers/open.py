@@ -1,4 +1,4 @@
-"""Opening a workspace: the one door through which a solver is asked for by name."""
+"""Open a workspace by the name of its solver; nothing else does."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ TABLE: dict[str, SolverRecord] = {
     name: _ON_NATIVE[name].record if name in _ON_NATIVE else THROUGH_QPSOLVERS[name].record
     for name in sorted({*_ON_NATIVE, *THROUGH_QPSOLVERS})
 }
-"""The solvers of this house and the libraries it has adapters for, in alphabetical order."""
+"""The own solvers and the libraries with an adapter, in alphabetical order."""
 
 
 @dataclass(frozen=True)
