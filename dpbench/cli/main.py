@@ -21,7 +21,13 @@ from dpbench.bench.workers.interrupts import Interruption, one_interrupt
 from dpbench.cli.arguments import HOW_TO_END, parser
 from dpbench.cli.completion import complete
 from dpbench.cli.streams import PIPE_CLOSED, flush_streams, is_output_lost, open_streams
-from dpbench.errors import DpbenchError, InputError, RenamedWarning, renamed
+from dpbench.errors import (
+    DpbenchError,
+    InputError,
+    RenamedWarning,
+    SituationError,
+    renamed,
+)
 from dpbench.files.writing import write_given
 
 if TYPE_CHECKING:
@@ -125,8 +131,8 @@ def _exit_code(arguments: argparse.Namespace, interruption: Interruption) -> int
         # The last net under all that is read and written: a full disk, a folder in a file's place.
         name = f"{error.filename}: " if error.filename else ""
         print(
-            f"dpbench: {name}found {error.strerror or error}; allowed: a file or folder that "
-            "can be read and written",
+            f"dpbench: {name}{error.strerror or error}; name a file or folder that can be read "
+            "and written, on a disk with free space",
             file=sys.stderr,
         )
         return 2
@@ -224,7 +230,7 @@ def _report(arguments: argparse.Namespace) -> int:
     from dpbench.report.write import report_and_ending
 
     if arguments.against and arguments.solver is None:
-        raise InputError("--against", "", "no solver to set beside them", "--for SOLVER as well")
+        raise SituationError("--against", "name the solver to compare with these by --for SOLVER")
     say_ending(
         *report_and_ending(arguments.dir, **_given(arguments, "dir", *HOW_TO_END)), arguments
     )
@@ -247,8 +253,8 @@ def _compare(arguments: argparse.Namespace) -> int:
     if arguments.releases:
         return _releases(arguments)
     if len(arguments.folders) != 2:
-        found = f"{len(arguments.folders)} of them"
-        raise InputError("compare", "DIR", found, "two, A and B, or several with --releases")
+        given = f"{len(arguments.folders)} folders were given"
+        raise SituationError("compare", f"{given}; name two, A and B, or add --releases")
     compared = compare(
         *arguments.folders,
         reference=arguments.reference,
