@@ -21,11 +21,11 @@ from dpbench.bench.capability.study import FROM_DEG, Capability, capability_of, 
 from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.sequences.capability_boundary import write_batch
 from dpbench.cli.terminal import WIDTH, Bar
-from dpbench.errors import InputError, SolverUnavailableError
+from dpbench.errors import InputError
 from dpbench.report.formats import time_text
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.vessel import Vessel
-from dpbench.solvers.table import available, record
+from dpbench.solvers.table import check_available
 
 SIDES = 24
 """Sides of the polygons in QPs, unless others are asked for: they give away 0.9 % of the thrust,
@@ -68,9 +68,7 @@ def tell_capability(arguments: argparse.Namespace) -> str:
 
 def _check_installed(solver: str) -> None:
     if solver != "all":
-        row, here = record(solver), available(solver)
-        if not here.ok:
-            raise SolverUnavailableError("solver", solver, here.reason, f"after {row.remedy}")
+        check_available(solver)
 
 
 def _asked(

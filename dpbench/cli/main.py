@@ -20,9 +20,14 @@ from typing import TYPE_CHECKING, Any, TextIO
 from dpbench.bench.workers.interrupts import Interruption, one_interrupt
 from dpbench.cli.arguments import HOW_TO_END, parser
 from dpbench.cli.completion import complete
-from dpbench.cli.ending import say_ending
 from dpbench.cli.streams import PIPE_CLOSED, flush_streams, is_output_lost, open_streams
-from dpbench.errors import DpbenchError, InputError, RenamedWarning, renamed
+from dpbench.errors import (
+    DpbenchError,
+    InputError,
+    RenamedWarning,
+    SituationError,
+    renamed,
+)
 from dpbench.files.writing import write_given
 
 if TYPE_CHECKING:
@@ -126,8 +131,8 @@ def _exit_code(arguments: argparse.Namespace, interruption: Interruption) -> int
         # The last net under all that is read and written: a full disk, a folder in a file's place.
         name = f"{error.filename}: " if error.filename else ""
         print(
-            f"dpbench: {name}found {error.strerror or error}; allowed: a file or folder that "
-            "can be read and written",
+            f"dpbench: {name}{error.strerror or error}; name a file or folder that can be read "
+            "and written, on a disk with free space",
             file=sys.stderr,
         )
         return 2
@@ -179,7 +184,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.dry_run:
         return _dry_run(arguments)
     from dpbench.bench.campaign import run_campaign
-    from dpbench.cli.terminal import Bar
+    from dpbench.cli.terminal import Bar, say_ending
     from dpbench.report.write import report_and_ending
 
     with Bar(quiet=arguments.quiet or arguments.json) as bar:
@@ -212,6 +217,7 @@ def _cells(arguments: argparse.Namespace) -> int:
 
 def _gather(arguments: argparse.Namespace) -> int:
     from dpbench.bench.gather import gather
+    from dpbench.cli.terminal import say_ending
     from dpbench.report.write import report_and_ending
 
     out = gather(**_given(arguments, *HOW_TO_END))
@@ -220,10 +226,11 @@ def _gather(arguments: argparse.Namespace) -> int:
 
 
 def _report(arguments: argparse.Namespace) -> int:
+    from dpbench.cli.terminal import say_ending
     from dpbench.report.write import report_and_ending
 
     if arguments.against and arguments.solver is None:
-        raise InputError("--against", "", "no solver to set beside them", "--for SOLVER as well")
+        raise SituationError("--against", "name the solver to compare with these by --for SOLVER")
     say_ending(
         *report_and_ending(arguments.dir, **_given(arguments, "dir", *HOW_TO_END)), arguments
     )
@@ -246,8 +253,8 @@ def _compare(arguments: argparse.Namespace) -> int:
     if arguments.releases:
         return _releases(arguments)
     if len(arguments.folders) != 2:
-        found = f"{len(arguments.folders)} of them"
-        raise InputError("compare", "DIR", found, "two, A and B, or several with --releases")
+        given = f"{len(arguments.folders)} folders were given"
+        raise SituationError("compare", f"{given}; name two, A and B, or add --releases")
     compared = compare(
         *arguments.folders,
         reference=arguments.reference,
@@ -330,10 +337,16 @@ def _paper(arguments: argparse.Namespace) -> int:
 
 
 def _list(arguments: argparse.Namespace) -> int:
-    from dpbench.cli.listing import listing
     from dpbench.cli.terminal import console
 
-    console().print(listing(arguments.what))
+    if arguments.what == "solvers":
+        from dpbench.cli.list_solvers import solver_list
+
+        console().print(solver_list())
+    else:
+        from dpbench.cli.list_problems import problem_list
+
+        console().print(problem_list(arguments.what))
     return 0
 
 

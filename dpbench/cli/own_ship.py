@@ -13,7 +13,7 @@ from pathlib import Path
 
 from dpbench.cli.own_ship_files import OwnShip, cautions, scenario_text, suite_text, vessel_text
 from dpbench.cli.terminal import WIDTH
-from dpbench.errors import InputError
+from dpbench.errors import InputError, SituationError, one_of
 from dpbench.scenario.hull_files import Hull, read_mss, read_table
 from dpbench.scenario.own_ship import (
     LIBRARY,
@@ -138,7 +138,9 @@ def _sea(text: str | None) -> int | None:
 def _new_ship(asked: argparse.Namespace, numbers: dict[str, float | None]) -> OwnShip:
     """The ship that the options describe."""
     if asked.from_mss and asked.from_csv:
-        raise InputError(WHERE, "--from-csv", "--from-mss as well", "one of the two")
+        raise SituationError(
+            WHERE, "--from-csv and --from-mss exclude each other; give one of them"
+        )
     hull: Hull | None = None
     if asked.from_mss or asked.from_csv:
         hull = (
@@ -147,7 +149,7 @@ def _new_ship(asked: argparse.Namespace, numbers: dict[str, float | None]) -> Ow
     own = _particulars(numbers, hull)
     thrust = _thrust(numbers, own)
     if asked.like is not None and asked.like not in LIBRARY:
-        raise InputError(WHERE, "--like", repr(asked.like)[:80], f"one of {', '.join(LIBRARY)}")
+        raise InputError(WHERE, "--like", repr(asked.like)[:80], one_of(asked.like, list(LIBRARY)))
     like = asked.like or nearest_ship(own)
     vessel = scale_vessel(like, own, thrust, asked.name)
     if hull is not None:
@@ -214,8 +216,8 @@ def _write(folder: Path, texts: dict[str, str], *, force: bool) -> None:
     """Write all files, or none where one of them is there already."""
     for name in texts:
         if os.path.lexists(folder / name) and not force:
-            allowed = "a name that is free, another folder (--out) or --force"
-            raise InputError(WHERE, str(folder / name), "a file", allowed)
+            instead = "choose another name or folder (--out), or add --force to overwrite it"
+            raise SituationError(WHERE, f"{folder / name} exists; {instead}")
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")

@@ -1,11 +1,16 @@
-"""What a terminal shows: prose and tables in 80 columns, a bar of the progress."""
+"""Terminal output: prose and tables in 80 columns, a progress bar, the end of a run."""
 
 from __future__ import annotations
 
+import argparse
+import json
 import sys
 import textwrap
+import webbrowser
 from collections.abc import Iterable
+from pathlib import Path
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 from rich.console import Console, RenderableType
 from rich.markup import escape
@@ -13,7 +18,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from rich.table import Table
 from rich.text import Text
 
-from dpbench.report.table import Table as ReportTable
+if TYPE_CHECKING:
+    from dpbench.report.table import Table as ReportTable
 
 WIDTH = 80
 """Of a file or a pipe, and the most of prose on a terminal: longer lines are hard to read."""
@@ -21,6 +27,13 @@ STYLES = dict.fromkeys(("slower", "worse"), "bold red") | dict.fromkeys(
     ("faster", "better"), "green"
 )
 """Colours of the words that a comparison is read for."""
+ENDING_STYLES = {
+    "answer": "bold green",
+    "solver": "bold green",
+    "next": "cyan",
+    "page": "bold",
+}
+"""Styles of the lines that a run ends with."""
 _INDENT = 4 * " "
 
 
@@ -101,6 +114,35 @@ def _row_by_row(table: ReportTable) -> Text:
     for word, style in STYLES.items():
         said.highlight_words([f" {word}"], style)
     return said
+
+
+def say_ending(page: Path, rows: list[tuple[str, str]], arguments: argparse.Namespace) -> None:
+    """Print what a run or report ends with.
+
+    Parameters
+    ----------
+    rows : what each line is about, and the line.
+    arguments : with `json`, `quiet` and `open`.
+    """
+    if arguments.json:
+        print(json.dumps({"page": str(page)} | dict(rows), ensure_ascii=False, indent=2))
+    elif arguments.quiet:
+        print(page)
+    else:
+        _print_table([*rows, ("page", str(page))])
+    if arguments.open:
+        webbrowser.open(page.resolve().as_uri())
+
+
+def _print_table(rows: list[tuple[str, str]]) -> None:
+    screen = console()
+    screen.width = min(screen.width, WIDTH)
+    table = Table.grid(padding=(0, 2))
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for what, said in rows:
+        table.add_row(Text(what, "dim"), Text(said, ENDING_STYLES.get(what, "")))
+    screen.print(table)
 
 
 class Bar:

@@ -1,4 +1,4 @@
-"""The language all rooms speak: a quadratic program, one step of it, a recorded sequence.
+"""The types all packages share: a quadratic program, one step of it, a recorded sequence.
 
     minimise ½ zᵀP z + qᵀz   subject to   l ≤ A z ≤ u,   lb ≤ z ≤ ub
 

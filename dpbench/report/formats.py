@@ -6,8 +6,6 @@ import math
 from collections.abc import Iterable
 from decimal import ROUND_DOWN, ROUND_UP, Decimal
 
-from dpbench.analysis.records.run_record import as_float
-
 MISSING = "–"
 """Stands where there is no number."""
 NO_ANSWER = "no answer"
@@ -86,6 +84,14 @@ def share_text(share: float) -> str:
 def of_sample_text(share: float) -> str:
     """A time as a share of the sample in percent, two significant digits; it may exceed 100 %."""
     return f"{significant(100.0 * share, 2)} %" if math.isfinite(share) else MISSING
+
+
+def as_float(value: object) -> float:
+    """Return a number out of a table as a float; a missing one (None, pd.NA, NaN) is NaN."""
+    try:
+        return float(value)  # type: ignore[arg-type] # any cell of a table; what fails is missing
+    except (TypeError, ValueError):
+        return math.nan
 
 
 def count_text(value: object) -> str:

@@ -6,7 +6,6 @@ taken as a path, so an engineer's own files need no installation.
 
 from __future__ import annotations
 
-import difflib
 import os
 import re
 import tomllib
@@ -124,11 +123,11 @@ def is_stored(name: str | Path) -> bool:
 
 
 def unknown_name(kind: str, text: str, otherwise: str) -> UnknownNameError:
-    """The error of a name that no file of its kind has, with the nearest names and all of them.
+    """The error of a name that no file of its kind has, with the nearest names.
 
     `otherwise` is what could stand there instead of a name.
     """
-    allowed = one_of(text, problem_names(kind))
+    allowed = one_of(text, problem_names(kind), listing=f"dpbench list {kind}")
     shown = repr(text if len(text) <= 80 else f"{text[:77]}...")
     return UnknownNameError(f"{kind[:-1]} name", "", shown, f"{allowed}; or {otherwise}")
 
@@ -174,10 +173,8 @@ def parse_model(document: dict[str, Any], model: type[_Model], where: str) -> _M
         keys = [str(part) for part in first["loc"]]
         key = ".".join(keys)
         if first["type"] == "extra_forbidden":
-            names = _allowed_keys(model, keys[:-1])
-            near = difflib.get_close_matches(keys[-1], names, n=1)
-            hint = f"{near[0]}? All keys: " if near else ""
-            raise InputError(where, key, "an unknown key", hint + ", ".join(names)) from error
+            allowed = one_of(keys[-1], _allowed_keys(model, keys[:-1]))
+            raise InputError(where, key, "an unknown key", allowed) from error
         if first["type"] == "missing":
             raise InputError(where, key, "nothing", "this key is required") from error
         message = str(first["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")

@@ -259,8 +259,7 @@ def scenario_of(
     scale = Froude(ship_file.model_scale)
     controller, plant = spec.controller, spec.plant
     sample_s = spec.sample_s * scale.time
-    steps = round(spec.duration_s / spec.sample_s)
-    if not 1 <= steps <= MAX_STEPS:
+    if not 1 <= spec.steps <= MAX_STEPS:
         allowed = f"1 to {MAX_STEPS} samples of {spec.sample_s:g} s"
         raise InputError(where, "duration_s", spec.duration_s, allowed)
     true_ship = replace(vessel, where=f"{where}: plant").with_mismatch(
@@ -282,7 +281,7 @@ def scenario_of(
         actuators=actuators_of(spec, control, sample_s, scale),
         environment=environment,
         estimation=estimator_choice(spec, scale, where),
-        steps=steps,
+        steps=spec.steps,
         sample_s=sample_s,
         start=spec.start.pose() * scale.pose,
         velocity=spec.start.velocity() * scale.velocity,

@@ -25,8 +25,8 @@ NO_OP, COPY_ONLY = "no_op", "copy_only"
 WAITS_NS = {f"busy_wait_{wait}us": 1000 * wait for wait in (5, 20, 50, 200, 1000)}
 """What each that waits does so for [ns]."""
 
-# Waiting is the only work on this floor that takes a clock. Where there is one that nobody
-# disciplines, it is another than the harness's own, so that one checks the other.
+# Waiting is the only work in `solvers` that reads a clock. The raw clock, where there is one, is
+# another than the harness's own, so that one checks the other.
 _steady_ns: Callable[[], int] = (
     partial(time.clock_gettime_ns, time.CLOCK_MONOTONIC_RAW)
     if hasattr(time, "CLOCK_MONOTONIC_RAW")

@@ -20,7 +20,7 @@ from collections.abc import Callable, Mapping
 from typing import Literal
 
 from dpbench.arrays import Vector
-from dpbench.errors import DpbenchError, InputError, ShapeError
+from dpbench.errors import DpbenchError, ShapeError, SituationError
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution
 
@@ -75,7 +75,8 @@ class Workspace(ABC):
         A cascade solves two QPs at each sample, each in a workspace of its own.
         """
         if self.opened_again is None:
-            raise InputError(f"solver {self.solver}", "workspace", "one", "two by open_workspace")
+            sentence = "a cascade needs two workspaces; open this one by open_workspace"
+            raise SituationError(f"solver {self.solver}", sentence)
         return self.opened_again()
 
     def reset(self) -> None:  # noqa: B027 - a workspace without memory has nothing to forget

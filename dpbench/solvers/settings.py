@@ -6,11 +6,10 @@ record (`by_tolerance`); they mean the same on both routes.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from dpbench.errors import SettingsError
+from dpbench.errors import SettingsError, one_of
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, attributes
 from dpbench.solvers.contract import Options, Settings
 from dpbench.solvers.record import DEFAULT, LEVELS, MID, TOLERANCES
@@ -112,10 +111,8 @@ def check_names(solver: str, settings: Mapping[str, object], allowed: Iterable[s
     known = sorted(allowed)
     for key in _flat(settings):
         if key not in known:
-            near = difflib.get_close_matches(key, known, n=5, cutoff=0.4) or known
-            raise SettingsError(
-                f"settings of {solver}", key, "an unknown key", ", ".join(near) or "no settings"
-            )
+            allowed = one_of(key, known) if known else "no settings"
+            raise SettingsError(f"settings of {solver}", key, "an unknown key", allowed)
 
 
 def _flat(settings: Mapping[str, object]) -> Iterable[str]:

@@ -21,7 +21,7 @@ HERE, ROOT = Path(__file__).parent, Path(dpbench.__file__).parents[1]
 (TEXT,) = re.findall(
     r"^- \*\*a solver\*\*:(.*?)^- ", (ROOT / "CONTRIBUTING.md").read_text(), re.M | re.S
 )
-(ROOM,) = re.findall(r"`(dpbench/solvers/\w+/)`", TEXT)
+(LIBRARIES,) = re.findall(r"`(dpbench/solvers/\w+/)`", TEXT)
 NEWCOMERS = ("newcomer", "newcomer_wrapped")
 
 
@@ -34,8 +34,8 @@ def copied(tmp_path_factory: pytest.TempPathFactory) -> Path:
     passing = shutil.ignore_patterns("*.pyc*", "*.tmp*")
     shutil.copytree(ROOT / "dpbench", root / "dpbench", ignore=passing)
     shutil.copytree(HERE, root / "tests", ignore=passing)
-    shutil.copy(HERE / "example_native.py", root / ROOM / "newcomer.py")
-    shutil.copy(HERE / "example_wrapped.py", root / ROOM / "newcomer_wrapped.py")
+    shutil.copy(HERE / "example_native.py", root / LIBRARIES / "newcomer.py")
+    shutil.copy(HERE / "example_wrapped.py", root / LIBRARIES / "newcomer_wrapped.py")
     return root
 
 

@@ -359,14 +359,6 @@ def _source(values: Mapping[str, Any]) -> QPSource:
         raise ResultsError("runs.parquet", "cell.source", str(error)[:80], allowed) from error
 
 
-def as_float(value: object) -> float:
-    """A number out of a table; a missing one (None, pd.NA, NaN) is NaN."""
-    try:
-        return float(value)  # type: ignore[arg-type] # any cell of a table; what fails is missing
-    except (TypeError, ValueError):
-        return float(np.nan)
-
-
 def _floats(column: pd.Series[Any]) -> list[float]:
     return column.to_numpy(dtype=np.float64, na_value=np.nan).tolist()
 

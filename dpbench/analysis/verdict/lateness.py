@@ -2,11 +2,11 @@
 
 The algorithmic time of a step is its fastest round, so a solver that is late at random has a good
 one. The single timings show it, but so do interrupts of the machine. Where another program took
-the core, the kernel shows for how long, and the step is not to blame (`step_times.py`). What is left of
-the machine is told apart by what the other configurations suffered in the same interleaved rounds:
-a stall strikes whoever runs, in proportion to the time that it runs. A solver that waits for
-threads of its own (`THREAD_WAITS`) is tested without regard to who had the core, and so are those
-that it is compared with.
+the core, the kernel shows for how long, and the step is not to blame (`step_times.py`). What is
+left of the machine is told apart by what the other configurations suffered in the same interleaved
+rounds: a stall strikes whoever runs, in proportion to the time that it runs. A solver that waits
+for threads of its own (`THREAD_WAITS`) is tested without regard to who had the core, and so are
+those that it is compared with.
 
 Replays. A timing is late if it exceeds the limit and twice the fastest time of its step. Let x be
 the count of late timings in the middle round (the lower median over rounds, as a burst of the

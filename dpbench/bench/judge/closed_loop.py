@@ -23,14 +23,8 @@ from dpbench.bench.run.assemble import as_run
 from dpbench.bench.run.exact_loop import ExactLoop, base_problem
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Units
-from dpbench.qp.referee.referee import (
-    ACTIVE_MULTIPLIER,
-    Optimum,
-    Referee,
-    claim_is_true,
-    errors_of,
-    referee_of,
-)
+from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
+from dpbench.qp.referee.referee import Referee, claim_is_true, errors_of, referee_of
 from dpbench.qp.residuals import TRUE_TOL, are_true, best_multipliers, residuals_of_all
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario, scenario_once

@@ -22,7 +22,7 @@ from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.record.step_table import times_of
 from dpbench.bench.run.footprint import footprint_metrics
 from dpbench.qp.program import QPSequence, Units
-from dpbench.qp.referee.referee import Optimum
+from dpbench.qp.referee.optimum import Optimum
 
 
 def evaluate_sequence(

@@ -25,7 +25,7 @@ from dpbench.bench.plan.suite import ClosedLoopTable, ReplayTable, SuiteFile
 from dpbench.bench.record.qp_source import CONTROLLER, ConsequenceSource, HardestSource, QPSource
 from dpbench.bench.sequences.consequence import steered_rows
 from dpbench.bench.sequences.recording import with_horizons
-from dpbench.errors import InputError
+from dpbench.errors import InputError, one_of
 from dpbench.scenario.horizons import Horizons
 from dpbench.scenario.scenario import Scenario, load_scenario, no_delay, no_stages
 from dpbench.solvers.calibration import CALIBRATION
@@ -52,7 +52,7 @@ def plan(
     known = suite.scenario_names
     for name in scenarios or ():
         if name not in known:
-            allowed = ", ".join(known) or "none, the suite has no scenario"
+            allowed = one_of(name, known) if known else "none, the suite has no scenario"
             raise InputError("--scenario", "", repr(name), f"a scenario of the suite: {allowed}")
     loaded = {name: load_scenario(name, beside=beside) for name in known}
     swept = _under_horizons(suite, loaded)

@@ -29,7 +29,8 @@ from dpbench.mpc.condense import UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, SparseEquivalent, Units
 from dpbench.qp.referee.joint import Kind
-from dpbench.qp.referee.referee import Optimum, Referee, referee_of
+from dpbench.qp.referee.optimum import Optimum
+from dpbench.qp.referee.referee import Referee, referee_of
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.environment import Drawn

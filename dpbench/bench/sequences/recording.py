@@ -20,7 +20,8 @@ from dpbench.bench.sequences.sequence_file import Recorded, load_recorded
 from dpbench.errors import InputError
 from dpbench.files.opening import opened
 from dpbench.qp.program import CONSTANT, QPSequence
-from dpbench.qp.referee.referee import Optimum, certified
+from dpbench.qp.referee.optimum import Optimum
+from dpbench.qp.referee.referee import certified
 from dpbench.scenario.scenario import Scenario, scenario_of
 
 WHAT = "a sequence by `dpbench export` (.npz), or a problem (.npz) or folder of them by qpsolvers"

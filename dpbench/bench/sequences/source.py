@@ -33,7 +33,8 @@ from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.errors import InputError, ResultsError
 from dpbench.qp.program import QPSequence
 from dpbench.qp.random_sequence import random_sequence
-from dpbench.qp.referee.referee import Optimum, certified
+from dpbench.qp.referee.optimum import Optimum
+from dpbench.qp.referee.referee import certified
 from dpbench.scenario.problem_files import sequence_path
 from dpbench.scenario.scenario import scenario_once, vessel_of
 from dpbench.ship.layout import AXES

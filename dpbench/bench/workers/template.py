@@ -1,7 +1,7 @@
 """Importing this module makes a process the template that cells are forked from.
 
 It loads everything a cell needs except solvers, compiles their kernels, and starts no thread;
-forking it costs milliseconds where a fresh interpreter costs half a second (traps.md 17).
+forking it costs milliseconds where a fresh interpreter costs half a second.
 """
 
 from __future__ import annotations

@@ -53,7 +53,6 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.display import fields_html, numbers_text
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.referee.dyadic import Dyadic, semidefinite
 from dpbench.qp.referee.equilibrated import alike, safe
@@ -71,6 +70,7 @@ from dpbench.qp.referee.kernels import CROSSED, MEANINGLESS, meaning
 from dpbench.qp.referee.kkt import Geometry, KKTSystem, linear_certificate, positive_definite
 from dpbench.qp.referee.last_resort import LastResort
 from dpbench.qp.referee.nearby import nearby
+from dpbench.qp.referee.optimum import Optimum
 from dpbench.qp.referee.oracle import guesses
 from dpbench.qp.referee.rational import rational_certificate
 from dpbench.qp.residuals import best_multipliers
@@ -84,54 +84,6 @@ EXACT_SIZE = 40
 """Largest n for the rational certificate, whose cost grows like n⁴: 0.3 s at n = 30."""
 SEMIDEFINITE_SIZE = 100
 """Largest block of P for the exact test of semidefiniteness, done once per referee."""
-
-
-ACTIVE_MULTIPLIER = 1e-9
-"""Scaled multipliers above it count as active limits in `n_active`."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Optimum:
-    """The certified optimum of a QP.
-
-    Parameters
-    ----------
-    z : (n,), y : (m,), y_box : (n,) optimum and its multipliers; of an infeasible problem z is
-        NaN and (y, y_box) the Farkas vector; NaN where nothing could be certified.
-    bound : rigorous bound of max_i |z_i − z*_i|; inf unless there is an optimum.
-    kind : the certificate; "undecided" for a problem that is infeasible by no more than rounding,
-        with a Farkas vector that `rounding.least_violation` weighs; "none" claims nothing at all.
-    """
-
-    z: Vector
-    y: Vector
-    y_box: Vector
-    bound: float
-    kind: Kind
-
-    def __repr__(self) -> str:
-        return f"<Optimum of {len(self.z)} variables: {self._proven}>"
-
-    def _repr_html_(self) -> str:
-        fields = {
-            "certificate": f"{self.kind}: {self._proven}",
-            "z": numbers_text(self.z),
-            "y": numbers_text(self.y),
-            "y_box": numbers_text(self.y_box),
-        }
-        return fields_html(f"Optimum of {len(self.z)} variables", fields)
-
-    @property
-    def _proven(self) -> str:
-        """What is proven, in words."""
-        if not np.isfinite(self.bound):
-            proofs = {
-                "infeasible": "no point is feasible",
-                "undecided": "feasible or infeasible by rounding alone",
-            }
-            return proofs.get(self.kind, "nothing certified")
-        active = np.count_nonzero(self.y) + np.count_nonzero(self.y_box)
-        return f"z within {self.bound:.1e} of the exact one, {active} limits active"
 
 
 @dataclass(slots=True)

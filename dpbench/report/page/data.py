@@ -15,11 +15,12 @@ import numpy as np
 
 from dpbench.analysis.records.kept_runs import FORCES, TRACK, KeptRun, Track, track_of
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, as_float
+from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.run_steps import MEASURES
 from dpbench.analysis.suites.study import Study, studies
 from dpbench.analysis.verdict.places import Place, PlacedRuns, placed_configuration
 from dpbench.analysis.verdict.verdict import Verdicts
+from dpbench.report.formats import as_float
 from dpbench.report.page.pack import Block
 from dpbench.report.page.steps import MOST_HARD, Room, pack_steps, pack_track
 from dpbench.report.page.studies import MOST_LOOPS, opening, shown, study_document

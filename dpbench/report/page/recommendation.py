@@ -14,7 +14,7 @@ from dpbench.analysis.verdict.fastest import SolverChoice, choose_solver, fastes
 from dpbench.analysis.verdict.speed_margin import SlowStep, largest_stall_ns
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
-from dpbench.errors import InputError
+from dpbench.errors import InputError, one_of
 from dpbench.report.formats import (
     and_list,
     error_text,
@@ -103,7 +103,7 @@ def build_recommendation(
     if baseline is not None:
         own = [c for c in known if c.solver == baseline]
         if not own:
-            solvers = ", ".join(dict.fromkeys(c.solver for c in known))
+            solvers = one_of(baseline, list(dict.fromkeys(c.solver for c in known)))
             raise InputError("--baseline", "", repr(baseline), f"a solver that was run: {solvers}")
         fastest = fastest_of(data.verdicts, baseline)
         second = fastest.configuration if fastest else own[0]

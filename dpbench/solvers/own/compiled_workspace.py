@@ -1,4 +1,4 @@
-"""What the solvers of this house that are compiled have in common: all of a step but the solve.
+"""Common base of dpbench's own compiled solvers: all of a step but the solve.
 
 The problem is kept as the array S of `active_set.layout`; `solve` of a subclass is a compiled
 call on it and leaves its ending in `_ending`: the number of iterations, or a negative number.

@@ -323,5 +323,5 @@ def test_a_cascade_waits_for_its_answers_and_opens_its_solver_twice(case: Scenar
     """No slow computer is simulated; a workspace of unknown making cannot be doubled."""
     with pytest.raises(InputError, match="not of a cascade"):
         run_closed_loop(case, open_workspace("daqp"), slowdown=10.0)
-    with pytest.raises(InputError, match="two by open_workspace"):
+    with pytest.raises(InputError, match="needs two workspaces; open this one by open_workspace"):
         run_closed_loop(case, ExactWorkspace())

@@ -26,7 +26,7 @@ from dpbench.bench.sequences.source import (
     source_file,
 )
 from dpbench.errors import InputError
-from dpbench.qp.referee.referee import Optimum
+from dpbench.qp.referee.optimum import Optimum
 from dpbench.scenario.scenario import load_scenario
 
 NO_OPTIMUM = np.inf

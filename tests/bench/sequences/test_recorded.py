@@ -19,8 +19,8 @@ from dpbench.bench.plan.suite import RecordedTable, SuiteFile, sequence_suite
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.sequences.qpsolvers_files import read_folder
 from dpbench.bench.sequences.recording import record
-from dpbench.bench.sequences.sequence_file import certified
 from dpbench.cli.main import main
+from dpbench.qp.referee.referee import certified
 from dpbench.report.write import write_report
 
 TARGETS = {2: -0.75, 10: -0.5, 11: 2.0}

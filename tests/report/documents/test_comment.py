@@ -67,4 +67,4 @@ def test_the_command_writes_it_and_the_step_can_be_exported(
     with np.load("worst-error.npz", allow_pickle=False) as stored:
         assert len(stored["q"]) == 1
     assert main(["report", "mine", "--against", "daqp"]) == 2
-    assert "--for SOLVER as well" in capsys.readouterr().err
+    assert "by --for SOLVER" in capsys.readouterr().err

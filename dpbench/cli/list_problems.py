@@ -1,19 +1,23 @@
-"""What `dpbench list` says."""
+"""Tables of the vessels, scenarios, suites and sequences that ship with the package.
+
+Each kind imports its own work: only the cells of a suite take the planner and its kernels.
+"""
 
 from __future__ import annotations
 
-import numpy as np
+from pathlib import Path
+
 from rich.console import Group, RenderableType
 
-from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.suite import load_suite
-from dpbench.bench.sequences.sequence_file import active_set, load_recorded
 from dpbench.cli.terminal import entry, plain, small_table
 from dpbench.report.formats import MISSING
-from dpbench.scenario.problem_files import SEQUENCES, problem_names, sequence_path
-from dpbench.scenario.scenario import load_scenario, load_vessel
-from dpbench.solvers.settings import describe_levels
-from dpbench.solvers.table import available, record, solver_names
+from dpbench.scenario.problem_files import (
+    SEQUENCES,
+    problem_names,
+    problem_path,
+    read_model,
+    sequence_path,
+)
 
 SEQUENCES_ARE = """
 Each is the exactly solved loop of the scenario it is named after, at the
@@ -21,16 +25,19 @@ horizons N_p-N_c of its name, every optimum certified. n: variables; m: rows;
 K: QPs; active: share of all limits; samples: which of the loop were kept."""
 
 
-def listing(what: str) -> RenderableType:
-    """The vessels, scenarios, suites, sequences or solvers there are, in 80 columns."""
+def problem_list(kind: str) -> RenderableType:
+    """Make the table of the problems of a kind, in 80 columns."""
     makers = {"vessels": _vessels, "scenarios": _scenarios, "suites": _suites}
-    return (makers | {"sequences": _sequences, "solvers": _solvers})[what]()
+    return (makers | {"sequences": _sequences})[kind]()
 
 
 def _vessels() -> RenderableType:
+    from dpbench.scenario.tables.vessel_file import VesselFile
+
     entries = []
     for name in problem_names("vessels"):
-        vessel = load_vessel(name)
+        path = problem_path("vessels", name)
+        vessel = read_model(path, VesselFile).vessel(name, str(path))
         times = ", ".join(f"{t:.3g}" for t in vessel.time_constants_s())
         surge, sway, yaw = 1e3 * vessel.reachable_acceleration()[1]
         reached = f"{surge:.3g} and {sway:.3g} mm/s², {yaw:.3g} mrad/s²"
@@ -40,16 +47,23 @@ def _vessels() -> RenderableType:
 
 
 def _scenarios() -> RenderableType:
+    from dpbench.scenario.tables.scenario_file import ScenarioFile
+
     entries = []
     for name in problem_names("scenarios"):
-        scenario = load_scenario(name)
-        tuning = f"{scenario.tuning} {scenario.N_p}/{scenario.N_c}"
-        about = f"vessel {scenario.vessel.id}, tuning {tuning}, {scenario.steps} steps"
+        scenario = read_model(problem_path("scenarios", name), ScenarioFile)
+        controller = scenario.controller
+        horizons = f"{controller.prediction_horizon}/{controller.control_horizon}"
+        vessel = Path(scenario.vessel).stem
+        about = f"vessel {vessel}, tuning {controller.tuning} {horizons}, {scenario.steps} steps"
         entries.append(entry(name, [about, scenario.shows]))
     return plain("\n".join(entries))
 
 
 def _suites() -> RenderableType:
+    from dpbench.bench.plan.plan import plan
+    from dpbench.bench.plan.suite import load_suite
+
     table = small_table("name", "cells", "asks")
     for name in problem_names("suites"):
         path, suite = load_suite(name)
@@ -58,6 +72,10 @@ def _suites() -> RenderableType:
 
 
 def _sequences() -> RenderableType:
+    import numpy as np
+
+    from dpbench.bench.sequences.sequence_file import active_set, load_recorded
+
     table = small_table("name", "n", "m", "K", "active", "matrices", "samples")
     for name in problem_names(SEQUENCES):
         recorded = load_recorded(sequence_path(name))
@@ -72,16 +90,3 @@ def _sequences() -> RenderableType:
             "each" if every == 1 else f"each {every}th",
         )
     return Group(table, plain(SEQUENCES_ARE))
-
-
-def _solvers() -> RenderableType:
-    return plain("\n".join(map(_solver, solver_names())))
-
-
-def _solver(name: str) -> str:
-    row, library = record(name), available(name)
-    installed = library.version or "" if library.ok else f"not installed: {library.reason}"
-    build = f", {library.build.text}" if library.build.text else ""
-    policies = "; ".join(f"{route}: {', '.join(p)}" for route, p in row.policies.items())
-    about = [row.method, f"form {row.form}; {policies}", *describe_levels(name).splitlines()]
-    return entry(f"{name} {installed}{build}".rstrip(), about)
