@@ -36,7 +36,7 @@ from dpbench.bench.record.cell import HARNESS_VERSION
 from dpbench.bench.record.cell_store import CellStore, packed
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.record.result_folder import load_results
-from dpbench.bench.record.step_table import OF_STEPS
+from dpbench.bench.record.step_table import STEPS_SCHEMA
 from dpbench.solvers.table import available
 
 EMPTY = Path(__file__).parent / "empty_solver.py"
@@ -225,9 +225,8 @@ def _real_cells(folder: Path) -> dict[tuple[str, int], tuple[dict[str, Any], pa.
     cells = {}
     for row in load_results(folder).runs.to_dict("records"):
         own = [("run_id", "==", row["run_id"])]
-        # As they are stored: what is equal to another column stays null.
-        steps = pq.read_table(folder / "steps.parquet", columns=OF_STEPS.names, filters=own)
-        (batch,) = steps.cast(OF_STEPS).combine_chunks().to_batches()
+        steps = pq.read_table(folder / "steps.parquet", columns=STEPS_SCHEMA.names, filters=own)
+        (batch,) = steps.cast(STEPS_SCHEMA).combine_chunks().to_batches()
         key = str(row["settings"]), int(row["study_point"])
         cells[key] = {str(name): value for name, value in row.items()}, batch
     return cells

@@ -139,10 +139,9 @@ def _collected(folders: Sequence[Path], out: Path, name: str) -> tuple[pd.DataFr
         for folder in folders:
             stack.enter_context(claimed(folder, name))
         store, others = CellStore(out), [CellStore(folder) for folder in folders]
-        rows = [other.rows() for other in others]
-        _refuse_versions(pd.concat([store.rows(), *rows]))
-        for other, of_other in zip(others, rows, strict=True):
-            store.adopt(other, of_other)
+        _refuse_versions(pd.concat([one.rows() for one in (store, *others)]))
+        for other in others:
+            store.adopt(other)
             for path in filter(_is_beside, other.folder.iterdir()):
                 write_bytes(store.folder / path.name, path.read_bytes())
         return store.rows(), [line for one in (store, *others) for line in one.remarks]

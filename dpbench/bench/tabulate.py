@@ -15,7 +15,7 @@ from dpbench.bench.plan.configurations import identity_of
 from dpbench.bench.record.cell import HARNESS_VERSION, Cell, Outcome
 from dpbench.bench.record.cell_store import CellStore, StepFile, public_part
 from dpbench.bench.record.schema import RUN_COLUMNS, as_runs, study_columns
-from dpbench.bench.record.step_table import of_runs, renamed_runs
+from dpbench.bench.record.step_table import filter_runs, rename_runs, runs_of_frame
 from dpbench.bench.workers.executor import CellJob
 from dpbench.errors import InputError
 
@@ -145,10 +145,10 @@ def tabulate(work: Sequence[CellJob], store: CellStore) -> tuple[pd.DataFrame, i
         finished = finished[finished.index.isin(read) | (finished["steps_done"] == 0)]
         unasked = finished[~finished.index.isin(wanted.jobs)]
         if len(unasked):
-            aside.write_runs(unasked, others.path)
+            aside.write_runs(runs_of_frame(unasked), others.path)
         rows = with_loop_ratio(wanted.rows(finished)[list(RUN_COLUMNS)])
         runs = as_runs(rows.assign(**study_columns(rows)))
-        public.write_runs(runs, steps.path)
+        public.write_runs(runs_of_frame(runs), steps.path)
     finally:
         for file in (steps, others):
             file.close()
@@ -171,11 +171,11 @@ def _sort(
     for table in store.steps():
         names = set(pc.unique(table["run_id"]).to_pylist())
         read |= names
-        steps.add(of_runs(table, {name for name in names if name in wanted}))
-        others.add(of_runs(table, {name for name in names if name not in wanted}))
+        steps.add(filter_runs(table, {name for name in names if name in wanted}))
+        others.add(filter_runs(table, {name for name in names if name not in wanted}))
         here = {new: made_of for new, made_of in aliases.items() if made_of in names}
         for new, made_of in here.items():
-            steps.add(renamed_runs(table, {made_of: new}))
+            steps.add(rename_runs(table, {made_of: new}))
     steps.close()
     others.close()
     return read

@@ -18,7 +18,6 @@ from dpbench.bench.judge.control_metrics import control_metrics
 from dpbench.bench.judge.thruster_metrics import shares_of_full, thruster_metrics
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import COUNTERS, TIMES, AnswerLog, RawLog
-from dpbench.bench.record.step_table import times_of
 from dpbench.bench.run.assemble import as_run
 from dpbench.bench.run.exact_loop import ExactLoop, base_problem
 from dpbench.bench.run.qp_builder import QPBuilder
@@ -170,7 +169,7 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
     done = int(log.done[0])
     columns, matrix_steps = _controller(scaled, own, log)
     columns |= {
-        "t_s": times_of(columns["k"], 0, 1, scenario.sample_s),
+        "t_s": columns["k"] * scenario.sample_s,
         "latency_ns": log.latency_ns[:done].copy(),
         "fallback": log.flags[:done, 0].astype(bool),
         "unconverged": log.flags[:done, 1].astype(bool),

@@ -6,12 +6,13 @@ that a run has not is left out; a whole number that is missing is `ABSENT`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.arrays import Flags, Ints
+from dpbench.arrays import Flags, Floats, Ints
 from dpbench.bench.judge.closed_loop import (
     CERTIFICATES,
     EVALUATION,
@@ -32,15 +33,16 @@ from dpbench.bench.judge.rules import (
 )
 from dpbench.bench.judge.timing import disturbed_rounds_of
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.raw_log import TIMES
+from dpbench.bench.record.raw_log import OF_SOLVER, TIMES
 from dpbench.bench.record.schema import ABSENT, AXIS_FORCES
-from dpbench.bench.record.step_table import INSIDE, change_of, total_of
 from dpbench.bench.run.slow_computer import delay_of
 from dpbench.qp.solution import Status
 from dpbench.scenario.scenario import scenario_once
 
 StepColumns = dict[str, NDArray[Any]]
 """(N,) arrays by the names of `STEP_COLUMNS`, all but `run_id`."""
+INSIDE = tuple(f"{phase}_ns" for phase in OF_SOLVER)
+"""The columns of the phases that are the solver's."""
 _STATUS_NAMES = np.array([status.name for status in Status])
 _CERTIFICATE_NAMES = np.array(CERTIFICATES)
 _STATE = ("u_mps", "v_mps", "r_radps", "n_m", "e_m", "psi_rad")
@@ -171,3 +173,26 @@ def _of_ship(columns: Columns) -> StepColumns:
         ship[f"dtau_{axis}"] = change_of(tau[:, i], columns["k"])
         ship[f"cmd_{axis}"] = columns["command"][:, i]
     return ship | {name: columns[name] for name in _OF_THRUSTERS if name in columns}
+
+
+def total_of(steps: Mapping[str, NDArray[Any]]) -> Ints:
+    """Return (N,) the time of each step: of its phases, and of the second QP of a cascade.
+
+    Each (N,) of whole nanoseconds, `ABSENT` where there is none; so is their sum where no phase
+    is there.
+    """
+    phases = [steps[phase] for phase in INSIDE]
+    parts = [*phases, steps["allocation_ns"]] if "allocation_ns" in steps else phases
+    total = np.zeros(len(phases[0]), dtype=np.int64)
+    for part in parts:
+        total += np.maximum(part, 0)
+    total[np.maximum.reduce(phases) < 0] = ABSENT
+    return total
+
+
+def change_of(values: Floats, k: NDArray[Any]) -> Floats:
+    """Return (N,) the change against the row before; against zero where a run begins, at k = 0."""
+    before = np.roll(values, 1)
+    before[k == 0] = 0.0
+    change: Floats = values - before
+    return change

@@ -32,16 +32,17 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from dpbench.bench.record.cell import OUTCOMES, problem_key_of
-from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs
+from dpbench.bench.record.schema import SCHEMA_VERSION
 from dpbench.bench.record.step_table import (
-    OF_FILE,
-    OF_RUNS,
-    OF_STEPS,
+    FILE_SCHEMA,
+    RUNS_SCHEMA,
+    STEPS_SCHEMA,
+    concat_runs,
+    filter_runs,
     frame_of_runs,
-    of_runs,
+    runs_table,
     step_writer,
     stored_runs,
-    with_names,
     write_runs,
     write_steps,
 )
@@ -84,17 +85,16 @@ def _is_sound(row: Row, batch: pa.RecordBatch) -> bool:
     ArrowInvalid where its parts do not fit."""
     batch.validate(full=True)
     described = isinstance(parse_json(str(row["cell"])), dict)
-    return described and row["schema"] == SCHEMA_VERSION and batch.schema.equals(OF_STEPS)
+    return described and row["schema"] == SCHEMA_VERSION and batch.schema.equals(STEPS_SCHEMA)
 
 
-def _of_right_types(rows: Mapping[str, Row]) -> dict[str, Row]:
-    """Rows without those that have a value of another type."""
+def _typed(rows: Mapping[str, Row]) -> pa.Table:
+    """Return rows as a table, without those that have a value of another type."""
     try:
-        as_runs(pd.DataFrame(list(rows.values())))
+        return runs_table(list(rows.values()))
     except (ValueError, TypeError, OverflowError):
-        alone = [_of_right_types({name: row}) for name, row in rows.items() if len(rows) > 1]
-        return {name: row for one in alone for name, row in one.items()}
-    return dict(rows)
+        alone = [_typed({name: row}) for name, row in rows.items() if len(rows) > 1]
+        return pa.concat_tables([RUNS_SCHEMA.empty_table(), *alone])
 
 
 def _plain(value: object) -> object:
@@ -182,13 +182,13 @@ class Part:
     steps: Path
 
     def table(self) -> pa.Table:
-        """The rows of finished runs, as `OF_RUNS`; none where the table is damaged or not there."""
+        """Return the rows of finished runs, of `RUNS_SCHEMA`; none where the table is damaged."""
         try:
             # Hundreds of columns of some hundred rows: threads would cost more than they save.
             with opened_table(self.runs) as file:
                 rows = stored_runs(in_full(file.read(use_threads=False), self.runs))
         except DAMAGE:
-            return OF_RUNS.empty_table()
+            return RUNS_SCHEMA.empty_table()
         became = pc.is_in(rows["outcome"], pa.array(sorted(_FINISHED)))
         return rows.filter(pc.and_(became, pc.equal(rows["schema"], SCHEMA_VERSION)))
 
@@ -213,7 +213,7 @@ class Part:
                 return
             for i in range(file.num_row_groups):
                 with suppress(*DAMAGE):
-                    yield file.read_row_group(i).select(OF_FILE.names).cast(OF_FILE)
+                    yield file.read_row_group(i).select(FILE_SCHEMA.names).cast(FILE_SCHEMA)
 
     def outcomes(self) -> dict[str, str]:
         """Of each finished run its outcome; a run whose steps cannot be read is none."""
@@ -245,7 +245,7 @@ class Part:
             return False
         return said == _check_sum(self.steps)
 
-    def write_runs(self, rows: pd.DataFrame, steps: Path) -> None:
+    def write_runs(self, rows: pa.Table, steps: Path) -> None:
         """Write the rows beside `steps`, and put those in their place before."""
         check = _check_sum(steps)
         if steps != self.steps:
@@ -399,16 +399,14 @@ class CellStore:
                     rows[name], steps[name] = row, batch
             except DAMAGE:
                 continue
-        rows = _of_right_types(rows)
-        if rows:
+        table = _typed({name: rows[name] for name in _by_problem(rows)})
+        if len(table):
             part = self.new_part()
             file = StepFile(part.steps.with_suffix(".part"))
             try:
-                ordered = _by_problem(rows)
-                file.add(with_names({name: steps[name] for name in ordered}))
+                file.add(concat_runs({name: steps[name] for name in table["run_id"].to_pylist()}))
                 file.close()
-                table = pd.DataFrame([rows[name] for name in ordered])
-                part.write_runs(as_runs(table), file.path)
+                part.write_runs(table, file.path)
             finally:
                 file.path.unlink(missing_ok=True)
         if self._journal is not None:
@@ -426,13 +424,8 @@ class CellStore:
         for number in set(self._numbers("steps")) - set(self._numbers("runs")):
             self._part(number).steps.unlink(missing_ok=True)
 
-    def adopt(self, other: CellStore, rows: pd.DataFrame) -> None:
-        """Take over the finished cells of another store, as a part; what cannot be read is none.
-
-        Parameters
-        ----------
-        rows : those of the other store.
-        """
+    def adopt(self, other: CellStore) -> None:
+        """Take over the finished cells of another store, as a part; what cannot be read is none."""
         part, read = self.new_part(), set[str]()
         file = StepFile(part.steps.with_suffix(".part"))
         try:
@@ -440,7 +433,9 @@ class CellStore:
                 read |= set(pc.unique(table["run_id"]).to_pylist())
                 file.add(table)
             file.close()
-            rows = rows[rows.index.isin(read) | (rows["steps_done"] == 0)]
+            rows = other.table()
+            kept = pc.is_in(rows["run_id"], pa.array(sorted(read), pa.string()))
+            rows = rows.filter(pc.or_(kept, pc.equal(rows["steps_done"], 0)))
             if len(rows):
                 part.write_runs(rows, file.path)
         finally:
@@ -449,8 +444,13 @@ class CellStore:
 
     def rows(self) -> pd.DataFrame:
         """The rows of all finished cells, by run_id: of several the latest."""
-        rows = frame_of_runs(pa.concat_tables([self._valid(part) for part in self.parts()]))
-        return rows[~rows.index.duplicated(keep="last")]
+        return frame_of_runs(self.table())
+
+    def table(self) -> pa.Table:
+        """As `rows`, as a table of `RUNS_SCHEMA`."""
+        rows = pa.concat_tables([self._valid(part) for part in self.parts()])
+        last = {name: at for at, name in enumerate(rows["run_id"].to_pylist())}
+        return rows if len(last) == len(rows) else rows.take(pa.array(sorted(last.values())))
 
     def _valid(self, part: Part) -> pa.Table:
         """The rows of a part but for those that were forgotten since they were written."""
@@ -469,4 +469,4 @@ class CellStore:
             owned[part].add(name)
         for part, names in owned.items():
             for group in part.groups():
-                yield of_runs(group, names)
+                yield filter_runs(group, names)

@@ -26,16 +26,8 @@ from dpbench.bench.record.recorded_steps import (
     readable,
 )
 from dpbench.bench.record.run_checks import check_runs
-from dpbench.bench.record.schema import (
-    ADDED,
-    READABLE,
-    RENAMED,
-    RUN_COLUMNS,
-    SCHEMA_VERSION,
-    as_runs,
-    as_steps,
-)
-from dpbench.errors import InputError, ResultsError, renamed
+from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
+from dpbench.errors import InputError, ResultsError
 from dpbench.files.documents import read_json_object
 from dpbench.files.tables import in_full, opened_table
 from dpbench.files.writing import is_file_name, make_folder, write_text
@@ -197,19 +189,13 @@ def _read_runs(folder: Path) -> pd.DataFrame:
         table = in_full(file.read(), path, error=ResultsError)
         # What pandas noted of the types is not followed: those of the schema are asked for below.
         frame = table.to_pandas(ignore_metadata=True)
-    if "schema" in frame:
-        versions = set(frame["schema"].unique().tolist())
-        if versions - READABLE:
-            # Said before its columns are looked at: those of another schema are others.
-            found, allowed = f"schema {sorted(versions)}", f"schema {SCHEMA_VERSION}; run again"
-            raise ResultsError(str(path), "schema", found, allowed)
-    old = {column: RENAMED[column] for column in frame.columns if column in RENAMED}
-    if old:
-        renamed(str(path), f"column {', '.join(old)}", ", ".join(old.values()))
-        frame = frame.rename(columns=old)
-    missing = sorted(set(RUN_COLUMNS) - set(frame.columns) - ADDED)
-    if missing:
+    if missing := sorted({"run_id", "schema"} - set(frame.columns)):
         raise lacking(path, missing)
+    others = sorted(set(frame["schema"].unique().tolist()) - {SCHEMA_VERSION})
+    if others:
+        # Said before its columns are looked at: those of another schema are others.
+        found, allowed = f"schema {others}", f"schema {SCHEMA_VERSION}; run again"
+        raise ResultsError(str(path), "schema", found, allowed)
     try:
         runs = as_runs(frame)
     except (ValueError, TypeError) as error:

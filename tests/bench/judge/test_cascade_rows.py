@@ -13,11 +13,10 @@ from dpbench.bench.judge.closed_loop import evaluate_log
 from dpbench.bench.judge.memory_of_answers import with_loop_ratio
 from dpbench.bench.judge.rows import run_row, step_rows
 from dpbench.bench.judge.rules import errors, failed_steps
-from dpbench.bench.judge.step_columns import StepColumns, joined, step_columns
+from dpbench.bench.judge.step_columns import StepColumns, joined, step_columns, total_of
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.record.schema import ABSENT
-from dpbench.bench.record.step_table import total_of
 from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup
 from dpbench.bench.run.closed_loop import closed_loop
 from dpbench.bench.run.exact_loop import solve_exactly

@@ -26,33 +26,13 @@ from dpbench.bench.record.cell_store import (
     unpacked,
 )
 from dpbench.bench.record.recorded_steps import read_steps, scan_steps
-from dpbench.bench.record.schema import (
-    ABSENT,
-    AXIS_FORCES,
-    DERIVED,
-    SCHEMA_VERSION,
-    STEP_COLUMNS,
-    as_runs,
-    as_steps,
-)
-from dpbench.bench.record.step_table import (
-    STORED,
-    change_of,
-    of_runs,
-    step_batch,
-    times_of,
-    total_of,
-    with_names,
-    write_runs,
-)
+from dpbench.bench.record.schema import ABSENT, SCHEMA_VERSION, STEP_COLUMNS, as_steps
+from dpbench.bench.record.step_table import concat_runs, filter_runs, runs_table, step_batch
 from dpbench.errors import InputError
-
-SAMPLE_S = 0.3
-"""0.1·3 in binary is another number: products with it tell a formula from its like."""
 
 
 def steps_of(seed: int, count: int = 7) -> StepColumns:
-    """Made-up steps of a closed loop, some numbers missing, some equal to their partners."""
+    """Made-up steps of a closed loop, some numbers missing."""
     rng = np.random.default_rng(seed)
     steps: StepColumns = {}
     for name, (dtype, _) in STEP_COLUMNS.items():
@@ -65,13 +45,7 @@ def steps_of(seed: int, count: int = 7) -> StepColumns:
     steps |= {"k": np.arange(count, dtype=np.int32), "repeat": np.zeros(count, dtype=np.int32)}
     steps |= {"n_active": np.ones(count, dtype=np.int32), "status": np.full(count, "SOLVED")}
     steps["certificate"] = np.full(count, "linear")
-    steps["primal_own"] = steps["primal"].copy()
-    for axis in AXIS_FORCES:
-        steps[f"cmd_{axis}"] = np.where(rng.random(count) < 0.5, steps[f"tau_{axis}"], 0.0)
-        steps[f"dtau_{axis}"] = change_of(steps[f"tau_{axis}"], steps["k"])
     steps["gap"][0] = np.nan
-    steps["t_s"] = times_of(steps["k"], 5, 2, SAMPLE_S)
-    steps["total_ns"] = total_of(steps)
     return steps
 
 
@@ -79,7 +53,7 @@ def row_of(name: str, **changes: Any) -> dict[str, Any]:
     """A row with what the store looks at."""
     row = {"run_id": name, "outcome": "finished", "schema": SCHEMA_VERSION, "steps_done": 7}
     row |= {"cell": json.dumps({"scenario": name})}
-    clock = {"sample_s": SAMPLE_S, "first_sample": 5.0, "every_sample": np.float64(2.0)}
+    clock = {"first_sample": 5.0, "every_sample": np.float64(2.0)}
     return row | clock | {"N_p": pd.NA, "settle_s": np.inf, "effort_s": 0.1 + 0.2} | changes
 
 
@@ -109,15 +83,12 @@ def test_a_record_comes_back_bit_for_bit() -> None:
     assert row["settle_s"] == np.inf and row["effort_s"] == 0.1 + 0.2 and row["N_p"] is None
 
 
-def test_what_is_derived_is_what_was_there(tmp_path: Path) -> None:
-    """Stored columns alone stand in the file; with the derived ones they are those of the loop."""
+def test_steps_come_back_bit_for_bit(tmp_path: Path) -> None:
+    """All columns, from the file."""
     steps = steps_of(2)
     file = StepFile(tmp_path / "steps.parquet")
-    file.add(with_names({"a": step_batch(steps)}))
+    file.add(concat_runs({"a": step_batch(steps)}))
     file.close()
-    write_runs(tmp_path / "runs.parquet", as_runs(pd.DataFrame([row_of("a")])), {})
-    assert pq.read_schema(tmp_path / "steps.parquet").names == STORED
-    assert not set(STORED) & set(DERIVED)
     found = as_steps(read_steps(tmp_path, list(STEP_COLUMNS)).to_pandas())
     pd.testing.assert_frame_equal(found, step_rows("a", steps), check_exact=True)
 
@@ -127,9 +98,8 @@ def test_only_the_runs_and_columns_that_are_asked_for(tmp_path: Path, monkeypatc
     monkeypatch.setattr(cell_store, "GROUP_ROWS", 10)
     file, names = StepFile(tmp_path / "steps.parquet"), ["a", "b", "c", "d", "e"]
     for seed, name in enumerate(names):
-        file.add(with_names({name: step_batch(steps_of(seed))}))
+        file.add(concat_runs({name: step_batch(steps_of(seed))}))
     file.close()
-    write_runs(tmp_path / "runs.parquet", as_runs(pd.DataFrame([row_of(n) for n in names])), {})
     tables = list(scan_steps(tmp_path, ["run_id", "dtau_x_N", "t_s"]))
     assert [table.num_rows for table in tables] == [14, 14, 7]
     for seed, name in enumerate(names):
@@ -142,9 +112,9 @@ def test_only_the_runs_and_columns_that_are_asked_for(tmp_path: Path, monkeypatc
 
 def test_of_no_runs_nothing_is_held() -> None:
     """What waits to be written beside a table must not keep the table in memory."""
-    table = with_names({"a": step_batch(steps_of(0)), "b": step_batch(steps_of(1))})
-    assert of_runs(table, {"b"})["run_id"].unique().to_pylist() == ["b"]
-    nothing = of_runs(table, {"c"})
+    table = concat_runs({"a": step_batch(steps_of(0)), "b": step_batch(steps_of(1))})
+    assert filter_runs(table, {"b"})["run_id"].unique().to_pylist() == ["b"]
+    nothing = filter_runs(table, {"c"})
     assert nothing.schema.equals(table.schema) and len(nothing) == 0
     assert nothing.get_total_buffer_size() < 100 < table.get_total_buffer_size()
 
@@ -280,9 +250,9 @@ def test_of_a_damaged_file_the_groups_that_can_be_read_count(
     part = Part(tmp_path / "runs.parquet", tmp_path / "steps.parquet")
     file = StepFile(tmp_path / "steps.part")
     for seed, name in enumerate("abc"):
-        file.add(with_names({name: step_batch(steps_of(seed))}))
+        file.add(concat_runs({name: step_batch(steps_of(seed))}))
     file.close()
-    part.write_runs(as_runs(pd.DataFrame([row_of(n) for n in "abc"])), file.path)
+    part.write_runs(runs_table([row_of(n) for n in "abc"]), file.path)
     assert list(part.outcomes()) == ["a", "b", "c"]
     group = pq.ParquetFile(part.steps).metadata.row_group(1).column(10)
     data = bytearray(part.steps.read_bytes())
@@ -294,15 +264,15 @@ def test_of_a_damaged_file_the_groups_that_can_be_read_count(
 def test_public_steps_that_are_newer_than_their_runs_cost_nothing(tmp_path: Path) -> None:
     """Killed between the two public tables: what the parts hold counts, once."""
     file = StepFile(tmp_path / "steps.part")
-    file.add(with_names({"a": step_batch(steps_of(0))}))
+    file.add(concat_runs({"a": step_batch(steps_of(0))}))
     file.close()
     public = CellStore(tmp_path).public
-    public.write_runs(as_runs(pd.DataFrame([row_of("a")])), file.path)
+    public.write_runs(runs_table([row_of("a")]), file.path)
     store = CellStore(tmp_path)
     store.append("b", "finished", record("b", 1))
     store.close()
     both = StepFile(tmp_path / "steps.parquet")
-    both.add(with_names({name: step_batch(steps_of(i)) for i, name in enumerate("ab")}))
+    both.add(concat_runs({name: step_batch(steps_of(i)) for i, name in enumerate("ab")}))
     both.close()
     store = CellStore(tmp_path)
     assert list(store.finished) == ["a", "b"] and names_in(store) == ["a", "b"]
