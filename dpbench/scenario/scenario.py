@@ -37,7 +37,7 @@ from dpbench.scenario.estimation import EstimatorChoice, estimator_choice
 from dpbench.scenario.problem_files import parse_model, problem_path, read_model
 from dpbench.scenario.tables.scenario_file import ControllerTable, ScenarioFile
 from dpbench.scenario.tables.vessel_file import VesselFile
-from dpbench.ship.actuators import Actuators, SteeredThrusters
+from dpbench.ship.actuators import Actuators, CommandedThrusters
 from dpbench.ship.environment import Environment
 from dpbench.ship.estimation.estimator import Estimator
 from dpbench.ship.froude import Froude
@@ -79,7 +79,7 @@ class Scenario:
     shows: str
     vessel: Vessel
     true_ship: Vessel
-    actuators: Actuators | SteeredThrusters | None
+    actuators: Actuators | CommandedThrusters | None
     environment: Environment
     estimation: EstimatorChoice
     steps: int

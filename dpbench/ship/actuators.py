@@ -33,8 +33,8 @@ class Actuators:
 
 
 @dataclass(frozen=True, eq=False)
-class SteeredThrusters:
-    """Thrusters whose forces are the command.
+class CommandedThrusters:
+    """Thrusters whose forces the controller commands, with lag and losses.
 
     Parameters
     ----------
@@ -89,18 +89,18 @@ class ThrusterForces:
     f : (n_f,) their forces at the end of the last sample [N].
     """
 
-    def __init__(self, steered: SteeredThrusters) -> None:
-        thrusters, behind = steered.thrusters, steered.behind
+    def __init__(self, commanded: CommandedThrusters) -> None:
+        thrusters, behind = commanded.thrusters, commanded.behind
         self.f = np.zeros(thrusters.n_f)
         self._efficient: Matrix = behind.efficiency[:, np.newaxis] * thrusters.T_e
-        self._step_max = thrusters.step_max(steered.sample_s)
+        self._step_max = thrusters.step_max(commanded.sample_s)
         self._late = Delayed(behind.delay_samples, thrusters.n_f)
         self._circles = [
             (at, thruster.thrust_N)
             for thruster, at in zip(thrusters.thrusters, thrusters.places, strict=True)
             if thruster.kind == "azimuth"
         ]
-        lag = steered.lag_s / steered.sample_s
+        lag = commanded.lag_s / commanded.sample_s
         self._left = np.exp(-1.0 / lag) if lag > 0.0 else 0.0
         self._mean = lag * (1.0 - self._left)
 

@@ -27,7 +27,7 @@ import numpy as np
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.kernel_cache import njit
-from dpbench.ship.actuators import Actuators, SteeredThrusters
+from dpbench.ship.actuators import Actuators, CommandedThrusters
 from dpbench.ship.layout import (
     AIR_EAST,
     AIR_NORTH,
@@ -179,7 +179,7 @@ class Plant:
         substeps: int = SUBSTEPS,
         *,
         loads: Vector | None = None,
-        actuators: Actuators | SteeredThrusters | None = None,
+        actuators: Actuators | CommandedThrusters | None = None,
     ) -> None:
         self.state: Vector = np.array(state, dtype=np.float64)
         self._Minv: Matrix = np.ascontiguousarray(np.linalg.inv(vessel.M))

@@ -10,7 +10,7 @@ import numpy as np
 from dpbench.arrays import Vector
 from dpbench.kernel_cache import njit
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.thruster_rows import Retreat, ThrusterRows
+from dpbench.mpc.thruster_rows import LimitRampDown, ThrusterRows
 from dpbench.mpc.thrusters.azimuth_turning import AzimuthTurning, TurningQP
 
 CLIP_TOLERANCE = 1e-9
@@ -64,7 +64,7 @@ class ThrusterLimit:
         applied = b + t (f + clip(Δf, ±Δf_max) − b),   largest t ≤ 1 within low ≤ G · ≤ high
 
     b is the force before or, where that is beyond a limit by now, the first step of its way back to
-    nothing (`Retreat`); b and the clipped move keep to the rate, so all between them do.
+    nothing (`LimitRampDown`); b and the clipped move keep to the rate, so all between them do.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class ThrusterLimit:
     ) -> None:
         self._rows, self._du_max, self._turning = rows, du_max, turning
         self._row_max = rows.units(du_max)
-        self._retreat = Retreat(rows, du_max, self._row_max, 1)
+        self._ramp_down = LimitRampDown(rows, du_max, self._row_max, 1)
         self._rounding = CLIP_TOLERANCE * self._row_max
 
     def __call__(
@@ -84,7 +84,7 @@ class ThrusterLimit:
         out = (before > u_max + self._rounding) | (before < u_min - self._rounding)
         base = u
         if out.any():
-            closing = self._retreat.limits(u, u_min, u_max)
+            closing = self._ramp_down.limits(u, u_min, u_max)
             u_min, u_max = (side[0] * self._row_max + before for side in closing)
             lost = np.isin(rows.entry, rows.thruster[out])
             squares = np.bincount(rows.entry, (u / du_max) ** 2)

@@ -24,9 +24,9 @@ from dpbench.bench.run.limits import limit_of
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.thruster_rows import RETREAT, thruster_rows
+from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE, thruster_rows
 from dpbench.scenario.scenario import Scenario, load_scenario, scenario_of
-from dpbench.ship.actuators import Actuators, SteeredThrusters
+from dpbench.ship.actuators import Actuators, CommandedThrusters
 from dpbench.ship.plant import SUBSTEPS, Plant
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 from dpbench.solvers.open import open_workspace
@@ -170,7 +170,7 @@ def test_a_lost_group_gives_nothing_as_soon_as_its_rate_allows(case: Scenario) -
     builder = QPBuilder(lost)
     metrics = thruster_metrics(lost, log.thrust, (builder.u_min, builder.u_max))
     assert metrics["limit_violations"] == 0.0
-    gone = 20 + math.ceil(8.0 / 0.3 / RETREAT) + 1
+    gone = 20 + math.ceil(8.0 / 0.3 / RAMP_DOWN_SHARE) + 1
     assert np.abs(log.thrust[gone:, [0, 1, 6]]).max() < 1e-6
     assert np.abs(log.thrust[19, [0, 1]]).max() > 1e4
     assert np.abs(log.thrust[gone:, 2:6]).max() > 1e4
@@ -238,7 +238,7 @@ def test_what_is_applied_keeps_to_the_rate_and_never_leaves_the_rows_further(
 def test_slow_thrusters_follow_with_their_lag_and_never_leave_their_circles() -> None:
     """A step of the command: exact first-order answer, its mean over each sample on the ship."""
     lag_s, sample_s = 2.0, 0.5
-    thrusters = SteeredThrusters(SHIP, sample_s, lag_s, Actuators()).start()
+    thrusters = CommandedThrusters(SHIP, sample_s, lag_s, Actuators()).start()
     goal = np.array([3e3, 4e3, 0.0, 0.0, 0.0, 0.0, 2e3])
     for k in range(1, 9):
         tau = thrusters.deliver(goal)
