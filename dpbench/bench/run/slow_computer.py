@@ -132,6 +132,8 @@ class SlowComputer:
     ) -> None:
         self._delay, self._solver, self._builder, self._law = delay, solver, builder, law
         self._usage, self._latency_ns, self._backup = usage, latency_ns, backup
+        # Of an earlier process, which hung: its answers are repeated, so they come as late again.
+        self._recorded_ns = latency_ns.copy()
         latency_ns[:] = -1
         n, m, *_ = builder.sizes
         self._nothing = Solution.missing(n, m, Status.UNKNOWN)
@@ -203,6 +205,10 @@ class SlowComputer:
         solution = solver.answer(step)
         switches_after, used_after_ns = self._usage()
         step_ns = spent_ns(solver.phases_ns)
+        if solver.repeated:
+            recorded_ns = int(self._recorded_ns[self._k])
+            # The step that hung has none yet; it took its whole limit.
+            return solution, recorded_ns if recorded_ns >= 0 else self._delay.latency_ns(step_ns)
         if switches_after > switches:
             step_ns = min(step_ns, used_after_ns - used_ns)
         return solution, self._delay.latency_ns(step_ns)

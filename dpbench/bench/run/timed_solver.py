@@ -64,6 +64,8 @@ class TimedSolver:
         self.details: dict[str, int] = {}
         # Set by the alarm, whatever became of what it raised.
         self.interrupted = ""
+        # Whether the last answer is the recorded one of an earlier process.
+        self.repeated = False
 
     @property
     def matrix_updates(self) -> int:
@@ -225,8 +227,8 @@ class ResumedSolver(TimedSolver):
 
     def answer(self, step: QPStep) -> Solution:
         """The recorded answer up to the step that hung, and the solver's own behind it."""
-        self._k += 1
-        k, answers = self._k, self._answers
+        k, answers = self._next(), self._answers
+        self.repeated = k < self._at or (k == self._at and self._skips)
         if k == self._at:
             self.renew()
             if self._skips:
@@ -244,6 +246,19 @@ class ResumedSolver(TimedSolver):
             int(answers.iterations[0, k]),
             int(answers.reported_ns[0, k]),
         )
+
+    def _next(self) -> int:
+        """The step that is answered now: a slow computer does not ask in every one."""
+        self._k += 1
+        while self._k < self._at and (self._answers.times[0, self._k, _OWN] < 0).all():
+            self._k += 1
+        return self._k
+
+    def warm_up(self, times: int) -> None:
+        """As inherited, by the solver itself."""
+        at, self._at = self._at, -1
+        super().warm_up(times)
+        self._at, self._k = at, -1
 
     def reset(self) -> None:
         """As inherited, of answers of its own."""

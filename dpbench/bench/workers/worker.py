@@ -101,12 +101,13 @@ class BatchCell:
 
 def hang_of(cell: Cell, raw: Path, before: Sequence[Hang]) -> Hang | None:
     """Round and step in which the killed process of a cell hung, by its log `raw`; None where the
-    cell cannot go on behind it: it hung too often, outside of its steps, or on a slow computer,
-    whose latencies another process does not measure again.
+    cell cannot go on behind it: it hung too often, outside of its steps, or on a slow computer with
+    a backup.
 
     The log counts as not started again, so that the next process has time to open its library.
     """
-    if len(before) >= MOST_HANGS or cell.slowdown > 0.0:
+    # The latencies of a backup are not repeated, and it may steer otherwise with others.
+    if len(before) >= MOST_HANGS or (cell.slowdown > 0.0 and cell.backup):
         return None
     try:
         log = RawLog.open(raw)

@@ -36,6 +36,8 @@ _WORDS = re.compile(r"(?:aria|data)-[\w-]+|alt|class|id|name|title|value|for")
 _VALUES = {
     "href": re.compile(rf"#[\w-]*|{'|'.join(map(re.escape, FILES))}"),
     "src": re.compile(r"data:image/svg\+xml;base64,[A-Za-z0-9+/=]*"),
+    # In ISO-2022-JP a browser reads quotes as parts of other characters.
+    "charset": re.compile(r"utf-8", re.IGNORECASE),
     "content": re.compile(r"width=device-width, initial-scale=1"),
 }
 """What addresses may be: a section, a file of the folder, a picture, in which nothing runs."""

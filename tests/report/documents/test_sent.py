@@ -19,6 +19,7 @@ from dpbench.bench.capability.table import (
 )
 from dpbench.cli.main import main
 from dpbench.errors import ResultsError
+from dpbench.report.documents.passive_page import check_passive
 from dpbench.report.documents.sent import MOST_BYTES, SENDER, SENT, check_sent
 
 COMMUNITY = Path(__file__).parents[3] / "results" / "community"
@@ -199,3 +200,10 @@ def test_the_page_that_is_sent_has_no_dead_link(sent: Path) -> None:
     for name in ("one", "two"):
         assert f'id="{name}"' not in page and f'href="#{name}"' not in page
     assert "figures/" not in page and "tables/runs.csv" not in page
+
+
+def test_a_page_in_another_encoding_is_refused() -> None:
+    """In ISO-2022-JP a quote may be half of a character, and end no attribute."""
+    check_passive('<meta charset="utf-8">', "page")
+    with pytest.raises(ResultsError, match="charset"):
+        check_passive('<meta charset="iso-2022-jp">', "page")
