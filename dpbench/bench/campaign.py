@@ -31,6 +31,7 @@ from dpbench.bench.plan.suite import naming
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.cell_store import CellStore
+from dpbench.bench.record.descriptions import MachineDescription
 from dpbench.bench.record.qp_source import CapabilitySource
 from dpbench.bench.record.result_folder import (
     claimed,
@@ -63,7 +64,7 @@ class Campaign:
         plan: Plan,
         designs: Sequence[Design],
         out: Path,
-        machine: dict[str, Any],
+        machine: MachineDescription,
         *,
         fresh: bool = False,
         shard: Shard = WHOLE,
@@ -165,8 +166,7 @@ class Campaign:
         previous = self._out / "suite.json"
         if self._fresh or not previous.is_file():
             return []
-        earlier: list[Revision] = read_suite(self._out).get("revisions", [])
-        return earlier
+        return [dict(one) for one in read_suite(self._out).get("revisions", [])]
 
     def write(
         self,
