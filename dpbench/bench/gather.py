@@ -20,7 +20,7 @@ import pandas as pd
 
 from dpbench.bench.campaign import Campaign, designs_of
 from dpbench.bench.engines.shards import ShardRecord
-from dpbench.bench.plan.asked import Plan
+from dpbench.bench.plan.run_request import Plan
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.cell_store import DAMAGE, CellStore
 from dpbench.bench.record.descriptions import MachineDescription

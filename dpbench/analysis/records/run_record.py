@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from dpbench.bench.judge.memory_of_answers import is_remembered
+from dpbench.bench.judge.answer_caching import is_remembered
 from dpbench.bench.record.cell import Formulation, Units
 from dpbench.bench.record.configuration import COMMON, Configuration
 from dpbench.bench.record.qp_source import (

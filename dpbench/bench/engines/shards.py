@@ -11,7 +11,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict
 
 from dpbench.bench.engines.engine import by_source, interleaved
-from dpbench.bench.plan.asked import Asked
+from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.record.cell import HARNESS_VERSION
 from dpbench.bench.record.descriptions import MachineDescription, validated
 from dpbench.bench.record.result_folder import read_json, write_json
@@ -109,7 +109,7 @@ class ShardRecord:
     digest : of the whole plan; machine : the one it runs on; revision : of dpbench.
     """
 
-    asked: Asked
+    asked: RunRequest
     shard: Shard
     digest: str
     machine: MachineDescription
@@ -136,7 +136,7 @@ class _ShardFile(BaseModel):
 
     model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
 
-    asked: Asked
+    asked: RunRequest
     shard: Shard
     digest: str
     machine: MachineDescription

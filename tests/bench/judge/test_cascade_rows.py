@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 from dpbench import load_scenario, open_workspace, run_closed_loop
+from dpbench.bench.judge.answer_caching import with_loop_ratio
 from dpbench.bench.judge.closed_loop import evaluate_log
-from dpbench.bench.judge.memory_of_answers import with_loop_ratio
 from dpbench.bench.judge.rows import run_row, step_rows
 from dpbench.bench.judge.rules import errors, failed_steps
 from dpbench.bench.judge.step_columns import StepColumns, joined, step_columns
