@@ -74,7 +74,7 @@ def states(faults: Sequence[str], folder: Path) -> dict[str, tuple[str, str]]:
     from dpbench.analysis.verdict.fastest import best_of_each
     from dpbench.report.report import Report
     from dpbench.report.verdict_text import clauses
-    from dpbench.solvers import load_solver_module
+    from dpbench.solvers.table import load_solver_module
 
     shutil.rmtree(Path(tempfile.gettempdir()) / f"dpbench-dishonest-{os.getuid()}", True)
     for fault in faults:

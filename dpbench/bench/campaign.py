@@ -23,14 +23,15 @@ from dpbench.bench.engines.engine import Engine, TlsFiles, by_source, longest
 from dpbench.bench.engines.opened import opened
 from dpbench.bench.engines.shards import WHOLE, Shard, ShardRecord
 from dpbench.bench.engines.sources import SourceFiles
-from dpbench.bench.plan.asked import Asked, Plan
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.choices import remarks_on
 from dpbench.bench.plan.configurations import identity_of
+from dpbench.bench.plan.run_request import Plan, RunRequest
 from dpbench.bench.plan.suite import naming
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.cell_store import CellStore
+from dpbench.bench.record.descriptions import MachineDescription
 from dpbench.bench.record.qp_source import CapabilitySource
 from dpbench.bench.record.result_folder import (
     claimed,
@@ -41,7 +42,7 @@ from dpbench.bench.record.result_folder import (
 from dpbench.bench.record.revision import Revision, revision, revisions
 from dpbench.bench.sequences.capability_boundary import capability_in
 from dpbench.bench.sequences.source import is_readable
-from dpbench.bench.tabulate import Wanted, is_tabulated, refuse_other_selection, tabulate
+from dpbench.bench.tabulate import RequestedRuns, is_tabulated, refuse_other_selection, tabulate
 from dpbench.bench.workers.executor import CellJob, Result, work_of
 from dpbench.bench.workers.worker import make_source
 from dpbench.errors import InputError, ResultsError
@@ -63,7 +64,7 @@ class Campaign:
         plan: Plan,
         designs: Sequence[Design],
         out: Path,
-        machine: dict[str, Any],
+        machine: MachineDescription,
         *,
         fresh: bool = False,
         shard: Shard = WHOLE,
@@ -76,7 +77,7 @@ class Campaign:
         self.work = shard.of_jobs([self._job(p) for p in plan.cells])
         self._fresh = fresh
         if fresh:
-            self.store.forget(Wanted(self.work).jobs)
+            self.store.forget(RequestedRuns(self.work).jobs)
             SourceFiles(self.store.folder).drop()
         # Capability plots stand in the files that the QPs at their edge come from.
         at_boundary = [j for j in self.work if isinstance(j.cell.source, CapabilitySource)]
@@ -165,8 +166,7 @@ class Campaign:
         previous = self._out / "suite.json"
         if self._fresh or not previous.is_file():
             return []
-        earlier: list[Revision] = read_suite(self._out).get("revisions", [])
-        return earlier
+        return [dict(one) for one in read_suite(self._out).get("revisions", [])]
 
     def write(
         self,
@@ -301,7 +301,7 @@ def run_campaign(
         runs that are not asked for, before anything runs.
     BusyError : the machine was busy longer than `wait_s`; finished cells are kept.
     """
-    asked = Asked(
+    asked = RunRequest(
         suite=None if suite is None else str(suite),
         sequence=None if sequence is None else str(sequence),
         solvers=solvers,

@@ -23,8 +23,8 @@ import pyarrow.parquet as pq
 
 from dpbench.bench.campaign import Campaign
 from dpbench.bench.engines.opened import opened
-from dpbench.bench.plan.asked import Asked
 from dpbench.bench.plan.cells import PlannedCell
+from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.configuration import COLUMNS
@@ -224,7 +224,7 @@ def estimate_campaign(
     """
     if engine != "local":
         raise InputError("--dry-run", "", f"engine {engine}", "engine local, which is measured")
-    plan = Asked(None if suite is None else str(suite), **asked).plan()
+    plan = RunRequest(None if suite is None else str(suite), **asked).plan()
     (progress or Silent()).advance(0, "running a few of the cells")
 
     def run(cells: Sequence[PlannedCell], folder: Path) -> None:

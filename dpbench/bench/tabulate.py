@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 import pyarrow.compute as pc
 
-from dpbench.bench.judge.memory_of_answers import with_loop_ratio
+from dpbench.bench.judge.answer_caching import with_loop_ratio
 from dpbench.bench.judge.rows import run_row
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.configurations import identity_of
@@ -20,7 +20,7 @@ from dpbench.bench.workers.executor import CellJob
 from dpbench.errors import InputError
 
 
-class Wanted:
+class RequestedRuns:
     """The rows that a campaign is asked for, in their order.
 
     A cell whose settings have no effect has rows under each of its names.
@@ -120,7 +120,7 @@ def _selected(cell: Cell) -> tuple[object, ...]:
 
 def is_tabulated(work: Sequence[CellJob], store: CellStore) -> bool:
     """Whether the public tables are those that `tabulate` would make of what is there."""
-    wanted = list(Wanted(work).jobs)
+    wanted = list(RequestedRuns(work).jobs)
     public, *parts = (part.names() for part in store.parts())
     return wanted == public and not set(wanted) & {name for names in parts for name in names}
 
@@ -135,7 +135,7 @@ def tabulate(work: Sequence[CellJob], store: CellStore) -> tuple[pd.DataFrame, i
     The rows of `runs.parquet`, and how many `steps.parquet` has.
     """
     store.close()
-    wanted, finished, old = Wanted(work), store.rows(), store.parts()[1:]
+    wanted, finished, old = RequestedRuns(work), store.rows(), store.parts()[1:]
     public, aside = store.public, store.new_part()
     steps = StepFile(public.steps.with_suffix(".parquet.part"))
     others = StepFile(aside.steps.with_suffix(".part"))

@@ -13,8 +13,8 @@ from typing import Any
 
 import pandas as pd
 
+from dpbench.bench.judge.answer_caching import is_remembered
 from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
-from dpbench.bench.judge.memory_of_answers import is_remembered
 from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.judge.rows import run_row, step_rows
 from dpbench.bench.judge.step_columns import step_columns

@@ -10,7 +10,7 @@ import os
 import re
 import tomllib
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypedDict, TypeVar
 
 from pydantic import (
     BaseModel,
@@ -35,6 +35,20 @@ _PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
 _LONG_KEY = re.compile(rf"(?<![\w-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MOST_DEPTH}}}")
 _PACKAGE = Path(__file__).resolve().parents[1]
 _Model = TypeVar("_Model", bound=BaseModel)
+
+
+class VesselDocuments(TypedDict, total=False):
+    """A vessel's file as plain values, and its name."""
+
+    vessel_name: str
+    vessel: dict[str, Any]
+
+
+class ScenarioDocuments(VesselDocuments, total=False):
+    """What a scenario is made from: its file, that of its vessel, and its name."""
+
+    name: str
+    scenario: dict[str, Any]
 
 
 class FileModel(BaseModel):

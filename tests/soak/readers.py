@@ -13,8 +13,8 @@ import numpy as np
 from dpbench.bench.capability.table import COLUMNS, load_capability, write_capability
 from dpbench.bench.design import load_designs
 from dpbench.bench.engines.shards import SHARD_FILE, Shard, ShardRecord
-from dpbench.bench.plan.asked import Asked
 from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.plan.suite import load_suite
 from dpbench.bench.record.cell_store import CellStore, packed
 from dpbench.bench.record.recorded_steps import ALL
@@ -167,7 +167,7 @@ class Shards(Soaked):
         store = CellStore(out)
         store.append(rows[2]["run_id"], rows[2]["outcome"], packed(rows[2], steps))
         about = {"id": "abc", "cpu_model": "x"}
-        ShardRecord(Asked(suite="smoke"), Shard(1, 2), "0" * 16, about).write(out)
+        ShardRecord(RunRequest(suite="smoke"), Shard(1, 2), "0" * 16, about).write(out)
         self.files = _contents(out, "*.*")
 
     def choose(self, rng: random.Random) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
 
 import pandas as pd
 
@@ -23,6 +22,7 @@ from dpbench.bench.judge.rules import is_ranked
 from dpbench.bench.record.configuration import COMMON
 from dpbench.bench.record.recorded_steps import ALL, places_of
 from dpbench.bench.record.result_folder import Results
+from dpbench.scenario.problem_files import ScenarioDocuments
 from dpbench.scenario.scenario import Scenario, scenario_of
 from dpbench.solvers.calibration import CALIBRATION
 
@@ -184,9 +184,9 @@ class Records:
         return {run.run_id: self._delays[run.run_id] for run in runs if run.run_id in self._delays}
 
     @cached_property
-    def _carried(self) -> dict[str, dict[str, Any]]:
+    def _carried(self) -> dict[str, ScenarioDocuments]:
         """The first documents of each scenario that a run carries."""
-        carried: dict[str, dict[str, Any]] = {}
+        carried: dict[str, ScenarioDocuments] = {}
         for run in self.runs:
             if run.scenario not in carried and (files := run.scenario_files) is not None:
                 carried[run.scenario] = files

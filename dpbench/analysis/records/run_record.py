@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from dpbench.bench.judge.memory_of_answers import is_remembered
+from dpbench.bench.judge.answer_caching import is_remembered
 from dpbench.bench.record.cell import Formulation, Units
 from dpbench.bench.record.configuration import COMMON, Configuration
 from dpbench.bench.record.qp_source import (
@@ -27,6 +27,7 @@ from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.documents import parse_json
 from dpbench.scenario.horizons import Horizons
+from dpbench.scenario.problem_files import ScenarioDocuments
 from dpbench.solvers.contract import Policy, Route
 
 Count = float
@@ -137,7 +138,7 @@ class RunRecord:
     exact_cost: float
     dev_position_max_m: float
 
-    files: dict[str, Any] = field(default_factory=dict, repr=False)
+    files: ScenarioDocuments = field(default_factory=ScenarioDocuments, repr=False)
     source: QPSource = field(default=CONTROLLER, repr=False)
     first: int = 0
     fallback: str = ""
@@ -217,7 +218,7 @@ class RunRecord:
         return name.removesuffix(horizons) + bracket + window
 
     @property
-    def scenario_files(self) -> dict[str, Any] | None:
+    def scenario_files(self) -> ScenarioDocuments | None:
         """The documents of its scenario; None where the row carries none."""
         return self.files if "scenario" in self.files else None
 

@@ -339,14 +339,14 @@ class Study:
 
 def studies(records: Records) -> list[Study]:
     """All studies of a result folder."""
-    tables = {table.get("name") or table["base"]: table for table in records.suite.get("study", [])}
+    radii = {
+        table.get("name") or table["base"]: table.get("radius_m", 1.0)
+        for table in records.suite.get("study", [])
+    }
     by_name: dict[str, list[RunRecord]] = {}
     for run in records.study:
         by_name.setdefault(run.study, []).append(run)
-    return [
-        Study(name, runs, float(tables.get(name, {}).get("radius_m", 1.0)))
-        for name, runs in by_name.items()
-    ]
+    return [Study(name, runs, float(radii.get(name, 1.0))) for name, runs in by_name.items()]
 
 
 def _tolerance(solver: str, settings: str) -> float | None:

@@ -26,6 +26,7 @@ from distributed.security import Security
 from dpbench.bench.engines.engine import TlsFiles
 from dpbench.bench.engines.on_worker import About, about, end_tasks
 from dpbench.bench.record.cell import HARNESS_VERSION
+from dpbench.bench.record.descriptions import MachineDescription
 from dpbench.bench.workers.child import without_main
 from dpbench.bench.workers.interrupts import signals_wait, terminal_signals_blocked
 from dpbench.errors import InputError
@@ -84,7 +85,7 @@ class Fleet:
     slots: int
     concurrency: int
     exclusive: bool
-    machine: dict[str, Any]
+    machine: MachineDescription
     kinds: int
 
 

@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome
+from dpbench.bench.record.descriptions import MachineDescription
 from dpbench.bench.workers.executor import CellJob, Result
 
 WAVE_STEPS = 100_000
@@ -38,7 +39,7 @@ class Engine(AbstractContextManager["Engine"], Protocol):
     remarks : lines for whoever started the campaign, at its end.
     """
 
-    machine: dict[str, Any]
+    machine: MachineDescription
 
     @property
     def remarks(self) -> Sequence[str]: ...

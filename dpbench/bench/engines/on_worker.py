@@ -18,11 +18,11 @@ from dataclasses import dataclass, field
 from functools import cache
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
-from typing import Any
 
 from dpbench.bench.engines.engine import Kind, Target, by_source, interleaved, without_source
 from dpbench.bench.progress import Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
+from dpbench.bench.record.descriptions import MachineDescription
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.workers.child import template_context
 from dpbench.bench.workers.executor import BATCH_CELLS, Bench, CellJob, Result
@@ -43,7 +43,7 @@ class About:
 
     harness_version: str
     may_start: bool
-    machine: dict[str, Any]
+    machine: MachineDescription
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,13 @@ import re
 from dataclasses import asdict, dataclass, field
 from heapq import heapify, heapreplace
 from pathlib import Path
-from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
 from dpbench.bench.engines.engine import by_source, interleaved
-from dpbench.bench.plan.asked import Asked
+from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.record.cell import HARNESS_VERSION
-from dpbench.bench.record.descriptions import MachineFile, validated
+from dpbench.bench.record.descriptions import MachineDescription, validated
 from dpbench.bench.record.result_folder import read_json, write_json
 from dpbench.bench.record.revision import Revision, revision
 from dpbench.bench.workers.executor import BATCH_CELLS, CellJob, configuration_key, work_of
@@ -110,10 +109,10 @@ class ShardRecord:
     digest : of the whole plan; machine : the one it runs on; revision : of dpbench.
     """
 
-    asked: Asked
+    asked: RunRequest
     shard: Shard
     digest: str
-    machine: dict[str, Any]
+    machine: MachineDescription
     harness_version: str = HARNESS_VERSION
     revision: Revision = field(default_factory=revision)
 
@@ -129,7 +128,6 @@ class ShardRecord:
             found, allowed = f"{folder} without a shard", "a folder of `dpbench cells`"
             raise InputError("gather", "", found, allowed)
         read = validated(read_json(path), _ShardFile, path)
-        validated({"machine": read.machine}, _WithMachine, path)
         return cls(**{name: getattr(read, name) for name in _ShardFile.model_fields})
 
 
@@ -138,15 +136,9 @@ class _ShardFile(BaseModel):
 
     model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
 
-    asked: Asked
+    asked: RunRequest
     shard: Shard
     digest: str
-    machine: dict[str, Any]
+    machine: MachineDescription
     harness_version: str
     revision: Revision
-
-
-class _WithMachine(BaseModel):
-    """That the machine in it is one, of which all that is said is kept."""
-
-    machine: MachineFile

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Floats
+from dpbench.bench.judge.answer_caching import memory_metrics
 from dpbench.bench.judge.closed_loop import (
     CERTIFICATES,
     EVALUATION,
@@ -16,7 +17,6 @@ from dpbench.bench.judge.closed_loop import (
     common_columns,
     recorded_answer,
 )
-from dpbench.bench.judge.memory_of_answers import memory_metrics
 from dpbench.bench.record.disturbance import disturbance_metrics
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.footprint import footprint_metrics

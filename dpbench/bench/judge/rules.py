@@ -17,8 +17,11 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Floats
+from dpbench.bench.record.schema import ABSENT
 from dpbench.qp.solution import Status
 
+StepColumns = dict[str, NDArray[Any]]
+"""(N,) arrays by the names of `STEP_COLUMNS`, all but `run_id`."""
 Steps = Mapping[str, NDArray[Any]] | pd.DataFrame
 """Columns of steps by name: (N,) arrays, or a table."""
 
@@ -149,6 +152,20 @@ def failed_steps(steps: Steps) -> Flags:
     infeasible = _among(steps, "certificate", (INFEASIBLE,))
     failed = (_flags(steps, "fallback") & ~infeasible) | _flags(steps, "unconverged")
     return failed & ~_among(steps, "certificate", (UNDECIDED,))
+
+
+def steps_with_answers(steps: StepColumns, slowdown: float) -> StepColumns:
+    """Return the steps with an answer to judge, of a computer that much slower; an answer that is
+    late is not for that reason a failed one."""
+    if slowdown == 0.0:
+        return steps
+    answered = select_rows(steps, steps["total_ns"] > ABSENT)
+    return answered | {"fallback": unusable(answered)}
+
+
+def select_rows(steps: StepColumns, rows: Flags) -> StepColumns:
+    """Return some of the rows."""
+    return {name: column[rows] for name, column in steps.items()}
 
 
 def claimed_not_true(steps: Steps) -> Flags:

@@ -27,6 +27,7 @@ from dpbench.bench.judge.rules import (
     UNCERTIFIED,
     UNDECIDED,
     WARM_UP,
+    StepColumns,
     counting_rows,
     unfinished,
     unusable,
@@ -39,8 +40,6 @@ from dpbench.bench.run.slow_computer import delay_of
 from dpbench.qp.solution import Status
 from dpbench.scenario.scenario import scenario_once
 
-StepColumns = dict[str, NDArray[Any]]
-"""(N,) arrays by the names of `STEP_COLUMNS`, all but `run_id`."""
 INSIDE = tuple(f"{phase}_ns" for phase in OF_SOLVER)
 """The columns of the phases that are the solver's."""
 _STATUS_NAMES = np.array([status.name for status in Status])
@@ -104,11 +103,6 @@ def _waited_ns(steps: StepColumns) -> Ints:
     """(K,) what a loop that waits for answers waited in each step: for the backup too."""
     total = steps["total_ns"]
     return total + np.maximum(steps["backup_ns"], 0) if "backup" in steps else total
-
-
-def chosen(steps: StepColumns, rows: Flags) -> StepColumns:
-    """Some of the rows."""
-    return {name: column[rows] for name, column in steps.items()}
 
 
 def _of_qps(columns: Columns, asked: Flags | None) -> StepColumns:

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 from dpbench.bench.record.qp_source import CONTROLLER, HardestSource, QPSource, source_from
 from dpbench.bench.record.schema import SCHEMA_VERSION
+from dpbench.scenario.problem_files import ScenarioDocuments
 from dpbench.solvers.contract import Policy, Route
 
 Formulation = Literal["condensed_box", "condensed_stacked", "sparse", "none"]
@@ -79,7 +80,7 @@ class Cell:
     """
 
     mode: Literal["closed_loop", "replay"]
-    scenario: dict[str, Any]
+    scenario: ScenarioDocuments
     solver: str
     route: Route
     policy: Policy

@@ -93,7 +93,7 @@ class CapabilitySource(QPSource):
 
     sides: int = 0
     vessel_name: str = ""
-    vessel: Mapping[str, Any] = field(default_factory=dict)
+    vessel: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +16,7 @@ from typing import Any
 
 import pandas as pd
 
-from dpbench.bench.record.descriptions import MachineFile, SuiteFile, validated
+from dpbench.bench.record.descriptions import MachineDescription, SuiteDescription, validated
 from dpbench.bench.record.recorded_steps import (
     StepsInMemory,
     StepsOnDisk,
@@ -47,8 +47,8 @@ class Results:
 
     runs: pd.DataFrame
     recorded: StepTable
-    machine: dict[str, Any]
-    suite: dict[str, Any]
+    machine: MachineDescription
+    suite: SuiteDescription
 
     @cached_property
     def steps(self) -> pd.DataFrame:
@@ -123,7 +123,7 @@ def writing(folder: Path, patience: Patience = Patience()) -> Iterator[None]:  #
         yield
 
 
-def write_json(path: Path, document: dict[str, Any]) -> None:
+def write_json(path: Path, document: Mapping[str, object]) -> None:
     """Write `document` to `path`, whole or not at all."""
     write_text(path, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
 
@@ -168,19 +168,17 @@ def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
     return results
 
 
-def load_descriptions(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+def load_descriptions(folder: Path) -> tuple[MachineDescription, SuiteDescription]:
     """`machine.json` and `suite.json`; ResultsError, naming the file, when one is missing or
     damaged."""
-    machine = read_json(folder / "machine.json")
-    validated(machine, MachineFile, folder / "machine.json")
-    return machine, read_suite(folder)
+    path = folder / "machine.json"
+    return validated(read_json(path), MachineDescription, path), read_suite(folder)
 
 
-def read_suite(folder: Path) -> dict[str, Any]:
+def read_suite(folder: Path) -> SuiteDescription:
     """`suite.json`; ResultsError, naming file and key, when it is missing or damaged."""
-    suite = read_json(folder / "suite.json")
-    validated(suite, SuiteFile, folder / "suite.json")
-    return suite
+    path = folder / "suite.json"
+    return validated(read_json(path), SuiteDescription, path)
 
 
 def _read_runs(folder: Path) -> pd.DataFrame:

@@ -61,12 +61,12 @@ def record(
     units = builder.condensed.scale
     if part == "allocation" and builder.allocation is not None:
         units = builder.allocation.scale
-    return Recorded(sequence, certified(sequence), units, scenario.files)
+    return Recorded(sequence, certified(sequence), units, {**scenario.files})
 
 
 def with_horizons(scenario: Scenario, N_p: int, N_c: int) -> Scenario:
     """The same scenario under other horizons, its documents and its name included."""
-    files: dict[str, Any] = copy.deepcopy(scenario.files)
+    files = copy.deepcopy(scenario.files)
     controller = files["scenario"]["controller"]
     controller["prediction_horizon"], controller["control_horizon"] = N_p, N_c
     files["name"] = f"{scenario.name}-{N_p}-{N_c}"

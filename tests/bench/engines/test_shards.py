@@ -11,7 +11,7 @@ import pytest
 from dpbench import load_results, run_campaign
 from dpbench.bench.engines.shards import SHARD_FILE, Shard, ShardRecord
 from dpbench.bench.gather import gather
-from dpbench.bench.plan.asked import Asked
+from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.record.cell_store import CellStore
 from dpbench.cli.main import main
 from dpbench.errors import InputError
@@ -216,7 +216,7 @@ def test_a_damaged_description_of_a_shard_is_one_line(
 ) -> None:
     """It names file and key, and no list of a thousand million shards is made."""
     about = {"id": "abc", "cpu_model": "x"}
-    ShardRecord(Asked(suite="smoke"), Shard(1, 3), "0" * 16, about).write(tmp_path)
+    ShardRecord(RunRequest(suite="smoke"), Shard(1, 3), "0" * 16, about).write(tmp_path)
     assert str(ShardRecord.read(tmp_path).shard) == "1/3"
     changed(tmp_path, **entries)
     assert main(["gather", str(tmp_path), "--out", str(tmp_path / "out"), "--quiet"]) == 2

@@ -9,11 +9,11 @@ import pandas as pd
 import pytest
 
 from dpbench import load_scenario, open_workspace, run_closed_loop
+from dpbench.bench.judge.answer_caching import with_loop_ratio
 from dpbench.bench.judge.closed_loop import evaluate_log
-from dpbench.bench.judge.memory_of_answers import with_loop_ratio
 from dpbench.bench.judge.rows import run_row, step_rows
-from dpbench.bench.judge.rules import errors, failed_steps
-from dpbench.bench.judge.step_columns import StepColumns, joined, step_columns, total_of
+from dpbench.bench.judge.rules import StepColumns, errors, failed_steps
+from dpbench.bench.judge.step_columns import joined, step_columns, total_of
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.record.schema import ABSENT

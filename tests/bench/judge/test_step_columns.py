@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
-from dpbench.bench.judge.step_columns import chosen, step_columns
+from dpbench.bench.judge.rules import select_rows
+from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import TIMES
 from dpbench.bench.record.schema import ABSENT
@@ -156,5 +157,5 @@ def test_rounds_of_a_replay(
 
 def test_some_of_the_rows_are_those_of_every_column() -> None:
     """In their order."""
-    rows = chosen({"a": np.arange(3), "b": np.arange(3.0)}, np.array([True, False, True]))
+    rows = select_rows({"a": np.arange(3), "b": np.arange(3.0)}, np.array([True, False, True]))
     assert {name: column.tolist() for name, column in rows.items()} == {"a": [0, 2], "b": [0, 2]}

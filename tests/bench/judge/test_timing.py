@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from dpbench.bench.judge.closed_loop import Evaluated
-from dpbench.bench.judge.rules import counting_rows
-from dpbench.bench.judge.step_columns import chosen
+from dpbench.bench.judge.rules import counting_rows, select_rows
 from dpbench.bench.judge.timing import (
     disturbed_rounds_of,
     load_time,
@@ -46,7 +45,7 @@ def replayed(slowed: tuple[int, ...] = (0, 2), **columns: Any) -> dict[str, Any]
         | columns,
         {},
     )
-    counting = chosen(steps, counting_rows(repeat, disturbed))
+    counting = select_rows(steps, counting_rows(repeat, disturbed))
     return timing_metrics(REPLAY, evaluated, counting)
 
 

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from dpbench.bench.judge.rows import step_rows
-from dpbench.bench.judge.step_columns import StepColumns
+from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.record import cell_store
 from dpbench.bench.record.cell_store import (
     CellStore,

@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 
 from dpbench import load_results, load_scenario, record_sequence, run_campaign
-from dpbench.bench.judge.memory_of_answers import (
+from dpbench.bench.judge.answer_caching import (
     FEWEST_VISITS,
     is_remembered,
     memory_metrics,

@@ -42,7 +42,7 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Asked:
+class RunRequest:
     """What is asked for; each as in `run_campaign`."""
 
     suite: str | None = None
@@ -78,7 +78,7 @@ class Asked:
         """Whether the suite can be read on this machine."""
         return self._file is None or self._file.is_file()
 
-    def from_anywhere(self) -> Asked:
+    def from_anywhere(self) -> RunRequest:
         """The same, with the file of the suite as it is found from every folder."""
         file = self._file
         return self if file is None else replace(self, suite=str(file.resolve()))
