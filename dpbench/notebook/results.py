@@ -34,9 +34,7 @@ class Results(result_folder.Results):
     @property
     def answer(self) -> str:
         """What the page answers: which configuration to use and why, or what the suite asks."""
-        from dpbench.report.ending import ending
-
-        rows = ending(self._report.data, self._report.recommendation, self._report.topics)
+        rows = self._report.summary_rows()
         return next((text for about, text in rows if about == "answer"), "")
 
     @property

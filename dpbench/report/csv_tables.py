@@ -22,7 +22,7 @@ from dpbench.files.writing import write_together
 from dpbench.report.escaped import csv_bytes, markdown_text
 from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import Recommendation
-from dpbench.report.page.topic import Topic
+from dpbench.report.page.section import Topic
 from dpbench.report.words import beside, document
 
 LEGEND = "README.md"

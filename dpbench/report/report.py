@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -10,17 +10,30 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
+from dpbench.analysis.times.machine import (
+    calibration_medians,
+    delayed_runs,
+    disturbance_of,
+    timed_runs,
+)
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.bench.design import Designs
 from dpbench.bench.record.result_folder import Results
-from dpbench.report.charts.render import can_draw
+from dpbench.report.charts.render import NOT_DRAWN, can_draw
 from dpbench.report.csv_tables import tables_of
+from dpbench.report.machine_verdict import calibration_text, verdict_text
 from dpbench.report.page.data import PageData
+from dpbench.report.page.live import charts_of, drawn_figures
 from dpbench.report.page.recommendation import Recommendation, build_recommendation
-from dpbench.report.page.topic import Topic
-from dpbench.report.page.write import DRAWN, charts_of
+from dpbench.report.page.section import Topic
 from dpbench.report.topics.all import topics_of
+from dpbench.report.verdict_text import counted
+
+TERMINAL_NOTES = ("slower", "faster", "open", "next")
+"""The notes of the recommendation that are worth a line on a terminal."""
+BESIDE = ("slowdown", "random", "consequence")
+"""Topics that have a line of their own there where they are not the answer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +72,8 @@ class Report:
         return cls(results, data, recommendation, topics)
 
     @cached_property
-    def charts(self) -> Mapping[str, Any]:
-        """The figures of the page that follow what is chosen there, by name."""
+    def charts(self) -> Mapping[str, dict[str, Any]]:
+        """The figures that follow the selection, by section of the page and name."""
         return charts_of(self.data) if can_draw() else {}
 
     @cached_property
@@ -71,5 +84,31 @@ class Report:
     @property
     def figures(self) -> dict[str, Any]:
         """The figures that stand alone, by name."""
-        own = {name: chart for name, chart in self.charts.items() if name in DRAWN}
+        own = drawn_figures(self.charts)
         return own | {f.name: f.chart for topic in self.topics for f in topic.figures}
+
+    def summary_rows(self) -> list[tuple[str, str]]:
+        """List what a run ends with on a terminal, each line with a word for what it is about: the
+        answer, its notes, the count of the solvers, machine and harness."""
+        lead = next((topic for topic in self.topics if topic.leads), None)
+        rows = [("answer", lead.lines[0])] if lead else []
+        headline, verdicts = self.recommendation, self.data.verdicts
+        if headline.sentence and not (lead and lead.id == "loops"):
+            rows.append(("solver" if lead else "answer", headline.sentence))
+        rows += [note for note in headline.notes if note[0] in TERMINAL_NOTES]
+        beside = (topic for topic in self.topics if topic.id in BESIDE and not topic.leads)
+        rows += [(topic.id, topic.lines[0]) for topic in beside]
+        if verdicts.of:
+            rows.append(("solvers", f"{counted(verdicts)}."))
+        return [*rows, *self._machine_rows()]
+
+    def _machine_rows(self) -> Iterator[tuple[str, str]]:
+        """What of machine, harness and figures limits the results."""
+        records = self.data.records
+        disturbance = disturbance_of(timed_runs(records) or delayed_runs(records))
+        if disturbance.seconds > 0:
+            yield "machine", f"{verdict_text(disturbance)}."
+        if medians := calibration_medians(records.calibration):
+            yield "harness", f"{calibration_text(medians)}."
+        if not can_draw():
+            yield "figures", f"{NOT_DRAWN}."

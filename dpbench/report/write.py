@@ -17,7 +17,6 @@ from dpbench.report.documents.comment import beside, worst_text
 from dpbench.report.documents.markdown import report_markdown
 from dpbench.report.documents.sent import PAGE, prepare
 from dpbench.report.documents.statement import write_statement
-from dpbench.report.ending import ending
 from dpbench.report.page.write import page_html
 from dpbench.report.report import Report
 
@@ -53,7 +52,7 @@ def report_and_ending(
     solver: str | None = None,
     against: Sequence[str] = (),
 ) -> tuple[Path, list[tuple[str, str]]]:
-    """As `write_report`; with it what a run ends with: see `ending`.
+    """As `write_report`; with it what a run ends with: see `Report.summary_rows`.
 
     Parameters
     ----------
@@ -87,7 +86,7 @@ def report_and_ending(
         if send is not None:
             prepare(folder, Path(send))
             write_text(Path(send) / PAGE, _page(Path(send), report, light=True))
-        ended = ending(report.data, report.recommendation, report.topics)
+        ended = report.summary_rows()
         if solver is not None:
             write_text(folder / f"{solver}.md", comment)
             ended += [*worst_text(worst), ("comment", str(folder / f"{solver}.md"))]

@@ -14,7 +14,7 @@ from dpbench.analysis.records.run_steps import counting_of, run_steps
 from dpbench.files.writing import write_together
 from dpbench.report.csv_tables import TABLES, tables_of
 from dpbench.report.page.recommendation import Recommendation
-from dpbench.report.page.topic import Topic
+from dpbench.report.page.section import Topic
 from dpbench.report.report import Report
 from dpbench.report.table import Table
 from dpbench.report.write import write_report

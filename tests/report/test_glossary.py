@@ -28,8 +28,8 @@ from dpbench.qp.random_recipe import FAMILIES
 from dpbench.qp.referee.joint import Kind
 from dpbench.qp.solution import Status
 from dpbench.report.compare.tables import answers_table, solvers_table, times_table
-from dpbench.report.ending import BESIDE, TERMINAL_NOTES
 from dpbench.report.glossary import as_markdown, meanings, topics
+from dpbench.report.report import BESIDE, TERMINAL_NOTES
 from dpbench.report.table import Table
 from dpbench.report.topics.consequence import row_of
 from dpbench.report.topics.study import study_topic

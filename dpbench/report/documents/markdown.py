@@ -11,7 +11,7 @@ from dpbench.report.escaped import markdown_line, markdown_text
 from dpbench.report.formats import MISSING, error_text, rounded_down, time_text
 from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import Recommendation
-from dpbench.report.page.topic import Topic
+from dpbench.report.page.section import Topic
 from dpbench.report.table import markdown
 
 MOST_BYTES = 8000

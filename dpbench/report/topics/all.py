@@ -11,7 +11,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.study import Study, studies
 from dpbench.analysis.verdict.verdict import Verdicts
 from dpbench.bench.design import Designs
-from dpbench.report.page.topic import Topic
+from dpbench.report.page.section import Topic
 from dpbench.report.topics.capability import capability_topic
 from dpbench.report.topics.conclusion import conclusion_topic
 from dpbench.report.topics.consequence import consequence_topic

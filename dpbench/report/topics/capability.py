@@ -19,7 +19,7 @@ from dpbench.report.charts.capability import (
     rose,
 )
 from dpbench.report.formats import and_list, counted_list, plural, significant
-from dpbench.report.page.topic import Figure, Topic
+from dpbench.report.page.section import Figure, Topic
 
 
 def capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | None:

@@ -24,7 +24,7 @@ from dpbench.analysis.verdict.steering import (
 )
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.report.formats import and_list, of_sample_text, plural, rounded_up
-from dpbench.report.page.topic import Topic
+from dpbench.report.page.section import Topic
 
 
 def conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:

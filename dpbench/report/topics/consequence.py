@@ -17,7 +17,7 @@ from dpbench.analysis.suites.consequence import (
 )
 from dpbench.report.charts.consequence import shares, spans
 from dpbench.report.formats import counted_list, of_sample_text, plural
-from dpbench.report.page.topic import Figure, Topic
+from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 
 MOST_ROWS = 8

@@ -13,11 +13,16 @@ from dpbench.analysis.suites.paper import PAPER, State, is_of_paper, judged, law
 from dpbench.bench.design import STILL, WEATHER, Bracket, Designs
 from dpbench.report.charts.ship import forces, increments, path, precision
 from dpbench.report.formats import MISSING, rounded_down, rounded_up, unmarked
-from dpbench.report.page import cite
-from dpbench.report.page.topic import Figure, Topic
+from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 from dpbench.report.words import beside, filled
 
+CITATION = """@misc{xia_dp_mpc,
+  author = {Xia, Guoqing and Liu, Ju and Pang, Chengcheng and Xue, Jingjing},
+  title = {Constrained Model Predictive Control Design for Dynamic Positioning of a Supply Ship},
+  howpublished = {Conference paper, College of Automation, Harbin Engineering University},
+}"""
+"""A copy of the paper names neither the conference nor the year, so neither is said."""
 DRAWN = (
     ("path", path, "Fig. 4: path with the 1 m circle."),
     ("errors", precision, "Fig. 5: errors of position and heading."),
@@ -38,7 +43,7 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
         id="paper",
         title="The paper",
         lines=(_headline(measured),),
-        paste=cite.PAPER,
+        paste=CITATION,
         figures=tuple(
             Figure(f"paper-{name}", draw(laws, scenario), caption) for name, draw, caption in DRAWN
         ),

@@ -10,7 +10,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.random_claims import RandomClaims, Tally
 from dpbench.report.charts.lines import tiles
 from dpbench.report.formats import and_list
-from dpbench.report.page.topic import Figure, Topic
+from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 
 

@@ -22,7 +22,7 @@ from dpbench.analysis.verdict.demand import Demand, is_right
 from dpbench.bench.judge.rules import median, percentile
 from dpbench.bench.record.configuration import settings_level
 from dpbench.report.formats import MISSING, and_list, plural, significant, time_text
-from dpbench.report.page.topic import Topic
+from dpbench.report.page.section import Topic
 from dpbench.report.table import Table
 
 

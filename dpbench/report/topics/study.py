@@ -20,7 +20,7 @@ from dpbench.analysis.suites.study import (
 )
 from dpbench.report.charts.study import behind, held_lines, held_maps
 from dpbench.report.formats import MISSING, and_list, plural, significant
-from dpbench.report.page.topic import Figure, Topic
+from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 
 

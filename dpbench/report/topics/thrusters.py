@@ -18,7 +18,7 @@ from dpbench.analysis.verdict.steering import (
     thruster_control_loops,
 )
 from dpbench.report.formats import MISSING, and_list, plural, significant
-from dpbench.report.page.topic import Topic
+from dpbench.report.page.section import Topic
 from dpbench.report.table import Table
 
 MOST_ROWS = 8

@@ -22,7 +22,7 @@ from dpbench.bench.record.disturbance import Disturbance
 from dpbench.report.charts.lines import dots
 from dpbench.report.formats import and_list, count_text, plural, share_text, significant
 from dpbench.report.machine_verdict import disturbance_facts, machine_facts, own_switches
-from dpbench.report.page.topic import Figure, Topic
+from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 from dpbench.solvers.calibration import WAITS_NS
 

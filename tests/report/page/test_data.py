@@ -12,9 +12,9 @@ from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.verdict import verdict_of, verdicts_of
 from dpbench.report.page import tables
 from dpbench.report.page.data import PageData, columns_of, number
+from dpbench.report.page.live import _matrix_text
 from dpbench.report.page.tables import drawn_tiles
 from dpbench.report.page.terms import place_words
-from dpbench.report.page.write import _matrix_said
 
 DEMAND = Demand()
 
@@ -175,10 +175,10 @@ def test_of_many_places_those_that_miss_most_are_drawn(
     monkeypatch.setattr(tables, "MOST_TILES", 5)
     drawn = drawn_tiles(tiles)
     assert drawn["place"].unique().tolist() == ["rough", "turn"] and len(drawn) == 4
-    said = _matrix_said(facts)
+    said = _matrix_text(facts)
     assert "The 2 of 4 places that miss it most" in said and "N·m" not in said
     monkeypatch.undo()
     records.loop("daqp", units="si")
-    assert _matrix_said(_facts(records)).endswith("In N and N·m is an extra, in no verdict.")
+    assert _matrix_text(_facts(records)).endswith("In N and N·m is an extra, in no verdict.")
     records.loop("osqp", units="si", error=0.5)
-    assert _matrix_said(_facts(records)).endswith("; 1 of 2 solvers are wrong there: scale the QP.")
+    assert _matrix_text(_facts(records)).endswith("; 1 of 2 solvers are wrong there: scale the QP.")

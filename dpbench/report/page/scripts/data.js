@@ -104,3 +104,15 @@ function download(name, text) {
   link.download = name; link.click();
   URL.revokeObjectURL(link.href);
 }
+
+SECTIONS.push({
+  id: "data", after: ["c", "p"], draw: drawTable,
+  listen: () => {
+    for (const [id, event] of [["filter", "input"], ["group", "change"], ["of", "change"]]) {
+      on(`table-${id}`, event, () => { sorting.from = 0; drawTable(); });
+    }
+    $("table-back").addEventListener("click", () => { sorting.from -= ROWS; drawTable(); });
+    $("table-next").addEventListener("click", () => { sorting.from += ROWS; drawTable(); });
+    $("table-csv").addEventListener("click", () => download("runs.csv", csv()));
+  },
+});
