@@ -59,6 +59,7 @@ class ShapeError(InputError):
 
     @classmethod
     def of(cls, where: str, name: str, found: tuple[int, ...], expected: str) -> ShapeError:
+        """Make the error of an array `name` of shape `found`."""
         return cls(where, name, f"shape {found}", expected)
 
 

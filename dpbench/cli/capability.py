@@ -1,5 +1,4 @@
-"""`dpbench capability`: what a ship holds, in a table, as JSON or as a rose; and which solvers can
-tell."""
+"""The command `dpbench capability`: the wind a ship holds, and which solvers are right there."""
 
 from __future__ import annotations
 
@@ -37,7 +36,7 @@ _CELL = 15
 
 
 def tell_capability(arguments: argparse.Namespace) -> str:
-    """What `dpbench capability` prints.
+    """Return the output of `dpbench capability`.
 
     Raises
     ------
@@ -74,7 +73,7 @@ def _check_installed(solver: str) -> None:
 def _asked(
     frontier: Frontier, capability: Capability, out: Path, arguments: argparse.Namespace
 ) -> list[Answers]:
-    """The answers of the solvers asked for, to the QPs at the edge of polygons."""
+    """Judge the answers of the chosen solvers to the QPs at the edge of polygons."""
     solvers = None if "all" in arguments.solver else arguments.solver
     quiet = arguments.json
     if frontier.sides is None:
@@ -112,7 +111,7 @@ def _draw(capability: Capability, vessel: Vessel, path: Path) -> None:
 
 
 def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
-    """The table for a terminal: a row for each direction, at most 80 columns."""
+    """Make the table for a terminal: a row for each direction, at most 80 columns."""
     columns = dict(capability.held)
     if len(columns) > _WIDE:
         columns = {INTACT: columns[INTACT], "worst failure": capability.worst_failure}

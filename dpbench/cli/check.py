@@ -65,7 +65,7 @@ def check_file(asked: str, progress: Progress | None = None) -> str:
 
 
 def _unknown(asked: str) -> InputError:
-    """The error of a name that nothing has, with the nearest names of all kinds."""
+    """Return the error of an unknown name, with the nearest names of all kinds."""
     names = [name for kind in (*KINDS, SEQUENCES) for name in problem_names(kind)]
     near = difflib.get_close_matches(asked, names, n=3)
     hint = f"e.g. {', '.join(near)}; " if near else ""

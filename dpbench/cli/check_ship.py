@@ -35,14 +35,14 @@ _TRIALS = 2 * len(OFFSETS_M)
 
 
 def vessel_text(file: Path, vessel: Vessel, progress: Progress | None = None) -> str:
-    """A vessel: its numbers, and up to which offset the two tunings bring it back."""
+    """Describe a vessel: its numbers, and up to which offset the two tunings bring it back."""
     tuned = [load_scenario(f"{name}@{file.resolve()}") for name in CONTROLLERS]
     first = f"{file.name}: a vessel, {vessel.title}"
     return _lines([first, *ship_lines(vessel), *_held_lines(tuned, progress)])
 
 
 def scenario_text(name: str | Path, scenario: Scenario, progress: Progress | None = None) -> str:
-    """A scenario: its ship's numbers, what its weather asks, and what its tuning holds."""
+    """Describe a scenario: its ship, the load of its weather, the offsets its tuning holds."""
     shown = name.name if isinstance(name, Path) else name
     first = f"{shown}: a scenario of {scenario.steps} steps with vessel {scenario.vessel.id}"
     about = [*ship_lines(scenario.vessel), _weather_line(scenario)]
@@ -55,7 +55,7 @@ def _lines(lines: Sequence[str]) -> str:
 
 
 def ship_lines(vessel: Vessel) -> list[str]:
-    """The numbers of a vessel as an aligned table of three axes, and its force sideways."""
+    """Make the lines of a vessel: a table of three axes, and its sideways force."""
     kilo, per = ("k", 1e3) if vessel.tau_max[0] >= 1e3 else ("", 1.0)
     limits = zip(vessel.tau_min / per, vessel.tau_max / per, strict=True)
     units = (f"{kilo}N", f"{kilo}N", f"{kilo}N·m")
@@ -99,7 +99,7 @@ def _short(value: float) -> str:
 
 
 def _sideways_line(vessel: Vessel, unit: str, per: float) -> str:
-    """What 1 m/s sideways takes of the force there is, and the current that can be held."""
+    """Compare the force for 1 m/s sideways with the limits; name the current that can be held."""
     needs = sideways_force(vessel)[SWAY] / per
     has = min(-vessel.tau_min[SWAY], vessel.tau_max[SWAY]) / per
     most = slow_speed(vessel)[SWAY]
@@ -110,7 +110,7 @@ def _sideways_line(vessel: Vessel, unit: str, per: float) -> str:
 
 
 def _weather_line(scenario: Scenario) -> str:
-    """The mean force of the weather at the reference over the limits against it."""
+    """Return the mean force of the weather at the reference as a share of the limits."""
     vessel = scenario.vessel
     load = mean_load(vessel, scenario.environment, float(scenario.reference[2]))
     against = np.where(load < 0.0, vessel.tau_max, -vessel.tau_min)
@@ -120,7 +120,7 @@ def _weather_line(scenario: Scenario) -> str:
 
 
 def _held_lines(tuned: Sequence[Scenario], progress: Progress | None) -> list[str]:
-    """What each tuning holds in still water."""
+    """Try which offsets each tuning holds in still water."""
     progress = progress or Silent()
     progress.start(_TRIALS * len(tuned))
     lines = []

@@ -58,7 +58,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _ended(argv: Sequence[str], interruption: Interruption) -> int:
-    """The exit code of a command, also where a signal or the reader of its output ended it."""
+    """Return the exit code of a command.
+
+    Also where a signal or the reader of its output ended it.
+    """
     try:
         code = _called(argv, interruption)
     except KeyboardInterrupt:
@@ -98,7 +101,10 @@ def _one_line(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """A warning as one line; an old word without the name of its class."""
+    """Print a warning as one line.
+
+    That of an old word comes without the name of its class.
+    """
     kind = "" if issubclass(category, RenamedWarning) else f"{category.__name__}: "
     print(f"dpbench: {kind}{message}", file=sys.stderr)
 
@@ -158,7 +164,7 @@ def _say_interrupted(arguments: argparse.Namespace) -> int:
 
 
 def _given(arguments: argparse.Namespace, *without: str) -> dict[str, Any]:
-    """What was given, by the names of the parameters that it is for."""
+    """Return the given arguments, by the names of the parameters that they are for."""
     others = ("command", "call", *without)
     return {name: value for name, value in vars(arguments).items() if name not in others}
 
@@ -196,7 +202,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _say_accidents(out: Path) -> int:
-    """What befell the benchmark itself, a line each; the exit code."""
+    """Print the accidents of the benchmark itself, a line each; return the exit code."""
     from dpbench.bench.record.result_folder import accidents
 
     lost, remarks = accidents(out)

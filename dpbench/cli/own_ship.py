@@ -136,7 +136,7 @@ def _sea(text: str | None) -> int | None:
 
 
 def _new_ship(asked: argparse.Namespace, numbers: dict[str, float | None]) -> OwnShip:
-    """The ship that the options describe."""
+    """Make the ship that the options describe."""
     if asked.from_mss and asked.from_csv:
         raise SituationError(
             WHERE, "--from-csv and --from-mss exclude each other; give one of them"
@@ -158,7 +158,10 @@ def _new_ship(asked: argparse.Namespace, numbers: dict[str, float | None]) -> Ow
 
 
 def _particulars(numbers: dict[str, float | None], hull: Hull | None) -> Particulars:
-    """What the options say, then what the file says; InputError for what neither does."""
+    """Read the particulars from the options, then from the file.
+
+    InputError for those that neither has.
+    """
     values = {}
     for option in PARTICULARS:
         quantity = QUANTITIES[option]
@@ -180,7 +183,7 @@ def _particulars(numbers: dict[str, float | None], hull: Hull | None) -> Particu
 
 
 def _thrust(numbers: dict[str, float | None], own: Particulars) -> Thrust:
-    """The forces in N and N·m; InputError for one that no such ship has."""
+    """Read the forces in N and N·m; InputError for one that no such ship has."""
     for option, lever_m in (("thrust", 1.0), ("sway-thrust", 1.0), ("yaw-moment", own.length_m)):
         value = numbers[option]
         if value is None:
@@ -203,7 +206,7 @@ def _thrust(numbers: dict[str, float | None], own: Particulars) -> Thrust:
 
 
 def _command(asked: argparse.Namespace) -> str:
-    """The command line again, as far as it describes the ship."""
+    """Return the command line, as far as it describes the ship."""
     words = ["dpbench", "init", asked.name]
     for option in (*QUANTITIES, "like", "from-mss", "from-csv", "sea"):
         value = getattr(asked, option.replace("-", "_"))
@@ -226,7 +229,7 @@ def _write(folder: Path, texts: dict[str, str], *, force: bool) -> None:
 def _said(
     folder: Path, texts: dict[str, str], vessel: Vessel, number: int, remarks: list[str]
 ) -> list[str]:
-    """What was written, what the sea asks of the ship, and the next commands."""
+    """List the files written, the load of the sea on the ship, and the next commands."""
     paths = [str(folder / name) for name in texts]
     share = load_share(vessel, number)
     lines = [f"wrote {path}" for path in paths]

@@ -46,8 +46,11 @@ SOLVERS = ("daqp", "quadprog", "osqp", "piqp", "proxqp", "clarabel", "paper_acti
 
 @dataclass(frozen=True, eq=False)
 class OwnShip:
-    """A new ship: `like` is the library vessel it is scaled from, `hull` the file that replaces
-    inertia and damping of it."""
+    """A new ship.
+
+    `like` is the library vessel it is scaled from, `hull` the file that replaces its inertia and
+    damping.
+    """
 
     name: str
     own: Particulars
@@ -67,7 +70,7 @@ def comment(*paragraphs: str) -> str:
 
 
 def vessel_text(ship: OwnShip, command: str) -> str:
-    """The vessel file; `command` is what it was written by."""
+    """Return the vessel file; `command` is what it was written by."""
     own, vessel = ship.own, ship.vessel
     title = (
         f"{ship.name}, {own.length_m:g} x {own.breadth_m:g} x {own.draught_m:g} m, "
@@ -117,7 +120,7 @@ def _forms(ship: OwnShip) -> list[tuple[str, float, float]]:
 
 
 def cautions(ship: OwnShip) -> list[str]:
-    """What the master has to know of the numbers before he uses them; sentences."""
+    """Return warnings about the numbers, for the master, as sentences."""
     if ship.hull is not None:
         return ship.hull.remarks
     others = [
@@ -130,7 +133,7 @@ def cautions(ship: OwnShip) -> list[str]:
 
 
 def _added_mass_check(ship: OwnShip) -> str:
-    """The added mass against published regressions."""
+    """Compare the added mass with published regressions."""
     added = np.diag(ship.vessel.M) - rigid_body(ship.own)
     ratios = added / regression_added_mass(ship.own)
     said = ", ".join(f"{axis} {ratio:.2f}" for axis, ratio in zip(_AXES, ratios, strict=True))
@@ -182,13 +185,13 @@ def _above_water_text(ship: OwnShip) -> str:
 
 
 def sample_s(vessel: Vessel) -> float:
-    """The paper's 0.3 s at this size, in steps of 0.05 s [s]."""
+    """Scale the paper's 0.3 s to this size, in steps of 0.05 s [s]."""
     slower = froude_time(vessel.length_m)
     return max(0.05, round(round(SAMPLE_S * slower / 0.05) * 0.05, 2))
 
 
 def scenario_text(name: str, vessel: Vessel, number: int, *, chosen: bool) -> str:
-    """The scenario file: the ship at its reference in a sea, `chosen` for it or asked for."""
+    """Return the scenario file: the ship at its reference in a sea, `chosen` or asked for."""
     longer = froude_time(vessel.length_m) ** 2
     north_m, east_m = (_number(round(metres * longer, 2)) for metres in START_M)
     step_s = sample_s(vessel)
@@ -269,7 +272,7 @@ from_deg = {_number(sea.waves.from_deg)}
 
 
 def suite_text(name: str, weather: str, vessel: Vessel, number: int) -> str:
-    """The suite file: which solver steers this ship there, right and in time."""
+    """Return the suite file, which compares solvers on this ship and weather."""
     step_s = sample_s(vessel)
     return f"""\
 # Which solver steers this ship, right on every step and in time? About a minute.
@@ -302,7 +305,7 @@ settings = ["default", "high"]
 
 
 def _number(value: float) -> str:
-    """A TOML float of six digits."""
+    """Return a TOML float of six digits."""
     text = f"{float(value):.6g}"
     return text if any(sign in text for sign in ".en") else f"{text}.0"
 
@@ -316,5 +319,5 @@ def _rows(matrix: Matrix) -> str:
 
 
 def _quoted(text: str) -> str:
-    """A TOML string, whose escapes are those of JSON."""
+    """Return a TOML string, whose escapes are those of JSON."""
     return json.dumps(text, ensure_ascii=False)

@@ -38,12 +38,14 @@ _INDENT = 4 * " "
 
 
 def console() -> Console:
-    """Standard output: as wide as a terminal is, 80 columns into a file or a pipe."""
+    """Return standard output, as wide as a terminal is, 80 columns into a file or a pipe."""
     return Console() if sys.stdout.isatty() else Console(width=WIDTH)
 
 
 def wrapped(text: str, *, first: str = "", others: str = "") -> str:
-    """A paragraph in lines of 80 columns; a path or a key stays whole, so that it can be copied.
+    """Wrap a paragraph at 80 columns.
+
+    A path or a key stays whole, so that it can be copied.
 
     Parameters
     ----------
@@ -66,7 +68,7 @@ def say(lines: Iterable[str]) -> None:
 
 
 def entry(head: str, paragraphs: Iterable[str]) -> str:
-    """A name with what is said of it below, set in by four columns."""
+    """Join a name with its description below, indented by four columns."""
     return "\n".join([head, *(wrapped(p, first=_INDENT, others=_INDENT) for p in paragraphs)])
 
 
@@ -76,7 +78,7 @@ def plain(text: str) -> Text:
 
 
 def small_table(*columns: str) -> Table:
-    """An empty table whose first column is never broken."""
+    """Make an empty table whose first column is never broken."""
     table = Table(show_edge=False, pad_edge=False)
     for i, column in enumerate(columns):
         table.add_column(column, no_wrap=i == 0)
@@ -84,7 +86,7 @@ def small_table(*columns: str) -> Table:
 
 
 def report_table(table: ReportTable, screen: Console) -> RenderableType:
-    """A table of the report with its note below; row by row as text where it does not fit."""
+    """Show a table of the report with its note; row by row as text where it does not fit."""
     shown = Table(
         title=table.title,
         title_justify="left",
@@ -146,8 +148,10 @@ def _print_table(rows: list[tuple[str, str]]) -> None:
 
 
 class Bar:
-    """A progress bar with the time left, fed by the campaign; a transient one leaves no line, a
-    quiet one shows nothing."""
+    """A progress bar with the time left, fed by the campaign.
+
+    A transient one leaves no line, a quiet one shows nothing.
+    """
 
     def __init__(self, *, transient: bool = False, quiet: bool = False) -> None:
         self._quiet = quiet
@@ -181,14 +185,14 @@ class Bar:
         self._progress.update(self._task, total=work)
 
     def remark(self, text: str) -> None:
-        """A line above the bar; beside the output where there is none, unless it is quiet."""
+        """Print a line above the bar; on standard error where there is none, unless it is quiet."""
         if not self._progress.disable:
             self._progress.console.print(f"dpbench: {text}", highlight=False)
         elif not self._quiet:
             print(f"dpbench: {text}", file=sys.stderr)
 
     def waiting(self, text: str) -> None:
-        """A line beside the output, also where that is quiet."""
+        """Print a line on standard error, also where the bar is quiet."""
         print(f"dpbench: {text}", file=sys.stderr, flush=True)
 
     def advance(self, work: int, what: str) -> None:

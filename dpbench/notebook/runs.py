@@ -109,7 +109,7 @@ class Run:
         return f"{row['steps_done']} of {plural(row['steps_planned'], 'step')}"
 
     def _control(self) -> dict[str, str]:
-        """What is said of the ship."""
+        """Describe the run of a ship, by the names of fields."""
         if self.scenario is None:
             return {}
         row = self.summary
@@ -220,7 +220,7 @@ def _check_workspace(workspace: object, formulation: str) -> None:
 
 
 def _cell_of(workspace: Workspace, **fields: Any) -> Cell:
-    """The cell of a run of a workspace, whose settings have no name."""
+    """Make the cell of a run of a workspace, whose settings have no name."""
     return Cell(
         solver=workspace.solver,
         route=workspace.route,

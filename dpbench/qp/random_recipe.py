@@ -122,12 +122,12 @@ class RandomRecipe:
         return f"{self.family}-n{self.n}-m{self.m}-s{self.seed}{extra}"
 
     def to_dict(self) -> dict[str, Any]:
-        """The recipe as plain values, for JSON."""
+        """Return the recipe as plain values, for JSON."""
         return asdict(self)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> RandomRecipe:
-        """The recipe that `to_dict` described."""
+        """Return the recipe that `to_dict` described."""
         return cls(**values)
 
 

@@ -28,7 +28,7 @@ class Actuators:
     delay_samples: int = 0
 
     def start(self) -> Thrust:
-        """The actuators of one run, at rest."""
+        """Make the actuators of one run, at rest."""
         return Thrust(self)
 
 
@@ -48,7 +48,7 @@ class CommandedThrusters:
     behind: Actuators
 
     def start(self) -> ThrusterForces:
-        """The thrusters of one run, at rest."""
+        """Make the thrusters of one run, at rest."""
         return ThrusterForces(self)
 
 
@@ -59,7 +59,10 @@ class Delayed:
         self._ring, self._newest = np.zeros((samples + 1, entries)), 0
 
     def oldest(self, command: Vector) -> Vector:
-        """The command that arrives in this sample, in which `command` is given; a view."""
+        """Return the command that arrives in this sample; a view.
+
+        `command` is given in this sample.
+        """
         self._ring[self._newest] = command
         self._newest = (self._newest + 1) % len(self._ring)
         # After the step the place to be written next holds the oldest command.
@@ -76,7 +79,10 @@ class Thrust:
         self._delivered = np.zeros(AXES)
 
     def deliver(self, tau: Vector) -> Vector:
-        """The force on the hull in this sample for the command tau (3,); valid until the next."""
+        """Return the force on the hull in this sample for the command tau (3,).
+
+        Valid until the next call.
+        """
         np.multiply(self._efficiency, self._late.oldest(tau), out=self._delivered)
         return self._delivered
 
@@ -105,7 +111,7 @@ class ThrusterForces:
         self._mean = lag * (1.0 - self._left)
 
     def deliver(self, command: Vector) -> Vector:
-        """The force on the hull (3,) in this sample for the command f (n_f,)."""
+        """Return the force on the hull (3,) in this sample for the command f (n_f,)."""
         goal, f = self._late.oldest(command), self.f
         target = np.clip(goal, f - self._step_max, f + self._step_max)
         for at, thrust_N in self._circles:

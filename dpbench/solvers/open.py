@@ -20,7 +20,7 @@ def open_workspace(
     settings: Settings = "default",
     step_limit_s: float | None = None,
 ) -> Workspace:
-    """A workspace of `solver`, not yet set up.
+    """Open a workspace of `solver`, not yet set up.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def _opened(
     settings: Settings,
     step_limit_s: float | None,
 ) -> Workspace:
-    """A workspace of a route and policy that the solver has."""
+    """Open a workspace of a route and policy that the solver has."""
     solver = row.name
     check_available(solver)
     limited = row.time_limit and step_limit_s is not None

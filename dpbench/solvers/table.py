@@ -59,7 +59,7 @@ def solver_names() -> tuple[str, ...]:
 
 
 def record(name: str) -> SolverRecord:
-    """The row of a solver: of the table, of a plug-in, or of one that only qpsolvers knows.
+    """Look up a solver: of the table, of a plug-in, or of one that only qpsolvers knows.
 
     The harness's own have a row too.
 
@@ -81,7 +81,7 @@ def record(name: str) -> SolverRecord:
 
 
 def native_adapter(name: str) -> NativeAdapter:
-    """The adapter of a solver that has route native, a plug-in's too; KeyError for another."""
+    """Return the adapter of a solver with route native, a plug-in's too; KeyError for another."""
     if name in CALIBRATION:
         return NativeAdapter(
             CALIBRATION[name], lambda record, policy, options: open_calibration(name), lambda: ()
@@ -91,7 +91,7 @@ def native_adapter(name: str) -> NativeAdapter:
 
 
 def qpsolvers_adapter(name: str) -> QpsolversAdapter:
-    """The adapter of a solver on route qpsolvers."""
+    """Return the adapter of a solver on route qpsolvers."""
     return THROUGH_QPSOLVERS[name] if name in THROUGH_QPSOLVERS else generic_adapter(name)
 
 

@@ -122,15 +122,17 @@ class Referee:
         self._convex = self._definite or (self._finite and self._proven_convex())
 
     def after(self, P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
-        """A referee of a later step's matrices, begun at the active set that this one is at."""
+        """Return a referee of a later step's matrices, begun at the active set of this one."""
         later = Referee(P, A, lb, ub)
         if len(later._last) == len(self._last):
             later._last = self._last
         return later
 
     def anew(self) -> Referee:
-        """A referee of the same matrices that has seen no problem: it answers like a new one, and
-        shares with this one what follows from the matrices alone."""
+        """Return a referee of the same matrices that has seen no problem.
+
+        It answers like a new one, and shares with this one what follows from the matrices alone.
+        """
         other = copy(self)
         other._last, other._farkas = np.zeros_like(self._last), None
         return other
@@ -154,7 +156,7 @@ class Referee:
         return self._known.exact
 
     def certify(self, q: Vector, l: Vector, u: Vector) -> Optimum:  # noqa: E741 - as in QuadraticProgram
-        """The optimum of the problem with these vectors; (n,), (m,), (m,)."""
+        """Certify the optimum of the problem with these vectors; (n,), (m,), (m,)."""
         # Kernels are compiled for arrays that may be written to, whatever memory q lies in.
         q, L, U = q.copy(), np.concatenate((l, self._lb)), np.concatenate((u, self._ub))
         limits = meaning(q, L, U)
@@ -205,7 +207,7 @@ class Referee:
         return self._optimum(best) if fixed is None else self._explained(problem, best)
 
     def _resort(self, problem: JointQP, posed: JointQP, known: Proof | None) -> Optimum:
-        """What is left where the other certificates gave nothing better than `known`."""
+        """Try the last resort where the other certificates gave nothing better than `known`."""
         if known is None:
             empty = self._infeasible(problem)
             if empty is not None:
@@ -221,7 +223,7 @@ class Referee:
         return self._nothing() if refuted is None else self._refuted(problem, *refuted)
 
     def _explained(self, problem: JointQP, proof: Proof) -> Optimum:
-        """The optimum of a problem that was changed, with multipliers its own limits allow."""
+        """Return the optimum of a changed problem, with multipliers its own limits allow."""
         try:
             y, y_box = best_multipliers(self._program(problem), proof.z, 1e-9)
         except RuntimeError:
@@ -250,7 +252,10 @@ class Referee:
         return system
 
     def _closer(self, problem: JointQP, tried: list[Signs], known: Proof | None) -> Proof | None:
-        """The best of `known` and the costly certificates, begun at the active sets `tried`."""
+        """Try the costly certificates, begun at the active sets `tried`.
+
+        Return the best, or `known`.
+        """
         if not self._definite:
             return known
         proofs = [] if known is None else [known]
@@ -294,7 +299,7 @@ class Referee:
         return Optimum(proof.z, y, y_box, proof.bound, proof.kind)
 
     def _infeasible(self, problem: JointQP) -> Optimum | None:
-        """The verdict "infeasible" or "undecided" with a verified vector, if there is one."""
+        """Return "infeasible" or "undecided" with a verified vector, if there is one."""
         farkas = certify_infeasible(self._program(problem))
         if farkas is None:
             return None
@@ -302,7 +307,7 @@ class Referee:
         return self._refuted(problem, *farkas)
 
     def _still_infeasible(self, problem: JointQP) -> Optimum | None:
-        """The verdict "infeasible" by the vector of an earlier problem, where that is valid still.
+        """Return the verdict "infeasible" by an earlier problem's vector, if it is still valid.
 
         What it leaves undecided at rounding is for a vector of the problem's own.
         """
@@ -318,13 +323,13 @@ class Referee:
         return verdict if verdict.kind == "infeasible" else None
 
     def _refuted(self, problem: JointQP, y: Vector, y_box: Vector) -> Optimum:
-        """The verdict on a problem that (y, y_box) proves to have no feasible point."""
+        """Return the verdict on a problem that (y, y_box) proves to have no feasible point."""
         least = least_violation(self._program(problem), np.concatenate((y, y_box)))
         kind: Kind = "undecided" if least.undecided else "infeasible"
         return Optimum(np.full(len(problem.q), np.nan), y, y_box, np.inf, kind)
 
     def _empty(self, problem: JointQP, multipliers: Vector) -> Optimum:
-        """The verdict by the exact multipliers, if they still prove it once rounded.
+        """Return the verdict by the exact multipliers, if they still prove it once rounded.
 
         Where they do not, the least violation may still be seen to be rounding.
         """
@@ -348,8 +353,11 @@ class Referee:
 
 
 def referee_of(P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
-    """A referee that answers like a new one, and knows what was found out in this thread about the
-    same matrices before: runs of one controller in many seas have the same."""
+    """Return a referee that answers like a new one.
+
+    It shares what was found out in this thread about the same matrices before: runs of one
+    controller in many seas have the same.
+    """
     parts = P.tobytes(), A.tobytes(), lb.tobytes(), ub.tobytes()
     return _first_of(get_ident(), len(lb), *parts).anew()
 
@@ -362,7 +370,7 @@ def _first_of(thread: int, n: int, P: bytes, A: bytes, lb: bytes, ub: bytes) -> 
 
 
 def certify(qp: QuadraticProgram) -> Optimum:
-    """The certified optimum of one problem; a `Referee` is faster for many that share P and A."""
+    """Certify the optimum of one problem; a `Referee` is faster for many that share P and A."""
     return Referee(qp.P, qp.A, qp.lb, qp.ub).certify(qp.q, qp.l, qp.u)
 
 
@@ -392,7 +400,7 @@ def errors_of(
 
 
 def each_certified(sequence: QPSequence) -> Iterator[Optimum]:
-    """The certified optimum of one step after the other, for a sequence in scaled units."""
+    """Certify the optimum of one step after the other, for a sequence in scaled units."""
     qp = sequence.base
     referee = Referee(qp.P, qp.A, qp.lb, qp.ub)
     for k in range(len(sequence)):
@@ -404,7 +412,7 @@ def each_certified(sequence: QPSequence) -> Iterator[Optimum]:
 
 
 def certified(sequence: QPSequence) -> list[Optimum]:
-    """The certified optimum of every step, for a sequence in scaled units."""
+    """Certify the optimum of every step, for a sequence in scaled units."""
     return list(each_certified(sequence))
 
 

@@ -1,5 +1,7 @@
-"""quadprog: one-sided, the inverse factor of P made once; behind qpsolvers it either solves, or
-raises that there is no solution."""
+"""quadprog: one-sided, the inverse factor of P made once.
+
+Behind qpsolvers it either solves, or raises that there is no solution.
+"""
 
 from __future__ import annotations
 
