@@ -23,7 +23,8 @@ from dpbench.bench.campaign import Campaign, designs_of
 from dpbench.bench.engines.shards import ShardRecord
 from dpbench.bench.plan.asked import Plan
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
-from dpbench.bench.record.cell_store import DAMAGE, CellStore
+from dpbench.bench.record.cell_store import CellStore
+from dpbench.bench.record.finished_batch import DAMAGE
 from dpbench.bench.record.result_folder import claimed
 from dpbench.bench.tabulate import refuse_other_selection
 from dpbench.bench.workers.executor import CellJob
