@@ -128,10 +128,10 @@ class Campaign:
     def _keep(self, job: CellJob, result: Result) -> None:
         """Keep what became of a cell; where there is no room for it, it is lost."""
         job.outcome = result.outcome
-        if not result.record:
+        if result.part is None:
             return
         try:
-            self.store.append(result.run_id, result.outcome.outcome, result.record)
+            self.store.add(result.part)
         except OSError as error:
             job.outcome = Outcome("lost", f"it could not be kept: {error}")
 

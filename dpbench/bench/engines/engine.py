@@ -1,7 +1,7 @@
 """What a campaign asks of whoever runs its cells, and the order in which cells are run.
 
 An engine runs cells and hands over their results; it knows no result folder. The campaign alone
-writes what is kept, one record a cell, so that nothing is there twice whatever an engine loses.
+writes what is kept, one part a batch, so that nothing is there twice whatever an engine loses.
 """
 
 from __future__ import annotations

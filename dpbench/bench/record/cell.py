@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import Any, Literal
@@ -151,7 +150,8 @@ class Cell:
     @property
     def problem_key(self) -> str:
         """Cells with the same problem key see the same QPs (replay) or the same ship."""
-        return _problem_key(self._description())
+        description = self._description()
+        return _digest([description.get(name) for name in _PROBLEM])
 
     @property
     def key(self) -> str:
@@ -185,15 +185,6 @@ class Cell:
         """Hash of the cell and of everything a result of it depends on (method.md section 5)."""
         description = self._description()
         return _digest([description, solver_version, machine_id, harness_version, SCHEMA_VERSION])
-
-
-def problem_key_of(text: str) -> str:
-    """The `problem_key` of a cell by what `to_json` made of it, in whatever release."""
-    return _problem_key(json.loads(text))
-
-
-def _problem_key(description: Mapping[str, Any]) -> str:
-    return _digest([description.get(name) for name in _PROBLEM])
 
 
 def _digest(value: object) -> str:

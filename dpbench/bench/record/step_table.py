@@ -16,7 +16,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from dpbench.bench.record.schema import ABSENT, RUN_COLUMNS, STEP_COLUMNS, DType, as_runs
+from dpbench.bench.record.schema import (
+    ABSENT,
+    RUN_COLUMNS,
+    STEP_COLUMNS,
+    Columns,
+    DType,
+    as_runs,
+)
 from dpbench.files.writing import new_file, put
 
 ARROW: dict[DType, pa.DataType] = {
@@ -118,25 +125,40 @@ def concat_runs(batches: Mapping[str, pa.RecordBatch]) -> pa.Table:
     return steps.add_column(0, "run_id", names).unify_dictionaries()
 
 
-def step_writer(path: Path) -> pq.ParquetWriter:
-    """Return the writer of a file of steps: each table of `FILE_SCHEMA` becomes one row group, and
-    each page has its check sum."""
-    return pq.ParquetWriter(
-        path,
-        FILE_SCHEMA,
+def encode_steps(table: pa.Table, metadata: Mapping[str, str] | None = None) -> bytes:
+    """Return whole runs, of `FILE_SCHEMA`, as a Parquet file of one row group, in which each page
+    has its check sum."""
+    sink = pa.BufferOutputStream()
+    with pq.ParquetWriter(
+        sink,
+        FILE_SCHEMA.with_metadata(metadata),
         compression="zstd",
         use_dictionary=STRING_COLUMNS,
         column_encoding=dict.fromkeys(_SPLIT, "BYTE_STREAM_SPLIT"),
         write_page_checksum=True,
-        # A table reads as what its columns are, in whatever program, not as what they were here.
-        store_schema=False,
-    )
+        # Of names that are hashes, and of numbers in no order, they help nobody to skip.
+        write_statistics=False,
+        # A table reads as what its columns are, in whatever program, not as what they were here;
+        # only with its schema are metadata written.
+        store_schema=metadata is not None,
+    ) as writer:
+        if table.num_rows:
+            whole = table.unify_dictionaries().combine_chunks()
+            writer.write_table(whole.replace_schema_metadata(metadata), row_group_size=len(table))
+    data: bytes = sink.getvalue().to_pybytes()
+    return data
 
 
-def write_steps(writer: pq.ParquetWriter, table: pa.Table) -> None:
-    """Write whole runs as one row group."""
-    if table.num_rows:
-        writer.write_table(table, row_group_size=table.num_rows)
+def stored_steps(table: pa.Table) -> pa.Table:
+    """Return the columns of `FILE_SCHEMA` of a table of steps, those that are absent as missing;
+    ValueError, or one of Arrow, where they are of other types."""
+    return _completed(table, STEP_COLUMNS).cast(FILE_SCHEMA)
+
+
+def _completed(table: pa.Table, columns: Columns) -> pa.Table:
+    for name in columns.keys() - set(table.column_names):
+        table = table.append_column(name, absent_column(columns[name][0], len(table)))
+    return table.select(list(columns))
 
 
 def write_runs(path: Path, runs: pa.Table, metadata: Mapping[str, str]) -> None:
@@ -167,9 +189,7 @@ def runs_of_frame(frame: pd.DataFrame) -> pa.Table:
 def stored_runs(table: pa.Table) -> pa.Table:
     """Return the columns of `RUNS_SCHEMA` of a table of runs, those that are absent as missing;
     ValueError, or one of Arrow, where they are of other types."""
-    for name in set(RUNS_SCHEMA.names) - set(table.column_names):
-        table = table.append_column(name, absent_column(RUN_COLUMNS[name][0], len(table)))
-    return _without_gaps(table.select(RUNS_SCHEMA.names).cast(RUNS_SCHEMA))
+    return _without_gaps(_completed(table, RUN_COLUMNS).cast(RUNS_SCHEMA))
 
 
 def frame_of_runs(table: pa.Table) -> pd.DataFrame:

@@ -16,12 +16,14 @@ from multiprocessing.context import ForkServerContext
 from pathlib import Path
 from typing import TypeVar
 
+import pyarrow as pa
+
 from dpbench.bench.judge.rows import run_row
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import HARNESS_VERSION, Cell, Outcome
-from dpbench.bench.record.cell_store import packed
 from dpbench.bench.record.configuration import COLUMNS
+from dpbench.bench.record.finished_batch import DAMAGE, BatchPart, Row, batch_part, unpacked
 from dpbench.bench.record.raw_log import discard
 from dpbench.bench.record.step_table import no_steps
 from dpbench.bench.sequences.source import log_size
@@ -73,12 +75,13 @@ class CellJob:
 class Result:
     """What became of a cell.
 
-    record : its row and its steps as `packed` makes them; empty where nothing is to be kept.
+    part : the finished cells of its batch, one object for all of these; None where nothing is to be
+        kept of it.
     """
 
     run_id: str
     outcome: Outcome
-    record: bytes = b""
+    part: BatchPart | None = None
 
     @property
     def is_lost(self) -> bool:
@@ -193,10 +196,10 @@ class Bench:
             return
         by_id = {job.run_id: job for job in sizes}
         for batch in self._in_batches(batches, sources, folder):
-            for run_id, outcome in batch.outcomes.items():
-                job = by_id[run_id]
+            outcomes = {by_id[run_id]: outcome for run_id, outcome in batch.outcomes.items()}
+            for job in outcomes:
                 self.progress.advance(work_of(job.cell), name_of(job.cell))
-                yield self._result(job, outcome, batch.records.get(run_id), folder)
+            yield from self._results(outcomes, batch.records, folder)
 
     def replays(
         self, groups: Sequence[Sequence[CellJob]], sources: Mapping[str, Path]
@@ -236,8 +239,7 @@ class Bench:
         for batch in self._in_batches(filter(None, shares), sources, folder, ran):
             outcomes |= batch.outcomes
             records |= batch.records
-        for job in sizes:
-            yield self._result(job, outcomes[job.run_id], records.get(job.run_id), folder)
+        yield from self._results({job: outcomes[job.run_id] for job in sizes}, records, folder)
 
     def _by_turns(
         self, jobs: Sequence[CellJob], source: Path, folder: Path, processes: IdleWorkers
@@ -374,27 +376,43 @@ class Bench:
         """Of a replay that is timed, the column of that name; None of every other cell."""
         return self._concurrency if cell.is_timed else None
 
-    def _result(self, job: CellJob, outcome: Outcome, record: bytes | None, folder: Path) -> Result:
-        """The result of a cell, and nothing is left in `folder` of what it left there.
+    def _results(
+        self, outcomes: Mapping[CellJob, Outcome], records: Mapping[str, bytes], folder: Path
+    ) -> Iterator[Result]:
+        """Return the results of a batch, and leave nothing in `folder` of what it left there.
 
         Parameters
         ----------
-        record : what the referee made of its steps; None of a cell that left none.
+        records : what the referee made of the steps of cells that left some, by run_id.
         """
-        if record is None and outcome.outcome in ("finished", "timed_out"):
-            outcome = Outcome("lost", "the steps it made went away before they were kept")
-        if outcome.outcome == "lost":
-            record = b""
-        elif record is None:
-            about = job.run_id, job.cell, outcome, job.library, self._machine_id
-            row = run_row(*about, None, None, concurrency=self._concurrency_of(job.cell))
-            record = packed(row, no_steps())
-        discard(folder / f"{job.run_id}.raw")
-        for suffix in ("json", "judged", "evaluated.json"):
-            # What stands in a file's place by somebody else's doing goes with the folder.
-            with suppress(OSError):
-                (folder / f"{job.run_id}.{suffix}").unlink()
-        return Result(job.run_id, outcome, record)
+        kept: dict[str, tuple[Row, pa.RecordBatch]] = {}
+        became = dict(outcomes)
+        for job, outcome in outcomes.items():
+            if outcome.outcome != "lost":
+                try:
+                    kept[job.run_id] = self._kept(job, outcome, records.get(job.run_id))
+                except DAMAGE as error:
+                    became[job] = Outcome("lost", f"its record cannot be kept: {error}")
+            discard(folder / f"{job.run_id}.raw")
+            for suffix in ("json", "judged", "evaluated.json"):
+                # What stands in a file's place by somebody else's doing goes with the folder.
+                with suppress(OSError):
+                    (folder / f"{job.run_id}.{suffix}").unlink()
+        part = batch_part(kept) if kept else None
+        for job, outcome in became.items():
+            yield Result(job.run_id, outcome, part if job.run_id in kept else None)
+
+    def _kept(
+        self, job: CellJob, outcome: Outcome, record: bytes | None
+    ) -> tuple[Row, pa.RecordBatch]:
+        """Return the row and the steps of a cell; ValueError where it should have left some."""
+        if record is not None:
+            return unpacked(record)
+        if outcome.outcome in ("finished", "timed_out"):
+            raise ValueError("the steps it made went away")
+        about = job.run_id, job.cell, outcome, job.library, self._machine_id
+        row = run_row(*about, None, None, concurrency=self._concurrency_of(job.cell))
+        return row, no_steps()
 
 
 def _source(job: CellJob, sources: Mapping[str, Path]) -> Path:
@@ -414,8 +432,8 @@ def configuration_key(cell: Cell) -> tuple[str, ...]:
 
 
 def alternating(of_configurations: Iterable[Sequence[Batch]]) -> list[Batch]:
-    """Of the batches of several configurations the first of each, then the second of each, and so
-    on: all of them meet a sea at about the same time, so that its runs come into one part."""
+    """Return of the batches of several configurations the first of each, then the second of each,
+    and so on: all of them run the same sea at about the same time, whose source is kept."""
     turns = zip_longest(*of_configurations)
     return [batch for turn in turns for batch in turn if batch is not None]
 

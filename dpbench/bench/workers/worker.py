@@ -22,8 +22,8 @@ from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.judge.rows import run_row
 from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.cell_store import packed
 from dpbench.bench.record.disturbance import counters
+from dpbench.bench.record.finished_batch import packed
 from dpbench.bench.record.npz import kept
 from dpbench.bench.record.raw_log import Layout, RawLog
 from dpbench.bench.record.result_folder import write_json

@@ -18,7 +18,7 @@ from dpbench.bench.record.recorded_steps import StepsInMemory, StepsOnDisk, Step
 from dpbench.bench.record.schema import ABSENT, STEP_COLUMNS
 from dpbench.bench.record.step_table import concat_runs, step_batch
 from dpbench.errors import ResultsError
-from tests.bench.record.test_cell_store import row_of, steps_of
+from tests.bench.record.test_cell_store import steps_of
 
 NAMES = ("a", "b", "c", "d", "e")
 ASKED = ("run_id", "k", "t_s", "total_ns", "status", "dtau_x_N", "cmd_y_N", "true")
@@ -112,18 +112,6 @@ def test_every_documented_column_is_in_the_file(folder: Path) -> None:
             if dtype == "Int64":
                 values = np.where(values == ABSENT, np.nan, values)
             np.testing.assert_array_equal(own[column].to_numpy(), values, err_msg=column)
-
-
-def test_a_part_has_the_layout_of_the_public_tables(tmp_path: Path) -> None:
-    """What a running campaign keeps can be read by anybody, too."""
-    store = cell_store.CellStore(tmp_path)
-    record = cell_store.packed(row_of("a"), step_batch(steps_of(0)))
-    store.append("a", "finished", record)
-    store.close()
-    (part,) = store.parts()[1:]
-    steps, runs = pq.read_table(part.steps), pd.read_parquet(part.runs)
-    assert steps.column_names == list(STEP_COLUMNS)
-    assert steps["run_id"].to_pylist() == ["a"] * 7 and runs["run_id"].tolist() == ["a"]
 
 
 def test_damage_is_said_where_it_is_read(folder: Path) -> None:
