@@ -219,9 +219,14 @@ def trusted(
 
 
 def machine_of(beside: Sequence[Delays], limit_ns: float) -> Machine:
-    """Estimate the machine from other solvers' stalls longer than half a limit."""
-    stalls = np.concatenate([one.count_stalls(0.5 * limit_ns) for one in beside])
-    exposed_ns = np.concatenate([one.base_ns for one in beside])
+    """Estimate the machine from other solvers' stalls longer than half a limit.
+
+    Their first round is left out: whoever remembers answers is slow in it, and the machine is not.
+    """
+    counts = [one.count_stalls(0.5 * limit_ns) for one in beside]
+    first = [min(1, len(count) - 1) for count in counts]
+    stalls = np.concatenate([count[i:] for count, i in zip(counts, first, strict=True)])
+    exposed_ns = np.concatenate([one.base_ns[i:] for one, i in zip(beside, first, strict=True)])
     return estimate_machine(stalls.astype(np.float64), exposed_ns)
 
 
