@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -124,11 +123,6 @@ class RandomRecipe:
     def to_dict(self) -> dict[str, Any]:
         """The recipe as plain values, for JSON."""
         return asdict(self)
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> RandomRecipe:
-        """The recipe that `to_dict` described."""
-        return cls(**values)
 
 
 def _refused(key: str, found: object, allowed: str) -> InputError:

@@ -3,32 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
 from dpbench.bench.judge.rules import supports
 from dpbench.bench.plan.cells import PlannedCell
-from dpbench.bench.plan.study_points import StudyTable
-from dpbench.bench.plan.suite import (
-    CapabilityTable,
-    ClosedLoopTable,
-    RandomTable,
-    RecordedTable,
-    ReplayTable,
-    SuiteFile,
-)
+from dpbench.bench.plan.study_points import RunsTable
+from dpbench.bench.plan.suite import SuiteFile
 from dpbench.errors import InputError
-
-Table = TypeVar(
-    "Table",
-    ClosedLoopTable,
-    ReplayTable,
-    RecordedTable,
-    RandomTable,
-    CapabilityTable,
-    StudyTable,
-)
 
 
 def with_choices(
@@ -54,29 +37,25 @@ def with_choices(
     if steps is not None and steps < 1:
         raise InputError("--steps", "", steps, "a whole number, 1 or more")
     asked = list(scenarios or ())
-    foreign = not set(asked) <= set(suite.scenario_names)
-    loops, replays, studies = list(suite.closed_loop), list(suite.replay), list(suite.study)
-    if foreign:
-        loops = _once([_changed(t, scenarios=asked, vessels=[], steps=0) for t in loops])
-        replays = _once(
-            [_changed(t, scenario=name, first=0, steps=0) for t in replays for name in asked]
-        )
-    if settings:
-        loops = _once([_changed(t, settings=list(settings)) for t in loops])
-        studies = _once([_changed(t, settings=list(settings)) for t in studies])
-        replays = _once([_changed(t, settings=list(settings)) for t in replays])
-        recorded = _once([_changed(t, settings=list(settings)) for t in suite.recorded])
-        random = _once([_changed(t, settings=list(settings)) for t in suite.random])
-        edges = _once([_changed(t, settings=list(settings)) for t in suite.capability])
-        suite = _changed(suite, recorded=recorded, random=random, capability=edges)
-    if steps is not None:
-        loops = [_changed(t, steps=min(steps, t.steps or steps)) for t in loops]
-        replays = [
-            _changed(t, steps=min(steps, t.steps or steps), hardest=min(steps, t.hardest))
-            for t in replays
+    tables: dict[str, list[Any]] = {
+        key: list(getattr(suite, key)) for key in SuiteFile.tables_of_cells()
+    }
+    if not set(asked) <= set(suite.scenario_names):
+        tables["closed_loop"] = [
+            _changed(t, scenarios=asked, vessels=[], steps=0) for t in suite.closed_loop
         ]
-        studies = [_changed(t, steps=min(steps, t.steps or steps)) for t in studies]
-    return _changed(suite, closed_loop=loops, replay=replays, study=studies)
+        tables["replay"] = [
+            _changed(t, scenario=name, first=0, steps=0) for t in suite.replay for name in asked
+        ]
+    if settings:
+        for key, own in tables.items():
+            tables[key] = [_changed(t, settings=list(settings)) for t in own]
+    if steps is not None:
+        for key in ("closed_loop", "replay", "study"):
+            tables[key] = [_changed(t, steps=min(steps, t.steps or steps)) for t in tables[key]]
+        tables["replay"] = [_changed(t, hardest=min(steps, t.hardest)) for t in tables["replay"]]
+    chosen = scenarios or settings or steps is not None
+    return _changed(suite, **{k: _once(own) for k, own in tables.items()}) if chosen else suite
 
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -86,9 +65,9 @@ def _changed(model: Model, **update: object) -> Model:
     return model.model_copy(update=update)
 
 
-def _once(tables: Sequence[Table]) -> list[Table]:
+def _once(tables: Sequence[RunsTable]) -> list[RunsTable]:
     """Tables that have become equal, once."""
-    kept: list[Table] = []
+    kept: list[RunsTable] = []
     for table in tables:
         if table not in kept:
             kept.append(table)

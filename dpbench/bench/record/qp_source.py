@@ -7,7 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, ClassVar
+
+from pydantic import TypeAdapter
 
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import RandomRecipe
@@ -39,11 +42,6 @@ class QPSource:
     def to_dict(self) -> dict[str, Any]:
         """Return the description as plain values, for JSON."""
         return {"kind": self.kind, **vars(self)}
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> QPSource:
-        """Return the source that `to_dict` described."""
-        return cls(**{key: value for key, value in values.items() if key != "kind"})
 
     def stretch(self, steps: int) -> int:
         """Return how many steps of its loop or sequence a replay of so many is chosen from."""
@@ -110,11 +108,6 @@ class RandomSource(QPSource):
         return super().to_dict() | {"recipe": self.recipe.to_dict()}
 
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> QPSource:
-        """Return the source that `to_dict` described."""
-        return cls.of(RandomRecipe.from_dict(values["recipe"]))
-
-    @classmethod
     def of(cls, recipe: RandomRecipe) -> RandomSource:
         """Return the source of a recipe, which names the sequence."""
         return cls(name=recipe.name, recipe=recipe)
@@ -144,10 +137,21 @@ SOURCES: Mapping[str, type[QPSource]] = {
 
 
 def source_from(values: Mapping[str, Any]) -> QPSource:
-    """Return the source of a description; InputError for a kind that is not known."""
+    """Return the source that `to_dict` described.
+
+    Raises
+    ------
+    InputError : for a kind that is not known.
+    ValidationError : for values that it cannot have.
+    """
     if not values:
         return CONTROLLER
     kind = str(values.get("kind"))
     if kind not in SOURCES:
         raise InputError("cell", "source.kind", repr(kind), ", ".join(map(repr, SOURCES)))
-    return SOURCES[kind].from_dict(values)
+    return _adapter(kind).validate_python(values)
+
+
+@cache
+def _adapter(kind: str) -> TypeAdapter[QPSource]:
+    return TypeAdapter(SOURCES[kind])
