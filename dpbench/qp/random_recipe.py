@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+from dataclasses import dataclass, fields
 
 from dpbench.errors import InputError
 from dpbench.qp.program import in_blocks
@@ -119,10 +118,6 @@ class RandomRecipe:
             if getattr(self, key) != defaults[key]
         )
         return f"{self.family}-n{self.n}-m{self.m}-s{self.seed}{extra}"
-
-    def to_dict(self) -> dict[str, Any]:
-        """The recipe as plain values, for JSON."""
-        return asdict(self)
 
 
 def _refused(key: str, found: object, allowed: str) -> InputError:
