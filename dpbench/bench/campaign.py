@@ -24,9 +24,8 @@ from dpbench.bench.engines.opened import opened
 from dpbench.bench.engines.shards import WHOLE, Shard, ShardRecord
 from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.plan.cells import PlannedCell
-from dpbench.bench.plan.choices import remarks_on
 from dpbench.bench.plan.configurations import identity_of
-from dpbench.bench.plan.run_request import Plan, RunRequest
+from dpbench.bench.plan.run_request import Plan, RunRequest, remarks_on
 from dpbench.bench.plan.suite import naming
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome

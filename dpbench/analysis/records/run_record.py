@@ -277,20 +277,6 @@ class _Files(_Table):
     scenario: _Scenario | None = None
 
 
-class _Recipe(_Table):
-    family: str
-
-
-class _Source(_Table):
-    kind: str = ""
-    path: str = ""
-    group: str = ""
-    vessel_name: str = ""
-    sides: int = 0
-    of: int = 0
-    recipe: _Recipe | None = None
-
-
 class _Study(_Table):
     x: dict[str, Any] = {}
 
@@ -299,7 +285,7 @@ class _Described(_Table):
     """What of the description of a cell is read here."""
 
     scenario: _Files | None = None
-    source: _Source = _Source()
+    source: dict[str, Any] = {}
     study: _Study = _Study()
     first: int = 0
     fallback: str = ""
@@ -326,19 +312,18 @@ def _described(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
         described = parse_json(cell)
         read = _Described.model_validate(described)
     except ValueError as error:
-        first = error.errors()[0] if isinstance(error, ValidationError) else None
-        key = ".".join(["cell", *map(str, first["loc"])]) if first else "cell"
-        found = first["msg"] if first else f"no JSON ({str(error)[:80]})"
-        raise ResultsError("runs.parquet", key, found, "the description of a cell") from error
+        raise _damaged("cell", error) from error
     files = described.get("scenario") or {}
     for whole in files.values():
         if isinstance(whole, dict):
             for name, part in whole.items():
                 whole[name] = shared.setdefault(repr(part), part) if name != "scenario" else part
-    values = described.get("source", {})
-    key = f"source {values!r}"
+    key = f"source {read.source!r}"
     if key not in shared:
-        shared[key] = _source(values)
+        try:
+            shared[key] = source_from(read.source)
+        except ValueError as error:
+            raise _damaged("cell.source", error) from error
     return {
         "files": files,
         "source": shared[key],
@@ -349,15 +334,14 @@ def _described(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _source(values: Mapping[str, Any]) -> QPSource:
-    try:
-        return source_from(values)
-    except InputError as error:
-        key = f"cell.{error.key}"
-        raise ResultsError("runs.parquet", key, error.found, error.allowed) from error
-    except (KeyError, TypeError) as error:
-        allowed = "the description of a cell"
-        raise ResultsError("runs.parquet", "cell.source", str(error)[:80], allowed) from error
+def _damaged(key: str, error: ValueError) -> ResultsError:
+    """Return the error of a description that is no cell's."""
+    if isinstance(error, InputError):
+        return ResultsError("runs.parquet", f"cell.{error.key}", error.found, error.allowed)
+    first = error.errors()[0] if isinstance(error, ValidationError) else None
+    key = ".".join([key, *map(str, first["loc"])]) if first else key
+    found = first["msg"] if first else f"no JSON ({str(error)[:80]})"
+    return ResultsError("runs.parquet", key, found, "the description of a cell")
 
 
 def _floats(column: pd.Series[Any]) -> list[float]:

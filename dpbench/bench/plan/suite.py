@@ -340,8 +340,7 @@ def sequence_suite(path: str | Path, meta: Mapping[str, object] | None = None) -
     """
     ways: list[dict[str, list[str]]] = [{"settings": ["default", "high"]}]
     meta = meta or {}
-    # Files of version 0.1 say "hunt" for it.
-    worst_case = {key: meta.get(f"worst_case_{key}", meta.get(f"hunt_{key}")) for key in _WAY}
+    worst_case = {key: meta.get(f"worst_case_{key}") for key in _WAY}
     report = ReportTable()
     # A file may say anything, and not every solver has the settings one of them has.
     if all(name in known for name, known in zip(worst_case.values(), _WAY.values(), strict=True)):
@@ -354,10 +353,9 @@ def sequence_suite(path: str | Path, meta: Mapping[str, object] | None = None) -
 
 def _searched_step(meta: Mapping[str, object]) -> ReportTable:
     """The step that a search found, and for whom; an empty table where the file does not say."""
-    step = meta.get("worst_case_step", meta.get("hunt_step"))
-    solver = meta.get("worst_case_solver", meta.get("hunt_solver"))
+    step, solver = meta.get("worst_case_step"), meta.get("worst_case_solver")
     if not isinstance(step, int) or step < 0 or not isinstance(solver, str):
         return ReportTable()
-    way = [str(meta.get(f"worst_case_{key}", meta.get(f"hunt_{key}"))) for key in _WAY]
+    way = [str(meta.get(f"worst_case_{key}")) for key in _WAY]
     settings = "" if way[2] == "default" else f", {way[2]}"
     return ReportTable(step=step, configuration=f"{solver} ({way[0]} {way[1]}{settings})")

@@ -16,10 +16,9 @@ from typing_extensions import TypedDict
 from dpbench.errors import ResultsError
 
 _Kind = TypeVar("_Kind")
-_open_table = with_config(ConfigDict(strict=True, extra="allow", allow_inf_nan=False))
+_OPEN = ConfigDict(strict=True, extra="allow", allow_inf_nan=False)
 
 
-@_open_table
 class ComparedMachine(TypedDict, total=False):
     """What makes times of two machines comparable."""
 
@@ -31,7 +30,7 @@ class ComparedMachine(TypedDict, total=False):
     versions: dict[str, str]
 
 
-@_open_table
+@with_config(_OPEN)
 class MachineDescription(ComparedMachine, total=False):
     """`machine.json`; `others` are machines of which cells were gathered too."""
 
@@ -47,7 +46,6 @@ class MachineDescription(ComparedMachine, total=False):
     others: list[MachineDescription]
 
 
-@_open_table
 class _Demand(TypedDict, total=False):
     error_move: float
     failed_steps: int
@@ -55,14 +53,12 @@ class _Demand(TypedDict, total=False):
     deadline_ms: float
 
 
-@_open_table
 class _Report(TypedDict, total=False):
     baseline: str | None
     step: int | None
     configuration: str | None
 
 
-@_open_table
 class StudyDescription(TypedDict, total=False):
     """A `[[study]]` of `suite.json`."""
 
@@ -71,7 +67,6 @@ class StudyDescription(TypedDict, total=False):
     radius_m: float
 
 
-@_open_table
 class RevisionDescription(TypedDict):
     """A revision of dpbench."""
 
@@ -79,7 +74,7 @@ class RevisionDescription(TypedDict):
     clean: bool
 
 
-@_open_table
+@with_config(_OPEN)
 class SuiteDescription(TypedDict, total=False):
     """`suite.json`."""
 

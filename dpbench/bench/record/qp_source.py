@@ -6,8 +6,11 @@ A source is part of its cell's description. `sequences/source.py` makes and read
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from functools import cache
 from typing import Any, ClassVar
+
+from pydantic import TypeAdapter
 
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import RandomRecipe
@@ -37,13 +40,8 @@ class QPSource:
     name: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the description as plain values, for JSON."""
-        return {"kind": self.kind, **vars(self)}
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> QPSource:
-        """Return the source that `to_dict` described."""
-        return cls(**{key: value for key, value in values.items() if key != "kind"})
+        """Return the description as plain values, for JSON; none of a cell without a source."""
+        return {"kind": self.kind, **asdict(self)} if self.kind else {}
 
     def stretch(self, steps: int) -> int:
         """Return how many steps of its loop or sequence a replay of so many is chosen from."""
@@ -54,10 +52,6 @@ class ControllerSource(QPSource):
     """The controller of the cell's scenario, along the exactly solved loop."""
 
     is_of_controller = True
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return nothing: a cell without a source has this one."""
-        return {}
 
 
 @dataclass(frozen=True)
@@ -105,15 +99,6 @@ class RandomSource(QPSource):
 
     recipe: RandomRecipe
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the description as plain values, for JSON."""
-        return super().to_dict() | {"recipe": self.recipe.to_dict()}
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> QPSource:
-        """Return the source that `to_dict` described."""
-        return cls.of(RandomRecipe.from_dict(values["recipe"]))
-
     @classmethod
     def of(cls, recipe: RandomRecipe) -> RandomSource:
         """Return the source of a recipe, which names the sequence."""
@@ -131,23 +116,26 @@ class RecordedSource(QPSource):
 
 
 CONTROLLER = ControllerSource()
-SOURCES: Mapping[str, type[QPSource]] = {
-    kind.kind: kind
-    for kind in (
-        RandomSource,
-        RecordedSource,
-        HardestSource,
-        ConsequenceSource,
-        CapabilitySource,
-    )
-}
+_KINDS = (RandomSource, RecordedSource, HardestSource, ConsequenceSource, CapabilitySource)
+SOURCES: Mapping[str, type[QPSource]] = {source.kind: source for source in _KINDS}
 
 
 def source_from(values: Mapping[str, Any]) -> QPSource:
-    """Return the source of a description; InputError for a kind that is not known."""
+    """Return the source that `to_dict` described.
+
+    Raises
+    ------
+    InputError : for a kind that is not known.
+    ValidationError : for values that it cannot have.
+    """
     if not values:
         return CONTROLLER
     kind = str(values.get("kind"))
     if kind not in SOURCES:
         raise InputError("cell", "source.kind", repr(kind), ", ".join(map(repr, SOURCES)))
-    return SOURCES[kind].from_dict(values)
+    return _adapter(kind).validate_python(values)
+
+
+@cache
+def _adapter(kind: str) -> TypeAdapter[QPSource]:
+    return TypeAdapter(SOURCES[kind])

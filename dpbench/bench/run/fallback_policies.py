@@ -5,9 +5,7 @@ A policy is a class of this file and its entry in `FALLBACKS`.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import ClassVar
 
 import numpy as np
 
@@ -18,8 +16,8 @@ Law = Callable[[Vector, Vector, Vector], Vector]
 """Δu (n_u,) of the unconstrained law at x (n_x,), y_ref (n_y,) and u(k−1) (n_u,)."""
 
 
-class FallbackPolicy(ABC):
-    """Moves the ship in steps without a usable answer.
+class FallbackPolicy:
+    """Moves the ship in steps without a usable answer; this one keeps the force.
 
     Parameters
     ----------
@@ -32,7 +30,7 @@ class FallbackPolicy(ABC):
     follows_plans : whether a plan that arrived late is followed too (`slow_computer.py`).
     """
 
-    follows_plans: ClassVar[bool] = False
+    follows_plans = False
 
     def __init__(self, N_c: int, n_u: int, law: Law) -> None:
         self.acted = False
@@ -48,42 +46,32 @@ class FallbackPolicy(ABC):
     def move(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
         """Return Δu (n_u,) in place of the missing answer."""
         self.acted = True
-        self._age += 1
-        return self._move(x, y_ref, u_prev)
-
-    @abstractmethod
-    def _move(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
-        """Return Δu (n_u,), `_age` steps after the last usable plan."""
-
-
-class Hold(FallbackPolicy):
-    """Keeps the force."""
-
-    def _move(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
         return np.zeros(self._plan.shape[1])
 
 
-class ShiftedPlan(Hold):
+class ShiftedPlan(FallbackPolicy):
     """Follows the last usable plan, one move further each step, and holds when it is used up."""
 
     follows_plans = True
 
-    def _move(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
-        if self._age >= len(self._plan):
-            return super()._move(x, y_ref, u_prev)
-        move: Vector = self._plan[self._age]
-        return move
+    def move(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
+        """Return Δu (n_u,) of the plan."""
+        hold = super().move(x, y_ref, u_prev)
+        self._age += 1
+        return self._plan[self._age] if self._age < len(self._plan) else hold
 
 
 class Clip(FallbackPolicy):
     """Applies the unconstrained law (eq. 33), which the loop clips."""
 
-    def _move(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
+    def move(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
+        """Return Δu (n_u,) of the law."""
+        self.acted = True
         return self._law(x, y_ref, u_prev)
 
 
 FALLBACKS: dict[str, type[FallbackPolicy]] = {
     DEFAULT_FALLBACK: ShiftedPlan,
-    "hold": Hold,
+    "hold": FallbackPolicy,
     "clip": Clip,
 }

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from dpbench.bench.plan.choices import with_choices
 from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.run_request import with_choices
 from dpbench.bench.plan.study_points import StudyTable, points_of
 from dpbench.bench.plan.suite import SuiteFile
 from dpbench.bench.record.schema import study_columns

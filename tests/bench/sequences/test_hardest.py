@@ -9,8 +9,8 @@ import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.analysis.records.records import Records
-from dpbench.bench.plan.choices import with_choices
 from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.run_request import with_choices
 from dpbench.bench.plan.suite import ReplayTable, SuiteFile
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.qp_source import HardestSource

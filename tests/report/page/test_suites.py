@@ -6,6 +6,7 @@ import copy
 import json
 import re
 from collections.abc import Callable
+from dataclasses import asdict
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -55,7 +56,7 @@ def _timed(records: Any) -> None:
 
 def _random(records: Any) -> None:
     recipe = RandomRecipe("plain", 4, 6, 1)
-    source = {"kind": "random", "name": recipe.name, "recipe": recipe.to_dict()}
+    source = {"kind": "random", "name": recipe.name, "recipe": asdict(recipe)}
     own = {"scenario": "", "cell": json.dumps({"source": source})}
     records.replay("daqp", steps=6, **own)
 
