@@ -35,12 +35,18 @@ class StepTimes:
 
 def times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
     """Those of every run of a table that left a counting row."""
+    for run_id, repeat, k, total_ns in _counting_rows(steps):
+        yield run_id, step_times_of(repeat, k, total_ns)
+
+
+def _counting_rows(steps: pd.DataFrame) -> Iterator[tuple[str, Ints, Ints, Floats]]:
+    """Run, round, step and time [ns] of the rows (N,) of each run that count."""
     counting = steps[steps["counts"]]
     repeat, k = (counting[name].to_numpy(dtype=np.int64) for name in ("repeat", "k"))
     total_ns = counting["total_ns"].to_numpy(dtype=np.float64, na_value=np.nan)
     for run_id, (first, end) in places_of(counting["run_id"]).items():
         own = slice(first, end)
-        yield run_id, step_times_of(repeat[own], k[own], total_ns[own])
+        yield run_id, repeat[own], k[own], total_ns[own]
 
 
 def step_times_of(repeat: Ints, k: Ints, total_ns: Floats) -> StepTimes:
@@ -94,12 +100,8 @@ class Delays:
 
 def delays_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, Delays]]:
     """Delays of every run of a step table that left a counting row; asks for `TIME_COLUMNS`."""
-    counting = steps[steps["counts"]]
-    repeat, k = (counting[name].to_numpy(dtype=np.int64) for name in ("repeat", "k"))
-    total_ns = counting["total_ns"].to_numpy(dtype=np.float64, na_value=np.nan)
-    for run_id, (first, end) in places_of(counting["run_id"]).items():
-        own = slice(first, end)
-        yield run_id, delays_of(repeat[own], k[own], total_ns[own])
+    for run_id, repeat, k, total_ns in _counting_rows(steps):
+        yield run_id, delays_of(repeat, k, total_ns)
 
 
 def delays_of(repeat: Ints, k: Ints, total_ns: Floats) -> Delays:
