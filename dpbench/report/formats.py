@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from decimal import ROUND_DOWN, ROUND_UP, Decimal
+from typing import Any
 
 MISSING = "–"
 """Stands where there is no number."""
@@ -135,3 +136,11 @@ def counted_list(counts: Iterable[tuple[str, int]]) -> str:
 def unmarked(text: str) -> str:
     """Without the marks of Markdown, which a page and a terminal would show."""
     return text.replace("**", "").replace("`", "")
+
+
+def toml_text(value: Any) -> str:
+    """A number of six digits as a TOML float; of an array its rows."""
+    if isinstance(value, Iterable):
+        return f"[{', '.join(map(toml_text, value))}]"
+    text = f"{float(value):.6g}"
+    return text if any(sign in text for sign in ".en") else f"{text}.0"

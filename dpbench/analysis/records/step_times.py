@@ -35,12 +35,20 @@ class StepTimes:
 
 def times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
     """Those of every run of a table that left a counting row."""
+    for run_id, repeat, k, (total_ns,) in _counting_rows(steps, "total_ns"):
+        yield run_id, step_times_of(repeat, k, total_ns)
+
+
+def _counting_rows(
+    steps: pd.DataFrame, *times: str
+) -> Iterator[tuple[str, Ints, Ints, list[Floats]]]:
+    """Run, round, step and some times [ns] of the rows (N,) of each run that count."""
     counting = steps[steps["counts"]]
     repeat, k = (counting[name].to_numpy(dtype=np.int64) for name in ("repeat", "k"))
-    total_ns = counting["total_ns"].to_numpy(dtype=np.float64, na_value=np.nan)
+    columns = [counting[name].to_numpy(dtype=np.float64, na_value=np.nan) for name in times]
     for run_id, (first, end) in places_of(counting["run_id"]).items():
         own = slice(first, end)
-        yield run_id, step_times_of(repeat[own], k[own], total_ns[own])
+        yield run_id, repeat[own], k[own], [column[own] for column in columns]
 
 
 def step_times_of(repeat: Ints, k: Ints, total_ns: Floats) -> StepTimes:
@@ -116,15 +124,8 @@ class Delays:
 
 def delays_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, Delays]]:
     """Yield the delays of every run of a step table that left a counting row."""
-    counting = steps[steps["counts"]]
-    repeat, k = (counting[name].to_numpy(dtype=np.int64) for name in ("repeat", "k"))
-    total_ns, waited_ns = (
-        counting[name].to_numpy(dtype=np.float64, na_value=np.nan)
-        for name in ("total_ns", "waited_ns")
-    )
-    for run_id, (first, end) in places_of(counting["run_id"]).items():
-        own = slice(first, end)
-        yield run_id, delays_of(repeat[own], k[own], total_ns[own], waited_ns[own])
+    for run_id, repeat, k, (total_ns, waited_ns) in _counting_rows(steps, "total_ns", "waited_ns"):
+        yield run_id, delays_of(repeat, k, total_ns, waited_ns)
 
 
 def delays_of(repeat: Ints, k: Ints, total_ns: Floats, waited_ns: Floats) -> Delays:

@@ -63,8 +63,6 @@ class PairedDifference:
     estimate : the mean difference with its error; the error is NaN where none is supported.
     pairs : realisations that both finished; points : at how many points.
     spread : standard deviation of the mean of one realisation of every point.
-    unpaired : by what factor the interval were wider if realisations were not paired; NaN if
-        unknown.
     is_constant : whether it is the same in all pairs of a point, within `NOTHING`.
     """
 
@@ -72,7 +70,6 @@ class PairedDifference:
     pairs: int
     points: int
     spread: float
-    unpaired: float
     is_constant: bool
 
     @property
@@ -102,18 +99,16 @@ def paired_difference(one: pd.Series, other: pd.Series) -> PairedDifference:
     """
     both = pd.concat([one, other], axis=1, join="inner").dropna()
     if both.empty:
-        return PairedDifference(MeanEstimate(np.nan), 0, 0, np.nan, np.nan, is_constant=False)
+        return PairedDifference(MeanEstimate(np.nan), 0, 0, np.nan, is_constant=False)
     columns = [both.iloc[:, i].unstack().to_numpy(dtype=np.float64) for i in (0, 1)]
     difference = columns[0] - columns[1]
     estimate = mean_over_points(difference)
-    alone = math.hypot(*(mean_over_points(column).error for column in columns))
     extent = np.nanmax(difference, axis=1) - np.nanmin(difference, axis=1)
     return PairedDifference(
         estimate,
         len(both),
         len(difference),
         estimate.error * math.sqrt(len(both) / len(difference)),
-        alone / estimate.error,
         is_constant=bool((extent <= NOTHING).all()),
     )
 

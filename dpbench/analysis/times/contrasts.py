@@ -8,7 +8,7 @@ the third what a warm start gains.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,60 +43,53 @@ ABOVE: dict[RoutePolicy, tuple[RoutePolicy, ...]] = {
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """A route of a solver beside its neighbour `above`, on the steps that both have done.
+class RouteGain:
+    """A route of a solver at one settings level, against its neighbour `above`.
 
-    gain : geometric mean over steps of the neighbour's time over this one's.
+    Parameters
+    ----------
+    gain : geometric mean of the neighbour's time over this one's, over their common steps.
+    median_ns : median of its algorithmic step time.
     """
-
-    above: RoutePolicy
-    gain: Interval
-
-
-@dataclass(frozen=True, eq=False)
-class RouteComparison:
-    """One solver on all its routes, replayed on one sequence at one settings level."""
 
     solver: str
     settings: str
-    times: dict[RoutePolicy, StepTimes]
-
-    def median_ns(self, route: RoutePolicy) -> float:
-        """Median of the algorithmic step time; NaN where the route left no step."""
-        return float(np.median(self.times[route].algo_ns)) if route in self.times else np.nan
-
-    def neighbour(self, route: RoutePolicy) -> RoutePolicy | None:
-        """The route above it that was measured."""
-        return next((above for above in ABOVE.get(route, ()) if above in self.times), None)
-
-    def compare(self, route: RoutePolicy) -> Comparison | None:
-        """A route beside its neighbour; None without one, or without a common step."""
-        above = self.neighbour(route)
-        if above is None:
-            return None
-        above_ns, route_ns = paired(self.times[above], self.times[route])
-        return Comparison(above, paired_ratio(above_ns, route_ns)) if len(route_ns) else None
+    above: RoutePolicy
+    route: RoutePolicy
+    gain: Interval
+    median_ns: float
 
 
-def route_comparisons(records: Records, sequence: str) -> list[RouteComparison]:
-    """All solvers at all settings levels of a sequence, the fastest first; none without a step."""
-    comparisons = []
+def route_gains(records: Records, sequence: str) -> list[RouteGain]:
+    """Compare the routes of solvers that were also run natively, the fastest solver first.
+
+    None where no native route has a neighbour.
+    """
+    medians: dict[tuple[float, str], list[RouteGain]] = {}
     by_solver = grouped(records.replays(sequence), lambda run: (run.solver, run.settings))
     for (solver, settings), runs in by_solver.items():
-        timed: dict[RoutePolicy, StepTimes | None]
-        timed = {(run.route, run.policy): records.times(run) for run in runs}
-        times = {route: of_route for route, of_route in timed.items() if of_route is not None}
-        if times:
-            comparisons.append(RouteComparison(solver, settings, times))
-    return sorted(comparisons, key=lambda c: (min(map(c.median_ns, c.times)), c.solver))
+        times: dict[RoutePolicy, StepTimes] = {}
+        for run in runs:
+            if (of_run := records.times(run)) is not None:
+                times[run.route, run.policy] = of_run
+        if any(route == "native" for route, _ in times):
+            fastest = min(float(np.median(of_route.algo_ns)) for of_route in times.values())
+            own = medians.setdefault((fastest, solver), [])
+            own += [RouteGain(solver, settings, *gain) for gain in _gains(times)]
+    gains = [gain for key in sorted(medians) for gain in medians[key]]
+    return gains if any(gain.route[0] == "native" for gain in gains) else []
 
 
-def native_comparisons(comparisons: Sequence[RouteComparison]) -> list[RouteComparison]:
-    """Those with a native configuration; none when not one of them has a neighbour to be compared
-    with."""
-    native = [c for c in comparisons if any(route == "native" for route, _ in c.times)]
-    compared = any(c.neighbour(route) for c in native for route in c.times if route[0] == "native")
-    return native if compared else []
+def _gains(
+    times: Mapping[RoutePolicy, StepTimes],
+) -> Iterator[tuple[RoutePolicy, RoutePolicy, Interval, float]]:
+    """Neighbour, route, gain and median of each route that has a neighbour and common steps."""
+    for route, own in times.items():
+        above = next((above for above in ABOVE.get(route, ()) if above in times), None)
+        if above is not None:
+            above_ns, own_ns = paired(times[above], own)
+            if len(own_ns):
+                yield above, route, paired_ratio(above_ns, own_ns), float(np.median(own.algo_ns))
 
 
 def right_levels(records: Records, demand: Demand) -> dict[str, list[str]]:

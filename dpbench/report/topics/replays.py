@@ -13,9 +13,8 @@ from dpbench.analysis.statistics import Interval, paired_ratio
 from dpbench.analysis.times.contrasts import (
     common_replays,
     fastest_forms,
-    native_comparisons,
     right_levels,
-    route_comparisons,
+    route_gains,
 )
 from dpbench.analysis.times.pairs import paired
 from dpbench.analysis.verdict.demand import Demand, is_right
@@ -32,15 +31,11 @@ def routes_topic(records: Records) -> Topic | None:
     gains: dict[str, list[float]] = {}
     for sequence in records.sequences:
         rows = []
-        for compared in native_comparisons(route_comparisons(records, sequence)):
-            for route in compared.times:
-                beside = compared.compare(route)
-                if beside is None:
-                    continue
-                change = f"{' '.join(beside.above)} → {' '.join(route)}"
-                gains.setdefault(change, []).append(beside.gain.value)
-                figures = _ratio_text(beside.gain), time_text(compared.median_ns(route))
-                rows.append((compared.solver, compared.settings, change, *figures))
+        for found in route_gains(records, sequence):
+            change = f"{' '.join(found.above)} → {' '.join(found.route)}"
+            gains.setdefault(change, []).append(found.gain.value)
+            figures = _ratio_text(found.gain), time_text(found.median_ns)
+            rows.append((found.solver, found.settings, change, *figures))
         if rows:
             head = ("solver", "settings", "from → to", "times as fast (95 %)", "p50")
             tables.append(Table(head, tuple(rows), sequence))

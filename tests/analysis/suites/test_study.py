@@ -96,7 +96,6 @@ def test_the_sea_drops_out(seed: int) -> None:
     together = paired_difference(_values(one + sea), _values(other + sea))
     assert together.mean.low == pytest.approx(alone.mean.low, abs=1e-9)
     assert together.mean.high == pytest.approx(alone.mean.high, abs=1e-9)
-    assert together.unpaired > 5.0 * alone.unpaired
 
 
 @pytest.mark.parametrize("shared", [0.0, 0.3])
@@ -198,7 +197,6 @@ def test_the_reference_is_chosen_by_settings_not_by_results() -> None:
     assert by_name["far"].has_larger_error and not by_name["same"].has_larger_error
     behind = by_name["far"].error_excess_m
     assert behind is not None and behind.mean.value == pytest.approx(0.03, abs=2e-4)
-    assert behind.unpaired > 100.0
 
 
 def test_claims_hold_together_over_all_configurations() -> None:

@@ -46,7 +46,7 @@ def _run(name: str, point: int, replicate: int, **columns: Any) -> Any:
 def _difference(
     value: float, error: float = 1e-9, *, spread: float = LOST, df: float = 9.0
 ) -> PairedDifference:
-    return PairedDifference(MeanEstimate(value, error, df), 6, 1, spread, 1.0, is_constant=False)
+    return PairedDifference(MeanEstimate(value, error, df), 6, 1, spread, is_constant=False)
 
 
 def _configuration(
@@ -128,10 +128,7 @@ def test_differences_within_a_millionth_are_constant(extent: float, constant: bo
 
 
 def test_a_paired_difference_by_hand() -> None:
-    """Differences 0, 2, 4 at each of two points: mean 2, error sqrt(4/3), spread sqrt(4).
-
-    Alone, one has 10, 12, 14 with the same error and the other has none but the least.
-    """
+    """Differences 0, 2, 4 at each of two points: mean 2, error sqrt(4/3), spread sqrt(4)."""
     index = pd.MultiIndex.from_product([[0, 1], [1, 2, 3]], names=["point", "replicate"])
     one = pd.Series([10.0, 12.0, 14.0, 20.0, 22.0, 24.0], index=index)
     other = pd.Series([10.0, 10.0, 10.0, 20.0, 20.0, 20.0], index=index)
@@ -140,7 +137,6 @@ def test_a_paired_difference_by_hand() -> None:
     assert found.estimate.value == pytest.approx(2.0)
     assert found.estimate.error == pytest.approx(math.sqrt(4.0 / 3.0))
     assert found.spread == pytest.approx(2.0)
-    assert found.unpaired == pytest.approx(1.0)
     lost = paired_difference(one.iloc[:5], other)
     assert (lost.pairs, lost.points) == (5, 2)
     longer = one.reindex(pd.MultiIndex.from_product([[0, 1], [1, 2, 3, 4]], names=index.names))
@@ -150,7 +146,7 @@ def test_a_paired_difference_by_hand() -> None:
     assert seven.spread == pytest.approx(seven.estimate.error * math.sqrt(3.5))
     empty = paired_difference(one.iloc[:0], other)
     assert (empty.pairs, empty.points, empty.is_constant) == (0, 0, False)
-    assert math.isnan(empty.spread) and math.isnan(empty.unpaired)
+    assert math.isnan(empty.spread)
 
 
 @pytest.mark.parametrize(

@@ -100,12 +100,6 @@ function listenPage() {
   new ResizeObserver(([bar]) => {
     document.documentElement.style.scrollPaddingTop = `${bar.target.offsetHeight + 4}px`;
   }).observe(document.querySelector(".top"));
-  for (const button of document.querySelectorAll("[data-go]")) {
-    button.addEventListener("click", () => {
-      const [solver, w, settings] = button.dataset.go.split("~");
-      select({ c: configuration(solver, w, settings), k: null });
-    });
-  }
 }
 
 // What a term means, for those who come to it by the keyboard: a mouse has its title.
