@@ -114,7 +114,6 @@ def _check_scenario(name: str | Path, progress: Progress | None) -> str:
 
 
 def _check_suite(file: Path, document: dict[str, Any]) -> str:
-    from dpbench.bench.plan.plan import plan
     from dpbench.bench.plan.suite import SuiteFile, load_suite, naming
 
     of_suite = SuiteFile.tables_of_cells()
@@ -127,5 +126,7 @@ def _check_suite(file: Path, document: dict[str, Any]) -> str:
             f"or {', '.join(f'[[{table}]]' for table in of_suite)} (a suite)",
         )
     suite_path, suite = load_suite(file)
+    from dpbench.bench.plan.plan import plan
+
     with naming(suite_path):
         return f"{file}: a suite of {len(plan(suite, beside=suite_path.parent))} cells"

@@ -109,8 +109,8 @@ def make_own_ship(asked: argparse.Namespace) -> list[str]:
         vessel, remarks = ship.vessel, cautions(ship)
     else:
         if sea is None:
-            allowed = f"1 to {max(DP_NUMBERS)}, as {vessel_file} is there; or the ship anew"
-            raise InputError(WHERE, "--sea", "nothing", allowed)
+            instead = f"give --sea, 1 to {max(DP_NUMBERS)}, or describe the ship anew"
+            raise SituationError(WHERE, f"{vessel_file} exists; {instead}")
         vessel = load_vessel(vessel_file)
     number = largest_sea(vessel) if sea is None else sea
     texts |= _sea_files(name, vessel, number, chosen=sea is None)
