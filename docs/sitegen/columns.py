@@ -42,8 +42,8 @@ that are asked for as Arrow tables of some hundred thousand rows, whatever the s
 of other versions of the schema are refused.
 
 While a campaign runs, finished cells are in `cells/`, the cells of a batch in one file, a part. It
-has the columns of `steps.parquet`, and in its metadata, under `runs`, the rows of the runs as JSON;
-its name, `part-00001-0a1b2c3d.parquet`, ends with the CRC-32 of the file. A cell of a part is
+has the columns of `steps.parquet`, and in its metadata, under `runs`, those of `runs.parquet` as
+JSON; its name, `part-00001-0a1b2c3d.parquet`, ends with the CRC-32 of the file. A cell of a part is
 finished, and is not run again. At the end of the campaign the row groups of the parts become
 `steps.parquet`.
 """

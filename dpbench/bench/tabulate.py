@@ -181,7 +181,7 @@ def _sort(
     for group in store.groups(sources):
         here = {new: made_of for new, made_of in aliases.items() if made_of in group.names}
         others = [name for name in group.names if name not in wanted]
-        if not (group.may_copy and not here and not others and steps.copy(group)):
+        if here or others or not steps.copy(group):
             try:
                 table = group.table()
             except DAMAGE:

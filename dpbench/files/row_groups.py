@@ -8,82 +8,167 @@ description with offsets of the new place. The footer is a struct of Thrift's co
 from __future__ import annotations
 
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
-
-Struct = dict[int, tuple[int, Any]]
-"""Type and value of each field by its number."""
+from typing import Any, BinaryIO, NamedTuple
 
 MAGIC = b"PAR1"
 _BLOCK = 2**20
 _TRUE, _FALSE, _BYTE, _I16, _I32, _I64, _DOUBLE, _BINARY, _LIST, _SET, _MAP, _STRUCT = range(1, 13)
+_INTEGERS = (_I16, _I32, _I64)
 # Numbers of fields in parquet.thrift.
-_SCHEMA, NUM_ROWS, _GROUPS, _METADATA = 2, 3, 4, 5
+_SCHEMA, _NUM_ROWS, _GROUPS, _METADATA = 2, 3, 4, 5
 _COLUMNS, _GROUP_ROWS, _GROUP_OFFSET, _ORDINAL = 1, 3, 5, 7
 _CHUNK_OFFSET, _CHUNK = 2, 3
-_DATA, _DICTIONARY, _CHUNK_BYTES = 9, 11, 7
+_SIZE, _DATA, _DICTIONARY = 7, 9, 11
 _ELSEWHERE = frozenset({1, 4, 5, 6, 7, 8, 9})
 """Fields of a column chunk about bytes outside of its row group."""
 
-
-class _Reader:
-    """Decodes values from the front of `data`; ValueError or IndexError where it is damaged."""
-
-    def __init__(self, data: bytes) -> None:
-        self._data, self._at = data, 0
-
-    def _varint(self) -> int:
-        result = shift = 0
-        while True:
-            byte = self._data[self._at]
-            self._at += 1
-            result |= (byte & 0x7F) << shift
-            if byte < 0x80:
-                return result
-            shift += 7
-
-    def _integer(self) -> int:
-        number = self._varint()
-        return (number >> 1) ^ -(number & 1)
-
-    def _bytes(self, size: int) -> bytes:
-        found = self._data[self._at : self._at + size]
-        self._at += size
-        if len(found) < size:
-            raise ValueError("a footer that is cut off")
-        return found
-
-    def _value(self, kind: int) -> Any:
-        if kind in (_I16, _I32, _I64):
-            return self._integer()
-        if kind == _BINARY:
-            return self._bytes(self._varint())
-        if kind == _STRUCT:
-            return self.struct()
-        if kind == _LIST:
-            head = self._data[self._at]
-            self._at += 1
-            size = head >> 4 if head >> 4 < 15 else self._varint()
-            return head & 15, [self._value(head & 15) for _ in range(size)]
-        if kind in (_TRUE, _FALSE, _BYTE):
-            # A flag that is a field of its own has its value in its type.
-            return self._bytes(1)
-        raise ValueError(f"a footer with a value of type {kind}")
-
-    def struct(self) -> Struct:
-        """Decode the fields of a struct."""
-        fields: Struct = {}
-        number = 0
-        while head := self._data[self._at]:
-            self._at += 1
-            number = number + (head >> 4) if head >> 4 else self._integer()
-            kind = head & 15
-            fields[number] = kind, None if kind in (_TRUE, _FALSE) else self._value(kind)
-        self._at += 1
-        return fields
+Spec = dict[int, Any]
+"""Fields of a struct that are decoded, each with those of the structs in it; all others are only
+found."""
+_COLUMN_SPEC: Spec = {_CHUNK_OFFSET: {}, _CHUNK: {_SIZE: {}, _DATA: {}, _DICTIONARY: {}}}
+_GROUP_SPEC: Spec = {_COLUMNS: _COLUMN_SPEC, _GROUP_ROWS: {}, _GROUP_OFFSET: {}}
+_FOOTER_SPEC: Spec = {_NUM_ROWS: {}, _GROUPS: _GROUP_SPEC}
 
 
-def _varint(number: int) -> bytes:
+class Field(NamedTuple):
+    """A field of a struct: where it and its value begin and end, its type, its value if it was
+    decoded."""
+
+    head: int
+    begin: int
+    end: int
+    kind: int
+    value: Any
+
+
+Struct = dict[int, Field]
+"""Fields by their numbers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Footer:
+    """The footer of a Parquet file, and what was decoded of it."""
+
+    data: bytes
+    fields: Struct
+
+    @property
+    def rows(self) -> int:
+        """How many rows the file has."""
+        return int(self.fields[_NUM_ROWS].value)
+
+    @property
+    def groups(self) -> list[tuple[int, Struct, int]]:
+        """Of each row group where its description begins, its fields, and where it ends."""
+        groups: list[tuple[int, Struct, int]] = self.fields[_GROUPS].value
+        return groups
+
+    def raw(self, number: int) -> bytes:
+        """Return the bytes of the value of a field."""
+        field = self.fields[number]
+        return self.data[field.begin : field.end]
+
+
+def read_footer(file: BinaryIO) -> Footer:
+    """Return the footer of a Parquet file; ValueError, KeyError or IndexError where it has none."""
+    end = file.seek(0, 2)
+    file.seek(max(0, end - 8))
+    tail = file.read(8)
+    size = int.from_bytes(tail[:4], "little")
+    if tail[4:] != MAGIC or size > end - 12:
+        raise ValueError("no Parquet file")
+    file.seek(end - 8 - size)
+    data = file.read(size)
+    return Footer(data, _struct(data, 0, _FOOTER_SPEC)[0])
+
+
+def _number(data: bytes, at: int) -> tuple[int, int]:
+    """Decode an unsigned number; return it, and where it ends."""
+    result = shift = 0
+    while (byte := data[at]) > 0x7F:
+        result |= (byte & 0x7F) << shift
+        shift, at = shift + 7, at + 1
+    return result | byte << shift, at + 1
+
+
+def _signed(data: bytes, at: int) -> tuple[int, int]:
+    number, at = _number(data, at)
+    return (number >> 1) ^ -(number & 1), at
+
+
+def _items(data: bytes, at: int) -> tuple[int, int, int]:
+    """Decode the head of a list; return its size, the type of its items, and where they begin."""
+    size, kind = data[at] >> 4, data[at] & 15
+    if size < 15:
+        return size, kind, at + 1
+    size, at = _number(data, at + 1)
+    return size, kind, at
+
+
+def _end_of(data: bytes, at: int, kind: int) -> int:
+    """Return where a value ends."""
+    if kind in _INTEGERS:
+        while data[at] > 0x7F:
+            at += 1
+        return at + 1
+    if kind == _BINARY:
+        size, at = _number(data, at)
+        return at + size
+    if kind == _LIST:
+        size, inner, at = _items(data, at)
+        for _ in range(size):
+            at = at + 1 if inner in (_TRUE, _FALSE) else _end_of(data, at, inner)
+        return at
+    if kind == _STRUCT:
+        while head := data[at]:
+            at = at + 1 if head >> 4 else _number(data, at + 1)[1]
+            at = _end_of(data, at, head & 15)
+        return at + 1
+    # A flag that is a field of its own has its value in its type.
+    sizes = {_TRUE: 0, _FALSE: 0, _BYTE: 1, _DOUBLE: 8}
+    return at + sizes[kind]
+
+
+def _struct(data: bytes, at: int, spec: Spec) -> tuple[Struct, int]:
+    """Find the fields of a struct, and decode those of `spec`; return them, and where it ends."""
+    fields: Struct = {}
+    number = 0
+    while byte := data[at]:
+        head = at
+        number, at = (number + (byte >> 4), at + 1) if byte >> 4 else _signed(data, at + 1)
+        kind, begin, inner = byte & 15, at, spec.get(number)
+        value: Any = None
+        if inner is None:
+            at = _end_of(data, at, kind)
+        elif kind in _INTEGERS:
+            value, at = _signed(data, at)
+        elif kind == _STRUCT:
+            value, at = _struct(data, at, inner)
+        elif kind == _LIST:
+            value, at = _structs(data, at, inner)
+        else:
+            raise ValueError(f"a footer with field {number} of type {kind}")
+        fields[number] = Field(head, begin, at, kind, value)
+    return fields, at + 1
+
+
+def _structs(data: bytes, at: int, spec: Spec) -> tuple[list[tuple[int, Struct, int]], int]:
+    """As `_struct`, of a list of them, each with where it begins and ends."""
+    size, kind, at = _items(data, at)
+    if size and kind != _STRUCT:
+        raise ValueError("a footer with a list of other things")
+    found = []
+    for _ in range(size):
+        fields, end = _struct(data, at, spec)
+        found.append((at, fields, end))
+        at = end
+    return found, at
+
+
+def _encoded(number: int) -> bytes:
+    """Encode an unsigned number."""
     out = bytearray()
     while number > 0x7F:
         out.append(number & 0x7F | 0x80)
@@ -92,48 +177,40 @@ def _varint(number: int) -> bytes:
     return bytes(out)
 
 
-def _integer(number: int) -> bytes:
-    return _varint((number << 1) ^ (number >> 63))
+def _encoded_signed(number: int) -> bytes:
+    return _encoded((number << 1) ^ (number >> 63))
 
 
-def _encoded(kind: int, value: Any) -> bytes:
-    """Encode a value of that type."""
-    if kind in (_I16, _I32, _I64):
-        return _integer(value)
-    if kind == _BINARY:
-        return _varint(len(value)) + bytes(value)
-    if kind == _LIST:
-        inner, values = value
-        size = len(values)
-        head = bytes([size << 4 | inner]) if size < 15 else bytes([0xF0 | inner]) + _varint(size)
-        return head + b"".join([_encoded(inner, one) for one in values])
-    if kind == _STRUCT:
-        return _encoded_struct(value)
-    return b"" if value is None else bytes(value)
+def _moved(data: bytes, group: tuple[int, Struct, int], by: int) -> bytes:
+    """Return the description of a row group whose bytes are elsewhere."""
+    begin, fields, end = group
+    changed = [fields[_GROUP_OFFSET]] if _GROUP_OFFSET in fields else []
+    for _, chunk, _ in fields[_COLUMNS].value:
+        # Some writers leave the offset of the chunk itself 0.
+        changed += [chunk[_CHUNK_OFFSET]] if chunk[_CHUNK_OFFSET].value else []
+        column = chunk[_CHUNK].value
+        changed += [column[number] for number in (_DATA, _DICTIONARY) if number in column]
+    out = []
+    for field in sorted(changed):
+        out += [data[begin : field.begin], _encoded_signed(field.value + by)]
+        begin = field.end
+    if _ORDINAL in fields:
+        # The number of the row group in its file, the last field; readers do without it.
+        out.append(data[begin : fields[_ORDINAL].head])
+        begin = fields[_ORDINAL].end
+    return b"".join([*out, data[begin:end]])
 
 
-def _encoded_struct(fields: Struct) -> bytes:
-    """Encode the fields of a struct, in the order of their numbers."""
-    out, last = [], 0
-    for number in sorted(fields):
-        kind, value = fields[number]
-        step = number - last
-        out.append(bytes([step << 4 | kind]) if step < 16 else bytes([kind]) + _integer(number))
-        out.append(_encoded(kind, value))
-        last = number
-    return b"".join([*out, b"\0"])
-
-
-def read_footer(file: BinaryIO) -> Struct:
-    """Return the footer of a Parquet file; ValueError or IndexError where it has none."""
-    end = file.seek(0, 2)
-    file.seek(max(0, end - 8))
-    tail = file.read(8)
-    size = int.from_bytes(tail[:4], "little")
-    if tail[4:] != MAGIC or size > end - 12:
-        raise ValueError("no Parquet file")
-    file.seek(end - 8 - size)
-    return _Reader(file.read(size)).struct()
+def _extent(group: Struct) -> tuple[int, int]:
+    """Return the first byte of a row group and the one behind its last."""
+    first, end = 2**63, 0
+    for _, chunk, _ in group[_COLUMNS].value:
+        if _ELSEWHERE & chunk.keys():
+            raise ValueError("a row group with an index")
+        column = chunk[_CHUNK].value
+        start = min(column[number].value for number in (_DATA, _DICTIONARY) if number in column)
+        first, end = min(first, start), max(end, start + column[_SIZE].value)
+    return first, end
 
 
 class RowGroupWriter:
@@ -146,8 +223,8 @@ class RowGroupWriter:
 
     def __init__(self, path: Path) -> None:
         self._file, self._at, self.crc32 = path.open("wb"), 0, 0
-        self._footer: Struct | None = None
-        self._groups: list[Struct] = []
+        self._footer: Footer | None = None
+        self._groups: list[bytes] = []
         self.rows = 0
         self._write(MAGIC)
 
@@ -156,21 +233,21 @@ class RowGroupWriter:
         self.crc32 = zlib.crc32(data, self.crc32)
         self._at += len(data)
 
-    def copy(self, source: BinaryIO, footer: Struct, group: int) -> None:
+    def copy(self, source: BinaryIO, footer: Footer, index: int) -> None:
         """Copy a row group of another file, with its footer.
 
         Raises
         ------
-        ValueError, KeyError, IndexError, TypeError : the footer is damaged or of another schema,
-            or the row group needs bytes outside of it; the file is as it was then.
+        ValueError, KeyError, IndexError : the footer is damaged or of another schema, or the row
+            group needs bytes outside of it; the file is as it was then.
         """
-        if self._footer is not None and footer[_SCHEMA] != self._footer[_SCHEMA]:
+        if self._footer is not None and footer.raw(_SCHEMA) != self._footer.raw(_SCHEMA):
             raise ValueError("a row group of another schema")
-        found: Struct = footer[_GROUPS][1][1][group]
-        first, end = _extent(found)
+        group = footer.groups[index]
+        first, end = _extent(group[1])
         if not 0 < first <= end <= source.seek(0, 2):
             raise ValueError("a row group outside of its file")
-        moved = _moved(found, self._at - first)
+        moved = _moved(footer.data, group, self._at - first)
         source.seek(first)
         while first < end:
             block = source.read(min(_BLOCK, end - first))
@@ -178,11 +255,11 @@ class RowGroupWriter:
                 raise ValueError("a file that became shorter")
             self._write(block)
             first += len(block)
-        self._footer = self._footer or {n: v for n, v in footer.items() if n != _METADATA}
+        self._footer = self._footer or footer
         self._groups.append(moved)
-        self.rows += found[_GROUP_ROWS][1]
+        self.rows += group[1][_GROUP_ROWS].value
 
-    def close(self, empty: Struct) -> None:
+    def close(self, empty: Footer) -> None:
         """Write the footer; nothing the second time.
 
         Parameters
@@ -191,39 +268,15 @@ class RowGroupWriter:
         """
         if self._file.closed:
             return
-        footer = dict(self._footer or empty)
-        footer[NUM_ROWS] = _I64, self.rows
-        footer[_GROUPS] = _LIST, (_STRUCT, self._groups)
-        data = _encoded_struct(footer)
+        footer, size = self._footer or empty, len(self._groups)
+        head = bytes([size << 4 | _STRUCT]) if size < 15 else bytes([0xFC]) + _encoded(size)
+        values = {_NUM_ROWS: _encoded_signed(self.rows), _GROUPS: b"".join([head, *self._groups])}
+        out, last = [], 0
+        for number, field in footer.fields.items():
+            if number != _METADATA:
+                value = values.get(number, footer.raw(number))
+                out += [bytes([(number - last) << 4 | field.kind]), value]
+                last = number
+        data = b"".join([*out, b"\0"])
         self._write(data + len(data).to_bytes(4, "little") + MAGIC)
         self._file.close()
-
-
-def _extent(group: Struct) -> tuple[int, int]:
-    """Return the first byte of a row group and the one behind its last."""
-    first, end = 2**63, 0
-    for chunk in group[_COLUMNS][1][1]:
-        column = chunk[_CHUNK][1]
-        start = min(column[n][1] for n in (_DATA, _DICTIONARY) if n in column)
-        first, end = min(first, start), max(end, start + column[_CHUNK_BYTES][1])
-    return first, end
-
-
-def _moved(group: Struct, by: int) -> Struct:
-    """Return the description of a row group whose bytes are elsewhere."""
-
-    def shifted(fields: Struct, *numbers: int) -> Struct:
-        there = {n: (fields[n][0], fields[n][1] + by) for n in numbers if n in fields}
-        return fields | there
-
-    columns = []
-    for chunk in group[_COLUMNS][1][1]:
-        if _ELSEWHERE & chunk.keys():
-            raise ValueError("a row group with an index")
-        column = shifted(chunk[_CHUNK][1], _DATA, _DICTIONARY)
-        offset = chunk[_CHUNK_OFFSET][1]
-        columns.append(
-            {_CHUNK_OFFSET: (_I64, offset + by if offset else 0), _CHUNK: (_STRUCT, column)}
-        )
-    moved = {n: value for n, value in group.items() if n != _ORDINAL}
-    return shifted(moved, _GROUP_OFFSET) | {_COLUMNS: (_LIST, (_STRUCT, columns))}

@@ -19,6 +19,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pyarrow as pa
@@ -26,7 +27,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from dpbench.bench.record.cell import OUTCOMES
-from dpbench.bench.record.finished_batch import DAMAGE, BatchPart, Row, part_of, rows_in
+from dpbench.bench.record.finished_batch import DAMAGE, BatchPart, part_of, runs_in
 from dpbench.bench.record.schema import SCHEMA_VERSION
 from dpbench.bench.record.step_table import (
     FILE_SCHEMA,
@@ -41,7 +42,7 @@ from dpbench.bench.record.step_table import (
 )
 from dpbench.errors import InputError
 from dpbench.files.opening import opened
-from dpbench.files.row_groups import NUM_ROWS, RowGroupWriter, Struct, read_footer
+from dpbench.files.row_groups import Footer, RowGroupWriter, read_footer
 from dpbench.files.tables import in_full, opened_table
 from dpbench.files.writing import make_folder, new_file, put, write_bytes
 
@@ -79,7 +80,7 @@ class StepGroup:
     index: int
     names: list[str]
     may_copy: bool
-    footer: Struct
+    footer: Footer | None
     read: Callable[[], pa.Table]
 
     def table(self) -> pa.Table:
@@ -137,7 +138,7 @@ class Source(ABC):
 
     def groups(self, names: Collection[str]) -> Iterator[StepGroup]:
         """Return the row groups that can be read and have steps of these runs."""
-        footer = _footer(self.steps) if self.is_sound() else {}
+        footer = _footer(self.steps) if self.is_sound() else None
         with suppress(*DAMAGE), opened_table(self.steps) as file:
             for index in range(file.num_row_groups):
                 try:
@@ -146,7 +147,9 @@ class Source(ABC):
                 except DAMAGE:
                     continue
                 own = [name for name in there if name in names]
-                may_copy = bool(footer) and len(own) == len(there) and len(table) >= COPIED_ROWS
+                may_copy = (
+                    footer is not None and len(own) == len(there) and len(table) >= COPIED_ROWS
+                )
                 if own:
                     read = partial(file.read_row_group, index)
                     yield StepGroup(self.steps, index, own, may_copy, footer, read)
@@ -202,22 +205,22 @@ class Part(Source):
     def __init__(self, steps: Path) -> None:
         self.steps, self._cells = steps, 0
 
-    def _rows(self) -> list[Row]:
-        """Return all its rows; one of `DAMAGE` where it is not what was written."""
+    def _runs(self) -> dict[str, list[Any]]:
+        """Return the columns of its runs; one of `DAMAGE` where it is not what was written."""
         self._cells = 0
         if not self.is_sound():
             raise ValueError("a damaged part")
         with opened(self.steps) as file:
-            rows = rows_in(pq.read_metadata(file).metadata)
-        self._cells = len(rows)
-        return rows
+            columns = runs_in(pq.read_metadata(file).metadata)
+        self._cells = len(columns["run_id"])
+        return columns
 
     def rows(self) -> Iterator[pa.Table]:
-        yield _finished(_typed([row for row in self._rows() if _is_described(row)]))
+        yield _finished(_typed(self._runs()))
 
     def names(self) -> list[str]:
         try:
-            return [str(row.get("run_id")) for row in self._rows()]
+            return [str(name) for name in self._runs()["run_id"]]
         except DAMAGE:
             return []
 
@@ -228,8 +231,8 @@ class Part(Source):
     def groups(self, names: Collection[str]) -> Iterator[StepGroup]:
         # It was sound when its rows were read, which tell the runs in its only row group.
         footer = _footer(self.steps)
-        if footer and (rows := footer[NUM_ROWS][1]):
-            may_copy = len(names) == self._cells and rows >= COPIED_ROWS
+        if footer is not None and footer.rows:
+            may_copy = len(names) == self._cells and footer.rows >= COPIED_ROWS
             yield StepGroup(self.steps, 0, list(names), may_copy, footer, self._read)
 
     def _read(self) -> pa.Table:
@@ -240,30 +243,35 @@ class Part(Source):
         self.steps.unlink(missing_ok=True)
 
 
-def _footer(path: Path) -> Struct:
-    """Return the footer of a Parquet file; none where it is damaged."""
+def _footer(path: Path) -> Footer | None:
+    """Return the footer of a Parquet file; None where it is damaged."""
     try:
         with opened(path) as file:
             return read_footer(file)
     except DAMAGE:
-        return {}
+        return None
 
 
-def _is_described(row: Row) -> bool:
-    """Whether a row has a description of its cell."""
+def _typed(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
+    """Return the runs of a part, without those that have a value of another type, or no
+    description of their cell."""
     try:
-        return isinstance(json.loads(str(row["cell"])), dict)
-    except (ValueError, KeyError, RecursionError):
-        return False
-
-
-def _typed(rows: Sequence[Row]) -> pa.Table:
-    """Return rows as a table, without those that have a value of another type."""
-    try:
-        return runs_table(rows)
+        runs = runs_table(columns)
     except (ValueError, TypeError, OverflowError):
-        alone = [_typed([row]) for row in rows if len(rows) > 1]
-        return pa.concat_tables([RUNS_SCHEMA.empty_table(), *alone])
+        each = range(len(columns["run_id"]))
+        alone = [{name: [column[at]] for name, column in columns.items()} for at in each]
+        single = [_typed(one) for one in alone if len(alone) > 1]
+        return pa.concat_tables([RUNS_SCHEMA.empty_table(), *single])
+    described = [_is_described(text) for text in runs["cell"].to_pylist()]
+    return runs if all(described) else runs.filter(pa.array(described))
+
+
+def _is_described(text: str | None) -> bool:
+    """Whether a text describes a cell."""
+    try:
+        return isinstance(json.loads(text or ""), dict)
+    except (ValueError, RecursionError):
+        return False
 
 
 def _finished(runs: pa.Table) -> pa.Table:
@@ -300,12 +308,14 @@ class StepFile:
         return self._writer.crc32
 
     def copy(self, group: StepGroup) -> bool:
-        """Copy a row group of another file; False, and nothing is done, if it is of another
-        layout."""
+        """Copy a row group of another file; False, and nothing is done, if it may not be copied,
+        or is of another layout."""
+        if not group.may_copy or group.footer is None:
+            return False
         try:
             with opened(group.path) as file:
                 self._writer.copy(file, group.footer, group.index)
-        except (ValueError, KeyError, IndexError, TypeError):
+        except (ValueError, KeyError, IndexError):
             return False
         return True
 

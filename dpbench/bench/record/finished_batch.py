@@ -2,7 +2,7 @@
 
 A record is one cell: an Arrow IPC stream of one batch, the steps, whose schema carries the row of
 the run as JSON. A part is all cells of a batch: a Parquet file with the steps in one row group, of
-the columns of `steps.parquet`, and the rows of the runs as JSON in its metadata.
+the columns of `steps.parquet`, and the columns of `runs.parquet` as JSON in its metadata.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from dpbench.bench.record.step_table import STEPS_SCHEMA, concat_runs, encode_steps
+from dpbench.bench.record.step_table import STEPS_SCHEMA, columns_of, concat_runs, encode_steps
 
 Row = dict[str, Any]
 """A row of `runs.parquet`, by column."""
-ROWS = "runs"
-"""Where the metadata of a part have its rows."""
+RUNS = "runs"
+"""Where the metadata of a part have the columns of its runs."""
 DAMAGE = (OSError, ValueError, KeyError, TypeError, IndexError, pa.ArrowException)
 """What reading a damaged record or table raises."""
 
 
 def packed(row: Row, steps: pa.RecordBatch) -> bytes:
     """Return a finished run as the bytes of a record."""
-    batch = steps.replace_schema_metadata({ROWS: json.dumps(row, default=_plain)})
+    batch = steps.replace_schema_metadata({RUNS: json.dumps(row, default=_plain)})
     sink = pa.BufferOutputStream()
     with pa.ipc.new_stream(sink, batch.schema) as stream:
         stream.write_batch(batch)
@@ -41,7 +41,7 @@ def unpacked(record: bytes) -> tuple[Row, pa.RecordBatch]:
     with pa.ipc.open_stream(record) as stream:
         batch = stream.read_next_batch()
     batch.validate(full=True)
-    row: Row = json.loads(batch.schema.metadata[ROWS.encode()])
+    row: Row = json.loads(batch.schema.metadata[RUNS.encode()])
     batch = batch.replace_schema_metadata(None)
     if not batch.schema.equals(STEPS_SCHEMA):
         raise ValueError("steps with other columns")
@@ -79,16 +79,20 @@ def batch_part(cells: Mapping[str, tuple[Row, pa.RecordBatch]]) -> BatchPart:
 def part_of(rows: Sequence[Row], steps: pa.Table) -> BatchPart:
     """Return a part of rows and of the steps of all of them (`FILE_SCHEMA`)."""
     outcomes = {str(row["run_id"]): str(row["outcome"]) for row in rows}
-    text = json.dumps(rows, default=_plain)
-    return BatchPart(outcomes, encode_steps(steps, {ROWS: text}))
+    text = json.dumps(columns_of(rows), default=_plain)
+    return BatchPart(outcomes, encode_steps(steps, {RUNS: text}))
 
 
-def rows_in(metadata: Mapping[bytes, bytes] | None) -> list[Row]:
-    """Return the rows in the metadata of a part; one of `DAMAGE` where there are none."""
+def runs_in(metadata: Mapping[bytes, bytes] | None) -> dict[str, list[Any]]:
+    """Return the columns of runs in the metadata of a part, all of one length; one of `DAMAGE`
+    where there are none."""
     try:
-        rows = json.loads((metadata or {})[ROWS.encode()])
+        columns = json.loads((metadata or {})[RUNS.encode()])
     except RecursionError as error:
-        raise ValueError("rows of runs that are nested too deep") from error
-    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-        raise ValueError("no rows of runs")
-    return rows
+        raise ValueError("runs that are nested too deep") from error
+    values = columns.values() if isinstance(columns, dict) else []
+    sizes = {len(column) if isinstance(column, list) else -1 for column in values}
+    if len(sizes) != 1 or -1 in sizes or "run_id" not in columns:
+        raise ValueError("no columns of runs")
+    found: dict[str, list[Any]] = columns
+    return found

@@ -56,18 +56,31 @@ def absent_column(dtype: DType, rows: int) -> pa.Array:
     return pa.repeat(pa.scalar(_FILLERS.get(dtype), ARROW[dtype]), rows)
 
 
-def runs_table(rows: Sequence[Mapping[str, Any]]) -> pa.Table:
-    """Return rows of `runs.parquet` as a table of `RUNS_SCHEMA`; absent columns are missing.
+def columns_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
+    """Return the columns of `runs.parquet` that some of the rows have."""
+    there = {name for row in rows for name in row}
+    return {
+        name: [row.get(name, _FILLERS.get(dtype)) for row in rows]
+        for name, (dtype, _) in RUN_COLUMNS.items()
+        if name in there
+    }
+
+
+def runs_table(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
+    """Return columns of `runs.parquet` as a table of `RUNS_SCHEMA`; absent ones are missing.
 
     Raises
     ------
     ValueError, TypeError, OverflowError : a value is of another type than its column.
     """
-    columns = [
-        pa.array([row.get(n, _FILLERS.get(dtype)) for row in rows], ARROW[dtype], from_pandas=True)
-        for n, (dtype, _) in RUN_COLUMNS.items()
+    rows = len(columns["run_id"])
+    arrays = [
+        pa.array(columns[name], ARROW[dtype], from_pandas=True)
+        if name in columns
+        else absent_column(dtype, rows)
+        for name, (dtype, _) in RUN_COLUMNS.items()
     ]
-    return _without_gaps(pa.Table.from_arrays(columns, schema=RUNS_SCHEMA))
+    return _without_gaps(pa.Table.from_arrays(arrays, schema=RUNS_SCHEMA))
 
 
 def _without_gaps(runs: pa.Table) -> pa.Table:

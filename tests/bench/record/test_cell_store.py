@@ -24,6 +24,7 @@ from dpbench.bench.record.finished_batch import BatchPart, batch_part, packed, u
 from dpbench.bench.record.recorded_steps import read_steps, scan_steps
 from dpbench.bench.record.schema import ABSENT, SCHEMA_VERSION, STEP_COLUMNS, as_steps
 from dpbench.bench.record.step_table import (
+    columns_of,
     concat_runs,
     filter_runs,
     no_steps,
@@ -85,7 +86,7 @@ def write_public(out: Path, *names: str) -> None:
     steps = StepFile(out / "steps.part")
     for seed, name in enumerate(names):
         steps.add(concat_runs({name: step_batch(steps_of(seed))}))
-    store.public.write(runs_table([row_of(name) for name in names]), steps)
+    store.public.write(runs_table(columns_of([row_of(name) for name in names])), steps)
 
 
 def tables_of(store: CellStore) -> list[pa.Table]:
@@ -155,7 +156,9 @@ def test_what_another_schema_left_is_not_finished(tmp_path: Path) -> None:
     assert again.finished == {"new": "finished"} and names_in(again) == ["new"]
 
 
-@pytest.mark.parametrize("wrong", [{"N_p": "many"}, {"seed": None}, {"cell": "{"}, {"cell": 5}])
+@pytest.mark.parametrize(
+    "wrong", [{"N_p": "many"}, {"seed": None}, {"run_id": 5}, {"cell": "{"}, {"cell": 5}]
+)
 def test_a_row_of_other_types_is_not_finished(tmp_path: Path, wrong: dict[str, Any]) -> None:
     """Whoever wrote it has a right check sum; the other rows of its batch are read."""
     rows = {"a": row_of("a"), "b": row_of("b") | wrong, "c": row_of("c")}
@@ -229,7 +232,7 @@ def test_tables_of_parts_are_joined(
     file = StepFile(tmp_path / "steps.part")
     for group in store.groups(sources):
         assert group.may_copy == (copied_rows == 1)
-        if not (group.may_copy and file.copy(group)):
+        if not file.copy(group):
             file.add(group.table())
     store.public.write(rows, file)
     assert file.rows == 21
