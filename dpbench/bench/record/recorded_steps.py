@@ -261,7 +261,9 @@ def _chosen(columns: Sequence[str]) -> Columns:
 def _as_frame(table: pa.Table, columns: Sequence[str]) -> pd.DataFrame:
     """Some columns of a table with the types of the schema; the few words stay a word each."""
     whole = {pa.int64(): pd.Int64Dtype()}
-    frame: pd.DataFrame = table.select(list(columns)).to_pandas(types_mapper=whole.get)
+    # What pandas noted of the types is not followed, as others may have written it.
+    some = table.select(list(columns)).replace_schema_metadata(None)
+    frame: pd.DataFrame = some.to_pandas(types_mapper=whole.get)
     types = {
         name: STEP_COLUMNS[name][0]
         for name in columns

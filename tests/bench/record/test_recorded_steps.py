@@ -114,6 +114,14 @@ def test_every_documented_column_is_in_the_file(folder: Path) -> None:
             np.testing.assert_array_equal(own[column].to_numpy(), values, err_msg=column)
 
 
+def test_what_pandas_noted_is_not_followed(folder: Path) -> None:
+    """Anybody may have damaged it; the types are those of the schema."""
+    path, wanted = folder / "steps.parquet", StepsOnDisk(folder).frame()
+    noted = pq.read_table(path).replace_schema_metadata({"pandas": '{"index_columns": ["'})
+    pq.write_table(noted, path)
+    pd.testing.assert_frame_equal(StepsOnDisk(folder).frame(), wanted)
+
+
 def test_damage_is_said_where_it_is_read(folder: Path) -> None:
     """A page that was changed on the disk, with the name of the file."""
     path = folder / "steps.parquet"
