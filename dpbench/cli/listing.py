@@ -43,7 +43,7 @@ def _scenarios() -> RenderableType:
     entries = []
     for name in problem_names("scenarios"):
         scenario = load_scenario(name)
-        tuning = f"{scenario.tuning} {scenario.N_p}/{scenario.N_c}"
+        tuning = scenario.controller.label
         about = f"vessel {scenario.vessel.id}, tuning {tuning}, {scenario.steps} steps"
         entries.append(entry(name, [about, scenario.shows]))
     return plain("\n".join(entries))

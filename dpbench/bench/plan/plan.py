@@ -28,7 +28,7 @@ from dpbench.bench.sequences.recording import with_horizons
 from dpbench.bench.sequences.source import consequence_source, hardest_source
 from dpbench.errors import InputError
 from dpbench.scenario.horizons import Horizons
-from dpbench.scenario.scenario import Scenario, load_scenario, no_delay, no_stages
+from dpbench.scenario.scenario import Scenario, load_scenario
 from dpbench.solvers.calibration import CALIBRATION
 
 
@@ -132,7 +132,7 @@ def _closed_loop_cells(
             configuration,
             suite,
             table,
-            no_stages=no_stages(scenario),
+            why_no_sparse_form=scenario.controller.why_no_sparse_form,
             mode="closed_loop",
             scenario=scenario.files,
             steps=steps,
@@ -146,7 +146,7 @@ def _closed_loop_cells(
         if configuration.solver != BASELINE_LAW
         or (configuration.units, configuration.settings, configuration.policy) == plain
     ]
-    why = no_delay(scenario)
+    why = scenario.controller.why_no_delay
     cells = [replace(planned, refused=planned.refused or missing) for planned in cells]
     return [
         replace(planned, refused=planned.refused or why) if planned.cell.slowdown else planned
@@ -178,7 +178,7 @@ def _replay_cells(
         table,
         solvers,
         steps,
-        no_stages=no_stages(scenario),
+        why_no_sparse_form=scenario.controller.why_no_sparse_form,
         scenario=scenario.files,
         first=table.first,
         source=source,

@@ -92,7 +92,7 @@ def test_cells_of_a_study_are_the_scenarios_they_say() -> None:
     for cell in cells:
         scenario, x = scenario_of(cell.scenario), cell.study["x"]
         environment = cell.scenario["scenario"]["environment"]
-        assert scenario.N_p == x[HORIZON] and cell.steps == 30
+        assert scenario.problem.N_p == x[HORIZON] and cell.steps == 30
         assert (environment["waves"]["hs_m"], environment["waves"]["tp_s"]) == (x[HS], x[TP])
         assert environment["seed"] == 3 + cell.study["replicate"]
     places = [(c.study["point"], c.study["replicate"], c.solver, c.settings) for c in cells]

@@ -70,7 +70,7 @@ def exact(case: Scenario) -> ExactLoop:
 
 def planned_force(case: Scenario, x: np.ndarray, u: np.ndarray) -> np.ndarray:
     """The first move of the force, by quadprog on matrices made here; u may be beyond a limit."""
-    control, N_c = case.control_problem(), 3
+    control, N_c = case.problem, 3
     model, du = control.model, control.du_max
     H, g = np.zeros((3 * N_c, 3 * N_c)), np.zeros(3 * N_c)
     for i in range(1, control.N_p + 1):
@@ -81,9 +81,9 @@ def planned_force(case: Scenario, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         ]
         effect = np.hstack(moved)
         free = model.C @ power(model.A, i) @ x - case.reference
-        H += effect.T @ case.Q @ effect
-        g += effect.T @ case.Q @ free
-    H += np.diag(np.tile(np.diag(case.R) * du**2, N_c))
+        H += effect.T @ case.problem.Q @ effect
+        g += effect.T @ case.problem.Q @ free
+    H += np.diag(np.tile(np.diag(case.problem.R) * du**2, N_c))
     sums, one = np.kron(np.tri(N_c), np.eye(3)), np.eye(3 * N_c)
     steps = np.repeat(np.arange(1.0, N_c + 1), 3)
     high = np.maximum(np.tile((control.u_max - u) / du, N_c), -steps)
@@ -96,9 +96,9 @@ def planned_force(case: Scenario, x: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 def allocated_forces(case: Scenario, demand: np.ndarray, f: np.ndarray) -> np.ndarray:
     """The forces of the thrusters, by quadprog on moves and slacks of a problem made here."""
-    assert case.allocation is not None
+    assert case.controller.commanded is not None
     table = case.files["scenario"]["controller"]["thrusters"]
-    thrusters, rows = case.allocation.control.thrusters, case.allocation.control.rows
+    thrusters, rows = case.controller.commanded.thrusters, case.controller.commanded.rows
     n_f = thrusters.n_f
     T, step = thrusters.per_entry(thrusters.thrust_N), thrusters.step_max(case.sample_s)
     unit = np.concatenate([step, case.force_step_max])
@@ -121,8 +121,8 @@ def allocated_forces(case: Scenario, demand: np.ndarray, f: np.ndarray) -> np.nd
 
 def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) -> None:
     """Plan of the force, its allocation and the ship's motion, one after the other."""
-    assert case.allocation is not None
-    T_e = case.allocation.control.thrusters.T_e
+    assert case.controller.commanded is not None
+    T_e = case.controller.commanded.thrusters.T_e
     plant = Plant(case.true_ship, case.first_state, case.sample_s)
     sea = case.environment.stage_table(case.steps, case.sample_s, SUBSTEPS)
     f, previous = np.zeros(6), case.first_state

@@ -18,11 +18,9 @@ from dpbench.bench.record.cell import Fallback, Formulation
 from dpbench.bench.record.raw_log import RawLog, loop_layout
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.exact_loop import ExactLoop, base_problem, solve_exactly
-from dpbench.bench.run.fallback import limit_of
 from dpbench.bench.run.formulation import in_loop
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver
-from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE, thruster_rows
 from dpbench.scenario.scenario import Scenario, load_scenario, scenario_of
 from dpbench.ship.actuators import Actuators, CommandedThrusters
@@ -98,9 +96,9 @@ def exact(case: Scenario) -> ExactLoop:
 
 def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) -> None:
     """Plan by quadprog on matrices made here, thrust by T_e, motion by the plant of the forces."""
-    control, plain = case.control_problem(), load_scenario("rough")
-    assert case.steered is not None
-    T_e, G = case.steered.thrusters.T_e, case.steered.rows.G
+    control, plain = case.problem, load_scenario("rough")
+    assert case.controller.commanded is not None
+    T_e, G = case.controller.commanded.thrusters.T_e, case.controller.commanded.rows.G
     model, du, n_f, N_c = control.model, control.du_max, 7, 3
     plant = Plant(case.true_ship, case.first_state, case.sample_s)
     sea = plain.environment.stage_table(case.steps, case.sample_s, SUBSTEPS)
@@ -119,11 +117,11 @@ def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) 
                 ]
             )
             free = model.C @ np.linalg.matrix_power(model.A, i) @ x - case.reference
-            H += effect.T @ case.Q @ effect
-            g += effect.T @ case.Q @ free
+            H += effect.T @ case.problem.Q @ effect
+            g += effect.T @ case.problem.Q @ free
         sums = np.kron(np.tri(N_c), np.eye(n_f)) * np.tile(du, N_c)
-        W = np.kron(np.eye(N_c), case.steered.W)
-        H += np.diag(np.tile(np.diag(case.R) * du**2, N_c)) + sums.T @ W @ sums
+        W = np.kron(np.eye(N_c), case.controller.commanded.W)
+        H += np.diag(np.tile(np.diag(case.problem.R) * du**2, N_c)) + sums.T @ W @ sums
         g += sums.T @ W @ np.tile(f, N_c)
         rows, base = np.kron(np.eye(N_c), G) @ sums / 1e3, np.tile(G @ f, N_c) / 1e3
         high, low = (np.tile(side, N_c) / 1e3 - base for side in (control.u_max, control.u_min))
@@ -157,7 +155,7 @@ def test_every_form_steers_as_the_exact_loop_does(
     limits = QPBuilder(case).u_min, QPBuilder(case).u_max
     metrics = thruster_metrics(case, log.thrust, limits)
     assert metrics["limit_violations"] == 0.0
-    np.testing.assert_allclose(log.tau, case.forces(log.thrust), rtol=1e-12)
+    np.testing.assert_allclose(log.tau, case.controller.force(log.thrust), rtol=1e-12)
 
 
 def test_a_lost_group_gives_nothing_as_soon_as_its_rate_allows(case: Scenario) -> None:
@@ -203,7 +201,7 @@ SHIP = ThrusterSet(
 )
 ROWS = thruster_rows(SHIP, 8)
 STEP = SHIP.step_max(0.3)
-LIMIT = limit_of(CondensedQP(scenario().control_problem()))
+LIMIT = scenario().controller.move_limit()
 
 
 @settings(derandomize=True, max_examples=200)
@@ -218,9 +216,9 @@ def test_what_is_applied_keeps_to_the_rate_and_never_leaves_the_rows_further(
     """Any move from any allowed force: rate, rows or the way back; and a good move is untouched."""
     f = np.array(share) * SHIP.per_entry(SHIP.thrust_N)
     f /= max(1.0, float((np.abs(ROWS.G @ f) / ROWS.high).max()))
-    low, high = ROWS.without(lost)
+    limits = low, high, _ = ROWS.without(lost)
     df, applied = np.array(moves) * STEP, np.empty(7)
-    clipped = LIMIT(f, df, low, high, applied)
+    clipped = LIMIT(f, df, limits, applied)
     assert (np.abs(applied - f) <= STEP * (1 + 1e-9)).all()
     before, after = ROWS.G @ f, ROWS.G @ applied
     # The polygon of a lost thruster never grows again: the share of it that holds the force.
