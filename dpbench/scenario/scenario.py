@@ -17,7 +17,7 @@ from dpbench.mpc.condense import ControlProblem, UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.reference import ReferenceFilter, reference_table
 from dpbench.scenario.controllers.controller import Controller
-from dpbench.scenario.controllers.kinds import controller_of
+from dpbench.scenario.controllers.kinds import CONTROLLERS
 from dpbench.scenario.controllers.specification import ControllerSpec
 from dpbench.scenario.estimation import EstimatorChoice, estimator_choice
 from dpbench.scenario.problem_files import parse_model, problem_path, read_model
@@ -183,7 +183,8 @@ def scenario_of(
         plant.mass_percent, plant.damping_percent
     )
     environment = spec.environment.environment(scale)
-    controller = controller_of(ControllerSpec(spec, vessel, sample_s, scale, where))
+    made_from = ControllerSpec(spec, vessel, sample_s, scale, where)
+    controller = CONTROLLERS[spec.controller.kind](made_from)
     # Said here, before anything runs: wind and drift need to know the hull.
     environment.load_coefficients(vessel)
     return Scenario(

@@ -6,8 +6,6 @@ on the ship. A cascade allocates u to its thrusters; what they make of it become
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
@@ -26,65 +24,32 @@ from dpbench.scenario.controllers.controller import Controller
 from dpbench.ship.layout import AXES
 
 
-class Actuation(Protocol):
-    """What is commanded and applied in a run; the arrays are always the same.
+class Actuation:
+    """u is the command and the force.
 
     Attributes
     ----------
     command : what the ship is commanded; tau (3,) : the force on it without its losses.
-    applied : where the log keeps the limited u of each step.
+    applied : where the log keeps the limited u of each step. The arrays are always the same.
     """
 
-    command: Vector
-    tau: Vector
-    applied: Matrix
+    def __init__(self, command: Vector, tau: Vector, applied: Matrix) -> None:
+        self.command, self.tau, self.applied = command, tau, applied
 
     def prepare(self) -> None:
         """Set up before the first step."""
 
     def act(self, k: int) -> int:
         """Bring command and force to the u of step k; the time a solver took for that [ns]."""
-
-
-def actuate(
-    controller: Controller,
-    builder: QPBuilder,
-    log: RawLog,
-    solver: TimedSolver | None,
-    clock: Clock,
-    u: Vector,
-) -> Actuation:
-    """Return the actuation of a run, whose applied u (n_u,) is always in the same array."""
-    if isinstance(controller, CascadeController):
-        return Allocator(controller, builder, log, solver, clock, u)
-    if controller.commanded is not None:
-        return ThrusterActuation(controller.commanded, log, u)
-    return ForceActuation(log, u)
-
-
-class ForceActuation:
-    """u is the command and the force."""
-
-    def __init__(self, log: RawLog, u: Vector) -> None:
-        self.command, self.tau, self.applied = u, u, log.tau
-
-    def prepare(self) -> None:
-        """Do nothing."""
-
-    def act(self, k: int) -> int:
-        """Do nothing: u is what the ship gets."""
         return 0
 
 
-class ThrusterActuation:
+class ThrusterActuation(Actuation):
     """u are the forces of the thrusters."""
 
     def __init__(self, control: ThrusterControl, log: RawLog, u: Vector) -> None:
-        self.command, self.tau, self.applied = u, np.zeros(AXES), log.thrust
+        super().__init__(u, np.zeros(AXES), log.thrust)
         self._T_e, self._log = control.thrusters.T_e, log
-
-    def prepare(self) -> None:
-        """Do nothing."""
 
     def act(self, k: int) -> int:
         """Bring the force to T_e u."""
@@ -93,7 +58,7 @@ class ThrusterActuation:
         return 0
 
 
-class Allocator:
+class Allocator(Actuation):
     """Allocates u at each sample, by a QP or by the pseudo-inverse, and keeps to all limits.
 
     Without a usable answer of the QP the pseudo-inverse acts.
@@ -115,7 +80,7 @@ class Allocator:
         u: Vector,
     ) -> None:
         problem = cascade.allocation
-        self.command, self.tau, self.applied = np.zeros(len(problem.df_max)), u, log.demand
+        super().__init__(np.zeros(len(problem.df_max)), u, log.demand)
         self._builder, self._log, self._solver, self._clock = builder, log, solver, clock
         self._T_e, self._limit = problem.T_e, cascade.control.move_limit(problem.df_max)
         losses = ((k, problem.pseudo_inverse(limits.lost)) for k, limits in cascade.losses)
@@ -168,3 +133,19 @@ class Allocator:
         inverse = [inverse for since, inverse in self._inverses if since <= k][-1]
         move: Vector = inverse @ demand - self.command
         return move
+
+
+def actuate(
+    controller: Controller,
+    builder: QPBuilder,
+    log: RawLog,
+    solver: TimedSolver | None,
+    clock: Clock,
+    u: Vector,
+) -> Actuation:
+    """Return the actuation of a run, whose applied u (n_u,) is always in the same array."""
+    if isinstance(controller, CascadeController):
+        return Allocator(controller, builder, log, solver, clock, u)
+    if controller.commanded is not None:
+        return ThrusterActuation(controller.commanded, log, u)
+    return Actuation(u, u, log.tau)

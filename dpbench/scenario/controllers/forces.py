@@ -66,16 +66,7 @@ def force_plan(spec: ControllerSpec) -> tuple[ControlProblem, Changes]:
         rows = attainable.rows()
         limits = rows.intact
         changes = tuple((k, attainable.limits(lost)) for k, lost in spec.losses)
-    problem = ControlProblem(
-        model=spec.model,
-        R=R,
-        u_min=limits.low,
-        u_max=limits.high,
-        du_max=du_max,
-        thrusters=rows,
-        **spec.weighing,
-    )
-    return problem, changes
+    return spec.problem(limits, du_max, R, rows=rows), changes
 
 
 def _move_weight(spec: ControllerSpec) -> Vector:

@@ -10,18 +10,9 @@ from dpbench.scenario.controllers.forces import ForceController
 from dpbench.scenario.controllers.specification import ControllerSpec
 from dpbench.scenario.controllers.thrusters import ThrusterController
 
-KINDS: dict[str, Callable[[ControllerSpec], Controller]] = {
+CONTROLLERS: dict[str, Callable[[ControllerSpec], Controller]] = {
     "forces": ForceController.of,
     "thrusters": ThrusterController.of,
     "cascade": CascadeController.of,
 }
-
-
-def controller_of(spec: ControllerSpec) -> Controller:
-    """Return the controller of a scenario file.
-
-    Raises
-    ------
-    InputError : for a vessel or faults that do not fit it.
-    """
-    return KINDS[spec.table.kind](spec)
+"""Each raises InputError for a vessel or faults that do not fit it."""

@@ -9,14 +9,15 @@ import numpy as np
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
-from dpbench.mpc.condense import Terminal
+from dpbench.mpc.condense import ControlProblem
 from dpbench.mpc.condensed_qp import Amplitude
 from dpbench.mpc.model import StateSpace, prediction_model
 from dpbench.mpc.outputs import OutputBounds
+from dpbench.mpc.thruster_rows import Limits, ThrusterRows
 from dpbench.scenario.controllers.linearisation import (
-    FixedModel,
+    FIXED_MODEL,
     Linearisation,
-    RelinearisedModel,
+    relinearised_model,
 )
 from dpbench.scenario.tables.scenario_file import (
     ControllerTable,
@@ -37,15 +38,6 @@ class Planning(TypedDict):
     linearisation: Linearisation
     amplitude: Amplitude
     outputs: OutputBounds | None
-
-
-class Weighing(TypedDict):
-    """Arguments of `ControlProblem` that do not depend on what is commanded."""
-
-    N_p: int
-    N_c: int
-    Q: Matrix
-    terminal: Terminal
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,32 +70,39 @@ class ControllerSpec:
     @property
     def planning(self) -> Planning:
         """How the controller plans."""
-        table, psi0_rad = self.table, float(np.radians(self.table.model_heading_deg))
+        table, psi0_rad = self.table, self._psi0_rad
         each_step = table.linearisation == "each_step"
         return {
             "tuning": table.tuning,
             "psi0_rad": psi0_rad,
-            "linearisation": RelinearisedModel(psi0_rad) if each_step else FixedModel(),
+            "linearisation": relinearised_model(psi0_rad) if each_step else FIXED_MODEL,
             "amplitude": table.amplitude,
             "outputs": self._outputs,
         }
 
-    @property
-    def weighing(self) -> Weighing:
-        """Horizons and weights of the outputs."""
-        table = self.table
-        return {
-            "N_p": table.prediction_horizon,
-            "N_c": table.control_horizon,
-            "Q": np.diag(np.array(table.output_weight) / self.scale.pose**2),
-            "terminal": table.terminal,
-        }
+    def problem(
+        self,
+        limits: Limits,
+        du_max: Vector,
+        R: Matrix,
+        *,
+        rows: ThrusterRows | None = None,
+        T_e: Matrix | None = None,
+        W: Matrix | None = None,
+    ) -> ControlProblem:
+        """Return the problem of u with these limits and weights; the force is u, or T_e u."""
+        ship, table, psi0_rad = self.vessel, self.table, self._psi0_rad
+        model = prediction_model(ship.M, ship.D, psi0_rad, self.sample_s)
+        if T_e is not None:
+            model = StateSpace(model.A, model.B @ T_e, model.C)
+        horizons = table.prediction_horizon, table.control_horizon
+        Q = np.diag(np.array(table.output_weight) / self.scale.pose**2)
+        sides = limits.low, limits.high, du_max
+        return ControlProblem(model, *horizons, Q, R, *sides, table.terminal, rows, W)
 
     @property
-    def model(self) -> StateSpace:
-        """The prediction model of the ship under a force, at the heading of the table."""
-        ship, psi0_rad = self.vessel, float(np.radians(self.table.model_heading_deg))
-        return prediction_model(ship.M, ship.D, psi0_rad, self.sample_s)
+    def _psi0_rad(self) -> float:
+        return float(np.radians(self.table.model_heading_deg))
 
     @property
     def _outputs(self) -> OutputBounds | None:

@@ -8,8 +8,6 @@ from typing import ClassVar
 import numpy as np
 
 from dpbench.arrays import Matrix
-from dpbench.mpc.condense import ControlProblem
-from dpbench.mpc.model import StateSpace
 from dpbench.mpc.move_limits import MoveLimit
 from dpbench.mpc.thruster_rows import Limits
 from dpbench.scenario.controllers.commanded import (
@@ -18,7 +16,7 @@ from dpbench.scenario.controllers.commanded import (
     thruster_control,
 )
 from dpbench.scenario.controllers.controller import Controller, MetricGroup
-from dpbench.scenario.controllers.linearisation import TurningRows
+from dpbench.scenario.controllers.linearisation import turning_rows
 from dpbench.scenario.controllers.specification import ControllerSpec
 
 
@@ -34,22 +32,15 @@ class ThrusterController(Controller):
     @classmethod
     def of(cls, spec: ControllerSpec) -> ThrusterController:
         """Return the controller of a scenario file; InputError for a vessel that does not fit."""
-        control, model, planning = thruster_control(spec), spec.model, spec.planning
+        control, planning = thruster_control(spec), spec.planning
         spec.check_faults(lost=True, limit_share=False)
         if isinstance(control, TurningThrusterControl):
-            planning["linearisation"] = TurningRows(control.turning)
+            planning["linearisation"] = turning_rows(control.turning)
         thrusters, rows = control.thrusters, control.rows
         df_max = thrusters.step_max(spec.sample_s)
-        problem = ControlProblem(
-            model=StateSpace(model.A, model.B @ thrusters.T_e, model.C),
-            R=np.diag(spec.thruster_table.move_weight_relative / df_max**2),
-            u_min=rows.low,
-            u_max=rows.high,
-            du_max=df_max,
-            thrusters=rows,
-            W=control.W,
-            **spec.weighing,
-        )
+        R = np.diag(spec.thruster_table.move_weight_relative / df_max**2)
+        T_e = thrusters.T_e
+        problem = spec.problem(rows.intact, df_max, R, rows=rows, T_e=T_e, W=control.W)
         changes = tuple((k, rows.without(lost)) for k, lost in spec.losses)
         return cls(problem=problem, changes=changes, control=control, **planning)
 

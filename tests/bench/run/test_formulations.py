@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from copy import deepcopy
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +29,7 @@ from dpbench.bench.plan.suite import (
 )
 from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.sequences.recording import with_horizons
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence, QuadraticProgram
@@ -153,7 +153,7 @@ def test_the_twin_in_newtons_is_the_scaled_one_in_other_units() -> None:
 def test_the_steps_of_a_sparse_replay_are_those_of_its_closed_loop() -> None:
     """What the loop emits at step k with the states kept is what the replay hands over at k, and
     its optimum is that of the condensed problem, faults included."""
-    scenario = replace(early_loss().first(24), N_p=6, N_c=3)
+    scenario = with_horizons(early_loss(), 6, 3).first(24)
     assert scenario.controller.changes[0][0] == 20
     exact, sequence = solve_exactly(scenario), record_sequence(scenario)
     assert sequence.sparse_equivalent is not None

@@ -15,7 +15,7 @@ from dpbench.bench.judge.force_limits import axis_limit_metrics
 from dpbench.bench.judge.thruster_metrics import thruster_metrics
 from dpbench.bench.run.exact_loop import ExactLoop, sequence_of, solve_exactly
 from dpbench.bench.run.qp_builder import QPBuilder
-from dpbench.scenario.controllers.linearisation import FixedModel
+from dpbench.scenario.controllers.linearisation import FIXED_MODEL
 from dpbench.scenario.problem_files import problem_names
 from dpbench.scenario.scenario import Scenario, scenario_of
 from dpbench.solvers.contract import Policy
@@ -129,7 +129,7 @@ def test_turn_needs_a_model_that_turns() -> None:
     loop, scenario = exact("turn"), load_scenario("turn")
     np.testing.assert_allclose(np.degrees(loop.state[-1, 5]), 90.0, atol=0.1)
     assert np.hypot(*loop.state[-1, 3:5]) < 0.1
-    once = replace(scenario.controller, linearisation=FixedModel())
+    once = replace(scenario.controller, linearisation=FIXED_MODEL)
     fixed = solve_exactly(replace(scenario, controller=once))
     assert np.hypot(fixed.state[-200:, 3], fixed.state[-200:, 4]).max() > 10.0
 

@@ -152,8 +152,7 @@ def test_every_form_steers_as_the_exact_loop_does(
     log = steered_by(solver, case, formulation)
     away = np.abs(log.state - exact.state).max(axis=0)
     assert (away <= [1e-6, 1e-6, 1e-8, 1e-5, 1e-5, 1e-7]).all(), away
-    limits = QPBuilder(case).u_min, QPBuilder(case).u_max
-    metrics = thruster_metrics(case, log.thrust, limits)
+    metrics = thruster_metrics(case, log.thrust, QPBuilder(case).thruster_limits)
     assert metrics["limit_violations"] == 0.0
     np.testing.assert_allclose(log.tau, case.controller.force(log.thrust), rtol=1e-12)
 
@@ -165,7 +164,7 @@ def test_a_lost_group_gives_nothing_as_soon_as_its_rate_allows(case: Scenario) -
     log = steered_by("daqp", lost)
     assert not log.flags.any()
     builder = QPBuilder(lost)
-    metrics = thruster_metrics(lost, log.thrust, (builder.u_min, builder.u_max))
+    metrics = thruster_metrics(lost, log.thrust, builder.thruster_limits)
     assert metrics["limit_violations"] == 0.0
     gone = 20 + math.ceil(8.0 / 0.3 / RAMP_DOWN_SHARE) + 1
     assert np.abs(log.thrust[gone:, [0, 1, 6]]).max() < 1e-6
@@ -187,7 +186,7 @@ def test_without_answers_the_fallback_keeps_to_all_limits(fallback: Fallback) ->
     clock = time.perf_counter_ns
     assert closed_loop(ClosedLoopSetup(case, builder, timed, log, fallback, 2**62, clock))
     assert log.flags[:, 0].any() or log.flags[:, 1].any()
-    metrics = thruster_metrics(case, log.thrust, (builder.u_min, builder.u_max))
+    metrics = thruster_metrics(case, log.thrust, builder.thruster_limits)
     assert metrics["limit_violations"] == 0.0
 
 
@@ -254,8 +253,7 @@ def test_thrust_power_and_wear_of_a_known_run(case: Scenario) -> None:
     f = np.zeros((4, 7))
     f[:, 6] = [55e3, 55e3, -55e3, -55e3]
     f[:, 0:2] = [[190e3, 0], [190e3, 0], [0, 190e3], [0, 190e3]]
-    limits = np.tile(ROWS.low, (4, 1)), np.tile(ROWS.high, (4, 1))
-    metrics = thruster_metrics(case, f, limits)
+    metrics = thruster_metrics(case, f, [ROWS.intact] * 4)
     assert metrics["thrust_share"] == pytest.approx((190 + 55) / 630)
     most = 2 * 190**1.5 + 140**1.5 + 110**1.5
     assert metrics["power_share"] == pytest.approx((190**1.5 + 55**1.5) / most)
