@@ -1,4 +1,4 @@
-"""The protocol of controllers: kinds by key, limits over time, and a class of one's own in a run."""
+"""The protocol of controllers: kinds by key, limits over time, a class of its own in a run."""
 
 from __future__ import annotations
 
