@@ -33,8 +33,7 @@ _FOOTER_SPEC: Spec = {_NUM_ROWS: {}, _GROUPS: _GROUP_SPEC}
 
 
 class Field(NamedTuple):
-    """A field of a struct: where it and its value begin and end, its type, its value if it was
-    decoded."""
+    """A field of a struct: where it and its value begin and end, its type, its decoded value."""
 
     head: int
     begin: int
