@@ -96,7 +96,7 @@ def test_a_group_of_another_schema_is_refused(tmp_path: Path) -> None:
 
 
 def test_damaged_footers_raise_what_is_documented(tmp_path: Path) -> None:
-    """Flipped bytes and cut files end in one of three errors, or in row groups that fit the file."""
+    """Flipped bytes and cut files end in one of three errors, or in row groups that fit."""
     whole = encoded([(str(i), i, float(i), True) for i in range(20)], "zstd", 5)
     rng, refused = random.Random(1), 0
     for i in range(3000):
