@@ -63,9 +63,9 @@ def test_the_model_ship_is_weighed_as_the_full_ship() -> None:
     """Weights scale with the inverse squares of lengths and forces."""
     calm = load_scenario("calm@cybership2")
     # 1·70², and 100 of the heading as it is
-    np.testing.assert_allclose(calm.Q, np.diag([4900.0, 4900.0, 100.0]), rtol=1e-12)
+    np.testing.assert_allclose(calm.problem.Q, np.diag([4900.0, 4900.0, 100.0]), rtol=1e-12)
     # 1e-10·(70³)² and 1e-14·(70⁴)²
-    np.testing.assert_allclose(calm.R, np.diag([11.7649, 11.7649, 5.764801]), rtol=1e-12)
+    np.testing.assert_allclose(calm.problem.R, np.diag([11.7649, 11.7649, 5.764801]), rtol=1e-12)
 
 
 def test_the_squall_of_the_model_ship() -> None:

@@ -131,7 +131,7 @@ def test_one_folder_is_none_to_compare(
     assert main(["compare", *[folder] * count, "--releases"]) == 2
     assert "two or more result folders, each once" in capsys.readouterr().err
     assert main(["compare", folder, folder, folder]) == 2
-    assert "several with --releases" in capsys.readouterr().err
+    assert "or add --releases" in capsys.readouterr().err
 
 
 def test_folders_of_other_problems_have_no_releases(make: Make) -> None:
