@@ -263,7 +263,7 @@ def _as_frame(table: pa.Table, columns: Sequence[str]) -> pd.DataFrame:
     whole = {pa.int64(): pd.Int64Dtype()}
     # What pandas noted of the types is not followed, as others may have written it.
     some = table.select(list(columns)).replace_schema_metadata(None)
-    frame: pd.DataFrame = some.to_pandas(types_mapper=whole.get)
+    frame: pd.DataFrame = some.to_pandas(types_mapper=whole.get, use_threads=False)
     types = {
         name: STEP_COLUMNS[name][0]
         for name in columns

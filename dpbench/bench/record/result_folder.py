@@ -186,7 +186,7 @@ def _read_runs(folder: Path) -> pd.DataFrame:
     with readable(path), opened_table(path, error=ResultsError) as file:
         table = in_full(file.read(), path, error=ResultsError)
         # What pandas noted of the types is not followed: those of the schema are asked for below.
-        frame = table.replace_schema_metadata(None).to_pandas()
+        frame = table.replace_schema_metadata(None).to_pandas(use_threads=False)
     if missing := sorted({"run_id", "schema"} - set(frame.columns)):
         raise lacking(path, missing)
     others = sorted(set(frame["schema"].unique().tolist()) - {SCHEMA_VERSION})

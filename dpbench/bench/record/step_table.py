@@ -208,7 +208,7 @@ def stored_runs(table: pa.Table) -> pa.Table:
 def frame_of_runs(table: pa.Table) -> pd.DataFrame:
     """Return a table of `RUNS_SCHEMA` as a frame, by run_id."""
     whole = {pa.int64(): pd.Int64Dtype()}
-    runs: pd.DataFrame = as_runs(table.to_pandas(types_mapper=whole.get))
+    runs: pd.DataFrame = as_runs(table.to_pandas(types_mapper=whole.get, use_threads=False))
     return runs.set_index("run_id", drop=False)
 
 
