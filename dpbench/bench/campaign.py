@@ -19,8 +19,9 @@ import pandas as pd
 
 from dpbench.bench.capability.table import CAPABILITY_FILE, write_capability
 from dpbench.bench.design import Design, DesignStudy, plan_designs
-from dpbench.bench.engines.engine import Engine, TlsFiles, by_source, longest
-from dpbench.bench.engines.opened import opened
+from dpbench.bench.engines.dispatcher import Dispatcher, longest
+from dpbench.bench.engines.engine import Engine, TlsFiles
+from dpbench.bench.engines.open_engine import open_engine
 from dpbench.bench.engines.shards import WHOLE, Shard, ShardRecord
 from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.plan.asked import Asked, Plan
@@ -41,7 +42,7 @@ from dpbench.bench.record.revision import Revision, revision, revisions
 from dpbench.bench.sequences.at_edge import capability_in
 from dpbench.bench.sequences.source import is_at_edge, is_sound
 from dpbench.bench.tabulate import Wanted, is_tabulated, refuse_other_selection, tabulate
-from dpbench.bench.workers.executor import CellJob, Result, work_of
+from dpbench.bench.workers.jobs import CellJob, Result, by_source, work_of
 from dpbench.bench.workers.worker import make_source
 from dpbench.errors import InputError, ResultsError
 from dpbench.locks import Patience
@@ -76,7 +77,7 @@ class Campaign:
         self._fresh = fresh
         if fresh:
             self.store.forget(Wanted(self.work).jobs)
-            SourceFiles(self.store.folder).drop()
+            SourceFiles(self.store.folder).clear()
         # Capability plots stand in the files that the QPs at their edge come from.
         self._at_edge = by_source([job for job in self.work if is_at_edge(job.cell)])
         self.sources = SourceFiles(self.store.folder, self._at_edge)
@@ -100,14 +101,14 @@ class Campaign:
         progress.start(work)
         if not work and self._is_written():
             return
-        solvers = [name for job in pending for name in (job.cell.solver, job.cell.backup) if name]
-        engine.prepare(self.sources, solvers, progress)
-        self._make_plots(engine, pending)
+        engine.prepare(self.sources, pending, progress)
+        dispatcher = Dispatcher(engine, self.sources, progress)
+        self._make_plots(dispatcher, pending)
         by_id = {job.run_id: job for job in pending}
-        for result in engine.run(pending):
+        for result in dispatcher.run(pending):
             self._keep(by_id[result.run_id], result)
-        self.sources.drop()
-        self.designs.run(engine, progress)
+        self.sources.clear()
+        self.designs.run(dispatcher, progress)
         self.write(started_utc, time.monotonic() - started_s, engine.remarks)
 
     def pending(self) -> list[CellJob]:
@@ -132,12 +133,12 @@ class Campaign:
         except OSError as error:
             job.outcome = Outcome("lost", f"it could not be kept: {error}")
 
-    def _make_plots(self, engine: Engine, pending: list[CellJob]) -> None:
+    def _make_plots(self, dispatcher: Dispatcher, pending: list[CellJob]) -> None:
         """Make the files that hold capability plots; a cell whose file fails says so itself."""
         wanted = {job.source_key for job in pending} & set(self._at_edge)
         cells = {self.sources.path(key): longest(self._at_edge[key]) for key in wanted}
         unmade = {path: cell.to_json() for path, cell in cells.items() if not is_sound(cell, path)}
-        for _ in engine.make_files(make_source, unmade):
+        for _ in dispatcher.make_files(make_source, unmade):
             pass
 
     def _is_written(self) -> bool:
@@ -315,19 +316,19 @@ def run_campaign(
     folder = Path(out) if out is not None else Path("results") / f"{plan.name}{'-part' * plan.part}"
     progress = progress or Silent()
     with (
-        opened(engine, jobs, scheduler, tls, Patience(wait_s)) as crew,
+        open_engine(engine, jobs, scheduler, tls, Patience(wait_s)) as opened,
         claimed(folder, plan.name, Patience(wait_s)),
     ):
         for remark in remarks_on(plan.cells):
             progress.remark(remark)
-        campaign = Campaign(plan, designs, folder, crew.machine, fresh=fresh, shard=some)
+        campaign = Campaign(plan, designs, folder, opened.machine, fresh=fresh, shard=some)
         if not (fresh or may_leave_out):
             work = [job.planned for job in campaign.work]
             refuse_other_selection(work, folder, "--fresh to replace them, or another --out")
         for remark in campaign.store.remarks:
             progress.remark(remark)
         if shard is not None:
-            record = ShardRecord(asked.from_anywhere(), some, plan.digest, crew.machine)
+            record = ShardRecord(asked.from_anywhere(), some, plan.digest, opened.machine)
             record.write(folder)
-        campaign.run(crew, progress)
+        campaign.run(opened, progress)
     return folder

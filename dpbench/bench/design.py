@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict
 
-from dpbench.bench.engines.engine import Engine
+from dpbench.bench.engines.dispatcher import Dispatcher
 from dpbench.bench.plan.suite import DesignTable
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
@@ -312,13 +312,13 @@ class DesignStudy:
         """What is left to do, for the progress bar."""
         return WORK * len(self._pending)
 
-    def run(self, engine: Engine, progress: Progress) -> None:
+    def run(self, dispatcher: Dispatcher, progress: Progress) -> None:
         """Look into what is not finished."""
         for path in self._pending:
             # One that is looked into again must not leave its old record behind if it fails.
             path.unlink(missing_ok=True)
         texts = {path: self._designs[path].text for path in self._pending}
-        for path, outcome in engine.make_files(run_design, texts, limit_s=LIMIT_S):
+        for path, outcome in dispatcher.make_files(run_design, texts, limit_s=LIMIT_S):
             design, self._reasons[path] = self._designs[path], outcome.detail
             if outcome.outcome == "lost":
                 self.lost.append(outcome.detail)

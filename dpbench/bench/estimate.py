@@ -22,7 +22,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 
 from dpbench.bench.campaign import Campaign
-from dpbench.bench.engines.opened import opened
+from dpbench.bench.engines.open_engine import open_engine
 from dpbench.bench.plan.asked import Asked
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.progress import Progress, Silent
@@ -228,8 +228,8 @@ def estimate_campaign(
     (progress or Silent()).advance(0, "running a few of the cells")
 
     def run(cells: Sequence[PlannedCell], folder: Path) -> None:
-        with opened(engine, jobs, patience=FOR_NOBODY) as crew, claimed(folder, plan.name):
+        with open_engine(engine, jobs, patience=FOR_NOBODY) as opened, claimed(folder, plan.name):
             sample = replace(plan, cells=list(cells))
-            Campaign(sample, [], folder, crew.machine).run(crew, Silent())
+            Campaign(sample, [], folder, opened.machine).run(opened, Silent())
 
     return estimated(plan.cells, jobs or len(os.sched_getaffinity(0)), run)

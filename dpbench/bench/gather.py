@@ -26,7 +26,7 @@ from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.cell_store import DAMAGE, CellStore
 from dpbench.bench.record.result_folder import claimed
 from dpbench.bench.tabulate import refuse_other_selection
-from dpbench.bench.workers.executor import CellJob
+from dpbench.bench.workers.jobs import CellJob
 from dpbench.errors import InputError
 from dpbench.files.tables import in_full, opened_table
 from dpbench.files.writing import write_bytes

@@ -16,7 +16,7 @@ from dpbench.bench.record.cell import HARNESS_VERSION, Cell, Outcome
 from dpbench.bench.record.cell_store import CellStore, StepFile, public_part
 from dpbench.bench.record.schema import RUN_COLUMNS, as_runs, study_columns
 from dpbench.bench.record.step_table import of_runs, renamed_runs
-from dpbench.bench.workers.executor import CellJob
+from dpbench.bench.workers.jobs import CellJob
 from dpbench.errors import InputError
 
 

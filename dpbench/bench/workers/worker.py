@@ -44,7 +44,7 @@ from dpbench.bench.run.footprint import (
 )
 from dpbench.bench.run.replay import PREROLL, ReplayRun
 from dpbench.bench.run.timed_solver import MOST_HANGS, STEP_SHARE, TimedSolver, interrupting
-from dpbench.bench.sequences.source import replayed, source_of
+from dpbench.bench.sequences.source import is_sound, replayed, source_of
 from dpbench.bench.workers.notice import AtWork, begin_output, output_cut, post
 from dpbench.bench.workers.orphans import has_children
 from dpbench.errors import CertificateError, InputError
@@ -391,13 +391,15 @@ def answer_sequences(text: str, folder: Path, name: str, orders: Connection) -> 
 
 
 def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> None:
-    """Make the file behind a cell's QPs at `path` (.npz); a verdict appears in `folder`."""
+    """Make the file behind a cell's QPs at `path` (.npz), unless a whole one is there; a verdict
+    appears in `folder`."""
     pin(core)
     settle()
-    part = path.with_suffix(".part.npz")
+    cell, part = Cell.from_json(text), path.with_suffix(".part.npz")
     try:
-        source_of(Cell.from_json(text)).make(part)
-        part.replace(path)
+        if not is_sound(cell, path):
+            source_of(cell).make(part)
+            part.replace(path)
     except (CertificateError, InputError) as error:
         leave_verdict(folder / f"{name}.json", Outcome("invalid", str(error)))
         return

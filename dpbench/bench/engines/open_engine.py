@@ -14,14 +14,14 @@ from dpbench.locks import Patience
 ENGINES = ("local", "dask")
 
 
-def opened(
+def open_engine(
     name: str,
     jobs: int | None = None,
     scheduler: str | None = None,
     tls: TlsFiles | None = None,
     patience: Patience = Patience(),  # noqa: B008 - frozen
 ) -> AbstractContextManager[Engine]:
-    """The engine of that name, for one campaign.
+    """Open the engine of that name, for one campaign.
 
     Parameters
     ----------
