@@ -242,6 +242,11 @@ def designs_of(plan: Plan) -> list[Design]:
         return plan_designs(table, plan.path.parent) if table else []
 
 
+def default_folder(plan: Plan, out: str | Path | None) -> Path:
+    """Return the result folder: `out`, or that of the plan's name."""
+    return Path(out) if out is not None else Path("results") / f"{plan.name}{'-part' * plan.part}"
+
+
 def run_campaign(
     suite: str | Path | None = None,
     out: str | Path | None = None,
@@ -313,7 +318,7 @@ def run_campaign(
         raise InputError("--wait", "", wait_s, "a number of seconds, 0 or more")
     plan, some = asked.plan(), Shard.of_text(shard)
     designs = designs_of(plan) if some.index == 1 else []
-    folder = Path(out) if out is not None else Path("results") / f"{plan.name}{'-part' * plan.part}"
+    folder = default_folder(plan, out)
     progress = progress or Silent()
     with (
         open_engine(engine, jobs, scheduler, tls, Patience(wait_s)) as opened,

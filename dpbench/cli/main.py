@@ -158,16 +158,14 @@ def _given(arguments: argparse.Namespace, *without: str) -> dict[str, Any]:
     return {name: value for name, value in vars(arguments).items() if name not in others}
 
 
-_NOT_DRY = ("dry_run", "out", "fresh", "scheduler", "tls", "wait_s")
+_NOT_DRY = ("dry_run", "fresh", "scheduler", "tls", "wait_s")
 """Arguments of a run that have no part in what it takes."""
 
 
 def _dry_run(arguments: argparse.Namespace) -> int:
     from dpbench.bench.estimate import estimate_campaign
-    from dpbench.cli.terminal import Bar
 
-    with Bar(transient=True, quiet=arguments.quiet or arguments.json) as bar:
-        estimate = estimate_campaign(**_given(arguments, *_NOT_DRY, *HOW_TO_END), progress=bar)
+    estimate = estimate_campaign(**_given(arguments, *_NOT_DRY, *HOW_TO_END))
     if arguments.json:
         print(json.dumps(vars(estimate), indent=2))
     else:

@@ -262,7 +262,7 @@ class CellExecutor(ExitStack):
         ----------
         times : whether replays will be timed, which takes all of the machine.
         """
-        if self._patience.required and self._patience.limit_s is not None:
+        if self._patience.limit_s is not None:
             with self._machine(ALONE if times and self._concurrency == 1 else TOGETHER):
                 pass
 
