@@ -28,7 +28,7 @@ from dpbench.bench.workers import notice
 from dpbench.bench.workers.compiled import OWN, compile_in_processes, missing, needed
 from dpbench.bench.workers.interrupts import interrupts_wait
 from dpbench.bench.workers.notice import CUT, AtWork, Notice
-from dpbench.bench.workers.orphans import end_orphans, signal_process
+from dpbench.bench.workers.orphans import end_below, end_orphans, signal_process
 from dpbench.errors import DpbenchError
 from dpbench.temporary_folders import keep_sockets
 
@@ -150,7 +150,7 @@ class Child:
         self.process: ForkServerProcess = context.Process(
             target=notice.run, args=(self.notice, target, args), daemon=True
         )
-        _start(self.process, self.notice)
+        _start(self.process)
         self.notice.handed_over()
 
     def _name_files(self, folder: Path, name: str, verdict: str) -> None:
@@ -361,12 +361,10 @@ class ServingChild(Child):
         return self.outcome()
 
 
-def _start(process: ForkServerProcess, notice: Notice) -> None:
+def _start(process: ForkServerProcess) -> None:
     """Start a process, again where its template dies meanwhile; NoProcessError if the last of
-    `STARTS` fails. Of two that its template forked and did not live to tell of, one lives."""
+    `STARTS` fails."""
     for attempt in range(STARTS):
-        if began := notice.start_anew():
-            _end(began)
         # Nobody else lets a stopped keeper go on, and only that a stopped template.
         signal_process(_keeper(), signal.SIGCONT)
         try:
@@ -377,7 +375,8 @@ def _start(process: ForkServerProcess, notice: Notice) -> None:
             if attempt == STARTS - 1:
                 why = f"no process can be started any more ({error!r})"
                 raise NoProcessError(f"{why}; finished cells are kept") from error
-            # A template that ended has its keeper end; another begins after that.
+            # It may have forked the process and not lived to tell: that ends with it.
+            end_below(_keeper())
             _ends(_keeper())
 
 

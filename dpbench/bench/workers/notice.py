@@ -32,13 +32,8 @@ _HEAD = struct.Struct("iiI")
 """Who is at work, on which of its cells, and the bytes of the words behind it."""
 _TEMPLATE = struct.Struct("ii")
 """What the process was forked from, and the keeper of that; behind the head."""
-_NUMBER = struct.Struct("i")
-_COUNTS = _HEAD.size + _TEMPLATE.size
-"""Where it stands which start of the process counts, written by its supervisor."""
-_BEGAN = _COUNTS + _NUMBER.size
-"""Where it stands which process began, written by that."""
 _PEAK = struct.Struct("d")
-_PEAK_AT = _BEGAN + _NUMBER.size
+_PEAK_AT = _HEAD.size + _TEMPLATE.size
 """Where the peak of its memory [B] stands, of a process that ended by an exception."""
 _WORDS = _PEAK_AT + _PEAK.size
 _PACKAGE = Path(__file__).parents[2]
@@ -128,17 +123,10 @@ def _received(descriptor: Any) -> Output:
 
 
 class Notice:
-    """One process's page, shared with its supervisor; sent to the process as an argument.
+    """One process's page, shared with its supervisor; sent to the process as an argument."""
 
-    Parameters
-    ----------
-    start : which start of the process it was sent with.
-    """
-
-    def __init__(
-        self, descriptor: int | None = None, start: int = 0, output: Output | None = None
-    ) -> None:
-        self._start, self.output = start, output or Output()
+    def __init__(self, descriptor: int | None = None, output: Output | None = None) -> None:
+        self.output = output or Output()
         self._descriptor = os.memfd_create("dpbench-notice") if descriptor is None else descriptor
         if descriptor is None:
             # Written, not only made longer: this page must exist whatever becomes scarce.
@@ -146,31 +134,18 @@ class Notice:
         self._page = mmap.mmap(self._descriptor, mmap.PAGESIZE)
 
     def __reduce__(self) -> tuple[Callable[..., Notice], tuple[Any, ...]]:
-        return _attached, (reduction.DupFd(self._descriptor), self._start, self.output)
+        return _attached, (reduction.DupFd(self._descriptor), self.output)
 
     def handed_over(self) -> None:
         """The process has it; the descriptor is needed no more."""
         os.close(self._descriptor)
 
-    def start_anew(self) -> int:
-        """Before the process is started: of an earlier start, that its template did not live to
-        tell of, the process that began, for the caller to end; 0 for none. One that has not begun
-        ends by itself."""
-        self._start += 1
-        _NUMBER.pack_into(self._page, _COUNTS, self._start)
-        # Read behind that: whoever begins says so first, and then looks which start counts.
-        return int(_NUMBER.unpack_from(self._page, _BEGAN)[0])
-
     def begin(self) -> None:
-        """Say what this process was forked from, and that the harness is at work; a process whose
-        start no longer counts ends here."""
-        _NUMBER.pack_into(self._page, _BEGAN, os.getpid())
-        if _NUMBER.unpack_from(self._page, _COUNTS)[0] != self._start:
-            os._exit(0)
-        template = os.getppid()
-        orphans.end_with_parent(template)
+        """Say what this process was forked from, and that the harness is at work; end here if that
+        has died."""
+        orphans.end_with_parent(orphans.template)
         orphans.adopt_orphans()
-        _TEMPLATE.pack_into(self._page, _HEAD.size, template, orphans.keeper_of_template)
+        _TEMPLATE.pack_into(self._page, _HEAD.size, orphans.template, orphans.keeper)
         self.post(AtWork.HARNESS)
 
     def post(self, who: AtWork, place: int | None = None) -> None:
@@ -218,10 +193,9 @@ class Notice:
         return text.decode(errors="replace")
 
 
-def _attached(descriptor: Any, start: int, output: Output) -> Notice:
+def _attached(descriptor: Any, output: Output) -> Notice:
     """The notice in the process that it was sent to."""
-    number = descriptor.detach()
-    notice = Notice(number, start, output)
+    notice = Notice(descriptor.detach(), output)
     notice.handed_over()
     return notice
 
