@@ -28,7 +28,7 @@ from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.descriptions import validated
 from dpbench.bench.record.result_folder import read_json, write_json
 from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.bench.workers.worker import leave_verdict, pin, settle
+from dpbench.bench.workers.worker import pin, settle, write_outcome
 from dpbench.errors import CertificateError, InputError, RenamedWarning, ResultsError
 from dpbench.mpc.law import closed_loop_eigenvalues, gains
 from dpbench.scenario.problem_files import problem_path
@@ -276,7 +276,7 @@ def run_design(text: str, folder: Path, name: str, core: int, path: Path) -> Non
     pin(core)
     settle()
     _write(path, Designs((design_record(Design(**json.loads(text))),)))
-    leave_verdict(folder / f"{name}.json", Outcome("finished", ""))
+    write_outcome(folder / f"{name}.json", Outcome("finished", ""))
 
 
 class DesignStudy:

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from dpbench.bench.workers.interrupts import Interruption, one_interrupt
+from dpbench.bench.workers.interrupts import Interruption, first_signal_only
 from dpbench.cli.arguments import HOW_TO_END, parser
 from dpbench.cli.completion import complete
 from dpbench.cli.ending import say_ending
@@ -42,11 +42,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     argv : the words after the command; None for those of this process, which ends with it.
     """
     if argv is not None:
-        with one_interrupt() as interruption:
+        with first_signal_only() as interruption:
             return _ended(argv, interruption)
     open_streams()
     try:
-        with one_interrupt(for_good=True) as interruption:
+        with first_signal_only(for_good=True) as interruption:
             return _ended(sys.argv[1:], interruption)
     finally:
         flush_streams()

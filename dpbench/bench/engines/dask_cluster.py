@@ -26,7 +26,7 @@ from distributed.security import Security
 from dpbench.bench.engines.engine import TlsFiles
 from dpbench.bench.engines.on_worker import WorkerInfo, end_tasks, worker_info
 from dpbench.bench.record.cell import HARNESS_VERSION
-from dpbench.bench.workers.child import without_main
+from dpbench.bench.workers.child import hidden_main_module
 from dpbench.bench.workers.interrupts import signals_wait, terminal_signals_blocked
 from dpbench.errors import InputError
 from dpbench.temporary_folders import temporary_folder
@@ -164,7 +164,7 @@ def own_cluster(workers: int) -> Iterator[Client]:
 def _own_cluster(workers: int) -> Iterator[Client]:
     with (
         _quiet(),
-        without_main(),
+        hidden_main_module(),
         temporary_folder(Path(tempfile.gettempdir())) as folder,
         dask.config.set({**_OWN, "temporary-directory": str(folder)}),
         ExitStack() as stack,

@@ -20,7 +20,7 @@ from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import discard
 from dpbench.bench.workers.child import GRACE_S, Child
 from dpbench.bench.workers.jobs import CellBatch, FileBatch, Result, Target
-from dpbench.bench.workers.notice import AtWork, post
+from dpbench.bench.workers.shared_status import Phase, set_phase
 from dpbench.bench.workers.worker import BatchCell, evaluate_batch, hang_of, run_batch
 
 EVALUATION_LIMIT_S = 600.0
@@ -217,7 +217,7 @@ class FileTask:
 def make_in_turn(target: Target, tasks: Sequence[FileTask], folder: Path, core: int) -> None:
     """Make files one after the other in this process."""
     for i, task in enumerate(tasks):
-        post(AtWork.HARNESS, i)
+        set_phase(Phase.HARNESS, i)
         target(task.description, folder, task.name, core, task.path)
 
 

@@ -23,7 +23,7 @@ from dpbench.bench.record.raw_log import discard
 from dpbench.bench.record.step_table import no_steps
 from dpbench.bench.sequences.source import is_timed, log_size
 from dpbench.bench.workers.batch import CellRun, FileRun
-from dpbench.bench.workers.child import ENDED_TEMPLATE, WITHOUT_TEMPLATE
+from dpbench.bench.workers.child import FORKSERVER_DIED, KILLED_FORKSERVER
 from dpbench.bench.workers.cores import CorePool, run_on_cores
 from dpbench.bench.workers.interleaved import IdleWorkers, ReplayGroup
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, work_of
@@ -198,10 +198,10 @@ class CellExecutor(ExitStack):
         cells = [(job.run_id, self._here(job.cell)) for job in jobs]
         turns = partial(self._turns, batch, sources[jobs[0].source_key], folder)
         outcomes = turns(cells)
-        suspects = [entry for entry in cells if outcomes[entry[0]] == WITHOUT_TEMPLATE]
+        suspects = [entry for entry in cells if outcomes[entry[0]] == FORKSERVER_DIED]
         for entry in suspects:
             outcomes |= turns([entry], alone=True)
-        ended = (WITHOUT_TEMPLATE, ENDED_TEMPLATE)
+        ended = (FORKSERVER_DIED, KILLED_FORKSERVER)
         cleared = [entry for entry in suspects if outcomes[entry[0]] not in ended]
         if cleared:
             outcomes |= turns(cleared)

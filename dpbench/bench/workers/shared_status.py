@@ -44,7 +44,7 @@ _BY_SOLVERS = (
 """Code of this package that only hands on what a solver does."""
 
 
-class AtWork(IntEnum):
+class Phase(IntEnum):
     """Who is at work in a process."""
 
     STARTING = 0
@@ -55,7 +55,7 @@ class AtWork(IntEnum):
     @property
     def blames_solver(self) -> bool:
         """Whether a process that ends now ends by its solver."""
-        return self >= AtWork.OPENING
+        return self >= Phase.OPENING
 
 
 class Output:
@@ -122,7 +122,7 @@ def _received(descriptor: Any) -> Output:
     return Output(descriptor.detach())
 
 
-class Notice:
+class SharedStatus:
     """One process's page, shared with its supervisor; sent to the process as an argument."""
 
     def __init__(self, descriptor: int | None = None, output: Output | None = None) -> None:
@@ -133,7 +133,7 @@ class Notice:
             os.write(self._descriptor, bytes(mmap.PAGESIZE))
         self._page = mmap.mmap(self._descriptor, mmap.PAGESIZE)
 
-    def __reduce__(self) -> tuple[Callable[..., Notice], tuple[Any, ...]]:
+    def __reduce__(self) -> tuple[Callable[..., SharedStatus], tuple[Any, ...]]:
         return _attached, (reduction.DupFd(self._descriptor), self.output)
 
     def handed_over(self) -> None:
@@ -146,14 +146,14 @@ class Notice:
         orphans.end_with_parent(orphans.template)
         orphans.adopt_orphans()
         _TEMPLATE.pack_into(self._page, _HEAD.size, orphans.template, orphans.keeper)
-        self.post(AtWork.HARNESS)
+        self.set_phase(Phase.HARNESS)
 
-    def post(self, who: AtWork, place: int | None = None) -> None:
+    def set_phase(self, who: Phase, place: int | None = None) -> None:
         """Say who is at work from now on, and on which cell of several."""
         at = self.place if place is None else place
         _HEAD.pack_into(self._page, 0, who, at, 0)
 
-    def leave(self, who: AtWork, words: str) -> None:
+    def record_exit(self, who: Phase, words: str) -> None:
         """Say by whose doing the process ends, and why."""
         text = " ".join(words.split()).encode()[: mmap.PAGESIZE - _WORDS]
         self._page[_WORDS : _WORDS + len(text)] = text
@@ -161,9 +161,9 @@ class Notice:
         _HEAD.pack_into(self._page, 0, who, self.place, len(text))
 
     @property
-    def who(self) -> AtWork:
+    def who(self) -> Phase:
         """Who is, or was at the end, at work."""
-        return AtWork(_HEAD.unpack_from(self._page)[0])
+        return Phase(_HEAD.unpack_from(self._page)[0])
 
     @property
     def place(self) -> int:
@@ -193,21 +193,21 @@ class Notice:
         return text.decode(errors="replace")
 
 
-def _attached(descriptor: Any, output: Output) -> Notice:
+def _attached(descriptor: Any, output: Output) -> SharedStatus:
     """The notice in the process that it was sent to."""
-    notice = Notice(descriptor.detach(), output)
+    notice = SharedStatus(descriptor.detach(), output)
     notice.handed_over()
     return notice
 
 
-_here: list[Notice] = []
+_here: list[SharedStatus] = []
 """The notice of this process; none in one that nobody supervises."""
 
 
-def post(who: AtWork, place: int | None = None) -> None:
+def set_phase(who: Phase, place: int | None = None) -> None:
     """Say who is at work in this process from now on, and on which cell of several."""
     for notice in _here:
-        notice.post(who, place)
+        notice.set_phase(who, place)
 
 
 def begin_output() -> None:
@@ -221,7 +221,7 @@ def output_cut() -> str:
     return CUT if any(notice.output.is_full for notice in _here) else ""
 
 
-def run(notice: Notice, target: Callable[..., None], args: tuple[Any, ...]) -> None:
+def run(notice: SharedStatus, target: Callable[..., None], args: tuple[Any, ...]) -> None:
     """Run a process's target; what it raises ends the process, and is said on its notice."""
     _here[:] = [notice]
     notice.begin()
@@ -232,8 +232,8 @@ def run(notice: Notice, target: Callable[..., None], args: tuple[Any, ...]) -> N
     except BaseException as error:  # SystemExit and a panic of Rust, too, are said and end here
         who = notice.who
         if isinstance(error, Exception) and not _through_solver(error.__traceback__):
-            who = AtWork.HARNESS
-        notice.leave(who, in_words(error))
+            who = Phase.HARNESS
+        notice.record_exit(who, in_words(error))
         raise SystemExit(1) from None
 
 
